@@ -1,0 +1,9 @@
+"""jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
+
+from jaxbody.bodies import Body, Support
+from jaxbody.elements import Bushing, Element, Spring
+from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
+from jaxbody.joints import Ball, Fixed, Free, Guide, Hinge, Joint
+from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
+from jaxbody.models import Model, State
+from jaxbody.motions import AtRest, Harmonic, Motion, Sampled

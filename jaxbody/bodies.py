@@ -1,0 +1,204 @@
+"""Bodies, which have mass, and supports, whose motion is imposed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.arrays import concrete, float_array
+from jaxbody.errors import Problems, warn
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+EPS = np.finfo(np.float64).eps
+
+
+class Body(eqx.Module):
+    """A rigid body.
+
+    mass [kg]; inertia about the centre of mass in body axes [kg m2]: three principal moments, six numbers
+    (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries of the matrix, signs included) or the 3 x 3 matrix; `com`, the centre of mass in body
+    coordinates [m]; `position` of the reference point O [m] and `orientation` (unit quaternion w, x, y, z or rotation matrix, body to
+    world) in the reference pose, where the search for equilibrium starts.
+
+    Errors: BAD_MASS, BAD_SHAPE, NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE, BAD_ROTATION, BAD_QUATERNION, NON_FINITE, all found at once.
+
+    >>> Body(mass=3.0, inertia=[0.3, 0.9, 1.2]).inertia[1, 1]
+    np.float64(0.9)
+    """
+
+    mass: Float[Array, ""]
+    inertia: Float[Array, "3 3"]
+    com: Float[Array, "3"]
+    position: Float[Array, "3"]
+    orientation: Float[Array, "4"]
+
+    def __init__(self, mass, inertia, *, com=(0, 0, 0), position=(0, 0, 0), orientation=IDENTITY):
+        problems = Problems()
+        self.mass = scalar(mass, "Body.mass", problems)
+        known = concrete(self.mass)
+        if known is not None and known <= 0:
+            problems.add("BAD_MASS", "Body.mass", f"is {known:g} kg", value=float(known), limit="> 0", hint="A mass must be positive.")
+        self.inertia = _inertia(inertia, problems)
+        self.com = vector(com, "Body.com", problems)
+        self.position = vector(position, "Body.position", problems)
+        self.orientation = as_quaternion(orientation, "Body.orientation", problems)
+        problems.raise_if_any()
+
+
+class Support(eqx.Module):
+    """A frame whose motion is imposed; `position` [m] and `orientation` (as of a body) are its reference pose, motions count from there."""
+
+    position: Float[Array, "3"]
+    orientation: Float[Array, "4"]
+
+    def __init__(self, position=(0, 0, 0), orientation=IDENTITY):
+        problems = Problems()
+        self.position = vector(position, "Support.position", problems)
+        self.orientation = as_quaternion(orientation, "Support.orientation", problems)
+        problems.raise_if_any()
+
+
+def scalar(value: Any, where: str, problems: Problems):
+    return shaped(value, (), where, problems)
+
+
+def vector(value: Any, where: str, problems: Problems):
+    return shaped(value, (3,), where, problems)
+
+
+def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems):
+    """A finite float array of this shape; what is wrong goes to `problems`."""
+    array = float_array(value, where)
+    known = concrete(array)
+    if array.shape != shape:
+        problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=value, limit=str(shape))
+        return np.zeros(shape)
+    if known is not None and not np.isfinite(known).all():
+        problems.add("NON_FINITE", where, f"is {known}", value=known, limit="finite")
+        return np.zeros(shape)
+    return array
+
+
+def as_quaternion(value: Any, where: str, problems: Problems):
+    """A unit quaternion of a quaternion (length 1 within 1e-3) or of a rotation matrix (orthogonal within 1e-12)."""
+    array = float_array(value, where)
+    known = concrete(array)
+    if known is None and array.shape == (4,):
+        return array
+    if known is None or array.shape not in ((4,), (3, 3)):
+        problems.add(
+            "BAD_SHAPE",
+            where,
+            f"has shape {array.shape}",
+            value=value,
+            limit="(4,) or (3, 3)",
+            hint="Give a quaternion w, x, y, z or a rotation matrix.",
+        )
+        return np.array(IDENTITY)
+    if not np.isfinite(known).all():
+        problems.add("NON_FINITE", where, f"is {known}", value=known, limit="finite")
+        return np.array(IDENTITY)
+    if known.shape == (4,):
+        length = np.linalg.norm(known)
+        if abs(length - 1) > 1e-3:
+            problems.add(
+                "BAD_QUATERNION",
+                where,
+                f"has length {length:.6g}",
+                value=known,
+                limit="1 within 1e-3",
+                hint="Order w, x, y, z; divide by its length.",
+            )
+            return np.array(IDENTITY)
+        return known / length
+    error = np.linalg.norm(known.T @ known - np.eye(3))
+    if error > 1e-12 * 10 or np.linalg.det(known) < 0:
+        problems.add(
+            "BAD_ROTATION",
+            where,
+            f"is no rotation: |R'R - I| = {error:.2g}, det R = {np.linalg.det(known):.6g}",
+            value=known,
+            limit="|R'R - I| <= 1e-11, det R = 1",
+            hint="Orthonormalize it (SVD: U V').",
+        )
+        return np.array(IDENTITY)
+    return _quaternion(known)
+
+
+def _quaternion(R: np.ndarray) -> np.ndarray:
+    """The unit quaternion of a rotation matrix, as the dominant eigenvector of 4 q q' - I; in NumPy, as checks run before any compiler."""
+    x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    S = R + R.T
+    K = np.block([[np.array([[np.trace(R)]]), np.array([[x, y, z]])], [np.array([[x], [y], [z]]), S - np.trace(R) * np.eye(3)]])
+    q = np.linalg.eigh(K)[1][:, -1]
+    return q if q[0] >= 0 else -q
+
+
+def _inertia(value: Any, problems: Problems):
+    where = "Body.inertia"
+    array = float_array(value, where)
+    known = concrete(array)
+    if array.shape not in ((3,), (6,), (3, 3)):
+        problems.add(
+            "BAD_SHAPE",
+            where,
+            f"has shape {array.shape}",
+            value=value,
+            limit="(3,), (6,) or (3, 3)",
+            hint="Give three principal moments, (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or the matrix.",
+        )
+        return np.eye(3)
+    if known is None:
+        return _matrix_of(array)
+    if not np.isfinite(known).all():
+        problems.add("NON_FINITE", where, f"is {known.tolist()}", value=known, limit="finite")
+        return np.eye(3)
+    I = _matrix_of(known)
+    trace = np.trace(I)
+    asymmetry = np.abs(I - I.T).max()
+    moments = np.linalg.eigvalsh((I + I.T) / 2)
+    told = ", ".join(f"{m:.6g}" for m in moments)
+    if asymmetry > 1e-9 * abs(trace):
+        problems.add(
+            "NOT_SYMMETRIC",
+            where,
+            f"is not symmetric: largest |I - I'| = {asymmetry:.3g}",
+            value=I - I.T,
+            limit=f"{1e-9 * abs(trace):.3g}",
+            hint="Give (I + I')/2 if that is meant.",
+        )
+    elif moments[0] < -64 * EPS * abs(trace) or trace <= 0:
+        problems.add(
+            "NOT_POSITIVE", where, f"has principal moments {told} kg m2", value=moments, limit=">= 0", hint="All must be positive."
+        )
+    elif moments[0] + moments[1] - moments[2] < -64 * EPS * trace:
+        deficit = moments[2] - moments[0] - moments[1]
+        problems.add(
+            "TRIANGLE",
+            where,
+            f"has principal moments {told} kg m2: the largest exceeds the sum of the others by {deficit:.3g}",
+            value=moments,
+            limit="the sum of the two others",
+            hint="Is it about the centre of mass? Are the signs of the products right?",
+        )
+    return I
+
+
+def _matrix_of(array):
+    """The 3 x 3 matrix of three, six or nine numbers."""
+    if array.shape == (3, 3):
+        return array
+    unit = np.zeros((6, 3, 3))
+    for n, (i, j) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]):
+        unit[n, i, j] = unit[n, j, i] = 1
+    return (array[:, None, None] * unit[: array.shape[0]]).sum(0)
+
+
+def warn_of_tiny(names: tuple[str, ...], masses: np.ndarray) -> None:
+    """TINY_MASS: a mass below 1e-12 of the largest makes the motion stiff."""
+    for name, mass in zip(names, masses, strict=True):
+        if mass < 1e-12 * masses.max():
+            warn("TINY_MASS", f"mass of '{name}' is {mass:g} kg, {mass / masses.max():.1g} of the largest: its motion will be stiff")

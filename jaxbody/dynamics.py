@@ -1,0 +1,188 @@
+"""Equations of motion, structured: Newton and Euler for each body, projected on what the joints allow.
+
+    about O, world axes:  m (a_O + alpha x c + w x (w x c)) = F,   J alpha + w x J w + m c x a_O = M        (16)-(19) of the paper
+    speeds:               sum J_b' (inertia J_b v' + bias - wrench) = 0, J_b the velocity of body b per unit of each speed
+
+Tests hold it to the Lagrange equations of L = T - V with R. Where every body is free on the world the mass matrix is constant in body
+axes and is inverted once.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody import rotations
+from jaxbody.frames import Frame
+from jaxbody.kinematics import Coordinates, Motions, supports_moving
+from jaxbody.linear_solves import solve_spd
+from jaxbody.mechanics import wrenches
+from jaxbody.models import Model, State
+from jaxbody.rotations import cross, product, rotate, rotate_back, skew
+
+
+class Dynamics(eqx.Module):
+    """A model under imposed motions as a first-order system y' = f(t, y), with what is constant worked out once.
+
+    y is (q, v) of the state; where all bodies are free on the world v is exchanged for the velocities in body axes."""
+
+    coordinates: Coordinates
+    motions: Motions
+    inverse_mass: Float[Array, "nb 6 6"] | None
+
+    def __init__(self, model: Model, motions: Motions):
+        self.coordinates = Coordinates(model)
+        self.motions = motions
+        self.inverse_mass = jnp.linalg.inv(mass_in_body_axes(model)) if model.layout.floating else None
+
+    @property
+    def model(self) -> Model:
+        return self.coordinates.model
+
+    def pack(self, state: State) -> Float[Array, "ny"]:
+        if not self.model.layout.floating:
+            return jnp.concatenate([state.q, state.v])
+        q, v = state.q.reshape(-1, 7), state.v.reshape(-1, 2, 3)
+        v_B = rotate_back(rotations.matrix(q[:, None, 3:]), v)
+        return jnp.concatenate([q[:, :3].ravel(), q[:, 3:].ravel(), v_B[:, 0].ravel(), v_B[:, 1].ravel()])
+
+    def unpack(self, y: Float[Array, "ny"]) -> State:
+        layout = self.model.layout
+        if not layout.floating:
+            return State(_normalized(self.model, y[: layout.nq]), y[layout.nq :])
+        p, quaternion, v_B, w_B = _cut(y, len(layout.bodies))
+        quaternion = rotations.normalize(quaternion)
+        R = rotations.matrix(quaternion)
+        return State(jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([rotate(R, v_B), rotate(R, w_B)], -1).ravel())
+
+    def rate(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
+        """dy/dt."""
+        if self.model.layout.floating:
+            return self._rate_floating(t, y)
+        nq = self.model.layout.nq
+        q, v = y[:nq], y[nq:]
+        return jnp.concatenate([self.coordinates.rate(q, v), self.acceleration(t, q, v)])
+
+    def _rate_floating(self, t, y):
+        model = self.model
+        bodies = model.bodies.rows
+        p, quaternion, v_B, w_B = _cut(y, len(model.layout.bodies))
+        R = rotations.matrix(quaternion)
+        v, w = rotate(R, v_B), rotate(R, w_B)
+        supports = supports_moving(model, self.motions, t)
+        zero = jnp.zeros((1, 3), y.dtype)
+        frames = Frame(
+            jnp.concatenate([zero, supports.p, p]),
+            jnp.concatenate([jnp.eye(3, dtype=y.dtype)[None], supports.R, R]),
+            jnp.concatenate([zero, supports.v, v]),
+            jnp.concatenate([zero, supports.w, w]),
+        )
+        F, M = (x[model.layout.first_body :] for x in wrenches(model, frames))
+        m, c = bodies.mass[:, None], bodies.com
+        P = m * (v_B + cross(w_B, c))  # momentum and moment of momentum about O, body axes
+        H = rotate(bodies.inertia, w_B) + cross(c, P)
+        F_B = rotate_back(R, F) - cross(w_B, P)
+        M_B = rotate_back(R, M) - cross(w_B, H) - cross(v_B, P)
+        rate = jnp.sum(self.inverse_mass * jnp.concatenate([F_B, M_B], -1)[:, None, :], -1)
+        return jnp.concatenate(
+            [v.ravel(), rotations.quaternion_rate_body(quaternion, w_B).ravel(), rate[:, :3].ravel(), rate[:, 3:].ravel()]
+        )
+
+    def acceleration(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nv"]:
+        """dv/dt, in the speeds of the state."""
+        frames, (linear, angular), a, alpha = self._bias(t, q, v)
+        F, M = self._net(frames, a, alpha)
+        lin, ang = self._jacobian(frames, linear, angular)
+        bodies = self.model.bodies.rows
+        R = frames.R[self.model.layout.first_body :]
+        c = rotate(R, bodies.com)
+        J_C = product(product(R, bodies.inertia), jnp.swapaxes(R, -1, -2))
+        lin_C = lin + cross(ang, c[:, None])
+        turning = jnp.sum(J_C[:, None] * ang[:, :, None, :], -1)
+        mass = jnp.sum(bodies.mass[:, None, None, None] * lin_C[:, :, None] * lin_C[:, None] + ang[:, :, None] * turning[:, None], (0, 3))
+        right = jnp.sum(lin * F[:, None] + ang * M[:, None], (0, 2))
+        return solve_spd(mass, right)
+
+    def _bias(self, t, q, v):
+        """Frames, axes, and the accelerations of origin and orientation of each body at v' = 0: the derivative of the velocities
+        along the motion."""
+
+        def moving(t, q):
+            frames, axes = self.coordinates.frames_and_axes(q, v, supports_moving(self.model, self.motions, t))
+            return (frames.v, frames.w), (frames, axes)
+
+        (_, (a, alpha), (frames, axes)) = jax.jvp(moving, (t, q), (jnp.ones_like(t), self.coordinates.rate(q, v)), has_aux=True)
+        return frames, axes, a, alpha
+
+    def _net(self, frames: Frame, a, alpha):
+        """Applied minus inertial force and moment about its origin of each body, for given accelerations of the frames."""
+        first = self.model.layout.first_body
+        bodies, moving = self.model.bodies.rows, frames[first:]
+        a, alpha = a[first:], alpha[first:]
+        F, M = (x[first:] for x in wrenches(self.model, frames))
+        c, m = rotate(moving.R, bodies.com), bodies.mass[:, None]
+        force = m * (a + cross(alpha, c) + cross(moving.w, cross(moving.w, c)))
+
+        def J(x):
+            return rotate(moving.R, rotate(bodies.inertia, rotate_back(moving.R, x)))
+
+        return F - force, M - (J(alpha) + cross(moving.w, J(moving.w)) + cross(c, force))
+
+    def _jacobian(self, frames: Frame, linear, angular):
+        """(nb, nv, 3) velocities of each body's origin and its angular velocities per unit of each speed."""
+        layout = self.model.layout
+        own = np.repeat(np.arange(len(layout.bodies)), [kind.nv for kind in layout.kinds])
+        p = frames.p[layout.first_body :]
+        mask = jnp.asarray(layout.carries, p.dtype)[..., None]
+        return mask * (linear + cross(angular[None], p[:, None] - p[own][None])), mask * angular
+
+    def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
+        """Force and moment about its origin that the bodies and elements exert on each support, world axes."""
+        layout = self.model.layout
+        frames, (linear, angular), a, alpha = self._bias(t, q, v)
+        lin, ang = self._jacobian(frames, linear, angular)
+        v_dot = self.acceleration(t, q, v)
+        first = layout.first_body
+        a = a.at[first:].add(jnp.sum(lin * v_dot[:, None], 1))
+        alpha = alpha.at[first:].add(jnp.sum(ang * v_dot[:, None], 1))
+        F, M = self._net(frames, a, alpha)
+        on_frames = wrenches(self.model, frames)
+        forces, moments = [], []
+        for row in range(1, first):
+            jointed = jnp.asarray(layout.roots == row, F.dtype)[:, None]
+            forces.append(on_frames[0][row] + jnp.sum(jointed * F, 0))
+            moments.append(on_frames[1][row] + jnp.sum(jointed * (M + cross(frames.p[first:] - frames.p[row], F)), 0))
+        return jnp.stack(forces), jnp.stack(moments)
+
+
+def mass_in_body_axes(model: Model) -> Float[Array, "nb 6 6"]:
+    """[[m I, -m [c]], [m [c], J_C - m [c][c]]] of each body about O (42)."""
+    bodies = model.bodies.rows
+    m, C = bodies.mass[:, None, None], skew(bodies.com)
+    I = jnp.eye(3, dtype=C.dtype)
+    inertia = (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2
+    top = jnp.concatenate([m * I, -m * C], -1)
+    return jnp.concatenate([top, jnp.concatenate([m * C, inertia - m * product(C, C)], -1)], -2)
+
+
+def _cut(y: Array, n: int):
+    return y[: 3 * n].reshape(n, 3), y[3 * n : 7 * n].reshape(n, 4), y[7 * n : 10 * n].reshape(n, 3), y[10 * n :].reshape(n, 3)
+
+
+def _normalized(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
+    """Unit quaternions again, joint by joint, by a retraction of nothing."""
+    parts = []
+    for name, kind in zip(model.layout.bodies, model.layout.kinds, strict=True):
+        part = q[model.layout.q_slices[name]]
+        if kind.nq - kind.nv == 1:  # its last four are a quaternion
+            part = jnp.concatenate([part[:-4], rotations.normalize(part[-4:])])
+        parts.append(part)
+    return jnp.concatenate(parts)
+
+
+def acceleration(model: Model, state: State, t: float = 0.0, motions: Motions = ()) -> Float[Array, "nv"]:
+    """dv/dt from the equations of motion, in the speeds of the state."""
+    return Dynamics(model, motions).acceleration(jnp.asarray(t, state.q.dtype), state.q, state.v)

@@ -1,0 +1,250 @@
+"""Springs and bushings. An element states one geometric function, its deformation e(A, B) between two frames, its potential energy
+V(e) and its dissipation R(e_dot); forces, stiffness and the rest are derivatives.
+
+Points and orientations of an element are in the frame of the body or support that its end is on.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody import rotations
+from jaxbody.arrays import concrete, float_array
+from jaxbody.bodies import IDENTITY, as_quaternion, scalar, shaped, vector
+from jaxbody.errors import Problems
+from jaxbody.frames import Frame, Pose
+from jaxbody.rotations import cross, dot, rotate
+
+Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about the frame's origin, world axes
+
+
+class Element(eqx.Module):
+    """The base of all elements between two frames A and B."""
+
+    between: tuple[str, str] = eqx.field(static=True)
+    a: Float[Array, "3"]
+    b: Float[Array, "3"]
+
+    def deformation(self, A: Pose, B: Pose) -> Float[Array, "*m"]:
+        """The geometric function e."""
+        raise TypeError  # pragma: no cover
+
+    def energy(self, e: Float[Array, "*m"]) -> Float[Array, ""]:
+        """V(e) [J]."""
+        raise TypeError  # pragma: no cover
+
+    def dissipation(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, ""]:
+        """R(e, e_dot) [W], half the dissipated power where damping is linear."""
+        raise TypeError  # pragma: no cover
+
+    def potential(self, A: Pose, B: Pose) -> Float[Array, ""]:
+        """V of the two poses."""
+        return self.energy(self.deformation(A, B))
+
+    def rates(self, A: Frame, B: Frame) -> tuple[Float[Array, "*m"], Float[Array, "*m"]]:
+        """e and e_dot, the derivative of e along the motion of the frames."""
+        return jax.jvp(self.deformation, (A.pose(), B.pose()), (A.rates(), B.rates()))
+
+    def force(self, A: Frame, B: Frame) -> Float[Array, "*m"]:
+        """dV/de + dR/de_dot, what the element exerts against its deformation: of a spring the tension [N]."""
+        e, e_dot = self.rates(A, B)
+        return jax.grad(self.energy)(e) + jax.grad(self.dissipation, argnums=1)(e, e_dot)
+
+    def wrenches(self, A: Frame, B: Frame) -> tuple[Wrench, Wrench]:
+        """What the element exerts on either frame: minus the derivatives of V and R, carried from e to the frames."""
+        _, pull = jax.vjp(self.deformation, A.pose(), B.pose())
+        on_A, on_B = pull(-self.force(A, B))
+        return _wrench(on_A, A.R), _wrench(on_B, B.R)
+
+
+def _wrench(cotangent: Pose, R: Float[Array, "3 3"]) -> Wrench:
+    """Force and moment of a cotangent of a pose: the moment is the sum over the columns of R x its cotangent."""
+    return cotangent.p, cross(R.T, cotangent.R.T).sum(0)
+
+
+class Spring(Element):
+    """A line spring with viscous damping between the point a of one body and the point b of another.
+
+        V = 1/2 k (|AB| - l0)^2,   R = 1/2 c (d|AB|/dt)^2,   tension = k (|AB| - l0) + c d|AB|/dt
+
+    `stiffness` k [N/m], `free_length` l0 [m], `damping` c [N s/m]. With l0 = 0 the spring is exact down to zero length, where
+    its damper has no direction and exerts nothing. Errors: NEGATIVE_STIFFNESS, NEGATIVE_DAMPING (unless `allow_negative`),
+    NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE. Source: (20)-(28) of the paper.
+
+    >>> spring = Spring(("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8)
+    """
+
+    stiffness: Float[Array, ""]
+    free_length: Float[Array, ""]
+    damping: Float[Array, ""]
+
+    def __init__(self, a, b, *, stiffness, free_length=0.0, damping=0.0, allow_negative: bool = False):
+        problems = Problems()
+        self.between, (self.a, self.b) = _ends(a, b, "Spring", problems)
+        self.stiffness = scalar(stiffness, "Spring.stiffness", problems)
+        self.free_length = scalar(free_length, "Spring.free_length", problems)
+        self.damping = scalar(damping, "Spring.damping", problems)
+        limits = {"stiffness": "N/m", "damping": "N s/m", "free_length": "m"}
+        for name, unit in limits.items():
+            value = concrete(getattr(self, name))
+            if value is not None and value < 0 and not (allow_negative and name != "free_length"):
+                code = f"NEGATIVE_{name.split('_')[-1].upper()}"
+                hint = "" if name == "free_length" else "If it is meant, say allow_negative=True."
+                problems.add(code, f"Spring.{name}", f"is {value:g} {unit}", value=float(value), limit=">= 0", hint=hint)
+        problems.raise_if_any()
+
+    def length(self, A: Pose, B: Pose) -> Float[Array, ""]:
+        """|AB|, its derivatives zero at zero length."""
+        return _length(B.point(self.b) - A.point(self.a))[0]
+
+    def deformation(self, A, B):
+        """The elongation s = |AB| - l0 (31)."""
+        return self.length(A, B) - self.free_length
+
+    def energy(self, e):
+        return 0.5 * self.stiffness * e**2
+
+    def dissipation(self, e, e_dot):
+        return 0.5 * self.damping * e_dot**2
+
+    def potential(self, A, B):
+        d = B.point(self.b) - A.point(self.a)
+        k, l0 = self.stiffness, self.free_length
+        expanded = 0.5 * k * dot(d, d) - k * l0 * _length(d)[0] + 0.5 * k * l0**2  # no norm where l0 = 0: exact at d = 0
+        return jnp.where(l0 == 0, expanded, self.energy(self.deformation(A, B)))
+
+    def wrenches(self, A, B):
+        """Closed form: the tension along AB, as k d - (k l0 - c L') d/L, whose derivatives at d = 0 are right for l0 = 0."""
+        arm_a, arm_b = rotate(A.R, self.a), rotate(B.R, self.b)
+        d = (B.p - A.p) + (arm_b - arm_a)
+        rate = (B.v - A.v) + (cross(B.w, arm_b) - cross(A.w, arm_a))
+        _, u = _length(d)
+        force = self.stiffness * d + (self.damping * dot(u, rate) - self.stiffness * self.free_length) * u
+        return (force, cross(arm_a, force)), (-force, cross(force, arm_b))
+
+
+def _length(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+    """|d| and d/|d|, both zero with zero derivatives at d = 0."""
+    square = dot(d, d)
+    inverse = jnp.where(square > 0, 1 / jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+    return square * inverse, d * inverse
+
+
+class Bushing(Element):
+    """A linear bushing between a frame at a on one body and a frame at b on another.
+
+        V = 1/2 e' K e,   R = 1/2 e_dot' C e_dot,   e = log(X_A^-1 X_B) = (translation, rotation vector), axes of the frame at a
+
+    `stiffness` K and `damping` C: 6 x 6 matrices, symmetric and positive semidefinite, or three numbers: translational along the
+    bushing's axes [N/m], [N s/m], no resistance to turning. `orientation` (of the frame at a in its body) and `orientation_b`
+    give the axes; the bushing is relaxed where the two frames coincide. e is the logarithm of SE(3): exchanging the ends changes only its sign.
+    Errors: NOT_SYMMETRIC, NEGATIVE_STIFFNESS, NEGATIVE_DAMPING, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION.
+    """
+
+    stiffness: Float[Array, "*k"]
+    damping: Float[Array, "*k"]
+    orientation: Float[Array, "4"]
+    orientation_b: Float[Array, "4"]
+
+    def __init__(self, a, b, *, stiffness, damping=None, orientation=IDENTITY, orientation_b=IDENTITY, allow_negative: bool = False):
+        problems = Problems()
+        self.between, (self.a, self.b) = _ends(a, b, "Bushing", problems)
+        self.stiffness = _coefficients(stiffness, "stiffness", allow_negative, problems)
+        damping = np.zeros(self.stiffness.shape) if damping is None else damping
+        self.damping = _coefficients(damping, "damping", allow_negative, problems)
+        self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
+        self.orientation_b = as_quaternion(orientation_b, "Bushing.orientation_b", problems)
+        problems.raise_if_any()
+
+    def deformation(self, A, B):
+        end_A = A @ Pose(self.a, rotations.matrix(self.orientation))
+        end_B = B @ Pose(self.b, rotations.matrix(self.orientation_b))
+        relative = end_A.inverse() @ end_B
+        theta = rotations.log(relative.R)
+        return jnp.concatenate([rotate(rotations.inverse_left_jacobian(theta), relative.p), theta])
+
+    def energy(self, e):
+        return 0.5 * jnp.sum(e * _times(self.stiffness, e))
+
+    def dissipation(self, e, e_dot):
+        return 0.5 * jnp.sum(e_dot * _times(self.damping, e_dot))
+
+
+def _times(coefficients: Float[Array, "*k"], e: Float[Array, "6"]) -> Float[Array, "6"]:
+    """K e for a 6 x 6 matrix or for three translational coefficients."""
+    if coefficients.shape == (3,):
+        return jnp.concatenate([coefficients * e[:3], jnp.zeros_like(e[3:])])
+    return jnp.sum(coefficients * e, -1)
+
+
+def _coefficients(value: Any, name: str, allow_negative: bool, problems: Problems):
+    where = f"Bushing.{name}"
+    array = float_array(value, where)
+    if array.shape not in ((3,), (6, 6)):
+        problems.add(
+            "BAD_SHAPE",
+            where,
+            f"has shape {array.shape}",
+            value=value,
+            limit="(3,) or (6, 6)",
+            hint="Give three translational coefficients or a 6 x 6 matrix.",
+        )
+        return np.zeros(3)
+    array = shaped(array, array.shape, where, problems)
+    known = concrete(array)
+    if known is None:
+        return array
+    if known.ndim == 2:
+        asymmetry = np.abs(known - known.T).max()
+        if asymmetry > 1e-9 * np.abs(known).max():
+            hint = "No potential energy belongs to such a matrix; give (K + K')/2 if that is meant."
+            problems.add(
+                "NOT_SYMMETRIC",
+                where,
+                f"is not symmetric: largest |K - K'| = {asymmetry:.3g}",
+                value=known - known.T,
+                limit=f"{1e-9 * np.abs(known).max():.3g}",
+                hint=hint,
+            )
+            return array
+    smallest = known if known.ndim == 1 else np.linalg.eigvalsh(known)
+    if smallest.min() < -1e-12 * np.abs(smallest).max() and not allow_negative:
+        told = ", ".join(f"{v:.6g}" for v in smallest)
+        what = "coefficients" if known.ndim == 1 else "eigenvalues"
+        problems.add(
+            f"NEGATIVE_{name.upper()}",
+            where,
+            f"has {what} {told}",
+            value=smallest,
+            limit=">= 0",
+            hint="If it is meant, say allow_negative=True.",
+        )
+    return array
+
+
+def _ends(a, b, kind: str, problems: Problems):
+    """((name, name), [point, point]) of two (name, point) pairs."""
+    names, points = [], []
+    for end, where in ((a, f"{kind}, first end"), (b, f"{kind}, second end")):
+        if not (isinstance(end, tuple | list) and len(end) == 2 and isinstance(end[0], str)):
+            problems.add(
+                "BAD_END",
+                where,
+                f"is {end!r:.60}",
+                value=end,
+                limit='("body", [x, y, z])',
+                hint="Give the name of a body, a support or `world`, and a point in its frame.",
+            )
+            end = ("?", (0, 0, 0))
+        names.append(end[0])
+        points.append(vector(end[1], f"{where} ({end[0]})", problems))
+    if names[0] == names[1] and names[0] != "?":
+        problems.add("SELF_SPRING", kind, f"has both ends on '{names[0]}'", value=names[0], limit="two different bodies or supports")
+    problems.raise_if_any()
+    return (names[0], names[1]), points

@@ -1,0 +1,155 @@
+"""What can go wrong: one exception, one warning, and the status codes that jitted code returns instead of raising."""
+
+from __future__ import annotations
+
+import enum
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import numpy as np
+
+MOST_PROBLEMS = 20
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong with an input: where, what, and what to do about it."""
+
+    code: str
+    where: str
+    message: str
+    value: Any = None
+    limit: str = ""
+    hint: str = ""
+
+    def __str__(self) -> str:
+        hint = f" {self.hint}" if self.hint else ""
+        return f"{self.where}: {self.message}{hint} [{self.code}]"
+
+
+class JaxbodyError(ValueError):
+    """Everything that jaxbody raises. `problems` holds every problem found in one go; the first one's fields stand on the error itself.
+
+    >>> try:
+    ...     Body(mass=-3.0, inertia=[1.0, 1.0, 1.0])
+    ... except JaxbodyError as error:
+    ...     error.code
+    'BAD_MASS'
+    """
+
+    def __init__(self, *problems: Problem):
+        self.problems = problems
+        first = problems[0]
+        self.code, self.where, self.value, self.limit, self.hint = first.code, first.where, first.value, first.limit, first.hint
+        shown = [str(problem) for problem in problems[:MOST_PROBLEMS]]
+        if len(problems) > MOST_PROBLEMS:
+            shown.append(f"... and {len(problems) - MOST_PROBLEMS} more")
+        super().__init__(shown[0] if len(problems) == 1 else f"{len(problems)} problems:\n  " + "\n  ".join(shown))
+
+
+class JaxbodyWarning(UserWarning):
+    """Everything that jaxbody warns of; `code` says which. Make them errors with `warnings.simplefilter("error", JaxbodyWarning)`."""
+
+    def __init__(self, code: str, message: str):
+        self.code = code
+        super().__init__(f"{message} [{code}]")
+
+
+def warn(code: str, message: str) -> None:
+    warnings.warn(JaxbodyWarning(code, message), stacklevel=4)
+
+
+@dataclass
+class Problems:
+    """Collects problems, so that all of them are told at once."""
+
+    found: list[Problem] = field(default_factory=list)
+
+    def add(self, code: str, where: str, message: str, *, value: Any = None, limit: str = "", hint: str = "") -> None:
+        self.found.append(Problem(code, where, message, value, limit, hint))
+
+    def raise_if_any(self) -> None:
+        if self.found:
+            raise JaxbodyError(*self.found)
+
+
+class Status(enum.IntEnum):
+    """How a computation ended. Jitted code returns these numbers, one per sample; 0 is good."""
+
+    OK = 0
+    NOT_CONVERGED = 1
+    UNSTABLE = 2
+    SINGULAR_K = 3
+    MAX_STEPS = 4
+    DT_MIN = 5
+    NONFINITE = 6
+    NOT_IDENTIFIABLE = 7
+    NEVER_MOVED = 8
+    CLUSTER = 9
+    AT_BOUND = 10
+
+
+MESSAGES = {
+    Status.OK: "ok",
+    Status.NOT_CONVERGED: "the search for a solution did not converge",
+    Status.UNSTABLE: "the equilibrium is unstable",
+    Status.SINGULAR_K: "the stiffness matrix is singular: something is free to move",
+    Status.MAX_STEPS: "the integration reached its largest number of steps",
+    Status.DT_MIN: "the step size fell below its smallest value",
+    Status.NONFINITE: "a value is not finite",
+    Status.NOT_IDENTIFIABLE: "the data do not determine all free parameters",
+    Status.NEVER_MOVED: "a free parameter has no effect on the data",
+    Status.CLUSTER: "natural frequencies coincide",
+    Status.AT_BOUND: "a parameter ended at its bound",
+}
+
+
+class Result:
+    """What every result shares: `.status` (one code per sample), `.ok`, `.report()`, `.raise_if_failed()`."""
+
+    status: Any
+
+    @property
+    def ok(self) -> Any:
+        """True where the status is 0 (an array for batched results)."""
+        return self.status == Status.OK
+
+    def explain(self) -> str:
+        """More about a failure of a single sample, in words; empty where there is nothing to add."""
+        return ""
+
+    def report(self) -> str:
+        """The status in words; for a batch, how many samples ended how."""
+        codes = np.asarray(self.status)
+        if codes.ndim == 0:
+            message = MESSAGES[Status(int(codes))]
+            more = self.explain()
+            return f"{Status(int(codes)).name}: {message}" + (f"; {more}" if more else "")
+        values, counts = np.unique(codes, return_counts=True)
+        return ", ".join(f"{count} {Status(int(value)).name}" for value, count in zip(values, counts, strict=True))
+
+    def raise_if_failed(self) -> None:
+        """Raise a JaxbodyError unless every sample is ok; a batch lists the indices that are not."""
+        codes = np.asarray(self.status)
+        if not codes.any():
+            return
+        where = type(self).__name__.lower()
+        worst = Status(int(codes.flat[np.flatnonzero(codes)[0]]))
+        message = self.report()
+        if codes.ndim:
+            message += f"; failed samples {np.argwhere(codes)[:MOST_PROBLEMS].squeeze(-1).tolist()}"
+        raise JaxbodyError(Problem(worst.name, where, message, value=self.status))
+
+
+def is_concrete(*trees: Any) -> bool:
+    """True when nothing in the trees is being traced, so that values may be looked at."""
+    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
+
+
+def warn_if_failed(result: Result) -> None:
+    """The last act of a public function: tell, where values can be looked at, that something failed."""
+    if is_concrete(result.status) and np.any(result.status):
+        codes = np.asarray(result.status)
+        warn(Status(int(codes.flat[np.flatnonzero(codes)[0]])).name, f"{type(result).__name__}: {result.report()}")

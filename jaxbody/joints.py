@@ -1,0 +1,204 @@
+"""How a body may move against its parent, which is `world`, a support or another body.
+
+A joint knows four things: how its coordinates q change by an increment (`retract`), their rate for given speeds v (`rate`), the pose
+of the body on a posed parent (`pose`) and the velocity of the body per unit of each speed (`axes`). Everything else follows from these.
+The reference pose of the body on its parent, `rest`, belongs to q at rest. Axes and points are in the parent's frame.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody import rotations
+from jaxbody.arrays import concrete
+from jaxbody.bodies import vector
+from jaxbody.errors import Problems
+from jaxbody.frames import Pose
+from jaxbody.rotations import cross, rotate
+
+Axes = tuple[Float[Array, "nv 3"], Float[Array, "nv 3"]]
+TURNS = ("turn about x", "turn about y", "turn about z")
+MOVES = ("move along x", "move along y", "move along z")
+
+
+class Joint(eqx.Module):
+    """The base of all joints: nq coordinates, nv speeds; `motions` says in words what each speed does, `units` in what."""
+
+    parent: str = eqx.field(static=True)
+    nq: ClassVar[int]
+    nv: ClassVar[int]
+    motions: ClassVar[tuple[str, ...]]
+    turns: ClassVar[tuple[bool, ...]]
+
+    def rest(self, rest: Pose) -> Float[Array, "nq"]:
+        """Coordinates of the reference pose."""
+        return jnp.zeros(self.nq, rest.p.dtype)
+
+    def retract(self, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
+        """q (+) delta."""
+        return q + delta
+
+    def rate(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nq"]:
+        """dq/dt, the derivative of retract(q, t v) at t = 0."""
+        return v
+
+    def pose(self, q: Float[Array, "nq"], parent: Pose, rest: Pose) -> Pose:
+        """World pose of the body."""
+        raise TypeError  # pragma: no cover
+
+    def axes(self, q: Float[Array, "nq"], parent: Pose, body: Pose) -> Axes:
+        """Velocity of the body's origin, and angular velocity, per unit of each speed, relative to the parent, world axes."""
+        raise TypeError  # pragma: no cover
+
+
+class Free(Joint):
+    """Six ways to move. q = (position of O, unit quaternion), v = (velocity of O, angular velocity), in the parent's axes."""
+
+    nq, nv = 7, 6
+    motions = MOVES + TURNS
+    turns = (False,) * 3 + (True,) * 3
+
+    def __init__(self, parent: str = "world"):
+        self.parent = parent
+
+    def rest(self, rest: Pose):
+        return jnp.concatenate([rest.p, rest.quaternion])
+
+    def retract(self, q, delta):
+        return jnp.concatenate([q[:3] + delta[:3], rotations.multiply(rotations.exp_quaternion(delta[3:]), q[3:])])
+
+    def rate(self, q, v):
+        return jnp.concatenate([v[:3], rotations.quaternion_rate(q[3:], v[3:])])
+
+    def pose(self, q, parent, rest):
+        return parent @ Pose(q[:3], rotations.matrix(q[3:]))
+
+    def axes(self, q, parent, body):
+        zero = jnp.zeros((3, 3), parent.R.dtype)
+        return jnp.concatenate([parent.R.T, zero]), jnp.concatenate([zero, parent.R.T])
+
+
+class Fixed(Joint):
+    """No way to move: the body keeps its reference pose on the parent."""
+
+    nq, nv = 0, 0
+    motions, turns = (), ()
+
+    def __init__(self, parent: str):
+        self.parent = parent
+
+    def pose(self, q, parent, rest):
+        return parent @ rest
+
+    def axes(self, q, parent, body):
+        return jnp.zeros((0, 3), parent.R.dtype), jnp.zeros((0, 3), parent.R.dtype)
+
+
+class Guide(Joint):
+    """Sliding along a straight line: q the displacement [m] from the reference pose along `axis` (unit vector, parent's frame)."""
+
+    axis: Float[Array, "3"]
+    nq, nv = 1, 1
+    motions = ("move along its guide",)
+    turns = (False,)
+
+    def __init__(self, parent: str, *, axis):
+        self.parent = parent
+        self.axis = _unit(axis, "Guide.axis")
+
+    def pose(self, q, parent, rest):
+        return parent @ Pose(rest.p + q[0] * self.axis, rest.R)
+
+    def axes(self, q, parent, body):
+        n = rotate(parent.R, self.axis)[None]
+        return n, jnp.zeros_like(n)
+
+
+class Hinge(Joint):
+    """Turning about a line: q the angle [rad] from the reference pose about `axis` (unit vector) through the point `at`,
+    both in the parent's frame; without `at`, through the body's reference point O."""
+
+    axis: Float[Array, "3"]
+    at: Float[Array, "3"] | None
+    nq, nv = 1, 1
+    motions = ("turn about its hinge",)
+    turns = (True,)
+
+    def __init__(self, parent: str, *, axis, at=None):
+        self.parent = parent
+        self.axis = _unit(axis, "Hinge.axis")
+        self.at = _point(at, "Hinge.at")
+
+    def pose(self, q, parent, rest):
+        return parent @ _about(self.at, rotations.exp(q[0] * self.axis), rest)
+
+    def axes(self, q, parent, body):
+        n = rotate(parent.R, self.axis)[None]
+        return _arms(n, self.at, parent, body), n
+
+
+class Ball(Joint):
+    """Turning about the point `at` (parent's frame; without it, the body's reference point O).
+    q = unit quaternion of the turn from the reference pose, v = angular velocity, in the parent's axes."""
+
+    at: Float[Array, "3"] | None
+    nq, nv = 4, 3
+    motions = TURNS
+    turns = (True,) * 3
+
+    def __init__(self, parent: str, *, at=None):
+        self.parent = parent
+        self.at = _point(at, "Ball.at")
+
+    def rest(self, rest: Pose):
+        return jnp.array([1.0, 0, 0, 0], rest.p.dtype)
+
+    def retract(self, q, delta):
+        return rotations.multiply(rotations.exp_quaternion(delta), q)
+
+    def rate(self, q, v):
+        return rotations.quaternion_rate(q, v)
+
+    def pose(self, q, parent, rest):
+        return parent @ _about(self.at, rotations.matrix(q), rest)
+
+    def axes(self, q, parent, body):
+        return _arms(parent.R.T, self.at, parent, body), parent.R.T
+
+
+def _about(at, R, rest: Pose) -> Pose:
+    """The reference pose turned by R about the point `at`."""
+    if at is None:
+        return Pose(rest.p, rotations.product(R, rest.R))
+    return Pose(at + rotate(R, rest.p - at), rotations.product(R, rest.R))
+
+
+def _arms(n: Float[Array, "nv 3"], at, parent: Pose, body: Pose) -> Float[Array, "nv 3"]:
+    """Velocity of the body's origin for unit turns about the directions n through `at`."""
+    if at is None:
+        return jnp.zeros_like(n)
+    return cross(n, (body.p - parent.point(at))[None])
+
+
+def _unit(axis, where: str):
+    problems = Problems()
+    n = vector(axis, where, problems)
+    known = concrete(n)
+    if known is not None and not problems.found and not np.linalg.norm(known) > 0:
+        problems.add("ZERO_AXIS", where, "has length zero", value=axis, limit="> 0", hint="Give the direction of the joint.")
+    problems.raise_if_any()
+    return n / (np.linalg.norm(known) if known is not None else jnp.linalg.norm(n))
+
+
+def _point(at, where: str):
+    if at is None:
+        return None
+    problems = Problems()
+    point = vector(at, where, problems)
+    problems.raise_if_any()
+    return point

@@ -1,0 +1,111 @@
+"""The three scalar functions that are a model: kinetic energy T, potential energy V and Rayleigh dissipation R. All else is a derivative.
+
+Each takes the model, a state and, for supports away from their reference poses, Xi and its rate (6 numbers for each support).
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.frames import Frame
+from jaxbody.kinematics import Coordinates, supports_at, take
+from jaxbody.models import Model, State
+from jaxbody.rotations import cross, dot, rotate, rotate_back
+
+Xi = Float[Array, "ns 6"] | None
+
+
+def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Frame:
+    """The table of frames in a state, supports displaced by Xi."""
+    zero = jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
+    supports = supports_at(
+        model, zero if xi is None else jnp.reshape(xi, zero.shape), zero if xi_dot is None else jnp.reshape(xi_dot, zero.shape)
+    )
+    return Coordinates(model).frames(state.q, state.v, supports)
+
+
+def kinetic_energy(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
+    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies [J]. Source: (10), (11) of the paper."""
+    return kinetic(model, frames_of(model, state, xi, xi_dot))
+
+
+def potential_energy(model: Model, state: State, xi: Xi = None) -> Float[Array, ""]:
+    """V = sum over the elements of their energies - sum of m g . C over the bodies [J]. Source: (22), (60) of the paper."""
+    return potential(model, frames_of(model, state, xi))
+
+
+def dissipation(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
+    """R = sum over the elements, 1/2 c e_dot^2 for a linear damper [W]; 2 R is the power lost where damping is linear."""
+    return rayleigh(model, frames_of(model, state, xi, xi_dot))
+
+
+def lagrangian(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
+    """L = T - V [J]. Source: (12) of the paper."""
+    frames = frames_of(model, state, xi, xi_dot)
+    return kinetic(model, frames) - potential(model, frames)
+
+
+def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
+    """T of a table of frames."""
+    bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
+    v_C = moving.velocity(bodies.com)
+    w_B = rotate_back(moving.R, moving.w)
+    return 0.5 * jnp.sum(bodies.mass * dot(v_C, v_C) + dot(w_B, rotate(bodies.inertia, w_B)))
+
+
+def gravity_energy(model: Model, frames: Frame) -> Float[Array, ""]:
+    """-sum of m g . C."""
+    bodies = model.bodies.rows
+    return -jnp.sum(bodies.mass * dot(frames[model.layout.first_body :].point(bodies.com), model.gravity))
+
+
+def potential(model: Model, frames: Frame) -> Float[Array, ""]:
+    """V of a table of frames."""
+    return gravity_energy(model, frames) + sum(jnp.sum(e) for e in each_element(model, frames, lambda s, A, B: s.potential(A, B)))
+
+
+def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
+    """R of a table of frames."""
+    return sum(
+        (jnp.sum(e) for e in each_element(model, frames, lambda s, A, B: s.dissipation(*s.rates(A, B)))), jnp.zeros((), frames.p.dtype)
+    )
+
+
+def each_element(model: Model, frames: Frame, function) -> list:
+    """function(element, A, B) of every element, table by table."""
+    results = []
+    for table in model.elements:
+        rows_A, rows_B = (np.array([model.layout.frame(link[end]) for link in table.links]) for end in (0, 1))
+        A, B = (Frame(*(take(x, rows) for x in (frames.p, frames.R, frames.v, frames.w))) for rows in (rows_A, rows_B))
+        results.append(jax.vmap(function)(table.rows, A, B))
+    return results
+
+
+def wrenches(model: Model, frames: Frame) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Force and moment about its origin that elements and gravity exert on each frame, world axes.
+
+    Sums over what hangs on a frame by padded gathers; adding into rows would break a compiled loop."""
+    ends, forces, moments = [], [], []
+    for table, ((F_A, M_A), (F_B, M_B)) in zip(model.elements, each_element(model, frames, lambda s, A, B: s.wrenches(A, B)), strict=True):
+        for end, F, M in ((0, F_A, M_A), (1, F_B, M_B)):
+            ends += [model.layout.frame(link[end]) for link in table.links]
+            forces.append(F)
+            moments.append(M)
+    bodies = model.bodies.rows
+    weight = bodies.mass[:, None] * model.gravity
+    forces.append(weight)
+    moments.append(cross(rotate(frames.R[model.layout.first_body :], bodies.com), weight))
+    ends += list(range(model.layout.first_body, len(model.layout.frames)))
+    return _gather(forces, ends, len(model.layout.frames)), _gather(moments, ends, len(model.layout.frames))
+
+
+def _gather(parts: list[Array], ends: list[int], n: int) -> Float[Array, "n 3"]:
+    """Sum of the rows that belong to each of n frames."""
+    hanging = [[i for i, end in enumerate(ends) if end == frame] for frame in range(n)]
+    most = max(len(rows) for rows in hanging)
+    padded = np.array([rows + [len(ends)] * (most - len(rows)) for rows in hanging])
+    everything = jnp.concatenate([*parts, jnp.zeros((1, 3), parts[0].dtype)])
+    return jnp.sum(everything[padded], 1)

@@ -1,0 +1,383 @@
+"""A model: bodies, supports, elements and joints by name, kept as arrays."""
+
+from __future__ import annotations
+
+import difflib
+import unicodedata
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody import rotations, tables
+from jaxbody.arrays import concrete, device_array
+from jaxbody.bodies import Body, Support, vector, warn_of_tiny
+from jaxbody.elements import Element, Spring
+from jaxbody.errors import JaxbodyError, Problem, Problems, warn
+from jaxbody.frames import Pose
+from jaxbody.joints import Free, Joint
+from jaxbody.storage import Table, tabulate, tabulate_by_structure
+
+WORLD = "world"
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What of a model is static: the order of its frames and coordinates, as the user gave the names."""
+
+    bodies: tuple[str, ...]
+    supports: tuple[str, ...]
+    kinds: tuple[type[Joint], ...]  # of each body's joint, in the order of bodies
+    parents: tuple[str, ...]
+
+    @cached_property
+    def frames(self) -> tuple[str, ...]:
+        """All frames, in the order of their rows: world, supports, bodies."""
+        return (WORLD, *self.supports, *self.bodies)
+
+    def frame(self, name: str) -> int:
+        return self.frames.index(name)
+
+    @cached_property
+    def first_body(self) -> int:
+        return 1 + len(self.supports)
+
+    @cached_property
+    def q_slices(self) -> dict[str, slice]:
+        ends = np.cumsum([0] + [kind.nq for kind in self.kinds])
+        return {name: slice(int(i), int(j)) for name, i, j in zip(self.bodies, ends[:-1], ends[1:], strict=True)}
+
+    @cached_property
+    def v_slices(self) -> dict[str, slice]:
+        ends = np.cumsum([0] + [kind.nv for kind in self.kinds])
+        return {name: slice(int(i), int(j)) for name, i, j in zip(self.bodies, ends[:-1], ends[1:], strict=True)}
+
+    @cached_property
+    def nq(self) -> int:
+        return sum(kind.nq for kind in self.kinds)
+
+    @cached_property
+    def nv(self) -> int:
+        return sum(kind.nv for kind in self.kinds)
+
+    @cached_property
+    def nxi(self) -> int:
+        return 6 * len(self.supports)
+
+    @cached_property
+    def floating(self) -> bool:
+        """True when every body is free on the world: the mass matrix is then constant in body axes."""
+        return all(kind is Free for kind in self.kinds) and set(self.parents) <= {WORLD}
+
+    @cached_property
+    def depths(self) -> dict[str, int]:
+        """How many joints lie between a body and the world or a support."""
+        parent = dict(zip(self.bodies, self.parents, strict=True))
+
+        def depth(name: str) -> int:
+            return 0 if name not in parent else 1 + depth(parent[name])
+
+        return {name: depth(name) for name in self.bodies}
+
+    @cached_property
+    def carries(self) -> np.ndarray:
+        """(nb, nv): 1 where a speed moves a body, being of its own joint or of one before it."""
+        parent = dict(zip(self.bodies, self.parents, strict=True))
+        mask = np.zeros((len(self.bodies), self.nv))
+        for i, name in enumerate(self.bodies):
+            while name in parent:
+                mask[i, self.v_slices[name]] = 1
+                name = parent[name]
+        return mask
+
+    @cached_property
+    def roots(self) -> np.ndarray:
+        """For each body the frame row of the support (or world) at the root of its tree."""
+        parent = dict(zip(self.bodies, self.parents, strict=True))
+
+        def root(name: str) -> str:
+            return root(parent[name]) if name in parent else name
+
+        return np.array([self.frame(root(name)) for name in self.bodies], dtype=int)
+
+    @cached_property
+    def coordinates(self) -> tuple[str, ...]:
+        """What each speed (and each component of Delta) does, in words."""
+        return tuple(f"{name} {motion}" for name, kind in zip(self.bodies, self.kinds, strict=True) for motion in kind.motions)
+
+    @cached_property
+    def base_coordinates(self) -> tuple[str, ...]:
+        return tuple(f"{name} {motion}" for name in self.supports for motion in Free.motions)
+
+    @cached_property
+    def turns(self) -> np.ndarray:
+        """(nv,): True for speeds in rad/s."""
+        return np.array([turn for kind in self.kinds for turn in kind.turns], dtype=bool)
+
+
+class State(eqx.Module):
+    """Where everything is and how it moves: q the coordinates and v the speeds of the joints, in the order of the bodies; z the states
+    that elements carry themselves. For a free body q = (position of O, unit quaternion w, x, y, z), v = (velocity of O, angular
+    velocity), world axes. Leading axes are times or samples."""
+
+    q: Float[Array, "*n nq"]
+    v: Float[Array, "*n nv"]
+    z: Float[Array, "*n nz"]
+
+    def __init__(self, q, v, z=None):
+        self.q, self.v = q, v
+        self.z = jnp.zeros((*jnp.shape(q)[:-1], 0), jnp.result_type(q)) if z is None else z
+
+
+class Model(eqx.Module):
+    """Rigid bodies on elements between each other, `world` and supports whose motion is imposed.
+
+    bodies, supports, elements: by name. joints: by the name of the body that they carry; a body without one is free. gravity [m/s2].
+    `model["AB"]` is the element, body or support of that name, `model.joint("arm")` a body's joint, `model.reference` the state of the
+    reference pose at rest. A derivative with respect to a model is a model. All problems of an input are told at once.
+
+    >>> model = Model(bodies={"plate": Body(mass=3.0, inertia=[0.3, 0.9, 1.2])},
+    ...               elements={"AB": Spring(("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8)})
+    >>> float(model["AB"].stiffness)
+    100.0
+    """
+
+    bodies: Table
+    supports: Table
+    joints: tuple[Table, ...]
+    elements: tuple[Table, ...]
+    gravity: Float[Array, "3"]
+    layout: Layout = eqx.field(static=True)
+
+    def __init__(
+        self,
+        *,
+        bodies: dict[str, Body],
+        supports: dict[str, Support] | None = None,
+        elements: dict[str, Element] | None = None,
+        joints: dict[str, Joint] | None = None,
+        gravity=(0, 0, 0),
+    ):
+        supports, elements, joints = supports or {}, elements or {}, joints or {}
+        problems = Problems()
+        _check_names(problems, bodies=bodies, supports=supports, elements=elements)
+        _check_kinds(problems, bodies=(bodies, Body), supports=(supports, Support), elements=(elements, Element), joints=(joints, Joint))
+        problems.raise_if_any()
+        _check_links(problems, bodies, supports, elements, joints)
+        gravity = vector(gravity, "gravity", problems)
+        problems.raise_if_any()
+        _check_lengths(problems, bodies, supports, elements)
+        problems.raise_if_any()
+        every_joint = {name: joints.get(name, Free()) for name in bodies}
+        self.layout = Layout(
+            tuple(bodies), tuple(supports), tuple(type(j) for j in every_joint.values()), tuple(j.parent for j in every_joint.values())
+        )  # fmt: skip
+        by_depth = {name: every_joint[name] for name in sorted(bodies, key=lambda name: self.layout.depths[name])}
+        self.bodies = tabulate(bodies)
+        self.supports = tabulate(supports, Support())
+        self.joints = tabulate_by_structure(by_depth, lambda name: self.layout.depths[name])
+        self.elements = tabulate_by_structure(elements)
+        self.gravity = device_array(gravity)
+        _warn_of_oddities(bodies, supports, elements)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names of bodies, supports and elements."""
+        return self.layout.bodies + self.layout.supports + self.element_names
+
+    @property
+    def element_names(self) -> tuple[str, ...]:
+        return tuple(name for table in self.elements for name in table.names)
+
+    def __getitem__(self, name: str) -> Any:
+        for table in (self.bodies, self.supports, *self.elements):
+            if name in table.names:
+                return table.row(name)
+        raise JaxbodyError(unknown(name, "model[...]", self.names))
+
+    def joint(self, body: str) -> Joint:
+        """The joint that carries a body."""
+        for table in self.joints:
+            if body in table.names:
+                return table.row(body)
+        raise JaxbodyError(unknown(body, "model.joint(...)", self.layout.bodies))
+
+    @property
+    def reference(self) -> State:
+        """The state at rest in the reference pose."""
+        q = reference_coordinates(self)
+        return State(q, jnp.zeros((*q.shape[:-1], self.layout.nv), q.dtype))
+
+    def __repr__(self) -> str:
+        return tables.text(*self._tables())
+
+    def _repr_html_(self) -> str:
+        return tables.html(*self._tables())
+
+    def _tables(self) -> list[tables.Table]:
+        layout = self.layout
+        rows = [
+            (name, kind.__name__.lower(), parent, self[name].mass, self[name].position)
+            for name, kind, parent in zip(layout.bodies, layout.kinds, layout.parents, strict=True)
+        ]
+        shown = [tables.Table("Model", ("body", "joint", "on", "mass [kg]", "position [m]"), rows)]
+        for table in self.elements:
+            columns = [f.name for f in table.rows.__dataclass_fields__.values() if f.name in ("stiffness", "free_length", "damping")]
+            kind = type(table.rows).__name__.lower()
+            rows = [
+                (name, *link, *(getattr(table.row(name), c) for c in columns)) for name, link in zip(table.names, table.links, strict=True)
+            ]
+            shown.append(tables.Table("", (kind, "from", "to", *(c.replace("_", " ") for c in columns)), rows))
+        return shown
+
+
+def unknown(name: str, where: str, known: tuple[str, ...]) -> Problem:
+    """The problem of a name that is not there, with the nearest one that is."""
+    near = difflib.get_close_matches(str(name), known, 1)
+    hint = (f"Did you mean '{near[0]}'? " if near else "") + "Known: " + ", ".join(known[:12]) + (", ..." if len(known) > 12 else "") + "."
+    return Problem("UNKNOWN_NAME", where, f"'{name}' is unknown.", name, hint=hint)
+
+
+def _check_names(problems: Problems, **groups: dict[str, Any]) -> None:
+    seen: dict[str, str] = {}
+    folded: dict[str, str] = {}
+    for group, things in groups.items():
+        for name in things:
+            where = f"{group}[{name!r}]"
+            if (
+                not isinstance(name, str)
+                or not name
+                or len(name) > 200
+                or not name.isprintable()
+                or set(name) & set(".*?[]")
+                or name == WORLD
+            ):
+                problems.add(
+                    "BAD_NAME",
+                    where,
+                    "is no name",
+                    value=name,
+                    limit="1 to 200 printable characters",
+                    hint="Not `world`, and none of . * ? [ ].",
+                )
+                continue
+            if name in seen:
+                problems.add(
+                    "DUPLICATE_NAME", where, f"is also the name of one of the {seen[name]}", value=name, limit="one name, one thing"
+                )
+            alike = unicodedata.normalize("NFKC", name).casefold()
+            if folded.get(alike, name) != name:
+                warn("LOOK_ALIKE", f"the names '{folded[alike]}' and '{name}' look alike")
+            seen[name], folded[alike] = group, name
+
+
+def _check_kinds(problems: Problems, **groups: tuple[dict[str, Any], type]) -> None:
+    for group, (things, kind) in groups.items():
+        for name, thing in things.items():
+            if not isinstance(thing, kind):
+                problems.add("WRONG_KIND", f"{group}[{name!r}]", f"is a {type(thing).__name__}", value=thing, limit=kind.__name__)
+    if not groups["bodies"][0]:
+        problems.add("NO_BODY", "bodies", "is empty", limit="at least one body")
+
+
+def _check_links(problems: Problems, bodies, supports, elements, joints) -> None:
+    frames = (*bodies, *supports, WORLD)
+    for name, element in elements.items():
+        for end in element.between:
+            if end not in frames:
+                found = unknown(end, f"elements[{name!r}]", frames)
+                problems.add("UNKNOWN_BODY", found.where, f"body or support {found.message}", value=end, hint=found.hint)
+    for name, joint in joints.items():
+        if name not in bodies:
+            found = unknown(name, f"joints[{name!r}]", tuple(bodies))
+            problems.add("UNKNOWN_BODY", found.where, f"body {found.message}", value=name, hint=found.hint)
+        if joint.parent not in frames:
+            found = unknown(joint.parent, f"joints[{name!r}]", frames)
+            problems.add("UNKNOWN_BODY", found.where, f"parent {found.message}", value=joint.parent, hint=found.hint)
+    for name in joints:
+        chain = [name]
+        while chain[-1] in joints and len(chain) <= len(joints) + 1:
+            chain.append(joints[chain[-1]].parent)
+        if chain[-1] in joints:
+            problems.add(
+                "LOOP",
+                f"joints[{name!r}]",
+                f"hangs on itself: {' on '.join(chain[: chain.index(name, 1) + 1] if name in chain[1:] else chain[:4])}",
+                value=name,
+                hint="Joints must form a tree that ends at world or a support.",
+            )
+
+
+def _check_lengths(problems: Problems, bodies, supports, elements) -> None:
+    """A spring of zero length in the reference pose has no direction, unless it is one of zero free length without a damper."""
+    places = {WORLD: (np.zeros(3), np.array([1.0, 0, 0, 0])), **{n: (b.position, b.orientation) for n, b in {**supports, **bodies}.items()}}
+    for name, spring in elements.items():
+        parts = [concrete(x) for end in spring.between for x in places[end]]
+        numbers = [concrete(x) for x in (spring.a, spring.b)]
+        if not isinstance(spring, Spring) or any(x is None for x in parts + numbers):
+            continue
+        ends = [p + _matrix(o) @ a for (p, o), a in zip((parts[:2], parts[2:]), numbers, strict=True)]
+        length = np.linalg.norm(ends[1] - ends[0])
+        size = max(np.abs(ends).max(), 1e-300)
+        free, damping = concrete(spring.free_length), concrete(spring.damping)
+        if length <= 1e-12 * size and not (free == 0 and damping == 0):
+            problems.add(
+                "ZERO_LENGTH",
+                f"elements[{name!r}]",
+                f"has length {length:.3g} m in the reference pose, so no direction",
+                value=length,
+                limit="> 0",
+                hint=f"Use a Bushing, a free length and damping of 0, or move a point by more than {1e-6 * size:.1g} m.",
+            )
+
+
+def _matrix(q: np.ndarray) -> np.ndarray:
+    """Rotation matrix of a unit quaternion, in NumPy: a check must not wait for a compiler."""
+    w, v = q[0], q[1:]
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross
+
+
+def _warn_of_oddities(bodies, supports, elements) -> None:
+    masses = [concrete(b.mass) for b in bodies.values()]
+    if all(m is not None for m in masses):
+        warn_of_tiny(tuple(bodies), np.array(masses))
+    for name, element in elements.items():
+        if not set(element.between) & set(bodies):
+            warn("USELESS_SPRING", f"elements['{name}'] joins {' and '.join(element.between)}: no body feels it")
+
+
+def _places(names: tuple[str, ...], order: tuple[str, ...]) -> np.ndarray:
+    return np.array([order.index(name) for name in names], dtype=int)
+
+
+def rest_poses(model: Model) -> Pose:
+    """Pose of each body on its parent in the reference pose, rows in the order of the bodies."""
+    supports, bodies = reference_poses(model)
+    world = Pose(jnp.zeros((1, 3), bodies.p.dtype), jnp.eye(3, dtype=bodies.R.dtype)[None])
+    p, R = (jnp.concatenate([getattr(x, name) for x in (world, supports, bodies)]) for name in ("p", "R"))
+    rows = _places(model.layout.parents, model.layout.frames)
+    return Pose(p[rows], R[rows]).inverse() @ bodies
+
+
+@eqx.filter_jit
+def reference_coordinates(model: Model) -> Float[Array, "nq"]:
+    """The coordinates of the reference pose."""
+    rest = rest_poses(model)
+    parts: dict[str, Array] = {}
+    for table in model.joints:
+        rows = _places(table.names, model.layout.bodies)
+        q = jax.vmap(lambda joint, pose: joint.rest(pose))(table.rows, Pose(rest.p[rows], rest.R[rows]))
+        parts |= {name: q[i] for i, name in enumerate(table.names)}
+    return jnp.concatenate([parts[name] for name in model.layout.bodies])
+
+
+def reference_poses(model: Model) -> tuple[Pose, Pose]:
+    """Poses of the supports and of the bodies in the reference pose."""
+    supports, bodies = model.supports.rows, model.bodies.rows
+    return Pose(supports.position, rotations.matrix(supports.orientation)), Pose(bodies.position, rotations.matrix(bodies.orientation))

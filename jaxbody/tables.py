@@ -1,0 +1,69 @@
+"""Small tables with units: how results print, in a terminal and in a notebook."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import jax
+import numpy as np
+
+MOST_ROWS = 40
+
+
+@dataclass
+class Table:
+    """A title, the columns' heads, and rows of names and numbers; `note` stands below."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: list[tuple[Any, ...]]
+    note: str = ""
+
+
+def number(value: Any) -> str:
+    """A number to six digits, a short vector, or the shape of what is larger, batched or being traced."""
+    if value is None or isinstance(value, str):
+        return value or ""
+    if isinstance(value, jax.core.Tracer):
+        return "traced"
+    array = np.asarray(value)
+    if array.ndim == 0:
+        return f"{array.item():.6g}" if array.dtype.kind == "f" else str(array.item())
+    if array.ndim == 1 and array.size <= 6:
+        return " ".join(f"{x:.6g}" for x in array.tolist())
+    return "array " + " x ".join(map(str, array.shape))
+
+
+def text(*shown: Table) -> str:
+    """Aligned columns."""
+    blocks = []
+    for table in shown:
+        cells = [table.columns, *([number(cell) for cell in row] for row in table.rows[:MOST_ROWS])]
+        widths = [max(len(row[i]) for row in cells) for i in range(len(table.columns))]
+        lines = [
+            (
+                "  ".join(
+                    cell.ljust(width) if i == 0 else cell.rjust(width) for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+                )
+            ).rstrip()
+            for row in cells
+        ]
+        if len(table.rows) > MOST_ROWS:
+            lines.append(f"... {len(table.rows) - MOST_ROWS} more")
+        blocks.append(
+            "\n".join([line for line in (table.title,) if line] + ["  " + line for line in lines] + ([table.note] if table.note else []))
+        )
+    return "\n".join(blocks)
+
+
+def html(*shown: Table) -> str:
+    """The same for a notebook."""
+    blocks = []
+    for table in shown:
+        head = "".join(f"<th>{escape(c)}</th>" for c in table.columns)
+        body = "".join("<tr>" + "".join(f"<td>{escape(number(cell))}</td>" for cell in row) + "</tr>" for row in table.rows[:MOST_ROWS])
+        more = f"<p>... {len(table.rows) - MOST_ROWS} more</p>" if len(table.rows) > MOST_ROWS else ""
+        blocks.append(f"<p><b>{escape(table.title)}</b></p><table><tr>{head}</tr>{body}</table>{more}<p>{escape(table.note)}</p>")
+    return "".join(blocks)
