@@ -7,3 +7,7 @@ from jaxbody.joints import Ball, Fixed, Free, Guide, Hinge, Joint
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Harmonic, Motion, Sampled
+from jaxbody.linearizations import excitation, linearize
+from jaxbody.statics import equilibrium
+from jaxbody.vibrations import modes
+from jaxbody.simulations import simulate

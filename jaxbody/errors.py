@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import jax
-import numpy as np
 
 MOST_PROBLEMS = 20
 
@@ -87,8 +86,7 @@ class Status(enum.IntEnum):
     NONFINITE = 6
     NOT_IDENTIFIABLE = 7
     NEVER_MOVED = 8
-    CLUSTER = 9
-    AT_BOUND = 10
+    AT_BOUND = 9
 
 
 MESSAGES = {
@@ -101,55 +99,10 @@ MESSAGES = {
     Status.NONFINITE: "a value is not finite",
     Status.NOT_IDENTIFIABLE: "the data do not determine all free parameters",
     Status.NEVER_MOVED: "a free parameter has no effect on the data",
-    Status.CLUSTER: "natural frequencies coincide",
     Status.AT_BOUND: "a parameter ended at its bound",
 }
-
-
-class Result:
-    """What every result shares: `.status` (one code per sample), `.ok`, `.report()`, `.raise_if_failed()`."""
-
-    status: Any
-
-    @property
-    def ok(self) -> Any:
-        """True where the status is 0 (an array for batched results)."""
-        return self.status == Status.OK
-
-    def explain(self) -> str:
-        """More about a failure of a single sample, in words; empty where there is nothing to add."""
-        return ""
-
-    def report(self) -> str:
-        """The status in words; for a batch, how many samples ended how."""
-        codes = np.asarray(self.status)
-        if codes.ndim == 0:
-            message = MESSAGES[Status(int(codes))]
-            more = self.explain()
-            return f"{Status(int(codes)).name}: {message}" + (f"; {more}" if more else "")
-        values, counts = np.unique(codes, return_counts=True)
-        return ", ".join(f"{count} {Status(int(value)).name}" for value, count in zip(values, counts, strict=True))
-
-    def raise_if_failed(self) -> None:
-        """Raise a JaxbodyError unless every sample is ok; a batch lists the indices that are not."""
-        codes = np.asarray(self.status)
-        if not codes.any():
-            return
-        where = type(self).__name__.lower()
-        worst = Status(int(codes.flat[np.flatnonzero(codes)[0]]))
-        message = self.report()
-        if codes.ndim:
-            message += f"; failed samples {np.argwhere(codes)[:MOST_PROBLEMS].squeeze(-1).tolist()}"
-        raise JaxbodyError(Problem(worst.name, where, message, value=self.status))
 
 
 def is_concrete(*trees: Any) -> bool:
     """True when nothing in the trees is being traced, so that values may be looked at."""
     return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
-
-
-def warn_if_failed(result: Result) -> None:
-    """The last act of a public function: tell, where values can be looked at, that something failed."""
-    if is_concrete(result.status) and np.any(result.status):
-        codes = np.asarray(result.status)
-        warn(Status(int(codes.flat[np.flatnonzero(codes)[0]])).name, f"{type(result).__name__}: {result.report()}")

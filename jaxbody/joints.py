@@ -135,7 +135,7 @@ class Hinge(Joint):
         self.at = _point(at, "Hinge.at")
 
     def pose(self, q, parent, rest):
-        return parent @ _about(self.at, rotations.exp(q[0] * self.axis), rest)
+        return parent @ _about(self.at, rotations.about(self.axis, q[0]), rest)
 
     def axes(self, q, parent, body):
         n = rotate(parent.R, self.axis)[None]

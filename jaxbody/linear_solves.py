@@ -1,22 +1,29 @@
-"""Small symmetric positive definite systems, without a call into LAPACK, which would break a compiled loop."""
+"""Small symmetric systems, without a call into LAPACK, which would break a compiled loop."""
 
 from __future__ import annotations
 
 import jax.numpy as jnp
 import jax.scipy.linalg
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 LARGEST_UNROLLED = 30
 
 
 def solve_spd(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
-    """x with A x = b for symmetric positive definite A; NaN or inf where A is singular."""
+    """x with A x = b for symmetric positive definite A."""
+    return solve_if_definite(A, b)[0]
+
+
+def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Float[Array, "n"], Bool[Array, ""]]:
+    """x with A x = b, and whether the symmetric A is positive definite, which is when all pivots of the elimination are positive."""
     n = A.shape[-1]
     if n > LARGEST_UNROLLED:
-        return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(A, lower=True), b)
+        factor = jnp.linalg.cholesky(A)
+        return jax.scipy.linalg.cho_solve((factor, True), b), jnp.isfinite(factor).all()
     Ab = jnp.concatenate([A, b[:, None]], -1)
+    pivots = []
     for i in range(n):  # Gauss-Jordan: clear column i from all other rows
+        pivots.append(Ab[i, i])
         row = Ab[i] / Ab[i, i]
-        factors = Ab[:, i] * (jnp.arange(n) != i)
-        Ab = jnp.where((jnp.arange(n) == i)[:, None], row, Ab - factors[:, None] * row)
-    return Ab[:, -1]
+        Ab = jnp.where((jnp.arange(n) == i)[:, None], row, Ab - Ab[:, i][:, None] * row)
+    return Ab[:, -1], jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)

@@ -106,9 +106,14 @@ class Layout:
         return np.array([self.frame(root(name)) for name in self.bodies], dtype=int)
 
     @cached_property
+    def motions(self) -> tuple[tuple[str, str], ...]:
+        """For each speed the body and what it does: ("plate", "turn about z")."""
+        return tuple((name, motion) for name, kind in zip(self.bodies, self.kinds, strict=True) for motion in kind.motions)
+
+    @cached_property
     def coordinates(self) -> tuple[str, ...]:
         """What each speed (and each component of Delta) does, in words."""
-        return tuple(f"{name} {motion}" for name, kind in zip(self.bodies, self.kinds, strict=True) for motion in kind.motions)
+        return tuple(f"{name} {motion}" for name, motion in self.motions)
 
     @cached_property
     def base_coordinates(self) -> tuple[str, ...]:

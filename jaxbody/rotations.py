@@ -49,8 +49,17 @@ def dot(a: Float[Array, "*n 3"], b: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
 
 def cross(a: Float[Array, "*n 3"], b: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """a x b over the last axis."""
-    ax, ay, az, bx, by, bz = a[..., 0], a[..., 1], a[..., 2], b[..., 0], b[..., 1], b[..., 2]
-    return jnp.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], -1)
+    return _next(a) * _previous(b) - _previous(a) * _next(b)
+
+
+def _next(a: Array) -> Array:
+    """(y, z, x)."""
+    return jnp.concatenate([a[..., 1:], a[..., :1]], -1)
+
+
+def _previous(a: Array) -> Array:
+    """(z, x, y)."""
+    return jnp.concatenate([a[..., 2:], a[..., :2]], -1)
 
 
 def rotate(R: Float[Array, "*n 3 3"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
@@ -91,6 +100,12 @@ def exp(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     a, b = _coefficients(dot(phi, phi))
     P = skew(phi)
     return jnp.eye(3, dtype=P.dtype) + a[..., None, None] * P + b[..., None, None] * product(P, P)
+
+
+def about(n: Float[Array, "*n 3"], angle: Float[Array, "*n"]) -> Float[Array, "*n 3 3"]:
+    """Rotation matrix of a turn about a unit vector, I + sin(angle) [n] + (1 - cos(angle)) [n]^2."""
+    N = skew(n)
+    return jnp.eye(3, dtype=N.dtype) + jnp.sin(angle)[..., None, None] * N + (1 - jnp.cos(angle))[..., None, None] * product(N, N)
 
 
 def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:

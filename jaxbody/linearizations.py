@@ -1,0 +1,195 @@
+"""Small motions about a state: mass, damping and stiffness matrices with their blocks towards the base, as second derivatives.
+
+M | -M~ | M_bb   Hessian of T in (v, Xi')         M Delta'' + C Delta' + K Delta = K~ Xi + C~ Xi' + M~ Xi''
+C | -C~ | C_bb   Hessian of R in (v, Xi')
+K | -K~ | K_bb   Hessian of V in (Delta, Xi)      (41), (42), (49), (66) of the paper
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from equinox import filter_jit
+from jaxtyping import Array, Float, Int
+
+from jaxbody import tables
+from jaxbody.checks import check_precision, check_state
+from jaxbody.derivatives import damping, mass, stiffness
+from jaxbody.errors import JaxbodyError, Problem, Status
+from jaxbody.frames import Frame
+from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.mechanics import each_element, gravity_energy, potential
+from jaxbody.models import Model, State, unknown
+from jaxbody.naming import by_name
+from jaxbody.results import Result
+from jaxbody.statics import Equilibrium, zero_modes
+
+
+class Linearization(Result):
+    """The matrices of small motions about `state`, rows and columns as in `coordinates` and `base_coordinates`.
+
+    The chart: Delta of a free body is the displacement of its O and a rotation vector, world axes; of other joints what moves them, parent's axes. Away
+    from equilibrium K depends on the chart, and so do the parts of its split everywhere."""
+
+    M: Float[Array, "nv nv"]
+    C: Float[Array, "nv nv"]
+    K: Float[Array, "nv nv"]
+    M_tilde: Float[Array, "nv nxi"]
+    C_tilde: Float[Array, "nv nxi"]
+    K_tilde: Float[Array, "nv nxi"]
+    M_bb: Float[Array, "nxi nxi"]
+    C_bb: Float[Array, "nxi nxi"]
+    K_bb: Float[Array, "nxi nxi"]
+    status: Int[Array, ""]
+    state: State
+    model: Model
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """What each row of M, C, K is."""
+        return self.model.layout.coordinates
+
+    @property
+    def base_coordinates(self) -> tuple[str, ...]:
+        """What each component of Xi is."""
+        return self.model.layout.base_coordinates
+
+    @property
+    def K_elastic(self) -> Float[Array, "nv nv"]:
+        """sum of V''(e) de de over the elements."""
+        return sum(self.K_elastic_by_element.values(), jnp.zeros_like(self.K))
+
+    @property
+    def K_geometric(self) -> Float[Array, "nv nv"]:
+        """sum of V'(e) d2e over the elements: what tension adds."""
+        return sum(self.K_geometric_by_element.values(), jnp.zeros_like(self.K))
+
+    @property
+    def K_gravity(self) -> Float[Array, "nv nv"]:
+        """Hessian of the potential energy of the weights; (40) of the paper."""
+        return _gravity_stiffness(self.model, self.state)
+
+    @property
+    def K_elastic_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
+        return by_name(_names(self.model), _split(self.model, self.state)[0])
+
+    @property
+    def K_geometric_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
+        return by_name(_names(self.model), _split(self.model, self.state)[1])
+
+    def explain(self) -> str:
+        if int(self.status) == Status.SINGULAR_K:
+            return "; ".join(zero_modes(self.model, self.state))
+        return "the state is not a good equilibrium" if int(self.status) else ""
+
+    def _tables(self) -> list[tables.Table]:
+        heads = [str(i) for i in range(self.K.shape[-1])]
+        few = self.K.ndim == 2 and len(heads) <= 12
+        shown = []
+        for name, unit in (("M", "kg, kg m, kg m2"), ("C", "N s/m, ..."), ("K", "N/m, N, N m")):
+            matrix = getattr(self, name)
+            rows = [(c, *(matrix[i] if few else ["..."])) for i, c in enumerate(self.coordinates)]
+            shown.append(tables.Table(f"{name} [{unit}]", ("", *(heads if few else [""])), rows))
+        shown[-1].note = "chart: displacement of O and rotation vector, world axes (joints: their own motion, parent's axes)"
+        return shown
+
+
+def linearize(model: Model, at: Equilibrium | State) -> Linearization:
+    """M, C, K and the blocks towards the supports, at an equilibrium or any state, supports at their reference poses.
+
+    Errors: BAD_SHAPE, NON_FINITE of a state. A failed equilibrium's status is carried on.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> lin = linearize(model, equilibrium(model))
+    >>> float(lin.K[0, 0]), float(lin.M[0, 0])
+    (50.0, 2.0)
+    """
+    check_precision("linearize", model)
+    if isinstance(at, Equilibrium):
+        return _linearize(model, at.state, at.status)
+    check_state(model, at, "state")
+    return _linearize(model, at, jnp.array(Status.OK.value))
+
+
+def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nv"]:
+    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, bodies held where they are:
+
+        F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
+
+    Errors: UNKNOWN_NAME of a support, BAD_SHAPE."""
+    check_precision("excitation", model)
+    state = at.state if isinstance(at, Equilibrium) else at
+    check_state(model, state, "state")
+    for name, xi in displaced.items():
+        if name not in model.layout.supports:
+            raise JaxbodyError(unknown(name, "excitation", model.layout.supports))
+        if jnp.shape(xi) != (6,):
+            raise JaxbodyError(
+                Problem(
+                    "BAD_SHAPE", f"excitation[{name!r}]", f"has shape {jnp.shape(xi)}", xi, "(6,)", "Give (translation, rotation vector)."
+                )
+            )
+    zero = jnp.zeros(6, state.q.dtype)
+    return _excitation(model, state, jnp.stack([jnp.asarray(displaced.get(name, zero), float) for name in model.layout.supports]))
+
+
+def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
+    coordinates = Coordinates(model)
+    return coordinates.frames(coordinates.retract(state.q, delta), v, supports_at(model, xi.reshape(-1, 6), xi_dot.reshape(-1, 6)))
+
+
+@filter_jit
+def _linearize(model: Model, state: State, status: Int[Array, ""]) -> Linearization:
+    n = model.layout.nv
+    M, C = mass(model, state.q), damping(model, state.q, state.v)
+    _, K = stiffness(model, state.q)
+    return Linearization(
+        M[:n, :n], C[:n, :n], K[:n, :n], -M[:n, n:], -C[:n, n:], -K[:n, n:], M[n:, n:], C[n:, n:], K[n:, n:], status, state, model
+    )  # fmt: skip
+
+
+@filter_jit
+def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nv"]:
+    still = jnp.zeros(model.layout.nv, xi.dtype)
+
+    def slope(xi):
+        return jax.grad(lambda d: potential(model, _frames(model, state, d, still, xi, jnp.zeros_like(xi))))(still)
+
+    return slope(jnp.zeros_like(xi)) - slope(xi)
+
+
+def _names(model: Model) -> tuple[tuple[str, ...], ...]:
+    return tuple(table.names for table in model.elements)
+
+
+@filter_jit
+def _gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
+    still, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
+    return jax.hessian(lambda d: gravity_energy(model, _frames(model, state, d, still, rest, rest)))(still)
+
+
+@filter_jit
+def _split(model: Model, state: State):
+    """Elastic and geometric stiffness of every element, table by table: V'' de de, and what of the Hessian remains, V' d2e."""
+    still, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
+
+    def each(function):
+        return lambda d: tuple(
+            each_element(model, _frames(model, state, d, still, rest, rest), lambda s, A, B: function(s, A.pose(), B.pose()))
+        )
+
+    deformation = each(lambda s, A, B: s.deformation(A, B))
+    slopes = jax.jacfwd(deformation)(still)
+    curvatures = [
+        jax.vmap(lambda s, e: jax.hessian(s.energy)(e))(table.rows, e) for table, e in zip(model.elements, deformation(still), strict=True)
+    ]
+    whole = jax.hessian(each(lambda s, A, B: s.potential(A, B)))(still)
+    elastic = []
+    for J, c in zip(slopes, curvatures, strict=True):
+        J = J.reshape(J.shape[0], -1, len(still))
+        c = c.reshape(c.shape[0], J.shape[1], J.shape[1])
+        elastic.append(jnp.einsum("nai,nab,nbj->nij", J, c, J))
+    return tuple(elastic), tuple(k - e for k, e in zip(whole, elastic, strict=True))

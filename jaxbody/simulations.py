@@ -1,0 +1,354 @@
+"""The exact motion: diffrax integrates the equations of motion under imposed motions of the supports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import filter_jit
+from jaxtyping import Array, Float, Int
+
+from jaxbody import tables
+from jaxbody.arrays import concrete, device_array
+from jaxbody.checks import check_precision, check_state, unattached
+from jaxbody.dynamics import Dynamics
+from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
+from jaxbody.frames import Frame, Pose
+from jaxbody.kinematics import Coordinates, Motions, supports_moving
+from jaxbody.mechanics import each_element, kinetic, potential, rayleigh
+from jaxbody.models import Model, State, unknown
+from jaxbody.motions import AtRest, Motion, as_motion, check_times
+from jaxbody.naming import by_name
+from jaxbody.results import Result, warn_if_failed
+from jaxbody.statics import size_of
+
+MAX_STEPS = 100_000
+STATUSES = (
+    (diffrax.RESULTS.successful, Status.OK),
+    (diffrax.RESULTS.max_steps_reached, Status.MAX_STEPS),
+    (diffrax.RESULTS.dt_min_reached, Status.DT_MIN),
+)
+
+
+class Trajectory(Result):
+    """A motion at `times` [s]: `state`, and by name `poses`, `elongations` [m], `forces` [N], `energies` [J], `powers` [W],
+    `reactions` [N, N m]. `status` MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED where the integration ended early; samples after that are NaN.
+    `statistics`: steps taken and rejected."""
+
+    times: Float[Array, "nt"]
+    state: State
+    status: Int[Array, ""]
+    statistics: dict[str, Any]
+    end: tuple[Array, State]
+    model: Model
+    motions: Motions
+
+    @property
+    def poses(self) -> dict[str, Pose]:
+        """Of every body and support: `.p` (nt, 3) position of its origin, `.R` (nt, 3, 3) orientation, `.quaternion`."""
+        frames = self._at_samples(_frames)
+        names = self.model.layout.frames[1:]
+        return {name: jax.tree.map(lambda x, i=i: jnp.take(x, i + 1, axis=self.times.ndim), frames) for i, name in enumerate(names)}
+
+    @property
+    def elongations(self) -> dict[str, Array]:
+        """Of each spring (nt,), tension positive; of a bushing its deformations (nt, 6)."""
+        return self._of_elements(_deformations)
+
+    @property
+    def forces(self) -> dict[str, Array]:
+        """Of each spring the tension (nt,) with its damper's part; of a bushing its six forces and moments (nt, 6)."""
+        return self._of_elements(_forces)
+
+    @property
+    def energies(self) -> dict[str, Array]:
+        """kinetic, potential and total [J], each (nt,)."""
+        T, V = self._at_samples(_energies)
+        return {"kinetic": T, "potential": V, "total": T + V}
+
+    @property
+    def powers(self) -> dict[str, Array]:
+        """damping: power lost in linear dampers, 2 R; supports: power that the imposed motions put in [W], each (nt,)."""
+        return {"damping": self._at_samples(_damping_power), "supports": self._at_samples(_support_power)}
+
+    @property
+    def reactions(self) -> dict[str, tuple[Array, Array]]:
+        """Of each support the force and the moment about its origin, world axes, that everything on it exerts, each (nt, 3)."""
+        force, moment = self._at_samples(_reactions)
+        axis = self.times.ndim
+        return {name: (jnp.take(force, i, axis=axis), jnp.take(moment, i, axis=axis)) for i, name in enumerate(self.model.layout.supports)}
+
+    def _of_elements(self, function: Callable) -> dict[str, Array]:
+        return by_name(tuple(table.names for table in self.model.elements), self._at_samples(function), axis=self.times.ndim)
+
+    def _at_samples(self, function: Callable) -> Any:
+        """function(model, motions, t, state) at every sample, leading axes of a batch kept."""
+        return _evaluate(function, self.times.ndim - 1, self.model, self.motions, self.times, self.state)
+
+    def explain(self) -> str:
+        t, status = float(self.end[0]), Status(int(self.status))
+        taken, rejected = (int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
+        told = f"at t = {t:.6g} s of {float(self.times[-1]):.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
+        if status in (Status.MAX_STEPS, Status.DT_MIN):
+            told += "; try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
+        if status == Status.NONFINITE:
+            told += "; first bad: " + _culprit(self.model, self.motions, *self.end)
+        return told
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset over time: positions and quaternions of bodies, elongations and forces of springs, energies."""
+        from jaxbody.exports import trajectory_dataset
+
+        return trajectory_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        if self.times.ndim > 1 or not is_concrete(self.state.q):
+            return [
+                tables.Table(
+                    "Trajectories",
+                    ("", ""),
+                    [("states", self.state.q), ("status", self.report() if is_concrete(self.status) else "traced")],
+                )
+            ]
+        rows = [
+            (name, *(f"{low:.4g} .. {high:.4g}" for low, high in zip(np.nanmin(p, 0), np.nanmax(p, 0), strict=True)))
+            for name, p in ((name, np.asarray(pose.p)) for name, pose in self.poses.items())
+        ]  # fmt: skip
+        springs = [
+            (name, f"{np.nanmin(e):.4g} .. {np.nanmax(e):.4g}", f"{np.nanmin(f):.4g} .. {np.nanmax(f):.4g}")
+            for name, e, f in ((name, np.asarray(e), np.asarray(self.forces[name])) for name, e in self.elongations.items())
+            if e.ndim == 1
+        ]
+        title = f"Trajectory, {len(self.times)} samples, {float(self.times[0]):.4g} to {float(self.times[-1]):.4g} s"
+        return [
+            tables.Table(title, ("frame", "x [m]", "y [m]", "z [m]"), rows),
+            tables.Table("", ("spring", "elongation [m]", "tension [N]"), springs, self.report()),
+        ]
+
+
+def simulate(
+    model: Model,
+    times,
+    *,
+    motion: dict[str, Motion | Callable] | None = None,
+    initial: State | None = None,
+    rtol: float = 1e-8,
+    solver: diffrax.AbstractSolver | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    adjoint: diffrax.AbstractAdjoint | None = None,
+    dt0: float | None = None,
+    max_steps: int = MAX_STEPS,
+    progress: bool = False,
+) -> Trajectory:
+    """The motion from `initial` (without it, the reference pose at rest) at times[0], sampled at `times` [s].
+
+    motion: {support: motion}; a support without one is at rest. rtol: relative tolerance of the step control, with an absolute one of rtol/100 times the
+    size of the model (velocities: size times its fastest frequency, roughly). solver (Dopri8 if none), stepsize_controller, adjoint: diffrax's
+    objects. dt0 [s]: the first step, or the constant one with diffrax.ConstantStepSize(). Reverse mode works by default; forward mode
+    with adjoint=diffrax.ForwardMode(), which is faster for fewer than about thirty parameters.
+
+    Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME of a support. An integration that ends early
+    warns, and returns what it has with a status.
+
+    >>> import jax.numpy as jnp
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("base", axis=[0, 1, 0])}, supports={"base": Support()},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> trajectory = simulate(model, jnp.linspace(0, 1, 11), motion={"base": Harmonic(frequency=1.0, translation=[0, 0.1, 0])})
+    >>> trajectory.poses["mass"].p.shape
+    (11, 3)
+    """
+    check_precision("simulate", model)
+    motions = motions_of(model, motion or {})
+    times = check_run(model, times, motions, initial)
+    if stepsize_controller is None or adjoint is None:
+        constant = isinstance(stepsize_controller, diffrax.ConstantStepSize | diffrax.StepTo)
+        adjoint = adjoint or (diffrax.DirectAdjoint() if constant else diffrax.RecursiveCheckpointAdjoint())
+    elif isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(
+        stepsize_controller, diffrax.ConstantStepSize | diffrax.StepTo
+    ):
+        raise JaxbodyError(
+            Problem(
+                "WRONG_GRADIENT",
+                "simulate.adjoint",
+                "RecursiveCheckpointAdjoint with constant steps gives wrong gradients where samples lie on steps",
+                adjoint,
+                hint="Use diffrax.DirectAdjoint() or ForwardMode().",
+            )
+        )
+    if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
+        raise JaxbodyError(Problem("NO_STEP", "simulate.dt0", "is missing", hint="Constant steps need dt0=... seconds."))
+    loose = unattached(model)
+    if loose:
+        warn("UNATTACHED", f"nothing ties {', '.join(loose)} to world or a support")
+    meter = diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter()
+    result = integrate(
+        model, times, motions, initial, rtol, solver or diffrax.Dopri8(), stepsize_controller, adjoint, dt0, max_steps, meter
+    )
+    warn_if_failed(result)
+    return result
+
+
+def motions_of(model: Model, motion: dict[str, Any]) -> Motions:
+    """One motion for each support, in their order."""
+    problems = [unknown(name, "motion", model.layout.supports) for name in motion if name not in model.layout.supports]
+    if problems:
+        raise JaxbodyError(*problems)
+    return tuple(as_motion(motion.get(name, AtRest())) for name in model.layout.supports)
+
+
+def check_run(model: Model, times, motions: Motions, initial: State | None) -> Float[Array, "nt"]:
+    """Times that increase and that the motions cover, an initial state of the right shape."""
+    problems = Problems()
+    checked = check_times(times, problems, "times", minimum=2)
+    problems.raise_if_any()
+    assert checked is not None
+    asked = concrete(checked)
+    for name, motion in zip(model.layout.supports, motions, strict=True):
+        span = [concrete(t) for t in motion.covers()]
+        if asked is None or any(t is None for t in span):
+            continue
+        first, last = (float(t) for t in span)  # pyright: ignore[reportArgumentType]
+        slack = 1e-9 * (asked[-1] - asked[0])
+        if asked[0] < first - slack or asked[-1] > last + slack:
+            problems.add(
+                "T_RANGE",
+                f"motion['{name}']",
+                f"covers {first:.9g} to {last:.9g} s, asked {asked[0]:.9g} to {asked[-1]:.9g} s",
+                value=(asked[0], asked[-1]),
+                limit=f"{first:.9g} to {last:.9g} s",
+                hint="Ask for less, or sample for longer.",
+            )
+    problems.raise_if_any()
+    if initial is not None:
+        check_state(model, initial, "initial")
+    return device_array(checked)
+
+
+@filter_jit
+def integrate(model, times, motions, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
+    """The jitted core of `simulate`: it knows arrays only, and never raises."""
+    initial = model.reference if initial is None else initial
+    dynamics = Dynamics(model, motions)
+    controller = stepsize_controller
+    span = times[-1] - times[0]
+    if controller is None:
+        controller = diffrax.PIDController(rtol=rtol, atol=rtol / 100 * _scales(dynamics, span), dtmin=1e-13 * span, force_dtmin=False)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, y, dynamics: dynamics.rate(t, y)),
+        solver,
+        times[0],
+        times[-1],
+        dt0,
+        dynamics.pack(initial),
+        dynamics,
+        saveat=diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)]),
+        stepsize_controller=controller,
+        adjoint=adjoint,
+        max_steps=max_steps,
+        throw=False,
+        progress_meter=meter,
+    )
+    assert solution.ys is not None and solution.ts is not None
+    samples, t_end = solution.ys[0], solution.ts[1][-1]
+    y_end = solution.ys[1][-1]
+    good = (times <= t_end)[:, None] & jnp.isfinite(samples)
+    state = jax.vmap(dynamics.unpack)(jnp.where(good, samples, jnp.nan))
+    code = jnp.select(
+        [solution.result == result for result, _ in STATUSES], [status.value for _, status in STATUSES], Status.NOT_CONVERGED.value
+    )
+    ahead = t_end + span * jnp.array([0.0, 1e-12, 1e-9, 1e-6])
+    stuck = ~jnp.isfinite(jax.vmap(lambda t: dynamics.rate(t, y_end))(ahead)).all() | ~jnp.isfinite(samples[0]).all()
+    bad = stuck | ((code == Status.OK.value) & ~jnp.isfinite(samples).all())
+    code = jnp.where(bad & ((code != Status.OK.value) | ~jnp.isfinite(samples).all()), Status.NONFINITE.value, code)
+    statistics = {key: solution.stats[key] for key in ("num_accepted_steps", "num_rejected_steps")}
+    return Trajectory(times, state, code, statistics, (t_end, dynamics.unpack(y_end)), model, motions)
+
+
+def _scales(dynamics: Dynamics, span) -> Float[Array, "ny"]:
+    """What is small for each component of y: the size of the model, 1 for angles; for velocities these times a fast frequency."""
+    model = dynamics.model
+    layout = model.layout
+    size = size_of(model)
+    rate = jnp.sqrt(_stiffness_sum(model) / jnp.sum(model.bodies.rows.mass) + jnp.linalg.norm(model.gravity) / size) + 1 / span
+    length = {False: size, True: jnp.ones_like(size)}
+    q = [1.0 if kind.nq - kind.nv == 1 and i >= kind.nq - 4 else length[bool(kind.nq == kind.nv and kind.turns[i])] for kind in layout.kinds for i in range(kind.nq)]  # fmt: skip
+    v = [rate * length[bool(turn)] for turn in layout.turns]
+    scales = jnp.stack([jnp.asarray(x, size.dtype) for x in q + v])
+    if not layout.floating:
+        return scales
+    n = len(layout.bodies)
+    return jnp.concatenate([jnp.full(3 * n, size), jnp.ones(4 * n, size.dtype), jnp.full(3 * n, rate * size), jnp.full(3 * n, rate)])
+
+
+def _stiffness_sum(model: Model) -> Float[Array, ""]:
+    """The sum over the elements of the largest second derivative of V(e) at e = 0."""
+    origin = Pose(jnp.zeros(3), jnp.eye(3))
+
+    def stiffest(element):
+        return jnp.max(jnp.abs(jax.hessian(element.energy)(jnp.zeros_like(element.deformation(origin, origin)))))
+
+    return sum((jnp.sum(jax.vmap(stiffest)(table.rows)) for table in model.elements), jnp.zeros((), model.gravity.dtype))
+
+
+def _table(model: Model, motions: Motions, t, state: State) -> Frame:
+    return Coordinates(model).frames(state.q, state.v, supports_moving(model, motions, t))
+
+
+def _frames(model, motions, t, state) -> Pose:
+    return _table(model, motions, t, state).pose()
+
+
+def _deformations(model, motions, t, state):
+    return tuple(each_element(model, _table(model, motions, t, state), lambda s, A, B: s.deformation(A.pose(), B.pose())))
+
+
+def _forces(model, motions, t, state):
+    return tuple(each_element(model, _table(model, motions, t, state), lambda s, A, B: s.force(A, B)))
+
+
+def _energies(model, motions, t, state):
+    frames = _table(model, motions, t, state)
+    return kinetic(model, frames), potential(model, frames)
+
+
+def _damping_power(model, motions, t, state):
+    return 2 * rayleigh(model, _table(model, motions, t, state))
+
+
+def _reactions(model, motions, t, state):
+    return Dynamics(model, motions).reactions(t, state.q, state.v)
+
+
+def _support_power(model, motions, t, state):
+    force, moment = _reactions(model, motions, t, state)
+    supports = supports_moving(model, motions, t)
+    return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
+
+
+@filter_jit
+def _evaluate(function: Callable, batch_axes: int, model, motions, times, state):
+    function = jax.vmap(function, in_axes=(None, None, 0, 0))
+    for _ in range(batch_axes):
+        function = jax.vmap(function)
+    return function(model, motions, times, state)
+
+
+def _culprit(model: Model, motions: Motions, t, state: State) -> str:
+    """Which motion, element or body gives a number that is not finite, at or just after t."""
+    times = t + jnp.maximum(jnp.abs(t), 1.0) * jnp.array([0.0, 1e-9, 1e-6])
+    for moment in times:
+        for name, motion in zip(model.layout.supports, motions, strict=True):
+            if not np.isfinite(np.asarray(motion(moment))).all():
+                return f"the motion of '{name}' at t = {float(moment):.6g} s"
+        forces = by_name(tuple(table.names for table in model.elements), tuple(each_element(model, _table(model, motions, moment, state), lambda s, A, B: s.force(A, B))))  # fmt: skip
+        for name, force in forces.items():
+            if not np.isfinite(np.asarray(force)).all():
+                return f"the force of element '{name}' at t = {float(moment):.6g} s"
+    for name in model.layout.bodies:
+        if not np.isfinite(np.asarray(state.q[model.layout.q_slices[name]])).all():
+            return f"the coordinates of body '{name}'"
+    return "the state of '" + model.layout.bodies[0] + "'"

@@ -1,0 +1,222 @@
+"""Equilibrium: the configuration of least potential energy near the start, its stability, and its derivatives by the implicit
+function theorem.
+
+    dV/dDelta = 0,    dq/dp = -K^-1 d2V/dDelta dp
+
+The search is Newton's method made to descend: K + lambda I with lambda raised until it is positive definite and the energy falls, so it does
+not stop at maxima. It works on nondimensional increments, rotations times the length `size_of(model)`.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import filter_jit
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbody import tables
+from jaxbody.checks import check_attached, check_precision, check_state
+from jaxbody.derivatives import slope, stiffness
+from jaxbody.errors import Status, is_concrete
+from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.linear_solves import solve_if_definite
+from jaxbody.mechanics import each_element, potential
+from jaxbody.models import Layout, Model, State, reference_coordinates
+from jaxbody.naming import by_name
+from jaxbody.results import Result, warn_if_failed
+
+TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the error left is its square
+SINGULAR = 1e-10  # eigenvalues of the nondimensional K, relative to the largest, that count as zero
+LEAST_SHIFT = 1e-11  # keeps a free motion from making the system singular
+
+
+class Equilibrium(Result):
+    """A configuration of rest: `state`, `residual` dV/dDelta [N, N m], `energy` [J], `stable`, `negative` (how many eigenvalues
+    of K are), `steps`, `elongations` by name; `status` NOT_CONVERGED, UNSTABLE or SINGULAR_K where it is not good."""
+
+    state: State
+    residual: Float[Array, "nv"]
+    energy: Float[Array, ""]
+    negative: Int[Array, ""]
+    stable: Bool[Array, ""]
+    status: Int[Array, ""]
+    steps: Int[Array, ""]
+    deformations: tuple[Array, ...]
+    model: Model
+
+    @property
+    def elongations(self) -> dict[str, Array]:
+        """Of each spring the elongation [m], tension positive; of a bushing its six deformations."""
+        return by_name(tuple(table.names for table in self.model.elements), self.deformations)
+
+    @property
+    def layout(self) -> Layout:
+        return self.model.layout
+
+    def explain(self) -> str:
+        status = Status(int(self.status))
+        if status == Status.SINGULAR_K:
+            return "; ".join(zero_modes(self.model, self.state))
+        if status == Status.UNSTABLE:
+            return f"{int(self.negative)} negative eigenvalue(s) of K; start from a state moved along that mode to descend"
+        if status == Status.NOT_CONVERGED:
+            worst = int(np.argmax(np.abs(np.asarray(self.residual)))) if np.isfinite(np.asarray(self.residual)).all() else 0
+            unit = "N m" if self.layout.turns[worst] else "N"
+            return (
+                f"after {int(self.steps)} steps the largest residual is {float(np.abs(self.residual[worst])):.3g} {unit} "
+                f"in '{self.layout.motions[worst][0]}' ({self.layout.motions[worst][1]}); start nearer, or give more max_steps"
+            )
+        return ""
+
+    def _tables(self) -> list[tables.Table]:
+        q, layout = self.state.q, self.layout
+        rows = [
+            (name, kind.__name__.lower(), q[..., layout.q_slices[name]]) for name, kind in zip(layout.bodies, layout.kinds, strict=True)
+        ]
+        note = self.report() if is_concrete(self.status) else ""
+        elements = [(name, e) for name, e in self.elongations.items()]
+        largest = np.abs(self.residual).max() if is_concrete(self.residual) and self.residual.size else None
+        return [
+            tables.Table("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows),
+            tables.Table("", ("element", "elongation [m]"), elements, f"largest residual {tables.number(largest)} N or N m; {note}"),
+        ]
+
+
+def equilibrium(model: Model, *, start: State | None = None, max_steps: int = 200) -> Equilibrium:
+    """The stable configuration of rest that descent from `start` (without it, the reference pose) leads to, supports at their reference poses.
+
+    dV/dDelta = 0 with positive definite K = d2V/dDelta2. Differentiable with respect to the model in forward and reverse mode, to
+    any order; the derivative of a search that failed, or through a singular K, is NaN. Errors: UNATTACHED, BAD_SHAPE; warns by status.
+    Source: (63) of the paper.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, -9.81, 0], joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=981.0, free_length=1.0)})
+    >>> round(float(equilibrium(model).elongations["s"]), 12)
+    0.02
+    """
+    check_precision("equilibrium", model)
+    check_attached(model)
+    if start is not None:
+        check_state(model, start, "start")
+    result = _equilibrium(model, None if start is None else start.q, max_steps)
+    warn_if_failed(result)
+    return result
+
+
+@filter_jit
+def _equilibrium(model: Model, start: Float[Array, "nq"] | None, max_steps: int) -> Equilibrium:
+    frozen = jax.lax.stop_gradient(model)
+    start = reference_coordinates(frozen) if start is None else jax.lax.stop_gradient(start)
+    size = size_of(frozen)
+    scale = scale_of(frozen, size)
+    q, K, converged, steps = _descend(frozen, start, scale, size, max_steps)
+    values = jnp.linalg.eigvalsh(K)
+    tolerance = SINGULAR * jnp.max(jnp.abs(values), initial=0.0)
+    negative = jnp.sum(values < -tolerance)
+    singular = jnp.any(jnp.abs(values) <= tolerance)
+    status = jnp.select(
+        [~converged, negative > 0, singular], [Status.NOT_CONVERGED.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value
+    )  # fmt: skip
+    q = _implicit(model, q, converged & ~singular)
+    zero = jnp.zeros(model.layout.nv, q.dtype)
+    frames = Coordinates(model).frames(q, zero, _still(model, q.dtype))
+    residual = slope(model, q, jnp.zeros(model.layout.nxi, q.dtype))[: model.layout.nv]
+    return Equilibrium(
+        State(q, zero), residual, potential(model, frames), negative, converged & (negative == 0), status, steps,
+        tuple(each_element(model, frames, lambda s, A, B: s.deformation(A.pose(), B.pose()))), model,
+    )  # fmt: skip
+
+
+def size_of(model: Model) -> Float[Array, ""]:
+    """A length of the model: the farthest that an element is attached, or a centre of mass lies, from a body's origin; else the longest
+    distance from the world's origin; else 1 m."""
+    on_bodies = [jnp.zeros(1, model.gravity.dtype), jnp.linalg.norm(model.bodies.rows.com, axis=-1)]
+    anywhere = [jnp.linalg.norm(model.bodies.rows.position, axis=-1)]
+    for table in model.elements:
+        for end, points in enumerate((table.rows.a, table.rows.b)):
+            on_body = np.array([link[end] in model.layout.bodies for link in table.links])
+            lengths = jnp.linalg.norm(points, axis=-1)
+            on_bodies.append(jnp.where(on_body, lengths, 0.0))
+            anywhere.append(lengths)
+    near, far = jnp.max(jnp.concatenate(on_bodies)), jnp.max(jnp.concatenate(anywhere))
+    return jnp.where(near > 0, near, jnp.where(far > 0, far, 1.0))
+
+
+def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
+    """Delta per nondimensional increment: 1 for translations, 1/size for rotations (both in meters then)."""
+    return jnp.where(model.layout.turns, 1 / size, 1.0)
+
+
+def _still(model: Model, dtype):
+    zero = jnp.zeros((len(model.layout.supports), 6), dtype)
+    return supports_at(model, zero, zero)
+
+
+def _descend(model, q, scale, size, max_steps):
+    """(q, K, converged, steps) by Newton's method with a shift that makes every step go down."""
+
+    def step(carry):
+        """Judge the configuration tried, keep the better one, try the next."""
+        best, tried, shift, expected, tiny, _, n = carry
+        value = potential(model, Coordinates(model).frames(tried, jnp.zeros_like(scale), _still(model, q.dtype)))
+        slope, K = stiffness(model, tried, base=False)
+        # below `tiny` the energy's rounding hides its fall
+        accept = jnp.isfinite(value) & ((best[1] - value >= 1e-4 * expected) | tiny | (n == 0))
+        best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (tried, value, slope * scale, K * scale * scale[:, None]), best)
+        shift = jnp.where(accept, jnp.where(shift > 1e-3, shift / 10, 0.0), jnp.maximum(4 * shift, 0.1))
+        _, _, slope, K = best
+        unit = jnp.max(jnp.abs(K), initial=0.0)
+        unit = jnp.where(unit > 0, unit, 1.0)
+        y, definite = solve_if_definite(K + (shift + LEAST_SHIFT) * unit * jnp.eye(len(scale), dtype=K.dtype), -slope)
+        longest = jnp.max(jnp.abs(y), initial=0.0)
+        y = jnp.where(definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0)
+        shift = jnp.where(definite, shift, jnp.maximum(4 * shift, 0.1))
+        expected = -jnp.sum(y * slope) - 0.5 * jnp.sum(y * jnp.sum(K * y, -1))
+        done = definite & accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= TOLERANCE * size)
+        tried = Coordinates(model).retract(best[0], scale * y)
+        return best, tried, shift, expected, definite & (longest < 1e-6 * size), done, n + 1
+
+    n = len(scale)
+    zero = jnp.zeros((), q.dtype)
+    start = ((q, zero, jnp.zeros(n, q.dtype), jnp.zeros((n, n), q.dtype)), q, zero, zero, jnp.array(False), jnp.array(n == 0), jnp.array(0))
+    best, tried, _, _, _, done, steps = jax.lax.while_loop(lambda c: ~c[5] & (c[6] < max_steps), step, start)
+    return jnp.where(done, tried, best[0]), best[3], done, steps
+
+
+@jax.custom_jvp
+def _implicit(model: Model, q: Float[Array, "nq"], valid: Bool[Array, ""]) -> Float[Array, "nq"]:
+    """q, with the derivative that an equilibrium has; NaN where there is none."""
+    return q
+
+
+@_implicit.defjvp
+def _implicit_jvp(primals, tangents):
+    model, _, valid = primals
+    q = _implicit(*primals)
+    zero = jnp.zeros(model.layout.nv, q.dtype)
+    _, change = jax.jvp(lambda model: slope(model, q, jnp.zeros(model.layout.nxi, q.dtype))[: len(zero)], (model,), (tangents[0],))
+    _, K = stiffness(model, q, base=False)
+    delta = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), change)
+    return q, Coordinates(model).rate(q, delta)
+
+
+def zero_modes(model: Model, state: State) -> list[str]:
+    """The motions that K does not resist at a state, in words: "'plate' free to turn about z"; those of single coordinates first."""
+    layout = model.layout
+    scale = np.asarray(scale_of(model, size_of(model)))
+    K = np.asarray(filter_jit(stiffness)(model, state.q)[1])[: layout.nv, : layout.nv]
+    values, vectors = np.linalg.eigh(K * scale * scale[:, None])
+    null = vectors[:, np.abs(values) <= SINGULAR * max(np.abs(values).max(initial=0.0), 1e-300)]
+    words, left = [], null
+    for i, (body, motion) in enumerate(layout.motions):
+        unit = np.eye(layout.nv)[i]
+        if np.linalg.norm(unit - null @ (null.T @ unit)) < 1e-5:
+            words.append(f"'{body}' free to {motion}")
+            left = left - np.outer(unit, unit @ left)
+    u, s, _ = np.linalg.svd(left, full_matrices=False)
+    for vector in u.T[s > 1e-3]:
+        largest = [int(i) for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.1][:4]
+        parts = [f"{np.sign(vector[largest[0]]) * vector[i]:+.2f} ('{layout.motions[i][0]}' {layout.motions[i][1]})" for i in largest]
+        words.append("free to move together: " + " ".join(parts))
+    return words
