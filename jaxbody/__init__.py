@@ -3,11 +3,15 @@
 from jaxbody.bodies import Body, Support
 from jaxbody.elements import Bushing, Element, Spring
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
+from jaxbody.experiments import Experiment
+from jaxbody.identification import fit
 from jaxbody.joints import Ball, Fixed, Free, Guide, Hinge, Joint
+from jaxbody.linearizations import excitation, linearize
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Harmonic, Motion, Sampled
-from jaxbody.linearizations import excitation, linearize
+from jaxbody.naming import paths, replace
+from jaxbody.sensors import BodyPose, Elongation, Position, measure
+from jaxbody.simulations import simulate
 from jaxbody.statics import equilibrium
 from jaxbody.vibrations import modes
-from jaxbody.simulations import simulate

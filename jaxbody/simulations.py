@@ -50,7 +50,7 @@ class Trajectory(Result):
     @property
     def poses(self) -> dict[str, Pose]:
         """Of every body and support: `.p` (nt, 3) position of its origin, `.R` (nt, 3, 3) orientation, `.quaternion`."""
-        frames = self._at_samples(_frames)
+        frames = self.at_samples(_frames)
         names = self.model.layout.frames[1:]
         return {name: jax.tree.map(lambda x, i=i: jnp.take(x, i + 1, axis=self.times.ndim), frames) for i, name in enumerate(names)}
 
@@ -67,27 +67,27 @@ class Trajectory(Result):
     @property
     def energies(self) -> dict[str, Array]:
         """kinetic, potential and total [J], each (nt,)."""
-        T, V = self._at_samples(_energies)
+        T, V = self.at_samples(_energies)
         return {"kinetic": T, "potential": V, "total": T + V}
 
     @property
     def powers(self) -> dict[str, Array]:
         """damping: power lost in linear dampers, 2 R; supports: power that the imposed motions put in [W], each (nt,)."""
-        return {"damping": self._at_samples(_damping_power), "supports": self._at_samples(_support_power)}
+        return {"damping": self.at_samples(_damping_power), "supports": self.at_samples(_support_power)}
 
     @property
     def reactions(self) -> dict[str, tuple[Array, Array]]:
         """Of each support the force and the moment about its origin, world axes, that everything on it exerts, each (nt, 3)."""
-        force, moment = self._at_samples(_reactions)
+        force, moment = self.at_samples(_reactions)
         axis = self.times.ndim
         return {name: (jnp.take(force, i, axis=axis), jnp.take(moment, i, axis=axis)) for i, name in enumerate(self.model.layout.supports)}
 
     def _of_elements(self, function: Callable) -> dict[str, Array]:
-        return by_name(tuple(table.names for table in self.model.elements), self._at_samples(function), axis=self.times.ndim)
+        return by_name(tuple(table.names for table in self.model.elements), self.at_samples(function), axis=self.times.ndim)
 
-    def _at_samples(self, function: Callable) -> Any:
-        """function(model, motions, t, state) at every sample, leading axes of a batch kept."""
-        return _evaluate(function, self.times.ndim - 1, self.model, self.motions, self.times, self.state)
+    def at_samples(self, function: Callable, *more: Any) -> Any:
+        """function(model, motions, t, state, *more) at every sample, leading axes of a batch kept; compiled once for each function."""
+        return _evaluate(function, self.times.ndim - 1, self.model, self.motions, self.times, self.state, more)
 
     def explain(self) -> str:
         t, status = float(self.end[0]), Status(int(self.status))
@@ -294,29 +294,30 @@ def _stiffness_sum(model: Model) -> Float[Array, ""]:
     return sum((jnp.sum(jax.vmap(stiffest)(table.rows)) for table in model.elements), jnp.zeros((), model.gravity.dtype))
 
 
-def _table(model: Model, motions: Motions, t, state: State) -> Frame:
+def table_of(model: Model, motions: Motions, t, state: State) -> Frame:
+    """The table of frames at a time."""
     return Coordinates(model).frames(state.q, state.v, supports_moving(model, motions, t))
 
 
 def _frames(model, motions, t, state) -> Pose:
-    return _table(model, motions, t, state).pose()
+    return table_of(model, motions, t, state).pose()
 
 
 def _deformations(model, motions, t, state):
-    return tuple(each_element(model, _table(model, motions, t, state), lambda s, A, B: s.deformation(A.pose(), B.pose())))
+    return tuple(each_element(model, table_of(model, motions, t, state), lambda s, A, B: s.deformation(A.pose(), B.pose())))
 
 
 def _forces(model, motions, t, state):
-    return tuple(each_element(model, _table(model, motions, t, state), lambda s, A, B: s.force(A, B)))
+    return tuple(each_element(model, table_of(model, motions, t, state), lambda s, A, B: s.force(A, B)))
 
 
 def _energies(model, motions, t, state):
-    frames = _table(model, motions, t, state)
+    frames = table_of(model, motions, t, state)
     return kinetic(model, frames), potential(model, frames)
 
 
 def _damping_power(model, motions, t, state):
-    return 2 * rayleigh(model, _table(model, motions, t, state))
+    return 2 * rayleigh(model, table_of(model, motions, t, state))
 
 
 def _reactions(model, motions, t, state):
@@ -330,11 +331,11 @@ def _support_power(model, motions, t, state):
 
 
 @filter_jit
-def _evaluate(function: Callable, batch_axes: int, model, motions, times, state):
-    function = jax.vmap(function, in_axes=(None, None, 0, 0))
+def _evaluate(function: Callable, batch_axes: int, model, motions, times, state, more):
+    over_batch = jax.vmap(lambda m, s, t, x: function(m, s, t, x, *more), in_axes=(None, None, 0, 0))
     for _ in range(batch_axes):
-        function = jax.vmap(function)
-    return function(model, motions, times, state)
+        over_batch = jax.vmap(over_batch)
+    return over_batch(model, motions, times, state)
 
 
 def _culprit(model: Model, motions: Motions, t, state: State) -> str:
@@ -344,7 +345,7 @@ def _culprit(model: Model, motions: Motions, t, state: State) -> str:
         for name, motion in zip(model.layout.supports, motions, strict=True):
             if not np.isfinite(np.asarray(motion(moment))).all():
                 return f"the motion of '{name}' at t = {float(moment):.6g} s"
-        forces = by_name(tuple(table.names for table in model.elements), tuple(each_element(model, _table(model, motions, moment, state), lambda s, A, B: s.force(A, B))))  # fmt: skip
+        forces = by_name(tuple(table.names for table in model.elements), tuple(each_element(model, table_of(model, motions, moment, state), lambda s, A, B: s.force(A, B))))  # fmt: skip
         for name, force in forces.items():
             if not np.isfinite(np.asarray(force)).all():
                 return f"the force of element '{name}' at t = {float(moment):.6g} s"

@@ -1,0 +1,154 @@
+"""How a free parameter is moved in a fit: by numbers u that are zero at the start, unbounded and of the order of one.
+
+positive        x = x0 exp(u)                         stiffness, damping, mass
+definite        X = L(u) L(u)'                        inertia, 6 x 6 stiffness and damping; L lower, logarithms on its diagonal
+rotation        q = exp(u) q0                         orientations; coordinates of an initial state
+direction       n = (n0 + B u)/|n0 + B u|             axes of joints
+anything else   x = x0 + s u                          s the largest of |x0|, or a size of the model where x0 is zero
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody import rotations
+from jaxbody.arrays import concrete
+from jaxbody.errors import Problem
+from jaxbody.kinematics import Coordinates
+from jaxbody.models import Model
+
+POSITIVE = ("stiffness", "damping", "mass")
+
+
+class Parametrization(eqx.Module):
+    """A leaf as a function of u."""
+
+    start: Float[Array, "*x"]
+
+    @property
+    def size(self) -> int:
+        """How many numbers u has."""
+        return self.start.size
+
+    def value(self, u: Float[Array, "n"]) -> Float[Array, "*x"]:
+        raise TypeError  # pragma: no cover
+
+    def labels(self) -> list[str]:
+        """The suffix of each u: "", or its index."""
+        return [""] if self.start.ndim == 0 else [str(list(i)).replace(" ", "") for i in np.ndindex(self.start.shape)]
+
+
+class Positive(Parametrization):
+    def value(self, u):
+        return self.start * jnp.exp(u.reshape(self.start.shape))
+
+
+class Shifted(Parametrization):
+    scale: Float[Array, ""]
+
+    def value(self, u):
+        return self.start + self.scale * u.reshape(self.start.shape)
+
+
+class Definite(Parametrization):
+    @property
+    def size(self) -> int:
+        n = self.start.shape[0]
+        return n * (n + 1) // 2
+
+    def value(self, u):
+        n = self.start.shape[0]
+        L0 = jnp.linalg.cholesky(self.start)
+        diagonal = jnp.diag(L0)
+        rows, columns = np.tril_indices(n, -1)
+        below = L0[rows, columns] + u[n:] * jnp.sqrt(diagonal[rows] * diagonal[columns])
+        L = jnp.zeros((n, n), u.dtype).at[rows, columns].set(below) + jnp.diag(diagonal * jnp.exp(u[:n]))
+        return L @ L.T
+
+    def labels(self):
+        n = self.start.shape[0]
+        rows, columns = np.tril_indices(n, -1)
+        return [f"[{i},{i}]" for i in range(n)] + [f"[{i},{j}]" for i, j in zip(rows, columns, strict=True)]
+
+
+class Rotation(Parametrization):
+    @property
+    def size(self) -> int:
+        return 3
+
+    def value(self, u):
+        return rotations.multiply(rotations.exp_quaternion(u), self.start)
+
+    def labels(self):
+        return ["[turn x]", "[turn y]", "[turn z]"]
+
+
+class Direction(Parametrization):
+    @property
+    def size(self) -> int:
+        return 2
+
+    def value(self, u):
+        least = jnp.eye(3, dtype=u.dtype)[jnp.argmin(jnp.abs(self.start))]
+        b = rotations.cross(self.start, least)
+        b = b / jnp.sqrt(rotations.dot(b, b))
+        moved = self.start + u[0] * b + u[1] * rotations.cross(self.start, b)
+        return moved / jnp.sqrt(rotations.dot(moved, moved))
+
+    def labels(self):
+        return ["[tilt 1]", "[tilt 2]"]
+
+
+class Configuration(Parametrization):
+    """The coordinates of an initial state, moved in the chart."""
+
+    model: Model
+
+    @property
+    def size(self) -> int:
+        return self.model.layout.nv
+
+    def value(self, u):
+        return Coordinates(self.model).retract(self.start, u)
+
+    def labels(self):
+        return [f"[{name}]" for name in self.model.layout.coordinates]
+
+
+def parametrize(path: str, start: Array, model: Model, size: Array) -> Parametrization | Problem:
+    """The parametrization that suits a leaf, or what is wrong with its start."""
+    field = path.rsplit(".", 1)[-1]
+    known = concrete(start)
+    if path.endswith("initial.q"):
+        return Configuration(start, model)
+    if field in POSITIVE and start.ndim < 2:
+        if known is not None and (known <= 0).any():
+            return Problem(
+                "START_ON_BOUND",
+                path,
+                f"starts at {known}, where its logarithm has no value",
+                known,
+                "> 0",
+                "Start at a small positive number.",
+            )
+        return Positive(start)
+    if field in (*POSITIVE, "inertia"):
+        if known is not None and np.linalg.eigvalsh(known).min() <= 0:
+            return Problem(
+                "START_ON_BOUND",
+                path,
+                "starts at a matrix that is not positive definite",
+                known,
+                "eigenvalues > 0",
+                "Start at a definite matrix.",
+            )
+        return Definite(start)
+    if field.startswith("orientation"):
+        return Rotation(start)
+    if field == "axis":
+        return Direction(start)
+    largest = jnp.max(jnp.abs(start))
+    return Shifted(start, jnp.where(largest > 0, largest, size))
