@@ -13,6 +13,7 @@ from jaxbody.bodies import vector
 from jaxbody.elements import Element
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.frames import Frame
+from jaxbody.joints import _unit
 from jaxbody.kinematics import Motions
 from jaxbody.models import Model, State, unknown
 from jaxbody.simulations import Trajectory, table_of
@@ -49,25 +50,31 @@ class Sensor(eqx.Module):
 
 
 class Position(Sensor):
-    """World position [m] of a point of a body or support.
+    """World position [m] of a point of a body or support; with `axis` (a direction in world axes) one number, the component along it.
 
-    >>> Position("plate", [0.1, 0, 0]).shape
-    (3,)
+    >>> Position("plate", [0.1, 0, 0]).shape, Position("plate", axis=[1, 0, 0]).shape
+    ((3,), ())
     """
 
     on: str = eqx.field(static=True)
     point: Float[Array, "3"]
-    shape = (3,)
+    axis: Float[Array, "3"] | None
     unit = "m"
 
-    def __init__(self, on: str, point=(0, 0, 0)):
+    def __init__(self, on: str, point=(0, 0, 0), *, axis=None):
         problems = Problems()
         self.on, self.point = on, vector(point, "Position.point", problems)
+        self.axis = None if axis is None else _unit(axis, "Position.axis", problems)
         problems.raise_if_any()
+
+    @property
+    def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return (3,) if self.axis is None else ()
 
     def reading(self, model, frames):
         row = model.layout.frame(self.on)
-        return frames.p[row] + rotations.rotate(frames.R[row], self.point)
+        p = frames.p[row] + rotations.rotate(frames.R[row], self.point)
+        return p if self.axis is None else rotations.dot(self.axis, p)
 
 
 class BodyPose(Sensor):
