@@ -5,25 +5,58 @@ from __future__ import annotations
 from typing import Any
 
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.errors import JaxbodyError, Problem
+from jaxbody.errors import JaxbodyError, Problem, Problems
 
 
 def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
-    """A float64 NumPy array of a number, list, array or data frame; an array that JAX traces stays one.
+    """A float64 NumPy array of a number, list, array or data frame; where JAX traces something in it, a traced array.
 
     NumPy, not JAX: building a model then touches no device and does not depend on the x64 switch.
     """
-    if isinstance(value, jax.core.Tracer):
-        return value if jnp.issubdtype(value.dtype, jnp.floating) else value.astype(float)
-    array = np.asarray(value)
-    if array.dtype.kind == "c":
-        raise JaxbodyError(Problem("COMPLEX", where, f"is complex ({array.ravel()[:1]})", value, "real numbers", "Give real numbers."))
-    if array.dtype.kind not in "fiub":
-        raise JaxbodyError(Problem("NOT_A_NUMBER", where, f"is {value!r:.80}, which is no array of numbers", value, "numbers"))
-    return array.astype(np.float64)
+    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+    if isinstance(value, np.ma.MaskedArray):
+        value = np.ma.filled(value.astype(float), np.nan)  # a gap, not the number behind the mask
+    try:
+        array = jnp.asarray(value) if traced else np.asarray(value)
+    except (TypeError, ValueError, RuntimeError):  # ragged, or of a library that does not hand out its numbers
+        array = np.array(None)
+    if jnp.issubdtype(array.dtype, jnp.complexfloating):
+        raise JaxbodyError(Problem("COMPLEX", where, f"is complex ({array.dtype})", value, "real numbers", "Give real numbers."))
+    if not (jnp.issubdtype(array.dtype, jnp.number) or array.dtype == bool):
+        told = f"is {value!r:.60}".splitlines()[0] + ", which is no array of numbers"
+        raise JaxbodyError(Problem("NOT_A_NUMBER", where, told, value, "numbers", "Give a number, or a list or array of numbers."))
+    return array.astype(float if traced else np.float64)
+
+
+def checked(value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problems: Problems, hint: str = "") -> Any:
+    """A finite float array of one of the shapes; None where it is not, and `problems` says why."""
+    try:
+        array = float_array(value, where)
+    except JaxbodyError as error:
+        problems.found += error.problems
+        return None
+    if array.shape not in shapes:
+        limit = " or ".join(map(str, shapes))
+        hint = hint or f"Give {' or '.join('one number' if shape == () else f'{shape[0]} numbers' for shape in shapes)}."
+        problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=limit, hint=hint)
+        return None
+    known = concrete(array)
+    if known is not None and not np.isfinite(known).all():
+        first = tuple(int(i) for i in np.argwhere(~np.isfinite(known))[0])
+        told = f"is {known.tolist()}" if known.size <= 6 else f"is {known[first]} at {list(first)}"
+        problems.add("NON_FINITE", where, told, value=known, limit="finite", hint="Give finite numbers.")
+        return None
+    return array
+
+
+def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -> Any:
+    """A finite float array of this shape; zeros where it is not, and `problems` says why."""
+    array = checked(value, (shape,), where, problems)
+    return np.zeros(shape) if array is None else array
 
 
 def device_array(value: np.ndarray | jax.Array) -> jax.Array:

@@ -8,7 +8,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.arrays import concrete, float_array
+from jaxbody import rotations
+from jaxbody.arrays import checked, concrete, shaped
 from jaxbody.errors import Problems, warn
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
@@ -23,7 +24,8 @@ class Body(eqx.Module):
     coordinates [m]; `position` of the reference point O [m] and `orientation` (unit quaternion w, x, y, z or rotation matrix, body to
     world) in the reference pose, where the search for equilibrium starts.
 
-    Errors: BAD_MASS, BAD_SHAPE, NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE, BAD_ROTATION, BAD_QUATERNION, NON_FINITE, all found at once.
+    Errors, all found at once: BAD_MASS, NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE, BAD_ROTATION, BAD_QUATERNION, BAD_SHAPE, NON_FINITE,
+    COMPLEX, NOT_A_NUMBER.
 
     >>> Body(mass=3.0, inertia=[0.3, 0.9, 1.2]).inertia[1, 1]
     np.float64(0.9)
@@ -37,12 +39,9 @@ class Body(eqx.Module):
 
     def __init__(self, mass, inertia, *, com=(0, 0, 0), position=(0, 0, 0), orientation=IDENTITY):
         problems = Problems()
-        self.mass = scalar(mass, "Body.mass", problems)
-        known = concrete(self.mass)
-        if known is not None and known <= 0:
-            problems.add("BAD_MASS", "Body.mass", f"is {known:g} kg", value=float(known), limit="> 0", hint="A mass must be positive.")
-        self.inertia = _inertia(inertia, problems)
+        self.mass = _mass(mass, problems)
         self.com = vector(com, "Body.com", problems)
+        self.inertia = _inertia(inertia, self.mass, self.com, problems)
         self.position = vector(position, "Body.position", problems)
         self.orientation = as_quaternion(orientation, "Body.orientation", problems)
         problems.raise_if_any()
@@ -61,68 +60,38 @@ class Support(eqx.Module):
         problems.raise_if_any()
 
 
-def scalar(value: Any, where: str, problems: Problems):
+def scalar(value: Any, where: str, problems: Problems) -> Any:
     return shaped(value, (), where, problems)
 
 
-def vector(value: Any, where: str, problems: Problems):
+def vector(value: Any, where: str, problems: Problems) -> Any:
     return shaped(value, (3,), where, problems)
 
 
-def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems):
-    """A finite float array of this shape; what is wrong goes to `problems`."""
-    array = float_array(value, where)
-    known = concrete(array)
-    if array.shape != shape:
-        problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=value, limit=str(shape))
-        return np.zeros(shape)
-    if known is not None and not np.isfinite(known).all():
-        problems.add("NON_FINITE", where, f"is {known}", value=known, limit="finite")
-        return np.zeros(shape)
-    return array
-
-
-def as_quaternion(value: Any, where: str, problems: Problems):
+def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
     """A unit quaternion of a quaternion (length 1 within 1e-3) or of a rotation matrix (orthogonal within 1e-12)."""
-    array = float_array(value, where)
+    array = checked(value, ((4,), (3, 3)), where, problems, "Give a quaternion w, x, y, z or a rotation matrix.")
+    if array is None:
+        return np.array(IDENTITY)
     known = concrete(array)
-    if known is None and array.shape == (4,):
-        return array
-    if known is None or array.shape not in ((4,), (3, 3)):
-        problems.add(
-            "BAD_SHAPE",
-            where,
-            f"has shape {array.shape}",
-            value=value,
-            limit="(4,) or (3, 3)",
-            hint="Give a quaternion w, x, y, z or a rotation matrix.",
-        )
-        return np.array(IDENTITY)
-    if not np.isfinite(known).all():
-        problems.add("NON_FINITE", where, f"is {known}", value=known, limit="finite")
-        return np.array(IDENTITY)
+    if known is None:
+        return array if array.shape == (4,) else rotations.from_matrix(array)
     if known.shape == (4,):
         length = np.linalg.norm(known)
         if abs(length - 1) > 1e-3:
-            problems.add(
-                "BAD_QUATERNION",
-                where,
-                f"has length {length:.6g}",
-                value=known,
-                limit="1 within 1e-3",
-                hint="Order w, x, y, z; divide by its length.",
-            )
+            hint = "All four numbers are zero." if length == 0 else "Divide it by its length; the order is w, x, y, z."
+            problems.add("BAD_QUATERNION", where, f"has length {length:.6g}", value=known, limit="1 within 1e-3", hint=hint)
             return np.array(IDENTITY)
         return known / length
-    error = np.linalg.norm(known.T @ known - np.eye(3))
-    if error > 1e-12 * 10 or np.linalg.det(known) < 0:
+    error, det = np.linalg.norm(known.T @ known - np.eye(3)), np.linalg.det(known)
+    if error > 1e-12 or det < 0:
         problems.add(
             "BAD_ROTATION",
             where,
-            f"is no rotation: |R'R - I| = {error:.2g}, det R = {np.linalg.det(known):.6g}",
+            f"is no rotation: |R'R - I| = {error:.2g}, det R = {det:.6g}",
             value=known,
-            limit="|R'R - I| <= 1e-11, det R = 1",
-            hint="Orthonormalize it (SVD: U V').",
+            limit="|R'R - I| <= 1e-12, det R = 1",
+            hint="Make its axes right-handed." if det < 0 else "If it is rounded, orthonormalize it: U V' of its SVD U S V'.",
         )
         return np.array(IDENTITY)
     return _quaternion(known)
@@ -137,54 +106,62 @@ def _quaternion(R: np.ndarray) -> np.ndarray:
     return q if q[0] >= 0 else -q
 
 
-def _inertia(value: Any, problems: Problems):
+def _mass(value: Any, problems: Problems) -> Any:
+    mass = checked(value, ((),), "Body.mass", problems)
+    known = None if mass is None else concrete(mass)
+    if known is not None and known <= 0:
+        hint = "Leave out what has no mass, or give it a small one."
+        problems.add("BAD_MASS", "Body.mass", f"is {known:g} kg", value=float(known), limit="> 0", hint=hint)
+    return np.ones(()) if mass is None else mass
+
+
+def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
+    """The 3 x 3 matrix, of which T sees the symmetric part alone. What round-off may do to it is measured by the inertia about the
+    reference point, I + m (c'c - c c'): that is where an inertia about the centre of mass often comes from."""
     where = "Body.inertia"
-    array = float_array(value, where)
-    known = concrete(array)
-    if array.shape not in ((3,), (6,), (3, 3)):
-        problems.add(
-            "BAD_SHAPE",
-            where,
-            f"has shape {array.shape}",
-            value=value,
-            limit="(3,), (6,) or (3, 3)",
-            hint="Give three principal moments, (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or the matrix.",
-        )
+    hint = "Give three principal moments, (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or the matrix."
+    array = checked(value, ((3,), (6,), (3, 3)), where, problems, hint)
+    if array is None:
         return np.eye(3)
+    I = _matrix_of(array)
+    known, m, c = concrete(I), concrete(mass), concrete(com)
     if known is None:
-        return _matrix_of(array)
-    if not np.isfinite(known).all():
-        problems.add("NON_FINITE", where, f"is {known.tolist()}", value=known, limit="finite")
-        return np.eye(3)
-    I = _matrix_of(known)
-    trace = np.trace(I)
-    asymmetry = np.abs(I - I.T).max()
-    moments = np.linalg.eigvalsh((I + I.T) / 2)
+        return (I + I.T) / 2
+    trace = np.trace(known)
+    round_off = 64 * EPS * (abs(trace) + (2 * abs(m) * c @ c if m is not None and c is not None else 0))
+    difference = known - known.T
+    moments = np.linalg.eigvalsh((known + known.T) / 2)
     told = ", ".join(f"{m:.6g}" for m in moments)
-    if asymmetry > 1e-9 * abs(trace):
+    if np.abs(difference).max() > 1e-9 * abs(trace):
+        xy, xz, yz = difference[0, 1], difference[0, 2], difference[1, 2]
         problems.add(
             "NOT_SYMMETRIC",
             where,
-            f"is not symmetric: largest |I - I'| = {asymmetry:.3g}",
-            value=I - I.T,
+            f"is not symmetric: I - I' = {xy:.3g} (xy), {xz:.3g} (xz), {yz:.3g} (yz)",
+            value=difference,
             limit=f"{1e-9 * abs(trace):.3g}",
             hint="Give (I + I')/2 if that is meant.",
         )
-    elif moments[0] < -64 * EPS * abs(trace) or trace <= 0:
+    elif moments[0] < -round_off or trace <= 0:
         problems.add(
-            "NOT_POSITIVE", where, f"has principal moments {told} kg m2", value=moments, limit=">= 0", hint="All must be positive."
+            "NOT_POSITIVE",
+            where,
+            f"has principal moments {told} kg m2",
+            value=moments,
+            limit=">= 0, not all 0",
+            hint="Is it about the centre of mass? Are the signs of the products right?",
         )
-    elif moments[0] + moments[1] - moments[2] < -64 * EPS * trace:
+    elif moments[0] + moments[1] - moments[2] < -round_off:
         deficit = moments[2] - moments[0] - moments[1]
         problems.add(
             "TRIANGLE",
             where,
             f"has principal moments {told} kg m2: the largest exceeds the sum of the others by {deficit:.3g}",
             value=moments,
-            limit="the sum of the two others",
-            hint="Is it about the centre of mass? Are the signs of the products right?",
+            limit="at most the sum of the two others",
+            hint="Is it about the centre of mass? Are the signs of the products right? Are the units one and the same?",
         )
-    return I
+    return (I + I.T) / 2
 
 
 def _matrix_of(array):

@@ -7,7 +7,7 @@ The reference pose of the body on its parent, `rest`, belongs to q at rest. Axes
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
-from jaxbody.arrays import concrete
+from jaxbody.arrays import checked, concrete
 from jaxbody.bodies import vector
 from jaxbody.errors import Problems
 from jaxbody.frames import Pose
@@ -108,8 +108,10 @@ class Guide(Joint):
     turns = (False,)
 
     def __init__(self, parent: str, *, axis):
+        problems = Problems()
         self.parent = parent
-        self.axis = _unit(axis, "Guide.axis")
+        self.axis = _unit(axis, "Guide.axis", problems)
+        problems.raise_if_any()
 
     def pose(self, q, parent, rest):
         return parent @ Pose(rest.p + q[0] * self.axis, rest.R)
@@ -130,9 +132,11 @@ class Hinge(Joint):
     turns = (True,)
 
     def __init__(self, parent: str, *, axis, at=None):
+        problems = Problems()
         self.parent = parent
-        self.axis = _unit(axis, "Hinge.axis")
-        self.at = _point(at, "Hinge.at")
+        self.axis = _unit(axis, "Hinge.axis", problems)
+        self.at = None if at is None else vector(at, "Hinge.at", problems)
+        problems.raise_if_any()
 
     def pose(self, q, parent, rest):
         return parent @ _about(self.at, rotations.about(self.axis, q[0]), rest)
@@ -152,8 +156,10 @@ class Ball(Joint):
     turns = (True,) * 3
 
     def __init__(self, parent: str, *, at=None):
+        problems = Problems()
         self.parent = parent
-        self.at = _point(at, "Ball.at")
+        self.at = None if at is None else vector(at, "Ball.at", problems)
+        problems.raise_if_any()
 
     def rest(self, rest: Pose):
         return jnp.array([1.0, 0, 0, 0], rest.p.dtype)
@@ -185,20 +191,15 @@ def _arms(n: Float[Array, "nv 3"], at, parent: Pose, body: Pose) -> Float[Array,
     return cross(n, (body.p - parent.point(at))[None])
 
 
-def _unit(axis, where: str):
-    problems = Problems()
-    n = vector(axis, where, problems)
+def _unit(axis, where: str, problems: Problems) -> Any:
+    """The unit vector of a direction of any length."""
+    n = checked(axis, ((3,),), where, problems)
+    if n is None:
+        return np.array([0.0, 0, 1])
     known = concrete(n)
-    if known is not None and not problems.found and not np.linalg.norm(known) > 0:
-        problems.add("ZERO_AXIS", where, "has length zero", value=axis, limit="> 0", hint="Give the direction of the joint.")
-    problems.raise_if_any()
-    return n / (np.linalg.norm(known) if known is not None else jnp.linalg.norm(n))
-
-
-def _point(at, where: str):
-    if at is None:
-        return None
-    problems = Problems()
-    point = vector(at, where, problems)
-    problems.raise_if_any()
-    return point
+    if known is None:
+        return n / jnp.linalg.norm(n)
+    if not known.any():
+        problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give the direction of the joint.")
+        return n
+    return n / np.linalg.norm(known)

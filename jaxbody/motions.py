@@ -14,14 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.arrays import concrete, device_array, float_array
-from jaxbody.errors import Problems
+from jaxbody import rotations
+from jaxbody.arrays import checked, concrete, device_array, float_array, shaped
+from jaxbody.errors import JaxbodyError, Problem, Problems
 
 LARGEST_TURN = np.deg2rad(30)  # between samples
 
 
 class Motion(eqx.Module):
-    """An imposed motion: `motion(t)` is Xi = (xi, phi), translation [m] and rotation vector [rad] in world axes. Motions add."""
+    """An imposed motion: `motion(t)` is Xi = (xi, phi), translation [m] and rotation vector [rad] in world axes. Motions add, also
+    with bare functions of time."""
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         raise TypeError("a motion says what it is by __call__(t)")  # pragma: no cover
@@ -30,8 +32,11 @@ class Motion(eqx.Module):
         """First and last time [s] at which the motion is known."""
         return -np.inf, np.inf
 
-    def __add__(self, other: Motion) -> Sum:
-        return Sum((self, other))
+    def __add__(self, other: Motion | Callable[[Array], Array]) -> Sum:
+        return Sum((self, as_motion(other)))
+
+    def __radd__(self, other: Any) -> Motion:
+        return self if other == 0 else Sum((as_motion(other), self))  # sum() starts from 0
 
 
 class AtRest(Motion):
@@ -60,34 +65,16 @@ class Harmonic(Motion):
 
     def __init__(self, *, frequency, translation=(0, 0, 0), rotation=(0, 0, 0), translation_phase=0.0, rotation_phase=0.0):
         problems = Problems()
-        given = dict(
-            translation=translation, rotation=rotation, translation_phase=translation_phase, rotation_phase=rotation_phase
-        )  # fmt: skip
+        f = checked(frequency, ((), (6,)), "Harmonic.frequency", problems)
         arrays = {}
-        for name, value in given.items():
-            array = float_array(value, f"Harmonic.{name}")
-            if array.shape not in ((3,), ()) or (array.shape == () and "phase" not in name):
-                problems.add(
-                    "BAD_SHAPE",
-                    f"Harmonic.{name}",
-                    f"has shape {array.shape}",
-                    value=value,
-                    limit="(3,)",
-                    hint="Give one number per axis x, y, z.",
-                )
-            else:
-                arrays[name] = jnp.broadcast_to(device_array(array), (3,))
-        f = float_array(frequency, "Harmonic.frequency")
-        if f.shape not in ((), (6,)):
-            problems.add("BAD_SHAPE", "Harmonic.frequency", f"has shape {f.shape}", value=frequency, limit="() or (6,)")
-        for name, value in {**given, "frequency": f}.items():
-            known = concrete(value)
-            if known is not None and not np.isfinite(known).all():
-                problems.add("NON_FINITE", f"Harmonic.{name}", f"is {value}", value=value, limit="finite")
+        for name, value in dict(translation=translation, rotation=rotation).items():
+            arrays[name] = shaped(value, (3,), f"Harmonic.{name}", problems)
+        for name, value in dict(translation_phase=translation_phase, rotation_phase=rotation_phase).items():
+            arrays[name] = checked(value, ((), (3,)), f"Harmonic.{name}", problems)
         problems.raise_if_any()
         self.frequency = device_array(f)
-        self.translation, self.rotation = arrays["translation"], arrays["rotation"]
-        self.translation_phase, self.rotation_phase = arrays["translation_phase"], arrays["rotation_phase"]
+        for name, array in arrays.items():
+            setattr(self, name, jnp.broadcast_to(device_array(array), (3,)))
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         amplitude = jnp.concatenate([self.translation, self.rotation])
@@ -135,7 +122,7 @@ class Sampled(Motion):
     uniform: bool = eqx.field(static=True)
 
     def __init__(self, times, *, translation=None, rotation=None):
-        times, values = _samples(times, {"translation": translation, "rotation": rotation}, minimum=4)
+        times, values = _samples(times, translation, rotation, Problems(), minimum=4)
         self.times, self.values = device_array(times), device_array(values)
         self.uniform = _is_uniform(times)
         self.curvatures = _curvatures(self.times, self.values)
@@ -146,9 +133,11 @@ class Sampled(Motion):
     ) -> Sampled:
         """Xi'' linear between the samples `translation` [m/s2] and `rotation` (second derivative of the rotation vector [rad/s2];
         the angular acceleration where the turn keeps its axis), Xi and Xi' at the first sample as stated (6 numbers each)."""
-        times, m = _samples(times, {"translation": translation, "rotation": rotation}, minimum=2, turns=False)
+        problems = Problems()
+        x0 = shaped(initial_position, (6,), "Sampled.initial_position", problems)
+        v0 = shaped(initial_velocity, (6,), "Sampled.initial_velocity", problems)
+        times, m = _samples(times, translation, rotation, problems, minimum=2, turns=False)
         self = object.__new__(cls)
-        x0, v0 = (device_array(float_array(v)) for v in (initial_position, initial_velocity))
         t, m = device_array(times), device_array(m)
         h = jnp.diff(t)[:, None]
         velocity = v0 + jnp.concatenate([jnp.zeros((1, 6), m.dtype), jnp.cumsum(h * (m[1:] + m[:-1]) / 2, 0)])
@@ -177,23 +166,31 @@ class Sampled(Motion):
 
 def as_motion(motion: Motion | Callable[[Array], Array]) -> Motion:
     """A motion stays one; a bare Python function of time becomes one."""
+    if not callable(motion):
+        told, hint = f"is a {type(motion).__name__}", "Give a Motion or a function t -> Xi, 6 numbers."
+        raise JaxbodyError(Problem("WRONG_KIND", "motion", told, motion, "Motion", hint))
     return motion if isinstance(motion, Motion) else Function(motion)
 
 
 def check_times(times, problems: Problems, where: str = "times", minimum: int = 1) -> np.ndarray | jax.Array | None:
     """Increasing, finite, one-dimensional times; what is wrong goes to `problems`."""
-    times = float_array(times, where)
+    try:
+        times = float_array(times, where)
+    except JaxbodyError as error:
+        problems.found += error.problems
+        return None
     known = concrete(times)
     if times.ndim != 1 or times.shape[0] < minimum:
         code = "NO_DATA" if times.size == 0 or times.ndim == 1 else "BAD_SHAPE"
-        problems.add(code, where, f"has shape {times.shape}", value=times, limit=f"(n,) with n >= {minimum}")
+        limit = f"(n,) with n >= {minimum}"
+        problems.add(code, where, f"has shape {times.shape}", value=times.shape, limit=limit, hint=f"Give at least {minimum} times.")
         return None
     if known is None:
         return times
     if not np.isfinite(known).all():
-        problems.add(
-            "NAN_TIME", where, f"is {known[~np.isfinite(known)][0]} at index {np.flatnonzero(~np.isfinite(known))[0]}", limit="finite"
-        )
+        i = int(np.flatnonzero(~np.isfinite(known))[0])
+        hint = "Cut the record, or drop the samples whose time is unknown."
+        problems.add("NAN_TIME", where, f"is {known[i]} at index {i}", value=float(known[i]), limit="finite", hint=hint)
         return None
     steps = np.diff(known)
     if (steps <= 0).any():
@@ -211,65 +208,70 @@ def check_times(times, problems: Problems, where: str = "times", minimum: int = 
     return times
 
 
-def _samples(times, given: dict[str, Any], minimum: int, turns: bool = True):
-    """Check samples of translation and rotation; (times, (n, 6) values)."""
-    problems = Problems()
+def _samples(times, translation, rotation, problems: Problems, minimum: int, turns: bool = True):
+    """Samples of translation and rotation as (times, (n, 6) values); raises with all that is wrong, earlier problems included."""
     times = check_times(times, problems, "Sampled.times", minimum)
+    n = None if times is None else times.shape[0]
+    columns = [
+        _rows(translation, n, (3,), "Sampled.translation", problems),
+        _rows(rotation, n, (3, 4) if turns else (3,), "Sampled.rotation", problems),
+    ]
+    if turns:
+        columns[1] = _continuous(columns[1], problems, "Sampled.rotation")
     problems.raise_if_any()
     assert times is not None
-    n = times.shape[0]
-    columns = []
-    for name, value in given.items():
-        where = f"Sampled.{name}"
-        array = np.zeros((n, 3)) if value is None else float_array(value, where)
-        if array.shape not in ((n, 3), (n, 4)[: 2 if name == "rotation" and turns else 0]):
-            hint = "The array looks transposed." if array.ndim == 2 and array.shape[1] == n else "One row per time."
-            problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=f"({n}, 3)", hint=hint)
-            continue
-        known = concrete(array)
-        if known is not None and not np.isfinite(known).all():
-            row = int(np.argwhere(~np.isfinite(known))[0][0])
-            problems.add(
-                "NON_FINITE",
-                where,
-                f"is not finite at row {row}",
-                value=known[row],
-                limit="finite",
-                hint="Cut the record or fill the gap first.",
-            )
-            continue
-        if name == "rotation" and turns and known is not None:
-            array = _continuous(known, problems, where)
-        columns.append(array)
-    problems.raise_if_any()
     return times, (np if all(isinstance(c, np.ndarray) for c in columns) else jnp).concatenate(columns, 1)
 
 
-def _continuous(samples: np.ndarray, problems: Problems, where: str) -> np.ndarray:
+def _rows(value: Any, n: int | None, widths: tuple[int, ...], where: str, problems: Problems):
+    """Finite rows of numbers, one per time where their number n is known; zeros where there are none, or not such."""
+    nothing = np.zeros((n or 0, 3))
+    if value is None:
+        return nothing
+    try:
+        array = float_array(value, where)
+    except JaxbodyError as error:
+        problems.found += error.problems
+        return nothing
+    if array.ndim != 2 or array.shape[1] not in widths or n not in (None, array.shape[0]):
+        limit = " or ".join(f"({n or 'n'}, {width})" for width in widths)
+        hint = "The array looks transposed." if array.ndim == 2 and array.shape[0] in widths else "One row per time."
+        problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=limit, hint=hint)
+        return nothing
+    known = concrete(array)
+    if known is not None and not np.isfinite(known).all():
+        row = int(np.argwhere(~np.isfinite(known))[0][0])
+        hint = "Cut the record or fill the gap first."
+        problems.add("NON_FINITE", where, f"is {known[row].tolist()} at row {row}", value=known[row], limit="finite", hint=hint)
+        return nothing
+    return array
+
+
+def _continuous(samples, problems: Problems, where: str):
     """Rotation vectors that follow one another without jumps of a whole turn; neighbours must be less than 30 degrees apart."""
-    if samples.shape[1] == 4:
-        norms = np.linalg.norm(samples, axis=1)
+    known = concrete(samples)
+    if known is None:
+        phi = samples if samples.shape[1] == 3 else rotations.log_quaternion(rotations.normalize(samples))
+
+        def follow(previous, phi):
+            phi = _nearest(previous, phi, jnp)
+            return phi, phi
+
+        return jnp.concatenate([phi[:1], jax.lax.scan(follow, phi[0], phi[1:])[1]])
+    if known.shape[1] == 4:
+        norms = np.linalg.norm(known, axis=1)
         if (abs(norms - 1) > 1e-3).any():
             row = int(np.argmax(abs(norms - 1)))
-            problems.add(
-                "BAD_QUATERNION",
-                where,
-                f"has length {norms[row]:.6g} at row {row}",
-                value=samples[row],
-                limit="1 within 1e-3",
-                hint="Order w, x, y, z.",
-            )
-            return np.zeros((len(samples), 3))
-        w, v = samples[:, :1], samples[:, 1:]
+            told, hint = f"has length {norms[row]:.6g} at row {row}", "Divide it by its length; the order is w, x, y, z."
+            problems.add("BAD_QUATERNION", where, told, value=known[row], limit="1 within 1e-3", hint=hint)
+            return np.zeros((len(known), 3))
+        w, v = known[:, :1], known[:, 1:]
         v, w = np.where(w < 0, -v, v), abs(w)
         s = np.linalg.norm(v, axis=1, keepdims=True)
-        samples = v * np.where(s > 0, 2 * np.arctan2(s, w) / np.where(s > 0, s, 1), 2)
-    out = samples.copy()
+        known = v * np.where(s > 0, 2 * np.arctan2(s, w) / np.where(s > 0, s, 1), 2)
+    out = known.copy()
     for i in range(1, len(out)):
-        angle = np.linalg.norm(out[i])
-        if angle > 0:  # the same rotation, any number of turns away
-            turns = np.round((out[i - 1] @ out[i] / angle - angle) / (2 * np.pi))
-            out[i] *= 1 + 2 * np.pi * turns / angle
+        out[i] = _nearest(out[i - 1], out[i], np)
     steps = np.linalg.norm(np.diff(out, axis=0), axis=1)
     if (steps > LARGEST_TURN).any():
         row = int(np.argmax(steps > LARGEST_TURN))
@@ -282,6 +284,15 @@ def _continuous(samples: np.ndarray, problems: Problems, where: str) -> np.ndarr
             hint="Sample faster, or turn the reference pose so that the motion stays clear of whole turns about a changing axis.",
         )
     return out
+
+
+def _nearest(previous, phi, xp):
+    """The rotation of phi as the rotation vector nearest to the previous one: whole turns more or less about the same axis."""
+    square = xp.sum(phi * phi)
+    angle = xp.sqrt(xp.where(square > 0, square, 1.0))
+    axis = phi / angle
+    turns = xp.round((xp.sum(previous * axis) - xp.where(square > 0, angle, 0.0)) / (2 * np.pi))
+    return phi + 2 * np.pi * turns * axis
 
 
 def _is_uniform(times) -> bool:
