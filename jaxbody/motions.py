@@ -287,11 +287,12 @@ def _continuous(samples, problems: Problems, where: str):
 
 
 def _nearest(previous, phi, xp):
-    """The rotation of phi as the rotation vector nearest to the previous one: whole turns more or less about the same axis."""
-    square = xp.sum(phi * phi)
-    angle = xp.sqrt(xp.where(square > 0, square, 1.0))
-    axis = phi / angle
-    turns = xp.round((xp.sum(previous * axis) - xp.where(square > 0, angle, 0.0)) / (2 * np.pi))
+    """The rotation of phi as the rotation vector nearest to the previous one: whole turns more or less about its axis, which for no
+    rotation at all is the previous one's."""
+    along = xp.where(xp.any(phi != 0), phi, previous)
+    square = xp.sum(along * along)
+    axis = along / xp.sqrt(xp.where(square > 0, square, 1.0))
+    turns = xp.round(xp.sum((previous - phi) * axis) / (2 * np.pi))
     return phi + 2 * np.pi * turns * axis
 
 
@@ -304,6 +305,7 @@ def _is_uniform(times) -> bool:
     return bool(np.abs(known - grid).max() < 1e-9 * (known[-1] - known[0]) / (n - 1))
 
 
+@jax.jit
 def _curvatures(t: Float[Array, "n"], y: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """Second derivatives at the knots: h_{i-1} m_{i-1} + 2 (h_{i-1} + h_i) m_i + h_i m_{i+1} = 6 (d_i - d_{i-1}), d the slopes of the
     chords; at the ends 2 h m_0 + h m_1 = 6 (d_0 - s_0), s the slope of the cubic through four samples."""

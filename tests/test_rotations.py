@@ -134,6 +134,12 @@ def test_exp_is_the_matrix_exponential():
     assert np.abs(rotations.exp(PSI) - scipy.linalg.expm(skews(PSI))).max() <= 1e-14
 
 
+def test_a_turn_about_an_axis_is_the_exponential():
+    axes, angles = PSI[:-1] / np.linalg.norm(PSI[:-1], axis=1, keepdims=True), np.linspace(-19, 19, 59)
+    exact = Rotation.from_rotvec(angles[:, None] * axes).as_matrix()
+    assert np.abs(rotations.about(axes, angles) - exact).max() <= 2e-15
+
+
 def test_left_jacobian_is_its_series_and_turns_a_rate_into_an_angular_velocity():
     J = np.asarray(rotations.left_jacobian(PHI))
     assert np.abs(J - [matrix_series(w, 1) for w in PHI]).max() <= 2e-15
@@ -150,9 +156,9 @@ def test_inverse_left_jacobian_is_the_inverse_and_the_derivative_of_log():
     assert np.abs(found - inverse).max() <= 1e-14
 
 
-def test_quaternions_and_matrices_agree_with_scipy():
+def test_quaternions_and_matrices_agree_with_scipy(rng):
     q, R = Rotation.from_rotvec(PHI).as_quat(scalar_first=True), Rotation.from_rotvec(PHI).as_matrix()
-    scale = RNG.uniform(0.5, 2, size=(len(q), 1))
+    scale = rng.uniform(0.5, 2, size=(len(q), 1))
     found = np.asarray(rotations.exp_quaternion(PHI))
     assert np.abs(found * np.sign(np.sum(found * q, 1, keepdims=True)) - q).max() <= 1e-14
     assert np.abs(rotations.matrix(q * scale) - R).max() <= 1e-15
@@ -215,13 +221,13 @@ def test_quaternion_rates_are_the_derivatives_of_a_turning_frame(axes):
 
 
 @pytest.mark.parametrize("name", ["exp_quaternion", "left_jacobian", "inverse_left_jacobian", "log"])
-def test_no_second_derivative_is_nan(name):
+def test_no_second_derivative_is_nan(rng, name):
     """At zero, at rotations whose square underflows, and at half a turn about each axis."""
 
     def f(w):
         return rotations.log(rotations.exp(w)) if name == "log" else getattr(rotations, name)(w)
 
     points = np.concatenate([np.zeros((1, 3)), SWEEP[1:4], 1e-160 * AXIS[None], 1e-300 * AXIS[None], HALF_TURNS[:3]])
-    weights = RNG.normal(size=f(points[0]).shape)
+    weights = rng.normal(size=f(points[0]).shape)
     second = jax.jit(jax.vmap(jax.hessian(lambda w: jnp.sum(weights * f(w)))))(points)
     assert np.isfinite(second).all()
