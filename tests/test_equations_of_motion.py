@@ -1,6 +1,7 @@
 """The equations of motion, by three independent ways, and the reactions on what moves the base."""
 
-import equinox as eqx
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +14,7 @@ from jaxbody.dynamics import Dynamics, acceleration
 from jaxbody.kinematics import Coordinates
 
 SAMPLES = 100
+once = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # compiled to run once: compiling is the cost
 
 
 # Euler-Lagrange by automatic differentiation, in coordinates x: rotation vectors where the library has quaternions
@@ -148,25 +150,26 @@ MODELS = {
 }
 
 
-@eqx.filter_jit
+@once
 def by_library(model, motions, times, states):
-    """v' by either path of the library, and the reactions."""
+    """v' by the path that is integrated and by that of trees, and the reactions."""
     dynamics = Dynamics(model, motions)
 
     def one(t, state):
         y = dynamics.pack(state)
-        along = jax.jvp(dynamics.unpack, (y,), (dynamics.rate(t, y),))[1]
-        return along.v, dynamics.acceleration(t, state.q, state.v), dynamics.reactions(t, state.q, state.v)
+        along = jax.jvp(dynamics.unpack, (y,), (dynamics.rate(t, y),))[1].v
+        tree = acceleration(model, state, t, motions) if model.layout.floating else along
+        return along, tree, dynamics.reactions(t, state.q, state.v)
 
     return jax.vmap(one)(times, states)
 
 
-@eqx.filter_jit
+@once
 def by_lagrange(model, motions, times, x, x_dot):
     return jax.vmap(lambda t, x, x_dot: euler_lagrange(model, motions, t, x, x_dot))(times, x, x_dot)
 
 
-@eqx.filter_jit
+@once
 def states_of(model, x, x_dot):
     return jax.vmap(lambda x, x_dot: state_of(model, x, x_dot))(x, x_dot)
 
@@ -236,8 +239,8 @@ def test_dampers_pull_free_bodies_as_by_euler_lagrange():
     assert_moves_as_by_euler_lagrange(model, motions, rng)
 
 
-def tree_model(rng, joints):
-    """Bodies anywhere on these joints, two supports, springs and a bushing with damping across the tree."""
+def tree_model(rng, joints, *, bushing):
+    """Bodies anywhere on these joints, two supports, springs and perhaps a bushing, all with damping, across the tree."""
 
     def somewhere():
         return dict(position=rng.normal(size=3), orientation=random_quaternion(rng))
@@ -257,14 +260,15 @@ def tree_model(rng, joints):
 
     order = sorted(joints)  # of no help to the tree
     elements = {f"s{i}": spring(name, ["base", "stand", "world", order[0]][i % 4]) for i, name in enumerate(order[1:])}
-    elements["mount"] = jb.Bushing(
-        (order[-1], 0.3 * rng.normal(size=3)),
-        ("base", rng.normal(size=3)),
-        stiffness=square(3.0),
-        damping=square(0.3),
-        orientation=random_quaternion(rng),
-        orientation_b=random_quaternion(rng),
-    )
+    if bushing:
+        elements["mount"] = jb.Bushing(
+            (order[-1], 0.3 * rng.normal(size=3)),
+            ("base", rng.normal(size=3)),
+            stiffness=square(3.0),
+            damping=square(0.3),
+            orientation=random_quaternion(rng),
+            orientation_b=random_quaternion(rng),
+        )
     return jb.Model(
         bodies={name: random_body(rng, **somewhere()) for name in order},
         supports={"base": jb.Support(**somewhere()), "stand": jb.Support(**somewhere())},
@@ -297,7 +301,7 @@ def test_every_joint_on_a_support_and_on_a_body_moves_and_pushes_back_as_by_eule
         "piston": jb.Guide("bob", axis=rng.normal(size=3)),
         "dinghy": jb.Free("slider"),
     }
-    tree = tree_model(rng, on_supports | on_bodies)
+    tree = tree_model(rng, on_supports | on_bodies, bushing=True)
     assert not tree.layout.floating
     assert_moves_as_by_euler_lagrange(tree, (shaking(rng), shaking(rng)), rng)
 
@@ -311,12 +315,12 @@ def test_matrices_are_the_hessians_that_define_them():
         "lump": jb.Fixed("knee"),
         "slider": jb.Guide("stand", axis=rng.normal(size=3)),
     }
-    tree = tree_model(rng, joints)
+    tree = tree_model(rng, joints, bushing=False)
     x, x_dot = random_coordinates(tree, rng, 10)
     states = states_of(tree, x, x_dot)
     n, nxi = tree.layout.nv, tree.layout.nxi
 
-    @jax.jit
+    @once
     @jax.vmap
     def definition(state):
         def kinetic(s):
@@ -331,7 +335,7 @@ def test_matrices_are_the_hessians_that_define_them():
         speeds, still = jnp.concatenate([state.v, jnp.zeros(nxi)]), jnp.zeros(n + nxi)
         return jax.hessian(kinetic)(speeds), jax.hessian(rayleigh)(speeds), jax.hessian(potential)(still)
 
-    lin = jax.vmap(lambda state: jb.linearize(tree, state))(states)
+    lin = once(jax.vmap(lambda state: jb.linearize(tree, state)))(states)
     for letter, whole in zip("MCK", definition(states), strict=True):
         for block, expected in (("", whole[:, :n, :n]), ("_tilde", -whole[:, :n, n:]), ("_bb", whole[:, n:, n:])):
             print(letter, block, far_apart(getattr(lin, letter + block), expected))
@@ -374,7 +378,7 @@ def test_double_pendulum_of_hinges_has_the_matrices_of_the_textbook():
     model, rng = elbow(), np.random.default_rng(6)
     q, v = rng.uniform(-3, 3, (2, SAMPLES, 2))
 
-    @jax.jit
+    @once
     @jax.vmap
     def found(q, v):
         def mass(q):
