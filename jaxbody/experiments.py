@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.arrays import concrete, device_array, float_array
-from jaxbody.errors import JaxbodyError, Problems, is_concrete, warn
+from jaxbody.arrays import device_array, float_array
+from jaxbody.errors import JaxbodyError, Problems, warn
 from jaxbody.models import Model, State
 from jaxbody.motions import Motion, as_motion, check_times
-from jaxbody.sensors import Sensor, check_sensors
+from jaxbody.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations import check_run, motions_of
 
 MANY_MISSING = 0.2
@@ -23,9 +23,13 @@ class Experiment(eqx.Module):
 
     times [s] (nt,); motion {support: motion}; initial, the state at times[0] (the reference pose at rest without one);
     sensors {name: sensor}; measured {name: (nt, ...)}, NaN where a sample is missing; noise, standard deviations, one number or one for
-    each sensor, estimated from the residuals where they are not given.
+    each sensor (of a pose two, in meters and radians), estimated from the residuals where they are not given.
 
-    Errors, all at once: times as in `simulate`, BAD_SHAPE, NO_DATA, ALL_NAN of a channel, BAD_NOISE, UNKNOWN_NAME, WRONG_KIND; warns MISSING above 20 %.
+    Errors, all at once: times as in `simulate`, BAD_SHAPE, NO_DATA, ALL_NAN of a channel, NON_FINITE, BAD_QUATERNION, BAD_NOISE,
+    UNKNOWN_NAME, BAD_NAME, DUPLICATE_NAME, WRONG_KIND; warns MISSING above 20 %.
+
+    >>> Experiment([0.0, 0.1, 0.2], sensors={"height": Position("mass", axis=[0, 1, 0])}, measured={"height": [0, -0.049, -0.196]}).measured["height"].shape
+    (3,)
     """
 
     times: Float[Array, "nt"]
@@ -33,7 +37,7 @@ class Experiment(eqx.Module):
     initial: State | None
     sensors: dict[str, Sensor]
     measured: dict[str, Float[Array, "nt *r"]]
-    noise: dict[str, Float[Array, ""]] | None
+    noise: dict[str, Float[Array, "*units"]] | None
 
     def __init__(
         self,
@@ -49,7 +53,7 @@ class Experiment(eqx.Module):
         checked = check_times(times, problems, "Experiment.times", minimum=2)
         if not sensors:
             problems.add("NO_DATA", "Experiment.sensors", "is empty", limit="at least one sensor")
-        for name in sensors.keys() ^ measured.keys():
+        for name in [n for n in (*sensors, *measured) if (n in sensors) != (n in measured)]:
             which = "measured" if name in sensors else "sensors"
             problems.add(
                 "UNKNOWN_NAME",
@@ -58,21 +62,9 @@ class Experiment(eqx.Module):
                 value=name,
                 hint="Every sensor needs its measured array, under the same name.",
             )
-        arrays = {}
-        for name in sensors.keys() & measured.keys():
-            arrays[name] = _samples(name, sensors[name], measured[name], checked, problems)
-        levels = noise if isinstance(noise, dict) or noise is None else dict.fromkeys(sensors, noise)
-        for name, level in (levels or {}).items():
-            known = concrete(float_array(level))
-            if name not in sensors or (known is not None and (known.ndim or not np.isfinite(known) or known <= 0)):
-                problems.add(
-                    "BAD_NOISE",
-                    f"Experiment.noise['{name}']",
-                    f"is {level}",
-                    value=level,
-                    limit="> 0, finite, one for each sensor",
-                    hint="Leave noise out to have it estimated.",
-                )
+        arrays = {name: _samples(name, sensor, measured[name], checked, problems) for name, sensor in sensors.items() if name in measured}
+        known = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
+        levels = None if noise is None else noise_levels(known, noise, "Experiment.noise", problems, zero=False)
         clash = [name for name in sensors if name in (motion or {}) or name == "initial"]
         if clash:
             problems.add(
@@ -82,12 +74,15 @@ class Experiment(eqx.Module):
                 value=clash[0],
                 hint="Paths need different names.",
             )
+        for name in sensors:
+            if not isinstance(name, str) or not name or set(name) & set(".*?[]"):
+                problems.add("BAD_NAME", f"Experiment.sensors[{name!r}]", "is no name", value=name, hint="None of . * ? [ ], for paths.")
         problems.raise_if_any()
         self.times = device_array(checked)  # pyright: ignore[reportArgumentType]
         self.motion = {name: as_motion(m) for name, m in (motion or {}).items()}
         self.initial, self.sensors = initial, dict(sensors)
         self.measured = {name: device_array(a) for name, a in arrays.items()}
-        self.noise = None if levels is None else {name: device_array(float_array(level)) for name, level in levels.items()}
+        self.noise = None if levels is None else {name: device_array(level) for name, level in levels.items()}
 
     def named(self) -> dict[str, Any]:
         """What of it has a name in paths: the initial state, the motions, the sensors."""
@@ -113,7 +108,11 @@ def _samples(name: str, sensor: Sensor, value: Any, times, problems: Problems):
             "WRONG_KIND", f"Experiment.sensors['{name}']", f"is a {type(sensor).__name__}", value=sensor, limit="a sensor such as Position"
         )
         return None
-    array = float_array(value, where)
+    try:
+        array = float_array(value, where)
+    except JaxbodyError as error:
+        problems.found += error.problems
+        return None
     if times is None:
         return array
     shape = (len(times), *sensor.shape)
@@ -126,15 +125,17 @@ def _samples(name: str, sensor: Sensor, value: Any, times, problems: Problems):
             else f"One row per time; a {type(sensor).__name__} has {sensor.shape or 'one number'}."
         )
         problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=str(shape), hint=hint)
-    elif is_concrete(array):
-        missing = np.isnan(np.asarray(array)).reshape(len(times), -1)
-        if np.isinf(np.asarray(array)).any():
+    elif isinstance(array, np.ndarray):
+        missing = np.isnan(array).reshape(len(times), -1)
+        if np.isinf(array).any():
             problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN where a sample is missing")
+        if (wrong := sensor.misread(array, where)) is not None:
+            problems.found.append(wrong)
         for channel in np.flatnonzero(missing.all(0)):
             problems.add(
                 "ALL_NAN",
                 where,
-                f"has no sample at all in component {channel}",
+                "has no sample at all" + (f" in component {channel}" if sensor.shape else ""),
                 value=int(channel),
                 hint="Leave the sensor out, or use one that reads what you have.",
             )

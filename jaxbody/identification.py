@@ -21,33 +21,34 @@ import optimistix
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
-from jaxbody.arrays import concrete
 from jaxbody.checks import check_precision
-from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
+from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.experiments import Experiment, shared_structure
 from jaxbody.models import Model
-from jaxbody.naming import Leaf, leaves_of, matching, write
-from jaxbody.parametrizations import Parametrization, Positive, Shifted, parametrize
+from jaxbody.naming import write
+from jaxbody.parametrizations import Free, choose, limits_of
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.sensors import read
-from jaxbody.simulations import MAX_STEPS, Trajectory, integrate, motions_of
-from jaxbody.statics import size_of
+from jaxbody.sensors import Sensor, read
+from jaxbody.simulations import Trajectory, integrate, motions_of
 from jaxbody.uncertainties import Uncertainty, assess
 
 ARRIVED = 1e-7  # largest Gauss-Newton step in u at which a fit has arrived
-NEAR = 1e-6  # the same where the optimizer finds nothing better: the noise of the simulated cost hides the rest
+WORTH = 0.01  # share of the expected fall of the cost that is worth having
+ROUGH = (
+    3e-4  # part of the residual that parameters still explain, relative to all of it, below which the roughness of the cost may hide a fall
+)
+FLAT = 0.02  # slope, relative to the first, at which coordinates are whitened anew
+FARTHEST = 0.7  # how far in u the unit of y may lead: a factor of two in what is positive
 RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
 MOST_RESTARTS = 40
 MOST_INNER = 80
-PATIENCE = 10
+PATIENCE = 25  # evaluations without a better one
+AT_BOUND = 1e-6  # distance in u from a bound that counts as at it
+PROPORTION = 0.01  # change of the estimated noise of one sensor against another's that is worth another round
+ROUNDS = 5
 
 
-class Free(eqx.Module):
-    """A free parameter: the run it belongs to ("" for the model), where it is, and how it moves."""
-
-    run: str = eqx.field(static=True)
-    leaf: Leaf = eqx.field(static=True)
-    form: Parametrization
+Runs = dict[str, tuple[dict[str, Array], dict[str, Array]]]  # of each experiment readings and residuals, by sensor
 
 
 class Task(eqx.Module):
@@ -88,48 +89,54 @@ class Task(eqx.Module):
         readings = self.simulate(model, experiment).at_samples(read, experiment.sensors)
         residuals = {}
         for name, sensor in experiment.sensors.items():
-            measured = experiment.measured[name]
-            r = sensor.residual(readings[name], jnp.where(jnp.isnan(measured), readings[name], measured))
-            residuals[name] = r / noise[name]
+            residuals[name] = sensor.residual(readings[name], experiment.measured[name]) / sensor.spread(noise[name])
         return readings, residuals
 
-    def runs(self, u: Float[Array, "n"]) -> dict[str, tuple[dict[str, Array], dict[str, Array]]]:
+    def runs(self, u: Float[Array, "n"]) -> Runs:
         """`differences` of every experiment, those of equal structure side by side."""
         model, runs = self.scatter(u)
         found = {}
         for names in shared_structure(runs):
-            stack = lambda *x: jnp.stack(x)  # noqa: E731
-            group = jax.tree.map(stack, *(runs[name] for name in names))
-            noise = jax.tree.map(stack, *(self.noise[name] for name in names))
+            if len(names) == 1:
+                found[names[0]] = self.differences(model, runs[names[0]], self.noise[names[0]])
+                continue
+            group, noise = (jax.tree.map(lambda *x: jnp.stack(x), *(tree[name] for name in names)) for tree in (runs, self.noise))
             both = jax.vmap(self.differences, in_axes=(None, 0, 0))(model, group, noise)
             found |= {name: jax.tree.map(lambda x, i=i: x[i], both) for i, name in enumerate(names)}
         return found
 
     def residual(self, u: Float[Array, "n"]) -> Float[Array, "m"]:
-        runs = self.runs(u)
-        return jnp.concatenate([runs[run][1][name].ravel() for run in self.experiments for name in self.experiments[run].sensors])
+        return _all_residuals(self.runs(u))
+
+
+def _all_residuals(runs: Runs) -> Float[Array, "m"]:
+    return jnp.concatenate([r.ravel() for _, residuals in runs.values() for r in residuals.values()])
 
 
 @eqx.filter_jit
-def _residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array]:
-    def twice(u):
-        r = task.residual(u)
-        return r, r
+def _residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, Runs]:
+    """r, dr/du and what they come from, in one program: compiling costs more than running."""
 
-    J, r = jax.jacfwd(twice, has_aux=True)(u)
-    return r, J
+    def evaluate(u):
+        runs = task.runs(u)
+        r = _all_residuals(runs)
+        return r, (r, runs)
 
-
-@eqx.filter_jit
-def _runs(task: Task, u: Float[Array, "n"]):
-    return task.runs(u)
+    J, (r, runs) = jax.jacfwd(evaluate, has_aux=True)(u)
+    return r, J, runs
 
 
 class Fit(Result):
     """A fit: `model` and `experiments` with the estimates in them, `estimates` and `standard_errors` by path (infinite where the data cannot tell),
     `covariance` of u, `singular_values` of the Jacobian with relative columns, `unidentified` in words, `predicted` {run: {sensor: array}},
-    `noise` {run: {sensor: rms residual}}, `correlation` (lag one) of the residuals, `cost` 1/2 r'r, `history` of costs.
-    `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED or AT_BOUND where it is not good."""
+    `noise` {run: {sensor: rms residual}} (of a pose two, in meters and radians), `correlation` (lag one) of the residuals, `cost` 1/2 r'r,
+    `history` of costs, `failed` trials that could not be simulated, `at_bound` in words. `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED
+    or AT_BOUND where it is not good. Leading axes of a batch stay; standard errors are not there inside jit or vmap.
+
+    >>> import inspect
+    >>> inspect.signature(fit).return_annotation  # fit returns one
+    'Fit'
+    """
 
     model: Model
     experiments: dict[str, Experiment]
@@ -142,6 +149,8 @@ class Fit(Result):
     predicted: dict[str, dict[str, Array]]
     noise: dict[str, dict[str, Array]]
     history: list[float]
+    failed: int
+    at_bound: list[str]
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -150,7 +159,10 @@ class Fit(Result):
     @property
     def estimates(self) -> dict[str, Array]:
         """{path: value}."""
-        return dict(zip(self.paths, self.task.values(self.u), strict=True))
+        values = lambda task, u: task.values(u)  # noqa: E731
+        for _ in range(self.u.ndim - 1):
+            values = eqx.filter_vmap(values)
+        return dict(zip(self.paths, values(self.task, self.u), strict=True))
 
     def _assessed(self) -> Uncertainty:
         if self.uncertainty is None:
@@ -185,7 +197,7 @@ class Fit(Result):
             u = self._assessed()
             return f"rank {u.rank} of {len(u.singular_values)}: " + "; ".join(u.words)
         if status == Status.AT_BOUND:
-            return "its standard error there is not to be trusted"
+            return ", ".join(self.at_bound) + "; no standard error there is to be trusted"
         if status == Status.NOT_CONVERGED:
             return f"after {int(self.evaluations)} evaluations; the best so far is kept; start nearer, or give more max_evaluations"
         return ""
@@ -211,7 +223,12 @@ class Fit(Result):
                         f"{100 * e / abs(x):.2g} %" if np.isfinite(e) and x else "",
                     )
                 )
-        fits = [(f"{run}.{name}", float(rms)) for run, sensors in self.noise.items() for name, rms in sensors.items()]
+        fits = [
+            (f"{run}.{name}", float(rms), unit.strip())
+            for run, sensors in self.noise.items()
+            for name, levels in sensors.items()
+            for rms, unit in zip(np.ravel(levels), self.experiments[run].sensors[name].unit.split(","), strict=True)
+        ]
         u = self.uncertainty
         notes = [f"{u.samples} samples, {int(self.evaluations)} evaluations; {self.report()}"]
         if u.correlated:
@@ -222,7 +239,7 @@ class Fit(Result):
             notes += status_words
         return [
             tables.Table("Fit", ("parameter", "estimate", "standard error", "relative"), rows),
-            tables.Table("", ("sensor", "rms residual"), fits, "\n".join(notes)),
+            tables.Table("", ("sensor", "rms residual", "unit"), fits, "\n".join(notes)),
         ]
 
 
@@ -234,12 +251,12 @@ def fit(
     model: Model,
     experiments: dict[str, Experiment],
     *,
-    free: Iterable[str],
+    free: Iterable[str] | str,
     method: Any = "least_squares",
     bounds: dict[str, tuple[Any, Any]] | None = None,
     rtol: float = 1e-8,
     solver: diffrax.AbstractSolver | None = None,
-    max_steps: int = MAX_STEPS,
+    max_steps: int = 10_000,
     max_evaluations: int = 2000,
     progress: bool = False,
     allow_float32: bool = False,
@@ -252,62 +269,73 @@ def fit(
     jit and vmap and be differentiated in forward mode.
 
     Stiffness, damping and mass stay positive, inertia definite, orientations unit. What the data cannot tell is said in words instead of numbers. Noise
-    that an experiment does not state is estimated for each sensor from the residuals, and the fit repeated with it.
+    that an experiment does not state is estimated for each sensor from the residuals, and the fit repeated with it. A trial that cannot be
+    simulated is a step rejected.
 
-    Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_BOUNDS, START_OUTSIDE, START_ON_BOUND, NONFINITE_START and those of `simulate`; warns by status.
+    Errors: UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, BAD_BOUNDS, START_OUTSIDE, START_ON_BOUND, NONFINITE_START, FLOAT32 and those of
+    `simulate`; inside jit and vmap NO_NOISE, where noise would have to be estimated. Warns by status, and of FAILED_TRIALS.
+
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
+    >>> times = jnp.linspace(0, 1, 6)
+    >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times)})
+    >>> round(float(fit(model, {"track": track}, free=["spring.stiffness"]).estimates["spring.stiffness"]), 5)  # (2 pi)^2
+    39.47842
     """
     check_precision("fit", model, needs_float64=not allow_float32)
     _check_runs(model, experiments)
-    parameters = _free(model, experiments, list(free))
-    limits = _limits(parameters, bounds or {}, method)
+    parameters = choose(model, experiments, [free] if isinstance(free, str) else list(free))
+    search = _search(method, limits_of(parameters, bounds or {}, method))
     noise, estimated = _first_noise(experiments)
     task = Task(model, dict(experiments), parameters, noise, rtol, solver or diffrax.Dopri8(), max_steps)
     u = jnp.zeros(task.size)
-    if isinstance(method, optimistix.AbstractLeastSquaresSolver):
-        return _fit_inside(task, u, method, max_evaluations)
     if not is_concrete(model, experiments):
-        raise JaxbodyError(
-            Problem(
-                "TRACED",
-                "fit.method",
-                "works on numbers, not inside jit, vmap or grad",
-                method,
-                hint="Use optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8) there.",
-            )
-        )
+        return _fit_traced(task, u, method, max_evaluations, estimated)
     evaluate = Evaluations(task, max_evaluations, progress)
     _check_start(task, *evaluate(u))
-    search = _search(method, limits)
-    for _ in range(5 if estimated else 1):
+    arrived = False
+    for _ in range(ROUNDS if estimated else 1):
         u, arrived = search(evaluate, u)
-        task, changed = _renoised(task, u) if estimated else (task, False)
+        if not estimated:
+            break
+        evaluate.task, changed = _renoised(evaluate.task, evaluate.runs(u))
         if not changed:
             break
-        evaluate.task = task
-    result = _finish(task, u, arrived, evaluate, limits)
+    result = _finish(evaluate, u, arrived, limits_of(parameters, bounds or {}, method))
     warn_if_failed(result)
+    if evaluate.failed > evaluate.count / 2:
+        warn("FAILED_TRIALS", f"{evaluate.failed} of {evaluate.count} trials of the fit could not be simulated")
     return result
 
 
 class Evaluations:
-    """Residual and Jacobian as functions of u, compiled once, counted, and never raising: a trial that fails is infinitely bad."""
+    """Residual and Jacobian as functions of u, compiled once, counted, and never raising: a trial that fails has a residual of NaN."""
 
     def __init__(self, task: Task, most: int, progress: bool):
         self.task, self.most, self.progress = task, most, progress
-        self.count, self.history, self._last = 0, [], None
+        self.count, self.failed, self.history, self._last = 0, 0, [], None
 
     def __call__(self, u) -> tuple[np.ndarray, np.ndarray]:
+        return self._at(u)[:2]
+
+    def runs(self, u) -> Runs:
+        return self._at(u)[2]
+
+    def _at(self, u) -> tuple[np.ndarray, np.ndarray, Runs]:
         key = np.asarray(u).tobytes()
         if self._last is not None and self._last[0] == key and self._last[1] is self.task:
             return self._last[2]
         with jax.disable_jit(False):
-            r, J = (np.asarray(x) for x in _residual_and_jacobian(self.task, jnp.asarray(u)))
-        self.count += 1
+            r, J, runs = _residual_and_jacobian(self.task, jnp.asarray(u))
+        r, J = np.asarray(r), np.asarray(J)
+        bad = not (np.isfinite(r).all() and np.isfinite(J).all())
+        r = np.full_like(r, np.nan) if bad else r
+        self.count, self.failed = self.count + 1, self.failed + bad
         self.history.append(float(0.5 * r @ r))
         if self.progress:
-            print(f"evaluation {self.count}: cost {self.history[-1]:.9g}", flush=True)
-        self._last = (key, self.task, (r, J))
-        return r, J
+            print(f"evaluation {self.count}: " + ("failed" if bad else f"cost {self.history[-1]:.9g}"), flush=True)
+        self._last = (key, self.task, (r, J, runs))
+        return r, J, runs
 
     @property
     def spent(self) -> bool:
@@ -315,8 +343,11 @@ class Evaluations:
 
 
 def _search(method: Any, limits: tuple[np.ndarray, np.ndarray]) -> Callable:
+    """A method as a function of Evaluations and a start, which returns the best u and whether it has arrived."""
     if isinstance(method, str) and method == "least_squares":
         return lambda evaluate, u: _search_scipy(evaluate, u, limits)
+    if isinstance(method, optimistix.AbstractLeastSquaresSolver):
+        return lambda evaluate, u: _search_optimistix(evaluate, u, method)
     if hasattr(method, "init") and hasattr(method, "update"):
         return lambda evaluate, u: _search_optax(evaluate, u, method)
     raise JaxbodyError(
@@ -331,49 +362,76 @@ def _search(method: Any, limits: tuple[np.ndarray, np.ndarray]) -> Callable:
 
 
 def _search_scipy(evaluate: Evaluations, u, limits) -> tuple[Array, bool]:
-    """Bounded least squares; a trial that fails counts as far away."""
+    """Bounded least squares; it takes a residual of NaN for a step too far."""
     from scipy.optimize import least_squares
 
-    worst = 1e3 * max(np.abs(evaluate(u)[0]).max(), 1e-300)
+    left = max(evaluate.most - evaluate.count, 1)
+    found = least_squares(lambda u: evaluate(u)[0], np.asarray(u), lambda u: evaluate(u)[1], limits, x_scale="jac", xtol=1e-11, ftol=1e-15, gtol=1e-15, max_nfev=left)  # fmt: skip
+    return _settled(evaluate, found.x, limits), found.status > 0
 
-    def residual(u):
-        r = evaluate(u)[0]
-        return r if np.isfinite(r).all() else np.full_like(r, worst)
 
-    found = least_squares(residual, np.asarray(u), lambda u: evaluate(u)[1], limits, x_scale="jac", xtol=1e-11, ftol=1e-15, gtol=1e-15, max_nfev=evaluate.most)  # fmt: skip
-    return jnp.asarray(found.x), found.status > 0
+def _settled(evaluate: Evaluations, u, limits) -> Array:
+    """Gauss-Newton steps from where costs, rough by the tolerance of the integration, tell no difference, as long as they get much shorter."""
+    inside = np.all(np.abs(u - np.stack(limits)) > AT_BOUND, axis=0)
+    towards, S, V = _whitened(evaluate(u), inside)
+    while np.linalg.norm(towards) > 0 and not evaluate.spent:
+        new = u.copy()
+        new[inside] -= V @ (towards / S)
+        before, (towards, S, V) = np.linalg.norm(towards), _whitened(evaluate(new), inside)
+        if not np.linalg.norm(towards) < before / 2 or (new < limits[0]).any() or (new > limits[1]).any():
+            break
+        u = new
+    return jnp.asarray(u)
+
+
+def _whitened(found: tuple[np.ndarray, np.ndarray], columns=slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """U'r, S and V of J = U S V', without directions that the data do not know: the Gauss-Newton step is -V S^-1 U'r."""
+    r, J = found
+    if not np.isfinite(r).all():
+        return np.array([np.inf]), np.ones(1), np.zeros((J[:, columns].shape[1], 1))
+    U, S, Vt = np.linalg.svd(J[:, columns], full_matrices=False)
+    known = RANK * S.max(initial=0.0) < S
+    return (U.T @ r)[known], S[known], Vt[known].T
+
+
+def _search_optimistix(evaluate: Evaluations, u, method) -> tuple[Array, bool]:
+    u, status, steps = _solve(evaluate.task, u, method, max(evaluate.most - evaluate.count, 1))
+    evaluate.count += int(steps)
+    return u, int(status) == Status.OK
 
 
 def _search_optax(evaluate: Evaluations, u, optimizer) -> tuple[Array, bool]:
     """The optimizer in whitened coordinates, restarted from the best point until the Gauss-Newton step is small.
 
-    It runs operation by operation on concrete numbers: only the simulations are compiled, and they once."""
+    It runs operation by operation on concrete numbers: only the simulations are compiled, and they once. Near the optimum the integrator's
+    tolerance makes the cost rough; where the optimizer finds nothing worth having any more, Gauss-Newton steps, which do not look at the cost, finish."""
     optimizer = optax.with_extra_args_support(optimizer)
-    reach = 1.0
+    u, reach = np.asarray(u), 1.0
     for _ in range(MOST_RESTARTS):
         r0, J0 = evaluate(u)
         U, S, Vt = np.linalg.svd(J0, full_matrices=False)
         known = RANK * S.max(initial=0.0) < S
-        towards = U.T @ r0
-        step = np.abs(Vt[known].T @ (towards[known] / S[known])).max(initial=0.0)
+        towards = U.T[known] @ r0
+        gauss_newton = -Vt[known].T @ (towards / S[known])
+        step = np.abs(gauss_newton).max(initial=0.0)
         if step <= ARRIVED:
-            return u, True
-        size = reach * np.linalg.norm(towards[known])
-        spread = Vt[known].T * (size / S[known])
-        y = _descend(evaluate, optimizer, np.asarray(u), r0, spread, size)
-        if y is None and step <= NEAR:
-            return u, True
-        if y is None:
-            reach /= 10
-        else:
-            u, reach = jnp.asarray(np.asarray(u) + spread @ y), min(1.0, 10 * reach)
-        if reach < 1e-6 or evaluate.spent:
+            return jnp.asarray(u), True
+        if evaluate.spent or reach < 1e-6:
             break
-    return u, False
+        size = reach * min(1.0, FARTHEST / step) * np.linalg.norm(towards)
+        spread = Vt[known].T * (size / S[known])
+        y = _descend(evaluate, optimizer, u, r0, spread, size)
+        if y is not None:
+            u, reach = u + spread @ y, min(1.0, 10 * reach)
+        elif step < 0.1 and np.linalg.norm(towards) <= ROUGH * np.linalg.norm(r0):
+            u = u + gauss_newton
+        else:
+            reach /= 10
+    return jnp.asarray(u), False
 
 
 def _descend(evaluate: Evaluations, optimizer, u, r0, spread, size) -> np.ndarray | None:
-    """The best y that the optimizer comes to from 0, or None where it found nothing better."""
+    """The best y that the optimizer comes to from 0, or None where it found nothing worth having."""
 
     def value_and_gradient(y):
         r, J = evaluate(u + spread @ np.asarray(y))
@@ -384,28 +442,29 @@ def _descend(evaluate: Evaluations, optimizer, u, r0, spread, size) -> np.ndarra
 
     cost = jax.custom_vjp(lambda y: value_and_gradient(y)[0])
     cost.defvjp(value_and_gradient, lambda gradient, factor: (factor * gradient,))
-    best, lowest, since = None, 0.0, 0
+    best, lowest, found_at, first = None, -WORTH / 2, evaluate.count, None
     with jax.disable_jit():
         y = jnp.zeros(spread.shape[1])
         state = optimizer.init(y)
-        first = None
         for _ in range(MOST_INNER):
             value, gradient = value_and_gradient(y)
-            first = np.linalg.norm(gradient) if first is None else first
-            better = float(value) < lowest
-            best, lowest, since = (np.asarray(y), float(value), 0) if better else (best, lowest, since + 1)
-            if np.linalg.norm(gradient) < 1e-4 * first or since >= PATIENCE or evaluate.spent:
+            slope = float(np.linalg.norm(gradient))
+            first = slope if first is None else first
+            if float(value) < lowest:
+                best, lowest, found_at = np.asarray(y), float(value), evaluate.count
+            if slope < FLAT * first or evaluate.count - found_at > PATIENCE or evaluate.spent:
                 break
             change, state = optimizer.update(gradient, state, y, value=value, grad=gradient, value_fn=cost)
             y = optax.apply_updates(y, change)
     return best
 
 
-def _fit_inside(task: Task, u, method, most: int) -> Fit:
+@eqx.filter_jit
+def _solve(task: Task, u, method, most: int) -> tuple[Array, Array, Array]:
     """By optimistix, in one program: inside jit and vmap too, differentiable in forward mode by the implicit function theorem."""
 
     @jax.custom_jvp
-    def solve(task):
+    def solve(task, u):
         frozen = jax.lax.stop_gradient(task)
         found = optimistix.least_squares(lambda u, _: frozen.residual(u), method, u, options={"jac": "fwd"}, max_steps=most, throw=False)
         failed = found.result != optimistix.RESULTS.successful
@@ -413,42 +472,50 @@ def _fit_inside(task: Task, u, method, most: int) -> Fit:
 
     @solve.defjvp
     def solve_jvp(primals, tangents):
-        u, status, steps = solve(primals[0])
+        task = primals[0]
+        u, status, steps = solve(*primals)
 
         def gradient(task, u):
-            r, J = _residual_and_jacobian(task, u)
+            r, J, _ = _residual_and_jacobian(task, u)
             return J.T @ r
 
-        _, change = jax.jvp(lambda task: gradient(task, u), primals, tangents)
-        H = jax.jacfwd(lambda u: gradient(primals[0], u))(u)
-        zero = np.zeros(jnp.shape(status), jax.dtypes.float0)
-        return (u, status, steps), (
-            -jnp.linalg.solve(jnp.where(status == 0, H, jnp.nan), change),
-            zero,
-            np.zeros(jnp.shape(steps), jax.dtypes.float0),
-        )
+        _, change = jax.jvp(lambda task: gradient(task, u), (task,), tangents[:1])
+        H = jax.jacfwd(lambda u: gradient(task, u))(u)
+        still = [np.zeros(jnp.shape(x), jax.dtypes.float0) for x in (status, steps)]
+        return (u, status, steps), (-jnp.linalg.solve(jnp.where(status == 0, H, jnp.nan), change), *still)
 
-    u, status, steps = solve(task)
-    if not is_concrete(task, u):
-        model, runs = task.scatter(u)
-        r = task.residual(u)
-        return Fit(model, runs, u, 0.5 * r @ r, status, steps, task, None, {}, {}, [])
-    evaluate = Evaluations(task, most, False)
-    evaluate.count = int(steps)
-    result = _finish(task, u, int(status) == 0, evaluate, (np.full(task.size, -np.inf), np.full(task.size, np.inf)))
-    warn_if_failed(result)
-    return result
+    return solve(task, u)
 
 
-def _finish(task: Task, u, arrived: bool, evaluate: Evaluations, limits) -> Fit:
+def _fit_traced(task: Task, u, method, most: int, estimated: bool) -> Fit:
+    """Inside jit, vmap and derivatives, where nothing can be looked at."""
+    if not isinstance(method, optimistix.AbstractLeastSquaresSolver):
+        hint = "Use optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8) there."
+        raise JaxbodyError(Problem("TRACED", "fit.method", "works on numbers, not inside jit, vmap or grad", method, hint=hint))
+    if estimated:
+        hint = "Give every Experiment its noise: how the sensors weigh against each other is estimated outside of jit, vmap and grad only."
+        raise JaxbodyError(Problem("NO_NOISE", "fit.experiments", "do not state the noise of all sensors", hint=hint))
+    u, status, steps = _solve(task, u, method, most)
+    model, experiments = task.scatter(u)
+    r = task.residual(u)
+    return Fit(model, experiments, u, 0.5 * r @ r, status, steps, task, None, {}, {}, [], 0, [])
+
+
+def _finish(evaluate: Evaluations, u, arrived: bool, limits) -> Fit:
+    task = evaluate.task
     r, J = evaluate(u)
-    runs = _runs(task, u)
+    runs = evaluate.runs(u)
     residuals = {run: runs[run][1] for run in task.experiments}
+    present = {run: _present(experiment) for run, experiment in task.experiments.items()}
     labels = [f.leaf.path + label for f in task.free for label in f.form.labels()]
     G = jax.jacfwd(task.values)(u)
-    missing = {run: {name: np.isnan(np.asarray(m)) for name, m in e.measured.items()} for run, e in task.experiments.items()}
-    uncertainty = assess(r, J, [np.asarray(g) for g in G], [f.leaf.path for f in task.free], labels, residuals, missing, RANK)
-    at_bound = bool(np.any(np.isclose(u, limits[0], atol=1e-9)) or np.any(np.isclose(u, limits[1], atol=1e-9)))
+    uncertainty = assess(r, J, [np.asarray(g) for g in G], [f.leaf.path for f in task.free], labels, residuals, present, RANK)
+    at_bound = [
+        f"{label} ({side})"
+        for side, limit in zip(("lower", "upper"), limits, strict=True)
+        for label, near in zip(labels, np.abs(np.asarray(u) - limit) < AT_BOUND, strict=True)
+        if near
+    ]
     status = Status.OK
     if not arrived:
         status = Status.NOT_CONVERGED
@@ -461,49 +528,58 @@ def _finish(task: Task, u, arrived: bool, evaluate: Evaluations, limits) -> Fit:
     model, experiments = task.scatter(u)
     predicted = {run: runs[run][0] for run in task.experiments}
     noise = {
-        run: {name: task.noise[run][name] * _rms(residuals[run][name], missing[run][name]) for name in residuals[run]} for run in residuals
+        run: {name: task.noise[run][name] * _rms(e.sensors[name], [residuals[run][name]], [present[run][name]]) for name in e.sensors}
+        for run, e in task.experiments.items()
     }
-    return Fit(model, experiments, u, jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise, evaluate.history)  # fmt: skip
+    return Fit(model, experiments, u, jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise, evaluate.history, evaluate.failed, at_bound)  # fmt: skip
 
 
-def _rms(r, missing) -> Array:
-    present = np.prod(r.shape) * (1 - np.mean(missing))
-    return jnp.sqrt(jnp.sum(jnp.asarray(r) ** 2) / present)
+def _present(experiment: Experiment) -> dict[str, np.ndarray]:
+    """Which components of the residuals have their samples."""
+    return {name: ~sensor.missing(np.asarray(experiment.measured[name])) for name, sensor in experiment.sensors.items()}
+
+
+def _rms(sensor: Sensor, residuals: list, present: list) -> Array:
+    """Root mean square over all records of a sensor, one number or one for each of its units."""
+    squares = sum(sensor.pooled(jnp.asarray(r) ** 2) for r in residuals)
+    return jnp.sqrt(squares / sum(sensor.pooled(jnp.asarray(there, float)) for there in present))
 
 
 def _first_noise(experiments: dict[str, Experiment]) -> tuple[dict[str, dict[str, Array]], bool]:
-    """Stated noise; without it the standard deviation of each sensor's record, over all runs, and True: it is still to be estimated."""
-    names = {name for e in experiments.values() for name in e.sensors}
+    """Stated noise; without it the standard deviation of each sensor's record, over all runs, and True where it is still to be estimated."""
+    sensors = {name: sensor for e in experiments.values() for name, sensor in e.sensors.items()}
     spread = {}
-    for name in names:
-        records = [e.measured[name] - jnp.nanmean(e.measured[name], axis=0) for e in experiments.values() if name in e.sensors]
-        spread[name] = jnp.sqrt(jnp.nanmean(jnp.concatenate([r.ravel() for r in records]) ** 2))
+    for name, sensor in sensors.items():
+        records = [e.measured[name] for e in experiments.values() if name in e.sensors]
+        middles = [jnp.broadcast_to(jnp.nanmean(m, axis=0), m.shape) for m in records]
+        away = [sensor.residual(middle, m) for middle, m in zip(middles, records, strict=True)]
+        spread[name] = _rms(sensor, away, [~sensor.missing(m) for m in records])
         spread[name] = jnp.where(spread[name] > 0, spread[name], 1.0)
     noise = {run: {name: (e.noise or {}).get(name, spread[name]) for name in e.sensors} for run, e in experiments.items()}
-    stated = all(name in (e.noise or {}) for e in experiments.values() for name in e.sensors)
-    return noise, not stated and len(names) > 1
+    stated = [name in (e.noise or {}) for e in experiments.values() for name in e.sensors]
+    units = sum(np.size(level) for level in spread.values())
+    return noise, not all(stated) and (units > 1 or any(stated))
 
 
-def _renoised(task: Task, u) -> tuple[Task, bool]:
-    """The task with noise as the residuals have it, and whether that changed its proportions by more than 1 %."""
-    runs = _runs(task, u)
-    squares: dict[str, list] = {}
-    for run, (_, residuals) in runs.items():
-        for name, r in residuals.items():
-            present = ~np.isnan(np.asarray(task.experiments[run].measured[name]))
-            squares.setdefault(name, []).append(
-                (float(np.sum((np.asarray(r) * np.asarray(task.noise[run][name])) ** 2)), r.size * present.mean())
-            )
-    rms = {name: np.sqrt(sum(s for s, _ in found) / sum(n for _, n in found)) for name, found in squares.items()}
-    stated = {run: e.noise or {} for run, e in task.experiments.items()}
-    new = {
-        run: {name: stated[run].get(name, jnp.asarray(max(rms[name], 1e-12))) for name in sensors} for run, sensors in task.noise.items()
-    }
-    ratio = np.array([float(new[run][name] / task.noise[run][name]) for run in new for name in new[run]])
-    fitted = np.array([float(rms[name] / task.noise[run][name]) for run in new for name in new[run]])
+def _renoised(task: Task, runs: Runs) -> tuple[Task, bool]:
+    """The task with noise as the residuals have it, and whether that changed its proportions by more than PROPORTION."""
+    found: dict[str, tuple[Sensor, list, list]] = {}
+    for run, experiment in task.experiments.items():
+        for name, there in _present(experiment).items():
+            sensor = experiment.sensors[name]
+            _, residuals, present = found.setdefault(name, (sensor, [], []))
+            residuals.append(runs[run][1][name] * sensor.spread(task.noise[run][name]))
+            present.append(there)
+    rms = {name: jnp.maximum(_rms(*parts), 1e-12) for name, parts in found.items()}
+    new = {run: {name: (e.noise or {}).get(name, rms[name]) for name in e.sensors} for run, e in task.experiments.items()}
+    places = [(run, name) for run in new for name in new[run]]
+    ratio, fitted = (
+        np.concatenate([np.ravel(level(*place) / task.noise[place[0]][place[1]]) for place in places])
+        for level in (lambda run, name: new[run][name], lambda _, name: rms[name])
+    )
     if fitted.max() < 1e-9:  # an exact fit has no noise to weigh by
         return task, False
-    return eqx.tree_at(lambda t: t.noise, task, new), bool(ratio.max() / ratio.min() > 1.01)
+    return eqx.tree_at(lambda t: t.noise, task, new), bool(ratio.max() / ratio.min() > 1 + PROPORTION)
 
 
 def _check_runs(model: Model, experiments: dict[str, Experiment]) -> None:
@@ -520,96 +596,21 @@ def _check_runs(model: Model, experiments: dict[str, Experiment]) -> None:
         experiment.check(model, name)
 
 
-def _free(model: Model, experiments: dict[str, Experiment], patterns: list[str]) -> tuple[Free, ...]:
-    """The free parameters that the patterns mean, each with its parametrization."""
-    problems = Problems()
-    roots = {"": model, **experiments}
-    leaves = [(run, leaf) for run, tree in roots.items() for leaf in leaves_of(tree, f"{run}." if run else "")]
-    owner = {leaf: run for run, leaf in leaves}
-    chosen: list[Leaf] = []
-    for pattern, found in matching(list(owner), patterns, "fit.free").items():
-        for leaf in found:
-            if leaf in chosen:
-                problems.add("LISTED_TWICE", "fit.free", f"names {leaf.path} twice, by '{pattern}' too", value=pattern)
-            else:
-                chosen.append(leaf)
-    if not chosen:
-        problems.add("NOTHING_FREE", "fit.free", "is empty", limit="at least one path")
-    arrays = {run: jax.tree.leaves(tree) for run, tree in roots.items()}
-    size = size_of(model)
-    free = []
-    for leaf in chosen:
-        form = parametrize(leaf.path, leaf.read(arrays[owner[leaf]]), model, size)
-        if isinstance(form, Problem):
-            problems.found.append(form)
-        else:
-            free.append(Free(owner[leaf], leaf, form))
-    problems.raise_if_any()
-    return tuple(free)
-
-
-def _limits(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of u, from bounds of values."""
-    problems = Problems()
-    low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
-    if bounds and method != "least_squares":
-        problems.add("BAD_BOUNDS", "fit.bounds", 'are kept by method="least_squares" only', value=method)
-    by_path = {leaf.path: i for i, leaf in enumerate(f.leaf for f in free)}
-    for pattern, leaves in matching([f.leaf for f in free], bounds, "fit.bounds").items():
-        for leaf in leaves:
-            i = by_path[leaf.path]
-            form, where = free[i].form, f"fit.bounds['{leaf.path}']"
-            start = concrete(form.start)
-            ends = [np.broadcast_to(np.asarray(b, float), form.start.shape) for b in bounds[pattern]]
-            if not isinstance(form, Positive | Shifted):
-                problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
-            elif (ends[0] >= ends[1]).any():
-                problems.add(
-                    "BAD_BOUNDS",
-                    where,
-                    f"has lower {bounds[pattern][0]} >= upper {bounds[pattern][1]}",
-                    value=bounds[pattern],
-                    limit="lower < upper",
-                )
-            elif start is not None and ((start < ends[0]) | (start > ends[1])).any():
-                distance = np.maximum(ends[0] - start, start - ends[1]).max()
-                problems.add(
-                    "START_OUTSIDE",
-                    where,
-                    f"does not hold the start {start}, by {distance:.4g}",
-                    value=start,
-                    limit=f"{bounds[pattern][0]} to {bounds[pattern][1]}",
-                    hint="Move the start or the bound.",
-                )
-            elif isinstance(form, Positive):
-                with np.errstate(divide="ignore"):
-                    low[i], high[i] = (np.log(np.maximum(end, 0.0) / start).ravel() for end in ends)
-            else:
-                low[i], high[i] = (((end - start) / float(form.scale)).ravel() for end in ends)
-    problems.raise_if_any()
-    return np.concatenate(low), np.concatenate(high)
-
-
 def _check_start(task: Task, r: np.ndarray, J: np.ndarray) -> None:
     """The residual must be finite at the start; else say where it is not."""
-    if np.isfinite(r).all() and np.isfinite(J).all():
+    if np.isfinite(r).all():
         return
-    runs = _runs(task, jnp.zeros(task.size))
+    runs = _residual_and_jacobian(task, jnp.zeros(task.size))[2]
     for run, (_, residuals) in runs.items():
         for name, values in residuals.items():
             bad = np.argwhere(~np.isfinite(np.asarray(values)))
             if len(bad):
-                trajectory = task.simulate(task.model, task.experiments[run])
+                told = task.simulate(task.model, task.experiments[run]).report()
                 time = float(task.experiments[run].times[bad[0][0]])
+                where = f", component {bad[0][1]}" if bad.shape[1] > 1 else ""
+                told = f"is not finite from t = {time:.6g} s on{where}, at the start of the fit: {told}"
                 raise JaxbodyError(
-                    Problem(
-                        "NONFINITE_START",
-                        f"{run}.{name}",
-                        f"is not finite from t = {time:.6g} s, component {bad[0][1:].tolist()}, at the start of the fit: {trajectory.report()}",
-                        time,
-                        "finite",
-                        "Start from parameters that can be simulated.",
-                    )
+                    Problem("NONFINITE_START", f"{run}.{name}", told, time, "finite", "Start from parameters that can be simulated.")
                 )
     raise JaxbodyError(
         Problem("NONFINITE_START", "fit", "has derivatives that are not finite at the start", hint="Start from other parameters.")

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxbody.arrays import concrete, device_array, float_array
+from jaxbody.arrays import checked, concrete, device_array
 from jaxbody.errors import Problems
 from jaxbody.models import Model
 
@@ -36,9 +36,18 @@ class Leaf:
         """The last part of the path: "stiffness"."""
         return self.path.rsplit(".", 1)[-1]
 
+    def axis(self, arrays: list[Array]) -> int:
+        """The axis of the rows, after the leading axes of a batch of models."""
+        return arrays[self.array].ndim - 1 - self.rank
+
     def read(self, arrays: list[Array]) -> Array:
         array = arrays[self.array]
         return array if self.row is None else array[(..., self.row, *[slice(None)] * self.rank)]
+
+    def shape(self, arrays: list[Array]) -> tuple[int, ...]:
+        """Of what `read` returns."""
+        shape = arrays[self.array].shape
+        return shape if self.row is None else shape[: self.axis(arrays)] + shape[self.axis(arrays) + 1 :]
 
 
 def numbered(tree: Any) -> Any:
@@ -69,8 +78,10 @@ def _fields(tree: Any) -> list[tuple[str, int]]:
 def matching(leaves: list[Leaf], patterns: Iterable[str], where: str) -> dict[str, list[Leaf]]:
     """The leaves that each pattern means; a pattern that means nothing is an error with the nearest path."""
     problems, found = Problems(), {}
+    by_path = {leaf.path: leaf for leaf in leaves}
     for pattern in patterns:
-        found[pattern] = [leaf for leaf in leaves if fnmatchcase(leaf.path, pattern)]
+        exact = by_path.get(pattern)
+        found[pattern] = [leaf for leaf in leaves if fnmatchcase(leaf.path, str(pattern))] if exact is None else [exact]
         if not found[pattern]:
             paths = [leaf.path for leaf in leaves]
             near = difflib.get_close_matches(str(pattern), paths, 3, 0.5) or paths[:3]
@@ -82,17 +93,28 @@ def matching(leaves: list[Leaf], patterns: Iterable[str], where: str) -> dict[st
 def write(tree: Any, values: dict[Leaf, Any]) -> Any:
     """The tree with new values at leaves."""
     arrays, treedef = jax.tree.flatten(tree)
-    by_array: dict[int, dict[int | None, Any]] = {}
-    for leaf, value in values.items():
-        by_array.setdefault(leaf.array, {})[leaf.row] = value
-    for n, rows in by_array.items():
-        if None in rows:
-            arrays[n] = rows[None]
-        elif len(rows) == arrays[n].shape[0]:
-            arrays[n] = jnp.stack([rows[i] for i in range(len(rows))])
-        else:
-            arrays[n] = arrays[n].at[jnp.array(list(rows))].set(jnp.stack(list(rows.values())))
+    for leaves in by_array(values).values():
+        block = values[leaves[0]] if leaves[0].row is None else jnp.stack([values[leaf] for leaf in leaves], leaves[0].axis(arrays))
+        _put(arrays, leaves, block)
     return jax.tree.unflatten(treedef, arrays)
+
+
+def by_array(leaves: Iterable[Leaf]) -> dict[int, list[Leaf]]:
+    """Leaves that are rows of one array together."""
+    groups: dict[int, list[Leaf]] = {}
+    for leaf in leaves:
+        groups.setdefault(leaf.array, []).append(leaf)
+    return groups
+
+
+def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
+    """Write a block of rows into their array, by one operation for any number of them."""
+    first, rows = leaves[0], [leaf.row for leaf in leaves]
+    if first.row is None or rows == list(range(arrays[first.array].shape[first.axis(arrays)])):
+        arrays[first.array] = block
+    else:
+        where = (*[slice(None)] * first.axis(arrays), np.array(rows))
+        arrays[first.array] = arrays[first.array].at[where].set(block)
 
 
 def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
@@ -110,32 +132,72 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
     """The model or experiment with other values: {path or pattern: value}.
 
     A value has the shape of one leaf, and then serves every match, or one more leading axis with a value for each match, in the order
-    of `paths`. Errors: UNKNOWN_PATH, BAD_SHAPE, NON_FINITE, LISTED_TWICE, all at once.
+    of `paths`. As when a model is built, an axis may have any length, and masses must be positive and quaternions of unit length.
+    Errors, all at once: UNKNOWN_PATH, BAD_SHAPE, NON_FINITE, NOT_A_NUMBER, COMPLEX, LISTED_TWICE, BAD_MASS, ZERO_AXIS, BAD_QUATERNION.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
     >>> float(replace(model, {"*.mass": 3.0})["mass"].mass)
     3.0
     """
-    arrays = jax.tree.leaves(tree)
-    problems, new = Problems(), {}
+    arrays, treedef = jax.tree.flatten(tree)
+    problems, taken = Problems(), set()
+    new: dict[int, list[tuple[list[Leaf], Any]]] = {}
     for pattern, leaves in matching(leaves_of(tree), values, "replace").items():
-        value = float_array(values[pattern], f"replace['{pattern}']")
-        shapes = {leaf.read(arrays).shape for leaf in leaves}
-        one, each = shapes == {value.shape}, all(value.shape == (len(leaves), *shape) for shape in shapes)
-        known = concrete(value)
-        if not (one or each or value.ndim == 0):
-            told = " or ".join(str(shape) for shape in sorted(shapes))
-            problems.add("BAD_SHAPE", f"replace['{pattern}']", f"has shape {value.shape}", value=value.shape, limit=f"{told}, or with a leading {len(leaves)}", hint=f"It means {', '.join(leaf.path for leaf in leaves[:6])}.")  # fmt: skip
+        where = f"replace['{pattern}']"
+        for leaf in leaves:
+            if leaf in taken:
+                problems.add("LISTED_TWICE", where, f"means {leaf.path}, which another pattern means too", value=pattern)
+        taken |= set(leaves)
+        shapes = sorted({leaf.shape(arrays) for leaf in leaves})
+        one = (shapes[0],) if len(shapes) == 1 else ()
+        many = tuple((len(leaves), *shape) for shape in one)
+        told = ", ".join(leaf.path for leaf in leaves[:6]) + (", ..." if len(leaves) > 6 else "")
+        hint = f"It means {told}, of shape {' or '.join(map(str, shapes))}." + ("" if one else " Name those of one shape together.")
+        value = checked(values[pattern], one + many, where, problems, hint)
+        if value is None:
             continue
-        if known is not None and not np.isfinite(known).all():
-            problems.add("NON_FINITE", f"replace['{pattern}']", f"is {known}", value=known, limit="finite")
-        value = device_array(value)
-        for i, leaf in enumerate(leaves):
-            if leaf in new:
-                problems.add("LISTED_TWICE", f"replace['{pattern}']", f"means {leaf.path}, which another pattern means too", value=pattern)
-            new[leaf] = value[i] if each and not one else jnp.broadcast_to(value, leaf.read(arrays).shape)
+        each = value.shape not in one
+        for rows in by_array(leaves).values():
+            block = _block(value, [leaves.index(leaf) for leaf in rows] if each else len(rows), rows[0], arrays)
+            new.setdefault(rows[0].array, []).append((rows, _made(rows[0].field, block, where, problems)))
     problems.raise_if_any()
-    return write(tree, new)
+    for parts in new.values():
+        leaves, blocks = [leaf for rows, _ in parts for leaf in rows], [block for _, block in parts]
+        xp = np if all(isinstance(block, np.ndarray) for block in blocks) else jnp
+        joined = blocks[0] if len(blocks) == 1 else xp.concatenate(blocks, leaves[0].axis(arrays))
+        _put(arrays, leaves, device_array(joined))
+    return jax.tree.unflatten(treedef, arrays)
+
+
+def _block(value: Any, rows: list[int] | int, first: Leaf, arrays: list[Array]) -> Any:
+    """Rows of a value, by their numbers in it or the same one repeated, with the axis of rows where the array has it."""
+    xp = np if isinstance(value, np.ndarray) else jnp
+    if first.row is None:
+        return value if isinstance(rows, int) else value[rows[0]]
+    if isinstance(rows, int):
+        return xp.repeat(xp.expand_dims(value, first.axis(arrays)), rows, first.axis(arrays))
+    return xp.moveaxis(value[np.array(rows)], 0, first.axis(arrays))
+
+
+def _made(field: str, value: Any, where: str, problems: Problems) -> Any:
+    """A value as those who make bodies and joints would have it."""
+    if field == "mass" and (known := concrete(value)) is not None and (known <= 0).any():
+        problems.add("BAD_MASS", where, f"is {known.min():g} kg", value=known, limit="> 0", hint="A mass must be positive.")
+    if field != "axis" and not field.startswith("orientation"):
+        return value
+    known = concrete(value)
+    if known is None:
+        return value / jnp.linalg.norm(value, axis=-1, keepdims=True)
+    length = np.linalg.norm(known, axis=-1, keepdims=True)
+    if field == "axis" and not length.all():
+        problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give a direction.")
+    elif field != "axis" and (np.abs(length - 1) > 1e-3).any():
+        worst = float(length.ravel()[np.argmax(np.abs(length - 1))])
+        hint = "Divide it by its length; the order is w, x, y, z."
+        problems.add("BAD_QUATERNION", where, f"has length {worst:.6g}", value=known, limit="1 within 1e-3", hint=hint)
+    else:
+        return np.where(np.abs(length - 1) < 1e-14, known, known / length)
+    return known
 
 
 def by_name(names: tuple[tuple[str, ...], ...], tables: tuple[Array, ...], axis: int = 0) -> dict[str, Array]:

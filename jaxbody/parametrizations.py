@@ -9,16 +9,22 @@ anything else   x = x0 + s u                          s the largest of |x0|, or 
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.arrays import concrete
-from jaxbody.errors import Problem
+from jaxbody.errors import Problem, Problems
+from jaxbody.experiments import Experiment
 from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model
+from jaxbody.naming import Leaf, leaves_of, matching
+from jaxbody.statics import size_of
 
 POSITIVE = ("stiffness", "damping", "mass")
 
@@ -152,3 +158,81 @@ def parametrize(path: str, start: Array, model: Model, size: Array) -> Parametri
         return Direction(start)
     largest = jnp.max(jnp.abs(start))
     return Shifted(start, jnp.where(largest > 0, largest, size))
+
+
+class Free(eqx.Module):
+    """A free parameter: the run it belongs to ("" for the model), where it is, and how it moves."""
+
+    run: str = eqx.field(static=True)
+    leaf: Leaf = eqx.field(static=True)
+    form: Parametrization
+
+
+def choose(model: Model, experiments: dict[str, Experiment], patterns: list[str]) -> tuple[Free, ...]:
+    """The free parameters that the patterns mean, each with its parametrization."""
+    problems = Problems()
+    roots = {"": model, **experiments}
+    leaves = [(run, leaf) for run, tree in roots.items() for leaf in leaves_of(tree, f"{run}." if run else "")]
+    owner = {leaf: run for run, leaf in leaves}
+    chosen: list[Leaf] = []
+    for pattern, found in matching(list(owner), patterns, "fit.free").items():
+        for leaf in found:
+            if leaf in chosen:
+                problems.add("LISTED_TWICE", "fit.free", f"names {leaf.path} twice, by '{pattern}' too", value=pattern)
+            else:
+                chosen.append(leaf)
+    if not chosen:
+        problems.add("NOTHING_FREE", "fit.free", "is empty", limit="at least one path")
+    arrays = {run: jax.tree.leaves(tree) for run, tree in roots.items()}
+    size = size_of(model)
+    free = []
+    for leaf in chosen:
+        form = parametrize(leaf.path, leaf.read(arrays[owner[leaf]]), model, size)
+        if isinstance(form, Problem):
+            problems.found.append(form)
+        else:
+            free.append(Free(owner[leaf], leaf, form))
+    problems.raise_if_any()
+    return tuple(free)
+
+
+def limits_of(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of u, from bounds of values."""
+    problems = Problems()
+    low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
+    if bounds and not (isinstance(method, str) and method == "least_squares"):
+        problems.add("BAD_BOUNDS", "fit.bounds", 'are kept by method="least_squares" only', value=method)
+    place = {f.leaf: i for i, f in enumerate(free)}
+    for pattern, leaves in matching(list(place), bounds, "fit.bounds").items():
+        for leaf in leaves:
+            i = place[leaf]
+            form, where = free[i].form, f"fit.bounds['{leaf.path}']"
+            ends = _ends(bounds[pattern], form.start.shape)
+            start = np.asarray(form.start)
+            if not isinstance(form, Positive | Shifted):
+                problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
+            elif ends is None:
+                problems.add("BAD_BOUNDS", where, f"is {bounds[pattern]!r:.60}", value=bounds[pattern], limit="(lower, upper)")
+            elif not (ends[0] < ends[1]).all():
+                lower, upper = bounds[pattern]
+                problems.add("BAD_BOUNDS", where, f"has lower {lower} >= upper {upper}", value=(lower, upper), limit="lower < upper")
+            elif ((start < ends[0]) | (start > ends[1])).any():
+                distance = np.maximum(ends[0] - start, start - ends[1]).max()
+                told, limit = f"does not hold the start {start}, by {distance:.4g}", f"{bounds[pattern][0]} to {bounds[pattern][1]}"
+                problems.add("START_OUTSIDE", where, told, value=start, limit=limit, hint="Move the start or the bound.")
+            elif isinstance(form, Positive):
+                with np.errstate(divide="ignore"):
+                    low[i], high[i] = (np.log(np.maximum(end, 0.0) / start).ravel() for end in ends)
+            else:
+                low[i], high[i] = (((end - start) / float(form.scale)).ravel() for end in ends)
+    problems.raise_if_any()
+    return np.concatenate(low), np.concatenate(high)
+
+
+def _ends(pair: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
+    """(lower, upper) as arrays of the shape; None where it is not such a pair."""
+    try:
+        lower, upper = pair
+        return [np.broadcast_to(np.asarray(end, float), shape) for end in (lower, upper)]
+    except (TypeError, ValueError):
+        return None

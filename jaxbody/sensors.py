@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxbody import rotations
+from jaxbody.arrays import checked, concrete
 from jaxbody.bodies import vector
 from jaxbody.elements import Element
 from jaxbody.errors import JaxbodyError, Problem, Problems
@@ -22,7 +23,9 @@ Reading = Float[Array, "*r"]
 
 
 class Sensor(eqx.Module):
-    """The base of all sensors: `reading` of a table of frames, and `residual`, reading less measured."""
+    """The base of all sensors: `reading` of a table of frames, and `residual`, reading less measured.
+
+    `shape` of a reading and `noise_shape` of a residual; `unit` of either, where there are several by commas: noise has a number for each."""
 
     on: eqx.AbstractVar[str]
     shape: ClassVar[tuple[int, ...]]
@@ -32,21 +35,37 @@ class Sensor(eqx.Module):
         raise TypeError  # pragma: no cover
 
     def residual(self, reading: Reading, measured: Reading) -> Float[Array, "*r"]:
-        return reading - measured
+        """Zero where a sample is missing."""
+        return reading - jnp.where(jnp.isnan(measured), reading, measured)
+
+    def missing(self, measured: Any) -> Any:
+        """Which components of a residual lack their sample, being NaN."""
+        return np.isnan(measured) if isinstance(measured, np.ndarray) else jnp.isnan(measured)
 
     def disturbed(self, reading: Reading, noise: Float[Array, "*r"]) -> Reading:
         """A reading with noise on it."""
         return reading + noise
 
+    def spread(self, level: Any) -> Any:
+        """Noise levels, one number or one for each unit, as they belong to the components of a residual."""
+        return level
+
+    def pooled(self, x: Any) -> Any:
+        """The sum of components of residuals of one unit, over time: one number, or one for each unit."""
+        return x.sum()
+
     @property
     def noise_shape(self) -> tuple[int, ...]:
-        """Of a residual."""
         return self.shape
 
     def problem(self, model: Model, where: str) -> Problem | None:
         """What is wrong with it on this model."""
         known = model.layout.frames
         return None if self.on in known else unknown(self.on, where, known)
+
+    def misread(self, measured: np.ndarray, where: str) -> Problem | None:
+        """What is wrong with samples of the right shape."""
+        return None
 
 
 class Position(Sensor):
@@ -79,7 +98,13 @@ class Position(Sensor):
 
 class BodyPose(Sensor):
     """Pose of a body or support: position of its origin [m] and unit quaternion w, x, y, z, seven numbers.
-    The residual has six: position, and rotation vector from the measured to the read orientation, world axes."""
+
+    The residual has six: position, and rotation vector from the measured to the read orientation, world axes. Noise is one number for
+    both, or two: meters on the position, radians on the orientation.
+
+    >>> BodyPose("plate").shape, BodyPose("plate").noise_shape
+    ((7,), (6,))
+    """
 
     on: str = eqx.field(static=True)
     shape = (7,)
@@ -97,17 +122,44 @@ class BodyPose(Sensor):
         return jnp.concatenate([frames.p[row], rotations.from_matrix(frames.R[row])])
 
     def residual(self, reading, measured):
-        conjugate = measured[..., 3:] * jnp.array([1.0, -1, -1, -1])
-        turn = rotations.log_quaternion(rotations.multiply(reading[..., 3:], conjugate))
-        return jnp.concatenate([reading[..., :3] - measured[..., :3], turn], -1)
+        gone = self.missing(measured)
+        p = jnp.where(gone[..., :3], reading[..., :3], measured[..., :3])
+        q = rotations.normalize(jnp.where(gone[..., 3:4], reading[..., 3:], measured[..., 3:]))
+        turn = rotations.log_quaternion(rotations.multiply(reading[..., 3:], q * jnp.array([1.0, -1, -1, -1])))
+        return jnp.concatenate([reading[..., :3] - p, turn], -1)
+
+    def missing(self, measured):
+        gone = super().missing(measured)
+        turn = gone[..., 3:].any(-1, keepdims=True)
+        return (np if isinstance(gone, np.ndarray) else jnp).concatenate([gone[..., :3], turn, turn, turn], -1)
 
     def disturbed(self, reading, noise):
         turned = rotations.multiply(rotations.exp_quaternion(noise[..., 3:]), reading[..., 3:])
         return jnp.concatenate([reading[..., :3] + noise[..., :3], turned], -1)
 
+    def spread(self, level):
+        return jnp.repeat(jnp.broadcast_to(level, (2,)), 3)
+
+    def pooled(self, x):
+        return x.reshape(-1, 2, 3).sum((0, 2))
+
+    def misread(self, measured, where):
+        length = np.linalg.norm(measured[..., 3:], axis=-1)
+        off = np.flatnonzero(np.abs(length - 1) > 1e-3)  # not where it is NaN
+        if not len(off):
+            return None
+        told = f"has a quaternion of length {length[off[0]]:.6g} in row {off[0]}"
+        return Problem(
+            "BAD_QUATERNION", where, told, measured[off[0]], "1 within 1e-3", "Columns: x, y, z, then the quaternion w, x, y, z."
+        )
+
 
 class Elongation(Sensor):
-    """Elongation [m] of a spring, tension positive."""
+    """Elongation [m] of a spring, tension positive.
+
+    >>> Elongation("AB").unit
+    'm'
+    """
 
     on: str = eqx.field(static=True)
     shape = ()
@@ -145,12 +197,33 @@ def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:
         raise JaxbodyError(*found)
 
 
+def noise_levels(sensors: dict[str, Sensor], noise: Any, where: str, problems: Problems, *, zero: bool) -> dict[str, Any]:
+    """{sensor: standard deviation} of one number for all sensors or a dict; what is wrong goes to `problems`. `zero` says if 0 is one."""
+    levels = {}
+    for name, value in (noise if isinstance(noise, dict) else dict.fromkeys(sensors, noise)).items():
+        there = f"{where}['{name}']"
+        if name not in sensors:
+            found = unknown(name, there, tuple(sensors))
+            problems.add(found.code, there, found.message, value=name, hint=found.hint)
+            continue
+        units = sensors[name].unit.count(",") + 1
+        level = checked(value, ((),) if units == 1 else ((), (units,)), there, problems, f"One number [{sensors[name].unit}].")
+        known = None if level is None else concrete(level)
+        if known is not None and ((known < 0).any() or not (zero or known.all())):
+            hint = "" if zero else "Leave noise out to have it estimated."
+            problems.add("BAD_NOISE", there, f"is {known}", value=known, limit=">= 0" if zero else "> 0", hint=hint)
+        if level is not None:
+            levels[name] = level
+    return levels
+
+
 def measure(
     trajectory: Trajectory, sensors: dict[str, Sensor], *, noise: float | dict[str, Any] = 0.0, key: PRNGKeyArray | None = None
 ) -> dict[str, Array]:
     """{sensor: readings (nt, ...)} of a trajectory, with white Gaussian noise of the standard deviation `noise` (one number, or one for each sensor).
 
-    Noise on a pose is in meters on its position and in radians on its orientation. Errors: NO_KEY, BAD_NOISE, UNKNOWN_NAME.
+    Noise on a pose is in meters on its position and in radians on its orientation; it may be two numbers. Leading axes of a batch of
+    trajectories stay. Errors, all at once: WRONG_KIND, UNKNOWN_NAME, BAD_NOISE, BAD_SHAPE, NON_FINITE, NO_KEY.
 
     >>> import jax, jax.numpy as jnp
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, gravity=[0, -9.81, 0])
@@ -159,18 +232,18 @@ def measure(
     (5, 3)
     """
     check_sensors(sensors, trajectory.model, "sensors")
-    levels = {name: noise.get(name, 0.0) if isinstance(noise, dict) else noise for name in sensors}
-    for name, level in levels.items():
-        if not np.isfinite(level) or level < 0:
-            raise JaxbodyError(Problem("BAD_NOISE", f"noise['{name}']", f"is {level}", level, ">= 0, finite"))
+    problems = Problems()
+    levels = noise_levels(sensors, noise, "noise", problems, zero=True)
+    noisy = any(concrete(level) is None or np.any(level) for level in levels.values())
+    if noisy and key is None:
+        problems.add("NO_KEY", "measure.key", "is missing", hint="Noise needs key=jax.random.key(...).")
+    problems.raise_if_any()
     readings = trajectory.at_samples(read, sensors)
-    if not any(levels.values()):
+    if key is None or not noisy:
         return readings
-    if key is None:
-        raise JaxbodyError(Problem("NO_KEY", "measure.key", "is missing", hint="Noise needs key=jax.random.key(...)."))
     keys = dict(zip(sensors, jax.random.split(key, len(sensors)), strict=True))
     lead = trajectory.times.shape
     return {
-        name: sensor.disturbed(readings[name], levels[name] * jax.random.normal(keys[name], (*lead, *sensor.noise_shape)))
+        name: sensor.disturbed(readings[name], sensor.spread(levels.get(name, 0.0)) * jax.random.normal(keys[name], (*lead, *sensor.noise_shape)))
         for name, sensor in sensors.items()
-    }
+    }  # fmt: skip

@@ -32,13 +32,14 @@ class Uncertainty(eqx.Module):
 
 
 def assess(
-    r, J, slopes: list[np.ndarray], paths: list[str], labels: list[str], residuals: dict, missing: dict, tolerance: float
+    r, J, slopes: list[np.ndarray], paths: list[str], labels: list[str], residuals: dict, present: dict, tolerance: float
 ) -> Uncertainty:
     """From residuals r and Jacobian J in u, and the slopes of each leaf in u, what is known how well."""
-    _, S, Vt = np.linalg.svd(J, full_matrices=False)
+    few = np.zeros((max(J.shape[1] - J.shape[0], 0), J.shape[1]))  # fewer residuals than parameters leave directions unknown too
+    _, S, Vt = np.linalg.svd(np.concatenate([J, few]), full_matrices=False)
     known = tolerance * S.max(initial=0.0) < S
     null = Vt[~known].T
-    samples = int(sum((~m).sum() if m.ndim else 1 for run in missing.values() for m in run.values()))
+    samples = int(sum(there.sum() for run in present.values() for there in run.values()))
     s2 = float(r @ r) / max(samples - int(known.sum()), 1)
     covariance = s2 * (Vt[known].T / S[known] ** 2) @ Vt[known]
     errors = {}
@@ -50,7 +51,7 @@ def assess(
         errors[path] = np.where(touched, np.inf, error).reshape(G.shape[:-1])
     columns = np.linalg.norm(J, axis=0)
     still = [label for label, size in zip(labels, columns, strict=True) if size <= STILL * columns.max(initial=0.0)]
-    correlation, significant = lag_one(residuals, missing)
+    correlation, significant = lag_one(residuals, present)
     return Uncertainty(covariance, errors, S, int(known.sum()), in_words(null, labels, still), still, correlation, significant, samples)
 
 
@@ -72,7 +73,7 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
     """The reduced echelon form of the span of rows, by elimination with complete pivoting; rows of noise are dropped."""
     A = rows.copy()
     done: list[int] = []
-    while len(done) < len(A):
+    while A.size and len(done) < len(A):
         left = [i for i in range(len(A)) if i not in done]
         i, j = np.unravel_index(np.argmax(np.abs(A[left])), A[left].shape)
         i = left[i]
@@ -86,18 +87,18 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
     return A[sorted(done)]
 
 
-def lag_one(residuals: dict[str, dict[str, Any]], missing: dict[str, dict[str, np.ndarray]]) -> tuple[float, bool]:
+def lag_one(residuals: dict[str, dict[str, Any]], present: dict[str, dict[str, np.ndarray]]) -> tuple[float, bool]:
     """The lag-one correlation of all residuals, pooled, and whether it is more than chance and CORRELATED."""
     top = bottom = 0.0
     pairs = 0
     for run, sensors in residuals.items():
         for name, values in sensors.items():
             r = np.asarray(values).reshape(len(values), -1)
-            gone = missing[run][name].reshape(len(values), -1).any(1)
-            whole = ~(gone[1:] | gone[:-1])
-            top += float((r[1:] * r[:-1])[whole].sum())
-            bottom += float((r[~gone] ** 2).sum())
-            pairs += int(whole.sum()) * r.shape[1]
+            whole = present[run][name].reshape(len(values), -1).all(1)
+            both = whole[1:] & whole[:-1]
+            top += float((r[1:] * r[:-1])[both].sum())
+            bottom += float((r[whole] ** 2).sum())
+            pairs += int(both.sum()) * r.shape[1]
     if bottom == 0 or pairs == 0:
         return 0.0, False
     correlation = top / bottom
