@@ -36,7 +36,7 @@ class Sensor(eqx.Module):
 
     def residual(self, reading: Reading, measured: Reading) -> Float[Array, "*r"]:
         """Zero where a sample is missing."""
-        return reading - jnp.where(jnp.isnan(measured), reading, measured)
+        return jnp.where(self.missing(measured), 0.0, reading - measured)
 
     def missing(self, measured: Any) -> Any:
         """Which components of a residual lack their sample, being NaN."""
@@ -123,10 +123,9 @@ class BodyPose(Sensor):
 
     def residual(self, reading, measured):
         gone = self.missing(measured)
-        p = jnp.where(gone[..., :3], reading[..., :3], measured[..., :3])
         q = rotations.normalize(jnp.where(gone[..., 3:4], reading[..., 3:], measured[..., 3:]))
         turn = rotations.log_quaternion(rotations.multiply(reading[..., 3:], q * jnp.array([1.0, -1, -1, -1])))
-        return jnp.concatenate([reading[..., :3] - p, turn], -1)
+        return jnp.where(gone, 0.0, jnp.concatenate([reading[..., :3] - measured[..., :3], turn], -1))
 
     def missing(self, measured):
         gone = super().missing(measured)
