@@ -38,9 +38,10 @@ ROUGH = (
     3e-4  # part of the residual that parameters still explain, relative to all of it, below which the roughness of the cost may hide a fall
 )
 FLAT = 0.02  # slope, relative to the first, at which coordinates are whitened anew
+ENOUGH = 0.75  # share of the fall expected one unit away, after which coordinates are whitened anew
 FARTHEST = 0.7  # how far in u the unit of y may lead: a factor of two in what is positive
 RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
-MOST_RESTARTS = 40
+MOST_RESTARTS = 100
 MOST_INNER = 80
 PATIENCE = 25  # evaluations without a better one
 AT_BOUND = 1e-6  # distance in u from a bound that counts as at it
@@ -58,7 +59,7 @@ class Task(eqx.Module):
     experiments: dict[str, Experiment]
     free: tuple[Free, ...]
     noise: dict[str, dict[str, Array]]
-    rtol: float = eqx.field(static=True)
+    rtol: Float[Array, ""]
     solver: diffrax.AbstractSolver
     max_steps: int = eqx.field(static=True)
 
@@ -287,7 +288,7 @@ def fit(
     parameters = choose(model, experiments, [free] if isinstance(free, str) else list(free))
     search = _search(method, limits_of(parameters, bounds or {}, method))
     noise, estimated = _first_noise(experiments)
-    task = Task(model, dict(experiments), parameters, noise, rtol, solver or diffrax.Dopri8(), max_steps)
+    task = Task(model, dict(experiments), parameters, noise, jnp.asarray(rtol), solver or diffrax.Dopri8(), max_steps)
     u = jnp.zeros(task.size)
     if not is_concrete(model, experiments):
         return _fit_traced(task, u, method, max_evaluations, estimated)
@@ -349,7 +350,7 @@ def _search(method: Any, limits: tuple[np.ndarray, np.ndarray]) -> Callable:
     if isinstance(method, optimistix.AbstractLeastSquaresSolver):
         return lambda evaluate, u: _search_optimistix(evaluate, u, method)
     if hasattr(method, "init") and hasattr(method, "update"):
-        return lambda evaluate, u: _search_optax(evaluate, u, method)
+        return lambda evaluate, u: _settled(evaluate, *_search_optax(evaluate, u, method), limits)
     raise JaxbodyError(
         Problem(
             "UNKNOWN_METHOD",
@@ -367,21 +368,22 @@ def _search_scipy(evaluate: Evaluations, u, limits) -> tuple[Array, bool]:
 
     left = max(evaluate.most - evaluate.count, 1)
     found = least_squares(lambda u: evaluate(u)[0], np.asarray(u), lambda u: evaluate(u)[1], limits, x_scale="jac", xtol=1e-11, ftol=1e-15, gtol=1e-15, max_nfev=left)  # fmt: skip
-    return _settled(evaluate, found.x, limits), found.status > 0
+    return _settled(evaluate, found.x, found.status > 0, limits)
 
 
-def _settled(evaluate: Evaluations, u, limits) -> Array:
+def _settled(evaluate: Evaluations, u, arrived: bool, limits) -> tuple[Array, bool]:
     """Gauss-Newton steps from where costs, rough by the tolerance of the integration, tell no difference, as long as they get much shorter."""
+    u = np.asarray(u)
     inside = np.all(np.abs(u - np.stack(limits)) > AT_BOUND, axis=0)
     towards, S, V = _whitened(evaluate(u), inside)
-    while np.linalg.norm(towards) > 0 and not evaluate.spent:
+    while arrived and np.linalg.norm(towards) > 0 and not evaluate.spent:
         new = u.copy()
         new[inside] -= V @ (towards / S)
         before, (towards, S, V) = np.linalg.norm(towards), _whitened(evaluate(new), inside)
         if not np.linalg.norm(towards) < before / 2 or (new < limits[0]).any() or (new > limits[1]).any():
             break
         u = new
-    return jnp.asarray(u)
+    return jnp.asarray(u), arrived
 
 
 def _whitened(found: tuple[np.ndarray, np.ndarray], columns=slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -403,8 +405,8 @@ def _search_optimistix(evaluate: Evaluations, u, method) -> tuple[Array, bool]:
 def _search_optax(evaluate: Evaluations, u, optimizer) -> tuple[Array, bool]:
     """The optimizer in whitened coordinates, restarted from the best point until the Gauss-Newton step is small.
 
-    It runs operation by operation on concrete numbers: only the simulations are compiled, and they once. Near the optimum the integrator's
-    tolerance makes the cost rough; where the optimizer finds nothing worth having any more, Gauss-Newton steps, which do not look at the cost, finish."""
+    It runs operation by operation on concrete numbers: only the simulations are compiled, and they once. Within a hundredth of a standard
+    error or so the integrator's tolerance makes the cost too rough to descend; Gauss-Newton steps, which do not look at it, finish."""
     optimizer = optax.with_extra_args_support(optimizer)
     u, reach = np.asarray(u), 1.0
     for _ in range(MOST_RESTARTS):
@@ -418,19 +420,18 @@ def _search_optax(evaluate: Evaluations, u, optimizer) -> tuple[Array, bool]:
             return jnp.asarray(u), True
         if evaluate.spent or reach < 1e-6:
             break
-        size = reach * min(1.0, FARTHEST / step) * np.linalg.norm(towards)
-        spread = Vt[known].T * (size / S[known])
-        y = _descend(evaluate, optimizer, u, r0, spread, size)
-        if y is not None:
-            u, reach = u + spread @ y, min(1.0, 10 * reach)
-        elif step < 0.1 and np.linalg.norm(towards) <= ROUGH * np.linalg.norm(r0):
+        if step < 0.1 and np.linalg.norm(towards) <= ROUGH * np.linalg.norm(r0):
             u = u + gauss_newton
-        else:
-            reach /= 10
+            continue
+        share = reach * min(1.0, FARTHEST / step)  # of the way to the linearized optimum that is one unit of y
+        size = share * np.linalg.norm(towards)
+        spread = Vt[known].T * (size / S[known])
+        y = _descend(evaluate, optimizer, u, r0, spread, size, enough=-ENOUGH * (1 / share - 0.5))
+        u, reach = (u, reach / 10) if y is None else (u + spread @ y, min(1.0, 10 * reach))
     return jnp.asarray(u), False
 
 
-def _descend(evaluate: Evaluations, optimizer, u, r0, spread, size) -> np.ndarray | None:
+def _descend(evaluate: Evaluations, optimizer, u, r0, spread, size, enough: float) -> np.ndarray | None:
     """The best y that the optimizer comes to from 0, or None where it found nothing worth having."""
 
     def value_and_gradient(y):
@@ -452,7 +453,7 @@ def _descend(evaluate: Evaluations, optimizer, u, r0, spread, size) -> np.ndarra
             first = slope if first is None else first
             if float(value) < lowest:
                 best, lowest, found_at = np.asarray(y), float(value), evaluate.count
-            if slope < FLAT * first or evaluate.count - found_at > PATIENCE or evaluate.spent:
+            if lowest < enough or slope < FLAT * first or evaluate.count - found_at > PATIENCE or evaluate.spent:
                 break
             change, state = optimizer.update(gradient, state, y, value=value, grad=gradient, value_fn=cost)
             y = optax.apply_updates(y, change)
@@ -466,7 +467,11 @@ def _solve(task: Task, u, method, most: int) -> tuple[Array, Array, Array]:
     @jax.custom_jvp
     def solve(task, u):
         frozen = jax.lax.stop_gradient(task)
-        found = optimistix.least_squares(lambda u, _: frozen.residual(u), method, u, options={"jac": "fwd"}, max_steps=most, throw=False)
+        signal = jnp.sqrt(sum(jnp.sum((_away(e, name) / e.sensors[name].spread(frozen.noise[run][name])) ** 2) for run, e in frozen.experiments.items() for name in e.sensors))  # fmt: skip
+        size = jnp.where(signal > 0, signal, 1.0)  # so that residuals are of the order of one, from where such methods set out
+        found = optimistix.least_squares(
+            lambda u, _: frozen.residual(u) / size, method, u, options={"jac": "fwd"}, max_steps=most, throw=False
+        )
         failed = found.result != optimistix.RESULTS.successful
         return found.value, jnp.where(failed, Status.NOT_CONVERGED.value, Status.OK.value), found.stats["num_steps"]
 
@@ -550,15 +555,19 @@ def _first_noise(experiments: dict[str, Experiment]) -> tuple[dict[str, dict[str
     sensors = {name: sensor for e in experiments.values() for name, sensor in e.sensors.items()}
     spread = {}
     for name, sensor in sensors.items():
-        records = [e.measured[name] for e in experiments.values() if name in e.sensors]
-        middles = [jnp.broadcast_to(jnp.nanmean(m, axis=0), m.shape) for m in records]
-        away = [sensor.residual(middle, m) for middle, m in zip(middles, records, strict=True)]
-        spread[name] = _rms(sensor, away, [~sensor.missing(m) for m in records])
+        runs = [e for e in experiments.values() if name in e.sensors]
+        spread[name] = _rms(sensor, [_away(e, name) for e in runs], [~sensor.missing(e.measured[name]) for e in runs])
         spread[name] = jnp.where(spread[name] > 0, spread[name], 1.0)
     noise = {run: {name: (e.noise or {}).get(name, spread[name]) for name in e.sensors} for run, e in experiments.items()}
     stated = [name in (e.noise or {}) for e in experiments.values() for name in e.sensors]
     units = sum(np.size(level) for level in spread.values())
     return noise, not all(stated) and (units > 1 or any(stated))
+
+
+def _away(experiment: Experiment, name: str) -> Array:
+    """Residuals of what would read the mean of a record at all times."""
+    measured = experiment.measured[name]
+    return experiment.sensors[name].residual(jnp.broadcast_to(jnp.nanmean(measured, axis=0), measured.shape), measured)
 
 
 def _renoised(task: Task, runs: Runs) -> tuple[Task, bool]:

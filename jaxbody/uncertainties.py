@@ -63,8 +63,8 @@ def in_words(null: np.ndarray, labels: list[str], still: list[str]) -> list[str]
         parts = [(labels[moving[i]], row[i]) for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) > 0.02 * np.abs(row).max()]
         first = np.sign(parts[0][1])
         words.append(
-            " with ".join(f"{label} {'up' if x * first > 0 else 'down'}" for label, x in parts[:6])
-            + (f" and {len(parts) - 6} more" if len(parts) > 6 else "")
+            " with ".join(f"{label} {'up' if x * first > 0 else 'down'}" for label, x in parts[:8])
+            + (f" and {len(parts) - 8} more" if len(parts) > 8 else "")
         )
     return words
 
