@@ -162,7 +162,8 @@ def _descend(model, q, scale, size, max_steps):
         value = potential(model, Coordinates(model).frames(tried, jnp.zeros_like(scale), _still(model, q.dtype)))
         slope, K = stiffness(model, tried, base=False)
         # below `tiny` the energy's rounding hides its fall
-        accept = jnp.isfinite(value) & ((best[1] - value >= 1e-4 * expected) | tiny | (n == 0))
+        falls = (expected > 0) & (best[1] - value >= 1e-4 * expected)
+        accept = jnp.isfinite(value) & (falls | tiny | (n == 0))
         best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (tried, value, slope * scale, K * scale * scale[:, None]), best)
         shift = jnp.where(accept, jnp.where(shift > 1e-3, shift / 10, 0.0), jnp.maximum(4 * shift, 0.1))
         _, _, slope, K = best
@@ -170,8 +171,7 @@ def _descend(model, q, scale, size, max_steps):
         unit = jnp.where(unit > 0, unit, 1.0)
         y, definite = solve_if_definite(K + (shift + LEAST_SHIFT) * unit * jnp.eye(len(scale), dtype=K.dtype), -slope)
         longest = jnp.max(jnp.abs(y), initial=0.0)
-        y = jnp.where(definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0)
-        shift = jnp.where(definite, shift, jnp.maximum(4 * shift, 0.1))
+        y = jnp.where(definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0)  # else no step, and a larger shift next
         expected = -jnp.sum(y * slope) - 0.5 * jnp.sum(y * jnp.sum(K * y, -1))
         done = definite & accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= TOLERANCE * size)
         tried = Coordinates(model).retract(best[0], scale * y)
