@@ -1,0 +1,147 @@
+"""Results as labelled arrays: each function makes an xarray.Dataset with names, units and coordinates of one result.
+
+xarray is imported here, on first use, and is an extra: `pip install 'jaxbody[xarray]'`. Leading axes of a batch become `sample`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.errors import JaxbodyError, Problem
+
+AXES, QUATERNION = list("xyz"), list("wxyz")
+
+
+def dataset(variables: dict[str, tuple[tuple[str, ...], Any, str]], coordinates: dict[str, Any], kind: str) -> Any:
+    """{name: (dimensions, values, unit)} as a Dataset; values with one axis more than dimensions are a batch of samples."""
+    xarray = _xarray()
+    made = {}
+    for name, (dimensions, values, unit) in variables.items():
+        values = np.asarray(values)
+        if values.ndim == len(dimensions) + 1:
+            dimensions = ("sample", *dimensions)
+        made[name] = xarray.DataArray(values, dims=dimensions, attrs={"units": unit} if unit else {})
+    return xarray.Dataset(made, coords=coordinates, attrs={"title": kind})
+
+
+def trajectory_dataset(trajectory: Any) -> Any:
+    """Of a trajectory over `time`: position and quaternion by `frame`, elongation and force by `spring`, energies, and reactions by `support`."""
+    model, poses, energies = trajectory.model, trajectory.poses, trajectory.energies
+    elongations, forces, reactions = trajectory.elongations, trajectory.forces, trajectory.reactions if model.layout.supports else {}
+    springs = _springs(model)
+    variables = {
+        "position": (("time", "frame", "axis"), _rows([pose.p for pose in poses.values()], -2), "m"),
+        "quaternion": (("time", "frame", "part"), _rows([pose.quaternion for pose in poses.values()], -2), ""),
+        "kinetic_energy": (("time",), energies["kinetic"], "J"),
+        "potential_energy": (("time",), energies["potential"], "J"),
+    }
+    coordinates = {"frame": list(poses), "axis": AXES, "part": QUATERNION}
+    if springs:
+        variables["elongation"] = (("time", "spring"), _rows([elongations[name] for name in springs], -1), "m")
+        variables["force"] = (("time", "spring"), _rows([forces[name] for name in springs], -1), "N")
+        coordinates["spring"] = springs
+    if reactions:
+        variables["reaction_force"] = (("time", "support", "axis"), _rows([force for force, _ in reactions.values()], -2), "N")
+        variables["reaction_moment"] = (("time", "support", "axis"), _rows([moment for _, moment in reactions.values()], -2), "N m")
+        coordinates["support"] = list(reactions)
+    for name in (name for name, e in elongations.items() if name not in springs):
+        variables[f"{name}_deformation"] = (("time", "component"), elongations[name], "m, rad")
+        variables[f"{name}_force"] = (("time", "component"), forces[name], "N, N m")
+    times = np.asarray(trajectory.times)
+    if times.ndim == 1:
+        coordinates["time"] = ("time", times, {"units": "s"})
+    else:
+        variables["times"] = (("time",), times, "s")
+    made = dataset(variables, coordinates, "trajectory")
+    return made.assign(status=(made["kinetic_energy"].dims[:-1], np.asarray(trajectory.status)))
+
+
+def equilibrium_dataset(equilibrium: Any) -> Any:
+    """Of an equilibrium: q by `part`, residual by `coordinate`, elongation by `spring`, energy, status."""
+    layout, springs = equilibrium.model.layout, _springs(equilibrium.model)
+    parts = [f"{name} {i}" for name, kind in zip(layout.bodies, layout.kinds, strict=True) for i in range(kind.nq)]
+    variables = {
+        "q": (("part",), equilibrium.state.q, ""),
+        "residual": (("coordinate",), equilibrium.residual, "N or N m"),
+        "energy": ((), equilibrium.energy, "J"),
+        "stable": ((), equilibrium.stable, ""),
+        "status": ((), equilibrium.status, ""),
+    }
+    coordinates = {"part": parts, "coordinate": list(layout.coordinates)}
+    if springs:
+        variables["elongation"] = (("spring",), _rows([equilibrium.elongations[name] for name in springs], -1), "m")
+        coordinates["spring"] = springs
+    return dataset(variables, coordinates, "equilibrium")
+
+
+def linearization_dataset(lin: Any) -> Any:
+    """M, C, K by `coordinate` and `coordinate_2`, their blocks towards the base by `base`."""
+    own, base = list(lin.coordinates), list(lin.base_coordinates)
+    variables = {}
+    for name, unit in (("M", "kg, kg m, kg m2"), ("C", "N s/m, N s, N m s"), ("K", "N/m, N, N m")):
+        variables[name] = (("coordinate", "coordinate_2"), getattr(lin, name), unit)
+        if base:
+            variables[f"{name}_tilde"] = (("coordinate", "base"), getattr(lin, f"{name}_tilde"), unit)
+            variables[f"{name}_bb"] = (("base", "base_2"), getattr(lin, f"{name}_bb"), unit)
+    coordinates = {"coordinate": own, "coordinate_2": own} | ({"base": base, "base_2": base} if base else {})
+    return dataset(variables | {"status": ((), lin.status, "")}, coordinates, "linearization")
+
+
+def modes_dataset(modes: Any) -> Any:
+    """frequency, damping ratio and shapes by `mode` (from 1) and `coordinate`."""
+    variables = {
+        "frequency": (("mode",), modes.frequency, "Hz"),
+        "damping_ratio": (("mode",), modes.damping_ratio, ""),
+        "eigenvalue": (("mode",), modes.eigenvalues, "rad2/s2"),
+        "shape": (("coordinate", "mode"), modes.shapes, "mass-normalized"),
+        "cluster": (("mode",), modes.cluster, ""),
+        "status": ((), modes.status, ""),
+    }
+    count = np.shape(modes.frequency)[-1]
+    return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(modes.layout.coordinates)}, "modes")
+
+
+def fit_dataset(fit: Any) -> Any:
+    """Of a fit: estimate and standard error by `parameter`, singular values, and `{run}_{sensor}` predicted over `{run}_time`."""
+    names, estimates, errors = [], [], []
+    for path, value in fit.estimates.items():
+        value = np.asarray(value)
+        names += [path] if value.ndim == 0 else [path + str(list(i)).replace(" ", "") for i in np.ndindex(value.shape)]
+        estimates += value.ravel().tolist()
+        errors += np.asarray(fit.standard_errors[path]).ravel().tolist()
+    variables: dict[str, tuple[tuple[str, ...], Any, str]] = {
+        "estimate": (("parameter",), estimates, ""),
+        "standard_error": (("parameter",), errors, ""),
+        "singular_value": (("direction",), fit.singular_values, ""),
+        "status": ((), fit.status, ""),
+    }
+    coordinates: dict[str, Any] = {"parameter": names}
+    for run, sensors in fit.predicted.items():
+        experiment = fit.experiments[run]
+        coordinates[f"{run}_time"] = (f"{run}_time", np.asarray(experiment.times), {"units": "s"})
+        for sensor, values in sensors.items():
+            columns = (f"{run}_{sensor}_component",) * (np.ndim(values) - 1)
+            unit = experiment.sensors[sensor].unit
+            variables[f"{run}_{sensor}_predicted"] = ((f"{run}_time", *columns), values, unit)
+            variables[f"{run}_{sensor}_measured"] = ((f"{run}_time", *columns), experiment.measured[sensor], unit)
+    return dataset(variables, coordinates, "fit")
+
+
+def _springs(model: Any) -> list[str]:
+    """Elements whose deformation is one number."""
+    return [name for table in model.elements if hasattr(table.rows, "free_length") for name in table.names]
+
+
+def _rows(arrays: list[Any], axis: int) -> np.ndarray:
+    return np.stack([np.asarray(array) for array in arrays], axis)
+
+
+def _xarray() -> Any:
+    try:
+        import xarray
+    except ImportError:
+        hint = "Install it: pip install 'jaxbody[xarray]'."
+        raise JaxbodyError(Problem("MISSING_EXTRA", "to_xarray", "needs xarray, which is not installed.", "xarray", hint=hint)) from None
+    return xarray
