@@ -174,8 +174,8 @@ def _matrix_of(array):
     return (array[:, None, None] * unit[: array.shape[0]]).sum(0)
 
 
-def warn_of_tiny(names: tuple[str, ...], masses: np.ndarray) -> None:
-    """TINY_MASS: a mass below 1e-12 of the largest makes the motion stiff."""
-    for name, mass in zip(names, masses, strict=True):
-        if mass < 1e-12 * masses.max():
-            warn("TINY_MASS", f"mass of '{name}' is {mass:g} kg, {mass / masses.max():.1g} of the largest: its motion will be stiff")
+def warn_of_tiny(names: tuple[str, ...], sizes: np.ndarray, what: str = "mass", unit: str = "kg") -> None:
+    """TINY_MASS: a mass, or an inertia, below 1e-12 of the largest makes the motion stiff."""
+    for name, size in zip(names, sizes, strict=True):
+        if size < 1e-12 * sizes.max():
+            warn("TINY_MASS", f"{what} of '{name}' is {size:.3g} {unit}, {size / sizes.max():.1g} of the largest: its motion will be stiff")

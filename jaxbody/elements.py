@@ -19,7 +19,7 @@ from jaxbody.arrays import concrete, float_array
 from jaxbody.bodies import IDENTITY, as_quaternion, scalar, shaped, vector
 from jaxbody.errors import Problems
 from jaxbody.frames import Frame, Pose
-from jaxbody.rotations import cross, dot, rotate
+from jaxbody.rotations import cross, dot, product, rotate, rotate_back
 
 Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about the frame's origin, world axes
 
@@ -163,11 +163,10 @@ class Bushing(Element):
         problems.raise_if_any()
 
     def deformation(self, A, B):
-        end_A = A @ Pose(self.a, rotations.matrix(self.orientation))
-        end_B = B @ Pose(self.b, rotations.matrix(self.orientation_b))
-        relative = end_A.inverse() @ end_B
-        theta = rotations.log(relative.R)
-        return jnp.concatenate([rotate(rotations.inverse_left_jacobian(theta), relative.p), theta])
+        R_A, R_B = product(A.R, rotations.matrix(self.orientation)), product(B.R, rotations.matrix(self.orientation_b))
+        p = rotate_back(R_A, (B.p - A.p) + (rotate(B.R, self.b) - rotate(A.R, self.a)))
+        theta = rotations.log_below_half_turn(product(jnp.swapaxes(R_A, -1, -2), R_B))
+        return jnp.concatenate([rotations.inverse_left_jacobian(theta, p), theta])
 
     def energy(self, e):
         return 0.5 * jnp.sum(e * _times(self.stiffness, e))

@@ -39,6 +39,7 @@ ROUGH = (
 )
 FLAT = 0.02  # slope, relative to the first, at which coordinates are whitened anew
 ENOUGH = 0.75  # share of the fall expected one unit away, after which coordinates are whitened anew
+NEAR = 1e-4  # largest Gauss-Newton step in u from where such steps finish
 FARTHEST = 0.7  # how far in u the unit of y may lead: a factor of two in what is positive
 RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
 MOST_RESTARTS = 100
@@ -362,12 +363,30 @@ def _search(method: Any, limits: tuple[np.ndarray, np.ndarray]) -> Callable:
     )
 
 
+class _Near(Exception):
+    """The Gauss-Newton step from u is so short that it may finish the search."""
+
+    def __init__(self, u: np.ndarray):
+        self.u = u
+
+
 def _search_scipy(evaluate: Evaluations, u, limits) -> tuple[Array, bool]:
-    """Bounded least squares; it takes a residual of NaN for a step too far."""
+    """Bounded least squares, to where Gauss-Newton steps finish; it takes a residual of NaN for a step too far."""
     from scipy.optimize import least_squares
 
     left = max(evaluate.most - evaluate.count, 1)
-    found = least_squares(lambda u: evaluate(u)[0], np.asarray(u), lambda u: evaluate(u)[1], limits, x_scale="jac", xtol=1e-11, ftol=1e-15, gtol=1e-15, max_nfev=left)  # fmt: skip
+    size = np.linalg.norm(evaluate(u)[0]) or 1.0  # so that its first region of trust is one of u, not of noise
+
+    def jacobian(u):
+        towards, S, V = _whitened(evaluate(u))
+        if np.abs(V @ (towards / S)).max(initial=0.0) <= NEAR and (limits[0] < u).all() and (u < limits[1]).all():
+            raise _Near(u)
+        return evaluate(u)[1] / size
+
+    try:
+        found = least_squares(lambda u: evaluate(u)[0] / size, np.asarray(u), jacobian, limits, x_scale="jac", xtol=1e-11, ftol=1e-15, gtol=1e-15, max_nfev=left)  # fmt: skip
+    except _Near as near:
+        return _settled(evaluate, near.u, True, limits)
     return _settled(evaluate, found.x, found.status > 0, limits)
 
 
@@ -469,9 +488,17 @@ def _solve(task: Task, u, method, most: int) -> tuple[Array, Array, Array]:
         frozen = jax.lax.stop_gradient(task)
         signal = jnp.sqrt(sum(jnp.sum((_away(e, name) / e.sensors[name].spread(frozen.noise[run][name])) ** 2) for run, e in frozen.experiments.items() for name in e.sensors))  # fmt: skip
         size = jnp.where(signal > 0, signal, 1.0)  # so that residuals are of the order of one, from where such methods set out
-        found = optimistix.least_squares(
-            lambda u, _: frozen.residual(u) / size, method, u, options={"jac": "fwd"}, max_steps=most, throw=False
-        )
+
+        @jax.custom_jvp
+        def residual(u):
+            return _residual_and_jacobian(frozen, u)[0] / size
+
+        @residual.defjvp
+        def residual_jvp(primals, tangents):  # a loop linearized by itself would run twice
+            r, J, _ = _residual_and_jacobian(frozen, primals[0])
+            return r / size, J @ tangents[0] / size
+
+        found = optimistix.least_squares(lambda u, _: residual(u), method, u, options={"jac": "fwd"}, max_steps=most, throw=False)
         failed = found.result != optimistix.RESULTS.successful
         return found.value, jnp.where(failed, Status.NOT_CONVERGED.value, Status.OK.value), found.stats["num_steps"]
 
@@ -480,12 +507,14 @@ def _solve(task: Task, u, method, most: int) -> tuple[Array, Array, Array]:
         task = primals[0]
         u, status, steps = solve(*primals)
 
-        def gradient(task, u):
-            r, J, _ = _residual_and_jacobian(task, u)
+        def gradient(along):
+            """Of the cost, u moved and the task moved along its tangent; one program for both derivatives."""
+            moved = jax.tree.map(lambda x, dx: x if dx.dtype == jax.dtypes.float0 else x + along[-1] * dx, task, tangents[0])
+            r, J, _ = _residual_and_jacobian(moved, u + along[:-1])
             return J.T @ r
 
-        _, change = jax.jvp(lambda task: gradient(task, u), (task,), tangents[:1])
-        H = jax.jacfwd(lambda u: gradient(task, u))(u)
+        slopes = jax.jacfwd(gradient)(jnp.zeros(task.size + 1))
+        H, change = slopes[:, :-1], slopes[:, -1]
         still = [np.zeros(jnp.shape(x), jax.dtypes.float0) for x in (status, steps)]
         return (u, status, steps), (-jnp.linalg.solve(jnp.where(status == 0, H, jnp.nan), change), *still)
 

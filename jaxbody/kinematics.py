@@ -111,3 +111,16 @@ def _joint_frame(joint, q, v, parent: Frame, rest: Pose):
     w = parent.w + jnp.sum(v[:, None] * angular, 0)
     velocity = parent.v + cross(parent.w, pose.p - parent.p) + jnp.sum(v[:, None] * linear, 0)
     return Frame(pose.p, pose.R, velocity, w), (linear, angular)
+
+
+@eqx.filter_jit
+def retract(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
+    """q (+) Delta: the coordinates after small displacements Delta, one for each speed; of a free body its displacement [m] and
+    rotation vector [rad], world axes.
+
+    >>> import jax.numpy as jnp
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
+    >>> retract(model, model.reference.q, jnp.array([0.1, 0, 0, 0, 0, 0])).tolist()
+    [0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
+    """
+    return Coordinates(model).retract(q, delta)

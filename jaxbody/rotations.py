@@ -149,15 +149,22 @@ def log(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
     return log_quaternion(from_matrix(R))
 
 
-def inverse_left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """The inverse of `left_jacobian`, I - [phi]/2 + (1 - (t/2) cot(t/2))/t^2 [phi]^2."""
+def log_below_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
+    """`log` for turns of less than pi, at a third of its price: w = sqrt(1 + tr R)/2, (x, y, z) from the skew part over 4 w."""
+    w = jnp.sqrt(jnp.maximum(1 + R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2], 1e-30))[..., None] / 2
+    skew_part = jnp.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    return log_quaternion(jnp.concatenate([w, skew_part / (4 * w)], -1))
+
+
+def inverse_left_jacobian(phi: Float[Array, "*n 3"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """J^-1 a for the J of `left_jacobian`: a - phi x a/2 + (1 - (t/2) cot(t/2))/t^2 phi x (phi x a)."""
     x = dot(phi, phi)
     small = x < 1.0
     near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
     t = jnp.sqrt(far)
     c = jnp.where(small, polynomial(COTC, near), (1 - t / 2 / jnp.tan(t / 2)) / far)
-    P = skew(phi)
-    return jnp.eye(3, dtype=P.dtype) - P / 2 + c[..., None, None] * product(P, P)
+    turned = cross(phi, a)
+    return a - turned / 2 + c[..., None] * cross(phi, turned)
 
 
 def multiply(p: Float[Array, "*n 4"], q: Float[Array, "*n 4"]) -> Float[Array, "*n 4"]:

@@ -122,12 +122,11 @@ def test_a_spline_converges_with_the_fourth_order():
     t = np.linspace(0, 2, 1001)
     exact = np.sin(3 * t + 1), 3 * np.cos(3 * t + 1), -9 * np.sin(3 * t + 1)
     errors = []
-    for n in (25, 50, 100):
+    for n in (50, 100):
         times = np.linspace(0, 2, n + 1)
         motion = jb.Sampled(times, translation=np.sin(3 * times + 1)[:, None] * [1, 0, 0])
         errors.append([np.abs(x[:, 0] - y).max() for x, y in zip(with_derivatives(motion, t), exact, strict=True)])
-    orders = np.polyfit(np.log([1, 1 / 2, 1 / 4]), np.log(errors), 1)[0]
-    assert np.abs(orders - [4, 3, 2]).max() <= 0.2
+    assert np.abs(np.log2(np.divide(*errors)) - [4, 3, 2]).max() <= 0.2
 
 
 @pytest.mark.parametrize("times", [0.02 * np.arange(1560), np.cumsum(RNG.uniform(0.01, 0.03, size=1500))], ids=["even", "uneven"])

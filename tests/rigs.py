@@ -1,0 +1,112 @@
+"""Rigs that several test files share, so that what they need is compiled once: a body on a spring, a plate on springs, an arm and a box."""
+
+import jax.numpy as jnp
+import numpy as np
+
+import jaxbody as jb
+
+
+def hung(body, to=(0, 0, 0), gravity=(0, 0, 0), at=(0, 0, 0), **spring):
+    """A body on one spring, from its point `at` to a point of the world."""
+    return jb.Model(bodies={"body": body}, elements={"spring": jb.Spring(("body", at), ("world", to), **spring)}, gravity=gravity)
+
+
+CORNERS = np.array([[0.4, 0.3, 0.05], [-0.4, 0.3, 0.05], [-0.35, -0.3, 0.05], [0.45, -0.3, 0.05], [0.02, -0.03, -0.05]])
+ON_BASE = np.array([[0.6, 0.5, 1.0], [-0.6, 0.5, 1.05], [-0.6, -0.4, 0.95], [0.6, -0.5, 1.0], [0.0, 0.05, -1.0]])
+
+
+def plate(*, damping=0.0, position=(0, 0, 0), orientation=(1, 0, 0, 0), base=None, gravity=(0, 0, -9.81)):
+    """A free plate, centre of mass off O and unequal moments, hung on four springs from a base and held by a fifth from below."""
+    springs = {
+        f"s{i}": jb.Spring(
+            ("plate", a), ("base", b), stiffness=200.0 + 30 * i, free_length=0.75 + 0.03 * i, damping=damping * (1 + 0.1 * i)
+        )
+        for i, (a, b) in enumerate(zip(CORNERS, ON_BASE, strict=True))
+    }
+    body = jb.Body(mass=6.0, inertia=[0.25, 0.35, 0.55], com=[0.05, -0.03, 0.02], position=position, orientation=orientation)
+    return jb.Model(bodies={"plate": body}, supports={"base": base or jb.Support()}, elements=springs, gravity=gravity)
+
+
+PARAMETERS = {
+    "mass": np.array([2.0, 0.8]),
+    "com": np.array([[0.05, -0.02, 0.03], [0.2, 0.02, -0.03]]),
+    "inertia": np.array([[0.10, 0.16, 0.20, 0.01, -0.02, 0.015], [0.02, 0.05, 0.06, 0.002, 0.003, -0.004]]),
+    "a": np.array([[0.3, 0.25, 0.1], [-0.3, 0.25, 0.12], [0.02, -0.3, 0.1], [0.25, -0.05, -0.15], [0.35, 0.02, 0.03]]),
+    "b": np.array([[0.5, 0.4, 1.0], [-0.45, 0.5, 0.9], [0.1, -0.6, 1.1], [0.3, 0.1, 0.02], [0.8, 0.3, 0.6]]),
+    "stiffness": np.array([120.0, 150.0, 135.0, 60.0, 90.0]),
+    "free_length": np.array([0.75, 0.7, 0.8, 0.2, 0.5]),
+    "damping": np.array([1.0, 0.8, 1.2, 0.5, 0.7]),
+    "gravity": np.array([0.5, -0.3, -9.7]),
+    "axis": np.array([0.2, 1.0, -0.1]),
+    "at": np.array([0.1, 0.05, -0.6]),
+    "position": np.array([0.2, -0.1, 0.4]),
+    "orientation": np.array([0.95, 0.1, -0.2, 0.15]),
+}
+MOUNT = {
+    "stiffness": np.diag([30.0, 40.0, 50.0, 4.0, 5.0, 6.0]) + 0.7,
+    "damping": np.diag([0.3, 0.4, 0.5, 0.04, 0.05, 0.06]) + 0.01,
+    "orientation": np.array([0.9, 0.3, 0.1, -0.2]),
+}
+SHAKING = {
+    "frequency": np.array([1.1, 0.9, 1.3, 0.7, 1.0, 0.8]),
+    "translation": np.array([0.02, -0.015, 0.01]),
+    "rotation": np.array([0.03, 0.02, -0.04]),
+    "translation_phase": np.array([0.1, 0.9, 2.0]),
+    "rotation_phase": np.array([-0.5, 1.5, 0.3]),
+}
+
+
+def unit(x):
+    """x / |x|, also while it is traced."""
+    return x / (jnp if hasattr(x, "aval") else np).sqrt((x * x).sum())
+
+
+def rig(parameters=PARAMETERS, mount=None):
+    """A free box on springs of a base and an arm on a hinge of the base, tied by a spring (and a bushing); nothing symmetric, centres of
+    mass off O."""
+    p = parameters
+    ends = [("box", "base"), ("box", "base"), ("box", "base"), ("box", "arm"), ("arm", "base")]
+    elements = {
+        f"s{i}": jb.Spring(
+            (one, p["a"][i]), (other, p["b"][i]), stiffness=p["stiffness"][i], free_length=p["free_length"][i], damping=p["damping"][i]
+        )
+        for i, (one, other) in enumerate(ends)
+    }
+    if mount is not None:
+        ends = ("box", [0.1, 0.05, -0.1]), ("arm", [0.3, 0.0, 0.3])
+        elements["mount"] = jb.Bushing(*ends, **{**mount, "orientation": unit(mount["orientation"])})
+    return jb.Model(
+        bodies={
+            "box": jb.Body(mass=p["mass"][0], inertia=p["inertia"][0], com=p["com"][0], position=[0.2, -0.1, 0.4]),
+            "arm": jb.Body(mass=p["mass"][1], inertia=p["inertia"][1], com=p["com"][1], position=[0.1, -0.1, -0.2]),
+        },
+        supports={"base": jb.Support(position=p["position"], orientation=unit(p["orientation"]))},
+        joints={"arm": jb.Hinge("base", axis=p["axis"], at=p["at"])},
+        elements=elements,
+        gravity=p["gravity"],
+    )
+
+
+def apart(found, expected):
+    """The largest absolute difference."""
+    assert np.shape(found) == np.shape(expected)
+    return np.abs(np.asarray(found) - np.asarray(expected)).max()
+
+
+def turned(q):
+    """Rotation matrices of unit quaternions w, x, y, z, written out."""
+    w, x, y, z = np.moveaxis(np.asarray(q), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def rodrigues(phi):
+    """exp([phi]) by Rodrigues' formula; analytic, so that complex steps go through it."""
+    angle = np.sqrt((phi * phi).sum())
+    x, y, z = phi / angle
+    n = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * n + (1 - np.cos(angle)) * n @ n

@@ -1,0 +1,121 @@
+"""The project keeps its own rules: files in layers, each with one idea, imports without side effects, examples in docstrings that run."""
+
+import ast
+import doctest
+import importlib
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import jaxbody as jb
+
+PACKAGE = Path(jb.__file__).parent
+
+# From the ground up; a module imports only from modules before it.
+ROWS = (
+    "errors tables results arrays exports",
+    "rotations frames linear_solves",
+    "motions bodies joints elements storage models naming checks",
+    "kinematics mechanics dynamics derivatives",
+    "statics linearizations vibrations simulations",
+    "sensors experiments parametrizations uncertainties identification",
+    "plots demos",
+)
+LAYERS = " ".join(ROWS).split()
+
+MODULES = sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem != "__init__")
+EXPORTED = sorted(name for name, value in vars(jb).items() if not name.startswith("_") and not inspect.ismodule(value))
+
+
+def tree_of(module: str) -> ast.Module:
+    return ast.parse((PACKAGE / f"{module}.py").read_text())
+
+
+def imported_modules(tree: ast.AST) -> set[str]:
+    """Modules of this package that a file imports, anywhere in it."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module == "jaxbody":
+            found |= {alias.name if alias.name in MODULES else "__init__" for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and (node.module or "").startswith("jaxbody."):
+            found.add((node.module or "").split(".")[1])
+        elif isinstance(node, ast.ImportFrom) and node.level:
+            found.add("a relative import")
+        elif isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[2] or "__init__" for alias in node.names if alias.name.split(".")[0] == "jaxbody"}
+    return found
+
+
+def test_every_module_has_its_layer():
+    assert len(set(LAYERS)) == len(LAYERS)
+    assert sorted(set(MODULES) - set(LAYERS)) == [], "give new modules their place in LAYERS"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_imports_go_down_only(module):
+    allowed = {"__init__"} if module == "demos" else set()  # the first command uses the library as its users do
+    allowed |= set(LAYERS[: LAYERS.index(module)])
+    assert sorted(imported_modules(tree_of(module)) - allowed) == []
+
+
+def test_an_upward_import_would_be_found():
+    source = "def f():\n    from jaxbody.simulations import simulate\n\nimport jaxbody\nfrom jaxbody import statics\nfrom . import x\n"
+    assert imported_modules(ast.parse(source)) == {"simulations", "__init__", "statics", "a relative import"}
+
+
+@pytest.mark.parametrize("module", ["__init__", *MODULES])
+def test_the_first_line_of_a_module_is_its_idea(module):
+    first = (PACKAGE / f"{module}.py").read_text().splitlines()[0]
+    assert first.startswith('"""') and len(first) > 20 and len(first) <= 140
+
+
+@pytest.mark.parametrize("module", ["__init__", *MODULES])
+def test_nothing_is_evaluated_executed_or_unpickled(module):
+    forbidden = {"eval", "exec", "compile", "__import__"}
+    for node in ast.walk(tree_of(module)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in forbidden, f"{module}.py:{node.lineno}"
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = {alias.name.split(".")[0] for alias in node.names} | {(getattr(node, "module", None) or "").split(".")[0]}
+            assert not names & {"pickle", "dill", "cloudpickle", "marshal", "shelve"}, f"{module}.py:{node.lineno}"
+
+
+IMPORT_ALONE = """
+import sys
+import jax
+from jax._src import xla_bridge
+import jaxbody
+print(jax.config.jax_enable_x64, xla_bridge.backends_are_initialized())
+print(*sorted({"matplotlib", "scipy.optimize", "xarray", "pandas"} & set(sys.modules)))
+"""
+
+
+def test_import_has_no_side_effects():
+    """Precision stays as it was, no array is made (JAX has not even looked for devices), nothing slow is imported that may not be needed."""
+    done = subprocess.run([sys.executable, "-c", IMPORT_ALONE], capture_output=True, text=True, timeout=300)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == "False False\n\n"
+
+
+@pytest.mark.parametrize("name", EXPORTED)
+def test_everything_public_is_explained_by_an_example(name):
+    thing = getattr(jb, name)
+    assert callable(thing) and inspect.getdoc(thing), name
+    assert doctest.DocTestParser().get_examples(thing.__doc__ or ""), f"{name} has no >>> example"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_examples_in_docstrings_run(module):
+    """With jb, jax, jnp and the public names at hand."""
+    imported = importlib.import_module(f"jaxbody.{module}")
+    names = {name: getattr(jb, name) for name in EXPORTED} | {"jb": jb, "jax": jax, "jnp": jnp}
+    runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
+    told: list[str] = []
+    for test in doctest.DocTestFinder(exclude_empty=True).find(imported, module, extraglobs=names):
+        runner.run(test, out=told.append)
+    assert runner.summarize(verbose=False).failed == 0, "".join(told)
