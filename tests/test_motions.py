@@ -138,7 +138,6 @@ def test_accelerations_are_integrated_exactly(rng, times):
     exact = line.antiderivative(2)(t) + x0 + v0 * (t - times[0])[:, None], line.antiderivative(1)(t) + v0, line(t)
     motion = jb.Sampled.from_accelerations(times, translation=m[:, :3], rotation=m[:, 3:], initial_position=x0, initial_velocity=v0)
     for found, right, limit in zip(with_derivatives(motion, t), exact, (1e-12, 1e-12, 1e-12), strict=True):
-        print(worst(found, right))
         assert worst(found, right) <= limit
 
 

@@ -106,7 +106,6 @@ def test_derivatives_to_the_fourth_are_exact_from_zero_to_three_turns(mode):
     exact, size = exact_potential(), np.abs(DIRECTIONS).sum(1)
     for n, value in enumerate(over_all(reverse if mode.startswith("reverse") else along(potential), np.concatenate([SWEEP, LARGE]))):
         error = np.abs(value - exact[n]) / size**n / max(1, np.abs(exact[n] / size**n).max())
-        print(mode, n, error.max())
         assert error.max() <= LIMITS[n], n
 
 
@@ -117,7 +116,6 @@ def test_log_undoes_exp_with_all_derivatives_to_the_fourth():
     exact = [DIRECTIONS + 0 * points[:, None], 0, 0, 0]
     assert np.abs(value - points[:, None]).max() <= 1e-15
     for n, (value, right) in enumerate(zip(derivatives, exact, strict=True), 1):
-        print(n, np.abs(value - right).max())
         assert np.abs(value - right).max() <= LIMITS[n], n
 
 
