@@ -8,6 +8,7 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from jaxbody.errors import JaxbodyError, Problem, Problems
 
@@ -17,7 +18,7 @@ def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
 
     NumPy, not JAX: building a model then touches no device and does not depend on the x64 switch.
     """
-    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(value))
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(float), np.nan)  # a gap, not the number behind the mask
     try:
@@ -73,4 +74,4 @@ def stack(rows: list[Any]) -> jax.Array:
 
 def concrete(value: Any) -> np.ndarray | None:
     """The value in NumPy where it may be looked at, else None (while it is being traced)."""
-    return None if isinstance(value, jax.core.Tracer) else np.asarray(value)
+    return None if isinstance(value, Tracer) else np.asarray(value)

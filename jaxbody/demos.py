@@ -91,7 +91,7 @@ def run(out: Path, seed: int, ahead: ThreadPoolExecutor) -> int:
     measured = jb.measure(trajectory, sensors, noise=NOISE, key=jax.random.key(seed))
     experiment = jb.Experiment(times, motion=motion, initial=eq.state, sensors=sensors, measured=measured)
     guess = jb.replace(plate, {"*.stiffness": 1.3 * jnp.array([k, k, kt])})
-    pending = ahead.submit(jb.fit, guess, {"run": experiment}, free=["*.stiffness"], method=optax.lbfgs())
+    pending = ahead.submit(jb.fit, guess, {"run1": experiment}, free=["*.stiffness"], method=optax.lbfgs())
     figures.append(draw_motion(trajectory, out))
     fit = pending.result()
     figures.append(draw_fit(fit, out))
@@ -170,12 +170,12 @@ def compare_stiffnesses(fit: Any, truth: dict[str, float]) -> bool:
     return good
 
 
-def figure(width: float, height: float, *shape: int) -> tuple[Any, Any]:
-    """A figure of its own, without a window or a global state."""
+def figure(width: float, height: float, rows: int, columns: int, **ratios: Any) -> tuple[Any, Any]:
+    """A figure of its own, without a window or a global state, and its axes."""
     from matplotlib.figure import Figure
 
     made = Figure(figsize=(width, height), layout="constrained")
-    return made, made.subplots(*(shape or (1, 1)))
+    return made, made.subplots(rows, columns, squeeze=False, gridspec_kw=ratios).ravel()
 
 
 def saved(made: Any, path: Path) -> Path:
@@ -186,8 +186,8 @@ def saved(made: Any, path: Path) -> Path:
 def draw_plate(plate: Any, out: Path) -> Path:
     from jaxbody.plots import draw_model
 
-    made, ax = figure(6.5, 4.6)
-    draw_model(plate, ax=ax).set_title("The plate, its springs and the base", fontsize=10)
+    made, (ax,) = figure(6.5, 4.6, 1, 1)
+    draw_model(plate, ax=ax).set_title("the plate, its springs and the base", fontsize=9)
     return saved(made, out / "plate.png")
 
 
@@ -195,7 +195,7 @@ def draw_modes(lin: Any, modes: Any, out: Path) -> Path:
     from jaxbody.plots import draw_mode
 
     made, axes = figure(11.0, 6.2, 2, 3)
-    for i, ax in enumerate(axes.flat):
+    for i, ax in enumerate(axes):
         draw_mode(lin, modes, i + 1, ax=ax)
     return saved(made, out / "modes.png")
 
@@ -203,16 +203,17 @@ def draw_modes(lin: Any, modes: Any, out: Path) -> Path:
 def draw_motion(trajectory: Any, out: Path) -> Path:
     from jaxbody.plots import plot_forces, plot_trajectory
 
-    made, axes = figure(8.0, 6.6, 2, 1)
-    plot_trajectory(trajectory, ax=axes[0])
-    plot_forces(trajectory, ax=axes[1])
+    made, (above, below) = figure(8.0, 7.0, 2, 1, height_ratios=(1.6, 1.0))
+    plot_trajectory(trajectory, ax=above)
+    plot_forces(trajectory, ax=below)
     return saved(made, out / "motion.png")
 
 
 def draw_fit(fit: Any, out: Path) -> Path:
-    from jaxbody.plots import plot_fit, plot_history
+    from jaxbody.plots import draw_model, plot_fit, plot_history
 
-    made, axes = figure(11.0, 4.6, 1, 2)
-    plot_fit(fit, ax=axes[0])
-    plot_history(fit, ax=axes[1])
+    made, (left, middle, right) = figure(14.0, 4.4, 1, 3, width_ratios=(1.0, 1.25, 0.65))
+    draw_model(fit.model, ax=left).set_title("the plate under a base that shakes", fontsize=9)
+    plot_fit(fit, ax=middle).set_title("motion of its upper right corner, measured and fitted", fontsize=9)
+    plot_history(fit, ax=right).set_title("the way there", fontsize=9)
     return saved(made, out / "fit.png")

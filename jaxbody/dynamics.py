@@ -86,6 +86,7 @@ class Dynamics(eqx.Module):
         H = rotate(bodies.inertia, w_B) + cross(c, P)
         F_B = rotate_back(R, F) - cross(w_B, P)
         M_B = rotate_back(R, M) - cross(w_B, H) - cross(v_B, P)
+        assert self.inverse_mass is not None
         rate = jnp.sum(self.inverse_mass * jnp.concatenate([F_B, M_B], -1)[:, None, :], -1)
         return jnp.concatenate(
             [v.ravel(), rotations.quaternion_rate_body(quaternion, w_B).ravel(), rate[:, :3].ravel(), rate[:, 3:].ravel()]

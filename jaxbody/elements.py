@@ -182,7 +182,7 @@ def _times(coefficients: Float[Array, "*k"], e: Float[Array, "6"]) -> Float[Arra
     return jnp.sum(coefficients * e, -1)
 
 
-def _coefficients(value: Any, name: str, allow_negative: bool, problems: Problems):
+def _coefficients(value: Any, name: str, allow_negative: bool, problems: Problems) -> Any:
     where = f"Bushing.{name}"
     array = float_array(value, where)
     if array.shape not in ((3,), (6, 6)):

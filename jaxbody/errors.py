@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import jax
+from jax.core import Tracer
 
 MOST_PROBLEMS = 20
 
@@ -105,4 +106,4 @@ MESSAGES = {
 
 def is_concrete(*trees: Any) -> bool:
     """True when nothing in the trees is being traced, so that values may be looked at."""
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))

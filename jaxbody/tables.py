@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-import jax
 import numpy as np
+from jax.core import Tracer
 
 MOST_ROWS = 40
 
@@ -26,7 +26,7 @@ def number(value: Any) -> str:
     """A number to six digits, a short vector, or the shape of what is larger, batched or being traced."""
     if value is None or isinstance(value, str):
         return value or ""
-    if isinstance(value, jax.core.Tracer):
+    if isinstance(value, Tracer):
         return "traced"
     array = np.asarray(value)
     if array.ndim == 0:

@@ -94,7 +94,7 @@ def lag_one(residuals: dict[str, dict[str, Any]], present: dict[str, dict[str, n
     for run, sensors in residuals.items():
         for name, values in sensors.items():
             r = np.asarray(values).reshape(len(values), -1)
-            whole = present[run][name].reshape(len(values), -1).all(1)
+            whole = np.asarray(present[run][name].reshape(len(values), -1).all(axis=1))
             both = whole[1:] & whole[:-1]
             top += float((r[1:] * r[:-1])[both].sum())
             bottom += float((r[whole] ** 2).sum())
