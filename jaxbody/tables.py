@@ -31,7 +31,7 @@ def number(value: Any) -> str:
     array = np.asarray(value)
     if array.ndim == 0:
         return f"{array.item():.6g}" if array.dtype.kind == "f" else str(array.item())
-    if array.ndim == 1 and array.size <= 6:
+    if array.ndim == 1 and array.size <= 7:
         return " ".join(f"{x:.6g}" for x in array.tolist())
     return "array " + " x ".join(map(str, array.shape))
 
