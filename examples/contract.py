@@ -28,7 +28,7 @@ xi = jnp.array([0.01, 0, 0, 0, 0, 0.02])
 force = lin.K_tilde @ xi                          # the paper's (79); jb.excitation(model, eq, {"base": xi}) is the exact one
 modes = jb.modes(lin)                             # .frequency [Hz] .shapes .damping_ratio
 print(eq, lin, modes)                             # small tables with names and units
-print("force", force, "exact", jb.excitation(model, eq, {"base": xi}), "N, N m")
+print("force [N, N m]", force, "and exactly", jb.excitation(model, eq, {"base": xi}), sep="\n")
 
 times = jnp.linspace(0.0, 5.0, 501)
 motion = {"base": jb.Harmonic(frequency=0.8, translation=[0.01, 0, 0], rotation=[0, 0, 0.02])}

@@ -30,7 +30,7 @@ from jaxbody.parametrizations import Free, choose, limits_of
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.sensors import Sensor, read
 from jaxbody.simulations import Trajectory, integrate, motions_of
-from jaxbody.uncertainties import Uncertainty, assess
+from jaxbody.uncertainties import Uncertainty, assess, heard, known_directions
 
 ARRIVED = 1e-7  # largest Gauss-Newton step in u at which a fit has arrived
 WORTH = 0.01  # share of the expected fall of the cost that is worth having
@@ -41,7 +41,6 @@ FLAT = 0.02  # slope, relative to the first, at which coordinates are whitened a
 ENOUGH = 0.75  # share of the fall expected one unit away, after which coordinates are whitened anew
 NEAR = 1e-4  # largest Gauss-Newton step in u from where such steps finish
 FARTHEST = 0.7  # how far in u the unit of y may lead: a factor of two in what is positive
-RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
 MOST_RESTARTS = 100
 MOST_INNER = 80
 PATIENCE = 25  # evaluations without a better one
@@ -329,7 +328,7 @@ class Evaluations:
             return self._last[2]
         with jax.disable_jit(False):
             r, J, runs = _residual_and_jacobian(self.task, jnp.asarray(u))
-        r, J = np.asarray(r), np.asarray(J)
+        r, J = np.asarray(r), heard(np.asarray(J))
         bad = not (np.isfinite(r).all() and np.isfinite(J).all())
         r = np.full_like(r, np.nan) if bad else r
         self.count, self.failed = self.count + 1, self.failed + bad
@@ -411,7 +410,7 @@ def _whitened(found: tuple[np.ndarray, np.ndarray], columns=slice(None)) -> tupl
     if not np.isfinite(r).all():
         return np.array([np.inf]), np.ones(1), np.zeros((J[:, columns].shape[1], 1))
     U, S, Vt = np.linalg.svd(J[:, columns], full_matrices=False)
-    known = RANK * S.max(initial=0.0) < S
+    known = known_directions(S)
     return (U.T @ r)[known], S[known], Vt[known].T
 
 
@@ -431,7 +430,7 @@ def _search_optax(evaluate: Evaluations, u, optimizer) -> tuple[Array, bool]:
     for _ in range(MOST_RESTARTS):
         r0, J0 = evaluate(u)
         U, S, Vt = np.linalg.svd(J0, full_matrices=False)
-        known = RANK * S.max(initial=0.0) < S
+        known = known_directions(S)
         towards = U.T[known] @ r0
         gauss_newton = -Vt[known].T @ (towards / S[known])
         step = np.abs(gauss_newton).max(initial=0.0)
@@ -543,7 +542,7 @@ def _finish(evaluate: Evaluations, u, arrived: bool, limits) -> Fit:
     present = {run: _present(experiment) for run, experiment in task.experiments.items()}
     labels = [f.leaf.path + label for f in task.free for label in f.form.labels()]
     G = jax.jacfwd(task.values)(u)
-    uncertainty = assess(r, J, [np.asarray(g) for g in G], [f.leaf.path for f in task.free], labels, residuals, present, RANK)
+    uncertainty = assess(r, J, [np.asarray(g) for g in G], [f.leaf.path for f in task.free], labels, residuals, present)
     at_bound = [
         f"{label} ({side})"
         for side, limit in zip(("lower", "upper"), limits, strict=True)

@@ -70,12 +70,12 @@ class Equilibrium(Result):
         return ""
 
     def _tables(self) -> list[tables.Table]:
-        q, layout = self.state.q, self.layout
+        q, layout = tables.without_dust(self.state.q), self.layout
         rows = [
             (name, kind.__name__.lower(), q[..., layout.q_slices[name]]) for name, kind in zip(layout.bodies, layout.kinds, strict=True)
         ]
         note = self.report() if is_concrete(self.status) else ""
-        elements = [(name, e) for name, e in self.elongations.items()]
+        elements = [(name, tables.without_dust(e)) for name, e in self.elongations.items()]
         largest = np.abs(self.residual).max() if is_concrete(self.residual) and self.residual.size else None
         return [
             tables.Table("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows),

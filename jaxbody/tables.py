@@ -36,6 +36,14 @@ def number(value: Any) -> str:
     return "array " + " x ".join(map(str, array.shape))
 
 
+def without_dust(values: Any) -> Any:
+    """The numbers with those below 1e-12 of the largest as zeros, which is what they are but for rounding."""
+    if isinstance(values, Tracer):
+        return values
+    array = np.asarray(values)
+    return np.where(np.abs(array) <= 1e-12 * np.abs(array).max(initial=0.0), 0.0, array)
+
+
 def text(*shown: Table) -> str:
     """Aligned columns."""
     blocks = []

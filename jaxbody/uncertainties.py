@@ -14,7 +14,8 @@ import numpy as np
 
 CORRELATED = 0.2  # lag-one correlation of residuals that is told, if it is also significant
 TOUCHED = 1e-3  # share of a null direction that makes a parameter undetermined
-STILL = 1e-12  # size of a Jacobian's column, relative to the largest, that counts as none
+RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
+SILENT = 1e-8  # size of a Jacobian's column that counts as none: the effect on all samples together, in standard deviations of one
 
 
 class Uncertainty(eqx.Module):
@@ -31,13 +32,21 @@ class Uncertainty(eqx.Module):
     samples: int
 
 
-def assess(
-    r, J, slopes: list[np.ndarray], paths: list[str], labels: list[str], residuals: dict, present: dict, tolerance: float
-) -> Uncertainty:
+def heard(J: np.ndarray) -> np.ndarray:
+    """J without what round-off makes of parameters that have no effect; a search would follow it anywhere."""
+    return np.where(np.linalg.norm(J, axis=0) <= SILENT, 0.0, J)
+
+
+def known_directions(S: np.ndarray) -> np.ndarray:
+    """Which singular values of the Jacobian in u are more than none."""
+    return RANK * S.max(initial=0.0) < S
+
+
+def assess(r, J, slopes: list[np.ndarray], paths: list[str], labels: list[str], residuals: dict, present: dict) -> Uncertainty:
     """From residuals r and Jacobian J in u, and the slopes of each leaf in u, what is known how well."""
     few = np.zeros((max(J.shape[1] - J.shape[0], 0), J.shape[1]))  # fewer residuals than parameters leave directions unknown too
     _, S, Vt = np.linalg.svd(np.concatenate([J, few]), full_matrices=False)
-    known = tolerance * S.max(initial=0.0) < S
+    known = known_directions(S)
     null = Vt[~known].T
     samples = int(sum(there.sum() for run in present.values() for there in run.values()))
     s2 = float(r @ r) / max(samples - int(known.sum()), 1)
@@ -49,8 +58,7 @@ def assess(
         size = np.linalg.norm(G2, axis=1)
         touched = np.linalg.norm(G2 @ null, axis=1) > TOUCHED * np.where(size > 0, size, 1)
         errors[path] = np.where(touched, np.inf, error).reshape(G.shape[:-1])
-    columns = np.linalg.norm(J, axis=0)
-    still = [label for label, size in zip(labels, columns, strict=True) if size <= STILL * columns.max(initial=0.0)]
+    still = [label for label, silent in zip(labels, ~J.any(0), strict=True) if silent]
     correlation, significant = lag_one(residuals, present)
     return Uncertainty(covariance, errors, S, int(known.sum()), in_words(null, labels, still), still, correlation, significant, samples)
 

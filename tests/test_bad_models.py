@@ -123,6 +123,13 @@ BAD = {
         0.0,
         "damping",
     ),
+    "bushing the wrong way round": (
+        lambda: model(elements={"m": bushing(orientation=[0, 0, 1, 0])}),
+        "HALF_TURN",
+        "elements['m']",
+        None,
+        "180 179 orientation_b",
+    ),
     "22 stiffness": (lambda: spring(stiffness=-5), "NEGATIVE_STIFFNESS", "Spring.stiffness", -5.0, "-5 N/m >= 0 allow_negative"),
     "22 bushing": (lambda: bushing(stiffness=[1, -5, 1]), "NEGATIVE_STIFFNESS", "Bushing.stiffness", None, "-5 >= 0 allow_negative"),
     "22 free length": (lambda: spring(free_length=-1), "NEGATIVE_LENGTH", "Spring.free_length", -1.0, "-1 m >= 0"),

@@ -236,3 +236,178 @@ def test_the_derivative_of_the_estimates_in_the_data_is_that_of_differences(reco
     expected = (4 * near - far) / 3
     print(np.array([found[path] for path in FREE]) / expected - 1)
     np.testing.assert_allclose([found[path] for path in FREE], expected, rtol=1e-6)
+
+
+def test_inside_jit_only_optimistix_and_stated_noise(record):
+    for method, noise, code in (
+        ("least_squares", NOISE, "TRACED"),
+        (optax.lbfgs(), NOISE, "TRACED"),
+        (GAUSS_NEWTON, {"x": NOISE}, "NO_NOISE"),
+    ):
+
+        def fit(x, method=method, noise=noise, code=code):
+            (run,) = tracked(x, noise=noise).values()
+            if code == "NO_NOISE":  # of two sensors one has none
+                both = {"x": run.sensors["x"], "gap": jb.Elongation("s")}
+                run = jb.Experiment(TIMES, motion=run.motion, initial=run.initial, sensors=both, measured={"x": x, "gap": x}, noise=noise)
+            return jb.fit(cart(), {"run": run}, free=FREE, method=method).u
+
+        with pytest.raises(jb.JaxbodyError) as caught:
+            jax.jit(fit)(record)
+        assert caught.value.code == code and caught.value.hint
+
+
+# What the fit says where it cannot be trusted
+
+
+def fit_with_warning(code, *arguments, **options):
+    with pytest.warns(jb.JaxbodyWarning) as caught:
+        found = jb.fit(*arguments, **options)
+    assert [warning.message.code for warning in caught] == [code]
+    return found
+
+
+@pytest.mark.parametrize("method", ["least_squares", "lbfgs"])
+def test_what_the_data_cannot_tell_is_said_in_words_and_has_no_number(method, clean):
+    """Without the spring that is known, all stiffnesses, the damping and the mass may be multiplied by one number."""
+    x = noisy(independent(TRUTH, hold=0.0)[0])
+    found = fit_with_warning("NOT_IDENTIFIABLE", cart(hold=0.0), tracked(x), free=FREE, method=METHODS[method])
+    assert not found.ok and found.status == jb.Status.NOT_IDENTIFIABLE and found.uncertainty.rank == 3
+    assert all(np.isinf(found.standard_errors[path]) for path in FREE)
+    (words,) = found.unidentified
+    assert sorted(words.split(" with ")) == sorted(f"{path} up" for path in FREE)
+    assert found.singular_values[-1] < 1e-6 * found.singular_values[0] < found.singular_values[-2]
+    assert "rank 3 of 4" in found.report() and words in str(found) and str(found).count("not determined") == 4
+    ratios, truth = values_of(found) / found.estimates["cart.mass"], TRUTH / TRUTH[3]
+    np.testing.assert_allclose(ratios, truth, rtol=0.02)  # what can be told
+    with pytest.raises(jb.JaxbodyError, match="NOT_IDENTIFIABLE"):
+        found.raise_if_failed()
+
+
+def test_parameters_without_any_effect_are_named():
+    """A cart at rest with nothing that moves it feels neither stiffness, damping nor mass."""
+    still = cart(gravity=0.0, lengths={name: float(np.linalg.norm(end)) for name, end in ENDS.items()})
+    run = tracked(noisy(np.zeros(41)), q=0.0, amplitude=0.0)
+    found = fit_with_warning("NEVER_MOVED", still, run, free=FREE)
+    assert found.status == jb.Status.NEVER_MOVED
+    assert [word.split()[0] for word in found.unidentified] == list(FREE) and "s.damping has no effect" in found.report()
+    assert all(np.isinf(found.standard_errors[path]) for path in FREE)
+    np.testing.assert_array_equal(values_of(found), START)
+
+
+def test_correlated_residuals_are_told_and_white_ones_are_not(clean, found):
+    assert not found.uncertainty.correlated and "correlated" not in str(found)
+    shocks, colored = NOISE * np.random.default_rng(4).normal(size=1041), np.zeros(1041)
+    for i in range(1, 1041):
+        colored[i] = 0.8 * colored[i - 1] + shocks[i]
+    other = jb.fit(cart(), tracked(clean + colored[-41:]), free=FREE)
+    assert other.ok and other.uncertainty.correlated and other.correlation > 0.5
+    assert f"correlated (lag one {other.correlation:.2f})" in str(other) and "too small" in str(other)
+
+
+def test_a_bound_that_is_met_is_named_and_the_rest_is_the_optimum_on_it(record):
+    found = fit_with_warning("AT_BOUND", cart(), tracked(record), free=FREE, bounds={"s.stiffness": (90, 110), "*.damping": (0, 5)})
+    assert found.at_bound == ["s.stiffness (lower)"] and "s.stiffness (lower)" in found.report()
+    np.testing.assert_allclose(found.estimates["s.stiffness"], 90, rtol=1e-6)
+    rest = minimum(lambda p: (independent([90.0, *p])[0] - record) / NOISE, TRUTH[1:])
+    print(values_of(found)[1:] / rest - 1)
+    np.testing.assert_allclose(values_of(found)[1:], rest, rtol=1e-5)
+
+
+def test_bounds_that_are_not_met_change_nothing(record, optimum):
+    found = jb.fit(cart(), tracked(record), free=FREE, bounds={"*.stiffness": (0.0, np.inf), "cart.mass": (1.5, 2.5)})
+    assert found.ok and found.at_bound == []
+    np.testing.assert_allclose(values_of(found), optimum, rtol=1e-6)
+
+
+def test_trials_that_cannot_be_simulated_are_steps_rejected_and_counted(record, optimum):
+    """From far too soft a spring the first steps lead to stiffnesses that need more steps of integration than there are."""
+    far = cart(START * [1e-5, 1, 1, 1])
+    found = jb.fit(far, tracked(record), free=FREE)
+    print(found.failed, found.evaluations)
+    assert found.ok and found.failed >= 2 and np.isnan(found.history).sum() == found.failed
+    np.testing.assert_allclose(values_of(found), optimum, rtol=1e-6)
+    with pytest.warns(jb.JaxbodyWarning) as caught:
+        found = jb.fit(far, tracked(record), free=FREE, max_evaluations=4)
+    assert [warning.message.code for warning in caught] == ["NOT_CONVERGED", "FAILED_TRIALS"]
+    np.testing.assert_array_equal(values_of(found), START * [1e-5, 1, 1, 1])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_at_the_largest_number_of_evaluations_the_best_is_kept_with_a_status(method, record):
+    found = fit_with_warning("NOT_CONVERGED", cart(), tracked(record), free=FREE, method=METHODS[method], max_evaluations=3)
+    start = np.sum(((independent(START)[0] - record) / NOISE) ** 2) / 2
+    assert found.status == jb.Status.NOT_CONVERGED and found.evaluations <= 5 and found.cost < start
+    assert found.cost == min(found.history) and "evaluations" in found.report()
+
+
+def test_progress_is_told_by_evaluation(record, capsys):
+    found = jb.fit(cart(), tracked(record), free=FREE, progress=True)
+    lines = capsys.readouterr().out.splitlines()
+    assert (
+        len(lines) == found.evaluations and lines[0].startswith("evaluation 1: cost ") and lines[-1].startswith(f"evaluation {len(lines)}:")
+    )
+    jb.fit(cart(), tracked(record), free=FREE)
+    assert capsys.readouterr().out == ""
+
+
+def problems_of(*arguments, **options):
+    with pytest.raises(jb.JaxbodyError) as caught:
+        jb.fit(*arguments, **options)
+    return caught.value.problems
+
+
+def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_channel(record):
+    (problem,) = problems_of(cart(hold=1.7e308), tracked(record, q=2.0), free=FREE)
+    assert problem.code == "NONFINITE_START" and problem.where == "run.x" and problem.hint
+    assert "'hold'" in problem.message and "from t = 0 s on" in problem.message and problem.value == 0.0
+
+
+@pytest.mark.parametrize(
+    ("options", "codes", "told"),
+    [
+        ({"free": ["s.stifness", "cart.mass", "run.bas.frequency"]}, ["UNKNOWN_PATH"] * 2, ["s.stiffness", "run.base.frequency"]),
+        ({"free": ["s.stiffness", "*.stiffness", "s.*"]}, ["LISTED_TWICE"] * 2, ["names s.stiffness twice, by '*.stiffness'", "'s.*'"]),
+        ({"free": []}, ["NOTHING_FREE"], [""]),
+        ({"free": ["*.damping"]}, ["START_ON_BOUND"] * 2, ["t.damping", "hold.damping"]),
+        ({"free": FREE, "method": "simplex"}, ["UNKNOWN_METHOD"], ["simplex"]),
+        ({"free": FREE, "bounds": {"cart.mass": (1, 3)}, "method": optax.adam(0.1)}, ["BAD_BOUNDS"], ["least_squares"]),
+        ({"free": FREE, "bounds": {"cart.mass": (1, 3)}, "method": GAUSS_NEWTON}, ["BAD_BOUNDS"], ["least_squares"]),
+        ({"free": FREE, "bounds": {"hold.stiffness": (1, 3)}}, ["UNKNOWN_PATH"], ["hold.stiffness"]),
+        ({"free": ["gravity", "run.initial.q"], "bounds": {"*": (0, 1, 2)}}, ["BAD_BOUNDS"] * 2, ["gravity", "bounds of its own"]),
+        (
+            {"free": FREE, "bounds": {"cart.mass": (2, 2), "s.*": (1, 2), "t.stiffness": (np.nan, 90)}},
+            ["BAD_BOUNDS", "START_OUTSIDE", "BAD_BOUNDS"],
+            ["lower 2 >= upper 2", "does not hold the start 104.0, by 102", "nan"],
+        ),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, told):
+    found = problems_of(cart(), tracked(record), **options)
+    assert [problem.code for problem in found] == codes
+    assert all(word in str(problem) for word, problem in zip(told, found, strict=True)), [str(problem) for problem in found]
+
+
+def test_what_is_wrong_with_the_experiments_is_told_at_once(record):
+    (run,) = tracked(record).values()
+    assert [p.code for p in problems_of(cart(), {}, free=FREE)] == ["NO_DATA"]
+    assert [p.code for p in problems_of(cart(), {"cart": run, "a.b": run, "c": 3}, free=FREE)] == ["BAD_NAME", "BAD_NAME", "WRONG_KIND"]
+    other = jb.Experiment(TIMES, sensors={"x": jb.Position("card")}, measured={"x": np.zeros((41, 3))})
+    (problem,) = problems_of(cart(), {"run": other}, free=FREE)
+    assert problem.code == "UNKNOWN_NAME" and problem.where == "run.sensors['x']" and "'cart'" in problem.hint
+    short = jb.State(jnp.zeros(2), jnp.zeros(1))
+    (problem,) = problems_of(cart(), {"run": jb.Experiment(TIMES, initial=short, sensors=run.sensors, measured=run.measured)}, free=FREE)
+    assert problem.code == "BAD_SHAPE" and problem.where == "run.initial.q"
+
+
+def test_one_pattern_may_stand_alone(record):
+    """And not be taken for a list of letters, `*` among them."""
+    (problem,) = problems_of(cart(), tracked(record), free="*.mas")
+    assert problem.value == "*.mas"
+
+
+def test_float32_is_refused(record):
+    with jax.enable_x64(False):
+        (problem,) = problems_of(cart(), tracked(record), free=FREE)
+        assert problem.code == "FLOAT32" and "jax_enable_x64" in problem.hint

@@ -102,7 +102,7 @@ def base_velocity(times):
     return np.array(v), np.array(w)
 
 
-@pytest.mark.parametrize("rtol", [1e-6, 1e-8, 1e-10])
+@pytest.mark.parametrize("rtol", [1e-6, 1e-8, 1e-10, 1e-12])
 def test_work_of_the_moving_base_is_the_change_of_energy_and_what_dampers_lose(rig, resting, start, rtol):
     """Work by quadrature of reaction times velocity of the base; loss by quadrature of (tension - k elongation)^2 / c."""
     trajectory = jb.simulate(rig, TIMES, motion=SHAKEN, initial=start, rtol=rtol)
@@ -115,7 +115,7 @@ def test_work_of_the_moving_base_is_the_change_of_energy_and_what_dampers_lose(r
     energy = trajectory.energies["total"]
     scale = (energy - resting.energy).max()
     error = energy[NODES::NODES] - energy[0] - integral(input_power, WEIGHTS) + integral(loss, WEIGHTS)
-    print("work", rtol, np.abs(error).max() / scale / rtol, np.abs(error[-1]) / scale / rtol)
+    print("work", rtol, np.abs(error).max() / scale / rtol, np.abs(error[-1]) / scale / rtol, "change", (energy[-1] - energy[0]) / scale)
     assert np.abs(integral(input_power, WEIGHTS)).max() > 0.01 * scale
     assert np.abs(error).max() <= 10 * rtol * scale
     assert apart(trajectory.powers["supports"], input_power) < 1e-12 * np.abs(input_power).max()
@@ -142,15 +142,20 @@ def test_body_turns_over_a_hundred_times_as_the_exponential_says():
     assert apart(trajectory.poses["body"].quaternion * np.sign(trajectory.state.q[:, 3:4]), trajectory.state.q[:, 3:] * np.sign(trajectory.poses["body"].quaternion[:, :1])) < 1e-13  # fmt: skip
 
 
-def test_motion_keeps_quaternions_at_their_length_by_itself(rig):
+def test_motion_keeps_quaternions_at_their_length_by_itself():
     """d|q|^2/dt = 2 q . q' = 0, whatever the length."""
-    rng = np.random.default_rng(3)
-    dynamics = Dynamics(rig, (jb.AtRest(),))
+    model, rng = hung(), np.random.default_rng(3)
+
+    @jax.jit
+    def rate(q, v):
+        dynamics = Dynamics(model, ())
+        return dynamics.rate(jnp.array(0.0), dynamics.pack(jb.State(q, v)))
+
     for length in (1.0, 1.1):
-        state = jb.State(rig.reference.q.at[3:7].set(length * jnp.array([0.5, -0.1, 0.7, 0.5])), jnp.array(rng.normal(size=7)))
-        rate = dynamics.rate(jnp.array(0.0), dynamics.pack(state))[3:7]
-        assert abs(state.q[3:7] @ rate) < 1e-15
-        assert np.abs(rate).max() > 0.1
+        turn = length * np.array([0.5, -0.1, 0.7, 0.5])
+        turn_rate = rate(jnp.array([0.1, 0, -1, *turn]), jnp.array(rng.normal(size=6)))[3:7]
+        assert abs(turn @ turn_rate) < 1e-15
+        assert np.abs(turn_rate).max() > 0.1
 
 
 def test_the_other_quaternion_of_the_same_attitude_moves_the_same(rig, start, shaken):
@@ -257,7 +262,7 @@ def test_a_batch_has_the_same_names_and_the_numbers_of_a_loop():
 
 def test_a_sample_of_a_batch_that_fails_does_not_disturb_its_neighbors():
     model, stiffnesses = hung(), np.array([50.0, 1e9, 200.0])
-    limit = {"max_steps": 60, "rtol": 1e-10}
+    limit = {"max_steps": 60, "rtol": 1e-7}
     batch = jax.vmap(lambda k: sampled(k, model, **limit))(jnp.array(stiffnesses))
     assert batch.status.tolist() == [Status.OK, Status.MAX_STEPS, Status.OK]
     assert batch.report() == "2 OK, 1 MAX_STEPS"
@@ -399,7 +404,7 @@ def test_times_outside_a_sampled_motion_are_refused():
         (lambda m: jb.State(m.reference.q, jnp.zeros(8)), "BAD_SHAPE", "Expected (7,): box 6, arm 1"),
         (lambda m: jb.State(m.reference.q.at[1].set(jnp.nan), jnp.zeros(7)), "NON_FINITE", "index 1"),
         (lambda m: jb.State(m.reference.q.at[3:7].multiply(1.1), jnp.zeros(7)), "BAD_QUATERNION", "'box'"),
-        (lambda m: m.reference.q, "WRONG_KIND", "State"),
+        (lambda m: m.reference.q, "WRONG_KIND", "model.reference"),
     ],
 )
 def test_initial_states_that_do_not_fit_are_refused(rig, state, code, told):

@@ -1,0 +1,133 @@
+"""The examples run and find what they should; README.md shows the first of them with what it prints, and commands that exist."""
+
+import contextlib
+import io
+import re
+import runpy
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbody import demos
+
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
+
+
+def blocks(kind):
+    return re.findall(rf"```{kind}\n(.*?)```", README, re.DOTALL)
+
+
+def run(name):
+    """What a script defines and prints."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        names = runpy.run_path(str(ROOT / "examples" / name))
+    return names, printed.getvalue()
+
+
+@pytest.fixture(scope="module")
+def contract():
+    return run("contract.py")
+
+
+def assert_found(names, free):
+    """The fit went well and the truth is within four standard errors of each estimate."""
+    fit, model = names["fit"], names["model"]
+    assert fit.ok and set(fit.estimates) == {f"{name}.stiffness" for name in free}
+    for name in free:
+        path = f"{name}.stiffness"
+        assert abs(float(fit.estimates[path]) - float(model[name].stiffness)) < 4 * float(fit.standard_errors[path])
+
+
+def test_the_contract_script_finds_what_it_should(contract):
+    names, _ = contract
+    assert_found(names, ["AB", "CD", "EF"])
+    k, l = names["k"], names["l"]
+    printed = k / 4 * np.array([5 * 0.01 - 20 * l * 0.02, 0, 0, 0, 0, 4 * l * 0.01 + 32 * l**2 * 0.02])  # (79)
+    np.testing.assert_allclose(names["force"], printed, atol=1e-12)
+    # the first mode moves along z and turns about x, resisted by the tension of AB and CD, which is the weight's
+    assert np.argmax(np.abs(names["modes"].shapes[:, 0])) == 2
+    assert float(names["slope"]["AB"].stiffness) > 0 > float(names["slope"]["plate"].mass)
+    assert np.all(np.diff(names["several"]) > 0)
+    np.testing.assert_allclose(names["several"][2], names["modes"].frequency[0], rtol=1e-9)
+
+
+def test_readme_shows_the_contract_script_as_it_stands():
+    (script,) = blocks("python")
+    assert script == (ROOT / "examples" / "contract.py").read_text()
+
+
+def test_readme_shows_what_the_contract_script_prints(contract):
+    """The same words, and numbers to a part in a thousand; how often a fit evaluates may change with the platform."""
+    (shown,) = blocks("text")
+    shown, printed = (re.sub(r"\d+ evaluations", "evaluations", text) for text in (shown, contract[1]))
+    assert NUMBER.sub(" # ", shown).split() == NUMBER.sub(" # ", printed).split()
+    shown, printed = (np.array([float(x) for x in NUMBER.findall(text)]) for text in (shown, printed))
+    np.testing.assert_allclose(shown, printed, rtol=1e-3, atol=1e-9)
+
+
+def test_readme_names_things_that_exist():
+    commands = "\n".join(blocks("sh"))
+    assert "python -m pip install . && jaxbody demo\n" in commands
+    assert "python -m pip install '.[test]' && pytest\n" in commands
+    paths = re.findall(r"(?:examples|tests|\.ci)/[\w/.]+\w", README)
+    assert len(paths) >= 6
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
+def test_the_papers_formulas_as_printed():
+    """(77) and (79) as the demo states them, against entries computed by hand for k = 4, kt = 3, l = 2."""
+    K = demos.printed_K_tilde(4.0, 3.0, 2.0)
+    assert K[0].tolist() == [5, 0, 0, 0, 0, -40] and K[1, 1] == 8 and K[2].tolist() == [0, 0, 2, 28, 0, 0]
+    assert K[3].tolist() == [0, 0, 4, 56, 0, 0] and K[4, 4] == 120 and K[5].tolist() == [8, 0, 0, 0, 0, 128]
+    assert np.count_nonzero(K) == len(demos.PRINTED)
+    xi = np.array([0.1, 0, 0, 0, 0, 0.3])
+    np.testing.assert_allclose(demos.printed_force(4.0, 2.0, 0.1, 0.3), K @ xi, rtol=1e-15)
+
+
+def test_the_demo_says_what_it_finds_and_draws_it(contract, tmp_path, capsys, monkeypatch):
+    """After the contract script, whose compiled functions it shares; the exit code tells an estimate that is off."""
+    assert demos.main(["demo", "--out", str(tmp_path)]) == 0
+    told = capsys.readouterr().out
+    for word in ("paper (77)", "paper (79)", "Equilibrium", "Modes", "Trajectory", "truth", "standard error", "Done."):
+        assert word in told
+    for name in ("plate", "modes", "motion", "fit"):
+        picture = (tmp_path / f"{name}.png").read_bytes()
+        assert picture[:4] == b"\x89PNG" and len(picture) > 10_000
+    monkeypatch.setattr(demos, "LIKELY", 1e-9)
+    assert demos.main(["demo", "--out", str(tmp_path)]) == 1
+    assert "not where they should be" in capsys.readouterr().out
+
+
+def test_an_unknown_command_is_refused(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        demos.main(["show"])
+    assert stopped.value.code == 2 and "invalid choice" in capsys.readouterr().err
+
+
+@pytest.mark.long
+def test_two_bodies_in_general_position():
+    names, _ = run("two_bodies.py")
+    model, eq = names["model"], names["eq"]
+    assert_found(names, ["rope1", "rope2", "rope3", "rope4", "link", "stay"])
+    assert eq.ok and bool(eq.stable)
+    turned = eq.state.q[3:7]
+    assert abs(float(jnp.sum(turned * model["block"].orientation))) < 0.999  # R_eq is neither I nor the reference
+    assert abs(float(turned[0])) < 0.999
+    slope, first, jb = names["slope"], names["first"], names["jb"]
+    h = 1e-4
+    for path, found in (("arm.mass", slope["arm"].mass), ("rope1.stiffness", slope["rope1"].stiffness)):
+        value = jb.paths(model, path)[path]
+        ends = [float(first(jb.replace(model, {path: value * (1 + sign * h)}))) for sign in (1, -1)]
+        np.testing.assert_allclose((ends[0] - ends[1]) / (2 * h * value), found, rtol=1e-6)
+
+
+@pytest.mark.long
+def test_the_notebook_as_a_script(monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names, _ = run("plate_notebook.py")
+    assert_found(names, ["AB", "CD", "EF"])

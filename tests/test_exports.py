@@ -1,0 +1,99 @@
+"""Results as xarray datasets hold the same numbers under names, with units; without xarray the way to get it is told."""
+
+import sys
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody import exports
+
+
+@pytest.fixture(scope="module")
+def model():
+    return jb.Model(
+        bodies={
+            "mass": jb.Body(mass=2.0, inertia=[1, 1, 1]),
+            "cart": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0]),
+        },
+        supports={"base": jb.Support()},
+        elements={
+            "s": jb.Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=0.9, damping=1.0),
+            "b": jb.Bushing(("cart", [0, 0, 0]), ("base", [1, 0, 0]), stiffness=[30.0, 40.0, 50.0]),
+        },
+        joints={"mass": jb.Guide("base", axis=[0, 1, 0]), "cart": jb.Guide("base", axis=[1, 0, 0])},
+        gravity=[0, -9.81, 0],
+    )
+
+
+@pytest.fixture(scope="module")
+def trajectory(model):
+    return jb.simulate(model, jnp.linspace(0, 0.5, 6), motion={"base": jb.Harmonic(frequency=1.0, translation=[0.01, 0.02, 0])})
+
+
+def test_a_trajectory(trajectory):
+    made = exports.trajectory_dataset(trajectory)
+    np.testing.assert_array_equal(made["time"], trajectory.times)
+    np.testing.assert_array_equal(made["position"].sel(frame="cart", axis="x"), trajectory.poses["cart"].p[:, 0])
+    np.testing.assert_array_equal(made["quaternion"].sel(frame="base", part="w"), trajectory.poses["base"].quaternion[:, 0])
+    np.testing.assert_array_equal(made["force"].sel(spring="s"), trajectory.forces["s"])
+    np.testing.assert_array_equal(made["b_force"], trajectory.forces["b"])
+    np.testing.assert_array_equal(made["reaction_force"].sel(support="base"), trajectory.reactions["base"][0])
+    np.testing.assert_array_equal(made["kinetic_energy"], trajectory.energies["kinetic"])
+    assert made["position"].attrs["units"] == "m" and made["time"].attrs["units"] == "s" and int(made["status"]) == 0
+
+
+def test_a_batch_of_trajectories_has_samples(model, trajectory):
+    stiffnesses = jnp.array([50.0, 60.0, 70.0])
+    motion = {"base": jb.Harmonic(frequency=1.0, translation=[0.01, 0.02, 0])}
+    batch = jax.vmap(lambda k: jb.simulate(jb.replace(model, {"s.stiffness": k}), trajectory.times, motion=motion))(stiffnesses)
+    made = exports.trajectory_dataset(batch)
+    assert made["position"].dims == ("sample", "time", "frame", "axis") and made["status"].dims == ("sample",)
+    np.testing.assert_allclose(made["position"].isel(sample=0), exports.trajectory_dataset(trajectory)["position"], atol=1e-12)
+
+
+def test_statics_and_small_motions(model):
+    eq = jb.equilibrium(model)
+    lin = jb.linearize(model, eq)
+    modes = jb.modes(lin)
+    made = exports.equilibrium_dataset(eq)
+    assert float(made["elongation"].sel(spring="s")) == float(eq.elongations["s"])
+    assert float(made["q"].sel(part="mass 0")) == float(eq.state.q[0])
+    made = exports.linearization_dataset(lin)
+    up, across = "mass move along its guide", "base move along y"
+    assert float(made["K"].sel(coordinate=up, coordinate_2=up)) == float(lin.K[0, 0])
+    assert float(made["M_tilde"].sel(coordinate=up, base=across)) == float(lin.M_tilde[0, 1])
+    made = exports.modes_dataset(modes)
+    assert float(made["frequency"].sel(mode=2)) == float(modes.frequency[1])
+    np.testing.assert_array_equal(made["shape"].sel(mode=1), modes.shapes[:, 0])
+
+
+def test_a_fit():
+    times = jnp.linspace(0, 1, 4)
+    sensors = {"place": jb.Position("mass"), "stretch": jb.Elongation("s")}
+    measured = {"place": jnp.ones((4, 3)), "stretch": jnp.arange(4.0)}
+    experiment = SimpleNamespace(times=times, measured=measured, sensors=sensors)
+    fit = SimpleNamespace(
+        estimates={"s.stiffness": jnp.array(50.0), "mass.com": jnp.array([1.0, 2.0, 3.0])},
+        standard_errors={"s.stiffness": np.array(0.5), "mass.com": np.array([0.1, 0.2, np.inf])},
+        singular_values=np.arange(4.0),
+        predicted={"run1": {name: 2 * values for name, values in measured.items()}},
+        experiments={"run1": experiment},
+        status=jnp.array(7),
+    )
+    made = exports.fit_dataset(fit)
+    assert float(made["estimate"].sel(parameter="mass.com[1]")) == 2.0
+    assert float(made["standard_error"].sel(parameter="mass.com[2]")) == np.inf
+    np.testing.assert_array_equal(made["run1_stretch_predicted"], 2 * np.arange(4.0))
+    np.testing.assert_array_equal(made["run1_place_measured"], np.ones((4, 3)))
+    np.testing.assert_array_equal(made["run1_time"], times)
+
+
+def test_without_xarray_the_extra_is_named(monkeypatch, trajectory):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(jb.JaxbodyError, match=r"pip install 'jaxbody\[xarray\]'") as caught:
+        trajectory.to_xarray()
+    assert caught.value.code == "MISSING_EXTRA"
