@@ -158,7 +158,9 @@ def draw_mode(lin: Linearization, modes: Modes, number: int = 1, *, view: str | 
     """Mode `number` (from 1, ascending) in both extremes over the state at rest; the amplitude is an eighth of the model's size."""
     model, count = lin.model, modes.frequency.shape[0]
     if not 1 <= number <= count:
-        raise JaxbodyError(Problem("UNKNOWN_MODE", "draw_mode.number", f"is {number}", number, f"1 to {count}"))
+        raise JaxbodyError(
+            Problem("UNKNOWN_MODE", "draw_mode.number", f"is {number}; there are modes 1 to {count}", number, f"1 to {count}")
+        )
     ax = _axes(ax, 5.0, 4.0)
     shape = np.asarray(modes.shapes)[:, number - 1]
     still = np.zeros((len(model.layout.supports), 6))
@@ -225,7 +227,9 @@ class Scene:
 def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarray:
     """(2, 3): what is drawn to the right and up of a displacement along the world axes."""
     if view is not None and view != "oblique" and not (len(view) == 2 and view[0] != view[1] and set(view) <= set(AXES)):
-        raise JaxbodyError(Problem("BAD_VIEW", "view", f"is {view!r}", view, "two of x, y, z, as 'xy', or 'oblique'"))
+        raise JaxbodyError(
+            Problem("BAD_VIEW", "view", f"is {view!r}", view, "two of x, y, z", "Give two axes, right and up, as 'xy', or 'oblique'.")
+        )
     if view is not None and view != "oblique":
         return np.eye(3)[[AXES.index(axis) for axis in view]]
     points = np.concatenate([scene.all_points() for scene in scenes])
