@@ -15,9 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
-from jaxbody.arrays import concrete, float_array
-from jaxbody.bodies import IDENTITY, as_quaternion, scalar, shaped, vector
-from jaxbody.errors import Problems
+from jaxbody.arrays import checked, concrete
+from jaxbody.bodies import IDENTITY, as_quaternion, scalar, vector
+from jaxbody.errors import Problems, warn
 from jaxbody.frames import Frame, Pose
 from jaxbody.rotations import cross, dot, product, rotate, rotate_back
 
@@ -74,7 +74,7 @@ class Spring(Element):
         V = 1/2 k (|AB| - l0)^2,   R = 1/2 c (d|AB|/dt)^2,   tension = k (|AB| - l0) + c d|AB|/dt
 
     `stiffness` k [N/m], `free_length` l0 [m], `damping` c [N s/m]. With l0 = 0 the spring is exact down to zero length, where
-    its damper has no direction and exerts nothing. Errors: NEGATIVE_STIFFNESS, NEGATIVE_DAMPING (unless `allow_negative`),
+    its damper has no direction and exerts nothing. Errors: NEGATIVE_STIFFNESS, NEGATIVE_DAMPING (warnings with `allow_negative`),
     NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE. Source: (20)-(28) of the paper.
 
     >>> spring = Spring(("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8)
@@ -90,13 +90,13 @@ class Spring(Element):
         self.stiffness = scalar(stiffness, "Spring.stiffness", problems)
         self.free_length = scalar(free_length, "Spring.free_length", problems)
         self.damping = scalar(damping, "Spring.damping", problems)
-        limits = {"stiffness": "N/m", "damping": "N s/m", "free_length": "m"}
-        for name, unit in limits.items():
+        for name, unit in (("stiffness", "N/m"), ("damping", "N s/m")):
             value = concrete(getattr(self, name))
-            if value is not None and value < 0 and not (allow_negative and name != "free_length"):
-                code = f"NEGATIVE_{name.split('_')[-1].upper()}"
-                hint = "" if name == "free_length" else "If it is meant, say allow_negative=True."
-                problems.add(code, f"Spring.{name}", f"is {value:g} {unit}", value=float(value), limit=">= 0", hint=hint)
+            if value is not None and value < 0:
+                _negative("Spring", name, f"is {value:g} {unit}", float(value), allow_negative, problems)
+        l0 = concrete(self.free_length)
+        if l0 is not None and l0 < 0:
+            problems.add("NEGATIVE_LENGTH", "Spring.free_length", f"is {l0:g} m", value=float(l0), limit=">= 0", hint="Give 0 or more.")
         problems.raise_if_any()
 
     def length(self, A: Pose, B: Pose) -> Float[Array, ""]:
@@ -132,7 +132,8 @@ class Spring(Element):
 def _length(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """|d| and d/|d|, both zero with zero derivatives at d = 0."""
     square = dot(d, d)
-    inverse = jnp.where(square > 0, 1 / jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+    long = square > 1e-80  # below, the fifth power of 1/|d| in higher derivatives would overflow, and inf * 0 is NaN
+    inverse = jnp.where(long, 1 / jnp.sqrt(jnp.where(long, square, 1.0)), 0.0)
     return square * inverse, d * inverse
 
 
@@ -184,18 +185,9 @@ def _times(coefficients: Float[Array, "*k"], e: Float[Array, "6"]) -> Float[Arra
 
 def _coefficients(value: Any, name: str, allow_negative: bool, problems: Problems) -> Any:
     where = f"Bushing.{name}"
-    array = float_array(value, where)
-    if array.shape not in ((3,), (6, 6)):
-        problems.add(
-            "BAD_SHAPE",
-            where,
-            f"has shape {array.shape}",
-            value=value,
-            limit="(3,) or (6, 6)",
-            hint="Give three translational coefficients or a 6 x 6 matrix.",
-        )
+    array = checked(value, ((3,), (6, 6)), where, problems, "Give three translational coefficients or a 6 x 6 matrix.")
+    if array is None:
         return np.zeros(3)
-    array = shaped(array, array.shape, where, problems)
     known = concrete(array)
     if known is None:
         return array
@@ -213,18 +205,21 @@ def _coefficients(value: Any, name: str, allow_negative: bool, problems: Problem
             )
             return array
     smallest = known if known.ndim == 1 else np.linalg.eigvalsh(known)
-    if smallest.min() < -1e-12 * np.abs(smallest).max() and not allow_negative:
+    if smallest.min() < -1e-12 * np.abs(smallest).max():
         told = ", ".join(f"{v:.6g}" for v in smallest)
         what = "coefficients" if known.ndim == 1 else "eigenvalues"
-        problems.add(
-            f"NEGATIVE_{name.upper()}",
-            where,
-            f"has {what} {told}",
-            value=smallest,
-            limit=">= 0",
-            hint="If it is meant, say allow_negative=True.",
-        )
+        _negative("Bushing", name, f"has {what} {told}", smallest, allow_negative, problems)
     return array
+
+
+def _negative(kind: str, name: str, told: str, value: Any, allowed: bool, problems: Problems) -> None:
+    """Negative coefficients are a problem or, where they are meant, a warning."""
+    code, where = f"NEGATIVE_{name.upper()}", f"{kind}.{name}"
+    if allowed:
+        what = {"stiffness": "an equilibrium may be unstable", "damping": "the system may gain energy"}[name]
+        warn(code, f"{where} {told}, as allowed: {what}")
+    else:
+        problems.add(code, where, told, value=value, limit=">= 0", hint="If it is meant, say allow_negative=True.")
 
 
 def _ends(a, b, kind: str, problems: Problems):
@@ -244,6 +239,8 @@ def _ends(a, b, kind: str, problems: Problems):
         names.append(end[0])
         points.append(vector(end[1], f"{where} ({end[0]})", problems))
     if names[0] == names[1] and names[0] != "?":
-        problems.add("SELF_SPRING", kind, f"has both ends on '{names[0]}'", value=names[0], limit="two different bodies or supports")
-    problems.raise_if_any()
+        hint = "It would do nothing: name another body or support at one end."
+        problems.add(
+            "SELF_SPRING", kind, f"has both ends on '{names[0]}'", value=names[0], limit="two different bodies or supports", hint=hint
+        )
     return (names[0], names[1]), points

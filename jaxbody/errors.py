@@ -11,6 +11,7 @@ import jax
 from jax.core import Tracer
 
 MOST_PROBLEMS = 20
+MOST_LINES = 10  # of a message; `problems` holds them all
 
 
 @dataclass(frozen=True)
@@ -25,8 +26,9 @@ class Problem:
     hint: str = ""
 
     def __str__(self) -> str:
+        limit = f" (limit: {self.limit})" if self.limit else ""
         hint = f" {self.hint}" if self.hint else ""
-        return f"{self.where}: {self.message}{hint} [{self.code}]"
+        return f"{self.where}: {self.message.rstrip('.')}{limit}.{hint} [{self.code}]"
 
 
 class JaxbodyError(ValueError):
@@ -43,9 +45,9 @@ class JaxbodyError(ValueError):
         self.problems = problems
         first = problems[0]
         self.code, self.where, self.value, self.limit, self.hint = first.code, first.where, first.value, first.limit, first.hint
-        shown = [str(problem) for problem in problems[:MOST_PROBLEMS]]
-        if len(problems) > MOST_PROBLEMS:
-            shown.append(f"... and {len(problems) - MOST_PROBLEMS} more")
+        shown = [str(problem) for problem in problems[:MOST_LINES]]
+        if len(problems) > MOST_LINES:
+            shown.append(f"... and {len(problems) - MOST_LINES} more in `problems`")
         super().__init__(shown[0] if len(problems) == 1 else f"{len(problems)} problems:\n  " + "\n  ".join(shown))
 
 

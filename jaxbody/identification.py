@@ -30,7 +30,8 @@ from jaxbody.parametrizations import Free, choose, limits_of
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.sensors import Sensor, read
 from jaxbody.simulations import Trajectory, integrate, motions_of
-from jaxbody.uncertainties import Uncertainty, assess, heard, known_directions
+from jaxbody.statics import size_of
+from jaxbody.uncertainties import Uncertainty, assess, known_directions
 
 ARRIVED = 1e-7  # largest Gauss-Newton step in u at which a fit has arrived
 WORTH = 0.01  # share of the expected fall of the cost that is worth having
@@ -314,6 +315,7 @@ class Evaluations:
 
     def __init__(self, task: Task, most: int, progress: bool):
         self.task, self.most, self.progress = task, most, progress
+        self.roughness = float(task.rtol * size_of(task.model))  # of readings, by the tolerance of the integration
         self.count, self.failed, self.history, self._last = 0, 0, [], None
 
     def __call__(self, u) -> tuple[np.ndarray, np.ndarray]:
@@ -328,7 +330,8 @@ class Evaluations:
             return self._last[2]
         with jax.disable_jit(False):
             r, J, runs = _residual_and_jacobian(self.task, jnp.asarray(u))
-        r, J = np.asarray(r), heard(np.asarray(J))
+        r, J = np.asarray(r), np.asarray(J)
+        J = np.where(np.linalg.norm(J, axis=0) <= self.roughness * self._weight(), 0.0, J)  # a search would follow round-off anywhere
         bad = not (np.isfinite(r).all() and np.isfinite(J).all())
         r = np.full_like(r, np.nan) if bad else r
         self.count, self.failed = self.count + 1, self.failed + bad
@@ -337,6 +340,11 @@ class Evaluations:
             print(f"evaluation {self.count}: " + ("failed" if bad else f"cost {self.history[-1]:.9g}"), flush=True)
         self._last = (key, self.task, (r, J, runs))
         return r, J, runs
+
+    def _weight(self) -> float:
+        """The norm of all residuals if each were of unit length."""
+        weights = [(e.measured[name].size, self.task.noise[run][name]) for run, e in self.task.experiments.items() for name in e.sensors]
+        return float(np.sqrt(sum(n * np.mean(1 / np.asarray(level) ** 2) for n, level in weights)))
 
     @property
     def spent(self) -> bool:

@@ -17,13 +17,14 @@ from jaxtyping import Array, Float
 from jaxbody import rotations, tables
 from jaxbody.arrays import concrete, device_array
 from jaxbody.bodies import Body, Support, vector, warn_of_tiny
-from jaxbody.elements import Element, Spring
+from jaxbody.elements import Bushing, Element, Spring
 from jaxbody.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.frames import Pose
 from jaxbody.joints import Free, Joint
 from jaxbody.storage import Table, tabulate, tabulate_by_structure
 
 WORLD = "world"
+LARGEST_TURN = 179.0  # degrees, of a bushing in the reference pose
 
 
 @dataclass(frozen=True)
@@ -171,12 +172,11 @@ class Model(eqx.Module):
         supports, elements, joints = supports or {}, elements or {}, joints or {}
         problems = Problems()
         _check_names(problems, bodies=bodies, supports=supports, elements=elements)
-        _check_kinds(problems, bodies=(bodies, Body), supports=(supports, Support), elements=(elements, Element), joints=(joints, Joint))
-        problems.raise_if_any()
+        bodies, supports = _of_kind(problems, "bodies", bodies, Body), _of_kind(problems, "supports", supports, Support)
+        elements, joints = _of_kind(problems, "elements", elements, Element), _of_kind(problems, "joints", joints, Joint)
         _check_links(problems, bodies, supports, elements, joints)
         gravity = vector(gravity, "gravity", problems)
-        problems.raise_if_any()
-        _check_lengths(problems, bodies, supports, elements)
+        _check_reference(problems, bodies, supports, elements)
         problems.raise_if_any()
         every_joint = {name: joints.get(name, Free()) for name in bodies}
         self.layout = Layout(
@@ -243,6 +243,7 @@ class Model(eqx.Module):
 
 def unknown(name: str, where: str, known: tuple[str, ...]) -> Problem:
     """The problem of a name that is not there, with the nearest one that is."""
+    known = tuple(map(str, known))
     near = difflib.get_close_matches(str(name), known, 1)
     hint = (f"Did you mean '{near[0]}'? " if near else "") + "Known: " + ", ".join(known[:12]) + (", ..." if len(known) > 12 else "") + "."
     return Problem("UNKNOWN_NAME", where, f"'{name}' is unknown.", name, hint=hint)
@@ -273,7 +274,12 @@ def _check_names(problems: Problems, **groups: dict[str, Any]) -> None:
                 continue
             if name in seen:
                 problems.add(
-                    "DUPLICATE_NAME", where, f"is also the name of one of the {seen[name]}", value=name, limit="one name, one thing"
+                    "DUPLICATE_NAME",
+                    where,
+                    f"is also the name of one of the {seen[name]}",
+                    value=name,
+                    limit="one name, one thing",
+                    hint="Rename one of them.",
                 )
             alike = unicodedata.normalize("NFKC", name).casefold()
             if folded.get(alike, name) != name:
@@ -281,13 +287,15 @@ def _check_names(problems: Problems, **groups: dict[str, Any]) -> None:
             seen[name], folded[alike] = group, name
 
 
-def _check_kinds(problems: Problems, **groups: tuple[dict[str, Any], type]) -> None:
-    for group, (things, kind) in groups.items():
-        for name, thing in things.items():
-            if not isinstance(thing, kind):
-                problems.add("WRONG_KIND", f"{group}[{name!r}]", f"is a {type(thing).__name__}", value=thing, limit=kind.__name__)
-    if not groups["bodies"][0]:
-        problems.add("NO_BODY", "bodies", "is empty", limit="at least one body")
+def _of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) -> dict[str, Any]:
+    """The things that are of their kind; those that are not go to `problems`."""
+    for name, thing in things.items():
+        if not isinstance(thing, kind):
+            told, hint = f"is a {type(thing).__name__}", f"Build it with a class of jaxbody: a {kind.__name__}."
+            problems.add("WRONG_KIND", f"{group}[{name!r}]", told, value=thing, limit=kind.__name__, hint=hint)
+    if group == "bodies" and not things:
+        problems.add("NO_BODY", "bodies", "is empty", value=things, limit="at least one body", hint="Give a body.")
+    return {name: thing for name, thing in things.items() if isinstance(thing, kind)}
 
 
 def _check_links(problems: Problems, bodies, supports, elements, joints) -> None:
@@ -296,14 +304,16 @@ def _check_links(problems: Problems, bodies, supports, elements, joints) -> None
         for end in element.between:
             if end not in frames:
                 found = unknown(end, f"elements[{name!r}]", frames)
-                problems.add("UNKNOWN_BODY", found.where, f"body or support {found.message}", value=end, hint=found.hint)
+                limit = "a body, a support or world"
+                problems.add("UNKNOWN_BODY", found.where, f"body or support {found.message}", value=end, limit=limit, hint=found.hint)
     for name, joint in joints.items():
         if name not in bodies:
             found = unknown(name, f"joints[{name!r}]", tuple(bodies))
-            problems.add("UNKNOWN_BODY", found.where, f"body {found.message}", value=name, hint=found.hint)
+            problems.add("UNKNOWN_BODY", found.where, f"body {found.message}", value=name, limit="a body", hint=found.hint)
         if joint.parent not in frames:
             found = unknown(joint.parent, f"joints[{name!r}]", frames)
-            problems.add("UNKNOWN_BODY", found.where, f"parent {found.message}", value=joint.parent, hint=found.hint)
+            limit = "a body, a support or world"
+            problems.add("UNKNOWN_BODY", found.where, f"parent {found.message}", value=joint.parent, limit=limit, hint=found.hint)
     for name in joints:
         chain = [name]
         while chain[-1] in joints and len(chain) <= len(joints) + 1:
@@ -314,34 +324,53 @@ def _check_links(problems: Problems, bodies, supports, elements, joints) -> None
                 f"joints[{name!r}]",
                 f"hangs on itself: {' on '.join(chain[: chain.index(name, 1) + 1] if name in chain[1:] else chain[:4])}",
                 value=name,
-                hint="Joints must form a tree that ends at world or a support.",
+                limit="a tree that ends at world or a support",
+                hint="Give one of the bodies another parent.",
             )
 
 
-def _check_lengths(problems: Problems, bodies, supports, elements) -> None:
-    """A spring of zero length in the reference pose has no direction, unless it is one of zero free length without a damper."""
+def _check_reference(problems: Problems, bodies, supports, elements) -> None:
+    """In the reference pose every spring must have a direction and every bushing be short of half a turn, where its deformation jumps."""
     places = {WORLD: (np.zeros(3), np.array([1.0, 0, 0, 0])), **{n: (b.position, b.orientation) for n, b in {**supports, **bodies}.items()}}
-    for name, spring in elements.items():
-        parts = [concrete(x) for end in spring.between for x in places[end]]
-        numbers = [concrete(x) for x in (spring.a, spring.b)]
-        if not isinstance(spring, Spring) or any(x is None for x in parts + numbers):
+    for name, element in elements.items():
+        check = {Spring: _check_length, Bushing: _check_turn}.get(type(element))
+        if check is None or not set(element.between) <= set(places):
             continue
-        ends = [p + _matrix(o) @ a for (p, o), a in zip((parts[:2], parts[2:]), numbers, strict=True)]
-        length = np.linalg.norm(ends[1] - ends[0])
-        size = max(np.abs(ends).max(), 1e-300)
-        free, damping = concrete(spring.free_length), concrete(spring.damping)
-        if length <= 1e-12 * size and not (free == 0 and damping == 0):
-            problems.add(
-                "ZERO_LENGTH",
-                f"elements[{name!r}]",
-                f"has length {length:.3g} m in the reference pose, so no direction",
-                value=length,
-                limit="> 0",
-                hint=f"Use a Bushing, a free length and damping of 0, or move a point by more than {1e-6 * size:.1g} m.",
-            )
+        numbers = [concrete(x) for x in jax.tree.leaves((element, [places[end] for end in element.between]))]
+        if all(x is not None for x in numbers):
+            check(problems, f"elements[{name!r}]", element, *((p, _matrix(o)) for p, o in (places[end] for end in element.between)))
 
 
-def _matrix(q: np.ndarray) -> np.ndarray:
+def _check_length(problems: Problems, where: str, spring: Spring, A, B) -> None:
+    """Zero length is for springs of zero free length without a damper."""
+    ends = [p + R @ point for (p, R), point in zip((A, B), (spring.a, spring.b), strict=True)]
+    length, size = np.linalg.norm(ends[1] - ends[0]), np.abs(ends).max() or 1.0
+    if length <= 1e-12 * size and (spring.free_length != 0 or spring.damping != 0):
+        problems.add(
+            "ZERO_LENGTH",
+            where,
+            f"has length {length:.3g} m in the reference pose, so no direction",
+            value=length,
+            limit="> 0",
+            hint=f"Use a Bushing, a free length and damping of 0, or move a point by more than {1e-6 * size:.1g} m.",
+        )
+
+
+def _check_turn(problems: Problems, where: str, bushing: Bushing, A, B) -> None:
+    R_A, R_B = A[1] @ _matrix(bushing.orientation), B[1] @ _matrix(bushing.orientation_b)
+    angle = np.rad2deg(np.arccos(np.clip((np.sum(R_A * R_B) - 1) / 2, -1, 1)))
+    if angle > LARGEST_TURN:
+        problems.add(
+            "HALF_TURN",
+            where,
+            f"is turned by {angle:.4g} degrees in the reference pose",
+            value=angle,
+            limit=f"{LARGEST_TURN:g} degrees",
+            hint="It is relaxed where the axes at its ends coincide: turn `orientation` or `orientation_b`.",
+        )
+
+
+def _matrix(q: Any) -> np.ndarray:
     """Rotation matrix of a unit quaternion, in NumPy: a check must not wait for a compiler."""
     w, v = q[0], q[1:]
     cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
@@ -349,9 +378,10 @@ def _matrix(q: np.ndarray) -> np.ndarray:
 
 
 def _warn_of_oddities(bodies, supports, elements) -> None:
-    masses = [concrete(b.mass) for b in bodies.values()]
-    if all(m is not None for m in masses):
+    masses, inertias = ([concrete(getattr(body, name)) for body in bodies.values()] for name in ("mass", "inertia"))
+    if all(x is not None for x in masses + inertias):
         warn_of_tiny(tuple(bodies), np.array(masses))
+        warn_of_tiny(tuple(bodies), np.trace(np.array(inertias), axis1=1, axis2=2), "inertia", "kg m2")
     for name, element in elements.items():
         if not set(element.between) & set(bodies):
             warn("USELESS_SPRING", f"elements['{name}'] joins {' and '.join(element.between)}: no body feels it")

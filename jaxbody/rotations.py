@@ -150,10 +150,11 @@ def log(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
 
 
 def log_below_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
-    """`log` for turns of less than pi, at a third of its price: w = sqrt(1 + tr R)/2, (x, y, z) from the skew part over 4 w."""
-    w = jnp.sqrt(jnp.maximum(1 + R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2], 1e-30))[..., None] / 2
-    skew_part = jnp.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
-    return log_quaternion(jnp.concatenate([w, skew_part / (4 * w)], -1))
+    """`log` for turns of less than pi, at a third of its price: the quaternion along (1 + tr R, skew part of R), which is 4 w (w, x, y, z).
+    It loses digits as 1/(pi - |phi|) and is NaN, not wrong, at half a turn."""
+    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
+    row = jnp.stack([1 + trace, R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    return log_quaternion(normalize(row))
 
 
 def inverse_left_jacobian(phi: Float[Array, "*n 3"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:

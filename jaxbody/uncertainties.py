@@ -15,7 +15,6 @@ import numpy as np
 CORRELATED = 0.2  # lag-one correlation of residuals that is told, if it is also significant
 TOUCHED = 1e-3  # share of a null direction that makes a parameter undetermined
 RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
-SILENT = 1e-8  # size of a Jacobian's column that counts as none: the effect on all samples together, in standard deviations of one
 
 
 class Uncertainty(eqx.Module):
@@ -30,11 +29,6 @@ class Uncertainty(eqx.Module):
     correlation: float
     correlated: bool
     samples: int
-
-
-def heard(J: np.ndarray) -> np.ndarray:
-    """J without what round-off makes of parameters that have no effect; a search would follow it anywhere."""
-    return np.where(np.linalg.norm(J, axis=0) <= SILENT, 0.0, J)
 
 
 def known_directions(S: np.ndarray) -> np.ndarray:
