@@ -119,6 +119,7 @@ def plot_history(fit: Any, *, ax: Any = None) -> Any:
     if (cost > 0).any():
         ax.set_yscale("log")
     ax.set(xlabel="evaluation", ylabel="cost [-]")
+    ax.xaxis.get_major_locator().set_params(integer=True)
     return ax
 
 
