@@ -48,7 +48,11 @@ class Body(eqx.Module):
 
 
 class Support(eqx.Module):
-    """A frame whose motion is imposed; `position` [m] and `orientation` (as of a body) are its reference pose, motions count from there."""
+    """A frame whose motion is imposed; `position` [m] and `orientation` (as of a body) are its reference pose, motions count from there.
+
+    >>> Support(position=[0, -1, 0]).position.tolist()
+    [0.0, -1.0, 0.0]
+    """
 
     position: Float[Array, "3"]
     orientation: Float[Array, "4"]

@@ -25,7 +25,11 @@ Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about t
 
 
 class Element(eqx.Module):
-    """The base of all elements between two frames A and B."""
+    """The base of all elements between two frames A and B.
+
+    >>> issubclass(Spring, Element) and issubclass(Bushing, Element)
+    True
+    """
 
     between: tuple[str, str] = eqx.field(static=True)
     a: Float[Array, "3"]
@@ -146,6 +150,10 @@ class Bushing(Element):
     bushing's axes [N/m], [N s/m], no resistance to turning. `orientation` (of the frame at a in its body) and `orientation_b`
     give the axes; the bushing is relaxed where the two frames coincide. e is the logarithm of SE(3): exchanging the ends changes only its sign.
     Errors: NOT_SYMMETRIC, NEGATIVE_STIFFNESS, NEGATIVE_DAMPING, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION.
+
+    >>> mount = Bushing(("engine", [0.4, 0, 0]), ("base", [0.4, 0, 0]), stiffness=[9e4, 2e5, 5e5], damping=[900.0, 2000.0, 200.0])
+    >>> mount.stiffness.shape
+    (3,)
     """
 
     stiffness: Float[Array, "*k"]

@@ -52,7 +52,11 @@ class JaxbodyError(ValueError):
 
 
 class JaxbodyWarning(UserWarning):
-    """Everything that jaxbody warns of; `code` says which. Make them errors with `warnings.simplefilter("error", JaxbodyWarning)`."""
+    """Everything that jaxbody warns of; `code` says which. Make them errors with `warnings.simplefilter("error", JaxbodyWarning)`.
+
+    >>> JaxbodyWarning("TINY_MASS", "mass of 'bolt' is tiny").code
+    'TINY_MASS'
+    """
 
     def __init__(self, code: str, message: str):
         self.code = code
@@ -78,7 +82,11 @@ class Problems:
 
 
 class Status(enum.IntEnum):
-    """How a computation ended. Jitted code returns these numbers, one per sample; 0 is good."""
+    """How a computation ended. Jitted code returns these numbers, one per sample; 0 is good.
+
+    >>> Status(2).name
+    'UNSTABLE'
+    """
 
     OK = 0
     NOT_CONVERGED = 1

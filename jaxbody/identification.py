@@ -486,28 +486,37 @@ def _descend(evaluate: Evaluations, optimizer, u, r0, spread, size, enough: floa
     return best
 
 
+@jax.custom_jvp
+def _residual(task: Task, size, u):
+    """r/size, whose derivative in u is the J that comes with r: a loop linearized by itself would run twice."""
+    return _residual_and_jacobian(task, u)[0] / size
+
+
+@_residual.defjvp
+def _residual_jvp(primals, tangents):
+    task, size, u = primals
+    r, J, _ = _residual_and_jacobian(task, u)
+    return r / size, J @ tangents[2] / size
+
+
+@eqx.filter_jit
+def _minimize(task: Task, u, method, most: int) -> tuple[Array, Array, Array]:
+    """The optimum by optimistix, a status and the number of steps."""
+    signal = sum(jnp.sum((_away(e, name) / e.sensors[name].spread(task.noise[run][name])) ** 2) for run, e in task.experiments.items() for name in e.sensors)  # fmt: skip
+    size = jnp.sqrt(jnp.where(signal > 0, signal, 1.0))  # residuals over it are of the order of one, from where such methods set out
+    found = optimistix.least_squares(lambda u, args: _residual(*args, u), method, u, (task, size), options={"jac": "fwd"}, max_steps=most, throw=False)  # fmt: skip
+    failed = found.result != optimistix.RESULTS.successful
+    return found.value, jnp.where(failed, Status.NOT_CONVERGED.value, Status.OK.value), found.stats["num_steps"]
+
+
 @eqx.filter_jit
 def _solve(task: Task, u, method, most: int) -> tuple[Array, Array, Array]:
-    """By optimistix, in one program: inside jit and vmap too, differentiable in forward mode by the implicit function theorem."""
+    """`_minimize`, in one program inside jit and vmap too, differentiable in forward mode by the implicit function theorem."""
+    numbers, rest = eqx.partition(method, eqx.is_array)
 
     @jax.custom_jvp
-    def solve(task, u):
-        frozen = jax.lax.stop_gradient(task)
-        signal = jnp.sqrt(sum(jnp.sum((_away(e, name) / e.sensors[name].spread(frozen.noise[run][name])) ** 2) for run, e in frozen.experiments.items() for name in e.sensors))  # fmt: skip
-        size = jnp.where(signal > 0, signal, 1.0)  # so that residuals are of the order of one, from where such methods set out
-
-        @jax.custom_jvp
-        def residual(u):
-            return _residual_and_jacobian(frozen, u)[0] / size
-
-        @residual.defjvp
-        def residual_jvp(primals, tangents):  # a loop linearized by itself would run twice
-            r, J, _ = _residual_and_jacobian(frozen, primals[0])
-            return r / size, J @ tangents[0] / size
-
-        found = optimistix.least_squares(lambda u, _: residual(u), method, u, options={"jac": "fwd"}, max_steps=most, throw=False)
-        failed = found.result != optimistix.RESULTS.successful
-        return found.value, jnp.where(failed, Status.NOT_CONVERGED.value, Status.OK.value), found.stats["num_steps"]
+    def solve(task, u, numbers):
+        return _minimize(jax.lax.stop_gradient(task), u, eqx.combine(numbers, rest), most)
 
     @solve.defjvp
     def solve_jvp(primals, tangents):
@@ -525,7 +534,7 @@ def _solve(task: Task, u, method, most: int) -> tuple[Array, Array, Array]:
         still = [np.zeros(jnp.shape(x), jax.dtypes.float0) for x in (status, steps)]
         return (u, status, steps), (-jnp.linalg.solve(jnp.where(status == 0, H, jnp.nan), change), *still)
 
-    return solve(task, u)
+    return solve(task, u, numbers)
 
 
 def _fit_traced(task: Task, u, method, most: int, estimated: bool) -> Fit:

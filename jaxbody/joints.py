@@ -27,7 +27,11 @@ MOVES = ("move along x", "move along y", "move along z")
 
 
 class Joint(eqx.Module):
-    """The base of all joints: nq coordinates, nv speeds; `motions` says in words what each speed does, `units` in what."""
+    """The base of all joints: nq coordinates, nv speeds; `motions` says in words what each speed does, `units` in what.
+
+    >>> Hinge.nq, Hinge.nv, Ball.motions[0]
+    (1, 1, 'turn about x')
+    """
 
     parent: str = eqx.field(static=True)
     nq: ClassVar[int]
@@ -57,7 +61,11 @@ class Joint(eqx.Module):
 
 
 class Free(Joint):
-    """Six ways to move. q = (position of O, unit quaternion), v = (velocity of O, angular velocity), in the parent's axes."""
+    """Six ways to move. q = (position of O, unit quaternion), v = (velocity of O, angular velocity), in the parent's axes.
+
+    >>> Free().parent
+    'world'
+    """
 
     nq, nv = 7, 6
     motions = MOVES + TURNS
@@ -84,7 +92,11 @@ class Free(Joint):
 
 
 class Fixed(Joint):
-    """No way to move: the body keeps its reference pose on the parent."""
+    """No way to move: the body keeps its reference pose on the parent.
+
+    >>> Fixed("base").nq
+    0
+    """
 
     nq, nv = 0, 0
     motions, turns = (), ()
@@ -100,7 +112,11 @@ class Fixed(Joint):
 
 
 class Guide(Joint):
-    """Sliding along a straight line: q the displacement [m] from the reference pose along `axis` (unit vector, parent's frame)."""
+    """Sliding along a straight line: q the displacement [m] from the reference pose along `axis` (unit vector, parent's frame).
+
+    >>> Guide("base", axis=[0, 0, 2.0]).axis.tolist()
+    [0.0, 0.0, 1.0]
+    """
 
     axis: Float[Array, "3"]
     nq, nv = 1, 1
@@ -123,7 +139,12 @@ class Guide(Joint):
 
 class Hinge(Joint):
     """Turning about a line: q the angle [rad] from the reference pose about `axis` (unit vector) through the point `at`,
-    both in the parent's frame; without `at`, through the body's reference point O."""
+    both in the parent's frame; without `at`, through the body's reference point O.
+
+    >>> model = Model(bodies={"arm": Body(mass=1.0, inertia=[1, 1, 1], com=[1, 0, 0])}, joints={"arm": Hinge("world", axis=[0, 0, 1])})
+    >>> model.reference.q.tolist()
+    [0.0]
+    """
 
     axis: Float[Array, "3"]
     at: Float[Array, "3"] | None
@@ -148,7 +169,11 @@ class Hinge(Joint):
 
 class Ball(Joint):
     """Turning about the point `at` (parent's frame; without it, the body's reference point O).
-    q = unit quaternion of the turn from the reference pose, v = angular velocity, in the parent's axes."""
+    q = unit quaternion of the turn from the reference pose, v = angular velocity, in the parent's axes.
+
+    >>> Model(bodies={"top": Body(mass=1.0, inertia=[1, 1, 1])}, joints={"top": Ball("world")}).reference.q.tolist()
+    [1.0, 0.0, 0.0, 0.0]
+    """
 
     at: Float[Array, "3"] | None
     nq, nv = 4, 3

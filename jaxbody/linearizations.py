@@ -119,7 +119,14 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
 
         F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
 
-    Errors: UNKNOWN_NAME of a support, BAD_SHAPE."""
+    Errors: UNKNOWN_NAME of a support, BAD_SHAPE.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> force = excitation(model, model.reference, {"base": [0, 0.1, 0, 0, 0, 0]})
+    >>> round(float(force[0]), 9)
+    5.0
+    """
     check_precision("excitation", model)
     state = at.state if isinstance(at, Equilibrium) else at
     check_state(model, state, "state")

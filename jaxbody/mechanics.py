@@ -28,22 +28,45 @@ def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> F
 
 
 def kinetic_energy(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
-    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies [J]. Source: (10), (11) of the paper."""
+    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies [J]. Source: (10), (11) of the paper.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
+    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
+    >>> float(kinetic_energy(model, state))
+    9.0
+    """
     return kinetic(model, frames_of(model, state, xi, xi_dot))
 
 
 def potential_energy(model: Model, state: State, xi: Xi = None) -> Float[Array, ""]:
-    """V = sum over the elements of their energies - sum of m g . C over the bodies [J]. Source: (22), (60) of the paper."""
+    """V = sum over the elements of their energies - sum of m g . C over the bodies [J]. Source: (22), (60) of the paper.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
+    >>> float(potential_energy(model, model.reference))
+    0.0
+    """
     return potential(model, frames_of(model, state, xi))
 
 
 def dissipation(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
-    """R = sum over the elements, 1/2 c e_dot^2 for a linear damper [W]; 2 R is the power lost where damping is linear."""
+    """R = sum over the elements, 1/2 c e_dot^2 for a linear damper [W]; 2 R is the power lost where damping is linear.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
+    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
+    >>> float(dissipation(model, state))
+    0.0
+    """
     return rayleigh(model, frames_of(model, state, xi, xi_dot))
 
 
 def lagrangian(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
-    """L = T - V [J]. Source: (12) of the paper."""
+    """L = T - V [J]. Source: (12) of the paper.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
+    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
+    >>> float(lagrangian(model, state))
+    9.0
+    """
     frames = frames_of(model, state, xi, xi_dot)
     return kinetic(model, frames) - potential(model, frames)
 

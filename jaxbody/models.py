@@ -129,7 +129,12 @@ class Layout:
 class State(eqx.Module):
     """Where everything is and how it moves: q the coordinates and v the speeds of the joints, in the order of the bodies; z the states
     that elements carry themselves. For a free body q = (position of O, unit quaternion w, x, y, z), v = (velocity of O, angular
-    velocity), world axes. Leading axes are times or samples."""
+    velocity), world axes. Leading axes are times or samples.
+
+    >>> state = State(q=jnp.array([0.3]), v=jnp.array([0.0]))
+    >>> state.z.shape
+    (0,)
+    """
 
     q: Float[Array, "*n nq"]
     v: Float[Array, "*n nv"]

@@ -23,7 +23,11 @@ LARGEST_TURN = np.deg2rad(30)  # between samples
 
 class Motion(eqx.Module):
     """An imposed motion: `motion(t)` is Xi = (xi, phi), translation [m] and rotation vector [rad] in world axes. Motions add, also
-    with bare functions of time."""
+    with bare functions of time.
+
+    >>> (Harmonic(frequency=1.0, translation=[0.1, 0, 0]) + AtRest())(jnp.array(0.0)).tolist()
+    [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
+    """
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         raise TypeError("a motion says what it is by __call__(t)")  # pragma: no cover
@@ -40,7 +44,11 @@ class Motion(eqx.Module):
 
 
 class AtRest(Motion):
-    """Xi = 0."""
+    """Xi = 0.
+
+    >>> AtRest()(jnp.array(1.0)).tolist()
+    [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    """
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         return jnp.zeros(6, jnp.result_type(t, float))
@@ -114,6 +122,11 @@ class Sampled(Motion):
     Through positions the m follow from continuity of Xi', with the end slopes of the cubic through the four outermost samples.
     `Sampled.from_accelerations` takes the m themselves and integrates them from stated initial values: acceleration is then linear
     between samples, as in earthquake engineering. Asking outside the samples is an error.
+
+    >>> times = jnp.linspace(0, 1, 11)
+    >>> drift = Sampled(times, translation=jnp.stack([times**2, 0 * times, 0 * times], 1))
+    >>> round(float(drift(jnp.array(0.55))[0]), 9)
+    0.3025
     """
 
     times: Float[Array, "n"]

@@ -68,7 +68,7 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0)})
     >>> found = modes(linearize(model, equilibrium(model)))
-    >>> round(float(found.frequency[0]), 6), float(found.damping_ratio[0])
+    >>> round(float(found.frequency[0]), 6), round(float(found.damping_ratio[0]), 6)
     (0.795775, 0.1)
     """
     check_precision("modes", lin.model, needs_float64=not allow_float32)
