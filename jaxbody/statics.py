@@ -173,7 +173,9 @@ def _descend(model, q, scale, size, max_steps):
         longest = jnp.max(jnp.abs(y), initial=0.0)
         y = jnp.where(definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0)  # else no step, and a larger shift next
         expected = -jnp.sum(y * slope) - 0.5 * jnp.sum(y * jnp.sum(K * y, -1))
-        done = definite & accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= TOLERANCE * size)
+        at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= 1e-14 * unit * size  # on a saddle too, where no step is worth anything
+        near = accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= TOLERANCE * size)
+        done = definite & (near | at_rest)
         tried = Coordinates(model).retract(best[0], scale * y)
         return best, tried, shift, expected, definite & (longest < 1e-6 * size), done, n + 1
 
