@@ -151,12 +151,10 @@ class Dynamics(eqx.Module):
         alpha = alpha.at[first:].add(jnp.sum(ang * v_dot[:, None], 1))
         F, M = self._net(frames, a, alpha)
         on_frames = wrenches(self.model, frames)
-        forces, moments = [], []
-        for row in range(1, first):
-            jointed = jnp.asarray(layout.roots == row, F.dtype)[:, None]
-            forces.append(on_frames[0][row] + jnp.sum(jointed * F, 0))
-            moments.append(on_frames[1][row] + jnp.sum(jointed * (M + cross(frames.p[first:] - frames.p[row], F)), 0))
-        return jnp.stack(forces), jnp.stack(moments)
+        rows = np.arange(1, first)
+        jointed = jnp.asarray(layout.roots == rows[:, None], F.dtype)[..., None]
+        moment = M + cross(frames.p[first:] - frames.p[rows][:, None], F)
+        return on_frames[0][1:first] + jnp.sum(jointed * F, 1), on_frames[1][1:first] + jnp.sum(jointed * moment, 1)
 
 
 def mass_in_body_axes(model: Model) -> Float[Array, "nb 6 6"]:
