@@ -28,7 +28,7 @@ from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import size_of
 
 MAX_STEPS = 100_000
-SAFETY = 0.1  # local error over rtol: between steps solvers interpolate to a lower order than they step, and energy drifts by 100 rtol at most
+SAFETY = 0.1  # local error over rtol, as solvers interpolate between steps to a lower order than they step
 STATUSES = (
     (diffrax.RESULTS.successful, Status.OK),
     (diffrax.RESULTS.max_steps_reached, Status.MAX_STEPS),
@@ -187,9 +187,9 @@ def simulate(
     if loose:
         warn("UNATTACHED", f"nothing ties {', '.join(loose)} to world or a support")
     meter = diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter()
-    result = integrate(
-        model, times, motions, initial, rtol, solver or diffrax.Dopri8(), stepsize_controller, adjoint, dt0, max_steps, meter
-    )
+    rtol, dt0 = (None if x is None else device_array(x) for x in (rtol, dt0))  # a Python number would be compiled in
+    solver = solver or diffrax.Dopri8()
+    result = integrate(model, times, motions, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)
     warn_if_failed(result)
     return result
 

@@ -17,13 +17,14 @@ from jaxbody import plots
 @pytest.fixture(autouse=True)
 def nothing_else_is_touched():
     """Given axes, no window is opened and no style is changed."""
-    before = dict(matplotlib.rcParams)
-    yield
-    assert dict(matplotlib.rcParams) == before
-    if "matplotlib.pyplot" in sys.modules:
-        import matplotlib.pyplot as plt
 
-        assert plt.get_fignums() == []
+    def figures():
+        pyplot = sys.modules.get("matplotlib.pyplot")
+        return pyplot.get_fignums() if pyplot else []
+
+    before = dict(matplotlib.rcParams), figures()
+    yield
+    assert (dict(matplotlib.rcParams), figures()) == before
 
 
 @pytest.fixture
