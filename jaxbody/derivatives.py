@@ -1,88 +1,267 @@
-"""First and second derivatives of V, T and R in structured form, a tenth of the work of jax.hessian, which remains their definition.
+"""First and second derivatives of V, T and R in closed form, a hundredth of the work of jax.hessian, which remains their definition.
 
-    slope     dV/d(Delta, Xi) = -d/d(v, Xi') of the virtual power, sum of F . v + M . w over the frames
-    K         the symmetric part of d slope/d(Delta, Xi): what the increments of rotations add is skew
-    M         sum of m J_C' J_C + J_w' J J_w,   J the velocities of the bodies per unit of (v, Xi')
-    C         sum of J_e' R'' J_e,              J_e the rates of the deformations per unit of (v, Xi')
+With delta_f = (displacement of its origin, rotation vector), world axes, of every frame f that moves, J = d delta/d(Delta, Xi), and G and H
+the gradient and the Hessian of V in the delta of all frames:
 
-Rows: the speeds v, then six for each support.
+    slope     J' G
+    K         J' H J + G d2 delta/dx dx,  where for x_i nearer to the root than x_j, n_i the axis about which x_i turns,
+              d2 delta/dx_i dx_j = (n_i x J_j, n_i x J_j / 2) for displacement and rotation; (ij + ji)/2 for the turns of one joint
+    M         J' (inertias) J
+    C         J' (R'' of the elements) J
+
+Rows: the speeds v, then six for each support. Where every body is free on the world J is the identity.
 """
 
 from __future__ import annotations
 
+from functools import singledispatch
+
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.frames import Frame, Pose
-from jaxbody.kinematics import Coordinates
-from jaxbody.mechanics import each_element, wrenches
-from jaxbody.models import Model, reference_poses
-from jaxbody.rotations import product, rotate_back, skew
+from jaxbody.elements import Element, Spring
+from jaxbody.frames import Frame
+from jaxbody.kinematics import Coordinates, supports_at, take
+from jaxbody.mechanics import each_element, potential, sums, wrenches
+from jaxbody.models import Layout, Model
+from jaxbody.rotations import cross, dot, product, rotate, skew
 
 Vector = Float[Array, "n"]
 Square = Float[Array, "n n"]
+Slopes = tuple[Float[Array, "6"], Float[Array, "6"]]  # of frames A and B
+Blocks = tuple[Float[Array, "6 6"], Float[Array, "6 6"], Float[Array, "6 6"]]  # A and A, A and B, B and B
 
 
-def slope(model: Model, q: Float[Array, "nq"], xi: Float[Array, "nxi"]) -> Vector:
-    """dV/d(Delta, Xi) at rest, supports displaced by a small Xi."""
-    F, M = wrenches(model, _moving(model, q, xi, jnp.zeros(model.layout.nv + model.layout.nxi, q.dtype)))
-
-    def virtual_power(speeds):
-        frames = _moving(model, q, xi, speeds)
-        return jnp.sum(F * frames.v) + jnp.sum(M * frames.w)
-
-    return -jax.grad(virtual_power)(jnp.zeros(model.layout.nv + model.layout.nxi, q.dtype))
+def slope(model: Model, q: Float[Array, "nq"]) -> Vector:
+    """dV/d(Delta, Xi) at rest, supports at their reference poses."""
+    frames, axes = _at_rest(model, q)
+    G = -jnp.concatenate(wrenches(model, frames), -1)[_rows(model.layout)]
+    return _pulled(_jacobian(model.layout, frames, axes), G)
 
 
-def stiffness(model: Model, q: Float[Array, "nq"], *, base: bool = True) -> tuple[Vector, Square]:
-    """dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix, supports at their reference poses; without `base`, those of Delta alone."""
-    n, nxi = model.layout.nv, model.layout.nxi
-    size = n + nxi if base else n
+def stiffness(model: Model, q: Float[Array, "nq"]) -> Square:
+    """K | -K~ | K_bb as one matrix, supports at their reference poses."""
+    return expansion(model, q)[2]
 
-    def displaced(x):
-        x = jnp.concatenate([x, jnp.zeros(n + nxi - size, x.dtype)])
-        g = slope(model, q + Coordinates(model).rate(q, x[:n]), x[n:])[:size]
-        return g, g
 
-    D, g = jax.jacfwd(displaced, has_aux=True)(jnp.zeros(size, q.dtype))
-    return g, (D + D.T) / 2
+def expansion(model: Model, q: Float[Array, "nq"], *, base: bool = True) -> tuple[Float[Array, ""], Vector, Square]:
+    """V, dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix, supports at their reference poses; without `base`, in Delta alone."""
+    layout = model.layout
+    frames, axes = _at_rest(model, q, base=base)
+    arms = rotate(frames.R[layout.first_body :], model.bodies.rows.com)
+    weights = -model.bodies.rows.mass[:, None] * model.gravity
+    G_bodies = jnp.concatenate([weights, cross(arms, weights)], -1)
+    H_bodies = jnp.pad(turning(arms, weights), ((0, 0), (3, 0), (3, 0)))
+    elements = each_element(model, frames, second_order)
+    G = _gradient(model, G_bodies, [slopes for slopes, _ in elements], base)
+    H = _hessian(model, H_bodies, [blocks for _, blocks in elements], base)
+    J = _jacobian(layout, frames, axes, base=base)
+    K = _projected(J, H)
+    if J is not None:
+        n = axes[1]
+        T = jnp.sum(cross(J[..., :3], G[:, None, :3]) + cross(J[..., 3:], G[:, None, 3:]) / 2, 0)
+        W = jnp.asarray(_precedence(layout)[: len(n), : len(n)], K.dtype) * jnp.sum(n[:, None] * T, -1)
+        K = K + W + W.T
+    return potential(model, frames), _pulled(J, G), K
 
 
 def mass(model: Model, q: Float[Array, "nq"]) -> Square:
     """M | -M~ | M_bb as one matrix."""
-    bodies, first = model.bodies.rows, model.layout.first_body
-
-    def velocities(speeds):
-        moving = _moving(model, q, jnp.zeros(model.layout.nxi, q.dtype), speeds)[first:]
-        return moving.velocity(bodies.com), rotate_back(moving.R, moving.w)
-
-    J_C, J_w = jax.jacfwd(velocities)(jnp.zeros(model.layout.nv + model.layout.nxi, q.dtype))
-    turning = jnp.einsum("bij,bjn->bin", (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2, J_w)
-    return jnp.einsum("b,bim,bin->mn", bodies.mass, J_C, J_C) + jnp.einsum("bim,bin->mn", J_w, turning)
+    layout, bodies = model.layout, model.bodies.rows
+    frames, axes = _at_rest(model, q)
+    R = frames.R[layout.first_body :]
+    m, c = bodies.mass[:, None, None], skew(rotate(R, bodies.com))
+    turned = product(product(R, (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2), jnp.swapaxes(R, -1, -2))
+    inertia = _square(m * jnp.eye(3, dtype=c.dtype), -m * c, m * c, turned - m * product(c, c))
+    return _projected(_jacobian(layout, frames, axes), _hessian(model, inertia, []))
 
 
 def damping(model: Model, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Square:
     """C | -C~ | C_bb as one matrix, at the speeds v."""
-    xi = jnp.zeros(model.layout.nxi, q.dtype)
-
-    def rates(speeds):
-        return tuple(each_element(model, _moving(model, q, xi, speeds), lambda s, A, B: s.rates(A, B)))
-
-    speeds = jnp.concatenate([v, xi])
-    C = jnp.zeros((len(speeds), len(speeds)), q.dtype)
-    for table, (e, e_dot), (_, J) in zip(model.elements, rates(speeds), jax.jacfwd(rates)(speeds), strict=True):
-        rows, n = len(table), len(speeds)
-        second = jax.vmap(lambda s, e, e_dot: jax.hessian(lambda x, s=s, e=e: s.dissipation(e, x))(e_dot))(table.rows, e, e_dot)
-        J = J.reshape(rows, -1, n)
-        C += jnp.einsum("eim,eij,ejn->mn", J, second.reshape(rows, J.shape[1], J.shape[1]), J)
-    return C
+    layout = model.layout
+    frames, axes = _at_rest(model, q, v)
+    none = jnp.zeros((len(layout.bodies), 6, 6), q.dtype)
+    return _projected(_jacobian(layout, frames, axes), _hessian(model, none, each_element(model, frames, dissipation_hessian)))
 
 
-def _moving(model: Model, q, xi, speeds) -> Frame:
-    """Frames for speeds (v, Xi'), supports displaced to first order by Xi: R0 + [phi] R0."""
-    still = reference_poses(model)[0]
-    xi, xi_dot = xi.reshape(-1, 6), speeds[model.layout.nv :].reshape(-1, 6)
-    pose = Pose(still.p + xi[:, :3], still.R + product(skew(xi[:, 3:]), still.R))
-    supports = Frame(pose.p, pose.R, xi_dot[:, :3], xi_dot[:, 3:])
-    return Coordinates(model).frames(q, speeds[: model.layout.nv], supports)
+# Elements: second derivatives in the displacements of their two frames
+
+
+@singledispatch
+def second_order(element: Element, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
+    """Gradient and Hessian of V, this as the symmetric part of the derivative of the wrenches: what increments of rotations add is skew."""
+
+    def moved(frame, x):
+        return Frame(frame.p + x[:3], frame.R + product(skew(x[3:]), frame.R), jnp.zeros(3), jnp.zeros(3))
+
+    def slopes(x):
+        G = -jnp.concatenate([part for wrench in element.wrenches(moved(A, x[:6]), moved(B, x[6:])) for part in wrench])
+        return G, G
+
+    D, G = jax.jacfwd(slopes, has_aux=True)(jnp.zeros(12, A.p.dtype))
+    return (G[:6], G[6:]), _blocks((D + D.T) / 2)
+
+
+@second_order.register
+def _(spring: Spring, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
+    """With V'' = h I + c d d' for the vector d between the points, h the tension over the length."""
+    a, b = rotate(A.R, spring.a), rotate(B.R, spring.b)
+    d = (B.p - A.p) + (b - a)
+    square = dot(d, d)
+    inverse = jnp.where(square > 0, 1 / jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+    h = spring.stiffness * (1 - spring.free_length * inverse)
+    c = spring.stiffness * spring.free_length * inverse**3
+    g_a, g_b = (jnp.concatenate([d, cross(arm, d)]) for arm in (a, b))
+
+    def block(x, y, g_x, g_y):
+        return (
+            h * _square(jnp.eye(3, dtype=d.dtype), -skew(y), skew(x), dot(x, y) * jnp.eye(3, dtype=d.dtype) - y[:, None] * x)
+            + c * g_x[:, None] * g_y
+        )
+
+    def turned(arm, force):
+        return jnp.pad(turning(arm, force), ((3, 0), (3, 0)))
+
+    return (-h * g_a, h * g_b), (
+        block(a, a, g_a, g_a) + turned(a, -h * d),
+        -block(a, b, g_a, g_b),
+        block(b, b, g_b, g_b) + turned(b, h * d),
+    )
+
+
+def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
+    """The Hessian of force . exp([phi]) arm: (f a' + a f')/2 - (f . a) I."""
+    outer = force[..., :, None] * arm[..., None, :]
+    return (outer + jnp.swapaxes(outer, -1, -2)) / 2 - dot(force, arm)[..., None, None] * jnp.eye(3, dtype=arm.dtype)
+
+
+def dissipation_hessian(element: Element, A: Frame, B: Frame) -> Blocks:
+    """Of R, in the velocities of the frames: J' R'' J, J the rates of the deformation per unit of each."""
+    e, e_dot = element.rates(A, B)
+
+    def rates(x):
+        return element.rates(Frame(A.p, A.R, x[:3], x[3:6]), Frame(B.p, B.R, x[6:9], x[9:]))[1]
+
+    J = jax.vmap(rates, out_axes=-1)(jnp.eye(12, dtype=A.p.dtype)).reshape(-1, 12)
+    second = jax.hessian(lambda rate: element.dissipation(e, rate))(e_dot).reshape(len(J), len(J))
+    return _blocks(J.T @ second @ J)
+
+
+def _blocks(H: Float[Array, "12 12"]) -> Blocks:
+    return H[:6, :6], H[:6, 6:], H[6:, 6:]
+
+
+def _square(a: Array, b: Array, c: Array, d: Array) -> Array:
+    """[[a, b], [c, d]]."""
+    a, b, c, d = jnp.broadcast_arrays(a, b, c, d)
+    return jnp.concatenate([jnp.concatenate([a, b], -1), jnp.concatenate([c, d], -1)], -2)
+
+
+# From frames to coordinates. The frames that move are in the order of the columns: bodies, then, with `base`, supports
+
+
+def _rows(layout: Layout, base: bool = True) -> np.ndarray:
+    """The rows of these in the table of frames."""
+    return np.concatenate([np.arange(layout.first_body, len(layout.frames)), np.arange(1, layout.first_body if base else 1)])
+
+
+def _places(layout: Layout, base: bool) -> dict[str, int | None]:
+    """Name of a frame -> its place among these."""
+    rows = list(_rows(layout, base))
+    return {name: rows.index(row) if row in rows else None for row, name in enumerate(layout.frames)}
+
+
+def _at_rest(model: Model, q, v=None, base: bool = True):
+    """Frames (moving at speeds v, if given), and the axes of all columns: (n, 3) of displacements and of turns."""
+    layout = model.layout
+    zero = jnp.zeros((len(layout.supports), 6), q.dtype)
+    v = jnp.zeros(layout.nv, q.dtype) if v is None else v
+    frames, (linear, angular) = Coordinates(model).frames_and_axes(q, v, supports_at(model, zero, zero))
+    if base:
+        own = np.tile(np.eye(6), (len(layout.supports), 1))
+        linear, angular = jnp.concatenate([linear, own[:, :3]]), jnp.concatenate([angular, own[:, 3:]])
+    return frames, (linear, angular)
+
+
+def _owners(layout: Layout) -> np.ndarray:
+    """For each column the place of the frame that it moves first, in the order of the columns."""
+    widths = [kind.nv for kind in layout.kinds] + [6] * len(layout.supports)
+    return np.repeat(np.arange(len(widths)), widths)
+
+
+def _carried(layout: Layout) -> np.ndarray:
+    """(frames, n): 1 where a column moves a frame."""
+    supports = np.arange(len(layout.supports))
+    on_bodies = np.repeat(layout.roots[:, None] - 1 == supports, 6, axis=1)
+    on_supports = np.repeat(supports[:, None] == supports, 6, axis=1)
+    return np.block([[layout.carries, on_bodies], [np.zeros((len(supports), layout.nv)), on_supports]])
+
+
+def _precedence(layout: Layout) -> np.ndarray:
+    """(n, n): 1 where column i turns the axis of column j, 1/2 where both turn one joint."""
+    owners = _owners(layout)
+    together = owners[:, None] == owners
+    turns = np.concatenate([layout.turns, np.tile([0, 0, 0, 1, 1, 1], len(layout.supports))])
+    return np.where(together, turns[:, None] * turns / 2, _carried(layout)[owners].T)
+
+
+def _jacobian(layout: Layout, frames: Frame, axes, base: bool = True) -> Float[Array, "frames n 6"] | None:
+    """The motion of each frame per unit of each column; None for the identity."""
+    if layout.floating:
+        return None
+    linear, angular = axes
+    rows, n = _rows(layout, base), len(linear)
+    p = frames.p[rows]
+    mask = jnp.asarray(_carried(layout)[: len(rows), :n], p.dtype)[..., None]
+    return mask * jnp.concatenate(jnp.broadcast_arrays(linear + cross(angular[None], p[:, None] - p[_owners(layout)[:n]]), angular), -1)
+
+
+def _pulled(J: Array | None, G: Array) -> Vector:
+    """J' G."""
+    return G.reshape(-1) if J is None else jnp.sum(J * G[:, None], (0, 2))
+
+
+def _projected(J: Array | None, H: Float[Array, "frames 6 frames 6"]) -> Square:
+    """J' H J."""
+    n = 6 * len(H)
+    if J is None:
+        return H.reshape(n, n)
+    J = jnp.swapaxes(J, 1, 2).reshape(n, -1)
+    return J.T @ H.reshape(n, n) @ J
+
+
+def _collected(parts: list[tuple[Array, list[int | None]]], n: int) -> Array:
+    """The sums of all rows that belong to each of n places; rows without a place are left out."""
+    kept = [(part, [i for i, place in enumerate(places) if place is not None], places) for part, places in parts]
+    found = [place for _, rows, places in kept for place in (places[i] for i in rows)]
+    rows = jnp.concatenate([take(part, np.array(rows, dtype=int)) for part, rows, _ in kept])
+    groups = [[i for i, place in enumerate(found) if place == wanted] for wanted in range(n)]
+    return sums(rows.reshape(len(rows), -1), groups).reshape(n, *rows.shape[1:])
+
+
+def _gradient(model: Model, bodies: Float[Array, "nb 6"], elements: list[Slopes], base: bool = True) -> Float[Array, "frames 6"]:
+    """The sum over bodies and elements of what each has of each frame."""
+    places = _places(model.layout, base)
+    ends = [
+        (part, [places[link[end]] for link in table.links])
+        for table, parts in zip(model.elements, elements, strict=True)
+        for end, part in enumerate(parts)
+    ]
+    return _collected([(bodies, list(range(len(bodies)))), *ends], len(_rows(model.layout, base)))
+
+
+def _hessian(model: Model, bodies: Float[Array, "nb 6 6"], elements: list[Blocks], base: bool = True) -> Float[Array, "frames 6 frames 6"]:
+    """The sum over bodies and elements of what each has of each two frames."""
+    places, n = _places(model.layout, base), len(_rows(model.layout, base))
+
+    def cells(table, one: int, other: int):
+        pairs = [(places[link[one]], places[link[other]]) for link in table.links]
+        return [None if None in pair else pair[0] * n + pair[1] for pair in pairs]
+
+    parts = [(bodies, [i * n + i for i in range(len(bodies))])]
+    for table, (AA, AB, BB) in zip(model.elements, elements, strict=False):
+        BA = jnp.swapaxes(AB, -1, -2)
+        parts += [(AA, cells(table, 0, 0)), (AB, cells(table, 0, 1)), (BA, cells(table, 1, 0)), (BB, cells(table, 1, 1))]
+    return _collected(parts, n * n).reshape(n, n, 6, 6).swapaxes(1, 2)

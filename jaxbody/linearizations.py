@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_precision, check_state
-from jaxbody.derivatives import damping, mass, stiffness
+from jaxbody.derivatives import damping, expansion, mass, stiffness
 from jaxbody.errors import JaxbodyError, Problem, Status
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at
@@ -152,9 +152,9 @@ def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
 def _linearize(model: Model, state: State, status: Int[Array, ""]) -> Linearization:
     n = model.layout.nv
     M, C = mass(model, state.q), damping(model, state.q, state.v)
-    _, K = stiffness(model, state.q)
+    K, base = expansion(model, state.q, base=False)[2], stiffness(model, state.q)  # two, so that who needs K alone computes no more
     return Linearization(
-        M[:n, :n], C[:n, :n], K[:n, :n], -M[:n, n:], -C[:n, n:], -K[:n, n:], M[n:, n:], C[n:, n:], K[n:, n:], status, state, model
+        M[:n, :n], C[:n, :n], K, -M[:n, n:], -C[:n, n:], -base[:n, n:], M[n:, n:], C[n:, n:], base[n:, n:], status, state, model
     )  # fmt: skip
 
 

@@ -122,13 +122,19 @@ def wrenches(model: Model, frames: Frame) -> tuple[Float[Array, "n 3"], Float[Ar
     forces.append(weight)
     moments.append(cross(rotate(frames.R[model.layout.first_body :], bodies.com), weight))
     ends += list(range(model.layout.first_body, len(model.layout.frames)))
-    return _gather(forces, ends, len(model.layout.frames)), _gather(moments, ends, len(model.layout.frames))
+    hanging = [[i for i, end in enumerate(ends) if end == frame] for frame in range(len(model.layout.frames))]
+    return sums(jnp.concatenate(forces), hanging), sums(jnp.concatenate(moments), hanging)
 
 
-def _gather(parts: list[Array], ends: list[int], n: int) -> Float[Array, "n 3"]:
-    """Sum of the rows that belong to each of n frames."""
-    hanging = [[i for i, end in enumerate(ends) if end == frame] for frame in range(n)]
-    most = max(len(rows) for rows in hanging)
-    padded = np.array([rows + [len(ends)] * (most - len(rows)) for rows in hanging])
-    everything = jnp.concatenate([*parts, jnp.zeros((1, 3), parts[0].dtype)])
-    return jnp.sum(everything[padded], 1)
+FEW_RUNS = 16
+
+
+def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]:
+    """The sum of the rows of each group: over slices where groups are a few runs of consecutive rows, else by a padded gather."""
+    runs = [np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1) if rows else [] for rows in groups]
+    if sum(map(len, runs)) <= FEW_RUNS:
+        zero = jnp.zeros(x.shape[1], x.dtype)
+        return jnp.stack([sum((jnp.sum(x[run[0] : run[-1] + 1], 0) for run in group), zero) for group in runs])
+    most = max(len(rows) for rows in groups)
+    padded = np.array([rows + [len(x)] * (most - len(rows)) for rows in groups])
+    return jnp.sum(jnp.concatenate([x, jnp.zeros((1, x.shape[1]), x.dtype)])[padded], 1)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_attached, check_precision, check_state
-from jaxbody.derivatives import slope, stiffness
+from jaxbody.derivatives import expansion, slope, stiffness
 from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates, supports_at
 from jaxbody.linear_solves import solve_if_definite
@@ -121,7 +121,7 @@ def _equilibrium(model: Model, start: Float[Array, "nq"] | None, max_steps: int)
     q = _implicit(model, q, converged & ~singular)
     zero = jnp.zeros(model.layout.nv, q.dtype)
     frames = Coordinates(model).frames(q, zero, _still(model, q.dtype))
-    residual = slope(model, q, jnp.zeros(model.layout.nxi, q.dtype))[: model.layout.nv]
+    residual = slope(model, q)[: model.layout.nv]
     return Equilibrium(
         State(q, zero), residual, potential(model, frames), negative, converged & (negative == 0), status, steps,
         tuple(each_element(model, frames, lambda s, A, B: s.deformation(A.pose(), B.pose()))), model,
@@ -159,8 +159,7 @@ def _descend(model, q, scale, size, max_steps):
     def step(carry):
         """Judge the configuration tried, keep the better one, try the next."""
         best, tried, shift, expected, tiny, _, n = carry
-        value = potential(model, Coordinates(model).frames(tried, jnp.zeros_like(scale), _still(model, q.dtype)))
-        slope, K = stiffness(model, tried, base=False)
+        value, slope, K = expansion(model, tried, base=False)
         # below `tiny` the energy's rounding hides its fall
         falls = (expected > 0) & (best[1] - value >= 1e-4 * expected)
         accept = jnp.isfinite(value) & (falls | tiny | (n == 0))
@@ -197,8 +196,8 @@ def _implicit_jvp(primals, tangents):
     model, _, valid = primals
     q = _implicit(*primals)
     zero = jnp.zeros(model.layout.nv, q.dtype)
-    _, change = jax.jvp(lambda model: slope(model, q, jnp.zeros(model.layout.nxi, q.dtype))[: len(zero)], (model,), (tangents[0],))
-    _, K = stiffness(model, q, base=False)
+    _, change = jax.jvp(lambda model: slope(model, q)[: len(zero)], (model,), (tangents[0],))
+    K = expansion(model, q, base=False)[2]
     delta = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), change)
     return q, Coordinates(model).rate(q, delta)
 
@@ -207,7 +206,7 @@ def zero_modes(model: Model, state: State) -> list[str]:
     """The motions that K does not resist at a state, in words: "'plate' free to turn about z"; those of single coordinates first."""
     layout = model.layout
     scale = np.asarray(scale_of(model, size_of(model)))
-    K = np.asarray(filter_jit(stiffness)(model, state.q)[1])[: layout.nv, : layout.nv]
+    K = np.asarray(filter_jit(stiffness)(model, state.q))[: layout.nv, : layout.nv]
     values, vectors = np.linalg.eigh(K * scale * scale[:, None])
     null = vectors[:, np.abs(values) <= SINGULAR * max(np.abs(values).max(initial=0.0), 1e-300)]
     words, left = [], null

@@ -150,20 +150,21 @@ def mounted(p):
 
 
 def test_bushings_have_the_derivatives_of_differences():
-    tangents = directions(MOUNT)
-    forward, differences, _ = slopes(mounted, MOUNT, tangents.values(), 1e-4)
-    jacobian = quick_jit(jax.jacrev(mounted))(MOUNT)
-    reverse = [inner(jacobian, tangent) for tangent in tangents.values()]
-    silent = {("damping", "equilibrium"), ("damping", "frequency")}
-    assert_derivatives_agree(tangents, {"equilibrium": 0, "frequency": 1, "damping": 2}, forward, reverse, differences, silent)
+    """Forward; the reverse derivatives, whose program takes a minute to compile, are those of the next test."""
+    forward, differences, _ = slopes(mounted, MOUNT, directions(MOUNT).values(), 1e-4)
+    for part in range(3):
+        assert apart(forward[:, part], differences[:, part]) < 1e-6 * np.abs(differences[:, part]).max()
 
 
 @pytest.mark.long
 def test_bushings_have_the_second_derivatives_of_differences():
     """The Hessian of the frequency, forward over reverse through the equilibrium, along every direction."""
     tangents = directions(MOUNT)
-    along, twice, _ = slopes(jax.grad(lambda p: mounted(p)[1]), MOUNT, tangents.values(), 1e-4)
-    for i, kind in enumerate(tangents):
+    forward, _, _ = slopes(mounted, MOUNT, tangents.values(), 1e-4)
+    along, twice, gradients = slopes(jax.grad(lambda p: mounted(p)[1]), MOUNT, tangents.values(), 1e-4)
+    gradient = jax.tree.map(lambda x: x[0, 0], gradients)
+    for i, (kind, tangent) in enumerate(tangents.items()):
+        assert apart(forward[i, 1], inner(gradient, tangent)) < 1e-9 * np.abs(forward[:, 1]).max(), kind
         for other in MOUNT:
             found, expected = np.asarray(along[other][i]), np.asarray(twice[other][i])
             scale = np.abs(expected).max()
