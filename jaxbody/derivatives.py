@@ -258,7 +258,7 @@ def _hessian(model: Model, bodies: Float[Array, "nb 6 6"], elements: list[Blocks
 
     def cells(table, one: int, other: int):
         pairs = [(places[link[one]], places[link[other]]) for link in table.links]
-        return [None if None in pair else pair[0] * n + pair[1] for pair in pairs]
+        return [None if i is None or j is None else i * n + j for i, j in pairs]
 
     parts = [(bodies, [i * n + i for i in range(len(bodies))])]
     for table, (AA, AB, BB) in zip(model.elements, elements, strict=False):

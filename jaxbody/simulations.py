@@ -20,6 +20,7 @@ from jaxbody.dynamics import Dynamics
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.frames import Frame, Pose
 from jaxbody.kinematics import Coordinates, Motions, supports_moving
+from jaxbody.linearizations import linearize
 from jaxbody.mechanics import each_element, kinetic, potential, rayleigh
 from jaxbody.models import Model, State, unknown
 from jaxbody.motions import AtRest, Motion, as_motion, check_times
@@ -28,6 +29,7 @@ from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import size_of
 
 MAX_STEPS = 100_000
+STABLE = 2.8  # longest step times rate at which the classical Runge-Kutta method is stable; explicit ones of diffrax are near
 SAFETY = 0.1  # local error over rtol, as solvers interpolate between steps to a lower order than they step
 STATUSES = (
     (diffrax.RESULTS.successful, Status.OK),
@@ -187,11 +189,26 @@ def simulate(
     if loose:
         warn("UNATTACHED", f"nothing ties {', '.join(loose)} to world or a support")
     meter = diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter()
-    rtol, dt0 = (None if x is None else device_array(x) for x in (rtol, dt0))  # a Python number would be compiled in
+    tolerance, step = (None if x is None else jnp.asarray(x, float) for x in (rtol, dt0))  # Python numbers would be compiled in
     solver = solver or diffrax.Dopri8()
-    result = integrate(model, times, motions, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)
+    if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(model, initial, step):
+        _warn_of_long_steps(model, model.reference if initial is None else initial, float(step), solver)  # pyright: ignore[reportArgumentType]
+    result = integrate(model, times, motions, initial, tolerance, solver, stepsize_controller, adjoint, step, max_steps, meter)
     warn_if_failed(result)
     return result
+
+
+def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver) -> None:
+    """Constant steps must be short beside the fastest small motion about the start, y' = A y."""
+    lin, n = linearize(model, initial), model.layout.nv
+    rates = np.linalg.solve(np.asarray(lin.M), np.concatenate([-lin.K, -lin.C], 1)) if n else np.zeros((0, 0))
+    fastest = np.abs(np.linalg.eigvals(np.concatenate([np.eye(n, 2 * n, n), rates]))).max(initial=0.0)
+    if dt * fastest > STABLE and not isinstance(solver, diffrax.AbstractImplicitSolver):
+        remedy = f"Take dt0 below {STABLE / fastest:.3g} s, leave the steps to the default controller, or use an implicit solver"
+        warn(
+            "STEP_TOO_LONG",
+            f"dt0 times the fastest rate, {fastest:.4g} rad/s, is {dt * fastest:.3g} > {STABLE}, where RK4 turns unstable. {remedy}",
+        )
 
 
 def motions_of(model: Model, motion: dict[str, Any]) -> Motions:
