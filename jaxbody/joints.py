@@ -126,7 +126,7 @@ class Guide(Joint):
     def __init__(self, parent: str, *, axis):
         problems = Problems()
         self.parent = parent
-        self.axis = _unit(axis, "Guide.axis", problems)
+        self.axis = unit_vector(axis, "Guide.axis", problems)
         problems.raise_if_any()
 
     def pose(self, q, parent, rest):
@@ -155,7 +155,7 @@ class Hinge(Joint):
     def __init__(self, parent: str, *, axis, at=None):
         problems = Problems()
         self.parent = parent
-        self.axis = _unit(axis, "Hinge.axis", problems)
+        self.axis = unit_vector(axis, "Hinge.axis", problems)
         self.at = None if at is None else vector(at, "Hinge.at", problems)
         problems.raise_if_any()
 
@@ -216,7 +216,7 @@ def _arms(n: Float[Array, "nv 3"], at, parent: Pose, body: Pose) -> Float[Array,
     return cross(n, (body.p - parent.point(at))[None])
 
 
-def _unit(axis, where: str, problems: Problems) -> Any:
+def unit_vector(axis, where: str, problems: Problems) -> Any:
     """The unit vector of a direction of any length."""
     n = checked(axis, ((3,),), where, problems)
     if n is None:

@@ -84,6 +84,12 @@ class Linearization(Result):
             return "; ".join(zero_modes(self.model, self.state))
         return "the state is not a good equilibrium" if int(self.status) else ""
 
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: M, C, K and their blocks towards the base, by named coordinates."""
+        from jaxbody.exports import linearization_dataset
+
+        return linearization_dataset(self)
+
     def _tables(self) -> list[tables.Table]:
         heads = [str(i) for i in range(self.K.shape[-1])]
         few = self.K.ndim == 2 and len(heads) <= 12

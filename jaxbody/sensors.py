@@ -14,7 +14,7 @@ from jaxbody.bodies import vector
 from jaxbody.elements import Element
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.frames import Frame
-from jaxbody.joints import _unit
+from jaxbody.joints import unit_vector
 from jaxbody.kinematics import Motions
 from jaxbody.models import Model, State, unknown
 from jaxbody.simulations import Trajectory, table_of
@@ -83,7 +83,7 @@ class Position(Sensor):
     def __init__(self, on: str, point=(0, 0, 0), *, axis=None):
         problems = Problems()
         self.on, self.point = on, vector(point, "Position.point", problems)
-        self.axis = None if axis is None else _unit(axis, "Position.axis", problems)
+        self.axis = None if axis is None else unit_vector(axis, "Position.axis", problems)
         problems.raise_if_any()
 
     @property

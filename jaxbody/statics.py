@@ -9,6 +9,8 @@ not stop at maxima. It works on nondimensional increments, rotations times the l
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -68,6 +70,12 @@ class Equilibrium(Result):
                 f"in '{self.layout.motions[worst][0]}' ({self.layout.motions[worst][1]}); start nearer, or give more max_steps"
             )
         return ""
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: q by part, residual by coordinate, elongation by spring, energy, status."""
+        from jaxbody.exports import equilibrium_dataset
+
+        return equilibrium_dataset(self)
 
     def _tables(self) -> list[tables.Table]:
         q, layout = tables.without_dust(self.state.q), self.layout

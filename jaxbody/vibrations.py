@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from equinox import field, filter_jit
@@ -38,6 +40,12 @@ class Modes(Result):
         if status == Status.SINGULAR_K:
             return f"{int(jnp.sum(self.frequency == 0))} mode(s) of zero frequency"
         return ""
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: frequency, damping ratio and shape by mode and named coordinate."""
+        from jaxbody.exports import modes_dataset
+
+        return modes_dataset(self)
 
     def _tables(self) -> list[tables.Table]:
         if self.frequency.ndim > 1 or not is_concrete(self.frequency):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody import exports
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +27,7 @@ def trajectory(model):
 
 
 def test_a_trajectory(trajectory):
-    made = exports.trajectory_dataset(trajectory)
+    made = trajectory.to_xarray()
     np.testing.assert_array_equal(made["time"], trajectory.times)
     np.testing.assert_array_equal(made["position"].sel(frame="mass", axis="y"), trajectory.poses["mass"].p[:, 1])
     np.testing.assert_array_equal(made["quaternion"].sel(frame="base", part="w"), trajectory.poses["base"].quaternion[:, 0])
@@ -54,7 +53,7 @@ def test_a_batch_of_trajectories_has_samples_and_bushings_their_components(rng):
         reactions={"base": (some(3), some(3))},
         status=np.array([0, 0, 4]),
     )
-    made = exports.trajectory_dataset(batch)
+    made = batch.to_xarray()
     assert made["position"].dims == ("sample", "time", "frame", "axis") and made["status"].dims == ("sample",)
     np.testing.assert_array_equal(made["position"].sel(frame="mass"), batch.poses["mass"].p)
     np.testing.assert_array_equal(made["elongation"].sel(spring="t"), batch.elongations["t"])
@@ -66,14 +65,14 @@ def test_statics_and_small_motions(model):
     eq = jb.equilibrium(model)
     lin = jb.linearize(model, eq)
     modes = jb.modes(lin)
-    made = exports.equilibrium_dataset(eq)
+    made = eq.to_xarray()
     assert float(made["elongation"].sel(spring="s")) == float(eq.elongations["s"])
     assert float(made["q"].sel(part="mass 0")) == float(eq.state.q[0])
-    made = exports.linearization_dataset(lin)
+    made = lin.to_xarray()
     up, across = "mass move along its guide", "base move along y"
     assert float(made["K"].sel(coordinate=up, coordinate_2=up)) == float(lin.K[0, 0])
     assert float(made["M_tilde"].sel(coordinate=up, base=across)) == float(lin.M_tilde[0, 1])
-    made = exports.modes_dataset(modes)
+    made = modes.to_xarray()
     assert float(made["frequency"].sel(mode=1)) == float(modes.frequency[0])
     np.testing.assert_array_equal(made["shape"].sel(mode=1), modes.shapes[:, 0])
 
@@ -91,7 +90,7 @@ def test_a_fit():
         experiments={"run1": experiment},
         status=jnp.array(7),
     )
-    made = exports.fit_dataset(fit)
+    made = fit.to_xarray()
     assert float(made["estimate"].sel(parameter="mass.com[1]")) == 2.0
     assert float(made["standard_error"].sel(parameter="mass.com[2]")) == np.inf
     np.testing.assert_array_equal(made["run1_stretch_predicted"], 2 * np.arange(4.0))

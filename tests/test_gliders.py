@@ -3,7 +3,9 @@
 import importlib.util
 import pathlib
 
+import equinox as eqx
 import numpy as np
+import optax
 import pytest
 from data import data
 
@@ -43,3 +45,16 @@ def test_the_masses_themselves_are_told_to_be_undetermined(gliders):
         assert f"{path} up" in loose.unidentified[0] or "more" in loose.unidentified[0]
         assert np.isinf(loose.standard_errors[path])
     assert np.isfinite(loose.standard_errors["track.initial.v"]).all()
+
+
+def test_optax_reaches_the_optimum_that_scipy_reaches(gliders):
+    """With the noise stated, so that both weigh the two sensors alike."""
+    jb = gliders.jb
+    noise = {name: float(level) for name, level in gliders.fit.noise["track"].items()}
+    track = eqx.tree_at(lambda e: e.noise, gliders.track, noise, is_leaf=lambda x: x is None)
+    by_optax, by_scipy = (
+        jb.fit(gliders.model, {"track": track}, free=gliders.shape, method=method) for method in (optax.lbfgs(), "least_squares")
+    )
+    for path, expected in by_scipy.estimates.items():
+        print(path, np.abs(by_optax.estimates[path] - expected).max() / np.abs(expected).max())
+        np.testing.assert_allclose(by_optax.estimates[path], expected, rtol=0, atol=1e-6 * np.abs(expected).max(), err_msg=path)
