@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from equinox import filter_jit
 from jaxtyping import Array, Float, Int
 
@@ -139,10 +140,10 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
     for name, xi in displaced.items():
         if name not in model.layout.supports:
             raise JaxbodyError(unknown(name, "excitation", model.layout.supports))
-        if jnp.shape(xi) != (6,):
+        if np.shape(xi) != (6,):
             raise JaxbodyError(
                 Problem(
-                    "BAD_SHAPE", f"excitation[{name!r}]", f"has shape {jnp.shape(xi)}", xi, "(6,)", "Give (translation, rotation vector)."
+                    "BAD_SHAPE", f"excitation[{name!r}]", f"has shape {np.shape(xi)}", xi, "(6,)", "Give (translation, rotation vector)."
                 )
             )
     zero = jnp.zeros(6, state.q.dtype)
