@@ -1,4 +1,4 @@
-"""First and second derivatives of V, T and R in closed form, a hundredth of the work of jax.hessian, which remains their definition.
+"""First and second derivatives of V, T and R in structured form, in closed form for springs; jax.hessian remains their definition.
 
 With delta_f = (displacement of its origin, rotation vector), world axes, of every frame f that moves, J = d delta/d(Delta, Xi), and G and H
 the gradient and the Hessian of V in the delta of all frames:

@@ -16,6 +16,7 @@ from jaxbody.models import Model, State
 from jaxbody.rotations import cross, dot, rotate, rotate_back
 
 Xi = Float[Array, "ns 6"] | None
+FEW_RUNS = 16  # slices that a sum may take; more would cost more to compile than a gather costs to run
 
 
 def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Frame:
@@ -124,9 +125,6 @@ def wrenches(model: Model, frames: Frame) -> tuple[Float[Array, "n 3"], Float[Ar
     ends += list(range(model.layout.first_body, len(model.layout.frames)))
     hanging = [[i for i, end in enumerate(ends) if end == frame] for frame in range(len(model.layout.frames))]
     return sums(jnp.concatenate(forces), hanging), sums(jnp.concatenate(moments), hanging)
-
-
-FEW_RUNS = 16
 
 
 def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]:

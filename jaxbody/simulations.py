@@ -150,8 +150,8 @@ def simulate(
 ) -> Trajectory:
     """The motion from `initial` (without it, the reference pose at rest) at times[0], sampled at `times` [s].
 
-    motion: {support: motion}; a support without one is at rest. rtol: relative tolerance of the step control, with an absolute one of rtol/100 times the
-    size of the model (velocities: size times its fastest frequency, roughly). solver (Dopri8 if none), stepsize_controller, adjoint: diffrax's
+    motion: {support: motion}; a support without one is at rest. rtol: ten times the relative local error that
+    the step control allows in any component, so that samples between steps hold it too; absolute errors a hundredth of it times the size of the model (velocities: size times its fastest frequency, roughly). solver (Dopri8 if none), stepsize_controller, adjoint: diffrax's
     objects. dt0 [s]: the first step, or the constant one with diffrax.ConstantStepSize(). Reverse mode works by default; forward mode
     with adjoint=diffrax.ForwardMode(), which is faster for fewer than about thirty parameters.
 

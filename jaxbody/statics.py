@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_attached, check_precision, check_state
-from jaxbody.derivatives import expansion, slope, stiffness
+from jaxbody.derivatives import expansion, slope
 from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates, supports_at
 from jaxbody.linear_solves import solve_if_definite
@@ -214,7 +214,7 @@ def zero_modes(model: Model, state: State) -> list[str]:
     """The motions that K does not resist at a state, in words: "'plate' free to turn about z"; those of single coordinates first."""
     layout = model.layout
     scale = np.asarray(scale_of(model, size_of(model)))
-    K = np.asarray(filter_jit(stiffness)(model, state.q))[: layout.nv, : layout.nv]
+    K = np.asarray(filter_jit(expansion)(model, state.q, base=False)[2])
     values, vectors = np.linalg.eigh(K * scale * scale[:, None])
     null = vectors[:, np.abs(values) <= SINGULAR * max(np.abs(values).max(initial=0.0), 1e-300)]
     words, left = [], null
