@@ -1,7 +1,9 @@
 """jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
 
+from jaxbody import laws
 from jaxbody.bodies import Body, Support
-from jaxbody.elements import Bushing, Element, Spring
+from jaxbody.contacts import Contact, Tyre
+from jaxbody.elements import Bushing, Element, Spring, SpringDamper
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
 from jaxbody.identification import Fit, fit
@@ -15,4 +17,5 @@ from jaxbody.naming import paths, replace
 from jaxbody.sensors import BodyPose, Elongation, Position, measure
 from jaxbody.simulations import simulate
 from jaxbody.statics import equilibrium
+from jaxbody.torsions import AntiRollBar, Torsion
 from jaxbody.vibrations import modes

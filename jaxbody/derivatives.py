@@ -1,4 +1,4 @@
-"""First and second derivatives of V, T and R in structured form, in closed form for springs; jax.hessian remains their definition.
+"""First and second derivatives of V, T and R in structured form, in closed form for line elements; jax.hessian remains their definition.
 
 With delta_f = (displacement of its origin, rotation vector), world axes, of every frame f that moves, J = d delta/d(Delta, Xi), and G and H
 the gradient and the Hessian of V in the delta of all frames:
@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.elements import Element, Spring
+from jaxbody.elements import Element, LineElement
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at, take
 from jaxbody.mechanics import each_element, potential, sums, wrenches
@@ -30,8 +30,8 @@ from jaxbody.rotations import cross, dot, product, rotate, skew
 
 Vector = Float[Array, "n"]
 Square = Float[Array, "n n"]
-Slopes = tuple[Float[Array, "6"], Float[Array, "6"]]  # of frames A and B
-Blocks = tuple[Float[Array, "6 6"], Float[Array, "6 6"], Float[Array, "6 6"]]  # A and A, A and B, B and B
+Slopes = tuple[Float[Array, "6"], ...]  # of each frame of an element
+Blocks = dict[tuple[int, int], Float[Array, "6 6"]]  # of each two of its frames, the first not after the second
 
 
 def slope(model: Model, q: Float[Array, "nq"]) -> Vector:
@@ -90,29 +90,32 @@ def damping(model: Model, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Squar
 
 
 @singledispatch
-def second_order(element: Element, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
+def second_order(element: Element, *frames: Frame) -> tuple[Slopes, Blocks]:
     """Gradient and Hessian of V, this as the symmetric part of the derivative of the wrenches: what increments of rotations add is skew."""
+    n = 6 * len(frames)
 
     def moved(frame, x):
         return Frame(frame.p + x[:3], frame.R + product(skew(x[3:]), frame.R), jnp.zeros(3), jnp.zeros(3))
 
     def slopes(x):
-        G = -jnp.concatenate([part for wrench in element.wrenches(moved(A, x[:6]), moved(B, x[6:])) for part in wrench])
+        at = (moved(frame, part) for frame, part in zip(frames, jnp.split(x, len(frames)), strict=True))
+        G = -jnp.concatenate([part for wrench in element.wrenches(*at) for part in wrench])
         return G, G
 
-    D, G = jax.jacfwd(slopes, has_aux=True)(jnp.zeros(12, A.p.dtype))
-    return (G[:6], G[6:]), _blocks((D + D.T) / 2)
+    D, G = jax.jacfwd(slopes, has_aux=True)(jnp.zeros(n, frames[0].p.dtype))
+    return tuple(jnp.split(G, len(frames))), _blocks((D + D.T) / 2)
 
 
 @second_order.register
-def _(spring: Spring, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
+def _(line: LineElement, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
     """With V'' = h I + c d d' for the vector d between the points, h the tension over the length."""
-    a, b = rotate(A.R, spring.a), rotate(B.R, spring.b)
+    a, b = rotate(A.R, line.a), rotate(B.R, line.b)
     d = (B.p - A.p) + (b - a)
     square = dot(d, d)
     inverse = jnp.where(square > 0, 1 / jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
-    h = spring.stiffness * (1 - spring.free_length * inverse)
-    c = spring.stiffness * spring.free_length * inverse**3
+    k0, rest, rate = line.split(square * inverse)
+    h = k0 + rest * inverse
+    c = (rate - rest * inverse) * inverse**2
     g_a, g_b = (jnp.concatenate([d, cross(arm, d)]) for arm in (a, b))
 
     def block(x, y, g_x, g_y):
@@ -124,11 +127,11 @@ def _(spring: Spring, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
     def turned(arm, force):
         return jnp.pad(turning(arm, force), ((3, 0), (3, 0)))
 
-    return (-h * g_a, h * g_b), (
-        block(a, a, g_a, g_a) + turned(a, -h * d),
-        -block(a, b, g_a, g_b),
-        block(b, b, g_b, g_b) + turned(b, h * d),
-    )
+    return (-h * g_a, h * g_b), {
+        (0, 0): block(a, a, g_a, g_a) + turned(a, -h * d),
+        (0, 1): -block(a, b, g_a, g_b),
+        (1, 1): block(b, b, g_b, g_b) + turned(b, h * d),
+    }
 
 
 def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
@@ -137,20 +140,23 @@ def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Arr
     return (outer + jnp.swapaxes(outer, -1, -2)) / 2 - dot(force, arm)[..., None, None] * jnp.eye(3, dtype=arm.dtype)
 
 
-def dissipation_hessian(element: Element, A: Frame, B: Frame) -> Blocks:
+def dissipation_hessian(element: Element, *frames: Frame) -> Blocks:
     """Of R, in the velocities of the frames: J' R'' J, J the rates of the deformation per unit of each."""
-    e, e_dot = element.rates(A, B)
+    e, e_dot = element.rates(*frames)
+    n = 6 * len(frames)
 
     def rates(x):
-        return element.rates(Frame(A.p, A.R, x[:3], x[3:6]), Frame(B.p, B.R, x[6:9], x[9:]))[1]
+        at = (Frame(f.p, f.R, part[:3], part[3:]) for f, part in zip(frames, jnp.split(x, len(frames)), strict=True))
+        return element.rates(*at)[1]
 
-    J = jax.vmap(rates, out_axes=-1)(jnp.eye(12, dtype=A.p.dtype)).reshape(-1, 12)
-    second = jax.hessian(lambda rate: element.dissipation(e, rate))(e_dot).reshape(len(J), len(J))
+    J = jax.vmap(rates, out_axes=-1)(jnp.eye(n, dtype=frames[0].p.dtype)).reshape(-1, n)
+    second = jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot).reshape(len(J), len(J))
     return _blocks(J.T @ second @ J)
 
 
-def _blocks(H: Float[Array, "12 12"]) -> Blocks:
-    return H[:6, :6], H[:6, 6:], H[6:, 6:]
+def _blocks(H: Float[Array, "m m"]) -> Blocks:
+    n = len(H) // 6
+    return {(i, j): H[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] for i in range(n) for j in range(i, n)}
 
 
 def _square(a: Array, b: Array, c: Array, d: Array) -> Array:
@@ -261,7 +267,9 @@ def _hessian(model: Model, bodies: Float[Array, "nb 6 6"], elements: list[Blocks
         return [None if i is None or j is None else i * n + j for i, j in pairs]
 
     parts = [(bodies, [i * n + i for i in range(len(bodies))])]
-    for table, (AA, AB, BB) in zip(model.elements, elements, strict=False):
-        BA = jnp.swapaxes(AB, -1, -2)
-        parts += [(AA, cells(table, 0, 0)), (AB, cells(table, 0, 1)), (BA, cells(table, 1, 0)), (BB, cells(table, 1, 1))]
+    for table, blocks in zip(model.elements, elements, strict=False):
+        for (one, other), block in blocks.items():
+            parts.append((block, cells(table, one, other)))
+            if one != other:
+                parts.append((jnp.swapaxes(block, -1, -2), cells(table, other, one)))
     return _collected(parts, n * n).reshape(n, n, 6, 6).swapaxes(1, 2)

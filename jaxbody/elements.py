@@ -1,5 +1,5 @@
-"""Springs and bushings. An element states one geometric function, its deformation e(A, B) between two frames, its potential energy
-V(e) and its dissipation R(e_dot); forces, stiffness and the rest are derivatives.
+"""Springs and bushings. An element states one geometric function, its deformation e(A, B) between two frames (or more), its potential
+energy V(e) and its dissipation R(e, e_dot); forces, stiffness and the rest are derivatives.
 
 Points and orientations of an element are in the frame of the body or support that its end is on.
 """
@@ -12,9 +12,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from jaxbody import rotations
+from jaxbody import laws, rotations
 from jaxbody.arrays import checked, concrete
 from jaxbody.bodies import IDENTITY, as_quaternion, scalar, vector
 from jaxbody.errors import Problems, warn
@@ -25,17 +25,20 @@ Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about t
 
 
 class Element(eqx.Module):
-    """The base of all elements between two frames A and B.
+    """The base of all elements between frames A and B, or more; `between` names them.
 
     >>> issubclass(Spring, Element) and issubclass(Bushing, Element)
     True
     """
 
-    between: tuple[str, str] = eqx.field(static=True)
-    a: Float[Array, "3"]
-    b: Float[Array, "3"]
+    between: tuple[str, ...] = eqx.field(static=True)
 
-    def deformation(self, A: Pose, B: Pose) -> Float[Array, "*m"]:
+    @property
+    def points(self) -> tuple[Float[Array, "3"], ...]:
+        """Where it is attached, a point in each frame."""
+        raise TypeError  # pragma: no cover
+
+    def deformation(self, *poses: Pose) -> Float[Array, "*m"]:
         """The geometric function e."""
         raise TypeError  # pragma: no cover
 
@@ -47,24 +50,36 @@ class Element(eqx.Module):
         """R(e, e_dot) [W], half the dissipated power where damping is linear."""
         raise TypeError  # pragma: no cover
 
-    def potential(self, A: Pose, B: Pose) -> Float[Array, ""]:
-        """V of the two poses."""
-        return self.energy(self.deformation(A, B))
+    def beyond(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Bool[Array, ""]:
+        """True where a law is used beyond what it is known for."""
+        return jnp.array(False)
 
-    def rates(self, A: Frame, B: Frame) -> tuple[Float[Array, "*m"], Float[Array, "*m"]]:
+    def potential(self, *poses: Pose) -> Float[Array, ""]:
+        """V of the poses."""
+        return self.energy(self.deformation(*poses))
+
+    def rates(self, *frames: Frame) -> tuple[Float[Array, "*m"], Float[Array, "*m"]]:
         """e and e_dot, the derivative of e along the motion of the frames."""
-        return jax.jvp(self.deformation, (A.pose(), B.pose()), (A.rates(), B.rates()))
+        return jax.jvp(self.deformation, tuple(f.pose() for f in frames), tuple(f.rates() for f in frames))
 
-    def force(self, A: Frame, B: Frame) -> Float[Array, "*m"]:
+    def damping_force(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, "*m"]:
+        """dR/de_dot."""
+        return jax.grad(self.dissipation, argnums=1)(e, e_dot)
+
+    def force(self, *frames: Frame) -> Float[Array, "*m"]:
         """dV/de + dR/de_dot, what the element exerts against its deformation: of a spring the tension [N]."""
-        e, e_dot = self.rates(A, B)
-        return jax.grad(self.energy)(e) + jax.grad(self.dissipation, argnums=1)(e, e_dot)
+        e, e_dot = self.rates(*frames)
+        return jax.grad(self.energy)(e) + self.damping_force(e, e_dot)
 
-    def wrenches(self, A: Frame, B: Frame) -> tuple[Wrench, Wrench]:
-        """What the element exerts on either frame: minus the derivatives of V and R, carried from e to the frames."""
-        _, pull = jax.vjp(self.deformation, A.pose(), B.pose())
-        on_A, on_B = pull(-self.force(A, B))
-        return _wrench(on_A, A.R), _wrench(on_B, B.R)
+    def lost_power(self, *frames: Frame) -> Float[Array, ""]:
+        """dR/de_dot . e_dot [W]."""
+        e, e_dot = self.rates(*frames)
+        return jnp.sum(self.damping_force(e, e_dot) * e_dot)
+
+    def wrenches(self, *frames: Frame) -> tuple[Wrench, ...]:
+        """What the element exerts on each frame: minus the derivatives of V and R, carried from e to the frames."""
+        _, pull = jax.vjp(self.deformation, *(f.pose() for f in frames))
+        return tuple(_wrench(on, f.R) for on, f in zip(pull(-self.force(*frames)), frames, strict=True))
 
 
 def _wrench(cotangent: Pose, R: Float[Array, "3 3"]) -> Wrench:
@@ -72,7 +87,66 @@ def _wrench(cotangent: Pose, R: Float[Array, "3 3"]) -> Wrench:
     return cotangent.p, cross(R.T, cotangent.R.T).sum(0)
 
 
-class Spring(Element):
+class LineElement(Element):
+    """The base of elements along the line from the point a of one body to the point b of another: e = |AB| - l0.
+
+    A tension T(L) along it is split, T = k0 L + rest, so that the force k0 d + rest d/L has the right derivatives at d = 0 where the rest
+    vanishes with L.
+
+    >>> issubclass(Spring, LineElement) and issubclass(SpringDamper, LineElement)
+    True
+    """
+
+    a: Float[Array, "3"]
+    b: Float[Array, "3"]
+    free_length: Float[Array, ""]
+
+    @property
+    def points(self):
+        return self.a, self.b
+
+    def split(self, L: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
+        """k0, the rest of the tension and its derivative in L."""
+        raise TypeError  # pragma: no cover
+
+    def damper_tension(self, e: Float[Array, ""], e_dot: Float[Array, ""]) -> Float[Array, ""]:
+        """dR/de_dot."""
+        raise TypeError  # pragma: no cover
+
+    def has_no_direction(self) -> bool:
+        """True when it neither pulls nor damps at zero length, and so needs no direction there (of numbers that can be seen)."""
+        return False
+
+    def length(self, A: Pose, B: Pose) -> Float[Array, ""]:
+        """|AB|, its derivatives zero at zero length."""
+        return _length(B.point(self.b) - A.point(self.a))[0]
+
+    def deformation(self, A, B):
+        """The elongation s = |AB| - l0 (31)."""
+        return self.length(A, B) - self.free_length
+
+    def damping_force(self, e, e_dot):
+        return self.damper_tension(e, e_dot)
+
+    def potential(self, A, B):
+        d = B.point(self.b) - A.point(self.a)
+        L, _ = _length(d)
+        k0, _, _ = self.split(L)
+        without_norm = 0.5 * k0 * dot(d, d) + (self.energy(L - self.free_length) - 0.5 * k0 * L**2)  # exact at d = 0 where l0 = 0
+        return jnp.where(self.free_length == 0, without_norm, self.energy(L - self.free_length))
+
+    def wrenches(self, A, B):
+        """Closed form: the tension along AB."""
+        arm_a, arm_b = rotate(A.R, self.a), rotate(B.R, self.b)
+        d = (B.p - A.p) + (arm_b - arm_a)
+        rate = (B.v - A.v) + (cross(B.w, arm_b) - cross(A.w, arm_a))
+        L, u = _length(d)
+        k0, rest, _ = self.split(L)
+        force = k0 * d + (self.damper_tension(L - self.free_length, dot(u, rate)) + rest) * u
+        return (force, cross(arm_a, force)), (-force, cross(force, arm_b))
+
+
+class Spring(LineElement):
     """A line spring with viscous damping between the point a of one body and the point b of another.
 
         V = 1/2 k (|AB| - l0)^2,   R = 1/2 c (d|AB|/dt)^2,   tension = k (|AB| - l0) + c d|AB|/dt
@@ -85,31 +159,19 @@ class Spring(Element):
     """
 
     stiffness: Float[Array, ""]
-    free_length: Float[Array, ""]
     damping: Float[Array, ""]
 
     def __init__(self, a, b, *, stiffness, free_length=0.0, damping=0.0, allow_negative: bool = False):
         problems = Problems()
-        self.between, (self.a, self.b) = _ends(a, b, "Spring", problems)
+        self.between, (self.a, self.b) = ends((a, b), "Spring", problems)
         self.stiffness = scalar(stiffness, "Spring.stiffness", problems)
-        self.free_length = scalar(free_length, "Spring.free_length", problems)
+        self.free_length = free_length_of(free_length, "Spring", problems)
         self.damping = scalar(damping, "Spring.damping", problems)
         for name, unit in (("stiffness", "N/m"), ("damping", "N s/m")):
             value = concrete(getattr(self, name))
             if value is not None and value < 0:
                 _negative("Spring", name, f"is {value:g} {unit}", float(value), allow_negative, problems)
-        l0 = concrete(self.free_length)
-        if l0 is not None and l0 < 0:
-            problems.add("NEGATIVE_LENGTH", "Spring.free_length", f"is {l0:g} m", value=float(l0), limit=">= 0", hint="Give 0 or more.")
         problems.raise_if_any()
-
-    def length(self, A: Pose, B: Pose) -> Float[Array, ""]:
-        """|AB|, its derivatives zero at zero length."""
-        return _length(B.point(self.b) - A.point(self.a))[0]
-
-    def deformation(self, A, B):
-        """The elongation s = |AB| - l0 (31)."""
-        return self.length(A, B) - self.free_length
 
     def energy(self, e):
         return 0.5 * self.stiffness * e**2
@@ -117,20 +179,60 @@ class Spring(Element):
     def dissipation(self, e, e_dot):
         return 0.5 * self.damping * e_dot**2
 
-    def potential(self, A, B):
-        d = B.point(self.b) - A.point(self.a)
-        k, l0 = self.stiffness, self.free_length
-        expanded = 0.5 * k * dot(d, d) - k * l0 * _length(d)[0] + 0.5 * k * l0**2  # no norm where l0 = 0: exact at d = 0
-        return jnp.where(l0 == 0, expanded, self.energy(self.deformation(A, B)))
+    def split(self, L):
+        return self.stiffness, -self.stiffness * self.free_length, jnp.zeros_like(L)
 
-    def wrenches(self, A, B):
-        """Closed form: the tension along AB, as k d - (k l0 - c L') d/L, whose derivatives at d = 0 are right for l0 = 0."""
-        arm_a, arm_b = rotate(A.R, self.a), rotate(B.R, self.b)
-        d = (B.p - A.p) + (arm_b - arm_a)
-        rate = (B.v - A.v) + (cross(B.w, arm_b) - cross(A.w, arm_a))
-        _, u = _length(d)
-        force = self.stiffness * d + (self.damping * dot(u, rate) - self.stiffness * self.free_length) * u
-        return (force, cross(arm_a, force)), (-force, cross(force, arm_b))
+    def damper_tension(self, e, e_dot):
+        return self.damping * e_dot
+
+    def has_no_direction(self):
+        return bool(self.damping == 0)
+
+
+class SpringDamper(LineElement):
+    """A line element whose spring and damper follow laws: a strut with its bump stop, a rope, an air spring.
+
+        V = U_s(|AB| - l0),   R = U_d(d|AB|/dt),   tension = F_s(|AB| - l0) + F_d(d|AB|/dt)
+
+    `spring` and `damper`: laws (jb.laws), numbers for linear ones [N/m], [N s/m], or JAX functions x -> F; either may be missing. `free_length` l0
+    [m], the length at which the spring's law has x = 0. Errors: NEGATIVE, NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
+
+    >>> strut = SpringDamper(("car", [1.4, 0.7, 0]), ("wheel", [0, 0, 0]), free_length=0.5,
+    ...                      spring=laws.Linear(2e4) + laws.Stop(gap=0.08, stiffness=1e5, engagement=0.01), damper=laws.TwoSided(bump=900.0, rebound=2100.0))
+    >>> float(strut.spring.force(jnp.array(-0.1)))
+    -3500.0
+    """
+
+    spring: laws.Law | None
+    damper: laws.Law | None
+
+    def __init__(self, a, b, *, spring=None, damper=None, free_length=0.0):
+        problems = Problems()
+        self.between, (self.a, self.b) = ends((a, b), "SpringDamper", problems)
+        self.free_length = free_length_of(free_length, "SpringDamper", problems)
+        self.spring = laws.as_law(spring, "SpringDamper.spring", problems)
+        self.damper = laws.as_law(damper, "SpringDamper.damper", problems)
+        problems.raise_if_any()
+
+    def energy(self, e):
+        return laws.potential(self.spring, e)
+
+    def dissipation(self, e, e_dot):
+        return laws.potential(self.damper, e_dot)
+
+    def beyond(self, e, e_dot):
+        return laws.beyond(self.spring, e) | laws.beyond(self.damper, e_dot)
+
+    def split(self, L):
+        e = L - self.free_length
+        k0 = jnp.where(self.free_length == 0, laws.slope(self.spring, jnp.zeros_like(L)), 0.0)
+        return k0, laws.force(self.spring, e) - k0 * L, laws.slope(self.spring, e) - k0
+
+    def damper_tension(self, e, e_dot):
+        return laws.force(self.damper, e_dot)
+
+    def has_no_direction(self):
+        return self.damper is None and bool(laws.force(self.spring, jnp.zeros(())) == 0)
 
 
 def _length(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
@@ -156,6 +258,8 @@ class Bushing(Element):
     (3,)
     """
 
+    a: Float[Array, "3"]
+    b: Float[Array, "3"]
     stiffness: Float[Array, "*k"]
     damping: Float[Array, "*k"]
     orientation: Float[Array, "4"]
@@ -163,13 +267,17 @@ class Bushing(Element):
 
     def __init__(self, a, b, *, stiffness, damping=None, orientation=IDENTITY, orientation_b=IDENTITY, allow_negative: bool = False):
         problems = Problems()
-        self.between, (self.a, self.b) = _ends(a, b, "Bushing", problems)
+        self.between, (self.a, self.b) = ends((a, b), "Bushing", problems)
         self.stiffness = _coefficients(stiffness, "stiffness", allow_negative, problems)
         damping = np.zeros(self.stiffness.shape) if damping is None else damping
         self.damping = _coefficients(damping, "damping", allow_negative, problems)
         self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
         self.orientation_b = as_quaternion(orientation_b, "Bushing.orientation_b", problems)
         problems.raise_if_any()
+
+    @property
+    def points(self):
+        return self.a, self.b
 
     def deformation(self, A, B):
         R_A, R_B = product(A.R, rotations.matrix(self.orientation)), product(B.R, rotations.matrix(self.orientation_b))
@@ -230,10 +338,24 @@ def _negative(kind: str, name: str, told: str, value: Any, allowed: bool, proble
         problems.add(code, where, told, value=value, limit=">= 0", hint="If it is meant, say allow_negative=True.")
 
 
-def _ends(a, b, kind: str, problems: Problems):
-    """((name, name), [point, point]) of two (name, point) pairs."""
-    names, points = [], []
-    for end, where in ((a, f"{kind}, first end"), (b, f"{kind}, second end")):
+def free_length_of(value: Any, kind: str, problems: Problems) -> Any:
+    length = scalar(value, f"{kind}.free_length", problems)
+    l0 = concrete(length)
+    if l0 is not None and l0 < 0:
+        problems.add("NEGATIVE_LENGTH", f"{kind}.free_length", f"is {l0:g} m", value=float(l0), limit=">= 0", hint="Give 0 or more.")
+    return length
+
+
+ORDER = ("first", "second", "third")
+
+
+def ends(given, kind: str, problems: Problems, *, points: bool = True):
+    """((name, ...), [point, ...]) of (name, point) pairs; without `points`, of names that may stand alone."""
+    names, found = [], []
+    for end, order in zip(given, ORDER, strict=False):
+        where = f"{kind}, {order} end"
+        if not points and isinstance(end, str):
+            end = (end, (0, 0, 0))
         if not (isinstance(end, tuple | list) and len(end) == 2 and isinstance(end[0], str)):
             problems.add(
                 "BAD_END",
@@ -245,10 +367,10 @@ def _ends(a, b, kind: str, problems: Problems):
             )
             end = ("?", (0, 0, 0))
         names.append(end[0])
-        points.append(vector(end[1], f"{where} ({end[0]})", problems))
-    if names[0] == names[1] and names[0] != "?":
+        found.append(vector(end[1], f"{where} ({end[0]})", problems))
+    twice = [name for i, name in enumerate(names) if name in names[:i] and name != "?"]
+    if twice:
         hint = "It would do nothing: name another body or support at one end."
-        problems.add(
-            "SELF_SPRING", kind, f"has both ends on '{names[0]}'", value=names[0], limit="two different bodies or supports", hint=hint
-        )
-    return (names[0], names[1]), points
+        told = "has both ends" if len(names) == 2 else "has two of its ends"
+        problems.add("SELF_SPRING", kind, f"{told} on '{twice[0]}'", value=twice[0], limit="different bodies or supports", hint=hint)
+    return tuple(names), found

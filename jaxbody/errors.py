@@ -98,6 +98,9 @@ class Status(enum.IntEnum):
     NOT_IDENTIFIABLE = 7
     NEVER_MOVED = 8
     AT_BOUND = 9
+    TABLE_RANGE = 10
+    NO_EQUILIBRIUM = 11
+    LIMIT_POINT = 12
 
 
 MESSAGES = {
@@ -111,6 +114,9 @@ MESSAGES = {
     Status.NOT_IDENTIFIABLE: "the data do not determine all free parameters",
     Status.NEVER_MOVED: "a free parameter has no effect on the data",
     Status.AT_BOUND: "a parameter ended at its bound",
+    Status.TABLE_RANGE: "a law was used beyond the points of its table",
+    Status.NO_EQUILIBRIUM: "no equilibrium bears the full load",
+    Status.LIMIT_POINT: "the load cannot be raised further: the stiffness vanishes there",
 }
 
 

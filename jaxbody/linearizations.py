@@ -192,15 +192,15 @@ def _split(model: Model, state: State):
 
     def each(function):
         return lambda d: tuple(
-            each_element(model, _frames(model, state, d, still, rest, rest), lambda s, A, B: function(s, A.pose(), B.pose()))
+            each_element(model, _frames(model, state, d, still, rest, rest), lambda s, *F: function(s, *(f.pose() for f in F)))
         )
 
-    deformation = each(lambda s, A, B: s.deformation(A, B))
+    deformation = each(lambda s, *poses: s.deformation(*poses))
     slopes = jax.jacfwd(deformation)(still)
     curvatures = [
         jax.vmap(lambda s, e: jax.hessian(s.energy)(e))(table.rows, e) for table, e in zip(model.elements, deformation(still), strict=True)
     ]
-    whole = jax.hessian(each(lambda s, A, B: s.potential(A, B)))(still)
+    whole = jax.hessian(each(lambda s, *poses: s.potential(*poses)))(still)
     elastic = []
     for J, c in zip(slopes, curvatures, strict=True):
         J = J.reshape(J.shape[0], -1, len(still))

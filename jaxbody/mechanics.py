@@ -8,7 +8,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at, take
@@ -88,23 +88,31 @@ def gravity_energy(model: Model, frames: Frame) -> Float[Array, ""]:
 
 def potential(model: Model, frames: Frame) -> Float[Array, ""]:
     """V of a table of frames."""
-    return gravity_energy(model, frames) + sum(jnp.sum(e) for e in each_element(model, frames, lambda s, A, B: s.potential(A, B)))
+    return gravity_energy(model, frames) + sum(jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.potential(*F)))
 
 
 def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
     """R of a table of frames."""
-    return sum(
-        (jnp.sum(e) for e in each_element(model, frames, lambda s, A, B: s.dissipation(*s.rates(A, B)))), jnp.zeros((), frames.p.dtype)
-    )
+    return sum((jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.dissipation(*s.rates(*F)))), jnp.zeros((), frames.p.dtype))
+
+
+def lost_power(model: Model, frames: Frame) -> Float[Array, ""]:
+    """The sum over the elements of dR/de_dot . e_dot."""
+    return sum((jnp.sum(p) for p in each_element(model, frames, lambda s, *F: s.lost_power(*F))), jnp.zeros((), frames.p.dtype))
+
+
+def beyond_laws(model: Model, frames: Frame) -> Bool[Array, "ne"]:
+    """Of every element, in the order of their names, whether it uses a law beyond what it is known for."""
+    return jnp.concatenate([jnp.zeros(0, bool), *each_element(model, frames, lambda s, *F: s.beyond(*s.rates(*F)))])
 
 
 def each_element(model: Model, frames: Frame, function) -> list:
-    """function(element, A, B) of every element, table by table."""
+    """function(element, A, B, ...) of every element and its frames, table by table."""
     results = []
     for table in model.elements:
-        rows_A, rows_B = (np.array([model.layout.frame(link[end]) for link in table.links]) for end in (0, 1))
-        A, B = (Frame(*(take(x, rows) for x in (frames.p, frames.R, frames.v, frames.w))) for rows in (rows_A, rows_B))
-        results.append(jax.vmap(function)(table.rows, A, B))
+        rows = [np.array([model.layout.frame(name) for name in end]) for end in zip(*table.links, strict=True)]
+        of_ends = [Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w))) for row in rows]
+        results.append(jax.vmap(function)(table.rows, *of_ends))
     return results
 
 
@@ -113,8 +121,8 @@ def wrenches(model: Model, frames: Frame) -> tuple[Float[Array, "n 3"], Float[Ar
 
     Sums over what hangs on a frame by padded gathers; adding into rows would break a compiled loop."""
     ends, forces, moments = [], [], []
-    for table, ((F_A, M_A), (F_B, M_B)) in zip(model.elements, each_element(model, frames, lambda s, A, B: s.wrenches(A, B)), strict=True):
-        for end, F, M in ((0, F_A, M_A), (1, F_B, M_B)):
+    for table, of_ends in zip(model.elements, each_element(model, frames, lambda s, *F: s.wrenches(*F)), strict=True):
+        for end, (F, M) in enumerate(of_ends):
             ends += [model.layout.frame(link[end]) for link in table.links]
             forces.append(F)
             moments.append(M)

@@ -17,11 +17,13 @@ from jaxtyping import Array, Float
 from jaxbody import rotations, tables
 from jaxbody.arrays import concrete, device_array
 from jaxbody.bodies import Body, Support, vector, warn_of_tiny
-from jaxbody.elements import Bushing, Element, Spring
+from jaxbody.elements import Bushing, Element, LineElement
 from jaxbody.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.frames import Pose
 from jaxbody.joints import Free, Joint
+from jaxbody.laws import Law, Sum
 from jaxbody.storage import Table, tabulate, tabulate_by_structure
+from jaxbody.torsions import Torsion
 
 WORLD = "world"
 LARGEST_TURN = 179.0  # degrees, of a bushing in the reference pose
@@ -237,13 +239,28 @@ class Model(eqx.Module):
         ]
         shown = [tables.Table("Model", ("body", "joint", "on", "mass [kg]", "position [m]"), rows)]
         for table in self.elements:
-            columns = [f.name for f in table.rows.__dataclass_fields__.values() if f.name in ("stiffness", "free_length", "damping")]
+            columns = [f for f in table.rows.__dataclass_fields__ if f in SHOWN and getattr(table.rows, f) is not None]
             kind = type(table.rows).__name__.lower()
             rows = [
-                (name, *link, *(getattr(table.row(name), c) for c in columns)) for name, link in zip(table.names, table.links, strict=True)
+                (name, *link, *(_shown(getattr(table.row(name), c)) for c in columns))
+                for name, link in zip(table.names, table.links, strict=True)
             ]
-            shown.append(tables.Table("", (kind, "from", "to", *(c.replace("_", " ") for c in columns)), rows))
+            heads = ("from", "to", "on")[: len(table.links[0])]
+            shown.append(tables.Table("", (kind, *heads, *(c.replace("_", " ") for c in columns)), rows))
         return shown
+
+
+SHOWN = ("spring", "damper", "stiffness", "free_length", "free_angle", "radius", "damping")  # of elements, when a model prints
+
+
+def _shown(value: Any) -> Any:
+    """A law by its name, and its number where it has but one."""
+    if not isinstance(value, Law):
+        return value
+    if isinstance(value, Sum):
+        return " + ".join(_shown(term) for term in value.terms)
+    numbers = jax.tree.leaves(value)
+    return type(value).__name__ + (f" {tables.number(numbers[0])}" if len(numbers) == 1 else "")
 
 
 def unknown(name: str, where: str, known: tuple[str, ...]) -> Problem:
@@ -335,10 +352,11 @@ def _check_links(problems: Problems, bodies, supports, elements, joints) -> None
 
 
 def _check_reference(problems: Problems, bodies, supports, elements) -> None:
-    """In the reference pose every spring must have a direction and every bushing be short of half a turn, where its deformation jumps."""
+    """In the reference pose every line must have a direction and every bushing and torsion spring be short of half a turn, where its
+    deformation jumps."""
     places = {WORLD: (np.zeros(3), np.array([1.0, 0, 0, 0])), **{n: (b.position, b.orientation) for n, b in {**supports, **bodies}.items()}}
     for name, element in elements.items():
-        check = {Spring: _check_length, Bushing: _check_turn}.get(type(element))
+        check = next((check for kind, check in CHECKS if isinstance(element, kind)), None)
         if check is None or not set(element.between) <= set(places):
             continue
         numbers = [concrete(x) for x in jax.tree.leaves((element, [places[end] for end in element.between]))]
@@ -346,11 +364,11 @@ def _check_reference(problems: Problems, bodies, supports, elements) -> None:
             check(problems, f"elements[{name!r}]", element, *((p, _matrix(o)) for p, o in (places[end] for end in element.between)))
 
 
-def _check_length(problems: Problems, where: str, spring: Spring, A, B) -> None:
-    """Zero length is for springs of zero free length without a damper."""
-    ends = [p + R @ point for (p, R), point in zip((A, B), (spring.a, spring.b), strict=True)]
+def _check_length(problems: Problems, where: str, line: LineElement, A, B) -> None:
+    """Zero length is for springs of zero free length that have no damper and pull with no force there."""
+    ends = [p + R @ point for (p, R), point in zip((A, B), (line.a, line.b), strict=True)]
     length, size = np.linalg.norm(ends[1] - ends[0]), np.abs(ends).max() or 1.0
-    if length <= 1e-12 * size and (spring.free_length != 0 or spring.damping != 0):
+    if length <= 1e-12 * size and not (line.free_length == 0 and line.has_no_direction()):
         problems.add(
             "ZERO_LENGTH",
             where,
@@ -361,8 +379,8 @@ def _check_length(problems: Problems, where: str, spring: Spring, A, B) -> None:
         )
 
 
-def _check_turn(problems: Problems, where: str, bushing: Bushing, A, B) -> None:
-    R_A, R_B = A[1] @ _matrix(bushing.orientation), B[1] @ _matrix(bushing.orientation_b)
+def _check_turn(problems: Problems, where: str, element: Bushing | Torsion, A, B) -> None:
+    R_A, R_B = A[1] @ _matrix(element.orientation), B[1] @ _matrix(element.orientation_b)
     angle = np.rad2deg(np.arccos(np.clip((np.sum(R_A * R_B) - 1) / 2, -1, 1)))
     if angle > LARGEST_TURN:
         problems.add(
@@ -373,6 +391,9 @@ def _check_turn(problems: Problems, where: str, bushing: Bushing, A, B) -> None:
             limit=f"{LARGEST_TURN:g} degrees",
             hint="It is relaxed where the axes at its ends coincide: turn `orientation` or `orientation_b`.",
         )
+
+
+CHECKS = ((LineElement, _check_length), (Bushing, _check_turn), (Torsion, _check_turn))
 
 
 def _matrix(q: Any) -> np.ndarray:

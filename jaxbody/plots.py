@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import filter_jit
 
+from jaxbody.elements import LineElement
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.frames import Pose
 from jaxbody.joints import Guide
@@ -200,8 +201,8 @@ class Scene:
         points: dict[str, list[np.ndarray]] = {name: [] for name in layout.frames}
         self.ends, self.pivots, self.centers = {}, {}, {}
         for table in self.model.elements:
-            for name, link, a, b in zip(table.names, table.links, np.asarray(table.rows.a), np.asarray(table.rows.b), strict=True):
-                A, B = (pose[end][0] + pose[end][1] @ point for end, point in zip(link, (a, b), strict=True))
+            for name, link, a, b in zip(table.names, table.links, *(np.asarray(x) for x in table.rows.points[:2]), strict=True):
+                A, B = (pose[end][0] + pose[end][1] @ point for end, point in zip(link[:2], (a, b), strict=True))
                 self.ends[name] = (A, B)
                 points[link[0]].append(A)
                 points[link[1]].append(B)
@@ -257,13 +258,13 @@ def _draw(ax, scene: Scene, look, size, *, names, color=None, edge=INK, springs=
             ax.plot(*middle, "o", ms=6, mfc="white", mec=INK, mew=1.0, zorder=6)
             ax.annotate(name, middle, xytext=(7, 6), textcoords="offset points", fontsize=9, color=INK, zorder=7)
     for table in scene.model.elements:
-        zigzag = hasattr(table.rows, "free_length")
+        zigzag = isinstance(table.rows, LineElement)
         for name, link in zip(table.names, table.links, strict=True):
             A, B = (end @ look.T for end in scene.ends[name])
             path = _zigzag(A, B, 0.022 * size) if zigzag else np.array([A, B])
             ax.plot(*path.T, color=springs, lw=1.1 if zigzag else 3.0, alpha=alpha, solid_joinstyle="round", zorder=4)
             ax.plot(*np.array([A, B]).T, "." if zigzag else "s", color=springs, ms=4, alpha=alpha, zorder=5)
-            for end, here, there in zip(link, (A, B), (B, A), strict=True):
+            for end, here, there in zip(link[:2], (A, B), (B, A), strict=True):
                 if ground and end not in layout.bodies:
                     _ground(ax, here, here - there, 0.035 * size)
             if names:

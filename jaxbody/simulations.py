@@ -20,8 +20,9 @@ from jaxbody.dynamics import Dynamics
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.frames import Frame, Pose
 from jaxbody.kinematics import Coordinates, Motions, supports_moving
+from jaxbody.laws import has_range
 from jaxbody.linearizations import linearize
-from jaxbody.mechanics import each_element, kinetic, potential, rayleigh
+from jaxbody.mechanics import beyond_laws, each_element, frames_of, kinetic, lost_power, potential
 from jaxbody.models import Model, State, unknown
 from jaxbody.motions import AtRest, Motion, as_motion, check_times
 from jaxbody.naming import by_name
@@ -40,7 +41,7 @@ STATUSES = (
 
 class Trajectory(Result):
     """A motion at `times` [s]: `state`, and by name `poses`, `elongations` [m], `forces` [N], `energies` [J], `powers` [W],
-    `reactions` [N, N m]. `status` MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED where the integration ended early; samples after that are NaN.
+    `reactions` [N, N m]. `status` MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED where the integration ended early; samples after that are NaN; TABLE_RANGE where a table was left.
     `statistics`: steps taken and rejected."""
 
     times: Float[Array, "nt"]
@@ -76,7 +77,7 @@ class Trajectory(Result):
 
     @property
     def powers(self) -> dict[str, Array]:
-        """damping: power lost in linear dampers, 2 R; supports: power that the imposed motions put in [W], each (nt,)."""
+        """damping: power lost in dampers, the sum of dR/de_dot . e_dot; supports: power that the imposed motions put in [W], each (nt,)."""
         return {"damping": self.at_samples(_damping_power), "supports": self.at_samples(_support_power)}
 
     @property
@@ -99,9 +100,21 @@ class Trajectory(Result):
         told = f"at t = {t:.6g} s of {float(self.times[-1]):.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
         if status in (Status.MAX_STEPS, Status.DT_MIN):
             told += "; try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
+        if status == Status.TABLE_RANGE:
+            return self._beyond()
         if status == Status.NONFINITE:
             told += "; first bad: " + _culprit(self.model, self.motions, *self.end)
         return told
+
+    def _beyond(self) -> str:
+        """Which elements leave their tables, and when first."""
+        beyond = np.asarray(self.at_samples(_beyond_laws))
+        parts = [
+            f"'{name}' first at t = {float(self.times[np.argmax(column)]):.6g} s, in {column.sum()} of {len(column)} samples"
+            for name, column in zip(self.model.element_names, beyond.T, strict=True)
+            if column.any()
+        ]
+        return "; ".join(parts) + ": its law went on straight with its end slope"
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset over time: positions and quaternions of bodies, elongations and forces of springs, energies."""
@@ -287,6 +300,9 @@ def integrate(model, times, motions, initial, rtol, solver, stepsize_controller,
     code = jnp.where(blown | stuck, Status.NONFINITE.value, code)
     good = (finite & (times <= t_end))[:, None]
     state = jax.vmap(dynamics.unpack)(jnp.where(good, samples, jnp.nan))
+    if has_range(model.elements):
+        beyond = jax.vmap(lambda t, state: jnp.any(beyond_laws(model, table_of(model, motions, t, state))))(times, state)
+        code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
     statistics = {key: solution.stats[key] for key in ("num_accepted_steps", "num_rejected_steps")}
     return Trajectory(times, state, code, statistics, (t_end, dynamics.unpack(y_end)), model, motions)
 
@@ -308,13 +324,14 @@ def _scales(dynamics: Dynamics, span) -> Float[Array, "ny"]:
 
 
 def _stiffness_sum(model: Model) -> Float[Array, ""]:
-    """The sum over the elements of the largest second derivative of V(e) at e = 0."""
-    origin = Pose(jnp.zeros(3), jnp.eye(3))
+    """The sum over the elements of the largest second derivative of V(e) in the reference pose."""
 
-    def stiffest(element):
-        return jnp.max(jnp.abs(jax.hessian(element.energy)(jnp.zeros_like(element.deformation(origin, origin)))))
+    def stiffest(element, *frames):
+        e = element.deformation(*(f.pose() for f in frames))
+        return jnp.max(jnp.abs(jax.hessian(element.energy)(e)))
 
-    return sum((jnp.sum(jax.vmap(stiffest)(table.rows)) for table in model.elements), jnp.zeros((), model.gravity.dtype))
+    found = each_element(model, frames_of(model, model.reference), stiffest)
+    return sum((jnp.sum(k) for k in found), jnp.zeros((), model.gravity.dtype))
 
 
 def table_of(model: Model, motions: Motions, t, state: State) -> Frame:
@@ -327,11 +344,11 @@ def _frames(model, motions, t, state) -> Pose:
 
 
 def _deformations(model, motions, t, state):
-    return tuple(each_element(model, table_of(model, motions, t, state), lambda s, A, B: s.deformation(A.pose(), B.pose())))
+    return tuple(each_element(model, table_of(model, motions, t, state), lambda s, *F: s.deformation(*(f.pose() for f in F))))
 
 
 def _forces(model, motions, t, state):
-    return tuple(each_element(model, table_of(model, motions, t, state), lambda s, A, B: s.force(A, B)))
+    return tuple(each_element(model, table_of(model, motions, t, state), lambda s, *F: s.force(*F)))
 
 
 def _energies(model, motions, t, state):
@@ -339,8 +356,12 @@ def _energies(model, motions, t, state):
     return kinetic(model, frames), potential(model, frames)
 
 
+def _beyond_laws(model, motions, t, state):
+    return beyond_laws(model, table_of(model, motions, t, state))
+
+
 def _damping_power(model, motions, t, state):
-    return 2 * rayleigh(model, table_of(model, motions, t, state))
+    return lost_power(model, table_of(model, motions, t, state))
 
 
 def _reactions(model, motions, t, state):
@@ -368,7 +389,7 @@ def _culprit(model: Model, motions: Motions, t, state: State) -> str:
         for name, motion in zip(model.layout.supports, motions, strict=True):
             if not np.isfinite(np.asarray(motion(moment))).all():
                 return f"the motion of '{name}' at t = {float(moment):.6g} s"
-        forces = by_name(tuple(table.names for table in model.elements), tuple(each_element(model, table_of(model, motions, moment, state), lambda s, A, B: s.force(A, B))))  # fmt: skip
+        forces = by_name(tuple(table.names for table in model.elements), tuple(each_element(model, table_of(model, motions, moment, state), lambda s, *F: s.force(*F))))  # fmt: skip
         for name, force in forces.items():
             if not np.isfinite(np.asarray(force)).all():
                 return f"the force of element '{name}' at t = {float(moment):.6g} s"

@@ -132,7 +132,7 @@ def _equilibrium(model: Model, start: Float[Array, "nq"] | None, max_steps: int)
     residual = slope(model, q)[: model.layout.nv]
     return Equilibrium(
         State(q, zero), residual, potential(model, frames), negative, converged & (negative == 0), status, steps,
-        tuple(each_element(model, frames, lambda s, A, B: s.deformation(A.pose(), B.pose()))), model,
+        tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), model,
     )  # fmt: skip
 
 
@@ -142,7 +142,7 @@ def size_of(model: Model) -> Float[Array, ""]:
     on_bodies = [jnp.zeros(1, model.gravity.dtype), jnp.linalg.norm(model.bodies.rows.com, axis=-1)]
     anywhere = [jnp.linalg.norm(model.bodies.rows.position, axis=-1)]
     for table in model.elements:
-        for end, points in enumerate((table.rows.a, table.rows.b)):
+        for end, points in enumerate(table.rows.points):
             on_body = np.array([link[end] in model.layout.bodies for link in table.links])
             lengths = jnp.linalg.norm(points, axis=-1)
             on_bodies.append(jnp.where(on_body, lengths, 0.0))

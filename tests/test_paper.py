@@ -60,7 +60,7 @@ def end_slopes(model, state):
 
     def elongations(delta, xi):
         moved = jb.State(Coordinates(model).retract(state.q, delta), state.v)
-        return each_element(model, frames_of(model, moved, xi), lambda s, A, B: s.deformation(A.pose(), B.pose()))[0]
+        return each_element(model, frames_of(model, moved, xi), lambda s, *F: s.deformation(*(f.pose() for f in F)))[0]
 
     return jax.jacfwd(elongations, argnums=(0, 1))(jnp.zeros(6), jnp.zeros(6))
 

@@ -20,7 +20,7 @@ PACKAGE = Path(jb.__file__).parent
 ROWS = (
     "errors tables results arrays exports",
     "rotations frames linear_solves",
-    "motions bodies joints elements storage models naming checks",
+    "motions bodies joints laws elements torsions contacts storage models naming checks",
     "kinematics mechanics dynamics derivatives",
     "statics linearizations vibrations simulations",
     "sensors experiments parametrizations uncertainties identification",
