@@ -19,23 +19,25 @@ from jaxbody import rotations
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, Motions, supports_moving
 from jaxbody.linear_solves import solve_spd
+from jaxbody.loads import Load
 from jaxbody.mechanics import wrenches
 from jaxbody.models import Model, State
 from jaxbody.rotations import cross, product, rotate, rotate_back, skew
 
 
 class Dynamics(eqx.Module):
-    """A model under imposed motions as a first-order system y' = f(t, y), with what is constant worked out once.
+    """A model under imposed motions and loads as a first-order system y' = f(t, y), with what is constant worked out once.
 
     y is (q, v) of the state; where all bodies are free on the world v is exchanged for the velocities in body axes."""
 
     coordinates: Coordinates
     motions: Motions
+    loads: tuple[Load, ...]
     inverse_mass: Float[Array, "nb 6 6"] | None
 
-    def __init__(self, model: Model, motions: Motions):
+    def __init__(self, model: Model, motions: Motions, loads: tuple[Load, ...] = ()):
         self.coordinates = Coordinates(model)
-        self.motions = motions
+        self.motions, self.loads = motions, loads
         self.inverse_mass = jnp.linalg.inv(mass_in_body_axes(model)) if model.layout.floating else None
 
     @property
@@ -80,7 +82,7 @@ class Dynamics(eqx.Module):
             jnp.concatenate([zero, supports.v, v]),
             jnp.concatenate([zero, supports.w, w]),
         )
-        F, M = (x[model.layout.first_body :] for x in wrenches(model, frames))
+        F, M = (x[model.layout.first_body :] for x in wrenches(model, frames, self.loads, t))
         m, c = bodies.mass[:, None], bodies.com
         P = m * (v_B + cross(w_B, c))  # momentum and moment of momentum about O, body axes
         H = rotate(bodies.inertia, w_B) + cross(c, P)
@@ -95,7 +97,7 @@ class Dynamics(eqx.Module):
     def acceleration(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nv"]:
         """dv/dt, in the speeds of the state."""
         frames, (linear, angular), a, alpha = self._bias(t, q, v)
-        F, M = self._net(frames, a, alpha)
+        F, M = self._net(t, frames, a, alpha)
         lin, ang = self._jacobian(frames, linear, angular)
         bodies = self.model.bodies.rows
         R = frames.R[self.model.layout.first_body :]
@@ -118,12 +120,12 @@ class Dynamics(eqx.Module):
         (_, (a, alpha), (frames, axes)) = jax.jvp(moving, (t, q), (jnp.ones_like(t), self.coordinates.rate(q, v)), has_aux=True)
         return frames, axes, a, alpha
 
-    def _net(self, frames: Frame, a, alpha):
+    def _net(self, t, frames: Frame, a, alpha):
         """Applied minus inertial force and moment about its origin of each body, for given accelerations of the frames."""
         first = self.model.layout.first_body
         bodies, moving = self.model.bodies.rows, frames[first:]
         a, alpha = a[first:], alpha[first:]
-        F, M = (x[first:] for x in wrenches(self.model, frames))
+        F, M = (x[first:] for x in wrenches(self.model, frames, self.loads, t))
         c, m = rotate(moving.R, bodies.com), bodies.mass[:, None]
         force = m * (a + cross(alpha, c) + cross(moving.w, cross(moving.w, c)))
 
@@ -149,7 +151,7 @@ class Dynamics(eqx.Module):
         first = layout.first_body
         a = a.at[first:].add(jnp.sum(lin * v_dot[:, None], 1))
         alpha = alpha.at[first:].add(jnp.sum(ang * v_dot[:, None], 1))
-        F, M = self._net(frames, a, alpha)
+        F, M = self._net(t, frames, a, alpha)
         on_frames = wrenches(self.model, frames)
         rows = np.arange(1, first)
         jointed = jnp.asarray(layout.roots == rows[:, None], F.dtype)[..., None]
@@ -182,6 +184,6 @@ def _normalized(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     return jnp.concatenate(parts)
 
 
-def acceleration(model: Model, state: State, t: float = 0.0, motions: Motions = ()) -> Float[Array, "nv"]:
+def acceleration(model: Model, state: State, t: float = 0.0, motions: Motions = (), loads: tuple[Load, ...] = ()) -> Float[Array, "nv"]:
     """dv/dt from the equations of motion, in the speeds of the state."""
-    return Dynamics(model, motions).acceleration(jnp.asarray(t, state.q.dtype), state.q, state.v)
+    return Dynamics(model, motions, loads).acceleration(jnp.asarray(t, state.q.dtype), state.q, state.v)

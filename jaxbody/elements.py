@@ -6,7 +6,7 @@ Points and orientations of an element are in the frame of the body or support th
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -32,6 +32,7 @@ class Element(eqx.Module):
     """
 
     between: tuple[str, ...] = eqx.field(static=True)
+    size: ClassVar[int] = 1  # of the deformation
 
     @property
     def points(self) -> tuple[Float[Array, "3"], ...]:
@@ -258,6 +259,7 @@ class Bushing(Element):
     (3,)
     """
 
+    size = 6
     a: Float[Array, "3"]
     b: Float[Array, "3"]
     stiffness: Float[Array, "*k"]

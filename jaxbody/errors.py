@@ -101,6 +101,9 @@ class Status(enum.IntEnum):
     TABLE_RANGE = 10
     NO_EQUILIBRIUM = 11
     LIMIT_POINT = 12
+    NOT_SYMMETRIC = 13
+    UNBALANCED = 14
+    NEGATIVE_LENGTH = 15
 
 
 MESSAGES = {
@@ -117,6 +120,9 @@ MESSAGES = {
     Status.TABLE_RANGE: "a law was used beyond the points of its table",
     Status.NO_EQUILIBRIUM: "no equilibrium bears the full load",
     Status.LIMIT_POINT: "the load cannot be raised further: the stiffness vanishes there",
+    Status.NOT_SYMMETRIC: "K is not symmetric, as a load has no potential: there are no real modes",
+    Status.UNBALANCED: "the free lengths cannot balance the pose",
+    Status.NEGATIVE_LENGTH: "a free length would have to be negative",
 }
 
 

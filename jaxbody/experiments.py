@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.arrays import device_array, float_array
 from jaxbody.errors import JaxbodyError, Problems, warn
+from jaxbody.loads import Load, loads_of
 from jaxbody.models import Model, State
 from jaxbody.motions import Motion, as_motion, check_times
 from jaxbody.sensors import Sensor, check_sensors, noise_levels
@@ -21,7 +22,7 @@ MANY_MISSING = 0.2
 class Experiment(eqx.Module):
     """What was done and what was measured.
 
-    times [s] (nt,); motion {support: motion}; initial, the state at times[0] (the reference pose at rest without one);
+    times [s] (nt,); motion {support: motion}; loads {name: load}; initial, the state at times[0] (the reference pose at rest without one);
     sensors {name: sensor}; measured {name: (nt, ...)}, NaN where a sample is missing; noise, standard deviations, one number or one for
     each sensor (of a pose two, in meters and radians), estimated from the residuals where they are not given.
 
@@ -34,6 +35,7 @@ class Experiment(eqx.Module):
 
     times: Float[Array, "nt"]
     motion: dict[str, Motion]
+    loads: dict[str, Load]
     initial: State | None
     sensors: dict[str, Sensor]
     measured: dict[str, Float[Array, "nt *r"]]
@@ -46,6 +48,7 @@ class Experiment(eqx.Module):
         sensors: dict[str, Sensor],
         measured: dict[str, Any],
         motion: dict[str, Any] | None = None,
+        loads: dict[str, Load] | None = None,
         initial: State | None = None,
         noise: float | dict[str, Any] | None = None,
     ):
@@ -65,12 +68,13 @@ class Experiment(eqx.Module):
         arrays = {name: _samples(name, sensor, measured[name], checked, problems) for name, sensor in sensors.items() if name in measured}
         known = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
         levels = None if noise is None else noise_levels(known, noise, "Experiment.noise", problems, zero=False)
-        clash = [name for name in sensors if name in (motion or {}) or name == "initial"]
+        others = (*(motion or {}), "initial")
+        clash = [name for name in sensors if name in (*others, *(loads or {}))] + [name for name in loads or {} if name in others]
         if clash:
             problems.add(
                 "DUPLICATE_NAME",
-                f"Experiment.sensors['{clash[0]}']",
-                "is also a support or reserved",
+                f"Experiment.{'sensors' if clash[0] in sensors else 'loads'}['{clash[0]}']",
+                "is also a support, a load or reserved",
                 value=clash[0],
                 hint="Paths need different names.",
             )
@@ -80,18 +84,25 @@ class Experiment(eqx.Module):
         problems.raise_if_any()
         self.times = device_array(checked)  # pyright: ignore[reportArgumentType]
         self.motion = {name: as_motion(m) for name, m in (motion or {}).items()}
+        self.loads = {name: jax.tree.map(device_array, load) for name, load in (loads or {}).items()}
         self.initial, self.sensors = initial, dict(sensors)
         self.measured = {name: device_array(a) for name, a in arrays.items()}
         self.noise = None if levels is None else {name: device_array(level) for name, level in levels.items()}
 
     def named(self) -> dict[str, Any]:
-        """What of it has a name in paths: the initial state, the motions, the sensors."""
-        return {**({} if self.initial is None else {"initial": {"q": self.initial.q, "v": self.initial.v}}), **self.motion, **self.sensors}
+        """What of it has a name in paths: the initial state, the motions, the loads, the sensors."""
+        return {
+            **({} if self.initial is None else {"initial": {"q": self.initial.q, "v": self.initial.v}}),
+            **self.motion,
+            **self.loads,
+            **self.sensors,
+        }
 
     def check(self, model: Model, where: str) -> None:
         """It fits the model."""
         try:
-            check_run(model, self.times, motions_of(model, self.motion), self.initial)
+            loads_of(self.loads, model.layout.bodies)
+            check_run(model, self.times, motions_of(model, self.motion), self.loads, self.initial)
             check_sensors(self.sensors, model, "sensors")
         except JaxbodyError as error:
             raise JaxbodyError(*(_under(where, problem) for problem in error.problems)) from None

@@ -103,6 +103,28 @@ def modes_dataset(modes: Any) -> Any:
     return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(modes.layout.coordinates)}, "modes")
 
 
+def load_cases_dataset(cases: Any) -> Any:
+    """By `case`: displacement and rotation by `body`, stroke and force by `spring` (of a bushing six each), status and load factor."""
+    model = cases.unloaded.model
+    springs = _springs(model)
+    variables = {
+        "displacement": (("case", "body", "axis"), cases.displaced, "m"),
+        "rotation": (("case", "body", "axis"), cases.turned, "rad"),
+        "status": (("case",), cases.status, ""),
+        "load_factor": (("case",), cases.load_factor, ""),
+    }
+    coordinates = {"case": list(cases.names), "body": list(model.layout.bodies), "axis": AXES}
+    strokes, forces = cases.strokes, cases.forces
+    if springs:
+        variables["stroke"] = (("case", "spring"), _rows([strokes[name] for name in springs], -1), "m")
+        variables["force"] = (("case", "spring"), _rows([forces[name] for name in springs], -1), "N")
+        coordinates["spring"] = springs
+    for name in (name for name in strokes if name not in springs):
+        variables[f"{name}_stroke"] = (("case", "component"), strokes[name], "m, rad")
+        variables[f"{name}_force"] = (("case", "component"), forces[name], "N, N m")
+    return dataset(variables, coordinates, "load cases")
+
+
 def fit_dataset(fit: Any) -> Any:
     """Of a fit: estimate and standard error by `parameter`, singular values, and `{run}_{sensor}` predicted over `{run}_time`."""
     names, estimates, errors = [], [], []
@@ -131,7 +153,7 @@ def fit_dataset(fit: Any) -> Any:
 
 def _springs(model: Any) -> list[str]:
     """Elements whose deformation is one number."""
-    return [name for table in model.elements if hasattr(table.rows, "free_length") for name in table.names]
+    return [name for table in model.elements if table.rows.size == 1 for name in table.names]
 
 
 def _rows(arrays: list[Any], axis: int) -> np.ndarray:

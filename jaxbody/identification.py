@@ -84,7 +84,7 @@ class Task(eqx.Module):
 
     def simulate(self, model: Model, experiment: Experiment) -> Trajectory:
         motions = motions_of(model, experiment.motion)
-        return integrate(model, experiment.times, motions, experiment.initial, self.rtol, self.solver, None, diffrax.ForwardMode(), None, self.max_steps, diffrax.NoProgressMeter())  # fmt: skip
+        return integrate(model, experiment.times, motions, tuple(experiment.loads.values()), experiment.initial, self.rtol, self.solver, None, diffrax.ForwardMode(), None, self.max_steps, diffrax.NoProgressMeter())  # fmt: skip
 
     def differences(self, model: Model, experiment: Experiment, noise: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
         """Readings, and residuals over noise (zero where a sample is missing), of one experiment."""

@@ -21,6 +21,8 @@ from jaxbody.derivatives import damping, expansion, mass, stiffness
 from jaxbody.errors import JaxbodyError, Problem, Status
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.load_paths import stiffness_of_loads
+from jaxbody.loads import Load
 from jaxbody.mechanics import each_element, gravity_energy, potential
 from jaxbody.models import Model, State, unknown
 from jaxbody.naming import by_name
@@ -46,6 +48,7 @@ class Linearization(Result):
     status: Int[Array, ""]
     state: State
     model: Model
+    loads: tuple[Load, ...]
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -71,6 +74,11 @@ class Linearization(Result):
     def K_gravity(self) -> Float[Array, "nv nv"]:
         """Hessian of the potential energy of the weights; (40) of the paper."""
         return _gravity_stiffness(self.model, self.state)
+
+    @property
+    def K_loads(self) -> Float[Array, "nv nv"]:
+        """-dQ/dDelta of the loads of the equilibrium; not symmetric where they have no potential."""
+        return -_load_stiffness(self.model, self.state, self.loads)
 
     @property
     def K_elastic_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
@@ -106,7 +114,7 @@ class Linearization(Result):
 def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     """M, C, K and the blocks towards the supports, at an equilibrium or any state, supports at their reference poses.
 
-    Errors: BAD_SHAPE, NON_FINITE of a state. A failed equilibrium's status is carried on.
+    Loads of the equilibrium act on: K = d2V/dDelta2 - dQ/dDelta. Errors: BAD_SHAPE, NON_FINITE of a state. A failed equilibrium's status is carried on.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
@@ -116,9 +124,9 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     """
     check_precision("linearize", model)
     if isinstance(at, Equilibrium):
-        return _linearize(model, at.state, at.status)
+        return _linearize(model, at.state, at.status, at.loads)
     check_state(model, at, "state")
-    return _linearize(model, at, jnp.array(Status.OK.value))
+    return _linearize(model, at, jnp.array(Status.OK.value), ())
 
 
 def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nv"]:
@@ -156,12 +164,12 @@ def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
 
 
 @filter_jit
-def _linearize(model: Model, state: State, status: Int[Array, ""]) -> Linearization:
+def _linearize(model: Model, state: State, status: Int[Array, ""], loads: tuple[Load, ...]) -> Linearization:
     n = model.layout.nv
     M, C = mass(model, state.q), damping(model, state.q, state.v)
     K, base = expansion(model, state.q, base=False)[2], stiffness(model, state.q)  # two, so that who needs K alone computes no more
     return Linearization(
-        M[:n, :n], C[:n, :n], K, -M[:n, n:], -C[:n, n:], -base[:n, n:], M[n:, n:], C[n:, n:], base[n:, n:], status, state, model
+        M[:n, :n], C[:n, :n], K - _load_stiffness(model, state, loads), -M[:n, n:], -C[:n, n:], -base[:n, n:], M[n:, n:], C[n:, n:], base[n:, n:], status, state, model, loads
     )  # fmt: skip
 
 
@@ -173,6 +181,10 @@ def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[A
         return jax.grad(lambda d: potential(model, _frames(model, state, d, still, xi, jnp.zeros_like(xi))))(still)
 
     return slope(jnp.zeros_like(xi)) - slope(xi)
+
+
+def _load_stiffness(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv nv"]:
+    return stiffness_of_loads(model, state.q, loads, jnp.ones(len(loads), state.q.dtype))
 
 
 def _names(model: Model) -> tuple[tuple[str, ...], ...]:

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at, take
+from jaxbody.loads import Load
 from jaxbody.models import Model, State
 from jaxbody.rotations import cross, dot, rotate, rotate_back
 
@@ -116,8 +117,8 @@ def each_element(model: Model, frames: Frame, function) -> list:
     return results
 
 
-def wrenches(model: Model, frames: Frame) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Force and moment about its origin that elements and gravity exert on each frame, world axes.
+def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t=0.0) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Force and moment about its origin that elements, gravity and loads at time t exert on each frame, world axes.
 
     Sums over what hangs on a frame by padded gathers; adding into rows would break a compiled loop."""
     ends, forces, moments = [], [], []
@@ -131,6 +132,11 @@ def wrenches(model: Model, frames: Frame) -> tuple[Float[Array, "n 3"], Float[Ar
     forces.append(weight)
     moments.append(cross(rotate(frames.R[model.layout.first_body :], bodies.com), weight))
     ends += list(range(model.layout.first_body, len(model.layout.frames)))
+    for load in loads:
+        F, M = load.wrench(t, frames[model.layout.frame(load.on)])
+        ends.append(model.layout.frame(load.on))
+        forces.append(F[None])
+        moments.append(M[None])
     hanging = [[i for i, end in enumerate(ends) if end == frame] for frame in range(len(model.layout.frames))]
     return sums(jnp.concatenate(forces), hanging), sums(jnp.concatenate(moments), hanging)
 

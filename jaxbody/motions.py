@@ -137,8 +137,8 @@ class Sampled(Motion):
     def __init__(self, times, *, translation=None, rotation=None):
         times, values = _samples(times, translation, rotation, Problems(), minimum=4)
         self.times, self.values = device_array(times), device_array(values)
-        self.uniform = _is_uniform(times)
-        self.curvatures = _curvatures(self.times, self.values)
+        self.uniform = is_uniform(times)
+        self.curvatures = curvatures(self.times, self.values)
 
     @classmethod
     def from_accelerations(
@@ -156,7 +156,7 @@ class Sampled(Motion):
         velocity = v0 + jnp.concatenate([jnp.zeros((1, 6), m.dtype), jnp.cumsum(h * (m[1:] + m[:-1]) / 2, 0)])
         steps = h * velocity[:-1] + h**2 * (2 * m[:-1] + m[1:]) / 6
         values = x0 + jnp.concatenate([jnp.zeros((1, 6), m.dtype), jnp.cumsum(steps, 0)])
-        for name, value in dict(times=t, values=values, curvatures=m, uniform=_is_uniform(times)).items():
+        for name, value in dict(times=t, values=values, curvatures=m, uniform=is_uniform(times)).items():
             object.__setattr__(self, name, value)
         return self
 
@@ -164,17 +164,22 @@ class Sampled(Motion):
         return self.times[0], self.times[-1]
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
-        n = self.times.shape[0]
-        if self.uniform:
-            i = jnp.floor((t - self.times[0]) / (self.times[-1] - self.times[0]) * (n - 1)).astype(int)
-        else:
-            i = jnp.searchsorted(self.times, jax.lax.stop_gradient(t), side="right", method="scan_unrolled") - 1
-        i = jnp.clip(i, 0, n - 2)
-        h = self.times[i + 1] - self.times[i]
-        a, b = (self.times[i + 1] - t) / h, (t - self.times[i]) / h
+        i, h, a, b = cell(self.times, self.uniform, t)
         return (
             a * self.values[i] + b * self.values[i + 1] + h**2 / 6 * ((a**3 - a) * self.curvatures[i] + (b**3 - b) * self.curvatures[i + 1])
         )
+
+
+def cell(times: Float[Array, "n"], uniform: bool, t: Float[Array, ""]):
+    """Which samples t is between, i and i + 1, how far apart they are, and the weights a, b of both."""
+    n = times.shape[0]
+    if uniform:
+        i = jnp.floor((t - times[0]) / (times[-1] - times[0]) * (n - 1)).astype(int)
+    else:
+        i = jnp.searchsorted(times, jax.lax.stop_gradient(t), side="right", method="scan_unrolled") - 1
+    i = jnp.clip(i, 0, n - 2)
+    h = times[i + 1] - times[i]
+    return i, h, (times[i + 1] - t) / h, (t - times[i]) / h
 
 
 def as_motion(motion: Motion | Callable[[Array], Array]) -> Motion:
@@ -309,7 +314,7 @@ def _nearest(previous, phi, xp):
     return phi + 2 * np.pi * turns * axis
 
 
-def _is_uniform(times) -> bool:
+def is_uniform(times) -> bool:
     known = concrete(times)
     if known is None:
         return False
@@ -319,7 +324,7 @@ def _is_uniform(times) -> bool:
 
 
 @jax.jit
-def _curvatures(t: Float[Array, "n"], y: Float[Array, "n k"]) -> Float[Array, "n k"]:
+def curvatures(t: Float[Array, "n"], y: Float[Array, "n k"]) -> Float[Array, "n k"]:
     """Second derivatives at the knots: h_{i-1} m_{i-1} + 2 (h_{i-1} + h_i) m_i + h_i m_{i+1} = 6 (d_i - d_{i-1}), d the slopes of the
     chords; at the ends 2 h m_0 + h m_1 = 6 (d_0 - s_0), s the slope of the cubic through four samples."""
     h = jnp.diff(t)

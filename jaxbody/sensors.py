@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxbody import rotations
 from jaxbody.arrays import checked, concrete
 from jaxbody.bodies import vector
-from jaxbody.elements import Bushing, Element
+from jaxbody.elements import Element
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.frames import Frame
 from jaxbody.joints import unit_vector
@@ -172,7 +172,7 @@ class Elongation(Sensor):
         return element.deformation(*(frames[model.layout.frame(end)].pose() for end in element.between))
 
     def problem(self, model, where):
-        names = tuple(name for table in model.elements if not isinstance(table.rows, Bushing) for name in table.names)
+        names = tuple(name for table in model.elements if table.rows.size == 1 for name in table.names)
         return None if self.on in names else unknown(self.on, where, names)
 
 

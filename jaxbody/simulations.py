@@ -22,6 +22,7 @@ from jaxbody.frames import Frame, Pose
 from jaxbody.kinematics import Coordinates, Motions, supports_moving
 from jaxbody.laws import has_range
 from jaxbody.linearizations import linearize
+from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, frames_of, kinetic, lost_power, potential
 from jaxbody.models import Model, State, unknown
 from jaxbody.motions import AtRest, Motion, as_motion, check_times
@@ -51,6 +52,7 @@ class Trajectory(Result):
     end: tuple[Array, State]
     model: Model
     motions: Motions
+    loads: tuple[Load, ...] = ()
 
     @property
     def poses(self) -> dict[str, Pose]:
@@ -77,13 +79,18 @@ class Trajectory(Result):
 
     @property
     def powers(self) -> dict[str, Array]:
-        """damping: power lost in dampers, the sum of dR/de_dot . e_dot; supports: power that the imposed motions put in [W], each (nt,)."""
-        return {"damping": self.at_samples(_damping_power), "supports": self.at_samples(_support_power)}
+        """damping: power lost in dampers, the sum of dR/de_dot . e_dot; supports, loads: power that the imposed motions and
+        the loads put in [W], each (nt,)."""
+        return {
+            "damping": self.at_samples(_damping_power),
+            "supports": self.at_samples(_support_power, self.loads),
+            "loads": self.at_samples(_load_power, self.loads),
+        }
 
     @property
     def reactions(self) -> dict[str, tuple[Array, Array]]:
         """Of each support the force and the moment about its origin, world axes, that everything on it exerts, each (nt, 3)."""
-        force, moment = self.at_samples(_reactions)
+        force, moment = self.at_samples(_reactions, self.loads)
         axis = self.times.ndim
         return {name: (jnp.take(force, i, axis=axis), jnp.take(moment, i, axis=axis)) for i, name in enumerate(self.model.layout.supports)}
 
@@ -103,7 +110,7 @@ class Trajectory(Result):
         if status == Status.TABLE_RANGE:
             return self._beyond()
         if status == Status.NONFINITE:
-            told += "; first bad: " + _culprit(self.model, self.motions, *self.end)
+            told += "; first bad: " + _culprit(self.model, self.motions, self.loads, *self.end)
         return told
 
     def _beyond(self) -> str:
@@ -152,6 +159,7 @@ def simulate(
     times,
     *,
     motion: dict[str, Motion | Callable] | None = None,
+    loads: dict[str, Load] | None = None,
     initial: State | None = None,
     rtol: float = 1e-8,
     solver: diffrax.AbstractSolver | None = None,
@@ -163,12 +171,12 @@ def simulate(
 ) -> Trajectory:
     """The motion from `initial` (without it, the reference pose at rest) at times[0], sampled at `times` [s].
 
-    motion: {support: motion}; a support without one is at rest. rtol: ten times the relative local error that
+    motion: {support: motion}; a support without one is at rest. loads: {name: load} on bodies. rtol: ten times the relative local error that
     the step control allows in any component, so that samples between steps hold it too; absolute errors a hundredth of it times the size of the model (velocities: size times its fastest frequency, roughly). solver (Dopri8 if none), stepsize_controller, adjoint: diffrax's
     objects. dt0 [s]: the first step, or the constant one with diffrax.ConstantStepSize(). Reverse mode works by default; forward mode
     with adjoint=diffrax.ForwardMode(), which is faster for fewer than about thirty parameters.
 
-    Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME of a support. An integration that ends early
+    Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME of a support, UNKNOWN_BODY of a load. An integration that ends early
     warns, and returns what it has with a status.
 
     >>> import jax.numpy as jnp
@@ -180,7 +188,8 @@ def simulate(
     """
     check_precision("simulate", model)
     motions = motions_of(model, motion or {})
-    times = check_run(model, times, motions, initial)
+    loads_on = loads_of(loads, model.layout.bodies)
+    times = check_run(model, times, motions, loads or {}, initial)
     if stepsize_controller is None or adjoint is None:
         constant = isinstance(stepsize_controller, diffrax.ConstantStepSize | diffrax.StepTo)
         adjoint = adjoint or (diffrax.DirectAdjoint() if constant else diffrax.RecursiveCheckpointAdjoint())
@@ -206,7 +215,7 @@ def simulate(
     solver = solver or diffrax.Dopri8()
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(model, initial, step):
         _warn_of_long_steps(model, model.reference if initial is None else initial, float(step), solver)  # pyright: ignore[reportArgumentType]
-    result = integrate(model, times, motions, initial, tolerance, solver, stepsize_controller, adjoint, step, max_steps, meter)
+    result = integrate(model, times, motions, loads_on, initial, tolerance, solver, stepsize_controller, adjoint, step, max_steps, meter)
     warn_if_failed(result)
     return result
 
@@ -232,15 +241,17 @@ def motions_of(model: Model, motion: dict[str, Any]) -> Motions:
     return tuple(as_motion(motion.get(name, AtRest())) for name in model.layout.supports)
 
 
-def check_run(model: Model, times, motions: Motions, initial: State | None) -> Float[Array, "nt"]:
-    """Times that increase and that the motions cover, an initial state of the right shape."""
+def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], initial: State | None) -> Float[Array, "nt"]:
+    """Times that increase and that motions and loads cover, an initial state of the right shape."""
     problems = Problems()
     checked = check_times(times, problems, "times", minimum=2)
     problems.raise_if_any()
     assert checked is not None
     asked = concrete(checked)
-    for name, motion in zip(model.layout.supports, motions, strict=True):
-        span = [concrete(t) for t in motion.covers()]
+    timed = [(f"motion['{name}']", motion) for name, motion in zip(model.layout.supports, motions, strict=True)]
+    timed += [(f"loads['{name}']", signal) for name, load in loads.items() for signal in load.signals()]
+    for where, function in timed:
+        span = [concrete(t) for t in function.covers()]
         if asked is None or any(t is None for t in span):
             continue
         first, last = (float(t) for t in span)  # pyright: ignore[reportArgumentType]
@@ -248,7 +259,7 @@ def check_run(model: Model, times, motions: Motions, initial: State | None) -> F
         if asked[0] < first - slack or asked[-1] > last + slack:
             problems.add(
                 "T_RANGE",
-                f"motion['{name}']",
+                where,
                 f"covers {first:.9g} to {last:.9g} s, asked {asked[0]:.9g} to {asked[-1]:.9g} s",
                 value=(asked[0], asked[-1]),
                 limit=f"{first:.9g} to {last:.9g} s",
@@ -261,10 +272,10 @@ def check_run(model: Model, times, motions: Motions, initial: State | None) -> F
 
 
 @filter_jit
-def integrate(model, times, motions, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
+def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
     """The jitted core of `simulate`: it knows arrays only, and never raises."""
     initial = model.reference if initial is None else initial
-    dynamics = Dynamics(model, motions)
+    dynamics = Dynamics(model, motions, loads)
     controller = stepsize_controller
     span = times[-1] - times[0]
     if controller is None:
@@ -304,7 +315,7 @@ def integrate(model, times, motions, initial, rtol, solver, stepsize_controller,
         beyond = jax.vmap(lambda t, state: jnp.any(beyond_laws(model, table_of(model, motions, t, state))))(times, state)
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
     statistics = {key: solution.stats[key] for key in ("num_accepted_steps", "num_rejected_steps")}
-    return Trajectory(times, state, code, statistics, (t_end, dynamics.unpack(y_end)), model, motions)
+    return Trajectory(times, state, code, statistics, (t_end, dynamics.unpack(y_end)), model, motions, loads)
 
 
 def _scales(dynamics: Dynamics, span) -> Float[Array, "ny"]:
@@ -364,12 +375,19 @@ def _damping_power(model, motions, t, state):
     return lost_power(model, table_of(model, motions, t, state))
 
 
-def _reactions(model, motions, t, state):
-    return Dynamics(model, motions).reactions(t, state.q, state.v)
+def _reactions(model, motions, t, state, loads):
+    return Dynamics(model, motions, loads).reactions(t, state.q, state.v)
 
 
-def _support_power(model, motions, t, state):
-    force, moment = _reactions(model, motions, t, state)
+def _load_power(model, motions, t, state, loads):
+    frames = table_of(model, motions, t, state)
+    on = [frames[model.layout.frame(load.on)] for load in loads]
+    done = [(*load.wrench(t, frame), frame) for load, frame in zip(loads, on, strict=True)]
+    return sum((jnp.sum(F * frame.v) + jnp.sum(M * frame.w) for F, M, frame in done), jnp.zeros((), state.q.dtype))
+
+
+def _support_power(model, motions, t, state, loads):
+    force, moment = _reactions(model, motions, t, state, loads)
     supports = supports_moving(model, motions, t)
     return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
 
@@ -382,8 +400,8 @@ def _evaluate(function: Callable, batch_axes: int, model, motions, times, state,
     return over_batch(model, motions, times, state)
 
 
-def _culprit(model: Model, motions: Motions, t, state: State) -> str:
-    """Which motion, element or body gives a number that is not finite, at or just after t."""
+def _culprit(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State) -> str:
+    """Which motion, element, load or body gives a number that is not finite, at or just after t."""
     times = t + jnp.maximum(jnp.abs(t), 1.0) * jnp.array([0.0, 1e-9, 1e-6])
     for moment in times:
         for name, motion in zip(model.layout.supports, motions, strict=True):
@@ -393,6 +411,10 @@ def _culprit(model: Model, motions: Motions, t, state: State) -> str:
         for name, force in forces.items():
             if not np.isfinite(np.asarray(force)).all():
                 return f"the force of element '{name}' at t = {float(moment):.6g} s"
+        frames = table_of(model, motions, moment, state)
+        for load in loads:
+            if not np.isfinite(np.concatenate(load.wrench(moment, frames[model.layout.frame(load.on)]))).all():
+                return f"a load, {type(load).__name__}, on '{load.on}' at t = {float(moment):.6g} s"
     for name in model.layout.bodies:
         if not np.isfinite(np.asarray(state.q[model.layout.q_slices[name]])).all():
             return f"the coordinates of body '{name}'"

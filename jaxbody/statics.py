@@ -4,7 +4,8 @@ function theorem.
     dV/dDelta = 0,    dq/dp = -K^-1 d2V/dDelta dp
 
 The search is Newton's method made to descend: K + lambda I with lambda raised until it is positive definite and the energy falls, so it does
-not stop at maxima. It works on nondimensional increments, rotations times the length `size_of(model)`.
+not stop at maxima. It works on nondimensional increments, rotations times the length `size_of(model)`. Loads, which may have no
+potential, are then raised step by step (load_paths).
 """
 
 from __future__ import annotations
@@ -19,23 +20,28 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_attached, check_precision, check_state
-from jaxbody.derivatives import expansion, slope
+from jaxbody.derivatives import expansion
 from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.laws import has_range
 from jaxbody.linear_solves import solve_if_definite
-from jaxbody.mechanics import each_element, potential
+from jaxbody.load_paths import Path, Raised, follow, residual, tangent, with_gravity
+from jaxbody.loads import Load, loads_of
+from jaxbody.mechanics import beyond_laws, each_element, potential
 from jaxbody.models import Layout, Model, State, reference_coordinates
 from jaxbody.naming import by_name
 from jaxbody.results import Result, warn_if_failed
 
 TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the error left is its square
 SINGULAR = 1e-10  # eigenvalues of the nondimensional K, relative to the largest, that count as zero
+RUNAWAY = 20  # sizes of the model from the start, beyond which a search is falling
 LEAST_SHIFT = 1e-11  # keeps a free motion from making the system singular
 
 
 class Equilibrium(Result):
-    """A configuration of rest: `state`, `residual` dV/dDelta [N, N m], `energy` [J], `stable`, `negative` (how many eigenvalues
-    of K are), `steps`, `elongations` by name; `status` NOT_CONVERGED, UNSTABLE or SINGULAR_K where it is not good."""
+    """A configuration of rest: `state`, `residual` dV/dDelta - Q [N, N m], `energy` V [J], `stable`, `negative` (how many eigenvalues
+    of K are), `steps`, `elongations` by name; `status` NOT_CONVERGED, UNSTABLE, SINGULAR_K, TABLE_RANGE, NO_EQUILIBRIUM or LIMIT_POINT where it is not
+    good. Under loads, `load_factor` is how much of them is borne, and `path` how K changed on the way."""
 
     state: State
     residual: Float[Array, "nv"]
@@ -46,6 +52,9 @@ class Equilibrium(Result):
     steps: Int[Array, ""]
     deformations: tuple[Array, ...]
     model: Model
+    loads: tuple[Load, ...]
+    load_factor: Float[Array, ""]
+    path: Path | None
 
     @property
     def elongations(self) -> dict[str, Array]:
@@ -62,6 +71,12 @@ class Equilibrium(Result):
             return "; ".join(zero_modes(self.model, self.state))
         if status == Status.UNSTABLE:
             return f"{int(self.negative)} negative eigenvalue(s) of K; start from a state moved along that mode to descend"
+        if status == Status.TABLE_RANGE:
+            return "; ".join(
+                f"'{name}'" for name, out in zip(self.model.element_names, _beyond(self.model, self.state), strict=True) if out
+            )
+        if status in (Status.NO_EQUILIBRIUM, Status.LIMIT_POINT):
+            return self._how_much()
         if status == Status.NOT_CONVERGED:
             worst = int(np.argmax(np.abs(np.asarray(self.residual)))) if np.isfinite(np.asarray(self.residual)).all() else 0
             unit = "N m" if self.layout.turns[worst] else "N"
@@ -70,6 +85,20 @@ class Equilibrium(Result):
                 f"in '{self.layout.motions[worst][0]}' ({self.layout.motions[worst][1]}); start nearer, or give more max_steps"
             )
         return ""
+
+    def _how_much(self) -> str:
+        """How much of the loads, or of the weights, is borne."""
+        if self.path is not None:
+            smallest = np.asarray(self.path.smallest)
+            last = smallest[np.isfinite(smallest)][-1]
+            borne = f"load factor {float(self.load_factor):.4g} of 1, where the state is; the smallest eigenvalue of K, relative to the largest without loads, went "
+            return borne + f"from {smallest[0]:.3g} to {last:.3g} (plots.load_path draws it)"
+        weightless = with_gravity(self.model, -self.model.gravity)
+        start = equilibrium_of(weightless, None, (), 200)
+        if int(start.status) not in (Status.OK, Status.SINGULAR_K):
+            return "nor is there one without the weights"
+        found = under_loads(weightless, start, Raised((), jnp.zeros(0), self.model.gravity))
+        return f"{100 * float(found.load_factor):.4g} % of the weights is borne"
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: q by part, residual by coordinate, elongation by spring, energy, status."""
@@ -91,11 +120,12 @@ class Equilibrium(Result):
         ]
 
 
-def equilibrium(model: Model, *, start: State | None = None, max_steps: int = 200) -> Equilibrium:
+def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Load] | None = None, max_steps: int = 200) -> Equilibrium:
     """The stable configuration of rest that descent from `start` (without it, the reference pose) leads to, supports at their reference poses.
 
-    dV/dDelta = 0 with positive definite K = d2V/dDelta2. Differentiable with respect to the model in forward and reverse mode, to
-    any order; the derivative of a search that failed, or through a singular K, is NaN. Errors: UNATTACHED, BAD_SHAPE; warns by status.
+    dV/dDelta = 0 with positive definite K = d2V/dDelta2. `loads` {name: load}, as at time 0, are then raised from nothing along the stable
+    branch: dV/dDelta = Q. Differentiable with respect to the model in forward and reverse mode, to
+    any order; the derivative of a search that failed, or through a singular K, is NaN. Errors: UNATTACHED, BAD_SHAPE, UNKNOWN_BODY of a load; warns by status.
     Source: (63) of the paper.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, -9.81, 0], joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -107,33 +137,73 @@ def equilibrium(model: Model, *, start: State | None = None, max_steps: int = 20
     check_attached(model)
     if start is not None:
         check_state(model, start, "start")
-    result = _equilibrium(model, None if start is None else start.q, max_steps)
+    result = equilibrium_of(model, None if start is None else start.q, loads_of(loads, model.layout.bodies), max_steps)
     warn_if_failed(result)
     return result
 
 
 @filter_jit
-def _equilibrium(model: Model, start: Float[Array, "nq"] | None, max_steps: int) -> Equilibrium:
+def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, loads: tuple[Load, ...], max_steps: int) -> Equilibrium:
     frozen = jax.lax.stop_gradient(model)
     start = reference_coordinates(frozen) if start is None else jax.lax.stop_gradient(start)
     size = size_of(frozen)
+    q, K, converged, steps = descend(frozen, start, scale_of(frozen, size), size, max_steps)
+    runaway = ~converged & (apart(frozen, start, q) > RUNAWAY * size)
+    status = jnp.select([runaway, ~converged], [Status.NO_EQUILIBRIUM.value, Status.NOT_CONVERGED.value], Status.OK.value)
+    found = judged_at(model, q, K, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
+    return found if not loads else under_loads(model, found, Raised(loads, jnp.ones(len(loads), q.dtype), jnp.zeros(3, q.dtype)))
+
+
+@filter_jit
+def under_loads(model: Model, start: Equilibrium, raised: Raised) -> Equilibrium:
+    """The equilibrium that the path of the loads from an unloaded one leads to."""
+    frozen, still = jax.lax.stop_gradient((model, raised))
+    size = size_of(frozen)
     scale = scale_of(frozen, size)
-    q, K, converged, steps = _descend(frozen, start, scale, size, max_steps)
+    q, factor, path, ahead = follow(frozen, jax.lax.stop_gradient(start.state.q), still, scale, size)
+    K = tangent(frozen, q, still, factor) * scale * scale[:, None]
+    borne = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
+    fit = jnp.isin(start.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
+    return judged_at(model, q, (K + K.T) / 2, jnp.where(fit, borne, start.status), start.steps, raised, path, factor)
+
+
+def judged_at(model: Model, q, K, status, steps, raised: Raised, path: Path | None, factor) -> Equilibrium:
+    """What stands at q, where the nondimensional K is: its stability, its derivative, what the springs do."""
     values = jnp.linalg.eigvalsh(K)
     tolerance = SINGULAR * jnp.max(jnp.abs(values), initial=0.0)
     negative = jnp.sum(values < -tolerance)
     singular = jnp.any(jnp.abs(values) <= tolerance)
-    status = jnp.select(
-        [~converged, negative > 0, singular], [Status.NOT_CONVERGED.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value
-    )  # fmt: skip
-    q = _implicit(model, q, converged & ~singular)
+    failed = status != Status.OK
+    q = _implicit((model, raised), q, ~failed & ~singular)
     zero = jnp.zeros(model.layout.nv, q.dtype)
     frames = Coordinates(model).frames(q, zero, _still(model, q.dtype))
-    residual = slope(model, q)[: model.layout.nv]
-    return Equilibrium(
-        State(q, zero), residual, potential(model, frames), negative, converged & (negative == 0), status, steps,
-        tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), model,
+    beyond = jnp.any(beyond_laws(model, frames)) if has_range(model.elements) else jnp.array(False)
+    status = jnp.select(
+        [failed, negative > 0, singular, beyond], [status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
+    return Equilibrium(
+        State(q, zero), residual(model, q, raised, factor), potential(with_gravity(model, factor * raised.gravity), frames), negative,
+        ~failed & (negative == 0), status, steps, tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), model,
+        raised.loads, factor, path,
+    )  # fmt: skip
+
+
+def unloaded(dtype) -> Raised:
+    """Nothing to raise."""
+    return Raised((), jnp.zeros(0, dtype), jnp.zeros(3, dtype))
+
+
+def apart(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> Float[Array, ""]:
+    """The farthest that a body is between two configurations [m], turns times the size of the model."""
+    zero = jnp.zeros(model.layout.nv, one.dtype)
+    a, b = (Coordinates(model).frames(q, zero, _still(model, one.dtype)) for q in (one, other))
+    turned = size_of(model) * jnp.sqrt(jnp.sum((a.R - b.R) ** 2, (-2, -1)))
+    return jnp.max(jnp.maximum(jnp.linalg.norm(a.p - b.p, axis=-1), turned))
+
+
+@filter_jit
+def _beyond(model: Model, state: State) -> Bool[Array, "ne"]:
+    return beyond_laws(model, Coordinates(model).frames(state.q, state.v, _still(model, state.q.dtype)))
 
 
 def size_of(model: Model) -> Float[Array, ""]:
@@ -161,7 +231,7 @@ def _still(model: Model, dtype):
     return supports_at(model, zero, zero)
 
 
-def _descend(model, q, scale, size, max_steps):
+def descend(model, q, scale, size, max_steps):
     """(q, K, converged, steps) by Newton's method with a shift that makes every step go down."""
 
     def step(carry):
@@ -194,19 +264,17 @@ def _descend(model, q, scale, size, max_steps):
 
 
 @jax.custom_jvp
-def _implicit(model: Model, q: Float[Array, "nq"], valid: Bool[Array, ""]) -> Float[Array, "nq"]:
+def _implicit(given: tuple[Model, Raised], q: Float[Array, "nq"], valid: Bool[Array, ""]) -> Float[Array, "nq"]:
     """q, with the derivative that an equilibrium has; NaN where there is none."""
     return q
 
 
 @_implicit.defjvp
 def _implicit_jvp(primals, tangents):
-    model, _, valid = primals
+    (model, raised), _, valid = primals
     q = _implicit(*primals)
-    zero = jnp.zeros(model.layout.nv, q.dtype)
-    _, change = jax.jvp(lambda model: slope(model, q)[: len(zero)], (model,), (tangents[0],))
-    K = expansion(model, q, base=False)[2]
-    delta = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), change)
+    _, change = jax.jvp(lambda given: residual(given[0], q, given[1]), ((model, raised),), (tangents[0],))
+    delta = -jnp.linalg.solve(jnp.where(valid, tangent(model, q, raised), jnp.nan), change)
     return q, Coordinates(model).rate(q, delta)
 
 

@@ -17,6 +17,7 @@ from jaxbody.models import Layout
 from jaxbody.results import Result, warn_if_failed
 
 ZERO = 1e-10  # eigenvalues, relative to the largest, that count as zero
+SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
 CLUSTERED = 1e-6  # relative distance of squared frequencies below which branches cannot be told apart
 
 
@@ -102,5 +103,9 @@ def _modes(lin: Linearization) -> Modes:
     damping = jnp.where(positive, jnp.sum(shapes * (lin.C @ shapes), 0) / (2 * w), jnp.nan)
     apart = jnp.concatenate([jnp.zeros(1, bool), jnp.diff(values) > CLUSTERED * jnp.abs(values[1:]) + ZERO * top])
     here = jnp.select([negative.any(), (~positive).any()], [Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value)
-    status = jnp.where(lin.status == Status.NOT_CONVERGED.value, lin.status, here)
+    skew = jnp.max(jnp.abs(lin.K - lin.K.T), initial=0.0) > SYMMETRIC * jnp.max(jnp.abs(lin.K), initial=0.0)
+    frequency = jnp.where(skew, jnp.nan, frequency)
+    here = jnp.where(skew, Status.NOT_SYMMETRIC.value, here)
+    failed = jnp.isin(lin.status, jnp.array([Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT]))
+    status = jnp.where(failed, lin.status, here)
     return Modes(frequency, shapes, damping, values, jnp.cumsum(apart), status, lin.model.layout)

@@ -20,9 +20,9 @@ PACKAGE = Path(jb.__file__).parent
 ROWS = (
     "errors tables results arrays exports",
     "rotations frames linear_solves",
-    "motions bodies joints laws elements torsions contacts storage models naming checks",
+    "motions signals bodies joints laws elements torsions contacts loads storage models naming checks",
     "kinematics mechanics dynamics derivatives",
-    "statics linearizations vibrations simulations",
+    "load_paths statics cases preloads equilibria linearizations vibrations simulations",
     "sensors experiments parametrizations uncertainties identification",
     "plots demos",
 )

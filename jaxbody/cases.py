@@ -1,0 +1,182 @@
+"""Quasi-static load cases, the daily work of who mounts engines: accelerations in g, torques and forces, all cases side by side."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxbody import rotations, tables
+from jaxbody.arrays import device_array
+from jaxbody.bodies import vector
+from jaxbody.checks import check_attached, check_precision, check_state
+from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
+from jaxbody.frames import Pose
+from jaxbody.load_paths import Raised
+from jaxbody.loads import STANDARD_GRAVITY, Load, loads_of
+from jaxbody.mechanics import each_element, frames_of
+from jaxbody.models import Model, State
+from jaxbody.naming import by_name
+from jaxbody.results import Result, warn_if_failed
+from jaxbody.rotations import product
+from jaxbody.statics import Equilibrium, equilibrium_of, under_loads
+
+
+class LoadCase(eqx.Module):
+    """One case: a steady `acceleration` of the whole rig in g = 9.80665 m/s2, world axes, which every body answers with -m a (a rig that brakes
+    along -x presses its bodies forward, +x; cornering to the left, +y, presses them to the right), and `loads` {name: load}, as at time 0.
+
+    >>> LoadCase(acceleration=[0, 0, 3]).acceleration.tolist()
+    [0.0, 0.0, 3.0]
+    """
+
+    acceleration: Float[Array, "3"]
+    loads: dict[str, Load]
+
+    def __init__(self, *, acceleration=(0, 0, 0), loads: dict[str, Load] | None = None):
+        problems = Problems()
+        self.acceleration = vector(acceleration, "LoadCase.acceleration", problems)
+        self.loads = dict(loads or {})
+        problems.raise_if_any()
+
+
+class LoadCases(Result):
+    """What every case does, beside the equilibrium without it, `unloaded`: by body `displacements` of its origin [m] and `rotations` (vector
+    [rad]), both world axes, (cases, 3); by element `strokes`, the changes of its deformation, and `forces`, in all [m, N; of a bushing six each], (cases, ...);
+    `state`, and for each case `status` and `load_factor`."""
+
+    status: Int[Array, "nc"]
+    load_factor: Float[Array, "nc"]
+    state: State
+    unloaded: Equilibrium
+    displaced: Float[Array, "nc nb 3"]
+    turned: Float[Array, "nc nb 3"]
+    stroked: tuple[Array, ...]
+    loaded: tuple[Array, ...]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def displacements(self) -> dict[str, Float[Array, "nc 3"]]:
+        return {name: self.displaced[..., i, :] for i, name in enumerate(self.unloaded.layout.bodies)}
+
+    @property
+    def rotations(self) -> dict[str, Float[Array, "nc 3"]]:
+        return {name: self.turned[..., i, :] for i, name in enumerate(self.unloaded.layout.bodies)}
+
+    @property
+    def strokes(self) -> dict[str, Float[Array, "nc *m"]]:
+        return self._of_elements(self.stroked)
+
+    @property
+    def forces(self) -> dict[str, Float[Array, "nc *m"]]:
+        return self._of_elements(self.loaded)
+
+    def _of_elements(self, rows: tuple[Array, ...]) -> dict[str, Array]:
+        return by_name(tuple(table.names for table in self.unloaded.model.elements), rows, axis=1)
+
+    def report(self) -> str:
+        codes = np.asarray(self.status)
+        failed = [
+            f"'{name}' {Status(int(code)).name} at load factor {float(factor):.4g}"
+            for name, code, factor in zip(self.names, codes, np.asarray(self.load_factor), strict=True)
+            if code
+        ]
+        return "; ".join(failed) or "ok"
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset by `case`: displacement and rotation by `body`, stroke and force by element."""
+        from jaxbody.exports import load_cases_dataset
+
+        return load_cases_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        if self.status.ndim != 1 or not is_concrete(self.status):
+            return [tables.Table("Load cases", ("", ""), [("displacements [m]", self.displaced)])]
+        rows = []
+        for i, case in enumerate(self.names):
+            label = case
+            for name in self.unloaded.layout.bodies:
+                rows.append((label, name, _scaled(self.displacements[name][i]), _scaled(self.rotations[name][i]), "", ""))
+                label = ""
+            for name, stroke in self.strokes.items():
+                s, f = np.atleast_1d(stroke[i]), np.atleast_1d(self.forces[name][i])
+                turn, moment = (s[3:], f[3:]) if len(s) == 6 and np.any(f[3:]) else ("", "")
+                rows.append(("", name, _scaled(s[:3]), _scaled(turn), _rounded(f[:3]), _rounded(moment)))
+        columns = ("case", "", "displacement or stroke [mm]", "rotation [mrad]", "force [N]", "moment [N m]")
+        return [tables.Table("Load cases", columns, rows, self.report())]
+
+
+def _scaled(values: Any) -> str:
+    """To three decimals in thousandths."""
+    return "" if isinstance(values, str) else " ".join(f"{1000 * float(x):.3f}" for x in values)
+
+
+def _rounded(values: Any) -> str:
+    return "" if isinstance(values, str) else " ".join(f"{float(x):.1f}" for x in values)
+
+
+def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | State | None = None) -> LoadCases:
+    """The equilibrium of every load case, all at once: displacement and rotation of every body against the equilibrium without it,
+    stroke and force of every element.
+
+        dV/dDelta = Q - m a,   raised from nothing along the stable branch of each case
+
+    `at`: where the search for the equilibrium without the cases starts. A case that is not borne keeps the last load factor that is, and says NO_EQUILIBRIUM or
+    LIMIT_POINT. Differentiable. Errors: NO_CASE, UNKNOWN_BODY, UNATTACHED, WRONG_KIND.
+
+    >>> model = Model(bodies={"engine": Body(mass=150.0, inertia=[8, 4, 7])}, gravity=[0, 0, -9.81],
+    ...               elements={f"m{i}": Bushing(("engine", p), ("world", p), stiffness=[1e5, 1e5, 2e5]) for i, p in enumerate([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])})
+    >>> found = load_cases(model, {"bump": LoadCase(acceleration=[0, 0, 3]), "torque": LoadCase(loads={"t": Force("engine", moment=[100.0, 0, 0])})})
+    >>> round(float(found.displacements["engine"][0, 2]), 6)
+    -0.005516
+    """
+    check_precision("load_cases", model)
+    check_attached(model)
+    problems = []
+    if not cases:
+        problems.append(Problem("NO_CASE", "load_cases", "has no case", cases, "at least one", "Give {name: jb.LoadCase(...)}."))
+    problems += [
+        Problem("WRONG_KIND", f"cases[{name!r}]", f"is a {type(case).__name__}", case, "LoadCase", "Give jb.LoadCase(acceleration=..., loads=...).")
+        for name, case in cases.items()
+        if not isinstance(case, LoadCase)
+    ]  # fmt: skip
+    if problems:
+        raise JaxbodyError(*problems)
+    start = at.state if isinstance(at, Equilibrium) else at
+    if start is not None:
+        check_state(model, start, "at")
+    each = [loads_of(case.loads, model.layout.bodies) for case in cases.values()]
+    loads = tuple(load for group in each for load in group)
+    owner = np.repeat(np.arange(len(each)), [len(group) for group in each])
+    weights = (np.arange(len(each))[:, None] == owner).astype(float)
+    accelerations = jnp.stack([device_array(case.acceleration) for case in cases.values()])
+    unloaded = equilibrium_of(model, None if start is None else start.q, (), 200)
+    warn_if_failed(unloaded)
+    result = _load_cases(model, unloaded, loads, device_array(weights), accelerations, tuple(cases))
+    warn_if_failed(result)
+    return result
+
+
+@eqx.filter_jit
+def _load_cases(model: Model, unloaded: Equilibrium, loads, weights, accelerations, names: tuple[str, ...]) -> LoadCases:
+    def one(weights, acceleration):
+        found = under_loads(model, unloaded, Raised(loads, weights, -STANDARD_GRAVITY * acceleration))
+        return found.status, found.load_factor, found.state, _placed(model, found.state)
+
+    status, factor, state, (pose, deformations, forces) = jax.vmap(one)(weights, accelerations)
+    still, relaxed, _ = _placed(model, unloaded.state)
+    turned = rotations.log(product(pose.R, jnp.swapaxes(still.R, -1, -2)))
+    strokes = tuple(e - e0 for e, e0 in zip(deformations, relaxed, strict=True))
+    return LoadCases(status, factor, state, unloaded, pose.p - still.p, turned, strokes, forces, names)
+
+
+def _placed(model: Model, state: State) -> tuple[Pose, tuple[Array, ...], tuple[Array, ...]]:
+    """Poses of the bodies, deformations and forces of the elements in a state."""
+    frames = frames_of(model, state)
+    both = each_element(model, frames, lambda s, *F: (s.deformation(*(f.pose() for f in F)), s.force(*F)))
+    bodies = frames[model.layout.first_body :].pose()
+    return bodies, tuple(e for e, _ in both), tuple(f for _, f in both)

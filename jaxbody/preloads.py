@@ -1,0 +1,117 @@
+"""Preload: the free lengths that make a given pose the equilibrium.
+
+    dV/dDelta(q; l) = 0,   least |l - l_0|,   by Gauss-Newton steps  l <- l - A^+ dV/dDelta,   A = d2V/dDelta dl
+
+With n springs and fewer equations than springs the change is the least there is (the pseudo-inverse); what no free length can balance is left
+over and said.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxbody import tables
+from jaxbody.checks import check_precision, check_state
+from jaxbody.derivatives import slope
+from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete
+from jaxbody.models import Model, State
+from jaxbody.naming import Leaf, leaves_of, matching, write
+from jaxbody.results import Result, warn_if_failed
+from jaxbody.statics import scale_of, size_of
+
+ITERATIONS = 50
+RANK = 1e-10  # singular values of A, relative to the largest, that count as zero
+BALANCED = 1e-9  # residual, relative to the largest force that the springs and weights exert on a coordinate
+
+
+class Preload(Result):
+    """Free lengths for a pose: `free_lengths` {path: m} (of torsion springs `free_angle` [rad]), their `changes`, the `model` with them, what is left over, `residual` [N, N m];
+    status UNBALANCED where it is not nothing, NEGATIVE_LENGTH where a length would have to be negative."""
+
+    status: Int[Array, ""]
+    values: Float[Array, "n"]
+    change: Float[Array, "n"]
+    residual: Float[Array, "nv"]
+    model: Model
+    paths: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def free_lengths(self) -> dict[str, Array]:
+        return dict(zip(self.paths, self.values, strict=True))
+
+    @property
+    def changes(self) -> dict[str, Array]:
+        return dict(zip(self.paths, self.change, strict=True))
+
+    def explain(self) -> str:
+        if int(self.status) == Status.NEGATIVE_LENGTH:
+            return ", ".join(f"{path} = {float(v):.6g} m" for path, v in self.free_lengths.items() if v < 0)
+        layout, left = self.model.layout, np.asarray(self.residual)
+        worst = [i for i in np.argsort(-np.abs(left)) if abs(left[i]) > 1e-6 * np.abs(left).max()][:4]
+        told = [f"{-left[i]:.4g} {'N m' if layout.turns[i] else 'N'} on {layout.coordinates[i]}" for i in worst]
+        return "no free length of these balances " + ", ".join(told)
+
+    def _tables(self) -> list[tables.Table]:
+        rows = [(path, value, change) for path, value, change in zip(self.paths, self.values, self.change, strict=True)]
+        note = self.report() if is_concrete(self.status) else ""
+        return [tables.Table("Preload", ("", "free length [m, rad]", "change"), rows, note)]
+
+
+def preload(model: Model, pose: State | None = None, *, free=("*.free_length",)) -> Preload:
+    """The free lengths that make a pose (without one, the reference pose) an equilibrium, with the least change of those that are `free` (paths or patterns of
+    `free_length`, or `free_angle` of torsion springs).
+
+    Use `preload(...).model`. Whether that equilibrium is stable, `equilibrium` says. Differentiable. Errors: UNKNOWN_PATH, NOT_A_LENGTH, BAD_SHAPE of the pose;
+    warns UNBALANCED, NEGATIVE_LENGTH.
+
+    >>> model = Model(bodies={"car": Body(mass=400.0, inertia=[1, 1, 1])}, joints={"car": Guide("world", axis=[0, 0, 1])}, gravity=[0, 0, -10.0],
+    ...               elements={"spring": Spring(("car", [0, 0, 0]), ("world", [0, 0, -0.5]), stiffness=2e4, free_length=0.5)})
+    >>> round(float(preload(model).free_lengths["spring.free_length"]), 9)
+    0.7
+    """
+    check_precision("preload", model)
+    state = model.reference if pose is None else pose
+    check_state(model, state, "pose")
+    found = matching(leaves_of(model), [free] if isinstance(free, str) else free, "free")
+    leaves = tuple(dict.fromkeys(leaf for group in found.values() for leaf in group))
+    wrong = [leaf.path for leaf in leaves if leaf.field not in ("free_length", "free_angle")]
+    if wrong:
+        raise JaxbodyError(
+            *(Problem("NOT_A_LENGTH", "free", f"{path} is no free length", path, "free_length, free_angle") for path in wrong)
+        )
+    result = _preload(model, state, leaves)
+    warn_if_failed(result)
+    return result
+
+
+@eqx.filter_jit
+def _preload(model: Model, state: State, leaves: tuple[Leaf, ...]) -> Preload:
+    arrays = jax.tree.leaves(model)
+    start = jnp.stack([leaf.read(arrays) for leaf in leaves])
+    frozen = jax.lax.stop_gradient(model)
+    scale = scale_of(frozen, size_of(frozen))
+
+    def unbalanced(l):
+        changed = write(model, dict(zip(leaves, l, strict=True)))
+        return slope(changed, state.q)[: len(scale)] * scale
+
+    def step(l, _):
+        A = jax.jacfwd(unbalanced)(l)
+        return l - jnp.linalg.pinv(A, rtol=RANK) @ unbalanced(l), None
+
+    lengths, _ = jax.lax.scan(step, start, None, length=ITERATIONS)
+    left = unbalanced(lengths)
+    weights = jnp.sum(model.bodies.rows.mass) * jnp.linalg.norm(model.gravity)
+    largest = jnp.maximum(jnp.maximum(weights, jnp.max(jnp.abs(unbalanced(start)), initial=0.0)), 1e-300)
+    angles = np.array([leaf.field == "free_angle" for leaf in leaves])
+    status = jnp.select(
+        [~(jnp.max(jnp.abs(left), initial=0.0) <= BALANCED * largest), jnp.any((lengths < 0) & ~angles)],
+        [Status.UNBALANCED.value, Status.NEGATIVE_LENGTH.value],
+        Status.OK.value,
+    )
+    made = write(model, dict(zip(leaves, lengths, strict=True)))
+    return Preload(status, lengths, lengths - start, left / scale, made, tuple(leaf.path for leaf in leaves))
