@@ -5,7 +5,7 @@ from jaxbody.elements import Bushing, Element, Spring
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
 from jaxbody.identification import Fit, fit
-from jaxbody.joints import Ball, Fixed, Free, Guide, Hinge, Joint
+from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Joint, Translation
 from jaxbody.kinematics import retract
 from jaxbody.linearizations import excitation, linearize
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
