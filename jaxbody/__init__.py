@@ -10,8 +10,9 @@ from jaxbody.kinematics import retract
 from jaxbody.linearizations import excitation, linearize
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
 from jaxbody.models import Model, State
-from jaxbody.motions import AtRest, Harmonic, Motion, Sampled
+from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
 from jaxbody.naming import paths, replace
+from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure
 from jaxbody.simulations import simulate
 from jaxbody.statics import equilibrium

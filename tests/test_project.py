@@ -20,7 +20,7 @@ PACKAGE = Path(jb.__file__).parent
 ROWS = (
     "errors tables results arrays exports",
     "rotations frames linear_solves",
-    "motions bodies joints elements storage models naming checks",
+    "motions roads bodies joints elements storage models naming checks",
     "kinematics mechanics dynamics derivatives",
     "statics linearizations vibrations simulations",
     "sensors experiments parametrizations uncertainties identification",
