@@ -30,7 +30,7 @@ class Road(Motion):
     be free; only a patch that has grown since to more than twice its length, over more than 16 pieces of the profile, feels NaN.
 
     The profile has a kink at every point, which an adaptive step finds by many trials: for a rough road take constant steps, no longer than
-    the time from point to point.
+    the time from point to point. Springs and dampers feel it as it is; a joint on the support would miss the jumps of velocity at kinks.
 
     Errors: NOT_INCREASING distances, BAD_FOOTPRINT below zero, BAD_SHAPE, NON_FINITE, COMPLEX, NOT_A_NUMBER.
     Source: M. W. Sayers, On the calculation of international roughness index from longitudinal road profile, TRR 1501, 1995.
@@ -90,7 +90,8 @@ class Road(Motion):
         rear = jax.lax.stop_gradient(s - half)
         behind = jnp.searchsorted(self.distances, rear, side="right", method="scan_unrolled") - 1
         first = jnp.clip(behind, 0, last - self.window)
-        points, z = (jax.lax.dynamic_slice(x, (first,), (self.window + 1,)) for x in (self.distances, self.heights))
+        # by index: a slice that starts where it may copies the whole profile in a loop
+        points, z = (x[first + np.arange(self.window + 1)] for x in (self.distances, self.heights))
         d = points - s
         within = jnp.clip(d, -half, half)
         middles = (within[1:] + within[:-1]) / 2
