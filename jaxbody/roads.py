@@ -95,7 +95,7 @@ class Road(Motion):
         d = points - s
         within = jnp.clip(d, -half, half)
         middles = (within[1:] + within[:-1]) / 2
-        pieces = jnp.diff(within) * (z[:-1] + jnp.diff(z) / jnp.diff(d) * (middles - d[:-1]))
+        pieces = jnp.diff(within) * (z[:-1] + jnp.diff(z) / jnp.diff(points) * (middles - d[:-1]))
         area = (within[0] + half) * z[0] + jnp.sum(pieces) + (half - within[-1]) * z[-1]
         average = area / jnp.where(half > 0, self.footprint, 1.0)
         seen = (d[-1] >= half) | (first + self.window == last)
