@@ -1,6 +1,6 @@
 """jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
 
-from jaxbody import laws, signals
+from jaxbody import laws, presets, signals
 from jaxbody.bodies import Body, Support
 from jaxbody.cases import LoadCase, load_cases
 from jaxbody.contacts import Contact, Tyre
@@ -9,15 +9,16 @@ from jaxbody.equilibria import find_equilibria
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
 from jaxbody.identification import Fit, fit
-from jaxbody.joints import Ball, Fixed, Free, Guide, Hinge, Joint
+from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Joint, Translation
 from jaxbody.kinematics import retract
 from jaxbody.linearizations import excitation, linearize
 from jaxbody.loads import EngineTorque, Force, Load, Unbalance
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
 from jaxbody.models import Model, State
-from jaxbody.motions import AtRest, Harmonic, Motion, Sampled
+from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
 from jaxbody.naming import paths, replace
 from jaxbody.preloads import preload
+from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure
 from jaxbody.simulations import simulate
 from jaxbody.statics import equilibrium

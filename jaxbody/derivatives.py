@@ -6,6 +6,7 @@ the gradient and the Hessian of V in the delta of all frames:
     slope     J' G
     K         J' H J + G d2 delta/dx dx,  where for x_i nearer to the root than x_j, n_i the axis about which x_i turns,
               d2 delta/dx_i dx_j = (n_i x J_j, n_i x J_j / 2) for displacement and rotation; (ij + ji)/2 for the turns of one joint
+              that act together, while of turns in series the earlier one is the nearer to the root
     M         J' (inertias) J
     C         J' (R'' of the elements) J
 
@@ -206,11 +207,13 @@ def _carried(layout: Layout) -> np.ndarray:
 
 
 def _precedence(layout: Layout) -> np.ndarray:
-    """(n, n): 1 where column i turns the axis of column j, 1/2 where both turn one joint."""
+    """(n, n): 1 where column i turns the axis of column j, 1/2 where both turn one joint together, or are one."""
     owners = _owners(layout)
-    together = owners[:, None] == owners
+    of_one_joint = owners[:, None] == owners
     turns = np.concatenate([layout.turns, np.tile([0, 0, 0, 1, 1, 1], len(layout.supports))])
-    return np.where(together, turns[:, None] * turns / 2, _carried(layout)[owners].T)
+    in_series = np.array([kind.in_series for kind in layout.kinds] + [False] * len(layout.supports), dtype=bool)[owners]
+    earlier = np.triu(np.ones((len(owners), len(owners))), 1) + np.eye(len(owners)) / 2
+    return np.where(of_one_joint, turns[:, None] * turns * np.where(in_series, earlier, 0.5), _carried(layout)[owners].T)
 
 
 def _jacobian(layout: Layout, frames: Frame, axes, base: bool = True) -> Float[Array, "frames n 6"] | None:

@@ -27,7 +27,8 @@ MOVES = ("move along x", "move along y", "move along z")
 
 
 class Joint(eqx.Module):
-    """The base of all joints: nq coordinates, nv speeds; `motions` says in words what each speed does, `units` in what.
+    """The base of all joints: nq coordinates, nv speeds; `motions` says in words what each speed does, `turns` which are turns [rad/s];
+    `in_series`, whether an earlier turn turns the axes of the later ones (else the turns of a joint act together).
 
     >>> Hinge.nq, Hinge.nv, Ball.motions[0]
     (1, 1, 'turn about x')
@@ -38,6 +39,7 @@ class Joint(eqx.Module):
     nv: ClassVar[int]
     motions: ClassVar[tuple[str, ...]]
     turns: ClassVar[tuple[bool, ...]]
+    in_series: ClassVar[bool] = False
 
     def rest(self, rest: Pose) -> Float[Array, "nq"]:
         """Coordinates of the reference pose."""
@@ -200,6 +202,79 @@ class Ball(Joint):
 
     def axes(self, q, parent, body):
         return _arms(parent.R.T, self.at, parent, body), parent.R.T
+
+
+class Series(Joint):
+    """Motions of one degree each, one after another with nothing heavy between them: moves along the parent's axes, then turns about
+    the body's reference point O,
+
+        O = O_rest + sum q_i e_i,    R = R_1(q_j) R_2(q_k) ... R_rest,
+
+    each turn about an axis that the turns before it have turned. q: displacements [m] and angles [rad] from the reference pose, v = q'.
+    A kind states `steps`: the axis of each, 0, 1, 2 for x, y, z.
+    """
+
+    steps: ClassVar[tuple[int, ...]]
+    in_series = True
+
+    def __init__(self, parent: str):
+        self.parent = parent
+
+    def pose(self, q, parent, rest):
+        e = jnp.eye(3, dtype=parent.R.dtype)
+        p, R = rest.p, e
+        for axis, turn, x in zip(self.steps, self.turns, q, strict=True):
+            if turn:
+                R = rotations.product(R, rotations.about(e[axis], x))
+            else:
+                p = p + x * e[axis]
+        return parent @ Pose(p, rotations.product(R, rest.R))
+
+    def axes(self, q, parent, body):
+        R, e, directions = parent.R, jnp.eye(3, dtype=parent.R.dtype), []
+        for axis, turn, x in zip(self.steps, self.turns, q, strict=True):
+            directions.append(R[:, axis])
+            if turn:
+                R = rotations.product(R, rotations.about(e[axis], x))
+        turns = jnp.array(self.turns)[:, None]
+        n = jnp.stack(directions)
+        return jnp.where(turns, 0.0, n), jnp.where(turns, n, 0.0)
+
+
+class Translation(Series):
+    """Moving without turning: q the displacement [m] of the body along the parent's x, y and z from the reference pose.
+
+    >>> Translation("base").motions
+    ('move along x', 'move along y', 'move along z')
+    """
+
+    nq, nv = 3, 3
+    steps, motions, turns = (0, 1, 2), MOVES, (False,) * 3
+
+
+class HeavePitch(Series):
+    """A half car: q = (heave [m] along the parent's z, pitch [rad] about its y), from the reference pose, the turn about the body's
+    reference point O. With x forward and z up, a positive pitch lowers the front.
+
+    >>> HeavePitch("world").motions
+    ('move along z', 'turn about y')
+    """
+
+    nq, nv = 2, 2
+    steps, motions, turns = (2, 1), (MOVES[2], TURNS[1]), (False, True)
+
+
+class HeavePitchRoll(Series):
+    """A full car: q = (heave [m] along the parent's z, pitch [rad] about its y, roll [rad] about the x that the pitch has turned), from the
+    reference pose, the turns about the body's reference point O. With x forward, y to the left and z up (ISO 8855), a positive pitch
+    lowers the front and a positive roll the right.
+
+    >>> HeavePitchRoll("world").motions
+    ('move along z', 'turn about y', 'turn about x')
+    """
+
+    nq, nv = 3, 3
+    steps, motions, turns = (2, 1, 0), (MOVES[2], TURNS[1], TURNS[0]), (False, True, True)
 
 
 def _about(at, R, rest: Pose) -> Pose:

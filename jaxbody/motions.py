@@ -103,6 +103,32 @@ class Sum(Motion):
         return max(s[0] for s in spans), min(s[1] for s in spans)
 
 
+class Delayed(Motion):
+    """Xi(t) = motion(t - delay): the same motion `delay` [s] later, such as what a rear wheel feels of a front wheel's road.
+
+    >>> import jax.numpy as jnp
+    >>> motion = Delayed(Harmonic(frequency=2.0, translation=[0.01, 0, 0]), 0.25)
+    >>> motion(jnp.array(0.25)).tolist()[0]
+    0.01
+    """
+
+    motion: Motion
+    delay: Float[Array, ""]
+
+    def __init__(self, motion, delay):
+        problems = Problems()
+        delay = shaped(delay, (), "Delayed.delay", problems)
+        problems.raise_if_any()
+        self.motion, self.delay = as_motion(motion), device_array(delay)
+
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
+        return self.motion(t - self.delay)
+
+    def covers(self) -> tuple[Any, Any]:
+        first, last = self.motion.covers()
+        return first + self.delay, last + self.delay
+
+
 class Function(Motion):
     """Any JAX function of time that returns Xi; a re-made function is compiled anew (make it a Motion with array leaves to avoid that)."""
 

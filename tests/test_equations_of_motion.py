@@ -21,11 +21,11 @@ once = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_le
 
 
 def chart(model, x):
-    """q of x: one number for a guide or hinge, a rotation vector for a ball, (position, rotation vector) for a free joint."""
+    """q of x: a rotation vector for a ball, (position, rotation vector) for a free joint, the same numbers for all others."""
     parts, i = [], 0
     for kind in model.layout.kinds:
         part, i = x[i : i + kind.nv], i + kind.nv
-        if kind.nv >= 3:
+        if kind.nq > kind.nv:
             part = jnp.concatenate([part[:-3], exp_quaternion(part[-3:])])
         parts.append(part)
     return jnp.concatenate(parts)
@@ -300,12 +300,14 @@ def test_every_joint_on_a_support_and_on_a_body_moves_and_pushes_back_as_by_eule
         "bob": jb.Ball("base", at=rng.normal(size=3)),
         "slider": jb.Guide("stand", axis=rng.normal(size=3)),
         "raft": jb.Free("stand"),
+        "car": jb.HeavePitchRoll("base"),
     }
     on_bodies = {
         "flap": jb.Hinge("raft", axis=rng.normal(size=3), at=rng.normal(size=3)),
         "knee": jb.Ball("arm", at=rng.normal(size=3)),
         "piston": jb.Guide("bob", axis=rng.normal(size=3)),
         "dinghy": jb.Free("slider"),
+        "wheel": jb.Hinge("car", axis=rng.normal(size=3), at=rng.normal(size=3)),
     }
     tree = tree_model(rng, on_supports | on_bodies, bushing=True)
     assert not tree.layout.floating
@@ -320,6 +322,10 @@ def test_matrices_are_the_hessians_that_define_them():
         "knee": jb.Ball("arm"),
         "lump": jb.Fixed("knee"),
         "slider": jb.Guide("stand", axis=rng.normal(size=3)),
+        "car": jb.HeavePitchRoll("arm"),
+        "wheel": jb.Hinge("car", axis=rng.normal(size=3), at=rng.normal(size=3)),
+        "half": jb.HeavePitch("wheel"),
+        "block": jb.Translation("half"),
     }
     tree = tree_model(rng, joints, bushing=False)
     x, x_dot = random_coordinates(tree, rng, 10)

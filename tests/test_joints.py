@@ -22,9 +22,12 @@ JOINTS = {
     "hinge at": lambda parent: jb.Hinge(parent, axis=AXIS, at=AT),
     "ball": jb.Ball,
     "ball at": lambda parent: jb.Ball(parent, at=AT),
+    "translation": jb.Translation,
+    "half car": jb.HeavePitch,
+    "full car": jb.HeavePitchRoll,
 }
 NAMES = [f"{kind} on {parent}" for parent, kind in itertools.product(["world", "base", "carrier"], JOINTS)]
-NAMES += ["ball at on hinge at on carrier"]  # a body on a body on a body
+NAMES += ["ball at on hinge at on carrier", "hinge at on full car on base"]  # a body on a body on a body
 
 
 def turned():
@@ -116,6 +119,11 @@ def pose_by_hand(kind, q, at, rest):
         return rest
     if kind == "guide":
         return transform(q[0] * UNIT) @ rest
+    if kind == "translation":
+        return transform(q) @ rest
+    if kind.endswith("car"):  # R = R_y R_x: each turn about an axis that the one before it has turned
+        R = Rotation.from_euler("YX"[: len(q) - 1], q[1:]).as_matrix()
+        return transform(rest[:3, 3] + [0, 0, q[0]], R @ rest[:3, :3])
     R = matrix(q) if kind.startswith("ball") else Rotation.from_rotvec(q[0] * UNIT).as_matrix()
     return transform(at) @ transform(R=R) @ transform(-at) @ rest
 
@@ -217,12 +225,12 @@ def test_a_quaternion_and_its_negative_are_the_same_pose(q, posed):
 
 
 def test_a_joint_may_turn_any_number_of_times(q):
-    """Three turns more of every hinge, or of every quaternion about any axis, change nothing."""
+    """Three turns more of every hinge or pitch and roll, or of every quaternion about any axis, change nothing."""
     more = np.zeros(LAYOUT.nv)
     for name in LAYOUT.bodies:
         mine = LAYOUT.v_slices[name]
-        if name.startswith("hinge"):
-            more[mine] = 6 * np.pi
+        if name.startswith(("hinge", "half", "full")):
+            more[mine] = 6 * np.pi * LAYOUT.turns[mine]
         elif name.startswith(("free", "ball", "carrier")):
             more[mine][-3:] = 6 * np.pi * UNIT
     before, after = (frames_and_axes(x, V, XI, XI_DOT)[0] for x in (q, retract(q, more)))

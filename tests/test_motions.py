@@ -78,6 +78,16 @@ def test_motions_add_also_with_bare_functions():
     assert harmonic.covers() == (-np.inf, np.inf)
 
 
+def test_a_delayed_motion_is_the_same_later(rng):
+    """Xi, Xi' and Xi'' at t of the motion itself at t - delay; it is known as much later."""
+    motion = jb.Sampled(UNEVEN, translation=rng.normal(size=(len(UNEVEN), 3)))
+    t = within(rng, UNEVEN)
+    for found, exact in zip(with_derivatives(jb.Delayed(motion, 0.3), t + 0.3), with_derivatives(motion, t), strict=True):
+        assert worst(found, exact) <= 1e-12  # t + 0.3 - 0.3 is t to 1e-16, times the slopes of a spline through noise
+    assert jb.Delayed(motion, 0.3).covers() == (UNEVEN[0] + 0.3, UNEVEN[-1] + 0.3)
+    assert jb.Delayed(jnp.ones_like, jnp.array(0.3)).covers() == (-np.inf, np.inf)
+
+
 def cubic(t):
     c = np.array([[0.3, -1.0, 0.5, 2.0], [1.0, 0.2, 0.0, -0.7], [0.0, 1.0, -2.0, 0.4]])
     return [np.stack([np.polyval(np.polyder(row[::-1], n), t) for row in c], 1) for n in range(3)]
@@ -178,6 +188,7 @@ RECORDS = {
     "times": lambda x: jb.Sampled(x, translation=np.sin(UNEVEN)[:, None] * AXIS),
     "accelerations": lambda x: jb.Sampled.from_accelerations(UNEVEN, translation=x),
     "initial values": lambda x: jb.Sampled.from_accelerations(UNEVEN, initial_position=x[0], initial_velocity=x[1]),
+    "delay": lambda x: jb.Delayed(jb.Sampled(UNEVEN, translation=x[:-1, None] * AXIS), 0.01 * x[-1]),
     "harmonic": lambda x: jb.Harmonic(frequency=x[0], translation=[x[1], 0, x[2]], rotation_phase=x[3], rotation=x[4:]),
 }
 TURN = turning(4 * UNEVEN)
@@ -188,6 +199,7 @@ NUMBERS = {
     "times": UNEVEN,
     "accelerations": RNG.normal(size=(len(UNEVEN), 3)),
     "initial values": RNG.normal(size=(2, 6)),
+    "delay": RNG.normal(size=len(UNEVEN) + 1),
     "harmonic": RNG.normal(size=7),
 }
 
@@ -267,6 +279,8 @@ BAD = {
     "NaN amplitude": (lambda: jb.Harmonic(frequency=1.0, translation=[0, np.nan, 0]), "NON_FINITE", "Harmonic.translation", [0, np.nan, 0]),
     "two amplitudes": (lambda: jb.Harmonic(frequency=1.0, rotation=[0, 1]), "BAD_SHAPE", "Harmonic.rotation", (2,)),
     "three frequencies": (lambda: jb.Harmonic(frequency=[1, 2, 3], rotation=[0, 1, 0]), "BAD_SHAPE", "Harmonic.frequency", (3,)),
+    "two delays": (lambda: jb.Delayed(jb.AtRest(), [0, 1]), "BAD_SHAPE", "Delayed.delay", (2,)),
+    "no delayed motion": (lambda: jb.Delayed(3.0, 0.1), "WRONG_KIND", "motion", 3.0),
     "no function": (lambda: as_motion(3.0), "WRONG_KIND", "motion", 3.0),
 }
 
