@@ -39,7 +39,9 @@ ELEMENTS = {
     "bushing of three numbers": jb.Bushing(*ENDS, stiffness=[10, 20, 30], damping=[1, 2, 3], **TURNED),
     "strut with a bump stop": jb.SpringDamper(*ENDS, free_length=1.5, spring=HARDENING + STOP, damper=laws.TwoSided(bump=2.0, rebound=5.0)),
     "strut of measured curves": jb.SpringDamper(*ENDS, free_length=1.5, spring=TABLE, damper=laws.Digressive(slow=5.0, fast=1.0, knee=0.7)),
-    "rope with friction": jb.SpringDamper(*ENDS, free_length=1.5, spring=laws.TensionOnly(80.0), damper=laws.Friction(level=3.0, velocity=0.1)),
+    "rope with friction": jb.SpringDamper(
+        *ENDS, free_length=1.5, spring=laws.TensionOnly(80.0), damper=laws.Friction(level=3.0, velocity=0.1)
+    ),
     "air spring with a function": jb.SpringDamper(*ENDS, free_length=9.0, spring=GAS, damper=jnp.sinh),
     "strut without free length": jb.SpringDamper(*ENDS, spring=HARDENING),
     "torsion spring": jb.Torsion(*ENDS, axis=[1, 2, -1], spring=HARDENING, damper=2.0, free_angle=0.3, **TURNED),
