@@ -22,12 +22,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.elements import Element, LineElement
+from jaxbody import rotations
+from jaxbody.elements import Bushing, Element, LineElement
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at, take
 from jaxbody.mechanics import each_element, potential, sums, wrenches
 from jaxbody.models import Layout, Model
-from jaxbody.rotations import cross, dot, product, rotate, skew
+from jaxbody.rotations import cross, dot, product, rotate, rotate_back, skew
 
 Vector = Float[Array, "n"]
 Square = Float[Array, "n n"]
@@ -133,6 +134,81 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
         (0, 1): -block(a, b, g_a, g_b),
         (1, 1): block(b, b, g_b, g_b) + turned(b, h * d),
     }
+
+
+@second_order.register
+def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
+    """By what V depends on: in the axes of the bushing on A, where its end on B is, t, and how it is turned, R = exp([theta]), that is
+    t -> t + tau, R -> exp([psi]) R. In world axes, to second order in the displacements of the frames, b the arm of B, P from A's origin to B's end,
+
+        tau = d_b - d_a + phi_b x b - phi_a x P - phi_a x (d_b - d_a + phi_b x b) + phi_a x (phi_a x P)/2 + phi_b x (phi_b x b)/2
+        psi = phi_b - phi_a - phi_a x phi_b/2
+    """
+    R_A, R_B = product(A.R, rotations.matrix(bushing.orientation)), product(B.R, rotations.matrix(bushing.orientation_b))
+    a, b = rotate(A.R, bushing.a), rotate(B.R, bushing.b)
+    P = (B.p - A.p) + b
+    theta = rotations.log_below_half_turn(product(R_A.T, R_B))
+    g, H = _in_relative_motion(bushing, theta, rotate_back(R_A, P - a))
+    turn = jnp.kron(jnp.eye(2, dtype=P.dtype), R_A)
+    H, f, m = turn @ H @ turn.T, rotate(R_A, g[:3]), rotate(R_A, g[3:])
+    I, O = jnp.eye(3, dtype=P.dtype), jnp.zeros((3, 3), P.dtype)
+    Z_a, Z_b = _square(-I, skew(P), O, -I), _square(I, -skew(b), O, I)
+    slopes = tuple(jnp.concatenate([f, m]) @ Z for Z in (Z_a, Z_b))
+    return slopes, {
+        (0, 0): Z_a.T @ H @ Z_a + _square(O, skew(f), -skew(f), turning(P, f)),
+        (0, 1): Z_a.T @ H @ Z_b + _square(O, O, skew(f), -product(skew(f), skew(b)) + skew(m) / 2),
+        (1, 1): Z_b.T @ H @ Z_b + _square(O, O, O, turning(b, f)),
+    }
+
+
+def _in_relative_motion(bushing: Bushing, theta: Float[Array, "3"], t: Float[Array, "3"]) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
+    """Gradient and Hessian of V in (tau, psi), for e = (J t, theta), J = 1 - [theta]/2 + c [theta]^2, c a function of x = |theta|^2.
+
+    With eta = J psi the changes are d theta = eta, d2 theta = N(psi) eta, du = J tau + N(t) eta, d2u = 2 N(tau) eta + N(t) d2 theta + D2J(t)[eta, eta],
+    where N(y) eta is the derivative of J y along eta; P(g) is the matrix of eta . P(g) y = g . N(y) eta, S that of f . D2J(t)[eta, eta]."""
+    c, c1, c2 = _with_derivatives(rotations.cotc, dot(theta, theta))
+    T = skew(theta)
+    J = jnp.eye(3, dtype=t.dtype) - T / 2 + c * product(T, T)
+
+    def squared(y):
+        return cross(theta, cross(theta, y))
+
+    def along(y, x):
+        return y[:, None] * x
+
+    def N(y):
+        return skew(y) / 2 + 2 * c1 * along(squared(y), theta) - c * (skew(cross(theta, y)) + product(T, skew(y)))
+
+    def P(g):
+        return skew(g) / 2 + 2 * c1 * along(theta, squared(g)) - c * (product(skew(g), T) + skew(cross(g, theta)))
+
+    u = rotate(J, t)
+    e = jnp.concatenate([u, theta])
+    f, K = jax.grad(bushing.energy)(e), jax.hessian(bushing.energy)(e)
+    f_u, N_t = f[:3], N(t)
+    p = f[3:] + rotate_back(N_t, f_u)
+    w = cross(cross(theta, t), f_u) + cross(t, cross(f_u, theta))
+    I = jnp.eye(3, dtype=t.dtype)
+    S = (
+        dot(f_u, squared(t)) * (4 * c2 * along(theta, theta) + 2 * c1 * I)
+        + 4 * c1 * along(theta, w)
+        + 2 * c * (along(f_u, t) - dot(f_u, t) * I)
+    )
+    E = _square(J, product(N_t, J), jnp.zeros_like(J), J)
+    bend = product(J.T, P(p) + product(S, J))
+    mixed = product(J.T, P(f_u))
+    M = _square(jnp.zeros_like(J), mixed.T, mixed, (bend + bend.T) / 2)
+    return f @ E, E.T @ K @ E + M
+
+
+def _with_derivatives(function, x: Array) -> tuple[Array, Array, Array]:
+    """A function of one number and its first two derivatives."""
+
+    def first(x):
+        return jax.jvp(function, (x,), (jnp.ones_like(x),))
+
+    (c, c1), (_, c2) = jax.jvp(first, (x,), (jnp.ones_like(x),))
+    return c, c1, c2
 
 
 def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:

@@ -157,15 +157,18 @@ def log_below_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
     return log_quaternion(normalize(row))
 
 
-def inverse_left_jacobian(phi: Float[Array, "*n 3"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """J^-1 a for the J of `left_jacobian`: a - phi x a/2 + (1 - (t/2) cot(t/2))/t^2 phi x (phi x a)."""
-    x = dot(phi, phi)
+def cotc(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """(1 - (t/2) cot(t/2))/t^2 as a function of x = t^2."""
     small = x < 1.0
     near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
     t = jnp.sqrt(far)
-    c = jnp.where(small, polynomial(COTC, near), (1 - t / 2 / jnp.tan(t / 2)) / far)
+    return jnp.where(small, polynomial(COTC, near), (1 - t / 2 / jnp.tan(t / 2)) / far)
+
+
+def inverse_left_jacobian(phi: Float[Array, "*n 3"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+    """J^-1 a for the J of `left_jacobian`: a - phi x a/2 + (1 - (t/2) cot(t/2))/t^2 phi x (phi x a)."""
     turned = cross(phi, a)
-    return a - turned / 2 + c[..., None] * cross(phi, turned)
+    return a - turned / 2 + cotc(dot(phi, phi))[..., None] * cross(phi, turned)
 
 
 def multiply(p: Float[Array, "*n 4"], q: Float[Array, "*n 4"]) -> Float[Array, "*n 4"]:
