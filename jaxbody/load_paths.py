@@ -2,8 +2,8 @@
 
     dV/dDelta = lambda Q,   K = d2V/dDelta2 - lambda dQ/dDelta,   lambda from 0 to 1
 
-Q is the generalized force of the loads in the chart. A step is taken where Newton's method converges and K stays positive, so the path stays
-on the stable branch that the unloaded equilibrium is on; else it is quartered.
+Q is the generalized force of the loads in the chart. A step is taken where Newton's method converges, with K positive at
+every iteration, so that the path stays on the stable branch that the unloaded equilibrium is on; else it is quartered.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from jaxbody.loads import Load
 from jaxbody.models import Model
 from jaxbody.rotations import product, skew
 
-FIRST, LEAST, MOST = 0.25, 1e-5, 60  # steps of lambda: the first, the smallest, how many
+FIRST, LEAST, MOST = 0.25, 1e-5, 64  # steps of lambda: the first, the smallest, how many
 ITERATIONS = 10  # of Newton's method, within a step
 CONVERGED = 1e-10  # its last move, relative to the size of the model
+FARTHEST = 0.25  # sizes of the model that one iteration may move; farther, another branch may be near
 SHIFT = 1e-11  # keeps a free motion from making the system singular
 SINGULAR = 1e-10
 
@@ -36,7 +37,7 @@ class Raised(eqx.Module):
 
 
 class Path(eqx.Module):
-    """The steps taken: lambda and the smallest eigenvalue of the nondimensional K over its largest without loads; NaN where a step failed."""
+    """The steps taken: lambda and the smallest eigenvalue of the nondimensional K over its largest without loads; NaN after the last."""
 
     factor: Float[Array, "n"]
     smallest: Float[Array, "n"]
@@ -90,51 +91,67 @@ def tangent(model: Model, q, raised: Raised, factor=1.0) -> Float[Array, "nv nv"
     return K - factor * stiffness_of_loads(model, q, raised.loads, raised.weights)
 
 
+class _At(eqx.Module):
+    """A point of the path, or on the way to it: configuration, lambda, nondimensional K."""
+
+    q: Float[Array, "nq"]
+    factor: Float[Array, ""]
+    K: Float[Array, "nv nv"]
+
+
 def follow(model: Model, q, raised: Raised, scale: Float[Array, "nv"], size: Float[Array, ""]):
-    """(q, lambda, path, whether K turns negative ahead): as far along the path from the unloaded equilibrium q as it goes."""
+    """(q, K, lambda, path, whether K turns negative ahead): as far along the path from the unloaded equilibrium q as it goes.
+
+    One loop, whose body is one iteration of Newton's method, so that K is compiled once."""
+    n, dtype = len(scale), q.dtype
 
     def nondimensional(q, factor):
         return residual(model, q, raised, factor) * scale, tangent(model, q, raised, factor) * scale * scale[:, None]
 
-    top = jnp.max(jnp.abs(jnp.linalg.eigvalsh(nondimensional(q, 0.0)[1])), initial=0.0)
-
-    def spectrum(K):
-        """The smallest eigenvalue, relative to the largest without loads."""
-        return jnp.min(jnp.linalg.eigvalsh((K + K.T) / 2), initial=jnp.inf) / jnp.where(top > 0, top, 1.0)
-
-    def newton(carry, _):
-        q, factor, _ = carry
-        r, K = nondimensional(q, factor)
+    def iterate(carry):
+        at, q, target, length, iteration, steps, top, path = carry
+        r, K = nondimensional(q, target)
         unit = jnp.max(jnp.abs(K), initial=0.0)
-        y = -jnp.linalg.solve(K + SHIFT * jnp.where(unit > 0, unit, 1.0) * jnp.eye(len(scale), dtype=K.dtype), r)
+        y = -jnp.linalg.solve(K + SHIFT * jnp.where(unit > 0, unit, 1.0) * jnp.eye(n, dtype=dtype), r)
         longest = jnp.max(jnp.abs(y), initial=0.0)
-        y = y * jnp.where(longest > size / 2, size / 2 / longest, 1.0)
-        return (Coordinates(model).retract(q, scale * y), factor, longest), None
+        moved = Coordinates(model).retract(q, scale * y)
+        values = jnp.linalg.eigvalsh((K + K.T) / 2)
+        top = jnp.where(steps == 0, jnp.max(jnp.abs(values), initial=0.0), top)
+        smallest = jnp.min(values, initial=jnp.inf) / jnp.where(top > 0, top, 1.0)
+        arrived = longest <= CONVERGED * size
+        good = arrived & (smallest > -SINGULAR)
+        ended = arrived | (smallest < -SINGULAR) | (iteration >= ITERATIONS) | ~(longest <= FARTHEST * size)
+        path = Path(*(x.at[steps].set(jnp.where(good, new, x[steps])) for x, new in ((path.factor, target), (path.smallest, smallest))))
+        at = jax.tree.map(lambda new, old: jnp.where(good, new, old), _At(moved, target, K), at)
+        length = jnp.where(ended, jnp.where(good, 2 * length, length / 4), length)
+        return (
+            at, jnp.where(ended, at.q, moved), jnp.where(ended, jnp.minimum(1.0, at.factor + length), target), length,
+            jnp.where(ended, 0, iteration + 1), steps + good, top, path,
+        )  # fmt: skip
 
-    def step(carry):
-        q, factor, length, n, path = carry
-        target = jnp.minimum(1.0, factor + length)
-        (tried, _, move), _ = jax.lax.scan(newton, (q, target, size), None, length=ITERATIONS)
-        smallest = spectrum(nondimensional(tried, target)[1])
-        good = (move <= CONVERGED * size) & (smallest > -SINGULAR) & jnp.isfinite(tried).all()
-        path = Path(path.factor.at[n].set(jnp.where(good, target, jnp.nan)), path.smallest.at[n].set(jnp.where(good, smallest, jnp.nan)))
-        q, factor = jnp.where(good, tried, q), jnp.where(good, target, factor)
-        return q, factor, jnp.where(good, 2 * length, length / 4), n + 1, path
+    def unfinished(carry):
+        at, _, _, length, _, steps, _, _ = carry
+        return (at.factor < 1) & (length > LEAST) & (steps < MOST)
 
-    zero = jnp.zeros((), q.dtype)
-    empty = jnp.full(MOST + 1, jnp.nan, q.dtype)
-    start = Path(empty.at[0].set(0.0), empty.at[0].set(spectrum(nondimensional(q, zero)[1])))
-    q, factor, _, _, path = jax.lax.while_loop(
-        lambda c: (c[1] < 1) & (c[2] > LEAST) & (c[3] <= MOST), step, (q, zero, jnp.asarray(FIRST, q.dtype), 1, start)
+    zero = jnp.zeros((), dtype)
+    empty = jnp.full(MOST, jnp.nan, dtype)
+    start = _At(q, zero, jnp.zeros((n, n), dtype))
+    at, *_, path = jax.lax.while_loop(
+        unfinished, iterate, (start, q, zero, jnp.asarray(FIRST / 2, dtype), 0, jnp.array(0), zero, Path(empty, empty))
     )
-    return q, factor, path, _negative_ahead(nondimensional, spectrum, model, q, factor, scale, size)
+    return at.q, at.K, at.factor, path, _negative_ahead(nondimensional, model, at, scale, size)
 
 
-def _negative_ahead(nondimensional, spectrum, model, q, factor, scale, size) -> Bool[Array, ""]:
+def _negative_ahead(nondimensional, model: Model, at: _At, scale, size) -> Bool[Array, ""]:
     """Whether K turns negative within a size of the model along its softest motion: behind a limit point it does, under a force
     that is too large for any displacement it does not."""
-    _, vectors = jnp.linalg.eigh((K := nondimensional(q, factor)[1]) + K.T)
+    vectors = jnp.linalg.eigh(at.K + at.K.T)[1]
     softest = vectors[:, 0] / jnp.max(jnp.abs(vectors[:, 0]), initial=1e-300)
-    moves = size * jnp.concatenate([s := jnp.logspace(-4, 0, 9, dtype=q.dtype), -s])
-    ahead = jax.vmap(lambda s: spectrum(nondimensional(Coordinates(model).retract(q, scale * s * softest), factor)[1]))(moves)
-    return jnp.any(ahead < -SINGULAR)
+    moves = size * jnp.concatenate([s := jnp.logspace(-4, 0, 9, dtype=at.q.dtype), -s])
+
+    def smallest(s):
+        K = nondimensional(Coordinates(model).retract(at.q, scale * s * softest), at.factor)[1]
+        values = jnp.linalg.eigvalsh((K + K.T) / 2)
+        return jnp.min(values, initial=jnp.inf) / jnp.max(jnp.abs(values), initial=1e-300)
+
+    return jnp.any(jax.vmap(smallest)(moves) < -SINGULAR)

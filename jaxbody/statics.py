@@ -160,8 +160,7 @@ def under_loads(model: Model, start: Equilibrium, raised: Raised) -> Equilibrium
     frozen, still = jax.lax.stop_gradient((model, raised))
     size = size_of(frozen)
     scale = scale_of(frozen, size)
-    q, factor, path, ahead = follow(frozen, jax.lax.stop_gradient(start.state.q), still, scale, size)
-    K = tangent(frozen, q, still, factor) * scale * scale[:, None]
+    q, K, factor, path, ahead = follow(frozen, jax.lax.stop_gradient(start.state.q), still, scale, size)
     borne = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
     fit = jnp.isin(start.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
     return judged_at(model, q, (K + K.T) / 2, jnp.where(fit, borne, start.status), start.steps, raised, path, factor)

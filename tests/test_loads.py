@@ -30,11 +30,10 @@ def newton_euler(wrench, times=TIMES):
     """The same by SciPy: m x'' = F, I w' = M_C - w x I w in body axes."""
 
     def rate(t, y):
-        x, v, quaternion, w = y[:3], y[3:6], y[6:10], y[10:]
+        v, quaternion, w = y[3:6], y[6:10], y[10:]
         R = Rotation.from_quat(quaternion).as_matrix()
         F, M_C = wrench(t, R)
         M_B = R.T @ M_C
-        spin = 0.5 * (Rotation.from_quat(quaternion).as_quat() * 0)
         a, b, c, d = quaternion
         p, q, r = w
         spin = 0.5 * np.array([d * p + b * r - c * q, d * q + c * p - a * r, d * r + a * q - b * p, -a * p - b * q - c * r])
@@ -157,7 +156,7 @@ CASES = {
 
 def bushing_forces(x, phi):
     """Force and moment about O of the mounts on an engine displaced by x and turned by exp(phi), by the logarithm of SciPy:
-    minus the gradient of 1/2 sum k u'u, u the translational part of log(X_A^-1 X_B), A on the engine, by complex steps' real cousin."""
+    minus the gradient of 1/2 sum k u'u, u the translational part of log(X_A^-1 X_B), A on the engine."""
 
     def V(z):
         R = Rotation.from_rotvec(z[3:]).as_matrix()
@@ -197,7 +196,7 @@ def test_load_cases_are_in_equilibrium_by_an_energy_written_here(cases):
         if name == "torque":
             moment = R @ [0, 400.0, 0]
         if name == "pull":
-            force, moment = force + [900.0, 0, -300.0], np.cross(R @ [0.2, 0.1, 0.3], [900.0, 0, -300.0])
+            force, moment = force + np.array([900.0, 0, -300.0]), np.cross(R @ [0.2, 0.1, 0.3], [900.0, 0, -300.0])
         left = bushing_forces(q[:3], phi) - np.concatenate([force, J.T @ moment])
         assert abs(left).max() <= 1e-6 * np.linalg.norm(force), name
 
@@ -208,7 +207,7 @@ def test_load_cases_tell_displacements_strokes_and_forces(cases):
     x = np.linalg.solve(lin.K, np.concatenate([[139.5 * 9.80665, 0, 0], np.zeros(3)]))
     found = np.concatenate([cases.displacements["engine"][1], cases.rotations["engine"][1]])
     assert abs(found - x).max() <= 0.05 * abs(x).max()
-    for i, p in enumerate(POINTS, 1):
+    for i in range(1, 4):
         forces, strokes = np.asarray(cases.forces[f"mount {i}"]), np.asarray(cases.strokes[f"mount {i}"])
         rest = np.asarray(cases.unloaded.elongations[f"mount {i}"])
         np.testing.assert_allclose(forces[:, :3], STIFFNESS[i - 1] * (strokes + rest)[:, :3], rtol=1e-12)
@@ -230,42 +229,40 @@ def test_one_case_is_the_equilibrium_under_its_loads(cases):
         assert np.isnan(jb.modes(lin).frequency).all()
 
 
-def test_the_stiffness_under_a_load_is_the_derivative_of_its_residual():
-    """K against differences of the generalized force, at the loaded equilibrium, for a dead force."""
-    loads = {"pull": jb.Force(("engine", [0.2, 0.1, 0.3]), force=[900.0, 0, -300.0])}
-    eq = jb.equilibrium(ENGINE, loads=loads)
-    lin = jb.linearize(ENGINE, eq)
+TABLE = jb.presets.stewart_table(gravity=G)
+ARM, PULL = jnp.array([0.2, 0.1, 0.3]), jnp.array([90.0, 0, -30.0])
 
+
+def test_the_stiffness_under_a_dead_force_is_the_second_derivative_of_its_potential():
+    """-F . P, with which the equilibrium is one of least energy."""
+    eq = jb.equilibrium(TABLE, loads={"pull": jb.Force(("table", ARM), force=PULL)})
+    lin = jb.linearize(TABLE, eq)
+
+    @jax.jit
     def V(delta):
-        """With the potential -F . P of the dead force."""
-        state = jb.State(jb.retract(ENGINE, eq.state.q, delta), jnp.zeros(6))
-        R = jax.vmap(lambda e: jnp.asarray(e))(jnp.eye(3))
-        del R
-        q = state.q
+        q = jb.retract(TABLE, eq.state.q, delta)
         w, v = q[3], q[4:]
-        arm = jnp.array([0.2, 0.1, 0.3])
-        P = q[:3] + arm + 2 * jnp.cross(v, jnp.cross(v, arm) + w * arm)
-        return jb.potential_energy(ENGINE, state) - jnp.sum(jnp.array([900.0, 0, -300.0]) * P)
+        P = q[:3] + ARM + 2 * jnp.cross(v, jnp.cross(v, ARM) + w * ARM)
+        return jb.potential_energy(TABLE, jb.State(q, jnp.zeros(6))) - PULL @ P
 
     np.testing.assert_allclose(jax.grad(V)(jnp.zeros(6)), 0, atol=1e-8)
-    np.testing.assert_allclose(lin.K, jax.hessian(V)(jnp.zeros(6)), rtol=0, atol=1e-9 * abs(lin.K).max())
+    np.testing.assert_allclose(lin.K, jax.hessian(V)(jnp.zeros(6)), rtol=0, atol=1e-11 * abs(lin.K).max())
 
 
 def test_derivatives_of_load_cases():
     """Forward and reverse against differences, by a stiffness, a force and an acceleration."""
 
     def top(u):
-        model = jb.replace(ENGINE, {"mount 1.stiffness": STIFFNESS[0] * (1 + u[0])})
-        load = jb.Force(("engine", [0.2, 0.1, 0.3]), force=jnp.array([900.0, 0, -300.0]) * (1 + u[1]))
-        case = jb.LoadCase(acceleration=jnp.array([0, 0, 1.0]) * (1 + u[2]), loads={"chain": load})
-        found = jb.load_cases(model, {"pull": case})
-        return found.displacements["engine"][0] + 0.0
+        model = jb.replace(TABLE, {"leg 1.stiffness": 1e4 * (1 + u[0])})
+        case = jb.LoadCase(
+            acceleration=jnp.array([0, 0, 1.0]) * (1 + u[2]), loads={"chain": jb.Force(("table", ARM), force=PULL * (1 + u[1]))}
+        )
+        return jb.load_cases(model, {"pull": case}).displacements["table"][0]
 
     u, h = jnp.zeros(3), 1e-6
-    top = jax.jit(top)
-    forward, reverse = jax.jacfwd(top)(u), jax.jacrev(top)(u)
+    forward, reverse, here = jax.jit(jax.jacfwd(top))(u), jax.jit(jax.jacrev(top))(u), jax.jit(top)
     np.testing.assert_allclose(forward, reverse, atol=1e-12)
-    differences = np.stack([(top(u + h * e) - top(u - h * e)) / (2 * h) for e in jnp.eye(3)], 1)
+    differences = np.stack([(here(u + h * e) - here(u - h * e)) / (2 * h) for e in jnp.eye(3)], 1)
     np.testing.assert_allclose(forward, differences, atol=1e-7 * abs(differences).max())
 
 
@@ -314,7 +311,7 @@ def test_a_limit_point_is_found_where_the_force_is_largest():
     h = np.linspace(0, 0.3, 100_001)
     largest = (2000 * (np.hypot(1, 0.3) - np.hypot(1, h)) * h / np.hypot(1, h)).max()
     press = {"press": jb.Force("tip", force=[0, 0, -2 * largest])}
-    with pytest.warns(jb.JaxbodyWarning, match=r"load factor 0\.5.* \[LIMIT_POINT\]"):
+    with pytest.warns(jb.JaxbodyWarning, match=r"load factor 0\.(5|499).* \[LIMIT_POINT\]"):
         eq = jb.equilibrium(truss(), loads=press)
     assert abs(float(eq.load_factor) - 0.5) <= 1e-3
     smallest = np.asarray(eq.path.smallest)
@@ -407,5 +404,5 @@ def test_equilibrium_of_a_nonlinear_rig_under_a_load_is_scipys():
         lower = 1e-3 * (101325 - (101325 + 3 * G / 1e-3) * (1 + z[0] / 0.3) ** -1.4)
         return [-2 * G - lower + upper, -G - upper - 25.0]
 
-    exact = fsolve(equations, [-0.05, -0.2], xtol=1e-14)
+    exact = fsolve(equations, [-0.05, -0.2], xtol=1e-13)
     np.testing.assert_allclose(eq.state.q, exact, atol=1e-11)
