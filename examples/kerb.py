@@ -95,8 +95,8 @@ axes[1].set_ylabel("strut's stroke [mm]")
 axes[2].set_ylabel("tyre on road [kN]")
 axes[2].set_xlabel("time [s]")
 axes[0].set_title(f"Left wheels over a kerb of {1e3 * kerb:.0f} mm at {3.6 * speed:.0f} km/h")
-for ax in axes:
-    ax.legend(loc="upper right", fontsize=8)
+for ax, place in zip(axes, ("center right", "lower right", "upper right"), strict=True):
+    ax.legend(loc=place, fontsize=8)
     ax.grid(alpha=0.3)
 if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], dpi=110)
