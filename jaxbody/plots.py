@@ -20,6 +20,7 @@ from jaxbody.kinematics import Coordinates, supports_at
 from jaxbody.linearizations import Linearization
 from jaxbody.models import WORLD, Model, State, unknown
 from jaxbody.simulations import Trajectory
+from jaxbody.statics import Equilibrium
 from jaxbody.vibrations import Modes
 
 COLORS = ("#1f6fb4", "#d9661f", "#2f8f4e", "#8a4fbf", "#b8344a", "#7a6a4f", "#1c9a9a", "#c79a1a")
@@ -78,6 +79,22 @@ def plot_forces(trajectory: Trajectory, *, elements: tuple[str, ...] | None = No
         lines |= {name: force} if force.ndim == 1 else {f"{name} {axis}": force[:, i] for i, axis in enumerate(AXES)}
     _lines(ax, np.asarray(trajectory.times), lines)
     ax.set(xlabel="time [s]", ylabel="force, tension positive [N]")
+    return ax
+
+
+def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
+    """The smallest eigenvalue of K, relative to the largest without loads, over the load factor: at a limit point it goes to zero.
+
+    eq: an equilibrium under loads. Error: NO_PATH where it has none.
+    """
+    if eq.path is None:
+        hint = "Give an equilibrium(model, loads=...)."
+        raise JaxbodyError(Problem("NO_PATH", "load_path.eq", "was found without loads", eq.path, "a load path", hint))
+    ax = _axes(ax, 5.0, 3.4)
+    factor, smallest = (np.asarray(x) for x in (eq.path.factor, eq.path.smallest))
+    ax.plot(factor, smallest, "o-", ms=4, color=COLORS[0])
+    ax.axhline(0, color=GRAY, lw=0.8)
+    ax.set(xlabel="load factor", ylabel="smallest eigenvalue of K", title=eq.report().split(";")[0] if int(eq.status) else "")
     return ax
 
 

@@ -9,7 +9,7 @@ from scipy.optimize import brentq, fsolve
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody import Status, laws
+from jaxbody import Status, laws, plots
 from jaxbody.signals import Samples, Sine
 
 G = 9.81
@@ -316,6 +316,10 @@ def test_a_limit_point_is_found_where_the_force_is_largest():
     assert abs(float(eq.load_factor) - 0.5) <= 1e-3
     smallest = np.asarray(eq.path.smallest)
     assert np.nanmin(smallest) < 0.05 < np.nanmax(smallest) == 1.0
+    line = plots.load_path(eq).lines[0]
+    assert line.get_xdata()[0] == 0 and abs(np.nanmax(line.get_xdata()) - 0.5) <= 1e-3
+    with pytest.raises(jb.JaxbodyError, match="NO_PATH"):
+        plots.load_path(jb.equilibrium(truss()))
     with pytest.warns(jb.JaxbodyWarning):
         gradient = jax.jacfwd(lambda f: jb.equilibrium(truss(), loads={"p": jb.Force("tip", force=f)}).state.q)(press["press"].force.value)
     assert np.isnan(gradient).all()

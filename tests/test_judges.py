@@ -1,0 +1,75 @@
+"""Other programs on the same numbers: bushings against Exudyn, where it is installed (`pip install 'jaxbody[judges]'`)."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody import presets
+
+exudyn = pytest.importorskip("exudyn", reason="needs exudyn: pip install 'jaxbody[judges]'")
+SIX = [
+    np.diag([*k, *turn])
+    for k, turn in zip(presets.MOUNT_STIFFNESS, np.array([[800.0, 500, 300], [200, 900, 400], [600, 300, 700]]), strict=True)
+]
+START = np.array([0.01, -0.008, 0.012, 0.05, -0.04, 0.06])  # displacement and rotation vector
+
+
+def engine(damping):
+    """On three bushings of six stiffnesses."""
+    inertia = {"mass": 139.5, "inertia": presets.ENGINE}
+    return jb.Model(
+        bodies={"engine": jb.Body(**inertia)},
+        elements={
+            f"mount {i}": jb.Bushing(("engine", p), ("world", p), stiffness=k, damping=damping * k)
+            for i, (p, k) in enumerate(zip(presets.MOUNTS, SIX, strict=True), 1)
+        },
+    )
+
+
+def by_exudyn(damping, end, scale, intrinsic=True):
+    """Natural frequencies, and where the engine is at `end` after a release at scale times START."""
+    from exudyn.rigidBodyUtilities import RigidBodyInertia
+    from exudyn.utilities import MarkerBodyRigid, RigidBodySpringDamper
+
+    system = exudyn.SystemContainer().AddSystem()
+    inertia = RigidBodyInertia(mass=139.5, inertiaTensor=presets.ENGINE, com=[0, 0, 0])
+    body = system.CreateRigidBody(
+        inertia=inertia, nodeType=exudyn.NodeType.RotationRotationVector, returnDict=True,
+        referencePosition=[0, 0, 0], initialDisplacement=list(scale * START[:3]),
+        initialRotationMatrix=jb.rotations.exp(jnp.asarray(scale * START[3:])).tolist(),
+    )  # fmt: skip
+    ground = system.CreateGround()
+    for p, k in zip(presets.MOUNTS, SIX, strict=True):
+        markers = [system.AddMarker(MarkerBodyRigid(bodyNumber=b, localPosition=p)) for b in (body["bodyNumber"], ground)]
+        system.AddObject(RigidBodySpringDamper(markerNumbers=markers, stiffness=k, damping=damping * k, useIntrinsicFormulation=intrinsic))
+    system.Assemble()
+    values, _ = system.ComputeODE2Eigenvalues()
+    settings = exudyn.SimulationSettings()
+    settings.timeIntegration.endTime = end
+    settings.timeIntegration.numberOfSteps = 4000
+    settings.timeIntegration.verboseMode = 0
+    settings.solution.file.write = False
+    system.SolveDynamic(settings, solverType=exudyn.DynamicSolverType.RK44)
+    place = system.GetNodeOutput(body["nodeNumber"], exudyn.OutputVariableType.Position)
+    R = system.GetNodeOutput(body["nodeNumber"], exudyn.OutputVariableType.RotationMatrix).reshape(3, 3)
+    return np.sqrt(values) / (2 * np.pi), place, R
+
+
+def test_frequencies():
+    frequency, *_ = by_exudyn(0.0, 1e-3, 0.0, intrinsic=False)
+    model = engine(0.0)
+    np.testing.assert_allclose(jb.modes(jb.linearize(model, model.reference)).frequency, frequency, rtol=1e-7)
+
+
+def test_motion_to_second_order_in_the_deformation():
+    """Damped, released and let swing for 0.3 s. Exudyn applies K e, e the logarithm of the relative pose, at a frame midway; ours is the
+    gradient of e' K e/2. The two agree to first order, so ten times less motion differs a hundred times less."""
+    model, apart = engine(1e-3), []
+    for scale in (0.1, 0.01):
+        start = jb.State(jb.retract(model, model.reference.q, scale * START), jnp.zeros(6))
+        pose = jb.simulate(model, [0.0, 0.15, 0.3], initial=start, rtol=1e-11).poses["engine"]
+        _, place, R = by_exudyn(1e-3, 0.3, scale)
+        apart.append(max(abs(pose.p[-1] - place).max(), abs(pose.R[-1] - R).max()))
+        assert apart[-1] <= 1e-2 * scale * abs(scale * START).max()
+    assert apart[1] <= apart[0] / 90
