@@ -12,6 +12,7 @@ from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Harmonic, Motion, Sampled
 from jaxbody.naming import paths, replace
+from jaxbody.nonlinearities import backbones
 from jaxbody.sensors import BodyPose, Elongation, Position, measure
 from jaxbody.simulations import simulate
 from jaxbody.statics import equilibrium

@@ -98,6 +98,7 @@ class Status(enum.IntEnum):
     NOT_IDENTIFIABLE = 7
     NEVER_MOVED = 8
     AT_BOUND = 9
+    INTERNAL_RESONANCE = 10
 
 
 MESSAGES = {
@@ -111,6 +112,7 @@ MESSAGES = {
     Status.NOT_IDENTIFIABLE: "the data do not determine all free parameters",
     Status.NEVER_MOVED: "a free parameter has no effect on the data",
     Status.AT_BOUND: "a parameter ended at its bound",
+    Status.INTERNAL_RESONANCE: "the frequency of a mode, or its double, is another's too: it does not move alone",
 }
 
 

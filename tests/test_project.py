@@ -22,7 +22,7 @@ ROWS = (
     "rotations frames linear_solves",
     "motions bodies joints elements storage models naming checks",
     "kinematics mechanics dynamics derivatives",
-    "statics linearizations vibrations simulations",
+    "statics linearizations vibrations nonlinearities simulations",
     "sensors experiments parametrizations uncertainties identification",
     "plots demos",
 )
