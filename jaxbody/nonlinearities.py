@@ -6,15 +6,17 @@ With x the chart about the equilibrium, L = T - V and K phi = w^2 M phi, the per
 
 It makes the average of L over s stationary (Whitham). At order a^4 this average is A + B0' c0 + B2' c2 - 1/2 c0' K c0 - 1/4 c2' (K - 4 w^2 M) c2,
 
-    A  = w^2 tau''/32 - V''''/64          tau(x) = phi' M(x) phi = 2 T(x, phi);  V'''' and tau'' along phi
-    B0 = (w^2 grad tau - grad nu)/4       nu(x)  = phi' (Hessian of V at x) phi
-    B2 = w^2 p'/2 - (w^2 grad tau + grad nu)/8          p(x) = M(x) phi, p' its derivative along phi
+    A  = w^2 T2/16 - V4/64                     V3, V4, T1, T2: derivatives of V and T along the motion at constant speeds phi
+    B0 = (w^2 (t - b) - g)/4                   g = grad V3/3,  t = grad T1   (V3 and T1 as cubic forms of phi)
+    B2 = (w^2 (t + 3 b) - g)/8                 b the inertial force at constant speeds phi
 
 so that K c0 = B0, (K - 4 w^2 M) c2 = 2 B2, and with m = phi' M phi
 
-    gamma = -4 (A + (B0' c0 + B2' c2)/2)/(w^2 m)
+    gamma = -2 (2 A + B0' c0 + B2' c2)/(w^2 m)
 
-For x'' + w^2 x + alpha x^2 + beta x^3 = 0 this is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4) (Nayfeh and Mook, Nonlinear Oscillations, 1979, 2.1).
+(B0 and B2 are (w^2 d - g)/4 and (4 w^2 p - w^2 d - g)/8 with d the gradient of phi' M(x) phi, p the derivative of M(x) phi along phi; t = d/2 + p and
+b = p - d/2.) Straight lines x = a u of the chart are motions at constant speeds u, so all comes from derivatives along such motions.
+For x'' + w^2 x + alpha x^2 + beta x^3 = 0 gamma is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4) (Nayfeh and Mook, Nonlinear Oscillations, 1979, 2.3).
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_precision
+from jaxbody.derivatives import slope
 from jaxbody.errors import MESSAGES, Status, is_concrete
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at
@@ -36,7 +39,7 @@ from jaxbody.linearizations import Linearization
 from jaxbody.mechanics import kinetic, potential
 from jaxbody.models import Layout, Model
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.rotations import cross
+from jaxbody.rotations import rotate, rotate_back
 from jaxbody.statics import scale_of, size_of
 from jaxbody.vibrations import ZERO, _modes
 
@@ -155,11 +158,11 @@ def _backbones(lin: Linearization) -> Backbones:
         phi, value = _mode(K, M, phi / phi[i], value, i, good)
         square = jnp.where(good, value, 1.0)  # w^2
         m = jnp.sum(phi * (M @ phi))
-        (_, grad_nu, g3), (p1, p2), grad_tau = _derivatives(lin, phi)
-        V3, V4, tau2 = jnp.sum(phi * grad_nu), jnp.sum(phi * g3), jnp.sum(phi * p2)
-        A = square * tau2 / 32 - V4 / 64
-        B0 = (square * grad_tau - grad_nu) / 4
-        B2 = square * p1 / 2 - (square * grad_tau + grad_nu) / 8
+        V3, V4, g = _stiffening(lin, phi, scale / scale[i])
+        T2, t, b = _inertia(lin, phi)
+        A = square * T2 / 16 - V4 / 64
+        B0 = (square * (t - b) - g) / 4
+        B2 = (square * (t + 3 * b) - g) / 8
         still = jnp.abs(values) <= ZERO * top
         doubled = jnp.abs(values - 4 * square) <= RESONANT * 4 * square
         c0, c2 = solve(K, still, B0), solve(K - 4 * square * M, doubled, 2 * B2)
@@ -170,8 +173,8 @@ def _backbones(lin: Linearization) -> Backbones:
         return phi, value, gamma, c0, c2, jnp.sum(phi * (K @ phi)), V3, V4, drifts, resonates
 
     phi, value, gamma, c0, c2, V2, V3, V4, drifts, resonates = jax.vmap(one, in_axes=(1, 0, 0, 0))(shapes, values, largest, valid)
-    slope = jax.grad(_potential(lin))(jnp.zeros_like(values))
-    away = jnp.abs(solve(K, jnp.abs(values) <= ZERO * top, slope)) / scale
+    force = slope(model, lin.state.q)[: len(values)]
+    away = jnp.abs(solve(K, jnp.abs(values) <= ZERO * top, force)) / scale
     lost = (lin.status == Status.NOT_CONVERGED) | ~(jnp.max(away) <= AT_REST * size)
     failures = {
         Status.NOT_CONVERGED: jnp.broadcast_to(lost, valid.shape),
@@ -207,52 +210,62 @@ def _mode_jvp(primals, tangents):
     return (phi, value), (change[:n], change[n])
 
 
-def _potential(lin: Linearization):
-    """V(x)."""
-    coordinates, still = Coordinates(lin.model), _still(lin.model)
-    speeds = jnp.zeros(lin.model.layout.nv, still.p.dtype)
-    return lambda x: potential(lin.model, coordinates.frames(coordinates.retract(lin.state.q, x), speeds, still))
+def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, "nv"]):
+    """V3, V4 and g, whose components are the third derivatives along phi, phi and unit vectors e, by polarization (steps keep the numbers alike):
+
+    6 V3(u, u, e) = V3(u + e) - V3(u - e) - 2 V3(e)"""
+    coordinates, still, q = Coordinates(lin.model), _still(lin.model), lin.state.q
+    e = jnp.diag(step)
+
+    def third_and_fourth(u):
+        energy = lambda q: potential(lin.model, coordinates.frames(q, jnp.zeros_like(u), still))
+        return _along(energy, coordinates, q, u, 4)[3:]
+
+    V3, V4 = jax.vmap(third_and_fourth)(jnp.concatenate([phi[None], phi + e, phi - e, e]))
+    plus, minus, own = jnp.split(V3[1:], 3)
+    return V3[0], V4[0], (plus - minus - 2 * own) / (6 * step)
 
 
-def _kinetic(lin: Linearization):
-    """T(x, x'): the speeds v are not x' away from x = 0, so velocities are derivatives of the poses; R' = [w] R."""
-    coordinates, still = Coordinates(lin.model), _still(lin.model)
+def _inertia(lin: Linearization, phi: Float[Array, "nv"]):
+    """T2, t = grad T1, and b, by Newton and Euler: the rates of momentum and moment of momentum of each body on its virtual velocities."""
+    model, coordinates, still, q = lin.model, Coordinates(lin.model), _still(lin.model), lin.state.q
+    bodies = model.bodies.rows
 
-    def pose(x):
-        return coordinates.frames(coordinates.retract(lin.state.q, x), jnp.zeros_like(x), still).pose()
+    def moving(q, v) -> Frame:
+        return coordinates.frames(q, v, still)
 
-    def energy(x, x_dot):
-        at, rate = jax.jvp(pose, (x,), (x_dot,))
-        w = jnp.sum(cross(jnp.swapaxes(at.R, -1, -2), jnp.swapaxes(rate.R, -1, -2)), -2) / 2
-        return kinetic(lin.model, Frame(at.p, at.R, rate.p, w))
+    def velocities(v):
+        frames = moving(q, v)[model.layout.first_body :]
+        return frames.velocity(bodies.com), frames.w
 
-    return energy
+    def momenta(q):
+        frames = moving(q, phi)[model.layout.first_body :]
+        return bodies.mass[:, None] * frames.velocity(bodies.com), rotate(frames.R, rotate(bodies.inertia, rotate_back(frames.R, frames.w)))
+
+    def along(u, order):
+        return _along(lambda q: kinetic(model, moving(q, u)), coordinates, q, u, order)[-1]
+
+    rates = jax.jvp(momenta, (q,), (coordinates.rate(q, phi),))[1]
+    (b,) = jax.vjp(velocities, jnp.zeros_like(phi))[1](rates)
+    return along(phi, 2), jax.grad(lambda u: along(u, 1))(phi), b
+
+
+def _along(function, coordinates: Coordinates, q: Float[Array, "nq"], u: Float[Array, "nv"], order: int) -> tuple[Array, ...]:
+    """The value of function(q) and its derivatives up to an order along the motion at constant speeds u."""
+
+    def with_next(f):
+        def derivatives(q):
+            found, rates = jax.jvp(f, (q,), (coordinates.rate(q, u),))
+            return (*found, rates[-1])
+
+        return derivatives
+
+    f = lambda q: (function(q),)
+    for _ in range(order):
+        f = with_next(f)
+    return f(q)
 
 
 def _still(model: Model) -> Frame:
     none = jnp.zeros((len(model.layout.supports), 6), model.gravity.dtype)
     return supports_at(model, none, none)
-
-
-def _derivatives(lin: Linearization, phi: Float[Array, "nv"]):
-    """Along x = a phi at a = 0: the first three derivatives of grad V, of which the second is grad nu; the first two of p; and grad tau."""
-    V, T, zero = _potential(lin), _kinetic(lin), jnp.zeros_like(phi)
-    forces = _along(jax.grad(V), phi, 3)
-    momenta = _along(lambda x: jax.grad(T, argnums=1)(x, phi), phi, 2)
-    return forces, momenta, 2 * jax.grad(T)(zero, phi)
-
-
-def _along(function, phi: Float[Array, "nv"], order: int) -> tuple[Array, ...]:
-    """The derivatives of function(a phi) at a = 0, from the first to that of an order."""
-
-    def next_one(f):
-        def derivatives(a):
-            last, (change, *_) = jax.jvp(f, (a,), (jnp.ones_like(a),))
-            return (change, *last)
-
-        return derivatives
-
-    f = lambda a: (function(a * phi),)
-    for _ in range(order):
-        f = next_one(f)
-    return f(jnp.zeros((), phi.dtype))[-2::-1]
