@@ -100,7 +100,7 @@ class Backbones(Result):
             largest, status = int(self.largest[i]), Status(int(self.status[i]))
             unit = "rad" if self.layout.turns[largest] else "m"
             change = status.name if status else f"{self.curvature[i]:+.4g} /{unit}2"
-            limits = ("", "") if status else (_milli(force, unit), _milli(frequency, unit))
+            limits = ("", "") if status else (_amplitude(force, unit), _amplitude(frequency, unit))
             rows.append((str(i + 1), self.frequency[i], self.layout.coordinates[largest], change, *limits))
         failed = sorted({Status(int(code)) for code in self.status if code})
         heads = ("mode", "frequency [Hz]", "largest component", "change of frequency", "force within 5 %", "frequency within 5 %")
@@ -108,8 +108,10 @@ class Backbones(Result):
         return [tables.Table("Backbones", heads, rows, note)]
 
 
-def _milli(amplitude: Any, unit: str) -> str:
-    return f"up to {1000 * amplitude:.3g} m{unit}" if np.isfinite(amplitude) else "at any"
+def _amplitude(value: Any, unit: str) -> str:
+    if not np.isfinite(value):
+        return "at any"
+    return f"up to {value:.3g} {unit}" if value >= 1 else f"up to {1000 * value:.3g} m{unit}"
 
 
 def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
@@ -218,8 +220,7 @@ def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, 
     e = jnp.diag(step)
 
     def third_and_fourth(u):
-        energy = lambda q: potential(lin.model, coordinates.frames(q, jnp.zeros_like(u), still))
-        return _along(energy, coordinates, q, u, 4)[3:]
+        return _along(lambda q: potential(lin.model, coordinates.frames(q, jnp.zeros_like(u), still)), coordinates, q, u, 4)[3:]
 
     V3, V4 = jax.vmap(third_and_fourth)(jnp.concatenate([phi[None], phi + e, phi - e, e]))
     plus, minus, own = jnp.split(V3[1:], 3)
@@ -253,17 +254,10 @@ def _inertia(lin: Linearization, phi: Float[Array, "nv"]):
 def _along(function, coordinates: Coordinates, q: Float[Array, "nq"], u: Float[Array, "nv"], order: int) -> tuple[Array, ...]:
     """The value of function(q) and its derivatives up to an order along the motion at constant speeds u."""
 
-    def with_next(f):
-        def derivatives(q):
-            found, rates = jax.jvp(f, (q,), (coordinates.rate(q, u),))
-            return (*found, rates[-1])
-
-        return derivatives
-
-    f = lambda q: (function(q),)
-    for _ in range(order):
-        f = with_next(f)
-    return f(q)
+    if order == 0:
+        return (function(q),)
+    found, rates = jax.jvp(lambda q: _along(function, coordinates, q, u, order - 1), (q,), (coordinates.rate(q, u),))
+    return (*found, rates[-1])
 
 
 def _still(model: Model) -> Frame:
