@@ -17,6 +17,7 @@ from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
 from jaxbody.naming import paths, replace
+from jaxbody.nonlinearities import backbones
 from jaxbody.preloads import preload
 from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure

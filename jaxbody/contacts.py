@@ -72,8 +72,6 @@ class Tyre(Touching):
     ('wheel', 'road')
     """
 
-    a: Float[Array, "3"]
-    b: Float[Array, "3"]
     radius: Float[Array, ""]
     axis: Float[Array, "3"]
 
@@ -85,10 +83,6 @@ class Tyre(Touching):
         not_negative(self.radius, "Tyre.radius", "m", problems)
         self.axis = unit_vector(axis, "Tyre.axis", problems)
         problems.raise_if_any()
-
-    @property
-    def points(self):
-        return self.a, self.b
 
     def deformation(self, hub, road):
         return dot(rotate(road.R, self.axis), hub.point(self.a) - road.point(self.b)) - self.radius

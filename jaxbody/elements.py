@@ -33,11 +33,13 @@ class Element(eqx.Module):
 
     between: tuple[str, ...] = eqx.field(static=True)
     size: ClassVar[int] = 1  # of the deformation
+    a: Float[Array, "3"]
+    b: Float[Array, "3"]
 
     @property
     def points(self) -> tuple[Float[Array, "3"], ...]:
         """Where it is attached, a point in each frame."""
-        raise TypeError  # pragma: no cover
+        return self.a, self.b
 
     def deformation(self, *poses: Pose) -> Float[Array, "*m"]:
         """The geometric function e."""
@@ -98,13 +100,7 @@ class LineElement(Element):
     True
     """
 
-    a: Float[Array, "3"]
-    b: Float[Array, "3"]
     free_length: Float[Array, ""]
-
-    @property
-    def points(self):
-        return self.a, self.b
 
     def split(self, L: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
         """k0, the rest of the tension and its derivative in L."""
@@ -260,8 +256,6 @@ class Bushing(Element):
     """
 
     size = 6
-    a: Float[Array, "3"]
-    b: Float[Array, "3"]
     stiffness: Float[Array, "*k"]
     damping: Float[Array, "*k"]
     orientation: Float[Array, "4"]
@@ -276,10 +270,6 @@ class Bushing(Element):
         self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
         self.orientation_b = as_quaternion(orientation_b, "Bushing.orientation_b", problems)
         problems.raise_if_any()
-
-    @property
-    def points(self):
-        return self.a, self.b
 
     def deformation(self, A, B):
         R_A, R_B = product(A.R, rotations.matrix(self.orientation)), product(B.R, rotations.matrix(self.orientation_b))

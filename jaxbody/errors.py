@@ -104,6 +104,7 @@ class Status(enum.IntEnum):
     NOT_SYMMETRIC = 13
     UNBALANCED = 14
     NEGATIVE_LENGTH = 15
+    INTERNAL_RESONANCE = 16
 
 
 MESSAGES = {
@@ -123,6 +124,7 @@ MESSAGES = {
     Status.NOT_SYMMETRIC: "K is not symmetric, as a load has no potential: there are no real modes",
     Status.UNBALANCED: "the free lengths cannot balance the pose",
     Status.NEGATIVE_LENGTH: "a free length would have to be negative",
+    Status.INTERNAL_RESONANCE: "the frequency of a mode, or its double, is another's too: it does not move alone",
 }
 
 

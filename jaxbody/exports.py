@@ -125,6 +125,24 @@ def load_cases_dataset(cases: Any) -> Any:
     return dataset(variables, coordinates, "load cases")
 
 
+def backbones_dataset(backbones: Any) -> Any:
+    """frequency, curvature, derivatives of V and shapes by `mode` (from 1) and `coordinate`; amplitudes are of the coordinate `largest`."""
+    layout, largest = backbones.layout, np.asarray(backbones.largest)
+    variables = {
+        "frequency": (("mode",), backbones.frequency, "Hz"),
+        "curvature": (("mode",), backbones.curvature, "1/m2 or 1/rad2"),
+        "stiffness": (("mode",), backbones.stiffness, "N/m or N m"),
+        "third": (("mode",), backbones.third, "N/m2 or N m"),
+        "fourth": (("mode",), backbones.fourth, "N/m3 or N m"),
+        "largest": (("mode",), np.asarray(layout.coordinates)[largest], ""),
+        "shape": (("coordinate", "mode"), backbones.shapes, "largest component 1"),
+        "drift": (("coordinate", "mode"), backbones.drift, "per amplitude^2"),
+        "second_harmonic": (("coordinate", "mode"), backbones.second_harmonic, "per amplitude^2"),
+        "status": (("mode",), backbones.status, ""),
+    }
+    return dataset(variables, {"mode": list(range(1, largest.shape[-1] + 1)), "coordinate": list(layout.coordinates)}, "backbones")
+
+
 def fit_dataset(fit: Any) -> Any:
     """Of a fit: estimate and standard error by `parameter`, singular values, and `{run}_{sensor}` predicted over `{run}_time`."""
     names, estimates, errors = [], [], []

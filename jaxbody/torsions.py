@@ -55,8 +55,6 @@ class Torsion(LawElement):
     ('arm', 'base')
     """
 
-    a: Float[Array, "3"]
-    b: Float[Array, "3"]
     axis: Float[Array, "3"]
     free_angle: Float[Array, ""]
     orientation: Float[Array, "4"]
@@ -72,10 +70,6 @@ class Torsion(LawElement):
         self.orientation = as_quaternion(orientation, "Torsion.orientation", problems)
         self.orientation_b = as_quaternion(orientation_b, "Torsion.orientation_b", problems)
         problems.raise_if_any()
-
-    @property
-    def points(self):
-        return self.a, self.b
 
     def deformation(self, A, B):
         R_A, R_B = product(A.R, rotations.matrix(self.orientation)), product(B.R, rotations.matrix(self.orientation_b))
@@ -97,8 +91,6 @@ class AntiRollBar(LawElement):
     ('left wheel', 'right wheel', 'car')
     """
 
-    a: Float[Array, "3"]
-    b: Float[Array, "3"]
     c: Float[Array, "3"]
     axis: Float[Array, "3"]
 
