@@ -29,7 +29,7 @@ from jaxbody.naming import write
 from jaxbody.parametrizations import Free, choose, limits_of
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.sensors import Sensor, read
-from jaxbody.simulations import Trajectory, integrate, motions_of
+from jaxbody.simulations import Trajectory, check_steps, integrate, motions_of
 from jaxbody.statics import size_of
 from jaxbody.uncertainties import Uncertainty, assess, known_directions
 
@@ -62,6 +62,8 @@ class Task(eqx.Module):
     noise: dict[str, dict[str, Array]]
     rtol: Float[Array, ""]
     solver: diffrax.AbstractSolver
+    stepsize_controller: diffrax.AbstractStepSizeController | None
+    dt0: Float[Array, ""] | None
     max_steps: int = eqx.field(static=True)
 
     @property
@@ -84,7 +86,7 @@ class Task(eqx.Module):
 
     def simulate(self, model: Model, experiment: Experiment) -> Trajectory:
         motions = motions_of(model, experiment.motion)
-        return integrate(model, experiment.times, motions, tuple(experiment.loads.values()), experiment.initial, self.rtol, self.solver, None, diffrax.ForwardMode(), None, self.max_steps, diffrax.NoProgressMeter())  # fmt: skip
+        return integrate(model, experiment.times, motions, tuple(experiment.loads.values()), experiment.initial, self.rtol, self.solver, self.stepsize_controller, diffrax.ForwardMode(), self.dt0, self.max_steps, diffrax.NoProgressMeter())  # fmt: skip
 
     def differences(self, model: Model, experiment: Experiment, noise: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
         """Readings, and residuals over noise (zero where a sample is missing), of one experiment."""
@@ -258,6 +260,8 @@ def fit(
     bounds: dict[str, tuple[Any, Any]] | None = None,
     rtol: float = 1e-8,
     solver: diffrax.AbstractSolver | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    dt0: float | None = None,
     max_steps: int = 10_000,
     max_evaluations: int = 2000,
     progress: bool = False,
@@ -274,6 +278,9 @@ def fit(
     that an experiment does not state is estimated for each sensor from the residuals, and the fit repeated with it. A trial that cannot be
     simulated is a step rejected.
 
+    rtol, solver, stepsize_controller, dt0: as in `simulate`. Constant steps are several times faster where many experiments run side by side or where
+    an input has kinks at samples on which the steps lie; that they are short enough is then yours to see to.
+
     Errors: UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, BAD_BOUNDS, START_OUTSIDE, START_ON_BOUND, NONFINITE_START, FLOAT32 and those of
     `simulate`; inside jit and vmap NO_NOISE, where noise would have to be estimated. Warns by status, and of FAILED_TRIALS.
 
@@ -285,11 +292,13 @@ def fit(
     39.47842
     """
     check_precision("fit", model, needs_float64=not allow_float32)
+    check_steps(stepsize_controller, dt0, "fit")
     _check_runs(model, experiments)
     parameters = choose(model, experiments, [free] if isinstance(free, str) else list(free))
     search = _search(method, limits_of(parameters, bounds or {}, method))
     noise, estimated = _first_noise(experiments)
-    task = Task(model, dict(experiments), parameters, noise, jnp.asarray(rtol), solver or diffrax.Dopri8(), max_steps)
+    step = None if dt0 is None else jnp.asarray(dt0, float)
+    task = Task(model, dict(experiments), parameters, noise, jnp.asarray(rtol), solver or diffrax.Dopri8(), stepsize_controller, step, max_steps)  # fmt: skip
     u = jnp.zeros(task.size)
     if not is_concrete(model, experiments):
         return _fit_traced(task, u, method, max_evaluations, estimated)
