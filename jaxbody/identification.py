@@ -45,6 +45,7 @@ FARTHEST = 0.7  # how far in u the unit of y may lead: a factor of two in what i
 MOST_RESTARTS = 100
 MOST_INNER = 80
 PATIENCE = 25  # evaluations without a better one
+SETTLED = 1e-9  # part of the residual that parameters still explain, relative to all of it, not worth another evaluation
 AT_BOUND = 1e-6  # distance in u from a bound that counts as at it
 PROPORTION = 0.01  # change of the estimated noise of one sensor against another's that is worth another round
 ROUNDS = 5
@@ -411,7 +412,7 @@ def _settled(evaluate: Evaluations, u, arrived: bool, limits) -> tuple[Array, bo
     u = np.asarray(u)
     inside = np.all(np.abs(u - np.stack(limits)) > AT_BOUND, axis=0)
     towards, S, V = _whitened(evaluate(u), inside)
-    while arrived and np.linalg.norm(towards) > 0 and not evaluate.spent:
+    while arrived and np.linalg.norm(towards) > SETTLED * np.linalg.norm(evaluate(u)[0]) and not evaluate.spent:
         new = u.copy()
         new[inside] -= V @ (towards / S)
         before, (towards, S, V) = np.linalg.norm(towards), _whitened(evaluate(new), inside)
