@@ -496,13 +496,13 @@ def _descend(evaluate: Evaluations, optimizer, u, r0, spread, size, enough: floa
     return best
 
 
-@jax.custom_jvp
+@eqx.filter_custom_jvp  # the task's solver and step controller may hold functions
 def _residual(task: Task, size, u):
     """r/size, whose derivative in u is the J that comes with r: a loop linearized by itself would run twice."""
     return _residual_and_jacobian(task, u)[0] / size
 
 
-@_residual.defjvp
+@_residual.def_jvp
 def _residual_jvp(primals, tangents):
     task, size, u = primals
     r, J, _ = _residual_and_jacobian(task, u)
@@ -523,20 +523,21 @@ def _minimize(task: Task, u, method, most: int) -> tuple[Array, Array, Array]:
 def _solve(task: Task, u, method, most: int) -> tuple[Array, Array, Array]:
     """`_minimize`, in one program inside jit and vmap too, differentiable in forward mode by the implicit function theorem."""
     numbers, rest = eqx.partition(method, eqx.is_array)
+    arrays, static = eqx.partition(task, eqx.is_array)
 
     @jax.custom_jvp
-    def solve(task, u, numbers):
-        return _minimize(jax.lax.stop_gradient(task), u, eqx.combine(numbers, rest), most)
+    def solve(arrays, u, numbers):
+        return _minimize(eqx.combine(jax.lax.stop_gradient(arrays), static), u, eqx.combine(numbers, rest), most)
 
     @solve.defjvp
     def solve_jvp(primals, tangents):
-        task = primals[0]
+        arrays = primals[0]
         u, status, steps = solve(*primals)
 
         def gradient(along):
             """Of the cost, u moved and the task moved along its tangent; one program for both derivatives."""
-            moved = jax.tree.map(lambda x, dx: x if dx.dtype == jax.dtypes.float0 else x + along[-1] * dx, task, tangents[0])
-            r, J, _ = _residual_and_jacobian(moved, u + along[:-1])
+            moved = jax.tree.map(lambda x, dx: x if dx.dtype == jax.dtypes.float0 else x + along[-1] * dx, arrays, tangents[0])
+            r, J, _ = _residual_and_jacobian(eqx.combine(moved, static), u + along[:-1])
             return J.T @ r
 
         slopes = jax.jacfwd(gradient)(jnp.zeros(task.size + 1))
@@ -544,7 +545,7 @@ def _solve(task: Task, u, method, most: int) -> tuple[Array, Array, Array]:
         still = [np.zeros(jnp.shape(x), jax.dtypes.float0) for x in (status, steps)]
         return (u, status, steps), (-jnp.linalg.solve(jnp.where(status == 0, H, jnp.nan), change), *still)
 
-    return solve(task, u, numbers)
+    return solve(arrays, u, numbers)
 
 
 def _fit_traced(task: Task, u, method, most: int, estimated: bool) -> Fit:

@@ -34,11 +34,13 @@ def test_eight_parameters_tell_the_arrow_head(silverbox):
 
 
 def test_the_oscillator_is_the_one_a_duffing_equation_knows(silverbox):
-    """Newton's law along the guide written out and integrated by SciPy, over the last and loudest 3000 samples of the test."""
+    """Newton's law along the guide written out and integrated by SciPy, over the loudest 3000 samples of the test: the steps of the example are
+    short enough by far beside its error, and those of a quarter exact."""
     fit, V2 = silverbox.fit, silverbox.V2
     run = silverbox.record(silverbox.ARROW_HEAD)
-    trajectory = silverbox.jb.simulate(fit.model, run.times, loads=run.loads, initial=run.initial, **silverbox.steps)
-    np.testing.assert_array_equal(np.asarray(trajectory.state.q[:, 0]) - V2[silverbox.ARROW_HEAD], silverbox.error)
+    steps = silverbox.steps | {"dt0": silverbox.steps["dt0"] / 4, "max_steps": 200_000}
+    trajectory = silverbox.jb.simulate(fit.model, run.times, loads=run.loads, initial=run.initial, **steps)
+    assert np.abs(trajectory.state.q[:, 0] - V2[silverbox.ARROW_HEAD] - silverbox.error).max() < 2e-5
     strut, m = fit.model["strut"], float(fit.model["mass"].mass)
     k1, k2, k3 = np.asarray(strut.spring.coefficients)
     slow, fast, knee, rest = (float(x) for x in (strut.damper.slow, strut.damper.fast, strut.damper.knee, strut.free_length - 1))
@@ -55,7 +57,7 @@ def test_the_oscillator_is_the_one_a_duffing_equation_knows(silverbox):
     expected = solve_ivp(rate, (t[0], t[-1]), start, method="DOP853", rtol=1e-10, atol=1e-12, t_eval=t).y[0]
     difference = np.abs(np.asarray(trajectory.state.q[last, 0]) - expected).max()
     print(f"largest difference {difference:.2g} V")
-    assert difference < 1e-6 and np.abs(expected).max() > 0.25
+    assert difference < 1e-7 and np.abs(expected).max() > 0.25
 
 
 def test_a_linear_damper_does_worse_on_both_parts(silverbox):
