@@ -169,7 +169,7 @@ def stewart_table(*, mass=50.0, inertia=(2.0, 2.0, 3.5), stiffness=1e4, damping=
     above = [(upper * np.cos(p + e), upper * np.sin(p + e), 0) for p in pairs for e in ends]
     below = [(lower * np.cos(p - e), lower * np.sin(p - e), 0) for p in pairs + np.pi / 3 for e in ends]
     below = [below[-1], *below[:-1]]  # each leg leans to the neighbouring pair
-    length = np.linalg.norm(np.subtract((*above[0][:2], height), below[0]))
+    length = np.linalg.norm(np.add(above[0], [0, 0, height]) - below[0])
     relaxed = length + mass * gravity * length / (6 * stiffness * height)
     legs = {
         f"leg {i}": Spring(("table", a), ("base", b), stiffness=stiffness, damping=damping, free_length=relaxed)

@@ -205,8 +205,7 @@ def simulate(
                 hint="Use diffrax.DirectAdjoint() or ForwardMode().",
             )
         )
-    if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
-        raise JaxbodyError(Problem("NO_STEP", "simulate.dt0", "is missing", hint="Constant steps need dt0=... seconds."))
+    check_steps(stepsize_controller, dt0, "simulate")
     loose = unattached(model)
     if loose:
         warn("UNATTACHED", f"nothing ties {', '.join(loose)} to world or a support")
@@ -218,6 +217,12 @@ def simulate(
     result = integrate(model, times, motions, loads_on, initial, tolerance, solver, stepsize_controller, adjoint, step, max_steps, meter)
     warn_if_failed(result)
     return result
+
+
+def check_steps(stepsize_controller: diffrax.AbstractStepSizeController | None, dt0: float | None, where: str) -> None:
+    """Constant steps have a length."""
+    if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
+        raise JaxbodyError(Problem("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds."))
 
 
 def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver) -> None:

@@ -1,5 +1,6 @@
 """Fits against an independent simulation and least-squares program in SciPy: optimum, standard errors, and what is said where they fail."""
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -137,6 +138,17 @@ def test_every_method_reaches_the_optimum_that_scipy_finds_by_itself(method, rec
     assert found.ok and found.paths == FREE
     np.testing.assert_allclose(values_of(found), optimum, rtol=1e-6)
     print(method, values_of(found) / optimum - 1, found.evaluations)
+
+
+@pytest.mark.parametrize("method", ["least_squares", "levenberg_marquardt"])
+def test_constant_steps_or_a_controller_of_ones_own_give_the_same_estimates(method, record, found):
+    for steps in (
+        {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": TIMES[1] / 5},
+        {"stepsize_controller": diffrax.PIDController(rtol=1e-11, atol=1e-11)},
+    ):
+        other = fit(cart(), tracked(record), method=METHODS[method], **steps)
+        assert other.ok
+        np.testing.assert_allclose(values_of(other), values_of(found), rtol=1e-7)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -372,6 +384,7 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         ({"free": ["s.stiffness", "*.stiffness", "s.*"]}, ["LISTED_TWICE"] * 2, ["names s.stiffness twice, by '*.stiffness'", "'s.*'"]),
         ({"free": []}, ["NOTHING_FREE"], [""]),
         ({"free": ["*.damping"]}, ["START_ON_BOUND"] * 2, ["t.damping", "hold.damping"]),
+        ({"stepsize_controller": diffrax.ConstantStepSize()}, ["NO_STEP"], ["fit.dt0"]),
         ({"method": "simplex"}, ["UNKNOWN_METHOD"], ["simplex"]),
         ({"bounds": {"cart.mass": (1, 3)}, "method": optax.adam(0.1)}, ["BAD_BOUNDS"], ["least_squares"]),
         ({"bounds": {"cart.mass": (1, 3)}, "method": GAUSS_NEWTON}, ["BAD_BOUNDS"], ["least_squares"]),
@@ -383,7 +396,7 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
             ["lower 2 >= upper 2", "does not hold the start 104.0, by 102", "nan"],
         ),
     ],
-    ids=["unknown", "twice", "nothing", "start", "method", "optax", "optimistix", "elsewhere", "shapes", "several"],
+    ids=["unknown", "twice", "nothing", "start", "steps", "method", "optax", "optimistix", "elsewhere", "shapes", "several"],
 )  # fmt: skip
 def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, told):
     found = problems_of(cart(), tracked(record), **options)
