@@ -128,11 +128,11 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     `at`: where the search for the equilibrium without the cases starts. A case that is not borne keeps the last load factor that is, and says NO_EQUILIBRIUM or
     LIMIT_POINT. Differentiable. Errors: NO_CASE, UNKNOWN_BODY, UNATTACHED, WRONG_KIND.
 
-    >>> model = Model(bodies={"engine": Body(mass=150.0, inertia=[8, 4, 7])}, gravity=[0, 0, -9.81],
-    ...               elements={f"m{i}": Bushing(("engine", p), ("world", p), stiffness=[1e5, 1e5, 2e5]) for i, p in enumerate([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])})
-    >>> found = load_cases(model, {"bump": LoadCase(acceleration=[0, 0, 3]), "torque": LoadCase(loads={"t": Force("engine", moment=[100.0, 0, 0])})})
-    >>> round(float(found.displacements["engine"][0, 2]), 6)
-    -0.005516
+    >>> model = Model(bodies={"engine": Body(mass=150.0, inertia=[8, 4, 7])}, gravity=[0, 0, -9.81], joints={"engine": Guide("world", axis=[0, 0, 1])},
+    ...               elements={"mount": Spring(("engine", [0, 0, 0]), ("world", [0, 0, -1]), stiffness=8e5, free_length=1.0)})
+    >>> found = load_cases(model, {"bump": LoadCase(acceleration=[0, 0, 3]), "pull": LoadCase(loads={"chain": Force("engine", force=[0, 0, 800.0])})})
+    >>> [round(float(z), 6) for z in found.displacements["engine"][:, 2]]
+    [-0.005516, 0.001]
     """
     check_precision("load_cases", model)
     check_attached(model)

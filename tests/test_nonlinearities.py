@@ -62,6 +62,7 @@ def bead(l0, angle):
     return jb.Model(bodies={"bead": jb.Body(mass=0.4, inertia=[1, 1, 1])}, joints=joints, elements=ends)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("l0", "angle"), [((0.7, 0.7), 0.0), ((0.7, 0.8), 0.6)])
 def test_a_bead_on_a_string_has_the_slope_of_the_energy_integral(l0, angle):
     """T = 2 integral of dq/sqrt(2 (E - V)/m) between turning points q1, q2, where E - V = (q - q1)(q2 - q) V[q1, q2, q], a divided difference.
@@ -236,6 +237,7 @@ class Cart:
         return y[2:]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", [0, 1])
 def test_a_pendulum_on_a_cart_has_the_slope_of_its_periodic_motions(mode):
     """Its kinetic energy depends on the angle, its spring has a quadratic term, and both couple the modes."""
@@ -278,11 +280,13 @@ def hanging():
     return jb.equilibrium(rigs.plate())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", [2, 4])
 def test_a_free_body_on_springs_has_the_slope_of_its_periodic_motions(hanging, mode):
     check_against_periodic_motions(Plate(hanging), jb.backbones(jb.linearize(hanging.model, hanging)), mode)
 
 
+@pytest.mark.long
 def test_the_coefficient_does_not_depend_on_the_coordinates(hanging):
     """Another reference point and other body axes: other charts, in which the mean, second harmonic and straight lines differ."""
     one = jb.backbones(jb.linearize(hanging.model, hanging))
@@ -359,6 +363,7 @@ def test_where_there_is_no_equilibrium_nothing_is_told():
 # Derivatives, printing
 
 
+@pytest.mark.long
 def test_derivatives_are_those_of_differences():
     """Through the equilibrium, which the spring's free length moves."""
     model = Cart().model()
@@ -378,6 +383,7 @@ def test_derivatives_are_those_of_differences():
         assert apart(slope, exact) < 1e-8 * np.abs(exact).max()  # a step of 1e-3, to the fourth power after extrapolation
 
 
+@pytest.mark.long
 def test_a_mode_alone_has_derivatives_where_others_coincide():
     """In reverse mode; of 3 beta/(8 k m) with m = 3 k."""
     lin = places(MASS * [1.0, 4.0, 4.0], beta=1.0)

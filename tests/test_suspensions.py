@@ -221,6 +221,7 @@ def test_a_strut_that_has_a_direction_is_refused_at_zero_length(pull):
         )
 
 
+@pytest.mark.long
 def test_gradients_of_a_motion_by_numbers_of_its_laws():
     """Forward mode against central differences, through a stop and lift-off; what is left is the steps' noise over the difference."""
     model = rig(("bump stop", "table", "friction"))
