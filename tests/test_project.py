@@ -20,7 +20,7 @@ PACKAGE = Path(jb.__file__).parent
 ROWS = (
     "errors tables results arrays exports",
     "rotations frames linear_solves",
-    "motions signals roads bodies joints laws elements torsions contacts loads storage models presets naming checks",
+    "motions signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
     "kinematics mechanics dynamics derivatives",
     "load_paths statics cases preloads equilibria linearizations vibrations nonlinearities simulations",
     "sensors experiments parametrizations uncertainties identification",
