@@ -149,6 +149,7 @@ def mounted(p):
     return jnp.concatenate([found.state.q, modes.frequency, modes.damping_ratio])
 
 
+@pytest.mark.long
 def test_bushings_have_the_derivatives_of_differences():
     """Forward; the reverse derivatives, whose program takes a minute to compile, are those of the next test."""
     forward, differences, _ = slopes(mounted, MOUNT, directions(MOUNT).values(), 1e-4)
@@ -227,6 +228,7 @@ def asked(p, dt0=0.01):
     }
 
 
+@pytest.mark.long
 def test_vmap_is_a_loop_and_jit_changes_nothing():
     several = variants(3)
     together = quick_jit(jax.vmap(asked))(stacked(several))

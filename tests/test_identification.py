@@ -232,6 +232,7 @@ def test_fits_side_by_side_are_those_one_by_one(realizations):
         np.testing.assert_allclose(values_of(one), estimates[i], rtol=1e-6)
 
 
+@pytest.mark.long
 def test_the_derivative_of_the_estimates_in_the_data_is_that_of_differences(record, many):
     towards = np.random.default_rng(2).normal(size=len(TIMES)) * NOISE
 

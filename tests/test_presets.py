@@ -1,4 +1,4 @@
-"""Ready models have the matrices that are written here; the frequencies that their sources print stand in their docstrings, which run."""
+"""Ready models have the frequencies that their sources print, and the matrices that are written here."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -77,6 +77,23 @@ def test_four_wheels_on_a_road_with_the_delay_of_the_wheelbase():
     assert abs(run.state.q - y).max() <= 2e-3 * abs(y).max()  # 1 mm against lengths of 0.25 m
     front, rear = run.poses["fr"].p[:, 2], run.poses["rr"].p[:, 2]
     assert np.argmax(front > 0.3 + h / 2) + 30 <= np.argmax(rear > 0.3 + h / 2) <= np.argmax(front > 0.3 + h / 2) + 36  # 2.6 m at 8 m/s
+
+
+PRINTED = {
+    "quarter_car": (np.array([8.8671, 55.2694]) / (2 * np.pi), 1e-5),
+    "half_car": (np.array([5.8593, 9.4341]) / (2 * np.pi), 1e-5),
+    "engine_on_mounts": ([7.50256052, 8.63234374, 10.0551899, 11.6890922, 20.4491842, 26.4512989], 1e-7),
+    "isolated_table": (sorted([3.618009, 7.349698, 3.734370, 7.354211, 5.097929, 6.366198]), 1e-6),
+    "elastic_pendulum": ([0.5, 0.5, 1.0], 1e-9),  # Lynch's resonance
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", PRINTED)
+def test_frequencies_are_those_that_the_sources_print(name):
+    printed, last_digit = PRINTED[name]
+    _, lin = frequencies(getattr(presets, name)())
+    np.testing.assert_allclose(jb.modes(lin).frequency, printed, atol=last_digit)
 
 
 def test_the_stewart_table_stands_on_legs_of_equal_tension():

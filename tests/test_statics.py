@@ -168,6 +168,7 @@ def rig():
     return rigs.rig(mount=rigs.MOUNT)
 
 
+@pytest.mark.long
 def test_matrices_are_second_derivatives_of_the_energies_at_any_state(rig):
     n, nxi = rig.layout.nv, rig.layout.nxi
     reference = rig.reference
