@@ -64,7 +64,7 @@ def bead(l0, angle):
 
 @pytest.mark.parametrize(("l0", "angle"), [((0.7, 0.7), 0.0), ((0.7, 0.8), 0.6)])
 def test_a_bead_on_a_string_has_the_slope_of_the_energy_integral(l0, angle):
-    """T = 2 integral of dq/sqrt(2 (E - V)/m) between turning points q1, q2, where E - V = (q - q1)(q2 - q) V[q1, q2, q], a divided difference.
+    """T = 2 integral of dq/sqrt(2 (E - V)/m) between turning points q1, q2; E - V = (q - q1)(q2 - q) V[q1, q2, q], a divided difference.
 
     V = k/2 sum (L - l0)^2, and those of L follow from those of its square, q^2 -+ 2 q sin(angle) + 1, without small differences."""
     halves = list(zip((1, -1), l0, strict=True))
@@ -147,8 +147,8 @@ def test_duffing_has_the_slope_of_the_elliptic_integral():
 
 
 def test_quadratic_terms_of_the_textbook():
-    """x'' + w^2 x + alpha x^2 + beta x^3 = 0, and what a mode y, driven by x^2, adds: y0 = -c/(2 k), y2 = -c/(2 (k - 4 w^2 m)) per a^2, x'' + w^2 x +
-    2 c x y/m = 0."""
+    """x'' + w^2 x + alpha x^2 + beta x^3 = 0, and what a mode y, driven by x^2, adds: y0 = -c/(2 k), y2 = -c/(2 (k - 4 w^2 m)) per a^2,
+    x'' + w^2 x + 2 c x y/m = 0."""
     found = jb.backbones(places(MASS * [2.25, 10.0, 70.0], alpha=1.7 * MASS[0], beta=0.6 * MASS[0]))
     assert abs(found.curvature[0] / (3 * 0.6 / (8 * 2.25) - 5 * 1.7**2 / (12 * 2.25**2)) - 1) < 1e-13
     assert apart(found.drift[:, 0], [-1.7 / (2 * 2.25), 0, 0]) < 1e-13
