@@ -16,7 +16,8 @@ so that K c0 = B0, (K - 4 w^2 M) c2 = 2 B2, and with m = phi' M phi
 
 (B0 and B2 are (w^2 d - g)/4 and (4 w^2 p - w^2 d - g)/8 with d the gradient of phi' M(x) phi, p the derivative of M(x) phi along phi;
 t = d/2 + p and b = p - d/2.) Straight lines x = a u of the chart are motions at constant speeds u: all comes from derivatives along such.
-For x'' + w^2 x + alpha x^2 + beta x^3 = 0 gamma is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4) (Nayfeh and Mook, Nonlinear Oscillations, 1979, 2.3).
+For x'' + w^2 x + alpha x^2 + beta x^3 = 0 gamma is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4). Source: Nayfeh and Mook, Nonlinear
+Oscillations (1979), 2.3.
 """
 
 from __future__ import annotations
@@ -51,9 +52,9 @@ class Backbones(Result):
     """The backbone of each mode, ascending: w(a) = w (1 + gamma a^2), a the amplitude of the mode's largest component, m or rad.
 
     `frequency` [Hz], of small motions; `shapes` (columns phi, the largest component 1), `largest` which that is (rotations weighted with
-    the size of the model), `curvature` gamma [1/m2 or 1/rad2], negative where the mode softens; `drift` c0 and `second_harmonic` c2 (columns), what the mean and
-    the second harmonic of the motion are per a^2; `stiffness`, `third` and `fourth`, the derivatives of V along the straight line a phi of
-    the chart. `status` is one of each mode: UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE or NOT_CONVERGED, and gamma NaN, where the mode
+    the size of the model), `curvature` gamma [1/m2 or 1/rad2], negative where the mode softens; `drift` c0 and
+    `second_harmonic` c2 (columns), what the mean and the second harmonic of the motion are per a^2; `stiffness`, `third` and `fourth`, the
+    derivatives of V along the straight line a phi of the chart. `status` is one of each mode: UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE or NOT_CONVERGED, and gamma NaN, where the mode
     has no backbone of its own."""
 
     frequency: Float[Array, "nv"]
@@ -210,7 +211,7 @@ def _mode_jvp(primals, tangents):
 
 
 def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, "nv"]):
-    """grad V, V3, V4 and g, its components the third derivatives along phi, phi and unit vectors e, by polarization (steps keep numbers alike):
+    """grad V, V3, V4 and g, its components the third derivatives along phi, phi and unit vectors e, by polarization (steps: alike numbers):
 
     6 V3(u, u, e) = V3(u + e) - V3(u - e) - 2 V3(e)"""
     coordinates, still, q = Coordinates(lin.model), _still(lin.model), lin.state.q

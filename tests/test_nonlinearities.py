@@ -166,7 +166,7 @@ def test_quadratic_terms_of_the_textbook():
 
 
 def periodic(system, mode, w, i, a):
-    """The frequency of a motion between two points of rest whose coordinates i are 2 a apart; `mode` and w, its shape and frequency, begin the search.
+    """The frequency of a motion between two points of rest whose coordinates i are 2 a apart; shape `mode` and w begin the search.
 
     Unknown are the first point of rest and half the period; there the speeds must vanish."""
     n = len(mode)
@@ -188,7 +188,7 @@ def periodic(system, mode, w, i, a):
 
 
 def check_against_periodic_motions(system, found, mode):
-    """To 1e-5 of what the potential along a straight line alone would give; what is left is of the extrapolation, 1e-13/a^2 of the integration."""
+    """To 1e-5 of what the potential along a straight line alone gives: the extrapolation's, and 1e-13/a^2 of the integration."""
     w, shape, i = 2 * np.pi * float(found.frequency[mode]), np.asarray(found.shapes[:, mode]), int(found.largest[mode])
     exact = curvature(lambda a: periodic(system, shape, w, i, a), 0.04, levels=4)
     line = float(found.fourth[mode] / (16 * found.stiffness[mode]))
@@ -198,7 +198,7 @@ def check_against_periodic_motions(system, found, mode):
 
 
 class Cart:
-    """A pendulum on a cart that a spring, oblique and relaxed, ties to a wall; x, and h about y, so that the bob is at (x - r sin h, -r cos h)."""
+    """A pendulum on a cart that a spring, oblique and relaxed, ties to a wall; x and h, the bob at (x - r sin h, -r cos h)."""
 
     m, bob, r, J, k, g = 1.5, 0.7, 0.45, 0.02, 60.0, 9.81
     end = np.array([0.5, 0.3])
