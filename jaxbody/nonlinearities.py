@@ -4,7 +4,7 @@ With x the chart about the equilibrium, L = T - V and K phi = w^2 M phi, the per
 
     x = a phi cos(s) + a^2 (c0 + c2 cos(2 s)) + O(a^3),   s = w (1 + gamma a^2) t
 
-It makes the average of L over s stationary (Whitham). At order a^4 this average is A + B0' c0 + B2' c2 - 1/2 c0' K c0 - 1/4 c2' (K - 4 w^2 M) c2,
+It makes the average of L over s stationary (Whitham). At order a^4 this is A + B0' c0 + B2' c2 - c0' K c0/2 - c2' (K - 4 w^2 M) c2/4,
 
     A  = w^2 T2/16 - V4/64                     V3, V4, T1, T2: derivatives of V and T along the motion at constant speeds phi
     B0 = (w^2 (t - b) - g)/4                   g = grad V3/3,  t = grad T1   (V3 and T1 as cubic forms of phi)
@@ -14,9 +14,10 @@ so that K c0 = B0, (K - 4 w^2 M) c2 = 2 B2, and with m = phi' M phi
 
     gamma = -2 (2 A + B0' c0 + B2' c2)/(w^2 m)
 
-(B0 and B2 are (w^2 d - g)/4 and (4 w^2 p - w^2 d - g)/8 with d the gradient of phi' M(x) phi, p the derivative of M(x) phi along phi; t = d/2 + p and
-b = p - d/2.) Straight lines x = a u of the chart are motions at constant speeds u, so all comes from derivatives along such motions.
-For x'' + w^2 x + alpha x^2 + beta x^3 = 0 gamma is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4) (Nayfeh and Mook, Nonlinear Oscillations, 1979, 2.3).
+(B0 and B2 are (w^2 d - g)/4 and (4 w^2 p - w^2 d - g)/8 with d the gradient of phi' M(x) phi, p the derivative of M(x) phi along phi;
+t = d/2 + p and b = p - d/2.) Straight lines x = a u of the chart are motions at constant speeds u: all comes from derivatives along such.
+For x'' + w^2 x + alpha x^2 + beta x^3 = 0 gamma is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4). Source: Nayfeh and Mook, Nonlinear
+Oscillations (1979), 2.3.
 """
 
 from __future__ import annotations
@@ -31,7 +32,6 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_precision
-from jaxbody.derivatives import slope
 from jaxbody.errors import MESSAGES, Status, is_concrete
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at
@@ -51,10 +51,10 @@ AT_REST = 1e-6  # distance from the equilibrium, relative to the size of the mod
 class Backbones(Result):
     """The backbone of each mode, ascending: w(a) = w (1 + gamma a^2), a the amplitude of the mode's largest component, m or rad.
 
-    `frequency` [Hz], of small motions; `shapes` (columns phi, the largest component 1), `largest` which that is (rotations times the size of the model),
-    `curvature` gamma [1/m2 or 1/rad2], negative where the mode softens; `drift` c0 and `second_harmonic` c2 (columns), what the mean and
-    the second harmonic of the motion are per a^2; `stiffness`, `third` and `fourth`, the derivatives of V along the straight line a phi of
-    the chart. `status` is one of each mode: UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE or NOT_CONVERGED, and gamma NaN, where the mode
+    `frequency` [Hz], of small motions; `shapes` (columns phi, the largest component 1), `largest` which that is (rotations weighted with
+    the size of the model), `curvature` gamma [1/m2 or 1/rad2], negative where the mode softens; `drift` c0 and
+    `second_harmonic` c2 (columns), what the mean and the second harmonic of the motion are per a^2; `stiffness`, `third` and `fourth`, the
+    derivatives of V along the straight line a phi of the chart. `status` is one of each mode: UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE or NOT_CONVERGED, and gamma NaN, where the mode
     has no backbone of its own."""
 
     frequency: Float[Array, "nv"]
@@ -119,10 +119,11 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
 
         w(a) = w (1 + gamma a^2 + ...),   a the amplitude of the largest component of the mode [m or rad]
 
-    The coefficient is exact: it has what quadratic forces and inertia add through all other modes. The mode must move alone: where its frequency
-    is another's too, or its double is and they are coupled, there is no such coefficient (a 3:1 resonance is not looked for). Differentiable with respect to the
-    model in forward and reverse mode. Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE, and NOT_CONVERGED
-    where the state is not an equilibrium. Source: Nayfeh and Mook, Nonlinear Oscillations (1979), 2.3 and 6.
+    The coefficient is exact: it has what quadratic forces and inertia add through all other modes. The mode must move alone: where its
+    frequency is another's too, or its double is and they are coupled, there is no such coefficient (a 3:1 resonance is not looked for);
+    near such a resonance it holds for small amplitudes only. Differentiable with respect to the model in forward and reverse mode.
+    Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE, and NOT_CONVERGED where the state is not an
+    equilibrium. Source: Nayfeh and Mook, Nonlinear Oscillations (1979), 2.3 and 6.
 
     A pendulum softens as 1 - a^2/16:
 
@@ -148,7 +149,7 @@ def _backbones(lin: Linearization) -> Backbones:
     top = jnp.max(jnp.abs(values))
     alone = jnp.sum(linear.cluster[:, None] == linear.cluster, 0) == 1
     oscillates = values > ZERO * top
-    valid = alone & oscillates
+    valid, still = alone & oscillates, jnp.abs(values) <= ZERO * top
     largest = jnp.argmax(jnp.abs(shapes) / scale[:, None], axis=0)
 
     def solve(D, near, B):
@@ -160,26 +161,23 @@ def _backbones(lin: Linearization) -> Backbones:
         phi, value = _mode(K, M, phi / phi[i], value, i, good)
         square = jnp.where(good, value, 1.0)  # w^2
         m = jnp.sum(phi * (M @ phi))
-        V3, V4, g = _stiffening(lin, phi, scale / scale[i])
+        force, V3, V4, g = _stiffening(lin, phi, scale / scale[i])
         T2, t, b = _inertia(lin, phi)
         A = square * T2 / 16 - V4 / 64
         B0 = (square * (t - b) - g) / 4
         B2 = (square * (t + 3 * b) - g) / 8
-        still = jnp.abs(values) <= ZERO * top
         doubled = jnp.abs(values - 4 * square) <= RESONANT * 4 * square
         c0, c2 = solve(K, still, B0), solve(K - 4 * square * M, doubled, 2 * B2)
         gamma = -2 * (2 * A + jnp.sum(B0 * c0) + jnp.sum(B2 * c2)) / (square * m)
         least = COUPLED * square * jnp.sqrt(m) / (size * scale[i])
         drifts = jnp.any(still & (jnp.abs(shapes.T @ B0) > least))
         resonates = jnp.any(doubled & (jnp.abs(shapes.T @ B2) > least))
-        return phi, value, gamma, c0, c2, jnp.sum(phi * (K @ phi)), V3, V4, drifts, resonates
+        near = jnp.max(jnp.abs(solve(K, still, force)) / scale) <= AT_REST * size  # the equilibrium is
+        return phi, value, gamma, c0, c2, jnp.sum(phi * (K @ phi)), V3, V4, near, drifts, resonates
 
-    phi, value, gamma, c0, c2, V2, V3, V4, drifts, resonates = jax.vmap(one, in_axes=(1, 0, 0, 0))(shapes, values, largest, valid)
-    force = slope(model, lin.state.q)[: len(values)]
-    away = jnp.abs(solve(K, jnp.abs(values) <= ZERO * top, force)) / scale
-    lost = (lin.status == Status.NOT_CONVERGED) | ~(jnp.max(away) <= AT_REST * size)
+    phi, value, gamma, c0, c2, V2, V3, V4, near, drifts, resonates = jax.vmap(one, in_axes=(1, 0, 0, 0))(shapes, values, largest, valid)
     failures = {
-        Status.NOT_CONVERGED: jnp.broadcast_to(lost, valid.shape),
+        Status.NOT_CONVERGED: (lin.status == Status.NOT_CONVERGED) | ~near,
         Status.UNSTABLE: values < -ZERO * top,
         Status.SINGULAR_K: ~oscillates | drifts,
         Status.INTERNAL_RESONANCE: ~alone | resonates,
@@ -213,18 +211,18 @@ def _mode_jvp(primals, tangents):
 
 
 def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, "nv"]):
-    """V3, V4 and g, whose components are the third derivatives along phi, phi and unit vectors e, by polarization (steps keep the numbers alike):
+    """grad V, V3, V4 and g, its components the third derivatives along phi, phi and unit vectors e, by polarization (steps: alike numbers):
 
     6 V3(u, u, e) = V3(u + e) - V3(u - e) - 2 V3(e)"""
     coordinates, still, q = Coordinates(lin.model), _still(lin.model), lin.state.q
     e = jnp.diag(step)
 
-    def third_and_fourth(u):
-        return _along(lambda q: potential(lin.model, coordinates.frames(q, jnp.zeros_like(u), still)), coordinates, q, u, 4)[3:]
+    def derivatives(u):
+        return _along(lambda q: potential(lin.model, coordinates.frames(q, jnp.zeros_like(u), still)), coordinates, q, u, 4)
 
-    V3, V4 = jax.vmap(third_and_fourth)(jnp.concatenate([phi[None], phi + e, phi - e, e]))
+    _, V1, _, V3, V4 = jax.vmap(derivatives)(jnp.concatenate([phi[None], phi + e, phi - e, e]))
     plus, minus, own = jnp.split(V3[1:], 3)
-    return V3[0], V4[0], (plus - minus - 2 * own) / (6 * step)
+    return V1[1 + 2 * len(phi) :] / step, V3[0], V4[0], (plus - minus - 2 * own) / (6 * step)
 
 
 def _inertia(lin: Linearization, phi: Float[Array, "nv"]):
@@ -252,7 +250,7 @@ def _inertia(lin: Linearization, phi: Float[Array, "nv"]):
 
 
 def _along(function, coordinates: Coordinates, q: Float[Array, "nq"], u: Float[Array, "nv"], order: int) -> tuple[Array, ...]:
-    """The value of function(q) and its derivatives up to an order along the motion at constant speeds u."""
+    """The value of function(q) and its derivatives up to an order along the motion at constant speeds u, a straight line of the chart."""
 
     if order == 0:
         return (function(q),)

@@ -65,7 +65,7 @@ def bead(l0, angle):
 @pytest.mark.long
 @pytest.mark.parametrize(("l0", "angle"), [((0.7, 0.7), 0.0), ((0.7, 0.8), 0.6)])
 def test_a_bead_on_a_string_has_the_slope_of_the_energy_integral(l0, angle):
-    """T = 2 integral of dq/sqrt(2 (E - V)/m) between turning points q1, q2, where E - V = (q - q1)(q2 - q) V[q1, q2, q], a divided difference.
+    """T = 2 integral of dq/sqrt(2 (E - V)/m) between turning points q1, q2; E - V = (q - q1)(q2 - q) V[q1, q2, q], a divided difference.
 
     V = k/2 sum (L - l0)^2, and those of L follow from those of its square, q^2 -+ 2 q sin(angle) + 1, without small differences."""
     halves = list(zip((1, -1), l0, strict=True))
@@ -148,8 +148,8 @@ def test_duffing_has_the_slope_of_the_elliptic_integral():
 
 
 def test_quadratic_terms_of_the_textbook():
-    """x'' + w^2 x + alpha x^2 + beta x^3 = 0, and what a mode y, driven by x^2, adds: y0 = -c/(2 k), y2 = -c/(2 (k - 4 w^2 m)) per a^2, x'' + w^2 x +
-    2 c x y/m = 0."""
+    """x'' + w^2 x + alpha x^2 + beta x^3 = 0, and what a mode y, driven by x^2, adds: y0 = -c/(2 k), y2 = -c/(2 (k - 4 w^2 m)) per a^2,
+    x'' + w^2 x + 2 c x y/m = 0."""
     found = jb.backbones(places(MASS * [2.25, 10.0, 70.0], alpha=1.7 * MASS[0], beta=0.6 * MASS[0]))
     assert abs(found.curvature[0] / (3 * 0.6 / (8 * 2.25) - 5 * 1.7**2 / (12 * 2.25**2)) - 1) < 1e-13
     assert apart(found.drift[:, 0], [-1.7 / (2 * 2.25), 0, 0]) < 1e-13
@@ -167,7 +167,7 @@ def test_quadratic_terms_of_the_textbook():
 
 
 def periodic(system, mode, w, i, a):
-    """The frequency of a motion between two points of rest whose coordinates i are 2 a apart; `mode` and w, its shape and frequency, begin the search.
+    """The frequency of a motion between two points of rest whose coordinates i are 2 a apart; shape `mode` and w begin the search.
 
     Unknown are the first point of rest and half the period; there the speeds must vanish."""
     n = len(mode)
@@ -189,7 +189,7 @@ def periodic(system, mode, w, i, a):
 
 
 def check_against_periodic_motions(system, found, mode):
-    """To 1e-5 of what the potential along a straight line alone would give; what is left is of the extrapolation, 1e-13/a^2 of the integration."""
+    """To 1e-5 of what the potential along a straight line alone gives: the extrapolation's, and 1e-13/a^2 of the integration."""
     w, shape, i = 2 * np.pi * float(found.frequency[mode]), np.asarray(found.shapes[:, mode]), int(found.largest[mode])
     exact = curvature(lambda a: periodic(system, shape, w, i, a), 0.04, levels=4)
     line = float(found.fourth[mode] / (16 * found.stiffness[mode]))
@@ -199,7 +199,7 @@ def check_against_periodic_motions(system, found, mode):
 
 
 class Cart:
-    """A pendulum on a cart that a spring, oblique and relaxed, ties to a wall; x, and h about y, so that the bob is at (x - r sin h, -r cos h)."""
+    """A pendulum on a cart that a spring, oblique and relaxed, ties to a wall; x and h, the bob at (x - r sin h, -r cos h)."""
 
     m, bob, r, J, k, g = 1.5, 0.7, 0.45, 0.02, 60.0, 9.81
     end = np.array([0.5, 0.3])
