@@ -9,6 +9,8 @@ axes and is inverted once.
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -60,21 +62,29 @@ class Dynamics(eqx.Module):
         R = rotations.matrix(quaternion)
         return State(jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([rotate(R, v_B), rotate(R, w_B)], -1).ravel())
 
-    def rate(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
-        """dy/dt."""
+    def drive(self, t: Float[Array, ""]) -> Any:
+        """What depends on time alone: of free bodies t and the supports, else t."""
+        return (t, supports_moving(self.model, self.motions, t)) if self.model.layout.floating else t
+
+    def driven(self, u: Any, y: Float[Array, "ny"]) -> Float[Array, "ny"]:
+        """dy/dt with u = drive(t)."""
         if self.model.layout.floating:
-            return self._rate_floating(t, y)
+            t, supports = u
+            return self._rate_floating(t, supports, y)
         nq = self.model.layout.nq
         q, v = y[:nq], y[nq:]
-        return jnp.concatenate([self.coordinates.rate(q, v), self.acceleration(t, q, v)])
+        return jnp.concatenate([self.coordinates.rate(q, v), self.acceleration(u, q, v)])
 
-    def _rate_floating(self, t, y):
+    def rate(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
+        """dy/dt."""
+        return self.driven(self.drive(t), y)
+
+    def _rate_floating(self, t, supports: Frame, y):
         model = self.model
         bodies = model.bodies.rows
         p, quaternion, v_B, w_B = _cut(y, len(model.layout.bodies))
         R = rotations.matrix(quaternion)
         v, w = rotate(R, v_B), rotate(R, w_B)
-        supports = supports_moving(model, self.motions, t)
         zero = jnp.zeros((1, 3), y.dtype)
         frames = Frame(
             jnp.concatenate([zero, supports.p, p]),

@@ -299,7 +299,7 @@ def fit(
     search = _search(method, limits_of(parameters, bounds or {}, method))
     noise, estimated = _first_noise(experiments)
     step = None if dt0 is None else jnp.asarray(dt0, float)
-    task = Task(model, dict(experiments), parameters, noise, jnp.asarray(rtol), solver or diffrax.Dopri8(), stepsize_controller, step, max_steps)  # fmt: skip
+    task = Task(model, dict(experiments), parameters, noise, jnp.asarray(rtol), solver, stepsize_controller, step, max_steps)  # fmt: skip
     u = jnp.zeros(task.size)
     if not is_concrete(model, experiments):
         return _fit_traced(task, u, method, max_evaluations, estimated)

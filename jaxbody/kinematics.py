@@ -19,9 +19,11 @@ Motions = tuple[Motion, ...]  # one per support, in their order
 
 
 def take(x: Array, rows: np.ndarray) -> Array:
-    """x[rows] for rows known beforehand; a slice where they follow one another, which a compiled loop can fuse."""
+    """x[rows] for rows known beforehand; slices where they follow one another or are all the same, which a compiled loop can fuse."""
     if len(rows) and (np.diff(rows) == 1).all():
         return x[int(rows[0]) : int(rows[-1]) + 1]
+    if len(rows) and (rows == rows[0]).all():
+        return jnp.broadcast_to(x[int(rows[0])], (len(rows), *x.shape[1:]))
     return x[rows]
 
 

@@ -87,7 +87,8 @@ class Harmonic(Motion):
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         amplitude = jnp.concatenate([self.translation, self.rotation])
         phase = jnp.concatenate([self.translation_phase, self.rotation_phase])
-        return amplitude * jnp.cos(2 * jnp.pi * self.frequency * t + phase)
+        turned = 2 * jnp.pi * self.frequency * t  # one cosine and sine where the frequency is one number
+        return amplitude * jnp.cos(phase) * jnp.cos(turned) - amplitude * jnp.sin(phase) * jnp.sin(turned)
 
 
 class Sum(Motion):

@@ -13,7 +13,7 @@ import optimistix
 from equinox import filter_jit
 from jaxtyping import Array, Float, Int
 
-from jaxbody import tables
+from jaxbody import integrators, tables
 from jaxbody.arrays import concrete, device_array
 from jaxbody.checks import check_precision, check_state, unattached
 from jaxbody.dynamics import Dynamics
@@ -33,6 +33,7 @@ from jaxbody.statics import size_of
 MAX_STEPS = 100_000
 STABLE = 2.8  # longest step times rate at which the classical Runge-Kutta method is stable; explicit ones of diffrax are near
 SAFETY = 0.1  # local error over rtol, as solvers interpolate between steps to a lower order than they step
+CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
 STATUSES = (
     (diffrax.RESULTS.successful, Status.OK),
     (diffrax.RESULTS.max_steps_reached, Status.MAX_STEPS),
@@ -172,9 +173,10 @@ def simulate(
     """The motion from `initial` (without it, the reference pose at rest) at times[0], sampled at `times` [s].
 
     motion: {support: motion}; a support without one is at rest. loads: {name: load} on bodies. rtol: ten times the relative local error that
-    the step control allows in any component, so that samples between steps hold it too; absolute errors a hundredth of it times the size of the model (velocities: size times its fastest frequency, roughly). solver (Dopri8 if none), stepsize_controller, adjoint: diffrax's
-    objects. dt0 [s]: the first step, or the constant one with diffrax.ConstantStepSize(). Reverse mode works by default; forward mode
-    with adjoint=diffrax.ForwardMode(), which is faster for fewer than about thirty parameters.
+    the step control allows in any component, so that samples between steps hold it too; absolute errors a hundredth of it times the size of the model (velocities: size times its fastest frequency, roughly). Without
+    solver and stepsize_controller the method is Dopri8 in loops of our own (`integrators`); solver, stepsize_controller, adjoint: diffrax's
+    objects, and diffrax then integrates. dt0 [s]: the first step, or the constant one with diffrax.ConstantStepSize(). Reverse mode works by
+    default; forward mode with adjoint=diffrax.ForwardMode(), which is faster for few parameters. A batch by jax.vmap runs in chunks of 32, each member with steps of its own.
 
     Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME of a support, UNKNOWN_BODY of a load. An integration that ends early
     warns, and returns what it has with a status.
@@ -190,12 +192,7 @@ def simulate(
     motions = motions_of(model, motion or {})
     loads_on = loads_of(loads, model.layout.bodies)
     times = check_run(model, times, motions, loads or {}, initial)
-    if stepsize_controller is None or adjoint is None:
-        constant = isinstance(stepsize_controller, diffrax.ConstantStepSize | diffrax.StepTo)
-        adjoint = adjoint or (diffrax.DirectAdjoint() if constant else diffrax.RecursiveCheckpointAdjoint())
-    elif isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(
-        stepsize_controller, diffrax.ConstantStepSize | diffrax.StepTo
-    ):
+    if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(stepsize_controller, CONSTANT):
         raise JaxbodyError(
             Problem(
                 "WRONG_GRADIENT",
@@ -211,7 +208,6 @@ def simulate(
         warn("UNATTACHED", f"nothing ties {', '.join(loose)} to world or a support")
     meter = diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter()
     tolerance, step = (None if x is None else jnp.asarray(x, float) for x in (rtol, dt0))  # Python numbers would be compiled in
-    solver = solver or diffrax.Dopri8()
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(model, initial, step):
         _warn_of_long_steps(model, model.reference if initial is None else initial, float(step), solver)  # pyright: ignore[reportArgumentType]
     result = integrate(model, times, motions, loads_on, initial, tolerance, solver, stepsize_controller, adjoint, step, max_steps, meter)
@@ -225,7 +221,7 @@ def check_steps(stepsize_controller: diffrax.AbstractStepSizeController | None, 
         raise JaxbodyError(Problem("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds."))
 
 
-def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver) -> None:
+def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None) -> None:
     """Constant steps must be short beside the fastest small motion about the start, y' = A y."""
     lin, n = linearize(model, initial), model.layout.nv
     rates = np.linalg.solve(np.asarray(lin.M), np.concatenate([-lin.K, -lin.C], 1)) if n else np.zeros((0, 0))
@@ -281,32 +277,11 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     """The jitted core of `simulate`: it knows arrays only, and never raises."""
     initial = model.reference if initial is None else initial
     dynamics = Dynamics(model, motions, loads)
-    controller = stepsize_controller
     span = times[-1] - times[0]
-    if controller is None:
-        local = SAFETY * rtol
-        atol = local / 100 * _scales(dynamics, span)
-        controller = diffrax.PIDController(rtol=local, atol=atol, norm=optimistix.max_norm, dtmin=1e-13 * span, force_dtmin=False)
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, dynamics: dynamics.rate(t, y)),
-        solver,
-        times[0],
-        times[-1],
-        dt0,
-        dynamics.pack(initial),
-        dynamics,
-        saveat=diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)]),
-        stepsize_controller=controller,
-        adjoint=adjoint,
-        max_steps=max_steps,
-        throw=False,
-        progress_meter=meter,
-    )
-    assert solution.ys is not None and solution.ts is not None
-    samples, t_end, y_end = solution.ys[0].at[0].set(dynamics.pack(initial)), solution.ts[1][-1], solution.ys[1][-1]
-    code = jnp.select(
-        [solution.result == result for result, _ in STATUSES], [status.value for _, status in STATUSES], Status.NOT_CONVERGED.value
-    )
+    own = solver is None and stepsize_controller is None and isinstance(adjoint, diffrax.ForwardMode | None) and isinstance(meter, diffrax.NoProgressMeter)  # fmt: skip
+    by = _by_blocks if own else _by_diffrax
+    y0 = dynamics.pack(initial)
+    samples, t_end, y_end, code, accepted, rejected = by(dynamics, y0, times, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)  # fmt: skip
     finite = jnp.isfinite(samples).all(1)
     blown = (code == Status.OK.value) & ~finite.all()  # which constant steps do not notice
     last = jnp.maximum(jnp.argmin(finite) - 1, 0)
@@ -319,8 +294,53 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     if has_range(model.elements):
         beyond = jax.vmap(lambda t, state: jnp.any(beyond_laws(model, table_of(model, motions, t, state))))(times, state)
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
-    statistics = {key: solution.stats[key] for key in ("num_accepted_steps", "num_rejected_steps")}
+    statistics = {"num_accepted_steps": accepted, "num_rejected_steps": rejected}
     return Trajectory(times, state, code, statistics, (t_end, dynamics.unpack(y_end)), model, motions, loads)
+
+
+def _tolerances(dynamics: Dynamics, span, rtol):
+    """rtol and atol of the local error, and the least step."""
+    local = SAFETY * rtol
+    return local, local / 100 * _scales(dynamics, span), 1e-13 * span
+
+
+def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
+    """By the steps of `integrators`."""
+    limits = jax.lax.stop_gradient(_tolerances(dynamics, times[-1] - times[0], rtol))
+    problem = integrators.Problem(Dynamics.drive, Dynamics.driven, *limits, jax.lax.stop_gradient(dt0), max_steps)
+    forward = isinstance(adjoint, diffrax.ForwardMode)
+    ended = integrators.solve(problem, dynamics, y0, times) if forward else integrators.solve_reversible((dynamics, y0, times), problem)
+    course = ended.course
+    return ended.samples, times[0] + ended.tau, ended.y, course.code, course.accepted, course.rejected
+
+
+def _by_diffrax(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
+    """By the objects that the user gave, with defaults for what is missing."""
+    adjoint = adjoint or (diffrax.DirectAdjoint() if isinstance(controller, CONSTANT) else diffrax.RecursiveCheckpointAdjoint())
+    if controller is None:
+        local, atol, shortest = _tolerances(dynamics, times[-1] - times[0], rtol)
+        controller = diffrax.PIDController(rtol=local, atol=atol, norm=optimistix.max_norm, dtmin=shortest, force_dtmin=False)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, y, dynamics: dynamics.rate(t, y)),
+        solver or diffrax.Dopri8(),
+        times[0],
+        times[-1],
+        dt0,
+        y0,
+        dynamics,
+        saveat=diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)]),
+        stepsize_controller=controller,
+        adjoint=adjoint,
+        max_steps=max_steps,
+        throw=False,
+        progress_meter=meter,
+    )
+    assert solution.ys is not None and solution.ts is not None
+    code = jnp.select(
+        [solution.result == result for result, _ in STATUSES], [status.value for _, status in STATUSES], Status.NOT_CONVERGED.value
+    )
+    steps = (solution.stats[f"num_{kind}_steps"] for kind in ("accepted", "rejected"))
+    return solution.ys[0].at[0].set(y0), solution.ts[1][-1], solution.ys[1][-1], code, *steps
 
 
 def _scales(dynamics: Dynamics, span) -> Float[Array, "ny"]:

@@ -1,0 +1,257 @@
+"""Batches on the last axis. `jax.vmap` puts a batch first; vectors of three then leave a processor's wide registers empty.
+
+A function that is `in_lanes` does what it did, but in a batch its operations are rewritten one by one so that arrays (3,) become (3, b), with
+at most LANES members at a time. Operations without a rule here are left to jax.vmap.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
+from jax.interpreters import ad, batching, mlir
+from jaxtyping import Array, Bool
+
+LANES = 32
+ELEMENTWISE = {
+    "abs", "acos", "add", "and", "asin", "atan", "atan2", "cbrt", "ceil", "clamp", "convert_element_type", "copy", "cos", "cosh", "div",
+    "eq", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "log", "log1p", "logistic", "lt", "max",
+    "min", "mul", "ne", "neg", "nextafter", "not", "or", "pow", "rem", "round", "rsqrt", "select_n", "sign", "sin", "sinh", "sqrt",
+    "square", "sub", "tan", "tanh", "xor",
+}  # fmt: skip
+SAME_AXES = {
+    "argmax", "argmin", "cummax", "cummin", "cumsum", "reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_prod", "reduce_sum",
+    "rev", "split", "squeeze",
+}  # fmt: skip
+CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+
+
+def in_lanes(function: Callable) -> Callable[..., Any]:
+    """The function, arrays to arrays, in a batch rewritten for lanes."""
+
+    def wrapped(*args):
+        leaves, tree = jax.tree.flatten(args)
+        leaves = [jnp.asarray(x) for x in leaves]
+        traced, out = jax.make_jaxpr(lambda *x: function(*tree.unflatten(x)), return_shape=True)(*leaves)
+        open_jaxpr = traced.jaxpr.replace(constvars=[], invars=[*traced.jaxpr.constvars, *traced.jaxpr.invars])
+        results = _lanes_p.bind(*traced.consts, *leaves, jaxpr=ClosedJaxpr(open_jaxpr, []))
+        return jax.tree.unflatten(jax.tree.structure(out), results)
+
+    return wrapped
+
+
+def vmap_last(function: Callable) -> Callable[[Array], Any]:
+    """The function of one array, over the last axis of that array; results have that axis last."""
+
+    def over(x: Array):
+        traced, out = jax.make_jaxpr(function, return_shape=True)(x[..., 0])
+        results = Lanes(x.shape[-1]).run(traced, [True], [x], [True] * len(traced.out_avals))
+        return jax.tree.unflatten(jax.tree.structure(out), results)
+
+    return over
+
+
+# Whether it is so for any member of a batch, the same for all: a loop that asks this needs no masks over what it carries.
+_any_p = Primitive("any_of_batch")
+any_of_batch: Callable[[Bool[Array, ""]], Bool[Array, ""]] = _any_p.bind
+_any_p.def_impl(lambda x: x)
+_any_p.def_abstract_eval(lambda x: x)
+mlir.register_lowering(_any_p, lambda context, x: [x])
+batching.primitive_batchers[_any_p] = lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None)
+
+_lanes_p = Primitive("in_lanes")
+_lanes_p.multiple_results = True
+_lanes_p.def_impl(lambda *args, jaxpr: jaxpr_as_fun(jaxpr)(*args))
+_lanes_p.def_abstract_eval(lambda *args, jaxpr: jaxpr.out_avals)
+mlir.register_lowering(_lanes_p, mlir.lower_fun(lambda *args, jaxpr: jaxpr_as_fun(jaxpr)(*args), multiple_results=True))
+
+
+def _jvp(primals, tangents, *, jaxpr):
+    """In lanes again."""
+    moved = [not isinstance(t, ad.Zero) for t in tangents]
+    smooth = [jnp.issubdtype(aval.dtype, jnp.inexact) for aval in jaxpr.out_avals]
+
+    def pushed(primals, tangents):
+        def of_moved(*x):
+            given = iter(x)
+            out = jaxpr_as_fun(jaxpr)(*(next(given) if m else p for m, p in zip(moved, primals, strict=True)))
+            return [x for x, s in zip(out, smooth, strict=True) if s], [x for x, s in zip(out, smooth, strict=True) if not s]
+
+        return jax.jvp(of_moved, [p for m, p in zip(moved, primals, strict=True) if m], tangents, has_aux=True)
+
+    y, dy, others = in_lanes(pushed)(list(primals), [t for t in tangents if not isinstance(t, ad.Zero)])
+    y, dy, others = iter(y), iter(dy), iter(others)
+    out = [next(y) if s else next(others) for s in smooth]
+    return out, [next(dy) if s else ad.Zero(aval.to_tangent_aval()) for s, aval in zip(smooth, jaxpr.out_avals, strict=True)]
+
+
+def _batch(args, axes, *, jaxpr):
+    """In chunks of LANES, so that memory does not grow with the batch."""
+    on = [axis is not None for axis in axes]
+    args = [jnp.moveaxis(x, axis, -1) if o else x for x, axis, o in zip(args, axes, on, strict=True)]
+    n = next(x.shape[-1] for x, o in zip(args, on, strict=True) if o)
+    reached = _reach(jaxpr, on)
+    if n <= LANES:
+        out = Lanes(n).run(jaxpr, on, args)
+        return out, [x.ndim - 1 if o else None for x, o in zip(out, reached, strict=True)]
+    chunks = -(-n // LANES)
+
+    def cut(x):
+        x = jnp.concatenate([x, jnp.broadcast_to(x[..., -1:], (*x.shape[:-1], chunks * LANES - n))], -1)
+        return jnp.moveaxis(x.reshape(*x.shape[:-1], chunks, LANES), -2, 0)
+
+    def chunk(cuts):
+        cuts = iter(cuts)
+        return Lanes(LANES).run(jaxpr, on, [next(cuts) if o else x for x, o in zip(args, on, strict=True)])
+
+    out = lax.map(chunk, [cut(x) for x, o in zip(args, on, strict=True) if o])
+    joined = [jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :n] if o else x[0] for x, o in zip(out, reached, strict=True)]
+    return joined, [x.ndim - 1 if o else None for x, o in zip(joined, reached, strict=True)]
+
+
+ad.primitive_jvps[_lanes_p] = _jvp
+batching.primitive_batchers[_lanes_p] = _batch
+
+
+def _reach(jaxpr: ClosedJaxpr, on: list[bool]) -> list[bool]:
+    """Which results depend on the lane."""
+    known = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
+    for eqn in jaxpr.jaxpr.eqns:
+        given = [not isinstance(x, Literal) and known.get(x, False) for x in eqn.invars]
+        known |= dict(zip(eqn.outvars, _reach_of(eqn, given), strict=True))
+    return [not isinstance(x, Literal) and known.get(x, False) for x in jaxpr.jaxpr.outvars]
+
+
+def _reach_of(eqn, on: list[bool]) -> list[bool]:
+    name, p = eqn.primitive.name, eqn.params
+    if name in CALLS:
+        return _reach(p[CALLS[name]], on)
+    if name == "while" and any(on):
+        consts, carry = p["cond_nconsts"] + p["body_nconsts"], on[p["cond_nconsts"] + p["body_nconsts"] :]
+        carry = _fixpoint(p["body_jaxpr"], on[p["cond_nconsts"] : consts], carry, [])
+        asks = _reach(p["cond_jaxpr"], on[: p["cond_nconsts"]] + carry)[0]
+        return [True] * len(carry) if asks else carry
+    if name == "scan":
+        consts, end = p["num_consts"], p["num_consts"] + p["num_carry"]
+        carry = _fixpoint(p["jaxpr"], on[:consts], on[consts:end], on[end:])
+        return carry + _reach(p["jaxpr"], on[:consts] + carry + on[end:])[len(carry) :]
+    if name == "cond" and not on[0]:
+        return [any(of) for of in zip(*(_reach(branch, on[1:]) for branch in p["branches"]), strict=True)]
+    return [any(on) and name != "any_of_batch"] * len(eqn.outvars)
+
+
+def _fixpoint(body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list[bool]) -> list[bool]:
+    while True:
+        after = [a or b for a, b in zip(carry, _reach(body, consts + carry + xs), strict=False)]
+        if after == carry:
+            return carry
+        carry = after
+
+
+class Lanes:
+    """Evaluates jaxprs for n members at once."""
+
+    def __init__(self, n: int):
+        self.n = n
+
+    def run(self, jaxpr: ClosedJaxpr, on: list[bool], args: list[Any], wanted: list[bool] | None = None) -> list[Any]:
+        """Results of arguments of which those `on` have a last axis of lanes; results that `_reach` says, or that are wanted, have it too."""
+        values: dict = dict(zip(jaxpr.jaxpr.constvars, jaxpr.consts, strict=True)) | dict(zip(jaxpr.jaxpr.invars, args, strict=True))
+        lanes = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
+
+        def look(x):
+            return (x.val, False) if isinstance(x, Literal) else (values[x], lanes.get(x, False))
+
+        for eqn in jaxpr.jaxpr.eqns:
+            given, of_lanes = zip(*map(look, eqn.invars), strict=True) if eqn.invars else ((), ())
+            reached = _reach_of(eqn, list(of_lanes))
+            out = self._apply(eqn, list(of_lanes), list(given)) if any(of_lanes) else _bind(eqn, given)
+            values |= dict(zip(eqn.outvars, out, strict=True))
+            lanes |= dict(zip(eqn.outvars, reached, strict=True))
+        found = [look(x) for x in jaxpr.jaxpr.outvars]
+        wanted = [o for _, o in found] if wanted is None else wanted
+        return [self._spread(x, o, v.aval.shape) if w else x for (x, o), v, w in zip(found, jaxpr.jaxpr.outvars, wanted, strict=True)]
+
+    def _spread(self, x, on: bool, shape) -> Array:
+        """x with the given shape and lanes; a scalar, or one for each lane, is repeated."""
+        x = jnp.asarray(x)
+        axes = tuple(range(len(shape))) if x.ndim - on == len(shape) else ()
+        return x if x.shape == (*shape, self.n) else lax.broadcast_in_dim(x, (*shape, self.n), (*axes, len(shape)) if on else axes)
+
+    def _apply(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
+        name, p, n = eqn.primitive.name, dict(eqn.params), self.n
+        if name in CALLS:
+            return self.run(p[CALLS[name]], on, x)
+        if name in ELEMENTWISE:
+            shape = eqn.outvars[0].aval.shape
+            return [eqn.primitive.bind(*(self._spread(a, o, shape) for a, o in zip(x, on, strict=True)), **p)]
+        if name in SAME_AXES:
+            return _bind(eqn, x)
+        if name in ("concatenate", "stack"):
+            parts = [self._spread(a, o, v.aval.shape) for a, o, v in zip(x, on, eqn.invars, strict=True)]
+            return [eqn.primitive.bind(*parts, **p)]
+        if name == "broadcast_in_dim" and len(x) == 1:
+            axes = (*p["broadcast_dimensions"], len(p["shape"]))
+            return [lax.broadcast_in_dim(x[0], (*p["shape"], n), axes)]
+        if name == "reshape" and len(x) == 1:
+            return [lax.reshape(x[0], (*p["new_sizes"], n))]
+        if name == "transpose":
+            return [lax.transpose(x[0], (*p["permutation"], x[0].ndim - 1))]
+        if name == "slice":
+            return [lax.slice(x[0], (*p["start_indices"], 0), (*p["limit_indices"], n), p["strides"] and (*p["strides"], 1))]
+        if name == "pad" and not on[1]:
+            return [lax.pad(x[0], x[1], (*p["padding_config"], (0, 0, 0)))]
+        if name == "dynamic_slice" and not any(on[1:]):
+            return [lax.dynamic_slice(x[0], (*x[1:], jnp.zeros_like(x[1])), (*p["slice_sizes"], n))]
+        if name == "dynamic_update_slice" and not any(on[2:]):
+            whole, part = (self._spread(a, o, v.aval.shape) for a, o, v in zip(x[:2], on, eqn.invars, strict=False))
+            return [lax.dynamic_update_slice(whole, part, (*x[2:], jnp.zeros_like(x[2])))]
+        if name == "any_of_batch":
+            return [jnp.any(x[0])]
+        if name == "while" and not all(_reach_of(eqn, on)):
+            return self._while(p, on, x)
+        if name == "scan":
+            return self._scan(p, on, x)
+        axes = [-1 if o else None for o in on]
+        out = jax.vmap(lambda *x: _bind(eqn, x), in_axes=axes, out_axes=-1, axis_size=n)(*x)
+        return [a if r else a[..., 0] for a, r in zip(out, _reach_of(eqn, on), strict=True)]
+
+    def _while(self, p, on, x):
+        a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
+        carry = _fixpoint(p["body_jaxpr"], on[a:b], on[b:], [])
+        start = [
+            self._spread(v, o, av.shape) if c else v
+            for v, o, c, av in zip(x[b:], on[b:], carry, p["body_jaxpr"].in_avals[b - a :], strict=True)
+        ]
+        return lax.while_loop(
+            lambda c: self.run(p["cond_jaxpr"], on[:a] + carry, [*x[:a], *c])[0],
+            lambda c: self.run(p["body_jaxpr"], on[a:b] + carry, [*x[a:b], *c], carry),
+            start,
+        )
+
+    def _scan(self, p, on, x):
+        a, b = p["num_consts"], p["num_consts"] + p["num_carry"]
+        body = p["jaxpr"]
+        carry = _fixpoint(body, on[:a], on[a:b], on[b:])
+        start = [self._spread(v, o, av.shape) if c else v for v, o, c, av in zip(x[a:b], on[a:b], carry, body.in_avals[a:b], strict=True)]
+        inputs = on[:a] + carry + on[b:]
+        wanted = carry + _reach(body, inputs)[len(carry) :]
+
+        def step(c, xs):
+            out = self.run(body, inputs, [*x[:a], *c, *xs], wanted)
+            return out[: len(carry)], out[len(carry) :]
+
+        end, ys = lax.scan(step, start, x[b:], length=p["length"], reverse=p["reverse"], unroll=p["unroll"])
+        return [*end, *ys]
+
+
+def _bind(eqn, x) -> list[Any]:
+    """The equation as it stands."""
+    params = eqn.primitive.get_bind_params(eqn.params)
+    functions, params = params if isinstance(params, tuple) else ((), params)
+    out = eqn.primitive.bind(*functions, *x, **params)
+    return list(out) if eqn.primitive.multiple_results else [out]

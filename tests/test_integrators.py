@@ -1,0 +1,111 @@
+"""Steps of our own against diffrax's of the same method, gradients by every mode, batches against loops."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+
+TIMES = jnp.linspace(0.0, 0.8, 33)
+MOTION = {"base": jb.Harmonic(frequency=0.8, translation=[0.01, 0, 0], rotation=[0, 0, 0.02])}
+
+
+@pytest.fixture(scope="module")
+def model():
+    """A free body on three springs: little to compile."""
+    ends = {"a": [0.3, 0.1, 0], "b": [-0.3, 0.1, 0], "c": [0, -0.1, 0.2]}
+    springs = {n: jb.Spring(("body", x), ("base", [2 * x[0], 0.6, 2 * x[2]]), stiffness=40.0, free_length=0.4, damping=0.5) for n, x in ends.items()}  # fmt: skip
+    return jb.Model(bodies={"body": jb.Body(mass=1.0, inertia=[0.03, 0.09, 0.1])}, supports={"base": jb.Support()}, elements=springs)
+
+
+def path(model, factor=1.0, times=TIMES, **options):
+    stiffer = jb.replace(model, {"*.stiffness": factor * 40.0})
+    return jb.simulate(stiffer, times, motion=MOTION, **options).state.q
+
+
+def test_one_step_is_that_of_diffrax(model):
+    """Tolerances so wide that the first step is the only one: its end and the polynomial between are the same, to rounding."""
+    times = jnp.linspace(0.0, 0.05, 7)
+    ours = path(model, times=times, rtol=1e6, dt0=0.05)
+    theirs = path(model, times=times, stepsize_controller=diffrax.ConstantStepSize(), solver=diffrax.Dopri8(), dt0=0.05)
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13)
+
+
+@pytest.mark.long
+def test_both_control_the_error(model):
+    """At rtol 1e-10 they agree to it, with about as many steps."""
+    runs = [jb.simulate(model, TIMES, motion=MOTION, rtol=1e-10, solver=solver) for solver in (None, diffrax.Dopri8())]
+    np.testing.assert_allclose(runs[0].state.q, runs[1].state.q, rtol=0, atol=1e-10)
+    taken, theirs = (int(run.statistics["num_accepted_steps"]) for run in runs)
+    assert abs(taken - theirs) <= 0.2 * theirs
+
+
+def loss(model, factor, **options):
+    return jnp.sum(path(model, factor, rtol=1e-10, **options)[:, :3] ** 2)
+
+
+def test_reverse_is_forward(model):
+    """To rounding, as both differentiate the same steps."""
+    reverse = jax.jit(jax.grad(lambda f: loss(model, f)))(1.0)
+    forward = jax.jit(jax.jacfwd(lambda f: loss(model, f, adjoint=diffrax.ForwardMode())))(1.0)
+    assert float(reverse) == pytest.approx(float(forward), rel=1e-11)
+
+
+@pytest.mark.long
+def test_gradients_are_those_of_diffrax(model):
+    """Whose steps are others: to the tolerance."""
+    forward = jax.jit(jax.jacfwd(lambda f: loss(model, f, adjoint=diffrax.ForwardMode())))(1.0)
+    theirs = jax.jit(jax.jacfwd(lambda f: loss(model, f, adjoint=diffrax.ForwardMode(), solver=diffrax.Dopri8())))(1.0)
+    assert float(forward) == pytest.approx(float(theirs), rel=1e-9)
+
+
+def test_gradients_to_initial_states_and_times(model):
+    """The state at the end by the initial speeds, and by the time that is asked for: its rate."""
+    start = model.reference
+
+    def end(speed, t):
+        times = jnp.stack([jnp.zeros(()), 0.3 + t, jnp.asarray(0.8)])
+        moved = jb.State(start.q, start.v.at[0].set(speed))
+        return jb.simulate(model, times, motion=MOTION, initial=moved, rtol=1e-10).state.q[1, 0]
+
+    by_speed, by_time = jax.jit(jax.grad(end, argnums=(0, 1)))(0.1, 0.0)
+    h = 1e-4
+    value = jax.jit(end)
+    assert float(by_speed) == pytest.approx(float(value(0.1 + h, 0.0) - value(0.1 - h, 0.0)) / (2 * h), rel=1e-6)
+    assert float(by_time) == pytest.approx(float(value(0.1, h) - value(0.1, -h)) / (2 * h), rel=1e-6)
+
+
+def test_a_batch_is_a_loop_and_members_do_not_disturb_one_another(model):
+    """Forty members, more than a chunk of lanes, with steps of their own; one of them is NaN from the start and only it ends so."""
+    factors = jnp.linspace(0.5, 2.0, 40).at[7].set(jnp.nan)
+    batch = jax.jit(jax.vmap(lambda f: path(model, f)))(factors)
+    alone = jax.jit(lambda f: path(model, f))
+    for i in (0, 6, 8, 39):
+        np.testing.assert_allclose(batch[i], alone(factors[i]), rtol=0, atol=1e-11)  # round-off felt by the control of steps
+    assert np.isnan(batch[7, 1:]).all() and np.isfinite(np.delete(batch, 7, 0)).all()
+
+
+@pytest.mark.long
+def test_gradients_of_a_batch(model):
+    slopes = jax.jit(jax.vmap(jax.grad(lambda f: jnp.sum(path(model, f)[:, 0] ** 2))))(jnp.array([0.9, 1.1]))
+    alone = jax.jit(jax.grad(lambda f: jnp.sum(path(model, f)[:, 0] ** 2)))
+    np.testing.assert_allclose(slopes, [alone(0.9), alone(1.1)], rtol=1e-9)
+
+
+def test_more_samples_than_a_window_and_more_steps_than_a_block(model):
+    """2500 samples, over 128 steps: each sample as if it alone were asked for."""
+    times = jnp.linspace(0.0, 60.0, 2500)
+    run = jb.simulate(model, times, motion=MOTION)
+    assert int(run.statistics["num_accepted_steps"]) > 256
+    some = jnp.array([0, 700, 1500, 2499])
+    np.testing.assert_allclose(run.state.q[some], jb.simulate(model, times[some], motion=MOTION).state.q, rtol=0, atol=1e-9)
+
+
+def test_too_few_steps_keep_what_there_is(model):
+    with pytest.warns(jb.JaxbodyWarning, match="MAX_STEPS"):
+        run = jb.simulate(model, TIMES, motion=MOTION, max_steps=3)
+    good = np.isfinite(np.asarray(run.state.q)).all(1)
+    assert 0 < good.sum() < len(TIMES) and good[: good.sum()].all()
+    np.testing.assert_allclose(run.state.q[good], jb.simulate(model, TIMES, motion=MOTION).state.q[good], rtol=0, atol=1e-9)

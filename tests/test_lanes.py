@@ -1,0 +1,67 @@
+"""Rewriting for lanes against jax.vmap: every kind of operation, loops, batches of batches, derivatives."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxbody.lanes import LANES, any_of_batch, in_lanes, vmap_last
+
+
+def vectors(x, a):
+    """Shapes, sums, slices, gathers, products."""
+    M = jnp.stack([x, x[::-1], jnp.cross(x, a)])
+    rows = M[jnp.array([2, 0, 0])]
+    padded = jnp.pad(M @ a, (1, 2)).reshape(2, 3).T
+    return jnp.where(x[0] > 0, rows.sum(1), jnp.clip(x, -0.5, 0.5)), padded, M.argmax(0), jnp.cumsum(x), jnp.max(rows, (0, 1))
+
+
+def loops(x, a):
+    """A while loop that ends when each has ended, one that does not know of lanes, a scan, a branch, a linear system."""
+    grown, n = jax.lax.while_loop(lambda c: jnp.sum(c[0]) < 10.0, lambda c: (c[0] + jnp.abs(x) + 0.1, c[1] + 1), (x, 0))
+    fixed = jax.lax.fori_loop(0, 3, lambda i, y: y.at[i].set(y[i] * x[i] + i), a)
+    end, ys = jax.lax.scan(lambda c, r: (c * 0.9 + r, jnp.sin(c)), x, jnp.outer(a, x))
+    branch = jax.lax.cond(x[0] > 0, jnp.sin, jnp.cos, x)
+    return grown, n, fixed, end, ys, branch, jnp.linalg.solve(jnp.eye(3) * 4 + jnp.outer(x, a), x)
+
+
+def until_all_have(x, a):
+    """A loop of which members that have ended keep what they had."""
+
+    def more(c):
+        return any_of_batch(c[0][0] < 4.0)
+
+    def body(c):
+        return jnp.where(c[0][0] < 4.0, c[0] + 1.0, c[0]), c[1] + 1
+
+    return jax.lax.while_loop(more, body, (x, 0))[0]
+
+
+@pytest.mark.parametrize("function", [vectors, loops, until_all_have])
+def test_lanes_are_vmap(function):
+    x = jax.random.normal(jax.random.key(0), (LANES + 5, 3))
+    a = jnp.array([0.3, -1.0, 2.0])
+    for batch in (x, x[:4]):  # several chunks, less than one
+        ours, theirs = (jax.jit(jax.vmap(f, in_axes=(0, None)))(batch, a) for f in (in_lanes(function), function))
+        jax.tree.map(lambda p, q: np.testing.assert_allclose(p, q, rtol=1e-13, atol=1e-13), ours, theirs)
+    alone = jax.jit(in_lanes(function))(x[0], a)
+    jax.tree.map(lambda p, q: np.testing.assert_allclose(p, q, rtol=1e-14, atol=1e-14), alone, jax.jit(function)(x[0], a))
+
+
+def test_derivatives_forward_and_batches_of_batches():
+    x = jax.random.normal(jax.random.key(1), (2, 3, 3))
+    a = jnp.array([0.3, -1.0, 2.0])
+
+    def energy(function):
+        return lambda x: sum(jnp.sum(y**2) for y in jax.tree.leaves(function(x, a)) if jnp.issubdtype(y.dtype, jnp.inexact))
+
+    for function in (vectors, loops):
+        ours, theirs = (jax.jit(jax.vmap(jax.vmap(jax.jacfwd(energy(f)))))(x) for f in (in_lanes(function), function))
+        np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+
+
+def test_results_that_do_not_depend_on_the_lane_are_given_to_all():
+    ours = jax.vmap(in_lanes(lambda x, a: (x + 1, a * 2)), in_axes=(0, None))(jnp.arange(3.0), jnp.ones(2))
+    assert ours[0].shape == (3,) and ours[1].shape == (3, 2)
+    last = vmap_last(lambda t: (jnp.sin(t), jnp.ones(2)))(jnp.arange(4.0))
+    assert last[0].shape == (4,) and last[1].shape == (2, 4)
