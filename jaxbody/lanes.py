@@ -16,7 +16,7 @@ from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool
 
-LANES = 32
+LANES = 64
 ELEMENTWISE = {
     "abs", "acos", "add", "and", "asin", "atan", "atan2", "cbrt", "ceil", "clamp", "convert_element_type", "copy", "cos", "cosh", "div",
     "eq", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "log", "log1p", "logistic", "lt", "max",
@@ -27,18 +27,26 @@ SAME_AXES = {
     "argmax", "argmin", "cummax", "cummin", "cumsum", "reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_prod", "reduce_sum",
     "rev", "split", "squeeze",
 }  # fmt: skip
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+CALLS = {
+    "in_lanes": "jaxpr",
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+}
 
 
-def in_lanes(function: Callable) -> Callable[..., Any]:
-    """The function, arrays to arrays, in a batch rewritten for lanes."""
+def in_lanes(function: Callable, *, reversible: bool = False) -> Callable[..., Any]:
+    """The function, arrays to arrays, in a batch rewritten for lanes. Its derivative in forward mode is in lanes too; where it is to be
+    `reversible`, derivatives are those of the function as it stands."""
 
     def wrapped(*args):
         leaves, tree = jax.tree.flatten(args)
         leaves = [jnp.asarray(x) for x in leaves]
         traced, out = jax.make_jaxpr(lambda *x: function(*tree.unflatten(x)), return_shape=True)(*leaves)
         open_jaxpr = traced.jaxpr.replace(constvars=[], invars=[*traced.jaxpr.constvars, *traced.jaxpr.invars])
-        results = _lanes_p.bind(*traced.consts, *leaves, jaxpr=ClosedJaxpr(open_jaxpr, []))
+        results = _lanes_p.bind(*traced.consts, *leaves, jaxpr=ClosedJaxpr(open_jaxpr, []), reversible=reversible)
         return jax.tree.unflatten(jax.tree.structure(out), results)
 
     return wrapped
@@ -65,13 +73,12 @@ batching.primitive_batchers[_any_p] = lambda args, axes: (_any_p.bind(jnp.any(ar
 
 _lanes_p = Primitive("in_lanes")
 _lanes_p.multiple_results = True
-_lanes_p.def_impl(lambda *args, jaxpr: jaxpr_as_fun(jaxpr)(*args))
-_lanes_p.def_abstract_eval(lambda *args, jaxpr: jaxpr.out_avals)
-mlir.register_lowering(_lanes_p, mlir.lower_fun(lambda *args, jaxpr: jaxpr_as_fun(jaxpr)(*args), multiple_results=True))
+_lanes_p.def_impl(lambda *args, jaxpr, reversible: jaxpr_as_fun(jaxpr)(*args))
+_lanes_p.def_abstract_eval(lambda *args, jaxpr, reversible: jaxpr.out_avals)
+mlir.register_lowering(_lanes_p, mlir.lower_fun(lambda *args, jaxpr, reversible: jaxpr_as_fun(jaxpr)(*args), multiple_results=True))
 
 
-def _jvp(primals, tangents, *, jaxpr):
-    """In lanes again."""
+def _jvp(primals, tangents, *, jaxpr, reversible):
     moved = [not isinstance(t, ad.Zero) for t in tangents]
     smooth = [jnp.issubdtype(aval.dtype, jnp.inexact) for aval in jaxpr.out_avals]
 
@@ -83,13 +90,14 @@ def _jvp(primals, tangents, *, jaxpr):
 
         return jax.jvp(of_moved, [p for m, p in zip(moved, primals, strict=True) if m], tangents, has_aux=True)
 
-    y, dy, others = in_lanes(pushed)(list(primals), [t for t in tangents if not isinstance(t, ad.Zero)])
+    push = pushed if reversible else in_lanes(pushed)
+    y, dy, others = push(list(primals), [t for t in tangents if not isinstance(t, ad.Zero)])
     y, dy, others = iter(y), iter(dy), iter(others)
     out = [next(y) if s else next(others) for s in smooth]
     return out, [next(dy) if s else ad.Zero(aval.to_tangent_aval()) for s, aval in zip(smooth, jaxpr.out_avals, strict=True)]
 
 
-def _batch(args, axes, *, jaxpr):
+def _batch(args, axes, *, jaxpr, reversible):
     """In chunks of LANES, so that memory does not grow with the batch."""
     on = [axis is not None for axis in axes]
     args = [jnp.moveaxis(x, axis, -1) if o else x for x, axis, o in zip(args, axes, on, strict=True)]

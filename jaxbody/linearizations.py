@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,6 +22,7 @@ from jaxbody.derivatives import damping, expansion, mass, stiffness
 from jaxbody.errors import JaxbodyError, Problem, Status
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.lanes import in_lanes
 from jaxbody.load_paths import stiffness_of_loads
 from jaxbody.loads import Load
 from jaxbody.mechanics import each_element, gravity_energy, potential
@@ -166,8 +168,13 @@ def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
 @filter_jit
 def _linearize(model: Model, state: State, status: Int[Array, ""], loads: tuple[Load, ...]) -> Linearization:
     n = model.layout.nv
-    M, C = mass(model, state.q), damping(model, state.q, state.v)
-    K, base = expansion(model, state.q, base=False)[2], stiffness(model, state.q)  # two, so that who needs K alone computes no more
+    numbers, rest = eqx.partition(model, eqx.is_array)
+
+    def of(function, *at):
+        return in_lanes(lambda numbers, *at: function(eqx.combine(numbers, rest), *at), reversible=True)(numbers, *at)
+
+    M, C, base = of(mass, state.q), of(damping, state.q, state.v), of(stiffness, state.q)
+    K = of(lambda model, q: expansion(model, q, base=False)[2], state.q)  # apart from `base`: who needs K alone computes no more
     return Linearization(
         M[:n, :n], C[:n, :n], K - _load_stiffness(model, state, loads), -M[:n, n:], -C[:n, n:], -base[:n, n:], M[n:, n:], C[n:, n:], base[n:, n:], status, state, model, loads
     )  # fmt: skip

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -23,6 +24,7 @@ from jaxbody.checks import check_attached, check_precision, check_state
 from jaxbody.derivatives import expansion
 from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.lanes import any_of_batch, in_lanes
 from jaxbody.laws import has_range
 from jaxbody.linear_solves import solve_if_definite
 from jaxbody.load_paths import Path, Raised, follow, residual, tangent, with_gravity
@@ -169,10 +171,7 @@ def under_loads(model: Model, start: Equilibrium, raised: Raised) -> Equilibrium
 
 def judged_at(model: Model, q, K, status, steps, raised: Raised, path: Path | None, factor) -> Equilibrium:
     """What stands at q, where the nondimensional K is: its stability, its derivative, what the springs do."""
-    values = jnp.linalg.eigvalsh(K)
-    tolerance = SINGULAR * jnp.max(jnp.abs(values), initial=0.0)
-    negative = jnp.sum(values < -tolerance)
-    singular = jnp.any(jnp.abs(values) <= tolerance)
+    negative, singular = signs(K)
     failed = status != Status.OK
     q = _implicit((model, raised), q, ~failed & ~singular)
     zero = jnp.zeros(model.layout.nv, q.dtype)
@@ -186,6 +185,19 @@ def judged_at(model: Model, q, K, status, steps, raised: Raised, path: Path | No
         ~failed & (negative == 0), status, steps, tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), model,
         raised.loads, factor, path,
     )  # fmt: skip
+
+
+def signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
+    """How many eigenvalues of K are negative, and whether one is zero; eigenvalues are asked for only where elimination finds K not definite."""
+
+    def by_eigenvalues():
+        values = jnp.linalg.eigvalsh(K)
+        tolerance = SINGULAR * jnp.max(jnp.abs(values), initial=0.0)
+        return jnp.sum(values < -tolerance), jnp.any(jnp.abs(values) <= tolerance)
+
+    largest = jnp.sqrt(jnp.sum(K * K))  # or more
+    _, definite = solve_if_definite(K - SINGULAR * largest * jnp.eye(len(K), dtype=K.dtype), jnp.zeros(len(K), K.dtype))
+    return jax.lax.cond(any_of_batch(~definite), by_eigenvalues, lambda: (jnp.zeros((), int), jnp.array(False)))
 
 
 def unloaded(dtype) -> Raised:
@@ -233,6 +245,11 @@ def _still(model: Model, dtype):
 
 def descend(model, q, scale, size, max_steps):
     """(q, K, converged, steps) by Newton's method with a shift that makes every step go down."""
+    numbers, rest = eqx.partition(model, eqx.is_array)
+    return in_lanes(lambda numbers, *given: _descend(eqx.combine(numbers, rest), *given))(numbers, q, scale, size, max_steps)
+
+
+def _descend(model, q, scale, size, max_steps):
 
     def step(carry):
         """Judge the configuration tried, keep the better one, try the next."""
@@ -259,7 +276,14 @@ def descend(model, q, scale, size, max_steps):
     n = len(scale)
     zero = jnp.zeros((), q.dtype)
     start = ((q, zero, jnp.zeros(n, q.dtype), jnp.zeros((n, n), q.dtype)), q, zero, zero, jnp.array(False), jnp.array(n == 0), jnp.array(0))
-    best, tried, _, _, _, done, steps = jax.lax.while_loop(lambda c: ~c[5] & (c[6] < max_steps), step, start)
+
+    def active(carry):
+        return ~carry[5] & (carry[6] < max_steps)
+
+    def masked(carry):
+        return jax.tree.map(lambda new, old: jnp.where(active(carry), new, old), step(carry), carry)
+
+    best, tried, _, _, _, done, steps = jax.lax.while_loop(lambda carry: any_of_batch(active(carry)), masked, start)
     return jnp.where(done, tried, best[0]), best[3], done, steps
 
 
