@@ -18,7 +18,7 @@ PACKAGE = Path(jb.__file__).parent
 
 # From the ground up; a module imports only from modules before it.
 ROWS = (
-    "errors tables results arrays exports",
+    "errors tables results arrays exports options compilations",
     "rotations frames linear_solves",
     "motions signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
     "kinematics mechanics dynamics derivatives",
