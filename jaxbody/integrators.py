@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from jaxbody.errors import JaxbodyError, Problem
 
 MOST_ITERATIONS = 100
-LOOKED_BACK = 4  # changes, as a force follows a place and a place a speed; in mixed units one may grow while the motion settles
+LOOKED_BACK = 5  # iterations, four apart, as a place follows a speed and a speed a force: in mixed units every other change is larger
 CONTRACTED = 1e-6  # of the first change, which the last one may be
 SQRT3, SQRT15 = 3**0.5, 15**0.5
 GAUSS = {
