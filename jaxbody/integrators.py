@@ -73,7 +73,7 @@ class Gauss(AbstractSolver):
             return terms.vf(t, y, args)
 
         def slopes(k: Float[Array, "stages ny"]) -> Float[Array, "stages ny"]:
-            return jax.vmap(slope)(t0 + c.astype(h.dtype) * h, y0 + h * weighted(A, k))
+            return jax.vmap(slope)(t0 + jnp.asarray(c, y0.dtype) * h, y0 + h * weighted(A, k))
 
         first = slope(t0, y0)
         k, settled = fixed_point(slopes, jnp.broadcast_to(first, (self.stages, *first.shape)))
