@@ -10,7 +10,7 @@ from jaxbody.equilibria import find_equilibria
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
 from jaxbody.identification import Fit, fit
-from jaxbody.integrators import Gauss
+from jaxbody.collocations import Gauss
 from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Joint, Translation
 from jaxbody.kinematics import retract
 from jaxbody.linearizations import excitation, linearize
