@@ -3,6 +3,8 @@
 from jaxbody import laws, presets, signals
 from jaxbody.bodies import Body, Support
 from jaxbody.cases import LoadCase, load_cases
+from jaxbody.collocations import Gauss
+from jaxbody.compilations import compile_times
 from jaxbody.contacts import Contact, Tyre
 from jaxbody.elements import Bushing, Element, Spring, SpringDamper
 from jaxbody.equilibria import find_equilibria
@@ -18,6 +20,7 @@ from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
 from jaxbody.naming import paths, replace
 from jaxbody.nonlinearities import backbones
+from jaxbody.options import fast_loops
 from jaxbody.preloads import preload
 from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure

@@ -106,6 +106,15 @@ def optimum(record):
     return minimum(lambda p: (independent(p)[0] - record) / NOISE, TRUTH)
 
 
+def test_other_data_and_another_start_compile_nothing(record):
+    fit(cart(), tracked(record))
+    guess = jb.replace(cart(), {"*.stiffness": 77.0})
+    with jb.compile_times() as spent:
+        other = fit(guess, tracked(1.01 * np.asarray(record)))
+    assert spent.count == 0, spent
+    assert other.ok
+
+
 METHODS = {
     "lbfgs": optax.lbfgs(),
     "adam": optax.adam(0.1),

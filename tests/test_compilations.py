@@ -1,0 +1,112 @@
+"""What is compiled is told; the option for fast loops is set when asked for, in time, and only where it is known."""
+
+import os
+import subprocess
+import sys
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import rigs
+
+import jaxbody as jb
+
+
+def run(program, **environment):
+    """What a fresh process prints."""
+    flags = {"XLA_FLAGS": "", **environment}
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300, env={**os.environ, **flags})
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_another_shape_or_option_is_another_program():
+    model, options = rigs.plate(), dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.01)
+    with jb.compile_times() as spent:
+        jb.simulate(model, np.linspace(0, 0.1, 6), solver=diffrax.Euler(), **options)
+    assert spent.programs["integrate"][3] == 1
+    assert all(seconds > 0 for seconds in spent.programs["integrate"][:3])
+    assert spent.count >= 1
+    assert spent.seconds < 60
+    assert "integrate" in repr(spent)
+    before = spent.count
+    jax.jit(lambda x: x * 3.25)(jnp.ones(7))
+    assert spent.count == before  # it listens inside the block only
+
+
+FAST = """
+import os
+import jax
+import jaxbody as jb
+print(jb.fast_loops(), jb.fast_loops(), os.environ["XLA_FLAGS"])
+import jax.numpy as jnp
+x = jax.lax.fori_loop(0, 100, lambda i, x: jnp.cos(x), jnp.ones(3000))
+print(abs(x - 0.7390851332).max() < 1e-6, jb.fast_loops())
+"""
+LATE = """
+import os
+import jax
+import jax.numpy as jnp
+import jaxbody as jb
+jnp.ones(3)
+try:
+    jb.fast_loops()
+except jb.JaxbodyError as error:
+    print(error.code, "before any array" in str(error), "threshold" in os.environ["XLA_FLAGS"])
+"""
+UNTESTED = """
+import os
+import warnings
+import jax
+import jaxlib.version
+jaxlib.version.__version__ = "0.99.1"
+import jaxbody as jb
+with warnings.catch_warnings(record=True) as told:
+    warnings.simplefilter("always")
+    print(jb.fast_loops(), [w.message.code for w in told], "threshold" in os.environ["XLA_FLAGS"])
+"""
+
+
+def test_fast_loops_are_set_once_beside_what_is_there():
+    held = "--xla_backend_extra_options="
+    flags = f"--xla_cpu_multi_thread_eigen=true {held}xla_cpu_disable_new_fusion_emitters=false"
+    told = run(FAST)
+    assert told == [f"True True {held}xla_cpu_small_while_loop_byte_threshold=100000000", "True True"]
+    assert told[0].split()[-1] == run(FAST, XLA_FLAGS="--xla_cpu_multi_thread_eigen=true")[0].split()[-1]
+    kept = run(FAST.split("import jax.numpy")[0], XLA_FLAGS=flags)[0]
+    assert kept.endswith(flags + ",xla_cpu_small_while_loop_byte_threshold=100000000")
+
+
+def test_fast_loops_come_too_late_after_the_first_array():
+    assert run(LATE) == ["TOO_LATE True False"]
+
+
+def test_fast_loops_leave_an_untested_version_alone():
+    assert run(UNTESTED) == ["False ['UNTESTED_JAXLIB'] False"]
+
+
+CACHED = """
+import sys
+import jax
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+import jaxbody as jb
+model = jb.presets.quarter_car()
+with jb.compile_times() as spent:
+    trajectory = jb.simulate(model, [0.0, 0.1])
+print(spent.cached, spent.count)
+"""
+
+
+@pytest.mark.long
+def test_programs_are_taken_from_the_persistent_cache(tmp_path):
+    """Where errors of equinox are off: their calls back into Python cannot be kept."""
+    runs = []
+    for _ in range(2):
+        program = CACHED.replace("sys.argv[1]", repr(str(tmp_path)))
+        runs.append([int(n) for n in run(program, EQX_ON_ERROR="nan")[0].split()])
+    assert runs[0][0] < runs[0][1]
+    assert runs[1][0] >= runs[1][1] > 0
