@@ -5,6 +5,7 @@ from jaxbody.bodies import Body, Support
 from jaxbody.cases import LoadCase, load_cases
 from jaxbody.contacts import Contact, Tyre
 from jaxbody.elements import Bushing, Element, Spring, SpringDamper
+from jaxbody.energies import mode_energies
 from jaxbody.equilibria import find_equilibria
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment

@@ -19,10 +19,10 @@ PACKAGE = Path(jb.__file__).parent
 # From the ground up; a module imports only from modules before it.
 ROWS = (
     "errors tables results arrays exports",
-    "rotations frames linear_solves",
+    "rotations frames linear_solves eigenproblems",
     "motions signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
     "kinematics mechanics dynamics derivatives",
-    "load_paths statics cases preloads equilibria linearizations vibrations nonlinearities simulations",
+    "load_paths statics cases preloads equilibria linearizations vibrations energies nonlinearities simulations",
     "sensors experiments parametrizations uncertainties identification",
     "plots demos",
 )
