@@ -188,3 +188,84 @@ def _natural_jvp(primals, tangents):
     W = shapes.T @ (dK @ shapes) - N * values
     gap = jnp.where(same, 1.0, values - values[:, None])
     return (values, shapes), (slopes(W, cluster), shapes @ jnp.where(same, -N / 2, W / gap))
+
+
+# Poles: eigenvalues of a matrix without symmetry
+
+PARALLEL = 1e-9  # what 1 - |x' y| of unit vectors of one cluster must exceed: else its matrix cannot be diagonalized
+
+
+def coincide(one: Complex[Array, "n"], other: Complex[Array, "n"]) -> Bool[Array, "n n"]:
+    """Whether two poles cannot be told apart; a double one that has but one vector splits by the root of rounding."""
+    top = jnp.max(jnp.abs(one), initial=0.0)
+    size = jnp.maximum(jnp.abs(one)[:, None], jnp.abs(other))
+    return jnp.abs(one[:, None] - other) <= CLUSTERED * size + CLUSTERED / 10 * top * (size <= CLUSTERED * top)
+
+
+def _one_sided_poles(W: Array, cluster: Array, order: Array) -> Array:
+    """Of each cluster the eigenvalues of its block of W, in order of their imaginary parts, given to its members in that order."""
+
+    def one(W, cluster, order):
+        B = jnp.where(together(cluster), W, 0.0)
+        size = 8 * jnp.max(jnp.sum(jnp.abs(B), -1), initial=0.0)
+        size = jnp.where(size > 0, size, 1.0)
+        found = jnp.linalg.eigvals(B + size * jnp.diag(cluster).astype(W.dtype))
+        label = jnp.round(found.real / size).astype(int)
+        found = (found - size * label)[jnp.lexsort((found.imag, label))]
+        members = jnp.lexsort((order, cluster))
+        return jnp.where(_alone(cluster), jnp.diagonal(W), jnp.zeros_like(found).at[members].set(found))
+
+    for _ in range(W.ndim - 2):
+        one = jax.vmap(one)
+    return one(W, cluster, order)
+
+
+def _second_of_poles(W: Array, cluster: Array, order: Array) -> Array:
+    return second(W, cluster)
+
+
+pole_slopes = linear_one_way("pole_slopes", _one_sided_poles, lambda x, cluster, order: _if_alike(x, cluster), again=_second_of_poles)
+
+
+@jax.custom_jvp
+def poles(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Array]:
+    """s and x (columns, unit length) of A x = s x, in the order in which LAPACK finds them; on the CPU."""
+    values, vectors = jnp.linalg.eig(A)
+    return values, vectors
+
+
+def pole_clusters(values: Complex[Array, "n"]) -> Int[Array, "n"]:
+    """Equal numbers for poles that coincide."""
+    return jnp.argmax(coincide(values, values), axis=0)
+
+
+@poles.defjvp
+def _poles_jvp(primals, tangents):
+    (A,), (dA,) = primals, tangents
+    s, X = poles(A)
+    left, Y = poles(A.T)
+    cluster = pole_clusters(s)
+    same = together(cluster)
+    overlap = jnp.abs(jnp.conj(X).T @ X) - 2 * jnp.eye(len(s), dtype=A.dtype)
+    defective = jnp.any(same & (overlap > 1 - PARALLEL), axis=0)  # its derivatives are infinite
+    match = coincide(left, s)
+    broken = jnp.any(match & defective, axis=1)
+    stand_in = (jnp.cumsum(broken)[:, None] == jnp.cumsum(defective)) & broken[:, None] & defective
+    G = jnp.where(match & ~defective & ~broken[:, None], Y.T @ X, stand_in)
+    W = jnp.linalg.solve(G, Y.T @ (dA @ X))
+    W = jnp.where(defective[:, None] | defective, 0.0, W)
+    gap = jnp.where(same, 1.0, s - s[:, None])
+    ds = pole_slopes(W, cluster, jax.lax.stop_gradient(s.imag))
+    ds = jnp.where(defective, jnp.nan, ds)
+    return (s, X), (ds, X @ jnp.where(same, 0.0, W / gap))
+
+
+@jax.custom_jvp
+def refused_if_shared(vectors: Array, cluster: Int[Array, "n"]) -> Array:
+    """The vectors, those of a cluster without derivatives (NaN)."""
+    return vectors
+
+
+@refused_if_shared.defjvp
+def _refused_if_shared_jvp(primals, tangents):
+    return refused_if_shared(*primals), jax.vmap(second_cotangent, in_axes=(0, None))(tangents[0], primals[1])

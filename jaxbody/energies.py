@@ -115,7 +115,7 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
 
     Axes are those of the world. Where `up` is known, given ("z") or from gravity along an axis, a mode along it is named bounce and about it yaw; with `forward` ("x")
     also fore-aft, lateral, roll and pitch. Where frequencies coincide the shares are means over their space, which have derivatives where single shapes have none.
-    Errors: BAD_DIRECTION, FLOAT32 unless `allow_float32`; warns as `modes` does. Source of the first: the modal kinetic energy of mount design, T. Iwahara, T. Sakai, SAE 1999-01-1841.
+    Errors: BAD_DIRECTION, FLOAT32 unless `allow_float32`; warns as `modes` does.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})

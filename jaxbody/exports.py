@@ -103,6 +103,43 @@ def modes_dataset(modes: Any) -> Any:
     return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(modes.layout.coordinates)}, "modes")
 
 
+def complex_modes_dataset(modes: Any) -> Any:
+    """frequencies, damping ratio, decay rate, poles and shapes by `mode` (from 1) and `coordinate`."""
+    variables = {
+        "frequency": (("mode",), modes.frequency, "Hz"),
+        "natural_frequency": (("mode",), modes.natural_frequency, "Hz"),
+        "damping_ratio": (("mode",), modes.damping_ratio, ""),
+        "decay_rate": (("mode",), modes.decay_rate, "1/s"),
+        "pole": (("mode", "pair"), modes.poles, "1/s"),
+        "shape": (("coordinate", "mode"), modes.shapes, "mass-normalized"),
+        "cluster": (("mode",), modes.cluster, ""),
+        "status": ((), modes.status, ""),
+    }
+    count = np.shape(modes.frequency)[-1]
+    return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(modes.layout.coordinates)}, "complex modes")
+
+
+def mode_energies_dataset(energies: Any) -> Any:
+    """Shares [%] by `mode` (from 1): kinetic by `body` and `direction`, strain and dissipation by `element`, strain of `other` kinds."""
+    variables = {
+        "frequency": (("mode",), energies.frequency, "Hz"),
+        "kinetic": (("body", "direction", "mode"), energies.kinetic_shares, "%"),
+        "strain": (("element", "mode"), energies.strain_shares, "%"),
+        "other_strain": (("other", "mode"), energies.other_shares, "%"),
+        "dissipation": (("element", "mode"), energies.dissipation_shares, "%"),
+        "status": ((), energies.status, ""),
+    }
+    model, count = energies.model, np.shape(energies.frequency)[-1]
+    coordinates = {
+        "mode": list(range(1, count + 1)),
+        "body": list(model.layout.bodies),
+        "direction": list(energies.directions),
+        "element": list(model.element_names),
+        "other": list(energies.other_strain),
+    }
+    return dataset(variables, coordinates, "energies of modes")
+
+
 def load_cases_dataset(cases: Any) -> Any:
     """By `case`: displacement and rotation by `body`, stroke and force by `spring` (of a bushing six each), status and load factor."""
     model = cases.unloaded.model

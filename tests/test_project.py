@@ -22,7 +22,7 @@ ROWS = (
     "rotations frames linear_solves eigenproblems",
     "motions signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
     "kinematics mechanics dynamics derivatives",
-    "load_paths statics cases preloads equilibria linearizations vibrations energies nonlinearities simulations",
+    "load_paths statics cases preloads equilibria linearizations vibrations energies elastic_axes spins complex_modes branches nonlinearities simulations",
     "sensors experiments parametrizations uncertainties identification",
     "plots demos",
 )
