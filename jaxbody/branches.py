@@ -25,14 +25,14 @@ from jaxbody.results import Result, warn_if_failed
 from jaxbody.spins import SpinLinearization
 from jaxbody.vibrations import Modes, modes
 
-LEAST_MAC = 0.5  # below it a mode is more something else than what it was at the value before
+LEAST_MAC = 0.8  # below it a mode may be another than at the value before
 
 
 class Branches(Result):
     """Modes along a parameter, each column one mode followed from the first value, where they ascend.
 
     `frequency` [Hz] (damped ones about a spin), `damping_ratio`, `shapes` (value, coordinate, mode), `order`: which of the ascending modes each is, `mac` of each with
-    itself at the value before. `status` of each value: LOST_BRANCH where one is below 0.5: give values in between; else that of its modes."""
+    itself at the value before. `status` of each value: LOST_BRANCH where one is below 0.8: give values in between; else that of its modes."""
 
     values: Float[Array, "k"]
     frequency: Float[Array, "k n"]
@@ -89,11 +89,11 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
     before is kept, so that crossings are followed and veerings seen as such. About a steady spin the modes are those of `complex_modes`. Differentiable where
     single modes are. Errors: BAD_SHAPE, NON_FINITE of values; warns LOST_BRANCH.
 
-    >>> def linearized(height):
-    ...     legs = {f"leg{x}": Bushing(("box", [x, 0, height]), ("world", [x, 0, height]), stiffness=[1e4, 1e4, 2e4]) for x in (-1.0, 1.0)}
-    ...     model = Model(bodies={"box": Body(mass=50.0, inertia=[4, 5, 6])}, elements=legs, joints={"box": HeavePitch("world")})
-    ...     return linearize(model, model.reference)
-    >>> track(linearized, [0.0, 0.1, 0.2]).order.tolist()
+    >>> car = jb.presets.half_car()
+    >>> def linearized(stiffness):
+    ...     model = replace(car, {"front spring.stiffness": stiffness})
+    ...     return linearize(model, equilibrium(model))
+    >>> track(linearized, [1.8e4, 2.2e4, 2.6e4]).order.tolist()
     [[0, 1], [0, 1], [0, 1]]
     """
     given = float_array(values, "track.values")

@@ -30,7 +30,7 @@ MOST_MODES = 12  # that a table has room for
 
 
 class ModeEnergies(Result):
-    """Shares in percent, a column for each mode, ascending. Those of modes whose frequencies coincide are the mean over their space, alike for each of them.
+    """Shares in percent, a column for each mode, ascending. Where frequencies coincide they are those of the sums over their space, alike for each mode of it.
 
     `kinetic` {body: (6, n)}: translation of the centre of mass and rotation, world axes; all sum to 100. `strain` {element: (n,)}: V''(e) de de; with `other_strain`,
     {"tension", "gravity", "loads"}: what tension, weights and loads add to K, the sum is 100 (NaN for a mode of zero frequency). `dissipation` {element: (n,)}:
@@ -114,7 +114,7 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
         dissipation  100 e_dot' R'' e_dot/(phi' C phi)
 
     Axes are those of the world. Where `up` is known, given ("z") or from gravity along an axis, a mode along it is named bounce and about it yaw; with `forward` ("x")
-    also fore-aft, lateral, roll and pitch. Where frequencies coincide the shares are means over their space, which have derivatives where single shapes have none.
+    also fore-aft, lateral, roll and pitch. Where frequencies coincide energies are summed over their space first: that has derivatives where single shapes have none.
     Errors: BAD_DIRECTION, FLOAT32 unless `allow_float32`; warns as `modes` does.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -123,7 +123,8 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
     ('mass bounce 100 %',)
     """
     check_precision("mode_energies", lin.model, needs_float64=not allow_float32)
-    result = _energies(lin, _directions(lin.model, forward, up))
+    directions = _directions(lin.model, forward, up)
+    result = ModeEnergies(*_energies(lin), lin.model, directions)
     warn_if_failed(result)
     return result
 
@@ -158,7 +159,7 @@ def _against_gravity(model: Model) -> str | None:
 
 
 @filter_jit
-def _energies(lin: Linearization, directions: tuple[str, ...]) -> ModeEnergies:
+def _energies(lin: Linearization) -> tuple[Array, ...]:
     found = _modes(lin)
     values, shapes = natural((lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2)
     cluster = clusters(values)
@@ -175,9 +176,9 @@ def _energies(lin: Linearization, directions: tuple[str, ...]) -> ModeEnergies:
     others = jnp.stack([strain - jnp.sum(elastic, 0) - gravity - loads, gravity, loads])
     top = jnp.max(jnp.abs(values), initial=0.0)
     stiff = jnp.where(jnp.abs(values) > ZERO * top, 1.0, jnp.nan)
-    return ModeEnergies(
+    return (
         found.frequency, share(kinetic, jnp.sum(kinetic, (0, 1)), 0.0), stiff * share(elastic, strain, 0.0), stiff * share(others, strain, 0.0),
-        share(loss, lost, LEAST_LOSS * jnp.max(jnp.abs(lost), initial=0.0)), cluster, found.status, lin.model, directions,
+        share(loss, lost, LEAST_LOSS * jnp.max(jnp.abs(lost), initial=0.0)), cluster, found.status,
     )  # fmt: skip
 
 
