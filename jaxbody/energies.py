@@ -95,7 +95,7 @@ class ModeEnergies(Result):
             "Dissipation [%]": {name: x for name, x in self.dissipation.items() if jnp.any(x > 0)},
         }
         shown = [
-            tables.Table(title, ("", *heads), [(name, *(f"{x:.2f}" for x in row)) for name, row in rows.items()])
+            tables.Table(title, ("", *heads), [(name, *(f"{round(float(x), 2) + 0.0:.2f}" for x in row)) for name, row in rows.items()])
             for title, rows in parts.items()
             if rows
         ]
@@ -124,7 +124,7 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
     """
     check_precision("mode_energies", lin.model, needs_float64=not allow_float32)
     directions = _directions(lin.model, forward, up)
-    result = ModeEnergies(*_energies(lin), lin.model, directions)
+    result = ModeEnergies(*_energies(lin), model=lin.model, directions=directions)
     warn_if_failed(result)
     return result
 

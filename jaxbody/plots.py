@@ -18,6 +18,8 @@ from jaxbody.frames import Pose
 from jaxbody.joints import Guide
 from jaxbody.kinematics import Coordinates, supports_at
 from jaxbody.linearizations import Linearization
+from jaxbody.mode_plots import plot_branches as plot_branches
+from jaxbody.mode_plots import plot_mode_energies as plot_mode_energies
 from jaxbody.models import WORLD, Model, State, unknown
 from jaxbody.simulations import Trajectory
 from jaxbody.statics import Equilibrium

@@ -24,7 +24,7 @@ ROWS = (
     "kinematics mechanics dynamics derivatives",
     "load_paths statics cases preloads equilibria linearizations vibrations energies elastic_axes spins complex_modes branches nonlinearities simulations",
     "sensors experiments parametrizations uncertainties identification",
-    "plots demos",
+    "mode_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
 
