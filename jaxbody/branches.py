@@ -43,6 +43,12 @@ class Branches(Result):
     status: Int[Array, "k"]
     layout: Layout = field(static=True)
 
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: frequency, damping ratio, MAC and shape by value and mode."""
+        from jaxbody.exports import branches_dataset
+
+        return branches_dataset(self)
+
     def _tables(self) -> list[tables.Table]:
         if self.frequency.ndim > 2 or not is_concrete(self.frequency) or self.frequency.shape[1] > 12:
             return [tables.Table("Branches", ("", ""), [("frequency [Hz]", self.frequency)])]

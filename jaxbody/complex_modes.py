@@ -14,7 +14,7 @@ from jaxbody.checks import check_precision
 from jaxbody.eigenproblems import pole_clusters, poles, refused_if_shared
 from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates, supports_at
-from jaxbody.linearizations import Linearization
+from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import Layout
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import cross
@@ -89,6 +89,8 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     >>> round(float(found.decay_rate[0]), 9), round(float(found.damping_ratio[0]), 9), round(float(found.frequency[0] * 2 * jnp.pi), 9)
     (3.0, 0.6, 4.0)
     """
+    if not isinstance(lin, SpinLinearization):
+        check_linearization(lin, "complex_modes")
     check_precision("complex_modes", lin.model, needs_float64=not allow_float32)
     spins = isinstance(lin, SpinLinearization)
     D = lin.C + lin.G if isinstance(lin, SpinLinearization) else lin.C

@@ -16,7 +16,7 @@ from jaxbody.eigenproblems import natural
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
 from jaxbody.joints import Free
 from jaxbody.kinematics import Coordinates, supports_at
-from jaxbody.linearizations import Linearization
+from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import unknown
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import cross, dot, rotate, rotate_back, skew
@@ -38,6 +38,12 @@ class ElasticAxes(Result):
     torsional_stiffness: Float[Array, "3"]
     status: Int[Array, ""]
     body: str = field(static=True)
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: direction, stiffness, point and pitch of each axis."""
+        from jaxbody.exports import elastic_axes_dataset
+
+        return elastic_axes_dataset(self)
 
     def _tables(self) -> list[tables.Table]:
         if self.stiffness.ndim > 1 or not is_concrete(self.stiffness):
@@ -106,6 +112,7 @@ def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     >>> axes.stiffness.tolist(), [round(float(x), 9) for x in axes.center]
     ([40000.0, 80000.0, 120000.0], [0.0, 0.0, -0.2])
     """
+    check_linearization(lin, "elastic_axes")
     check_precision("elastic_axes", lin.model)
     result = _elastic_axes(lin, _free(lin, body, "elastic_axes"))
     warn_if_failed(result)
@@ -127,6 +134,7 @@ def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAx
     >>> [round(float(x), 4) for x in axis.direction]
     [0.9445, 0.3279, -0.0191]
     """
+    check_linearization(lin, "torque_roll_axis")
     check_precision("torque_roll_axis", lin.model)
     problems = Problems()
     along = shaped(torque, (3,), "torque_roll_axis.torque", problems)

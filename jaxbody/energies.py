@@ -17,7 +17,7 @@ from jaxbody.eigenproblems import ZERO, averaged, clusters, natural
 from jaxbody.errors import Problems, is_concrete
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at
-from jaxbody.linearizations import Linearization
+from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.mechanics import each_element
 from jaxbody.models import Model
 from jaxbody.results import Result, warn_if_failed
@@ -122,6 +122,7 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
     >>> mode_energies(linearize(model, equilibrium(model)), up="y").names
     ('mass bounce 100 %',)
     """
+    check_linearization(lin, "mode_energies")
     check_precision("mode_energies", lin.model, needs_float64=not allow_float32)
     directions = _directions(lin.model, forward, up)
     result = ModeEnergies(*_energies(lin), model=lin.model, directions=directions)

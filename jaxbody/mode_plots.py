@@ -1,4 +1,4 @@
-"""Pictures of modes with matplotlib: where their energy is, as a heat map, and their frequencies along a parameter; `plots` holds them too."""
+"""Pictures of modes: where their energy is, as a heat map, and their frequencies along a parameter. `plots` holds them too."""
 
 from __future__ import annotations
 

@@ -10,6 +10,8 @@ E is how the chart turns with the motion (w x for a free body). It is steady whe
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from equinox import filter_jit
@@ -56,6 +58,12 @@ class SpinLinearization(Result):
         worst = int(jnp.argmax(jnp.abs(self.acceleration)))
         told = f"the largest change of speed is {float(self.acceleration[worst]):.3g} /s2 in '{self.coordinates[worst]}'"
         return told + "; spin a body about its axis of symmetry, in equilibrium, with nothing on it that turns with it or brakes it"
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: M, C, G and K by named coordinates."""
+        from jaxbody.exports import spin_dataset
+
+        return spin_dataset(self)
 
     def _tables(self) -> list[tables.Table]:
         heads = [str(i) for i in range(self.K.shape[-1])]

@@ -12,7 +12,7 @@ from jaxbody import tables
 from jaxbody.checks import check_precision
 from jaxbody.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.errors import Status, is_concrete
-from jaxbody.linearizations import Linearization
+from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import Layout
 from jaxbody.results import Result, warn_if_failed
 
@@ -81,6 +81,7 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     >>> round(float(found.frequency[0]), 6), round(float(found.damping_ratio[0]), 6)
     (0.795775, 0.1)
     """
+    check_linearization(lin, "modes")
     check_precision("modes", lin.model, needs_float64=not allow_float32)
     result = _modes(lin)
     warn_if_failed(result)

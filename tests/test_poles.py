@@ -386,3 +386,20 @@ def test_following_is_differentiable_and_tells_what_it_lost(crossing):
         found = jb.track(turned, [0.0, 0.4, 1.3])
     assert np.asarray(found.status).tolist() == [0, 0, int(Status.LOST_BRANCH)]
     assert refused(jb.track, turned, [[0.0]]) == "BAD_SHAPE" and refused(jb.track, turned, [0.0, np.nan]) == "NON_FINITE"
+
+
+def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
+    pytest.importorskip("xarray")
+    damped, energies, axes = jb.complex_modes(engine), jb.mode_energies(engine), jb.elastic_axes(engine, "engine")
+    followed = jb.track(crossing, np.linspace(100, 400, 7))
+    assert complex(damped.to_xarray()["pole"].sel(mode=2)[0]) == complex(damped.poles[1, 0])
+    share = energies.to_xarray()["kinetic"].sel(body="engine", direction="about x", mode=6)
+    assert float(share) == float(energies.kinetic["engine"][3, 5]) and share.attrs["units"] == "%"
+    assert float(axes.to_xarray()["stiffness"].sel(elastic_axis=3)) == float(axes.stiffness[2])
+    assert float(followed.to_xarray()["frequency"].sel(mode=1, value=100.0)) == float(followed.frequency[0, 0])
+    model = rotor()
+    spun = jb.linearize_spin(model, spinning(model, 80.0))
+    assert float(spun.to_xarray()["G"].sel(coordinate="disk turn about x", coordinate_2="disk turn about y")) == float(spun.G[3, 4])
+    for function in (jb.modes, jb.mode_energies, lambda lin: jb.elastic_axes(lin, "disk")):  # they would not see G
+        assert refused(function, spun) == "WRONG_KIND"
+    assert refused(jb.complex_modes, model) == "WRONG_KIND"
