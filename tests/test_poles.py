@@ -240,6 +240,7 @@ def test_a_rotor_on_a_hinge_of_a_carrier():
         assert abs(np.asarray(found.poles)[nearest, 0] - s) < 1e-10 * abs(s)
 
 
+@pytest.mark.long
 def test_a_top_that_hangs_is_followed_over_its_speed():
     """J w^2 -+ P W w - m g l = 0: equal frequencies at rest part, one forward, one backward."""
     body = jb.Body(mass=1.0, inertia=[0.1, 0.1, 0.15], com=[0, 0, -1])
@@ -275,6 +276,7 @@ def test_elastic_axes_are_what_they_are_defined_as(engine):
     assert apart(there, there.T) < 1e-9 * np.abs(K).max() and "torsional axis" in str(found)
 
 
+@pytest.mark.long
 def test_mounts_inclined_towards_a_point_decouple_there():
     """Two bushings, inclined by +-alpha at +-b, height 0 (focal mounts): coupling vanishes at the height
     b (kp - ks) sin cos/(kp sin^2 + ks cos^2) (Harris, ch. 3)."""
@@ -362,12 +364,15 @@ def test_modes_are_followed_through_crossings(crossing, values):
     assert np.asarray(found.mac).min() > 1 - 1e-9 and "least MAC" in str(found)
 
 
-def test_following_is_differentiable_and_tells_what_it_lost(crossing):
+def test_following_is_differentiable(crossing):
     k = jnp.array([100.0, 250.0, 350.0])
     rows = jax.jacrev(lambda k: jb.track(crossing, k).frequency)(k)
     slope = 1 / (4 * np.pi * np.sqrt(k))
     assert apart(rows[:, 0, :], np.diag(slope)) < 1e-12 and np.abs(rows[:, 1:]).max() == 0
 
+
+@pytest.mark.long
+def test_following_tells_what_it_lost():
     def turned(angle):
         """The frame of two springs turns under a mass while they stay different: a quarter turn changes one mode into the other."""
         ends = [jnp.stack([jnp.cos(angle + a), jnp.sin(angle + a), 0 * angle]) for a in (0.0, np.pi / 2)]
