@@ -85,14 +85,8 @@ class TorqueRollAxis(Result):
             ("frequency", self.frequency, "Hz"),
             ("coupling", self.coupling, "-"),
         ]
-        return [
-            tables.Table(
-                f"Torque roll axis of {self.body}",
-                ("", "", ""),
-                rows,
-                "" if is_concrete(self.status) and not self.status else self.report(),
-            )
-        ]
+        note = self.report() if is_concrete(self.status) and np.any(self.status) else ""
+        return [tables.Table(f"Torque roll axis of {self.body}", ("quantity", "value", "unit"), rows, note)]
 
 
 def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
