@@ -2,11 +2,15 @@
 
 from jaxbody import laws, presets, signals
 from jaxbody.bodies import Body, Support
+from jaxbody.branches import mac, track
 from jaxbody.cases import LoadCase, load_cases
 from jaxbody.collocations import Gauss
 from jaxbody.compilations import compile_times
+from jaxbody.complex_modes import complex_modes, whirl
 from jaxbody.contacts import Contact, Tyre
+from jaxbody.elastic_axes import elastic_axes, torque_roll_axis
 from jaxbody.elements import Bushing, Element, Spring, SpringDamper
+from jaxbody.energies import mode_energies
 from jaxbody.equilibria import find_equilibria
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
@@ -25,6 +29,7 @@ from jaxbody.preloads import preload
 from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure
 from jaxbody.simulations import simulate
+from jaxbody.spins import linearize_spin
 from jaxbody.statics import equilibrium
 from jaxbody.torsions import AntiRollBar, Torsion
 from jaxbody.vibrations import modes

@@ -105,6 +105,8 @@ class Status(enum.IntEnum):
     UNBALANCED = 14
     NEGATIVE_LENGTH = 15
     INTERNAL_RESONANCE = 16
+    NOT_STEADY = 17
+    LOST_BRANCH = 18
 
 
 MESSAGES = {
@@ -125,6 +127,8 @@ MESSAGES = {
     Status.UNBALANCED: "the free lengths cannot balance the pose",
     Status.NEGATIVE_LENGTH: "a free length would have to be negative",
     Status.INTERNAL_RESONANCE: "the frequency of a mode, or its double, is another's too: it does not move alone",
+    Status.NOT_STEADY: "the motion is not steady: its speeds change, or small motions about it see matrices that do",
+    Status.LOST_BRANCH: "a mode changed too much from one value to the next to be followed",
 }
 
 

@@ -103,6 +103,81 @@ def modes_dataset(modes: Any) -> Any:
     return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(modes.layout.coordinates)}, "modes")
 
 
+def complex_modes_dataset(modes: Any) -> Any:
+    """frequencies, damping ratio, decay rate, poles and shapes by `mode` (from 1) and `coordinate`."""
+    variables = {
+        "frequency": (("mode",), modes.frequency, "Hz"),
+        "natural_frequency": (("mode",), modes.natural_frequency, "Hz"),
+        "damping_ratio": (("mode",), modes.damping_ratio, ""),
+        "decay_rate": (("mode",), modes.decay_rate, "1/s"),
+        "pole": (("mode", "pair"), modes.poles, "1/s"),
+        "shape": (("coordinate", "mode"), modes.shapes, "mass-normalized"),
+        "cluster": (("mode",), modes.cluster, ""),
+        "status": ((), modes.status, ""),
+    }
+    count = np.shape(modes.frequency)[-1]
+    return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(modes.layout.coordinates)}, "complex modes")
+
+
+def mode_energies_dataset(energies: Any) -> Any:
+    """Shares [%] by `mode` (from 1): kinetic by `body` and `direction`, strain and dissipation by `element`, strain of `other` kinds."""
+    variables = {
+        "frequency": (("mode",), energies.frequency, "Hz"),
+        "kinetic": (("body", "direction", "mode"), energies.kinetic_shares, "%"),
+        "strain": (("element", "mode"), energies.strain_shares, "%"),
+        "other_strain": (("other", "mode"), energies.other_shares, "%"),
+        "dissipation": (("element", "mode"), energies.dissipation_shares, "%"),
+        "status": ((), energies.status, ""),
+    }
+    model, count = energies.model, np.shape(energies.frequency)[-1]
+    coordinates = {
+        "mode": list(range(1, count + 1)),
+        "body": list(model.layout.bodies),
+        "direction": list(energies.directions),
+        "element": list(model.element_names),
+        "other": list(energies.other_strain),
+    }
+    return dataset(variables, coordinates, "energies of modes")
+
+
+def elastic_axes_dataset(axes: Any) -> Any:
+    """Directions, stiffness, points and pitch by `elastic_axis` (from 1, the softest first) and `axis`."""
+    variables = {
+        "center": (("axis",), axes.center, "m"),
+        "direction": (("axis", "elastic_axis"), axes.directions, ""),
+        "stiffness": (("elastic_axis",), axes.stiffness, "N/m"),
+        "point": (("elastic_axis", "axis"), axes.points, "m"),
+        "pitch": (("elastic_axis",), axes.pitch, "m"),
+        "torsional_direction": (("axis", "elastic_axis"), axes.torsional_directions, ""),
+        "torsional_stiffness": (("elastic_axis",), axes.torsional_stiffness, "N m/rad"),
+        "status": ((), axes.status, ""),
+    }
+    return dataset(variables, {"axis": AXES, "elastic_axis": [1, 2, 3]}, f"elastic axes of {axes.body}")
+
+
+def spin_dataset(lin: Any) -> Any:
+    """M, C, G, K and the centrifugal part of K by `coordinate` and `coordinate_2`."""
+    units = {"M": "kg, kg m, kg m2", "C": "N s/m, N s, N m s", "G": "N s/m, N s, N m s", "K": "N/m, N, N m", "K_centrifugal": "N/m, N, N m"}
+    variables: dict[str, Any] = {name: (("coordinate", "coordinate_2"), getattr(lin, name), unit) for name, unit in units.items()}
+    names = list(lin.coordinates)
+    return dataset(variables | {"status": ((), lin.status, "")}, {"coordinate": names, "coordinate_2": names}, "linearization about a spin")
+
+
+def branches_dataset(branches: Any) -> Any:
+    """frequency, damping ratio, MAC, order and shape by `value` and `mode` (from 1)."""
+    variables = {
+        "frequency": (("value", "mode"), branches.frequency, "Hz"),
+        "damping_ratio": (("value", "mode"), branches.damping_ratio, ""),
+        "mac": (("value", "mode"), branches.mac, ""),
+        "order": (("value", "mode"), branches.order, ""),
+        "shape": (("value", "coordinate", "mode"), branches.shapes, "mass-normalized"),
+        "status": (("value",), branches.status, ""),
+    }
+    count = np.shape(branches.frequency)[-1]
+    coordinates = {"value": np.asarray(branches.values), "mode": list(range(1, count + 1)), "coordinate": list(branches.layout.coordinates)}
+    return dataset(variables, coordinates, "branches")
+
+
 def load_cases_dataset(cases: Any) -> Any:
     """By `case`: displacement and rotation by `body`, stroke and force by `spring` (of a bushing six each), status and load factor."""
     model = cases.unloaded.model

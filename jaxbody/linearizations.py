@@ -113,6 +113,14 @@ class Linearization(Result):
         return shown
 
 
+def check_linearization(lin: Any, where: str) -> None:
+    """Small motions about rest: of another kind, such as those about a spin, not all would be seen."""
+    if not isinstance(lin, Linearization):
+        told = f"is a {type(lin).__name__}"
+        hint = "Give linearize(model, equilibrium(model)); for what linearize_spin gives, complex_modes."
+        raise JaxbodyError(Problem("WRONG_KIND", f"{where}.lin", told, lin, "a Linearization", hint))
+
+
 def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     """M, C, K and the blocks towards the supports, at an equilibrium or any state, supports at their reference poses.
 

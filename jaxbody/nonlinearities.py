@@ -32,6 +32,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_precision
+from jaxbody.eigenproblems import ZERO
 from jaxbody.errors import MESSAGES, Status, is_concrete
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at
@@ -41,7 +42,7 @@ from jaxbody.models import Layout, Model
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import rotate, rotate_back
 from jaxbody.statics import scale_of, size_of
-from jaxbody.vibrations import ZERO, _modes
+from jaxbody.vibrations import _modes
 
 RESONANT = 1e-3  # relative distance of w_j^2 from 4 w^2 below which mode j answers the second harmonic without bound
 COUPLED = 1e-9  # nondimensional force on a mode, above rounding, that makes it answer

@@ -12,14 +12,18 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import filter_jit
 
+from jaxbody.complex_modes import ComplexModes
 from jaxbody.elements import LineElement
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.frames import Pose
 from jaxbody.joints import Guide
 from jaxbody.kinematics import Coordinates, supports_at
 from jaxbody.linearizations import Linearization
+from jaxbody.mode_plots import plot_branches as plot_branches
+from jaxbody.mode_plots import plot_mode_energies as plot_mode_energies
 from jaxbody.models import WORLD, Model, State, unknown
 from jaxbody.simulations import Trajectory
+from jaxbody.spins import SpinLinearization
 from jaxbody.statics import Equilibrium
 from jaxbody.vibrations import Modes
 
@@ -173,15 +177,19 @@ def draw_model(
     return ax
 
 
-def draw_mode(lin: Linearization, modes: Modes, number: int = 1, *, view: str | None = None, ax: Any = None) -> Any:
-    """Mode `number` (from 1, ascending) in both extremes over the state at rest; the amplitude is an eighth of the model's size."""
+def draw_mode(
+    lin: Linearization | SpinLinearization, modes: Modes | ComplexModes, number: int = 1, *, view: str | None = None, ax: Any = None
+) -> Any:
+    """Mode `number` (from 1, ascending) in both extremes over the state at rest; the amplitude is an eighth of the model's size.
+
+    A complex mode is drawn where its largest component is extreme."""
     model, count = lin.model, modes.frequency.shape[0]
     if not 1 <= number <= count:
         raise JaxbodyError(
             Problem("UNKNOWN_MODE", "draw_mode.number", f"is {number}; there are modes 1 to {count}", number, f"1 to {count}")
         )
     ax = _axes(ax, 5.0, 4.0)
-    shape = np.asarray(modes.shapes)[:, number - 1]
+    shape = np.real(np.asarray(modes.shapes)[:, number - 1])
     still = np.zeros((len(model.layout.supports), 6))
     q = lin.state.q
     rest = Scene(model, _poses_at(model, q, 0 * shape, still))

@@ -4,27 +4,28 @@ from __future__ import annotations
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from equinox import field, filter_jit
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_precision
+from jaxbody.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.errors import Status, is_concrete
-from jaxbody.linearizations import Linearization
+from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import Layout
 from jaxbody.results import Result, warn_if_failed
 
-ZERO = 1e-10  # eigenvalues, relative to the largest, that count as zero
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
-CLUSTERED = 1e-6  # relative distance of squared frequencies below which branches cannot be told apart
 
 
 class Modes(Result):
     """Natural modes, ascending: `frequency` [Hz], `shapes` (columns, phi' M phi = 1, largest component positive), `damping_ratio`, `eigenvalues` w^2
-    [rad2/s2], and `cluster`, equal numbers for frequencies that coincide: their branches have no derivatives of their own, only
-    sums over the cluster do. A negative eigenvalue has frequency NaN and status UNSTABLE, a zero one 0 and SINGULAR_K."""
+    [rad2/s2], and `cluster`, equal numbers for frequencies that coincide. A negative eigenvalue has frequency NaN and status UNSTABLE, a zero one 0 and SINGULAR_K.
+
+    Modes that coincide have no shapes of their own, only a space: `shapes` are some basis of it, and each has the mean of their damping ratios. The frequency
+    of one has a derivative to each side: `jax.jvp` and `jacfwd` give the one along the direction, while `jax.grad` gives NaN for it, as for what is made of one shape.
+    Sums over a cluster, and what depends on its space alone, have their derivatives in both; second derivatives are those of modes that are alone."""
 
     frequency: Float[Array, "nv"]
     shapes: Float[Array, "nv nv"]
@@ -80,6 +81,7 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     >>> round(float(found.frequency[0]), 6), round(float(found.damping_ratio[0]), 6)
     (0.795775, 0.1)
     """
+    check_linearization(lin, "modes")
     check_precision("modes", lin.model, needs_float64=not allow_float32)
     result = _modes(lin)
     warn_if_failed(result)
@@ -88,24 +90,17 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
 
 @filter_jit
 def _modes(lin: Linearization) -> Modes:
-    M, K = (lin.M + lin.M.T) / 2, (lin.K + lin.K.T) / 2
-    L = jnp.linalg.cholesky(M)
-    half = jax.scipy.linalg.solve_triangular(L, K, lower=True)
-    A = jax.scipy.linalg.solve_triangular(L, half.T, lower=True)
-    values, vectors = jnp.linalg.eigh((A + A.T) / 2)
-    shapes = jax.scipy.linalg.solve_triangular(L, vectors, lower=True, trans=1)
-    largest = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=0)[None], 0)
-    shapes = shapes * jnp.where(largest < 0, -1.0, 1.0)
+    values, shapes = natural((lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2)
+    cluster = clusters(values)
     top = jnp.max(jnp.abs(values), initial=0.0)
     positive, negative = values > ZERO * top, values < -ZERO * top
     w = jnp.sqrt(jnp.where(positive, values, 1.0))
     frequency = jnp.where(positive, w / (2 * jnp.pi), jnp.where(negative, jnp.nan, 0.0))
-    damping = jnp.where(positive, jnp.sum(shapes * (lin.C @ shapes), 0) / (2 * w), jnp.nan)
-    apart = jnp.concatenate([jnp.zeros(1, bool), jnp.diff(values) > CLUSTERED * jnp.abs(values[1:]) + ZERO * top])
+    damping = jnp.where(positive, averaged(jnp.sum(shapes * (lin.C @ shapes), 0), cluster) / (2 * w), jnp.nan)
     here = jnp.select([negative.any(), (~positive).any()], [Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value)
     skew = jnp.max(jnp.abs(lin.K - lin.K.T), initial=0.0) > SYMMETRIC * jnp.max(jnp.abs(lin.K), initial=0.0)
     frequency = jnp.where(skew, jnp.nan, frequency)
     here = jnp.where(skew, Status.NOT_SYMMETRIC.value, here)
     failed = jnp.isin(lin.status, jnp.array([Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT]))
     status = jnp.where(failed, lin.status, here)
-    return Modes(frequency, shapes, damping, values, jnp.cumsum(apart), status, lin.model.layout)
+    return Modes(frequency, refused_in_clusters(shapes, cluster), damping, values, cluster, status, lin.model.layout)

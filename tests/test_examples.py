@@ -174,3 +174,17 @@ def test_the_cabinet_on_an_air_spring(monkeypatch):
     assert names["run"].ok
     gas, linear = names["peaks"](names["run"]), names["peaks"](names["linear"])
     assert -gas[0] < -linear[0] and gas[1] > linear[1]  # it stiffens when pressed, softens when drawn
+
+
+@pytest.mark.long
+def test_the_modes_of_the_engine(monkeypatch):
+    """The published energies are asserted in the script; a torque of the crankshaft excites one mode alone where it is decoupled."""
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names, printed = run("mode_energies.py")
+    assert "6: engine roll 79 %" in printed and "Torque roll axis of engine" in printed
+    lin, n = names["decoupled"], np.asarray(names["axis"].direction)
+    torque, phi = np.array([0, 0, 0, 1.0, 0, 0]), np.asarray(names["better"].kinetic["engine"])
+    assert np.sort(phi[3])[-1] > 99.9
+    moved = np.linalg.solve(np.asarray(lin.K), torque)  # without inertia too it turns about the torque roll axis
+    assert np.linalg.norm(np.cross(moved[3:], n)) < 0.01 * np.linalg.norm(moved[3:])
+    assert names["branches"].ok.all()

@@ -19,12 +19,13 @@ PACKAGE = Path(jb.__file__).parent
 # From the ground up; a module imports only from modules before it.
 ROWS = (
     "errors tables results arrays exports options compilations",
-    "rotations frames linear_solves lanes integrators",
+    "rotations frames linear_solves eigenproblems lanes integrators",
     "motions signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
     "kinematics mechanics dynamics derivatives",
-    "load_paths statics cases preloads equilibria linearizations vibrations nonlinearities collocations simulations",
+    "load_paths statics cases preloads equilibria linearizations vibrations energies elastic_axes spins complex_modes branches",
+    "nonlinearities collocations simulations",
     "sensors experiments parametrizations uncertainties identification",
-    "plots demos",
+    "mode_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
 
