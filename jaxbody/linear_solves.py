@@ -22,8 +22,8 @@ def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Flo
         return jax.scipy.linalg.cho_solve((factor, True), b), jnp.isfinite(factor).all()
     Ab = jnp.concatenate([A, b[:, None]], -1)
     pivots = []
-    for i in range(n):  # Gauss-Jordan: clear column i from all other rows
-        pivots.append(Ab[i, i])
-        row = Ab[i] / Ab[i, i]
-        Ab = jnp.where((jnp.arange(n) == i)[:, None], row, Ab - Ab[:, i][:, None] * row)
-    return Ab[:, -1], jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)
+    for i in range(n):  # Gauss-Jordan: clear the first column from all rows but i, and let it go
+        pivots.append(Ab[i, 0])
+        row = Ab[i, 1:] / Ab[i, 0]
+        Ab = jnp.where((jnp.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row)
+    return Ab[:, 0], jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)
