@@ -8,6 +8,7 @@ from jaxbody.elements import Bushing, Element, Spring, SpringDamper
 from jaxbody.equilibria import find_equilibria
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
+from jaxbody.frequency_responses import frequency_response
 from jaxbody.identification import Fit, fit
 from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Joint, Translation
 from jaxbody.kinematics import retract
@@ -18,6 +19,7 @@ from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
 from jaxbody.naming import paths, replace
 from jaxbody.nonlinearities import backbones
+from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
 from jaxbody.preloads import preload
 from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure

@@ -105,6 +105,10 @@ class Status(enum.IntEnum):
     UNBALANCED = 14
     NEGATIVE_LENGTH = 15
     INTERNAL_RESONANCE = 16
+    DEFECTIVE = 20
+    IMPROPER = 21
+    COARSE = 22
+    NOT_POSITIVE = 23
 
 
 MESSAGES = {
@@ -125,6 +129,10 @@ MESSAGES = {
     Status.UNBALANCED: "the free lengths cannot balance the pose",
     Status.NEGATIVE_LENGTH: "a free length would have to be negative",
     Status.INTERNAL_RESONANCE: "the frequency of a mode, or its double, is another's too: it does not move alone",
+    Status.DEFECTIVE: "modes coincide: their sum has lost its digits",
+    Status.IMPROPER: "an output needs a derivative of an input",
+    Status.COARSE: "the frequencies are too far apart for what lies between them",
+    Status.NOT_POSITIVE: "the matrix of power spectral densities is not positive semidefinite",
 }
 
 

@@ -22,7 +22,7 @@ ROWS = (
     "rotations frames linear_solves",
     "motions signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
     "kinematics mechanics dynamics derivatives",
-    "load_paths statics cases preloads equilibria linearizations vibrations nonlinearities simulations",
+    "load_paths statics cases preloads equilibria ports state_spaces linearizations vibrations nonlinearities frequency_responses simulations",
     "sensors experiments parametrizations uncertainties identification",
     "plots demos",
 )
