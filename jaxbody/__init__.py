@@ -21,9 +21,13 @@ from jaxbody.naming import paths, replace
 from jaxbody.nonlinearities import backbones
 from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
 from jaxbody.preloads import preload
+from jaxbody.random_responses import random_response
+from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure
 from jaxbody.simulations import simulate
+from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.statics import equilibrium
 from jaxbody.torsions import AntiRollBar, Torsion
 from jaxbody.vibrations import modes
+from jaxbody.weightings import weighted, weighted_signal, weighting

@@ -121,7 +121,7 @@ def frequency_response(
     check_precision("frequency_response", lin.model)
     f = check_frequencies(frequencies, "frequency_response.frequencies")
     (u, ins, u_units), (y, outs, y_units) = check_ports(lin, inputs, outputs, "frequency_response")
-    eta = _loss_factors(loss_factor, lin.model)
+    eta = check_loss_factors(loss_factor, lin.model, "frequency_response.loss_factor")
     if method not in METHODS:
         problems = Problems()
         problems.add("BAD_METHOD", "frequency_response.method", f"is {method!r}", value=method, limit=" ".join(METHODS))
@@ -146,11 +146,10 @@ def check_frequencies(given: Any, where: str) -> Float[Array, "nf"]:
     return device_array(array)
 
 
-def _loss_factors(given: Any, model: Model) -> Float[Array, "ne"] | None:
+def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne"] | None:
     if given is None:
         return None
     problems, names = Problems(), model.element_names
-    where = "frequency_response.loss_factor"
     for name in given if isinstance(given, dict) else ():
         if name not in names:
             problems.found.append(unknown(name, where, names))

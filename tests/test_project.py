@@ -22,9 +22,9 @@ ROWS = (
     "rotations frames linear_solves",
     "motions signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
     "kinematics mechanics dynamics derivatives",
-    "load_paths statics cases preloads equilibria ports state_spaces linearizations vibrations nonlinearities frequency_responses simulations",
+    "load_paths statics cases preloads equilibria ports state_spaces linearizations vibrations nonlinearities spectra road_spectra frequency_responses random_responses weightings simulations",
     "sensors experiments parametrizations uncertainties identification",
-    "plots demos",
+    "plots response_plots demos",
 )
 LAYERS = " ".join(ROWS).split()
 
