@@ -126,7 +126,7 @@ def frequency_response(
         problems = Problems()
         problems.add("BAD_METHOD", "frequency_response.method", f"is {method!r}", value=method, limit=" ".join(METHODS))
         problems.raise_if_any()
-    values, status = _frequency_response(lin, f, ins, outs, eta, method)
+    values, status = response_values(lin, f, wired(lin, ins, outs), eta, method)
     result = FrequencyResponse(f, values, status, u, y, u_units, y_units)
     warn_if_failed(result)
     return result
@@ -163,10 +163,6 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
 
 
 @filter_jit
-def _frequency_response(lin: Linearization, f, inputs: tuple, outputs: tuple, eta, method: str):
-    return response_values(lin, f, wired(lin, inputs, outputs), eta, method)
-
-
 def response_values(lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, eta: Float[Array, "ne"] | None, method: str = "direct"):
     """(values (ny, nu, nf), status)."""
     nv = lin.M.shape[-1]

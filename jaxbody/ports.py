@@ -150,9 +150,6 @@ class ElementForce(eqx.Module):
     on: str = eqx.field(static=True)
     component: int | None = eqx.field(static=True, default=None)
 
-    def reading(self, model: Model, frames: Frame) -> Float[Array, ""]:
-        return _component(self, model).force(*_ends(self, model, frames)).reshape(-1)[self.component or 0]
-
     def unit_on(self, model: Model) -> str:
         return "N m" if _turning(self, model) else "N"
 
@@ -170,10 +167,6 @@ class ElementDeformation(eqx.Module):
 
     on: str = eqx.field(static=True)
     component: int | None = eqx.field(static=True, default=None)
-
-    def reading(self, model: Model, frames: Frame) -> Float[Array, ""]:
-        poses = (frame.pose() for frame in _ends(self, model, frames))
-        return _component(self, model).deformation(*poses).reshape(-1)[self.component or 0]
 
     def unit_on(self, model: Model) -> str:
         return "rad" if _turning(self, model) else "m"
@@ -225,6 +218,7 @@ class Wiring(eqx.Module):
     reactions: tuple[int, ...] = eqx.field(static=True)
 
 
+@eqx.filter_jit
 def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiring:
     """The matrices of these ports on a linearization."""
     model, layout, q = lin.model, lin.model.layout, lin.state.q
@@ -243,7 +237,18 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
         moving = frames(x, rate)
         return [port.reading(model, moving) for port in outputs if hasattr(port, "reading")]
 
+    def deformations(x):
+        moving = frames(x, zero)
+        return {
+            name: jnp.reshape(model[name].deformation(*(moving[layout.frame(end)].pose() for end in model[name].between)), -1)
+            for name in bent
+        }
+
     jacobians, slopes = iter(jax.jacfwd(speeds)(zero)), iter(jax.jacfwd(readings, (0, 1))(zero, zero))
+    bent = {port.on for port in outputs if isinstance(port, ElementForce | ElementDeformation)}
+    bending, deformed = jax.jacfwd(lambda x: (deformations(x),) * 2, has_aux=True)(zero)
+    turned = any(isinstance(port, SupportReaction) and len(port.direction) == 2 for port in outputs)
+    held = slope(model, q)[layout.nv :] if turned else zero
     whole = whole_matrices(lin)
     forces = [next(jacobians) if isinstance(port, PointForce) else zero for port in inputs]
     F = jnp.stack(forces, 1)
@@ -257,7 +262,12 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
         elif isinstance(port, SupportReaction):
             unit = jnp.concatenate([jnp.zeros(layout.nv, dtype), _unit(layout, port, dtype)])
             K, C, M = (unit @ matrix for matrix in whole)
-            row, G = -jnp.stack([K + _turned_moment(model, q, port), C, M]), unit @ F
+            row, G = -jnp.stack([K + _turned_moment(layout, held, port), C, M]), unit @ F
+        elif isinstance(port, ElementForce):
+            e, i = deformed[port.on], port.component or 0
+            row = jnp.stack([k[i] @ bending[port.on] for k in _rates_of_force(model[port.on], e)] + [zero])
+        elif isinstance(port, ElementDeformation):
+            row = jnp.stack([bending[port.on][port.component or 0], zero, zero])
         else:
             row = jnp.stack([*next(slopes), zero])
         rows.append(row)
@@ -321,23 +331,23 @@ def _unit(layout, port: Any, dtype) -> Float[Array, "nxi"]:
     return jnp.zeros(layout.nxi, dtype).at[_place(layout, port)].set(1.0)
 
 
-def _turned_moment(model: Model, q, port: SupportReaction) -> Float[Array, "n"]:
+def _turned_moment(layout, held: Float[Array, "nxi"], port: SupportReaction) -> Float[Array, "n"]:
     """phi x m/2: the moment m of the equilibrium is dV/dphi for a rotation vector phi = 0 only; further on m = J(phi)^-T dV/dphi."""
-    layout = model.layout
-    first = layout.nv + 6 * layout.supports.index(port.on) + 3
-    row = jnp.zeros(layout.nv + layout.nxi, q.dtype)
+    first = 6 * layout.supports.index(port.on) + 3
+    row = jnp.zeros(layout.nv + layout.nxi, held.dtype)
     if len(port.direction) == 1:
         return row
-    m = slope(model, q)[first : first + 3]
-    return row.at[first : first + 3].set(-rotations.skew(m)[DIRECTIONS.index(port.direction) - 3] / 2)
+    turned = -rotations.skew(held[first : first + 3])[DIRECTIONS.index(port.direction) - 3] / 2
+    return row.at[layout.nv + first : layout.nv + first + 3].set(turned)
 
 
-def _component(port: Any, model: Model) -> Element:
-    return model[port.on]
-
-
-def _ends(port: Any, model: Model, frames: Frame) -> list[Frame]:
-    return [frames[model.layout.frame(end)] for end in model[port.on].between]
+def _rates_of_force(element: Element, e: Float[Array, "k"]) -> tuple[Float[Array, "k k"], Float[Array, "k k"]]:
+    """V''(e) and R''(e, 0)."""
+    k = e.shape[0]
+    e = e if element.size > 1 else e[0]
+    stiffness = jax.hessian(element.energy)(e)
+    damping = jax.jacfwd(lambda rate: element.damping_force(e, rate))(jnp.zeros_like(e))
+    return stiffness.reshape(k, k), damping.reshape(k, k)
 
 
 def _turning(port: Any, model: Model) -> bool:

@@ -18,7 +18,7 @@ from jaxbody.errors import JaxbodyError, Problems, Status, is_concrete
 from jaxbody.frequency_responses import check_frequencies, check_loss_factors, response_values
 from jaxbody.linearizations import Linearization
 from jaxbody.models import unknown
-from jaxbody.ports import KINDS, UNITS, check_ports, wired
+from jaxbody.ports import KINDS, UNITS, Wiring, check_ports, wired
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.spectra import Band, CrossPSD, Spectrum, check_spectra, trapezoids
 
@@ -96,7 +96,7 @@ def random_response(
         _check_band(f)
         weights, coarse = trapezoids(f)
     eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor")
-    psd, rms, status = _random_response(lin, f, weights, coarse, ins, outs, names, spectra, eta)
+    psd, rms, status = _random_response(lin, f, weights, coarse, wired(lin, ins, outs), ins, names, spectra, eta)
     result = RandomResponse(f, psd, rms, weights, coarse, status, y, y_units)
     warn_if_failed(result)
     return result
@@ -116,8 +116,8 @@ def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
 
 
 @filter_jit
-def _random_response(lin: Linearization, f, weights, coarse, inputs, outputs, names, spectra, eta):
-    H, status = response_values(lin, f, wired(lin, inputs, outputs), eta)
+def _random_response(lin: Linearization, f, weights, coarse, wiring: Wiring, inputs: tuple, names, spectra, eta):
+    H, status = response_values(lin, f, wiring, eta)
     each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
     S = jnp.stack([each[name](f) * (2 * jnp.pi * f) ** _order(each[name], port) for name, port in zip(names, inputs, strict=True)])
     if isinstance(spectra, CrossPSD):

@@ -51,7 +51,7 @@ class StateSpace(Result):
 def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
     """See `Linearization.state_space`."""
     (u, ins, u_units), (y, outs, y_units) = check_ports(lin, inputs, outputs, "state_space")
-    A, B, C, D, status = _state_space(lin, ins, outs)
+    A, B, C, D, status = _state_space(lin, wired(lin, ins, outs))
     own = lin.model.layout.coordinates
     kept = [(name, port.kind) for name, port in zip(u, ins, strict=True) if getattr(port, "kind", "displacement") != "displacement"]
     states = (
@@ -66,19 +66,18 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
 
 
 @filter_jit
-def _state_space(lin: Any, inputs: tuple, outputs: tuple):
+def _state_space(lin: Any, wiring: Wiring):
     """The states are p = Delta - g u and r = Delta' - g u' - h u, so that no derivative of u is needed, then Xi and Xi' of inputs that are
     velocities (Xi) and accelerations (both):
 
     Delta'' = M^-1 (F f + K~ Xi + C~ Xi' + M~ Xi'' - C Delta' - K Delta),   u = Xi:   g = M^-1 M~,  h = M^-1 (C~ - C g)
                                                                             u = Xi':  g = 0,        h = M^-1 M~"""
-    wiring = wired(lin, inputs, outputs)
     signals = _Signals(lin, wiring)
     x, rate, acceleration, slopes = signals.motion()
     whole = [jnp.concatenate(pair) for pair in zip((x, rate, acceleration), signals.base, strict=True)]
     y = jnp.einsum("kyn,knw->yw", wiring.Y, jnp.stack(whole))
     n = signals.n_states
-    m = len(inputs)
+    m = len(wiring.orders)
     C, D, first, second = y[:, :n], y[:, n : n + m] + wiring.G, y[:, n + m : n + 2 * m], y[:, n + 2 * m :]
     size = jnp.max(jnp.abs(wiring.Y), axis=(0, 2))[:, None] * 1e-12
     improper = (jnp.abs(first) > size) | (jnp.abs(second) > size)
