@@ -251,10 +251,10 @@ def _eliminated(A: _Matrices, s, b: Complex[Array, "n m nf"]) -> Complex[Array, 
     shapes = jax.scipy.linalg.solve_triangular(L, jnp.linalg.eigh((whitened + whitened.T) / 2)[1], lower=True, trans=1)
     D = A.moved(shapes.T, shapes).at(s)
     Db = jnp.concatenate([D, jnp.tensordot(shapes.T, b, 1)], 1)
-    for i in range(n):
-        row = Db[i] / Db[i, i]
-        Db = jnp.where((jnp.arange(n) == i)[:, None, None], row, Db - Db[:, i][:, None] * row)
-    return jnp.tensordot(shapes, Db[:, n:], 1)
+    for i in range(n):  # of the columns not yet cleared
+        row = Db[i, 1:] / Db[i, 0]
+        Db = jnp.where((jnp.arange(n) == i)[:, None, None], row, Db[:, 1:] - Db[:, :1] * row)
+    return jnp.tensordot(shapes, Db, 1)
 
 
 def _companion(A: _Matrices) -> Array:

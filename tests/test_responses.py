@@ -82,6 +82,7 @@ def test_what_is_tied_to_the_world_does_not_follow_the_base():
     assert apart(found.values[0, :, 0], [0.75, 0.0]) < 1e-12
 
 
+@pytest.mark.long
 def test_steady_motion_is_that_of_simulate(rig):
     """Base and force together, small, at five frequencies, once transients have died: readings of the nonlinear model to 1e-5."""
     stiff = {**rigs.PARAMETERS, "damping": 12 * rigs.PARAMETERS["damping"]}
@@ -237,3 +238,124 @@ def test_fixed_points_of_an_absorber():
 
     best = 2 * mu * np.sqrt(k) * np.sqrt(3 * mu / (8 * (1 + mu) ** 3))
     assert apart(heights(jnp.array([0.01, best, 3.0])), np.full((3, 2), np.sqrt(1 + 2 / mu))) < 1e-9
+
+
+PLATE = rigs.plate(damping=2.0)
+FOUR = np.array([0.6, 1.9, 2.7, 4.0])
+UP = {"base": jb.BaseMotion("base", "z")}
+CORNER = {"corner": jb.PointMotion("plate", [0.4, 0.3, 0.05], "z", kind="acceleration"), "s1": jb.ElementForce("s1")}
+
+
+def measures(model):
+    """Magnitudes of responses by both methods, with hysteresis too; rms over a band; comfort: of one model, through its equilibrium."""
+    lin = jb.linearize(model, jb.equilibrium(model))
+    direct = jb.frequency_response(lin, FOUR, UP, CORNER, loss_factor={"s1": 0.1}).magnitude.ravel()
+    modal = jb.frequency_response(lin, FOUR, UP, CORNER, method="modal").magnitude.ravel()
+    ride = jb.random_response(lin, jb.Band(0.2, 20.0, points=201), UP, CORNER, {"base": jb.PowerLaw(1e-4, unit="(m/s)2/Hz")})
+    return jnp.concatenate([direct, modal, ride.rms, jb.weighted(ride, {"corner": "Wk"}).rms])
+
+
+@pytest.mark.long
+def test_responses_have_the_derivatives_of_differences():
+    """By every kind of number of the model in one backward pass: along a random direction of each, against central differences of the fourth order."""
+    gradient = jax.tree.leaves(quick_jit(jax.jacrev(measures))(PLATE))
+    leaves, structure = jax.tree.flatten(PLATE)
+    rng = np.random.default_rng(5)
+    sizes = [max(float(jnp.abs(leaf).max(initial=0.0)), 0.1) for leaf in leaves]
+    free = [i for i, (slope, size) in enumerate(zip(gradient, sizes, strict=True)) if np.abs(slope).max(initial=0.0) * size > 1e-9]
+    assert len(free) >= 9  # mass, centre, inertia, gravity, points, lengths, stiffness, damping
+    h, points, slopes = 1e-4, [], []
+    for i in free:
+        tangent = rng.normal(size=leaves[i].shape) * sizes[i]
+        slopes.append(np.tensordot(np.asarray(gradient[i]), tangent, tangent.ndim))
+        for step in (-2, -1, 1, 2):
+            points.append([leaf + step * h * tangent if k == i else leaf for k, leaf in enumerate(leaves)])
+    batch = jax.tree.unflatten(structure, [jnp.stack(rows) for rows in zip(*points, strict=True)])
+    values = np.asarray(quick_jit(jax.vmap(measures))(batch)).reshape(len(free), 4, -1)
+    differences = (8 * (values[:, 2] - values[:, 1]) - (values[:, 3] - values[:, 0])) / (12 * h)
+    error = np.abs(np.array(slopes) - differences) / np.abs(differences).max(1, keepdims=True)
+    print(
+        "derivatives of responses",
+        [(jax.tree_util.keystr(jax.tree_util.tree_flatten_with_path(PLATE)[0][i][0]), e) for i, e in zip(free, error.max(1), strict=True)],
+    )
+    assert error.max() < 1e-6
+    one = measures(jax.tree.unflatten(structure, points[3]))
+    np.testing.assert_allclose(values[0, 3], one, rtol=1e-9)  # a batch is its samples
+
+
+def test_responses_have_derivatives_where_modes_coincide():
+    """A square table on four equal isolators, one of them changed: the response is smooth where two frequencies meet."""
+    table = jb.presets.isolated_table(gyration=(0.4, 0.4, 0.5), stiffness=(3e4, 3e4, 8e4), at=(0.4, 0.4, 0.25), damping=(60.0, 60.0, 100.0))
+    inputs, outputs = (
+        {"x": jb.BaseMotion("floor", "x"), "z": jb.BaseMotion("floor", "z")},
+        {"edge": jb.PointMotion("table", [0.5, 0.2, 0], [1, 2, 1])},
+    )
+    f = np.array([3.0, 5.0, 8.0])
+
+    def magnitudes(k):
+        lin = jb.linearize(jb.replace(table, {"isolator 1.stiffness": k}), table.reference)
+        found = [jb.frequency_response(lin, f, inputs, outputs, method=method) for method in ("direct", "modal")]
+        return jnp.concatenate([response.magnitude.ravel() for response in found])
+
+    k, h = jnp.array([3e4, 3e4, 8e4]), 30.0
+    assert float(jnp.abs(jnp.diff(jb.modes(jb.linearize(table, table.reference)).eigenvalues)).min()) < 1e-6
+    unit = jnp.array([1.0, 0, 0])
+    slope, value = quick_jit(jax.jacrev(magnitudes))(k)[:, 0], quick_jit(magnitudes)
+    d = [np.asarray(value(k + step * h * unit)) for step in (-2, -1, 1, 2)]
+    difference = (8 * (d[2] - d[1]) - (d[3] - d[0])) / (12 * h)
+    assert apart(slope, difference) < 1e-6 * np.abs(difference).max()
+
+
+def test_second_derivatives():
+    """Forward over reverse against differences of the gradient: the response is no straight line of its parameters."""
+    model = jb.presets.quarter_car(damping=1800.0)
+
+    def height(c):
+        lin = jb.linearize(jb.replace(model, {"suspension.damping": c}), model.reference)
+        return jb.frequency_response(lin, [1.4], {"road": jb.BaseMotion("road", "z")}, {"body": jb.PointMotion("body")}).magnitude[0, 0, 0]
+
+    slope = jax.jit(jax.grad(height))
+    second = float(jax.jit(jax.hessian(height))(1800.0))
+    h = 1.0
+    difference = float(slope(1800.0 + h) - slope(1800.0 - h)) / (2 * h)
+    assert abs(second / difference - 1) < 1e-6
+
+
+def test_an_unstable_equilibrium_has_no_response():
+    """A pendulum upside down, and one whose damping is negative."""
+    bob = jb.Body(mass=1.0, inertia=[0.01, 0.01, 0.01], com=[0, 0, 0.5])
+    up = jb.Model(
+        bodies={"bob": bob}, supports={"base": jb.Support()}, joints={"bob": jb.Hinge("base", axis=[0, 1, 0])}, gravity=[0, 0, -9.81]
+    )
+    lin = jb.linearize(up, up.reference)
+    with pytest.warns(jb.JaxbodyWarning, match="UNSTABLE"):
+        found = jb.frequency_response(lin, [1.0], {"x": BASE["x"]}, {"bob": jb.PointMotion("bob")})
+    assert np.isnan(found.values).all() and not found.ok
+    with pytest.warns(jb.JaxbodyWarning, match="UNSTABLE"):
+        ride = jb.random_response(
+            lin, jb.Band(1, 2, points=17), {"x": BASE["x"]}, {"bob": jb.PointMotion("bob")}, {"x": jb.PowerLaw(1.0, unit="m2/Hz")}
+        )
+    assert np.isnan(ride.rms).all()
+    with pytest.raises(jb.JaxbodyError, match="UNSTABLE"):
+        ride.raise_if_failed()
+
+
+def test_modes_that_coincide_and_are_damped_critically_are_flagged():
+    """One mass, damping ratio 1: one eigenvector for two poles, which a sum over modes lacks; elimination does not."""
+    spring = jb.Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2 * np.sqrt(50.0))
+    model = jb.Model(
+        bodies={"mass": uniform(1.0)},
+        supports={"base": jb.Support()},
+        joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
+        elements={"s": spring},
+    )
+    _, lin = at_rest(model)
+    f, outputs = np.array([0.5, 2.0]), {"mass": jb.PointMotion("mass", direction="y")}
+    s, w = 2j * np.pi * f, np.sqrt(50.0)
+    exact = (2 * w * s + w**2) / (s + w) ** 2
+    assert apart(jb.frequency_response(lin, f, {"y": BASE["y"]}, outputs).values[0, 0], exact) < 1e-13
+    try:
+        modal = jb.frequency_response(lin, f, {"y": BASE["y"]}, outputs, method="modal").values[0, 0]
+        assert apart(modal, exact) < 1e-7
+    except jb.JaxbodyWarning as told:
+        assert told.code == "DEFECTIVE"
