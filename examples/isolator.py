@@ -44,9 +44,13 @@ found = ride(table)
 print(found)
 assert found.ok
 
-# 3. Every number of the isolators at once: what the rms of vertical acceleration owes to each
-slopes = jax.jit(jax.grad(lambda table: ride(table)["z felt"]))(table)
-share = slopes["isolator 1"].stiffness * table["isolator 1"].stiffness / found["z felt"]
+
+# 3. What the rms of vertical acceleration owes to the three stiffnesses of one isolator
+def vertical(k):
+    return ride(jb.replace(table, {"isolator 1.stiffness": k}))["z felt"]
+
+
+share = jax.jit(jax.jacfwd(vertical))(stiffness) * stiffness / found["z felt"]
 print("a percent more stiffness of isolator 1 along x, y, z changes the vertical rms by", np.round(np.asarray(share), 4), "percent")
 
 # 4. Straight up the instrument is a mass on one spring: transmissibility sqrt((1 + (2 z r)^2)/((1 - r^2)^2 + (2 z r)^2))
