@@ -18,10 +18,10 @@ from jaxtyping import Array, Float
 from jaxbody import rotations
 from jaxbody.arrays import float_array
 from jaxbody.bodies import vector
-from jaxbody.derivatives import slope
+from jaxbody.derivatives import _at_rest, _jacobian, slope
 from jaxbody.elements import Element
 from jaxbody.errors import Problem, Problems
-from jaxbody.frames import Frame
+from jaxbody.frames import Frame, Pose
 from jaxbody.joints import unit_vector
 from jaxbody.kinematics import Coordinates, supports_at
 from jaxbody.models import Model, unknown
@@ -85,10 +85,6 @@ class PointForce(eqx.Module):
     def unit(self) -> str:
         return "N m" if self.turns else "N"
 
-    def speed(self, model: Model, frames: Frame) -> Float[Array, ""]:
-        """What the force works on."""
-        return _speed(frames[model.layout.frame(self.on)], self.point, self.axis, self.turns)
-
     def problem(self, model: Model, where: str) -> Problem | None:
         known = model.layout.bodies
         return None if self.on in known else unknown(self.on, where, known)
@@ -122,15 +118,6 @@ class PointMotion(eqx.Module):
     @property
     def unit(self) -> str:
         return UNITS[self.turns][KINDS.index(self.kind)]
-
-    def speed(self, model: Model, frames: Frame) -> Float[Array, ""]:
-        frame = frames[model.layout.frame(self.on)]
-        own = _speed(frame, self.point, self.axis, self.turns)
-        if self.relative_to is None:
-            return own
-        other = frames[model.layout.frame(self.relative_to)]
-        here = rotations.rotate_back(other.R, frame.point(self.point) - other.p)
-        return own - _speed(other, here, self.axis, self.turns)
 
     def problem(self, model: Model, where: str) -> Problem | None:
         known = model.layout.frames
@@ -224,33 +211,20 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
     model, layout, q = lin.model, lin.model.layout, lin.state.q
     n, dtype = layout.nv + layout.nxi, q.dtype
     zero = jnp.zeros(n, dtype)
-
-    def frames(x, rate):
-        coordinates, (delta, xi), (v, xi_dot) = Coordinates(model), *(jnp.split(y, [layout.nv]) for y in (x, rate))
-        return coordinates.frames(coordinates.retract(q, delta), v, supports_at(model, xi.reshape(-1, 6), xi_dot.reshape(-1, 6)))
-
-    def speeds(rate):
-        moving = frames(zero, rate)
-        return [port.speed(model, moving) for port in (*inputs, *outputs) if isinstance(port, PointForce | PointMotion)]
-
-    def readings(x, rate):
-        moving = frames(x, rate)
-        return [port.reading(model, moving) for port in outputs if hasattr(port, "reading")]
-
-    def deformations(x):
-        moving = frames(x, zero)
-        return {
-            name: jnp.reshape(model[name].deformation(*(moving[layout.frame(end)].pose() for end in model[name].between)), -1)
-            for name in bent
-        }
-
-    jacobians, slopes = iter(jax.jacfwd(speeds)(zero)), iter(jax.jacfwd(readings, (0, 1))(zero, zero))
-    bent = {port.on for port in outputs if isinstance(port, ElementForce | ElementDeformation)}
-    bending, deformed = jax.jacfwd(lambda x: (deformations(x),) * 2, has_aux=True)(zero)
+    frames, twists = frame_twists(model, q)
+    points = iter(
+        [_point_row(port, frames, twists, layout.frame) for port in (*inputs, *outputs) if isinstance(port, PointForce | PointMotion)]
+    )
+    bending, deformed = {}, {}
+    for name in {port.on for port in outputs if isinstance(port, ElementForce | ElementDeformation)}:
+        ends = [layout.frame(end) for end in model[name].between]
+        slopes, deformed[name] = _bending(model[name], [frames[end].pose() for end in ends])
+        bending[name] = sum(slope @ twists[end].T for slope, end in zip(slopes, ends, strict=True))
     turned = any(isinstance(port, SupportReaction) and len(port.direction) == 2 for port in outputs)
     held = slope(model, q)[layout.nv :] if turned else zero
+    readings = iter(_readings(model, q, [port for port in outputs if hasattr(port, "reading")]))
     whole = whole_matrices(lin)
-    forces = [next(jacobians) if isinstance(port, PointForce) else zero for port in inputs]
+    forces = [next(points) if isinstance(port, PointForce) else zero for port in inputs]
     F = jnp.stack(forces, 1)
     X = jnp.stack([_unit(layout, port, dtype) if isinstance(port, BaseMotion) else jnp.zeros(layout.nxi, dtype) for port in inputs], 1)
     rows, direct = [], []
@@ -258,7 +232,7 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
         G = jnp.zeros(len(inputs), dtype)
         if isinstance(port, PointMotion):
             place = jnp.asarray(np.eye(3)[KINDS.index(port.kind)], dtype)
-            row = place[:, None] * next(jacobians)
+            row = place[:, None] * next(points)
         elif isinstance(port, SupportReaction):
             unit = jnp.concatenate([jnp.zeros(layout.nv, dtype), _unit(layout, port, dtype)])
             K, C, M = (unit @ matrix for matrix in whole)
@@ -269,7 +243,7 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
         elif isinstance(port, ElementDeformation):
             row = jnp.stack([bending[port.on][port.component or 0], zero, zero])
         else:
-            row = jnp.stack([*next(slopes), zero])
+            row = jnp.stack([*next(readings), zero])
         rows.append(row)
         direct.append(G)
     names = model.element_names
@@ -319,8 +293,54 @@ def _direction(direction: Any, where: str, problems: Problems) -> tuple[Any, boo
     return np.eye(3)["xyz".find(direction[-1:])], len(direction) == 2
 
 
-def _speed(frame: Frame, point, axis, turns: bool) -> Float[Array, ""]:
-    return rotations.dot(axis, frame.w if turns else frame.velocity(point))
+def frame_twists(model: Model, q) -> tuple[Frame, Float[Array, "nf n 6"]]:
+    """The table of frames at rest, and what a unit of each of (Delta, Xi) moves them by: displacement of the origin and turn."""
+    layout = model.layout
+    frames, axes = _at_rest(model, q)
+    J = _jacobian(layout, frames, axes)
+    n = layout.nv + layout.nxi
+    if J is None:
+        J = jnp.swapaxes(jnp.eye(n, dtype=q.dtype).reshape(-1, 6, n), 1, 2)
+    bodies, world = len(layout.bodies), jnp.zeros((1, n, 6), q.dtype)
+    return frames, jnp.concatenate([world, J[bodies:], J[:bodies]])
+
+
+def _point_row(port: PointForce | PointMotion, frames: Frame, twists, row_of) -> Float[Array, "n"]:
+    """The displacement or turn of a port's point by each of (Delta, Xi)."""
+    place, axis = frames[row_of(port.on)].point(port.point), jnp.asarray(port.axis)
+
+    def moved(name: str):
+        row = row_of(name)
+        if port.turns:
+            return twists[row, :, 3:] @ axis
+        return twists[row, :, :3] @ axis + twists[row, :, 3:] @ rotations.cross(place - frames.p[row], axis)
+
+    other = getattr(port, "relative_to", None)
+    return moved(port.on) if other is None else moved(port.on) - moved(other)
+
+
+def _bending(element: Element, poses: list[Pose]):
+    """The derivative of an element's deformation in the displacement of each of its frames, and the deformation."""
+
+    def deformation(moves):
+        e = element.deformation(*(pose.displaced(move) for pose, move in zip(poses, moves, strict=True))).reshape(-1)
+        return e, e
+
+    return jax.jacfwd(deformation, has_aux=True)([jnp.zeros(6, poses[0].p.dtype)] * len(poses))
+
+
+def _readings(model: Model, q, sensors: list[Any]):
+    """The derivatives of sensors' readings in (Delta, Xi) and its rate."""
+    layout = model.layout
+    zero = jnp.zeros(layout.nv + layout.nxi, q.dtype)
+
+    def readings(x, rate):
+        coordinates, (delta, xi), (v, xi_dot) = Coordinates(model), *(jnp.split(y, [layout.nv]) for y in (x, rate))
+        supports = supports_at(model, xi.reshape(-1, 6), xi_dot.reshape(-1, 6))
+        frames = coordinates.frames(coordinates.retract(q, delta), v, supports)
+        return [sensor.reading(model, frames) for sensor in sensors]
+
+    return jax.jacfwd(readings, (0, 1))(zero, zero) if sensors else []
 
 
 def _place(layout, port: Any) -> int:
