@@ -264,7 +264,7 @@ def test_responses_have_the_derivatives_of_differences():
     sizes = [max(float(jnp.abs(leaf).max(initial=0.0)), 0.1) for leaf in leaves]
     free = [i for i, (slope, size) in enumerate(zip(gradient, sizes, strict=True)) if np.abs(slope).max(initial=0.0) * size > 1e-9]
     assert len(free) >= 9  # mass, centre, inertia, gravity, points, lengths, stiffness, damping
-    h, points, slopes = 1e-4, [], []
+    h, points, slopes = 2e-5, [], []  # the truncation of differences, near resonance, falls below 1e-7; rounding is below it too
     for i in free:
         tangent = rng.normal(size=leaves[i].shape) * sizes[i]
         slopes.append(np.tensordot(np.asarray(gradient[i]), tangent, tangent.ndim))
@@ -274,10 +274,7 @@ def test_responses_have_the_derivatives_of_differences():
     values = np.asarray(quick_jit(jax.vmap(measures))(batch)).reshape(len(free), 4, -1)
     differences = (8 * (values[:, 2] - values[:, 1]) - (values[:, 3] - values[:, 0])) / (12 * h)
     error = np.abs(np.array(slopes) - differences) / np.abs(differences).max(1, keepdims=True)
-    print(
-        "derivatives of responses",
-        [(jax.tree_util.keystr(jax.tree_util.tree_flatten_with_path(PLATE)[0][i][0]), e) for i, e in zip(free, error.max(1), strict=True)],
-    )
+    print("derivatives of responses", error.max(1))
     assert error.max() < 1e-6
     one = measures(jax.tree.unflatten(structure, points[3]))
     np.testing.assert_allclose(values[0, 3], one, rtol=1e-9)  # a batch is its samples
