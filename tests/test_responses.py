@@ -280,6 +280,7 @@ def test_responses_have_the_derivatives_of_differences():
     np.testing.assert_allclose(values[0, 3], one, rtol=1e-9)  # a batch is its samples
 
 
+@pytest.mark.long
 def test_responses_have_derivatives_where_modes_coincide():
     """A square table on four equal isolators, one of them changed: the response is smooth where two frequencies meet."""
     table = jb.presets.isolated_table(gyration=(0.4, 0.4, 0.5), stiffness=(3e4, 3e4, 8e4), at=(0.4, 0.4, 0.25), damping=(60.0, 60.0, 100.0))
