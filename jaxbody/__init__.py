@@ -14,6 +14,7 @@ from jaxbody.energies import mode_energies
 from jaxbody.equilibria import find_equilibria
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
+from jaxbody.frequency_responses import frequency_response
 from jaxbody.identification import Fit, fit
 from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Joint, Translation
 from jaxbody.kinematics import retract
@@ -25,11 +26,16 @@ from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
 from jaxbody.naming import paths, replace
 from jaxbody.nonlinearities import backbones
 from jaxbody.options import fast_loops
+from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
 from jaxbody.preloads import preload
+from jaxbody.random_responses import random_response
+from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure
 from jaxbody.simulations import simulate
+from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin
 from jaxbody.statics import equilibrium
 from jaxbody.torsions import AntiRollBar, Torsion
 from jaxbody.vibrations import modes
+from jaxbody.weightings import weighted, weighted_signal, weighting

@@ -107,6 +107,10 @@ class Status(enum.IntEnum):
     INTERNAL_RESONANCE = 16
     NOT_STEADY = 17
     LOST_BRANCH = 18
+    DEFECTIVE = 20
+    IMPROPER = 21
+    COARSE = 22
+    NOT_POSITIVE = 23
 
 
 MESSAGES = {
@@ -129,6 +133,10 @@ MESSAGES = {
     Status.INTERNAL_RESONANCE: "the frequency of a mode, or its double, is another's too: it does not move alone",
     Status.NOT_STEADY: "the motion is not steady: its speeds change, or small motions about it see matrices that do",
     Status.LOST_BRANCH: "a mode changed too much from one value to the next to be followed",
+    Status.DEFECTIVE: "modes coincide: their sum has lost its digits",
+    Status.IMPROPER: "an output needs a derivative of an input",
+    Status.COARSE: "the frequencies are too far apart for what lies between them",
+    Status.NOT_POSITIVE: "the matrix of power spectral densities is not positive semidefinite",
 }
 
 

@@ -178,6 +178,36 @@ def branches_dataset(branches: Any) -> Any:
     return dataset(variables, coordinates, "branches")
 
 
+def frequency_response_dataset(response: Any) -> Any:
+    """The complex response by `output`, `input` and `frequency` [Hz]; `unit` by output and input."""
+    units = [[response.unit(y, u) for u in response.inputs] for y in response.outputs]
+    variables = {
+        "response": (("output", "input", "frequency"), response.values, ""),
+        "unit": (("output", "input"), np.array(units), ""),
+        "status": ((), response.status, ""),
+    }
+    f = np.asarray(response.frequencies)
+    coordinates = {
+        "output": list(response.outputs),
+        "input": list(response.inputs),
+        "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"}),
+    }
+    return dataset(variables, coordinates, "frequency response")
+
+
+def random_response_dataset(response: Any) -> Any:
+    """psd by `output` and `frequency` [Hz], rms and unit by `output`."""
+    variables = {
+        "psd": (("output", "frequency"), response.psd, "unit^2/Hz"),
+        "rms": (("output",), response.rms, "unit"),
+        "unit": (("output",), np.array(response.units), ""),
+        "status": ((), response.status, ""),
+    }
+    f = np.asarray(response.frequencies)
+    coordinates = {"output": list(response.outputs), "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"})}
+    return dataset(variables, coordinates, "random response")
+
+
 def load_cases_dataset(cases: Any) -> Any:
     """By `case`: displacement and rotation by `body`, stroke and force by `spring` (of a bushing six each), status and load factor."""
     model = cases.unloaded.model

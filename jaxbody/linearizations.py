@@ -29,6 +29,7 @@ from jaxbody.mechanics import each_element, gravity_energy, potential
 from jaxbody.models import Model, State, unknown
 from jaxbody.naming import by_name
 from jaxbody.results import Result
+from jaxbody.state_spaces import StateSpace, state_space
 from jaxbody.statics import Equilibrium, zero_modes
 
 
@@ -100,6 +101,22 @@ class Linearization(Result):
         from jaxbody.exports import linearization_dataset
 
         return linearization_dataset(self)
+
+    def state_space(self, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
+        """A, B, C, D from named inputs to named outputs, {name: port}, as python-control takes them.
+
+        States: Delta and Delta', but for terms in u which keep derivatives of inputs out; and, of a base motion given as velocity, its
+        displacement, given as acceleration, its displacement and velocity. An output that needs more than u, as the acceleration of a
+        damped body of a base's displacement, has no state space: IMPROPER, D NaN there; take kind="acceleration".
+        Errors: WRONG_KIND, UNKNOWN_NAME, BAD_COMPONENT.
+
+        >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
+        ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+        >>> s = linearize(model, equilibrium(model)).state_space({"base": BaseMotion("base", "y")}, {"mass": PointMotion("mass", direction="y")})
+        >>> s.A.tolist(), s.B.tolist()
+        ([[0.0, 1.0], [-25.0, 0.0]], [[0.0], [25.0]])
+        """
+        return state_space(self, inputs, outputs)
 
     def _tables(self) -> list[tables.Table]:
         heads = [str(i) for i in range(self.K.shape[-1])]

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 
 from jaxbody.branches import LEAST_MAC, Branches
+from jaxbody.canvases import COLORS, axes_or_new
 from jaxbody.energies import ModeEnergies
 from jaxbody.errors import JaxbodyError, Problem, Status
 
-COLORS = ("#1f6fb4", "#d9661f", "#2f8f4e", "#8a4fbf", "#b8344a", "#7a6a4f", "#1c9a9a", "#c79a1a")
 KINDS = {"kinetic": "kinetic energy", "strain": "strain energy", "dissipation": "dissipation"}
 LEAST_SHOWN = 1e-3  # percent: rows that no mode has that much of are left out, but for kinetic energy
 DARK = 55.0  # percent above which numbers are white
@@ -31,7 +31,8 @@ def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any
     rows = _rows(energies, kind)
     count = energies.frequency.shape[-1]
     shares = np.array(list(rows.values())).reshape(-1, count)
-    ax = _axes(ax, 1.6 + 0.75 * count, 1.0 + 0.32 * max(len(shares), 2))
+    ax = axes_or_new(ax, 1.6 + 0.75 * count, 1.0 + 0.32 * max(len(shares), 2))
+    ax.grid(False)
     ax.imshow(np.clip(shares, 0, 100), cmap="Blues", vmin=0, vmax=100, aspect="auto")
     for (i, j), share in np.ndenumerate(shares):
         if np.isfinite(share) and abs(share) >= 0.05:
@@ -62,7 +63,7 @@ def plot_branches(branches: Branches, *, parameter: str = "parameter", ax: Any =
     >>> len(plot_branches(found, parameter="front stiffness [N/m]").lines)
     2
     """
-    ax = _axes(ax, 6.0, 4.0)
+    ax = axes_or_new(ax, 6.0, 4.0)
     values, lost = np.asarray(branches.values), np.asarray(branches.status) == Status.LOST_BRANCH
     for i, frequency in enumerate(np.asarray(branches.frequency).T):
         color = COLORS[i % len(COLORS)]
@@ -74,12 +75,4 @@ def plot_branches(branches: Branches, *, parameter: str = "parameter", ax: Any =
     ax.spines[["top", "right"]].set_visible(False)
     ax.set(xlabel=parameter, ylabel="frequency [Hz]")
     ax.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
-    return ax
-
-
-def _axes(ax: Any, width: float, height: float) -> Any:
-    if ax is None:
-        import matplotlib.pyplot as plt
-
-        _, ax = plt.subplots(figsize=(width, height), layout="constrained")
     return ax

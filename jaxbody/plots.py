@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import filter_jit
 
+from jaxbody.canvases import COLORS, GRAY, INK, LIGHT, axes_below, axes_or_new, legend
 from jaxbody.complex_modes import ComplexModes
 from jaxbody.elements import LineElement
 from jaxbody.errors import JaxbodyError, Problem
@@ -22,15 +23,15 @@ from jaxbody.linearizations import Linearization
 from jaxbody.mode_plots import plot_branches as plot_branches
 from jaxbody.mode_plots import plot_mode_energies as plot_mode_energies
 from jaxbody.models import WORLD, Model, State, unknown
+from jaxbody.response_plots import plot_frequency_response as plot_frequency_response
+from jaxbody.response_plots import plot_psd as plot_psd
+from jaxbody.response_plots import plot_transmissibility as plot_transmissibility
 from jaxbody.simulations import Trajectory
 from jaxbody.spins import SpinLinearization
 from jaxbody.statics import Equilibrium
 from jaxbody.vibrations import Modes
 
-COLORS = ("#1f6fb4", "#d9661f", "#2f8f4e", "#8a4fbf", "#b8344a", "#7a6a4f", "#1c9a9a", "#c79a1a")
-GRAY, LIGHT, INK = "#8a8f98", "#dfe4ea", "#2b2f36"
 AXES = "xyz"
-MOST_LINES = 8  # with names in a legend
 RIM = 8.0  # points: width of the rounded rim of an outline
 SWING = 1 / 8  # largest displacement of a drawn mode, in sizes of the model
 
@@ -46,7 +47,7 @@ def plot_trajectory(trajectory: Trajectory, *, bodies: tuple[str, ...] | None = 
     >>> ax.get_ylabel()
     'displacement [m]'
     """
-    ax = _axes(ax, 7.0, 4.2)
+    ax = axes_or_new(ax, 7.0, 4.2)
     layout, t = trajectory.model.layout, np.asarray(trajectory.times)
     poses = trajectory.poses
     names = bodies or (*layout.bodies, *layout.supports)
@@ -64,7 +65,7 @@ def plot_trajectory(trajectory: Trajectory, *, bodies: tuple[str, ...] | None = 
     below = ax
     if turns:
         ax.tick_params(labelbottom=False)
-        below = _below(ax, 0.6)
+        below = axes_below(ax, 0.6)
         _lines(below, t, turns, dashed)
         below.set_ylabel("turn [rad]")
     below.set_xlabel("time [s]")
@@ -73,7 +74,7 @@ def plot_trajectory(trajectory: Trajectory, *, bodies: tuple[str, ...] | None = 
 
 def plot_forces(trajectory: Trajectory, *, elements: tuple[str, ...] | None = None, ax: Any = None) -> Any:
     """The tension of every spring [N] over time, its damper's part included; of a bushing its three forces."""
-    ax = _axes(ax, 7.0, 3.0)
+    ax = axes_or_new(ax, 7.0, 3.0)
     forces = trajectory.forces
     names = elements or tuple(forces)
     _check_known(names, tuple(forces), "plot_forces.elements")
@@ -94,7 +95,7 @@ def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
     if eq.path is None:
         hint = "Give an equilibrium(model, loads=...)."
         raise JaxbodyError(Problem("NO_PATH", "load_path.eq", "was found without loads", eq.path, "a load path", hint))
-    ax = _axes(ax, 5.0, 3.4)
+    ax = axes_or_new(ax, 5.0, 3.4)
     factor, smallest = (np.asarray(x) for x in (eq.path.factor, eq.path.smallest))
     ax.plot(factor, smallest, "o-", ms=4, color=COLORS[0])
     ax.axhline(0, color=GRAY, lw=0.8)
@@ -109,10 +110,10 @@ def plot_fit(fit: Any, *, run: str | None = None, sensor: str | None = None, ax:
     experiment = fit.experiments[run]
     sensor = sensor or next(iter(experiment.measured))
     _check_known((sensor,), tuple(experiment.measured), "plot_fit.sensor")
-    ax = _axes(ax, 7.0, 4.2)
+    ax = axes_or_new(ax, 7.0, 4.2)
     t = np.asarray(experiment.times)
     measured, predicted = (_columns(x[sensor], len(t)) for x in (experiment.measured, fit.predicted[run]))
-    below = _below(ax, 0.4)
+    below = axes_below(ax, 0.4)
     shown = [i for i in range(measured.shape[1]) if np.isfinite(measured[:, i]).any() and np.ptp(predicted[:, i]) > 0] or [0]
     for color, i in zip(COLORS, shown, strict=False):
         name = sensor if measured.shape[1] == 1 else f"{sensor} {_component(i, measured.shape[1])}"
@@ -129,13 +130,13 @@ def plot_fit(fit: Any, *, run: str | None = None, sensor: str | None = None, ax:
     ax.set_ylabel(f"{sensor}{about} [{unit}]")
     ax.tick_params(labelbottom=False)
     below.set(xlabel="time [s]", ylabel=f"residual [{unit}]")
-    _legend(ax, len(shown) + 2)
+    legend(ax, len(shown) + 2)
     return ax
 
 
 def plot_history(fit: Any, *, ax: Any = None) -> Any:
     """The cost of a fit at every evaluation, on a logarithmic scale."""
-    ax = _axes(ax, 5.0, 3.0)
+    ax = axes_or_new(ax, 5.0, 3.0)
     cost = np.asarray(fit.history, float).ravel()
     ax.plot(np.arange(len(cost)), cost, ".-", color=COLORS[0], lw=1.2, ms=4)
     if (cost > 0).any():
@@ -164,7 +165,7 @@ def draw_model(
     >>> draw_model(model).get_ylabel()
     'y [m]'
     """
-    ax = _axes(ax, 6.0, 4.5)
+    ax = axes_or_new(ax, 6.0, 4.5)
     state = model.reference if state is None else state
     xi = np.zeros((len(model.layout.supports), 6))
     _check_known(tuple(displaced or ()), model.layout.supports, "draw_model.displaced")
@@ -188,7 +189,7 @@ def draw_mode(
         raise JaxbodyError(
             Problem("UNKNOWN_MODE", "draw_mode.number", f"is {number}; there are modes 1 to {count}", number, f"1 to {count}")
         )
-    ax = _axes(ax, 5.0, 4.0)
+    ax = axes_or_new(ax, 5.0, 4.0)
     shape = np.real(np.asarray(modes.shapes)[:, number - 1])
     still = np.zeros((len(model.layout.supports), 6))
     q = lin.state.q
@@ -395,47 +396,11 @@ def _poses_at(model: Model, q, delta, xi) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(frames.p), np.asarray(frames.R)
 
 
-def _axes(ax, width: float, height: float):
-    if ax is None:
-        import matplotlib.pyplot as plt
-
-        _, ax = plt.subplots(figsize=(width, height), layout="constrained")
-    _tidy(ax)
-    return ax
-
-
-def _tidy(ax) -> None:
-    ax.spines[["top", "right"]].set_visible(False)
-    ax.grid(True, color="#e8e8e8", lw=0.6)
-    ax.set_axisbelow(True)
-
-
-def _below(ax, height: float):
-    """Axes below others, in the room that those had; `height` is relative to what remains of them."""
-    spec = ax.get_subplotspec()
-    if spec is None:
-        box = ax.get_position()
-        upper = box.height / (1 + height + 0.15)
-        ax.set_position((box.x0, box.y1 - upper, box.width, upper))
-        below = ax.figure.add_axes((box.x0, box.y0, box.width, height * upper), sharex=ax)
-    else:
-        upper, lower = spec.subgridspec(2, 1, height_ratios=(1, height), hspace=0.06)
-        ax.set_subplotspec(upper)
-        below = ax.figure.add_subplot(lower, sharex=ax)
-    _tidy(below)
-    return below
-
-
 def _lines(ax, t, lines: dict[str, np.ndarray], dashed: tuple[str, ...] = ()) -> None:
     for i, (name, values) in enumerate(lines.items()):
         support = bool(dashed) and name.startswith(dashed)
         ax.plot(t, values, "--" if support else "-", lw=1.2 if support else 1.5, color=COLORS[i % len(COLORS)], label=name)
-    _legend(ax, len(lines))
-
-
-def _legend(ax, count: int) -> None:
-    if 0 < count <= MOST_LINES:
-        ax.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+    legend(ax, len(lines))
 
 
 def _moving(lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -188,3 +188,21 @@ def test_the_modes_of_the_engine(monkeypatch):
     moved = np.linalg.solve(np.asarray(lin.K), torque)  # without inertia too it turns about the torque roll axis
     assert np.linalg.norm(np.cross(moved[3:], n)) < 0.01 * np.linalg.norm(moved[3:])
     assert names["branches"].ok.all()
+
+
+def test_an_instrument_on_an_isolator(monkeypatch):
+    """It asserts its frequency and its transmissibility; here that stiffness across and along z counts as differences say."""
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names, _ = run("isolator.py")
+    vertical, k, h = names["vertical"], names["stiffness"], 1e-3
+    ends = [float(vertical(k * np.array([1, 1, 1 + sign * h]))) for sign in (1, -1)]
+    np.testing.assert_allclose((ends[0] - ends[1]) / (2 * h), names["share"][2] * names["found"]["z felt"], rtol=1e-5)
+
+
+@pytest.mark.long
+def test_comfort_on_a_class_c_road(monkeypatch):
+    """It asserts the least acceleration and Rao's frequencies; more damping than that of least weighted acceleration means less travel."""
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names, printed = run("comfort.py")
+    assert 400 < names["best"] < names["exact"] and "crest factor" in printed
+    assert np.all(np.diff(names["rides"].rms[:, 1]) < 0)

@@ -22,10 +22,11 @@ ROWS = (
     "rotations frames linear_solves eigenproblems lanes integrators",
     "motions signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
     "kinematics mechanics dynamics derivatives",
-    "load_paths statics cases preloads equilibria linearizations vibrations energies elastic_axes spins complex_modes branches",
-    "nonlinearities collocations simulations",
+    "load_paths statics cases preloads equilibria ports state_spaces linearizations",
+    "vibrations energies elastic_axes spins complex_modes branches nonlinearities",
+    "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
     "sensors experiments parametrizations uncertainties identification",
-    "mode_plots plots demos",
+    "canvases mode_plots response_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
 

@@ -6,7 +6,10 @@ from collections.abc import Callable
 import numpy as np
 from job import TIMES, Job
 
-RTOL = {"plate": {"T1": 2e-4, "T2": 5e-4, "T3": 1e-3}, "three": {"T1": 2e-5, "T2": 2e-4, "T3": 1e-4}}  # errors then about half of those allowed
+RTOL = {
+    "plate": {"T1": 2e-4, "T2": 5e-4, "T3": 1e-3},
+    "three": {"T1": 2e-5, "T2": 2e-4, "T3": 1e-4},
+}  # errors then about half of those allowed
 FEW = 50  # T3 and T4 are checked at every fiftieth set
 MEASURED_AGAINST = {"T1": "T1 C RK4", "T2": "T2 C dual numbers", "T3": "T3 C SIMD RK4", "T4": "T4 C scalar"}
 LIMITS = {"T1": 1e-6, "T2": 1e-4, "T3": 1e-6, "T4": 1e-9}  # errors allowed

@@ -1,0 +1,325 @@
+"""Frequency response of small motions: from motions of supports and forces to motions of points, forces of elements and reactions.
+
+    D(w) Delta = (K~ + i w C~ - w^2 M~ + i H~) Xi + F f,    D = K + i w C - w^2 M + i H
+
+H is hysteretic (structural) damping, the sum over the elements of eta V''(e) de de: a loss factor times the stiffness of the material, not that of
+gravity or tension. Frequencies are the last axis of all arrays, so that few operations go along many of them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import Module, field, filter_jit
+from jaxtyping import Array, Bool, Complex, Float, Int
+
+from jaxbody import tables
+from jaxbody.arrays import checked, concrete, device_array, float_array
+from jaxbody.checks import check_precision
+from jaxbody.errors import JaxbodyError, Problems, Status, is_concrete
+from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.linearizations import Linearization
+from jaxbody.mechanics import each_element
+from jaxbody.models import Model, unknown
+from jaxbody.ports import Wiring, check_ports, whole_matrices, wired
+from jaxbody.results import Result, warn_if_failed
+
+LARGEST_UNROLLED = 16  # coordinates; beyond, LAPACK's elimination at each frequency costs less than it costs to compile this one
+GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, that is growth and not rounding
+INVERTED = 1e-7  # error of the modes' inverse, relative, above which their sum lacks digits
+FAILED = (Status.NOT_CONVERGED, Status.UNSTABLE, Status.NONFINITE, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT)
+METHODS = ("direct", "modal")
+
+
+class FrequencyResponse(Result):
+    """`values` (outputs, inputs, frequencies), complex: what an output does per unit of an input that is exp(i 2 pi f t).
+
+    `response["seat", "road"]` is one of them over `frequencies` [Hz]; `magnitude`, and `phase` [rad], continued over the frequencies.
+    From a displacement of a support to a displacement, the magnitude is the transmissibility. `status` UNSTABLE (values NaN), or that
+    of the equilibrium."""
+
+    frequencies: Float[Array, "nf"]
+    values: Complex[Array, "ny nu nf"]
+    status: Int[Array, ""]
+    inputs: tuple[str, ...] = field(static=True)
+    outputs: tuple[str, ...] = field(static=True)
+    input_units: tuple[str, ...] = field(static=True)
+    output_units: tuple[str, ...] = field(static=True)
+
+    @property
+    def magnitude(self) -> Float[Array, "ny nu nf"]:
+        return jnp.abs(self.values)
+
+    @property
+    def phase(self) -> Float[Array, "ny nu nf"]:
+        return jnp.unwrap(jnp.angle(self.values), axis=-1)
+
+    def __getitem__(self, pair: tuple[str, str]) -> Complex[Array, "nf"]:
+        output, name = pair
+        for given, known in ((output, self.outputs), (name, self.inputs)):
+            if given not in known:
+                raise JaxbodyError(unknown(given, "response", known))
+        return self.values[..., self.outputs.index(output), self.inputs.index(name), :]
+
+    def unit(self, output: str, name: str) -> str:
+        """Of one of them: "" for a ratio."""
+        above, below = self.output_units[self.outputs.index(output)], self.input_units[self.inputs.index(name)]
+        return "" if above == below else f"{above} per {below}"
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: the complex response by `output`, `input` and `frequency`, with units by output and input."""
+        from jaxbody.exports import frequency_response_dataset
+
+        return frequency_response_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        heads = ("output", "input", "unit", "at first frequency", "largest", "at [Hz]")
+        if self.values.ndim > 3 or not is_concrete(self.values):
+            return [tables.Table("Frequency response", ("", ""), [("values", self.values)])]
+        f, size = np.asarray(self.frequencies), np.asarray(self.magnitude)
+        rows = [
+            (y, u, self.unit(y, u) or "-", *((x := size[i, j])[0], x.max(), f[np.argmax(x)]))
+            for i, y in enumerate(self.outputs)
+            for j, u in enumerate(self.inputs)
+        ]
+        note = "" if int(self.status) == 0 else self.report()
+        return [tables.Table(f"Frequency response, {f[0]:.6g} to {f[-1]:.6g} Hz", heads, rows, note)]
+
+
+def frequency_response(
+    lin: Linearization,
+    frequencies: Any,
+    inputs: dict[str, Any],
+    outputs: dict[str, Any],
+    *,
+    loss_factor: Any = None,
+    method: str = "direct",
+) -> FrequencyResponse:
+    """The response at `frequencies` [Hz] from named inputs to named outputs, {name: port}, of small motions about an equilibrium.
+
+        D(w) Delta = (K~ + i w C~ - w^2 M~) Xi + F f,   D(w) = K + i w C - w^2 M
+
+    inputs: BaseMotion, PointForce; outputs: PointMotion, ElementForce, ElementDeformation, SupportReaction, or a sensor that reads one number.
+    loss_factor: hysteretic damping, i eta times the stiffness V''(e) of elements, one number for all or {element: eta}. It exists for
+    harmonic motion only, so it is an option here and no property of a model: nothing that simulates can meet it. method: "direct", by elimination
+    at each frequency, or "modal", the sum over all complex modes, the same to rounding. Differentiable either way, coinciding
+    modes included, with respect to the model, the points of ports, loss factors and frequencies.
+
+    Errors: BAD_FREQUENCY at zero and below (the static response is that at a small frequency), UNKNOWN_NAME, WRONG_KIND, BAD_COMPONENT,
+    BAD_METHOD, BAD_SHAPE, NON_FINITE, NEGATIVE loss factors; warns UNSTABLE, DEFECTIVE (modes), NONFINITE (an undamped resonance).
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> lin = linearize(model, equilibrium(model))
+    >>> found = frequency_response(lin, [2.0], {"base": BaseMotion("base", "y")}, {"mass": PointMotion("mass", direction="y")})
+    >>> round(float(found["mass", "base"][0].real * (1 - (2.0 * 2 * jnp.pi) ** 2 / 25)), 12)
+    1.0
+    """
+    check_precision("frequency_response", lin.model)
+    f = check_frequencies(frequencies, "frequency_response.frequencies")
+    (u, ins, u_units), (y, outs, y_units) = check_ports(lin, inputs, outputs, "frequency_response")
+    eta = check_loss_factors(loss_factor, lin.model, "frequency_response.loss_factor")
+    if method not in METHODS:
+        problems = Problems()
+        problems.add("BAD_METHOD", "frequency_response.method", f"is {method!r}", value=method, limit=" ".join(METHODS))
+        problems.raise_if_any()
+    values, status = response_values(lin, f, wired(lin, ins, outs), eta, method)
+    result = FrequencyResponse(f, values, status, u, y, u_units, y_units)
+    warn_if_failed(result)
+    return result
+
+
+def check_frequencies(given: Any, where: str) -> Float[Array, "nf"]:
+    """Positive frequencies in one row."""
+    problems = Problems()
+    array = float_array(given, where)
+    array = checked(array, ((max(array.size, 1),),), where, problems, "Give frequencies [Hz] in one row.")
+    known = None if array is None else concrete(array)
+    if known is not None and (known <= 0).any():
+        i = int(np.flatnonzero(known <= 0)[0])
+        hint = "For the static response take a small frequency, such as 1e-6 Hz."
+        problems.add("BAD_FREQUENCY", where, f"is {known[i]:g} Hz at index {i}", value=float(known[i]), limit="> 0", hint=hint)
+    problems.raise_if_any()
+    return device_array(array)
+
+
+def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne"] | None:
+    if given is None:
+        return None
+    problems, names = Problems(), model.element_names
+    for name in given if isinstance(given, dict) else ():
+        if name not in names:
+            problems.found.append(unknown(name, where, names))
+    each = [checked(given.get(name, 0.0) if isinstance(given, dict) else given, ((),), where, problems) for name in names]
+    for name, value in zip(names, each, strict=True):
+        known = None if value is None else concrete(value)
+        if known is not None and known < 0:
+            problems.add("NEGATIVE", where, f"of '{name}' is {known:g}", value=float(known), limit=">= 0", hint="It would add energy.")
+    problems.raise_if_any()
+    return jnp.stack([device_array(value) for value in each]) if each else jnp.zeros(0)
+
+
+@filter_jit
+def response_values(lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, eta: Float[Array, "ne"] | None, method: str = "direct"):
+    """(values (ny, nu, nf), status)."""
+    nv = lin.M.shape[-1]
+    s = 2j * jnp.pi * f
+    K, C, M = whole_matrices(lin)
+    H = None if eta is None else hysteretic(lin, eta)
+    scale = s[None] ** -jnp.array(wiring.orders, f.dtype)[:, None].astype(int) if any(wiring.orders) else jnp.ones((len(wiring.orders), 1))
+    Xi = wiring.X[:, :, None] * scale[None]
+    right = wiring.F[:nv, :, None] - _times(K[:nv, nv:], C[:nv, nv:], M[:nv, nv:], None if H is None else H[:nv, nv:], s, Xi)
+    own = _Matrices(K[:nv, :nv], C[:nv, :nv], M[:nv, :nv], None if H is None else H[:nv, :nv])
+    Delta, complete = _solved(own, s, jnp.broadcast_to(right, (nv, Xi.shape[1], f.shape[0])), method)
+    x = jnp.concatenate([Delta, jnp.broadcast_to(Xi, (Xi.shape[0], *Delta.shape[1:]))])
+    Y = wiring.Y
+    values = _times(Y[0], Y[1], Y[2], None if H is None else _elastic_rows(Y, H, wiring, lin, eta), s, x) + wiring.G[:, :, None]
+    status = jnp.select(
+        [jnp.isin(lin.status, jnp.array(FAILED)), grows(own), ~complete, ~jnp.isfinite(values).all()],
+        [lin.status, Status.UNSTABLE.value, Status.DEFECTIVE.value, Status.NONFINITE.value],
+        Status.OK.value,
+    )
+    bad = (status != Status.OK) & (status != Status.NONFINITE)
+    return values * jnp.where(bad, jnp.nan, 1.0), status
+
+
+class _Matrices(Module):
+    """Of D = K + s C + s^2 M + i H, s = i w."""
+
+    K: Float[Array, "n n"]
+    C: Float[Array, "n n"]
+    M: Float[Array, "n n"]
+    H: Float[Array, "n n"] | None
+
+    @property
+    def T(self) -> _Matrices:
+        return jax.tree.map(jnp.transpose, self)
+
+    def moved(self, left: Array, right: Array) -> _Matrices:
+        return jax.tree.map(lambda A: left @ A @ right, self)
+
+    def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "n n nf"]:
+        K = self.K if self.H is None else self.K + 1j * self.H
+        return K[:, :, None] + self.C[:, :, None] * s + self.M[:, :, None] * s**2
+
+
+def _times(K, C, M, H, s, x: Complex[Array, "n m nf"]) -> Complex[Array, "k m nf"]:
+    """(K + s C + s^2 M + i H) x by real products."""
+    parts = jnp.concatenate([K, C, M] if H is None else [K, C, M, H])
+    re, im = (jnp.tensordot(parts, part, 1) for part in (x.real, x.imag))
+    product = [re_ + 1j * im_ for re_, im_ in zip(jnp.split(re, len(parts) // len(K)), jnp.split(im, len(parts) // len(K)), strict=True)]
+    sum = product[0] + s * product[1] + s**2 * product[2]
+    return sum if H is None else sum + 1j * product[3]
+
+
+def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tuple[Complex[Array, "n m nf"], Bool[Array, ""]]:
+    """D(s)^-1 b, with the derivatives of the linear systems whichever way they are solved; and whether the way is good."""
+    frozen, at = jax.lax.stop_gradient((own, s))
+    if method == "modal":
+        left, poles, right, complete = _complex_modes(frozen)
+
+        def solve(A, s, b, transposed):
+            L, R = (right.T, left.T) if transposed else (left, right)
+            return jnp.tensordot(L, jnp.tensordot(R, b, 1) / (s - poles[:, None])[:, None], 1)
+    else:
+        complete = jnp.array(True)
+
+        def solve(A, s, b, transposed):
+            return _eliminated(A.T if transposed else A, s, b)
+
+    return jax.lax.custom_linear_solve(
+        lambda x: _times(own.K, own.C, own.M, own.H, s, x),
+        b,
+        lambda _, b: solve(frozen, at, b, False),
+        lambda _, b: solve(frozen, at, b, True),
+    ), complete
+
+
+def _eliminated(A: _Matrices, s, b: Complex[Array, "n m nf"]) -> Complex[Array, "n m nf"]:
+    """By elimination without a search for pivots, in the coordinates of the real modes: there D is diagonal but for damping, where rows need
+    no exchange, as no entry of C is larger than the mean of two on its diagonal."""
+    n = len(A.M)
+    if n > LARGEST_UNROLLED:
+        x = jnp.linalg.solve(jnp.moveaxis(A.at(s), -1, 0), jnp.moveaxis(b, -1, 0))
+        return jnp.moveaxis(x, 0, -1)
+    L = jnp.linalg.cholesky((A.M + A.M.T) / 2)
+    half = jax.scipy.linalg.solve_triangular(L, (A.K + A.K.T) / 2, lower=True)
+    whitened = jax.scipy.linalg.solve_triangular(L, half.T, lower=True)
+    shapes = jax.scipy.linalg.solve_triangular(L, jnp.linalg.eigh((whitened + whitened.T) / 2)[1], lower=True, trans=1)
+    D = A.moved(shapes.T, shapes).at(s)
+    Db = jnp.concatenate([D, jnp.tensordot(shapes.T, b, 1)], 1)
+    for i in range(n):  # of the columns not yet cleared
+        row = Db[i, 1:] / Db[i, 0]
+        Db = jnp.where((jnp.arange(n) == i)[:, None, None], row, Db[:, 1:] - Db[:, :1] * row)
+    return jnp.tensordot(shapes, Db, 1)
+
+
+def _companion(A: _Matrices) -> Array:
+    """(Delta, Delta')' = A (Delta, Delta')."""
+    n = len(A.M)
+    K = A.K if A.H is None else A.K + 1j * A.H
+    lower = jnp.linalg.solve(A.M.astype(K.dtype), jnp.concatenate([-K, -A.C.astype(K.dtype)], 1))
+    return jnp.concatenate([jnp.concatenate([jnp.zeros((n, n), K.dtype), jnp.eye(n, dtype=K.dtype)], 1), lower])
+
+
+def _complex_modes(A: _Matrices):
+    """D(s)^-1 = left diag(1/(s - pole)) right, and whether the modes are a basis."""
+    n = len(A.M)
+    matrix = _companion(A)
+    unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n:, :n])))  # of time, so that displacements and rates are alike
+    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)])
+    balanced = matrix * scale / scale[:, None]
+    poles, vectors = jnp.linalg.eig(balanced)
+    inverse = jnp.linalg.inv(vectors)
+    error = jnp.max(jnp.abs((vectors * poles) @ inverse - balanced)) / jnp.max(jnp.abs(balanced))
+    right = inverse[:, n:] @ jnp.linalg.inv(A.M) / unit
+    return vectors[:n], poles, right, error < INVERTED
+
+
+def grows(A: _Matrices) -> Bool[Array, ""]:
+    """Whether a free motion grows."""
+    values = jnp.linalg.eigvals(_companion(jax.lax.stop_gradient(_Matrices(A.K, A.C, A.M, None))))
+    return jnp.max(values.real) > GROWS * jnp.max(jnp.abs(values))
+
+
+def hysteretic(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Array, "n n"]:
+    """H of (Delta, Xi): the sum over the elements of eta V''(e) de de."""
+    H = jnp.zeros(())
+    first = 0
+    for curvature, J in _elastic(lin):
+        own = eta[first : first + len(J)]
+        first += len(J)
+        H = H + jnp.einsum("e,eai,eab,ebj->ij", own, J, curvature, J)
+    return H + jnp.zeros((lin.model.layout.nv + lin.model.layout.nxi,) * 2)
+
+
+def _elastic(lin: Linearization):
+    """V''(e) (elements, k, k) and de/d(Delta, Xi) (elements, k, n) of every table of elements."""
+    model, layout, q = lin.model, lin.model.layout, lin.state.q
+
+    def deformations(x):
+        coordinates, delta, xi = Coordinates(model), x[: layout.nv], x[layout.nv :].reshape(-1, 6)
+        frames = coordinates.frames(coordinates.retract(q, delta), jnp.zeros_like(delta), supports_at(model, xi, jnp.zeros_like(xi)))
+        return tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F))))
+
+    zero = jnp.zeros(layout.nv + layout.nxi, q.dtype)
+    for table, e, J in zip(model.elements, deformations(zero), jax.jacfwd(deformations)(zero), strict=True):
+        count = len(table.names)
+        k = int(np.prod(e.shape[1:], dtype=int))
+        curvature = jax.vmap(lambda s, e: jax.hessian(s.energy)(e))(table.rows, e)
+        yield curvature.reshape(count, k, k), J.reshape(count, k, len(zero))
+
+
+def _elastic_rows(Y, H, wiring: Wiring, lin: Linearization, eta) -> Float[Array, "ny n"]:
+    """What i H adds to outputs: eta times the elastic part of an element's force, -H of a reaction."""
+    nv = lin.M.shape[-1]
+    rows = [jnp.zeros(Y.shape[-1], Y.dtype)] * Y.shape[1]
+    for i, (element, support) in enumerate(zip(wiring.elements, wiring.reactions, strict=True)):
+        if element >= 0:
+            rows[i] = eta[element] * Y[0, i]
+        if support >= 0:
+            rows[i] = -H[nv + support]
+    return jnp.stack(rows)
