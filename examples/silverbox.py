@@ -19,9 +19,6 @@ import pathlib
 import sys
 import time
 
-# several times faster for so small a model and so long a record; it must be set before the first computation
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000")
-
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -30,6 +27,8 @@ from scipy.interpolate import CubicSpline
 
 import jaxbody as jb
 
+if __name__ == "__main__":
+    jb.fast_loops()  # several times faster for so small a model and so long a record
 jax.config.update("jax_enable_x64", True)
 
 shared = pathlib.Path(os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).parents[2] / "shared" / "data"))

@@ -95,7 +95,15 @@ class ModeEnergies(Result):
             "Dissipation [%]": {name: x for name, x in self.dissipation.items() if jnp.any(x > 0)},
         }
         shown = [
-            tables.Table(title, ("", *heads), [(name, *(f"{round(float(x), 2) + 0.0:.2f}" for x in row)) for name, row in rows.items()])
+            tables.Table(
+                title,
+                ("", *heads),
+                [
+                    (name, *(f"{round(float(x), 2) + 0.0:.2f}" for x in row))
+                    for name, row in rows.items()
+                    if not jnp.max(jnp.abs(row)) < 0.005
+                ],
+            )
             for title, rows in parts.items()
             if rows
         ]
