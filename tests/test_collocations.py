@@ -90,6 +90,7 @@ def has_no_trend(error):
     return abs(slope) < max(3 * scatter / np.sqrt(x @ x), 0.1 * scatter)
 
 
+@pytest.mark.long
 def test_energy_has_no_trend_over_a_thousand_periods():
     error = vibrating(1000)
     assert np.abs(error).max() < 1e-6

@@ -293,6 +293,7 @@ def assert_moves_as_by_euler_lagrange(model, motions, rng):
         assert far_apart(one, other) < 1e-10
 
 
+@pytest.mark.long
 def test_every_joint_on_a_support_and_on_a_body_moves_and_pushes_back_as_by_euler_lagrange():
     rng = np.random.default_rng(4)
     on_supports = {

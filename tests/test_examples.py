@@ -190,6 +190,7 @@ def test_the_modes_of_the_engine(monkeypatch):
     assert names["branches"].ok.all()
 
 
+@pytest.mark.long
 def test_an_instrument_on_an_isolator(monkeypatch):
     """It asserts its frequency and its transmissibility; here that stiffness across and along z counts as differences say."""
     monkeypatch.setenv("MPLBACKEND", "Agg")

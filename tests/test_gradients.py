@@ -104,6 +104,7 @@ def test_equilibrium_frequencies_and_damping_have_the_derivatives_of_differences
     assert_derivatives_agree(tangents, parts, forward, reverse, differences, silent)
 
 
+@pytest.mark.long
 def test_trajectories_have_the_derivatives_of_differences():
     tangents = directions(MOVING)
     forward, differences, _ = slopes(functools.partial(moving, adjoint=diffrax.ForwardMode()), MOVING, tangents.values(), 1e-3)

@@ -61,6 +61,7 @@ def test_gradients_are_those_of_diffrax(model):
     assert float(forward) == pytest.approx(float(theirs), rel=1e-9)
 
 
+@pytest.mark.long
 def test_gradients_to_initial_states_and_times(model):
     """The state at the end by the initial speeds, and by the time that is asked for: its rate."""
     start = model.reference

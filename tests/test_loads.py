@@ -184,6 +184,7 @@ def cases():
     return jb.load_cases(ENGINE, CASES)
 
 
+@pytest.mark.long
 def test_load_cases_are_in_equilibrium_by_an_energy_written_here(cases):
     """dV/dz - Q = 0 in rotation vectors, V by SciPy and differences: what is left is theirs, 1e-6 of the load."""
     assert cases.ok.all() and bool(cases.unloaded.ok)

@@ -34,6 +34,7 @@ def full_car_matrices(mass=1100.0, inertia=(450.0, 1500.0), front=1.2, rear=1.4,
     return M, C, K, T
 
 
+@pytest.mark.long
 def test_the_full_car_is_the_seven_degree_car_written_here():
     """The reference pose is the equilibrium; M, C, K and K~ are equal, so all follows."""
     car = presets.full_car()
@@ -114,6 +115,7 @@ def test_the_stewart_table_stands_on_legs_of_equal_tension():
     np.testing.assert_allclose(lengths, L, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_the_double_pendulum_and_the_gliders():
     model = presets.double_pendulum()
     _, lin = frequencies(model)

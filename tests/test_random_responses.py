@@ -69,6 +69,7 @@ def test_damping_of_least_body_acceleration(lin):
     assert float(other) * best / float(value) > 0.01
 
 
+@pytest.mark.long
 def test_units_and_sides_say_the_same(lin, ride):
     """One road as displacement, velocity or acceleration, per Hz, rad/s or cycle/m, one- or two-sided, as a formula or through points."""
     level = 64e-6 * 4

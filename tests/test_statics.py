@@ -211,6 +211,7 @@ class Parabola(jb.Motion):
         return xi + t * rate + t**2 / 2 * second
 
 
+@pytest.mark.long
 def test_matrices_are_the_derivatives_of_the_equations_of_motion(rig):
     """M Delta'' + C Delta' + K Delta = K~ Xi + C~ Xi' + M~ Xi'' about the equilibrium."""
     found = jb.equilibrium(rig)

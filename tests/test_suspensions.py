@@ -122,6 +122,7 @@ def test_the_rig_meets_what_its_laws_are_for(model, moved):
         assert moved.forces[f"{name} strut"].max() <= 0 and moved.forces[f"{name} strut"].min() < -M * G
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rtol", [1e-6, 1e-8])
 def test_energy_is_what_the_base_puts_in_less_what_dampers_lose(model, start, rtol):
     """Within 10 rtol of the largest energy; the integrals by Simpson's rule, whose own error is below."""
