@@ -108,7 +108,7 @@ def _backward(kept, cotangent: Ended, perturbed, given, problem: Problem):
     varied, fixed = partition(arguments, is_inexact_array)
     of_samples = jnp.zeros((len(times), len(y0)), y0.dtype) if cotangent.samples is None else cotangent.samples
     of_y = jnp.zeros_like(y0) if cotangent.y is None else cotangent.y
-    of_windows = _windows(of_samples.at[0].set(0.0))  # the first sample is y0
+    of_windows = _windows(of_samples.at[0].set(0.0), jnp.zeros((1, len(y0)), y0.dtype))  # the first sample is y0
 
     def back(carry):
         n, to_varied, to_times, to_state = carry
@@ -303,11 +303,11 @@ def _eighth_root(x: Array) -> Array:
     return jnp.sqrt(jnp.sqrt(jnp.sqrt(x)))
 
 
-def _windows(x: Float[Array, "nt *k"]) -> Float[Array, "n w *k"]:
-    """Rows in windows, the last one repeated to fill."""
+def _windows(x: Float[Array, "nt *k"], more: Array | None = None) -> Float[Array, "n w *k"]:
+    """Rows in windows, filled with the last row or with `more`."""
     w = min(WINDOW, len(x))
     n = -(-len(x) // w)
-    x = jnp.concatenate([x, jnp.broadcast_to(x[-1:], (n * w - len(x), *x.shape[1:]))])
+    x = jnp.concatenate([x, jnp.broadcast_to(x[-1:] if more is None else more, (n * w - len(x), *x.shape[1:]))])
     return x.reshape(n, w, *x.shape[1:])
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
+from jaxbody import integrators
 
 TIMES = jnp.linspace(0.0, 0.8, 33)
 MOTION = {"base": jb.Harmonic(frequency=0.8, translation=[0.01, 0, 0], rotation=[0, 0, 0.02])}
@@ -46,11 +47,21 @@ def loss(model, factor, **options):
     return jnp.sum(path(model, factor, rtol=1e-10, **options)[:, :3] ** 2)
 
 
-def test_reverse_is_forward(model):
-    """To rounding, as both differentiate the same steps."""
-    reverse = jax.jit(jax.grad(lambda f: loss(model, f)))(1.0)
-    forward = jax.jit(jax.jacfwd(lambda f: loss(model, f, adjoint=diffrax.ForwardMode())))(1.0)
+@pytest.mark.parametrize("small", [False, True], ids=["one block", "blocks of 4 steps, windows of 8 samples"])
+def test_reverse_is_forward(model, small, monkeypatch):
+    """To rounding, as both differentiate the same steps; also where the last window is not full and blocks end within windows."""
+    times = TIMES[:30] if small else TIMES
+    whole = loss(model, 1.0, times=times)
+    if small:
+        monkeypatch.setattr(integrators, "BLOCK", 4)
+        monkeypatch.setattr(integrators, "WINDOW", 8)
+        jax.clear_caches()
+    reverse = jax.jit(jax.grad(lambda f: loss(model, f, times=times)))(1.0)
+    value, forward = jax.jit(lambda f: jax.jvp(lambda f: loss(model, f, times=times, adjoint=diffrax.ForwardMode()), (f,), (1.0,)))(1.0)
+    assert float(value) == pytest.approx(float(whole), rel=1e-13)
     assert float(reverse) == pytest.approx(float(forward), rel=1e-11)
+    if small:
+        jax.clear_caches()
 
 
 @pytest.mark.long
