@@ -73,6 +73,7 @@ batching.primitive_batchers[_any_p] = lambda args, axes: (_any_p.bind(jnp.any(ar
 
 _lanes_p = Primitive("in_lanes")
 _lanes_p.multiple_results = True
+_lanes_p.is_high = lambda *_, **__: False  # pyright: ignore  # newer JAX asks; what its function holds is lowered with it
 _lanes_p.def_impl(lambda *args, jaxpr, reversible: jaxpr_as_fun(jaxpr)(*args))
 _lanes_p.def_abstract_eval(lambda *args, jaxpr, reversible: jaxpr.out_avals)
 mlir.register_lowering(_lanes_p, mlir.lower_fun(lambda *args, jaxpr, reversible: jaxpr_as_fun(jaxpr)(*args), multiple_results=True))
@@ -144,12 +145,23 @@ def _reach_of(eqn, on: list[bool]) -> list[bool]:
         asks = _reach(p["cond_jaxpr"], on[: p["cond_nconsts"]] + carry)[0]
         return [True] * len(carry) if asks else carry
     if name == "scan":
-        consts, end = p["num_consts"], p["num_consts"] + p["num_carry"]
+        consts, end = _parts_of_scan(eqn)
         carry = _fixpoint(p["jaxpr"], on[:consts], on[consts:end], on[end:])
         return carry + _reach(p["jaxpr"], on[:consts] + carry + on[end:])[len(carry) :]
     if name == "cond" and not on[0]:
         return [any(of) for of in zip(*(_reach(branch, on[1:]) for branch in p["branches"]), strict=True)]
     return [any(on) and name != "any_of_batch"] * len(eqn.outvars)
+
+
+def _parts_of_scan(eqn) -> tuple[int, int]:
+    """Where the carry begins and ends among the arguments; what is carried has the shape that the body sees, what is mapped has not."""
+
+    def alike(outer, inner):
+        return sum(a.aval.shape == b.aval.shape for a, b in zip(outer, inner, strict=True))
+
+    body = eqn.params["jaxpr"].jaxpr
+    carried, end = alike(eqn.outvars, body.outvars), alike(eqn.invars, body.invars)
+    return end - carried, end
 
 
 def _fixpoint(body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list[bool]) -> list[bool]:
@@ -223,7 +235,7 @@ class Lanes:
         if name == "while" and not all(_reach_of(eqn, on)):
             return self._while(p, on, x)
         if name == "scan":
-            return self._scan(p, on, x)
+            return self._scan(eqn, on, x)
         axes = [-1 if o else None for o in on]
         out = jax.vmap(lambda *x: _bind(eqn, x), in_axes=axes, out_axes=-1, axis_size=n)(*x)
         return [a if r else a[..., 0] for a, r in zip(out, _reach_of(eqn, on), strict=True)]
@@ -241,9 +253,9 @@ class Lanes:
             start,
         )
 
-    def _scan(self, p, on, x):
-        a, b = p["num_consts"], p["num_consts"] + p["num_carry"]
-        body = p["jaxpr"]
+    def _scan(self, eqn, on, x):
+        a, b = _parts_of_scan(eqn)
+        p, body = eqn.params, eqn.params["jaxpr"]
         carry = _fixpoint(body, on[:a], on[a:b], on[b:])
         start = [self._spread(v, o, av.shape) if c else v for v, o, c, av in zip(x[a:b], on[a:b], carry, body.in_avals[a:b], strict=True)]
         inputs = on[:a] + carry + on[b:]
