@@ -85,7 +85,7 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=12.0)})
-    >>> found = complex_modes(linearize(model, equilibrium(model)))
+    >>> found = complex_modes(linearize(model, model.reference))
     >>> round(float(found.decay_rate[0]), 9), round(float(found.damping_ratio[0]), 9), round(float(found.frequency[0] * 2 * jnp.pi), 9)
     (3.0, 0.6, 4.0)
     """

@@ -102,7 +102,7 @@ def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
 
     >>> legs = {f"leg{i}": Bushing(("box", [x, y, -0.2]), ("world", [x, y, -0.2]), stiffness=[1e4, 2e4, 3e4]) for i, (x, y) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)])}
     >>> model = Model(bodies={"box": Body(mass=50.0, inertia=[4, 5, 6])}, elements=legs)
-    >>> axes = elastic_axes(linearize(model, equilibrium(model)), "box")
+    >>> axes = elastic_axes(linearize(model, model.reference), "box")
     >>> axes.stiffness.tolist(), [round(float(x), 9) for x in axes.center]
     ([40000.0, 80000.0, 120000.0], [0.0, 0.0, -0.2])
     """
@@ -124,7 +124,7 @@ def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAx
     Source: T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
 
     >>> model = jb.presets.engine_on_mounts()
-    >>> axis = torque_roll_axis(linearize(model, equilibrium(model)), "engine", [1, 0, 0])
+    >>> axis = torque_roll_axis(linearize(model, model.reference), "engine", [1, 0, 0])
     >>> [round(float(x), 4) for x in axis.direction]
     [0.9445, 0.3279, -0.0191]
     """

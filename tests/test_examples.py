@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from data import data
 
+import jaxbody as jb
 from jaxbody import demos
 
 ROOT = Path(__file__).parents[1]
@@ -58,8 +59,15 @@ def test_the_contract_script_finds_what_it_should(contract):
 
 
 def test_readme_shows_the_contract_script_as_it_stands():
-    (script,) = blocks("python")
-    assert script == (ROOT / "examples" / "contract.py").read_text()
+    assert blocks("python")[0] == (ROOT / "examples" / "contract.py").read_text()
+
+
+@pytest.mark.long
+def test_what_readme_says_of_vibration_runs():
+    """As it stands there, and the engine's modes are named as it says."""
+    names: dict = {"jb": jb}
+    exec(blocks("python")[1], names)
+    assert names["ride"].ok and "car bounce 85 %" in str(jb.mode_energies(names["lin"], forward="x"))
 
 
 def test_readme_shows_what_the_contract_script_prints(contract):

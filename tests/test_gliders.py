@@ -47,6 +47,7 @@ def test_the_masses_themselves_are_told_to_be_undetermined(gliders):
     assert np.isfinite(loose.standard_errors["track.initial.v"]).all()
 
 
+@pytest.mark.long
 def test_optax_reaches_the_optimum_that_scipy_reaches(gliders):
     """With the noise stated, so that both weigh the two sensors alike."""
     jb = gliders.jb

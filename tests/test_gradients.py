@@ -94,6 +94,7 @@ STILL = jax.tree.map(jnp.asarray, rigs.PARAMETERS)
 MOVING = STILL | jax.tree.map(jnp.asarray, rigs.SHAKING | INITIAL)
 
 
+@pytest.mark.long
 def test_equilibrium_frequencies_and_damping_have_the_derivatives_of_differences():
     tangents = directions(STILL)
     forward, differences, _ = slopes(still, STILL, tangents.values(), 1e-4)

@@ -149,7 +149,8 @@ def test_every_method_reaches_the_optimum_that_scipy_finds_by_itself(method, rec
     print(method, values_of(found) / optimum - 1, found.evaluations)
 
 
-@pytest.mark.parametrize("method", ["least_squares", pytest.param("levenberg_marquardt", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("method", ["least_squares", "levenberg_marquardt"])
 def test_constant_steps_or_a_controller_of_ones_own_give_the_same_estimates(method, record, found):
     for steps in (
         {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": TIMES[1] / 5},

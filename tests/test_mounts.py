@@ -39,6 +39,7 @@ def natural_motions(model: jb.Model, times) -> dict[str, jb.Experiment]:
     return runs
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
 @pytest.mark.parametrize("points, rank", [(RECTANGLE, 8), (QUADRILATERAL, 9), (GENERAL, 12)], ids=["rectangle", "plane", "general"])
 def test_the_rank_is_that_of_the_geometry(points, rank):

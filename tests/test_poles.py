@@ -95,6 +95,7 @@ def test_an_overdamped_mass_keeps_its_damping_ratio():
     assert "overdamped" not in str(damped) and "decay rate" in str(damped)
 
 
+@pytest.mark.long
 def test_gradients_of_poles(poles_of):
     def numbers(c):
         found = poles_of(c)
@@ -393,6 +394,7 @@ def test_following_tells_what_it_lost():
     assert refused(jb.track, turned, [[0.0]]) == "BAD_SHAPE" and refused(jb.track, turned, [0.0, np.nan]) == "NON_FINITE"
 
 
+@pytest.mark.long
 def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
     pytest.importorskip("xarray")
     damped, energies, axes = jb.complex_modes(engine), jb.mode_energies(engine), jb.elastic_axes(engine, "engine")
