@@ -184,6 +184,7 @@ def slider(stiffness):
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("offset", [0.0, 0.5])
 def test_constant_steps_have_right_gradients_also_where_samples_lie_on_steps(offset):
     """The sum of squares of x = 0.1 cos(20 t) over the samples, by its stiffness 400; the default is no checkpointed reverse mode."""

@@ -234,6 +234,7 @@ def random_problem(values, seed):
     return L @ np.diag(values) @ L.T, M, dK + dK.T, (dM + dM.T) / 9
 
 
+@pytest.mark.long
 def test_derivatives_of_an_eigenproblem_with_a_double_and_a_triple_value():
     """Against SciPy's values on both sides; spaces by their projectors."""
     K, M, dK, dM = random_problem([1.0, 2.0, 2.0, 3.0, 5.0, 5.0, 5.0], 1)

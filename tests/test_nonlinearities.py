@@ -393,6 +393,7 @@ def test_a_mode_alone_has_derivatives_where_others_coincide():
     assert apart(slope, [-3 / 8 / MASS[0] ** 2, 0, 0]) < 1e-13
 
 
+@pytest.mark.long
 def test_it_prints_amplitudes_in_millimeters_and_milliradians_and_is_exported(hanging):
     found = jb.backbones(jb.linearize(hanging.model, hanging))
     rows = str(found).splitlines()[2:8]
