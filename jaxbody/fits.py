@@ -45,7 +45,7 @@ class Fit(Result):
 
     @property
     def paths(self) -> tuple[str, ...]:
-        return tuple(f.leaf.path for f in self.task.free)
+        return tuple(f.path for f in self.task.free)
 
     @property
     def estimates(self) -> dict[str, Array]:
@@ -89,6 +89,8 @@ class Fit(Result):
             return f"rank {u.rank} of {len(u.singular_values)}: " + "; ".join(u.words)
         if status == Status.AT_BOUND:
             return ", ".join(self.at_bound) + "; no standard error there is to be trusted"
+        if status == Status.INTERRUPTED:
+            return f"after {int(self.evaluations)} evaluations; the best so far is kept; go on with fit(..., resume=this)"
         if status == Status.NOT_CONVERGED:
             return f"after {int(self.evaluations)} evaluations; the best so far is kept; start nearer, or give more max_evaluations"
         return ""
@@ -103,17 +105,12 @@ class Fit(Result):
         if self.uncertainty is None or not is_concrete(self.u):
             return [tables.Table("Fit", ("", ""), [(path, value) for path, value in self.estimates.items()])]
         rows = []
+        names = {f.path: f.name for f in self.task.free}
         for path, value in self.estimates.items():
             error = np.asarray(self.standard_errors[path])
-            for label, x, e in zip(_labels(path, np.asarray(value)), np.asarray(value).ravel(), error.ravel(), strict=True):
-                rows.append(
-                    (
-                        label,
-                        float(x),
-                        float(e) if np.isfinite(e) else "not determined",
-                        f"{100 * e / abs(x):.2g} %" if np.isfinite(e) and x else "",
-                    )
-                )
+            for label, x, e in zip(_labels(names[path], np.asarray(value)), np.asarray(value).ravel(), error.ravel(), strict=True):
+                told = (float(e), f"{100 * e / abs(x):.2g} %" if x else "") if np.isfinite(e) else ("not determined", "")
+                rows.append((label, float(x), *told))
         fits = [
             (f"{run}.{name}", float(rms), unit.strip())
             for run, sensors in self.noise.items()
