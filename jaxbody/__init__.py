@@ -21,6 +21,8 @@ from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll,
 from jaxbody.kinematics import retract
 from jaxbody.linearizations import excitation, linearize
 from jaxbody.loads import EngineTorque, Force, Load, Unbalance
+from jaxbody.measured_modes import MeasuredModes
+from jaxbody.measured_responses import MeasuredResponse
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
