@@ -19,8 +19,8 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.arrays import concrete
+from jaxbody.channels import Measurement
 from jaxbody.errors import Problem, Problems
-from jaxbody.experiments import Experiment
 from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model
 from jaxbody.naming import Leaf, leaves_of, matching
@@ -168,7 +168,7 @@ class Free(eqx.Module):
     form: Parametrization
 
 
-def choose(model: Model, experiments: dict[str, Experiment], patterns: list[str]) -> tuple[Free, ...]:
+def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str]) -> tuple[Free, ...]:
     """The free parameters that the patterns mean, each with its parametrization."""
     problems = Problems()
     roots = {"": model, **experiments}

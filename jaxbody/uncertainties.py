@@ -15,7 +15,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxbody.autocorrelations import Whiteness, whiteness
-from jaxbody.noises import Channel, noise_of
+from jaxbody.noises import Record, noise_of
 
 CORRELATED = 0.1  # lag-one correlation of residuals that is told, if it is also significant
 SIGNIFICANT = 3.0  # standard deviations of the pooled lag-one correlation of white noise
@@ -98,25 +98,27 @@ def decomposed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
     return U[: len(J)], S, Vt, known_directions(S)
 
 
-def assess(r, J, slopes: list[np.ndarray], paths: list[str], labels: list[str], channels: list[Channel], inside=None) -> Uncertainty:
-    """From residuals r and Jacobian J in u, the slopes of each leaf in u and the channels that r is made of, what is known how well.
+def assess(
+    r, J, slopes: list[np.ndarray], paths: list[str], labels: list[str], records: list[Record], *, inside=None, exact=0.0
+) -> Uncertainty:
+    """From residuals r and Jacobian J in u, the slopes of each leaf in u and the records that r is made of, what is known how well.
 
-    inside: which u are at no bound."""
+    inside: which u are at no bound; exact: a norm of r that is no noise."""
     inside = np.ones(J.shape[1], bool) if inside is None else np.asarray(inside)
     _, S, Vt, known = decomposed(J)
     null = np.concatenate([Vt[~known].T, np.eye(J.shape[1])[:, ~inside]], axis=1)
     U, s, vt, used = decomposed(J[:, inside])
-    noise = noise_of(r, U[:, used], channels)
+    noise = noise_of(r, U[:, used], records)
     back = np.zeros((J.shape[1], used.sum()))
     back[inside] = vt[used].T / s[used]
     covariance, white, *parts = (back @ M @ back.T for M in (noise.M, noise.white, *noise.parts))
     still = [label for label, silent in zip(labels, ~J.any(0), strict=True) if silent]
-    tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in channels}
-    correlation, significant = lag_one(r, channels)
+    tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in records}
+    correlation, significant = lag_one(r, records)
     found = Uncertainty(
-        covariance, white, np.array(parts).reshape(-1, *covariance.shape), null, {}, S, int(known.sum()),
-        in_words(Vt[~known].T, labels, still), still, correlation, significant, tests,
-        dict(zip((c.name for c in channels), noise.orders, strict=True)), noise.pairs, sum(len(c.rows) for c in channels),
+        covariance, white, np.reshape(parts, (len(parts), *covariance.shape)), null, {}, S, int(known.sum()),
+        in_words(Vt[~known].T, labels, still), still, correlation, significant and bool(r @ r > exact**2), tests,
+        dict(zip((c.name for c in records), noise.orders, strict=True)), noise.pairs, sum(len(c.rows) for c in records),
     )  # fmt: skip
     errors = {path: found.spread(G.reshape(-1, len(S)))[0].reshape(G.shape[:-1]) for path, G in zip(paths, slopes, strict=True)}
     return replace(found, standard_errors=errors)
@@ -154,11 +156,11 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
     return A[sorted(done)]
 
 
-def lag_one(r: np.ndarray, channels: list[Channel]) -> tuple[float, bool]:
+def lag_one(r: np.ndarray, records: list[Record]) -> tuple[float, bool]:
     """The lag-one correlation of all records, pooled, and whether it is more than chance and CORRELATED."""
-    records = [r[c.rows] for c in channels if c.series and r[c.rows].any()]
-    n = sum(len(x) for x in records)
+    series = [r[c.rows] for c in records if c.series and r[c.rows].any()]
+    n = sum(len(x) for x in series)
     if n == 0:
         return 0.0, False
-    correlation = sum(float(x[1:] @ x[:-1]) / float(x @ x) * len(x) for x in records) / n
+    correlation = sum(float(x[1:] @ x[:-1]) / float(x @ x) * len(x) for x in series) / n
     return correlation, abs(correlation) > max(CORRELATED, SIGNIFICANT / np.sqrt(n))
