@@ -15,10 +15,11 @@ import equinox as eqx
 import numpy as np
 
 from jaxbody.autocorrelations import Whiteness, whiteness
-from jaxbody.noises import Record, noise_of
+from jaxbody.noises import Noise, Record, noise_of
 
 CORRELATED = 0.1  # lag-one correlation of residuals that is told, if it is also significant
 SIGNIFICANT = 3.0  # standard deviations of the pooled lag-one correlation of white noise
+TOGETHER = 0.3  # correlation of two records that is told
 TOUCHED = 1e-3  # share of a null direction that makes a parameter undetermined
 RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
 
@@ -26,7 +27,8 @@ RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, 
 class Uncertainty(eqx.Module):
     """The worth of a fit: `covariance` of u and what it would be if noise were white; `parts`, by how much it changes with the standard errors of
     the numbers that it is made of; singular values, rank, null directions in `words`, parameters that stand `still`; how residuals of
-    channels are correlated in time (`whiteness`, `orders` of autoregressions, pooled `correlation` at lag one) and with one another (`pairs`)."""
+    channels are correlated in time (`whiteness`, `orders` of autoregressions, pooled `correlation` at lag one) and with one another (`pairs`); of a u `pressed` to its bound the slope of the
+    cost, its curvature with all others following, and the standard error, with its degrees of freedom, that it would have without the bound."""
 
     covariance: np.ndarray
     white_covariance: np.ndarray
@@ -42,17 +44,15 @@ class Uncertainty(eqx.Module):
     whiteness: dict[str, Whiteness | None]
     orders: dict[str, int]
     pairs: dict[tuple[str, str], float]
+    pressed: dict[int, tuple[float, float, float, float]]
     samples: int
 
     def spread(self, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Standard errors, infinite where the data cannot tell, and degrees of freedom of numbers whose slopes in u are the rows of G."""
-        v = np.einsum("ij,jk,ik->i", G, self.covariance, G)
-        changes = np.einsum("ij,ljk,ik->li", G, self.parts, G)
+        error, freedom = _spread(G, self.covariance, self.parts)
         size = np.linalg.norm(G, axis=1)
         touched = np.linalg.norm(G @ self.null, axis=1) > TOUCHED * np.where(size > 0, size, 1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            freedom = np.where(v > 0, 2 * v**2 / (changes**2).sum(0), np.inf)
-        return np.where(touched, np.inf, np.sqrt(np.maximum(v, 0.0))), np.maximum(freedom, 1.0)
+        return np.where(touched, np.inf, error), freedom
 
     @property
     def factor(self) -> float:
@@ -75,10 +75,18 @@ class Uncertainty(eqx.Module):
             )
         elif any(self.orders.values()):
             said.append(f"noise: autoregressions of order {_range(self.orders.values())}, not far from white")
-        if self.pairs:
+        if max((abs(x) for x in self.pairs.values()), default=0.0) > TOGETHER:
             (one, other), most = max(self.pairs.items(), key=lambda pair: abs(pair[1]))
             said.append(f"residuals of channels go together, most {one} with {other} ({most:.2f}); standard errors take it into account")
         return said
+
+
+def _spread(G: np.ndarray, covariance: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    v = np.einsum("ij,ij->i", G @ covariance, G)
+    changes = np.einsum("lij,ij->li", G @ parts, G)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        freedom = np.where(v > 0, 2 * v**2 / (changes**2).sum(0), np.inf)
+    return np.sqrt(np.maximum(v, 0.0)), np.maximum(freedom, 1.0)
 
 
 def _range(orders) -> str:
@@ -107,10 +115,7 @@ def assess(
     inside = np.ones(J.shape[1], bool) if inside is None else np.asarray(inside)
     _, S, Vt, known = decomposed(J)
     null = np.concatenate([Vt[~known].T, np.eye(J.shape[1])[:, ~inside]], axis=1)
-    U, s, vt, used = decomposed(J[:, inside])
-    noise = noise_of(r, U[:, used], records)
-    back = np.zeros((J.shape[1], used.sum()))
-    back[inside] = vt[used].T / s[used]
+    noise, back = _carried(r, J, inside, records)
     covariance, white, *parts = (back @ M @ back.T for M in (noise.M, noise.white, *noise.parts))
     still = [label for label, silent in zip(labels, ~J.any(0), strict=True) if silent]
     tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in records}
@@ -118,10 +123,31 @@ def assess(
     found = Uncertainty(
         covariance, white, np.reshape(parts, (len(parts), *covariance.shape)), null, {}, S, int(known.sum()),
         in_words(Vt[~known].T, labels, still), still, correlation, significant and bool(r @ r > exact**2), tests,
-        dict(zip((c.name for c in records), noise.orders, strict=True)), noise.pairs, sum(len(c.rows) for c in records),
+        dict(zip((c.name for c in records), noise.orders, strict=True)), noise.pairs, _pressed(r, J, inside, records), sum(len(c.rows) for c in records),
     )  # fmt: skip
     errors = {path: found.spread(G.reshape(-1, len(S)))[0].reshape(G.shape[:-1]) for path, G in zip(paths, slopes, strict=True)}
     return replace(found, standard_errors=errors)
+
+
+def _carried(r, J, inside, records: list[Record]) -> tuple[Noise, np.ndarray]:
+    """The noise in Q' r, of the columns of J inside, and what carries it to u."""
+    U, S, Vt, known = decomposed(J[:, inside])
+    back = np.zeros((J.shape[1], known.sum()))
+    back[inside] = Vt[known].T / S[known]
+    return noise_of(r, U[:, known], records), back
+
+
+def _pressed(r, J, inside, records: list[Record]) -> dict[int, tuple[float, float, float, float]]:
+    found = {}
+    for i in np.flatnonzero(~inside & J.any(0)):
+        one = inside.copy()
+        one[i] = True
+        noise, back = _carried(r, J, one, records)
+        parts = np.reshape([back @ M @ back.T for M in noise.parts], (-1, J.shape[1], J.shape[1]))
+        error, freedom = _spread(np.eye(J.shape[1])[[i]], back @ noise.M @ back.T, parts)
+        curvature = 1 / float((back @ back.T)[i, i])
+        found[int(i)] = (float(J[:, i] @ r), curvature, float(error[0]), float(freedom[0]))
+    return found
 
 
 def in_words(null: np.ndarray, labels: list[str], still: list[str]) -> list[str]:
