@@ -70,11 +70,13 @@ def _kind(path: Path, format: str | None, largest: float) -> str:
     if format is not None and format not in SUFFIXES:
         raise JaxbodyError(Problem("UNKNOWN_FORMAT", "format", f"is {format!r}", format, " ".join(SUFFIXES), "Give one of these."))
     try:
-        if path.is_dir():
-            raise JaxbodyError(Problem("IS_DIRECTORY", str(path), "is a directory", path, "a file", "Give the path of one file in it."))
         size = path.stat().st_size
         with path.open("rb") as file:
             start = file.read(8)
+    except IsADirectoryError:
+        raise JaxbodyError(
+            Problem("IS_DIRECTORY", str(path), "is a directory", path, "a file", "Give the path of one file in it.")
+        ) from None
     except (OSError, ValueError) as error:
         told = f"cannot be read: {getattr(error, 'strerror', None) or error}"
         raise JaxbodyError(Problem("NO_FILE", str(path)[-200:], told, path, hint="Give the path of a file.")) from None

@@ -81,6 +81,11 @@ def read_text(
             Problem("RAGGED_LINE", f"{name}:{i}", told, head, limit, _ragged_hint(width, len(_cells(head, separator)), separator))
         )
     names, units, used = _heads([line for _, line in lines[:first]], separator, values.shape[1])
+    if any(NUMBER.fullmatch(cell) and cell for cell in names) and used:
+        i, line = lines[first - used]
+        hint = f"If it is neither names nor numbers, say skip={i}."
+        raise JaxbodyError(Problem("BAD_LINE", f"{name}:{i}", f"is {line!r:.60}", line, "names or numbers", hint))
+    names = [head if head and names.count(head) == 1 else f"{head}#{k}" if head else str(k) for k, head in enumerate(names)]
     columns = {head: Column(values[:, k], unit) for k, (head, unit) in enumerate(zip(names, units, strict=True))}
     notes = [f"left out {count} lines {where}" for count, where in ((skip, "at the start"), (footer, "at the end")) if count]
     if first - used > 0:
@@ -203,8 +208,7 @@ def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], lis
         rows = rows[-1:]
     else:
         names = [""] * width
-    unique = [name if name and names.count(name) == 1 else f"{name}#{k}" if name else str(k) for k, name in enumerate(names)]
-    return unique, units, len(rows)
+    return names, units, len(rows)
 
 
 def split_unit(head: str) -> tuple[str, str | None]:
