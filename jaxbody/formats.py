@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from jaxbody.errors import JaxbodyError, Problem
+from jaxbody.mat_files import read_matlab
 from jaxbody.texts import Column, Contents, read_text, split_unit
 
 Pick = Callable[[list[str]], dict[str, str]]  # {name as asked for: name in the file}, of all names in the file
@@ -45,7 +46,8 @@ def read_columns(path: Any, wanted: list[str], *, format: str | None = None, lar
         return {name: _find(name, names, path.name) for name in wanted}
 
     try:
-        return READERS[kind](path, pick, largest=largest, **text) if kind == "text" else READERS[kind](path, pick)
+        options = {"text": {"largest": largest, **text}, "mat": {"largest": largest}}.get(kind, {})
+        return READERS[kind](path, pick, **options)
     except JaxbodyError:
         raise
     except MemoryError:
@@ -160,23 +162,10 @@ def _parquet(path: Path, pick: Pick) -> Contents:
     return Contents(columns)
 
 
-def _mat(path: Path, pick: Pick) -> Contents:
+def _mat(path: Path, pick: Pick, *, largest: float) -> Contents:
     if path.read_bytes()[:1024].find(b"\x89HDF") >= 0:
         return _hdf5(path, pick, transposed=True)
-    from scipy.io import loadmat
-
-    found: dict[str, np.ndarray] = {}
-
-    def walk(name: str, value: Any) -> None:
-        if hasattr(value, "_fieldnames"):
-            for field in value._fieldnames:
-                walk(f"{name}.{field}", getattr(value, field))
-        elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim in (1, 2):
-            found[name] = value
-
-    for name, value in loadmat(path, squeeze_me=True, struct_as_record=False).items():
-        if not name.startswith("__"):
-            walk(name, value)
+    found = read_matlab(path, largest)
     return Contents({asked: Column(numeric(found[name], name, path.name)) for asked, name in pick(list(found)).items()})
 
 

@@ -122,7 +122,9 @@ def _clock(columns: dict[str, Column], clock: Any, rate: Any, name: str, problem
         return _part(column, clock[0][0]), _unit(clock[1], {column.unit}, f"{name}.times", problems, notes)
     own = [column.times for column in columns.values() if column.times is not None]
     if len(own) == len(columns) and not (rate is not None and not own):
-        if any(len(other) != len(own[0]) or np.abs(other - own[0]).max(initial=0.0) > 1e-9 * np.ptp(own[0]) for other in own[1:]):
+        if any(
+            len(other) != len(own[0]) or np.abs(other - own[0]).max(initial=0.0) > 1e-9 * np.abs(np.diff(own[0])).sum() for other in own[1:]
+        ):
             hint = "Read them as records of their own, an experiment for each."
             problems.add("DIFFERENT_TIMES", name, "samples its channels at different times", limit="one clock", hint=hint)
         return own[0], "s"

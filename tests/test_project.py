@@ -18,7 +18,7 @@ PACKAGE = Path(jb.__file__).parent
 
 # From the ground up; a module imports only from modules before it.
 ROWS = (
-    "errors tables results arrays exports options compilations units texts formats",
+    "errors tables results arrays exports options compilations units texts mat_files formats",
     "rotations frames linear_solves eigenproblems lanes integrators",
     "motions samplings repairs records recordings signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
     "kinematics mechanics dynamics derivatives",
