@@ -1,6 +1,7 @@
 """jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
 
 from jaxbody import laws, presets, signals
+from jaxbody.base_motions import base_motion
 from jaxbody.bodies import Body, Support
 from jaxbody.branches import mac, track
 from jaxbody.cases import LoadCase, load_cases
@@ -37,6 +38,7 @@ from jaxbody.sensors import BodyPose, Elongation, Position, measure
 from jaxbody.simulations import simulate
 from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin
+from jaxbody.splines import Spline
 from jaxbody.statics import equilibrium
 from jaxbody.torsions import AntiRollBar, Torsion
 from jaxbody.vibrations import modes
