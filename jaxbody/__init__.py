@@ -31,7 +31,7 @@ from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointFor
 from jaxbody.preloads import preload
 from jaxbody.random_responses import random_response
 from jaxbody.recordings import read_record
-from jaxbody.records import Record
+from jaxbody.measurements import Record
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbody import formats, units
 from jaxbody.errors import JaxbodyError, Problem, Problems
-from jaxbody.records import Record
+from jaxbody.measurements import Record
 from jaxbody.texts import Column
 
 
