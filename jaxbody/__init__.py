@@ -15,12 +15,15 @@ from jaxbody.energies import mode_energies
 from jaxbody.equilibria import find_equilibria
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
+from jaxbody.fits import Fit
 from jaxbody.frequency_responses import frequency_response
-from jaxbody.identification import Fit, fit
+from jaxbody.identification import fit
 from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Joint, Translation
 from jaxbody.kinematics import retract
 from jaxbody.linearizations import excitation, linearize
 from jaxbody.loads import EngineTorque, Force, Load, Unbalance
+from jaxbody.measured_modes import MeasuredModes
+from jaxbody.measured_responses import MeasuredResponse
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled

@@ -1,6 +1,6 @@
-"""What an instrument on a body reads, and how far a reading is from a measured one."""
+"""What an instrument on a body reads."""
 
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,6 +11,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxbody import rotations
 from jaxbody.arrays import checked, concrete
 from jaxbody.bodies import vector
+from jaxbody.channels import Channel
 from jaxbody.elements import Element
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.frames import Frame
@@ -22,41 +23,17 @@ from jaxbody.simulations import Trajectory, table_of
 Reading = Float[Array, "*r"]
 
 
-class Sensor(eqx.Module):
-    """The base of all sensors: `reading` of a table of frames, and `residual`, reading less measured.
-
-    `shape` of a reading and `noise_shape` of a residual; `unit` of either, where there are several by commas: noise has a number for each."""
+class Sensor(Channel):
+    """The base of all sensors: a channel with the `reading` of a table of frames."""
 
     on: eqx.AbstractVar[str]
-    shape: ClassVar[tuple[int, ...]]
-    unit: ClassVar[str]
 
     def reading(self, model: Model, frames: Frame) -> Reading:
         raise TypeError  # pragma: no cover
 
-    def residual(self, reading: Reading, measured: Reading) -> Float[Array, "*r"]:
-        """Zero where a sample is missing."""
-        return jnp.where(self.missing(measured), 0.0, reading - measured)
-
-    def missing(self, measured: Any) -> Any:
-        """Which components of a residual lack their sample, being NaN."""
-        return np.isnan(measured) if isinstance(measured, np.ndarray) else jnp.isnan(measured)
-
     def disturbed(self, reading: Reading, noise: Float[Array, "*r"]) -> Reading:
         """A reading with noise on it."""
         return reading + noise
-
-    def spread(self, level: Any) -> Any:
-        """Noise levels, one number or one for each unit, as they belong to the components of a residual."""
-        return level
-
-    def pooled(self, x: Any) -> Any:
-        """The sum of components of residuals of one unit, over time: one number, or one for each unit."""
-        return x.sum()
-
-    @property
-    def noise_shape(self) -> tuple[int, ...]:
-        return self.shape
 
     def problem(self, model: Model, where: str) -> Problem | None:
         """What is wrong with it on this model."""
