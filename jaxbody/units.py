@@ -64,7 +64,7 @@ for _name, (_factor, _dimension, _prefixes) in PREFIXED.items():
     KNOWN |= {prefix + _name: (PREFIXES[prefix] * _factor, _dimension) for prefix in _prefixes}
 WORDS = {
     LENGTH: "m", SPEED: "m/s", ACCELERATION: "m/s2", ANGLE: "rad", ANGULAR_RATE: "rad/s", (0, 0, -2, 1, 0): "rad/s2", TIME: "s", MASS: "kg",
-    RATE: "Hz", FORCE: "N", MOMENT: "N m", (0, 1, -2, 0, 0): "N/m", (0, 1, -1, 0, 0): "N s/m", (2, 1, -2, -1, 0): "N m/rad",
+    RATE: "1/s", FORCE: "N", MOMENT: "N m", (0, 1, -2, 0, 0): "N/m", (0, 1, -1, 0, 0): "N s/m", (2, 1, -2, -1, 0): "N m/rad",
     VOLTAGE: "V", CURRENT: "A", PRESSURE: "Pa", NONE: "1",
 }  # fmt: skip
 TWOFOLD = {
