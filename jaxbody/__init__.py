@@ -24,6 +24,7 @@ from jaxbody.linearizations import excitation, linearize
 from jaxbody.loads import EngineTorque, Force, Load, Unbalance
 from jaxbody.measured_modes import MeasuredModes
 from jaxbody.measured_responses import MeasuredResponse
+from jaxbody.measurements import Record
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
@@ -34,7 +35,6 @@ from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointFor
 from jaxbody.preloads import preload
 from jaxbody.random_responses import random_response
 from jaxbody.recordings import read_record
-from jaxbody.measurements import Record
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure

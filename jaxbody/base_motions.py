@@ -20,8 +20,8 @@ from jaxtyping import Array, Float, Int
 from jaxbody import rotations, tables, units
 from jaxbody.arrays import checked, shaped
 from jaxbody.errors import JaxbodyError, Problems, Status, warn
-from jaxbody.motions import Sampled
 from jaxbody.measurements import Record
+from jaxbody.motions import Sampled
 from jaxbody.results import Result
 
 JUMP = 20  # standard deviations of the steps from sample to sample
