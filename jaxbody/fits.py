@@ -49,7 +49,7 @@ class Fit(Result):
 
     @property
     def paths(self) -> tuple[str, ...]:
-        return tuple(f.leaf.path for f in self.task.free)
+        return tuple(f.path for f in self.task.free)
 
     @property
     def estimates(self) -> dict[str, Array]:
@@ -99,6 +99,8 @@ class Fit(Result):
             return f"rank {u.rank} of {len(u.singular_values)}: " + "; ".join(u.words)
         if status == Status.AT_BOUND:
             return ", ".join(self.at_bound) + "; no standard error there is to be trusted"
+        if status == Status.INTERRUPTED:
+            return f"after {int(self.evaluations)} evaluations; the best so far is kept; go on with fit(..., resume=this)"
         if status == Status.NOT_CONVERGED:
             return f"after {int(self.evaluations)} evaluations; the best so far is kept; start nearer, or give more max_evaluations"
         return ""
@@ -113,9 +115,10 @@ class Fit(Result):
         if self.uncertainty is None or not is_concrete(self.u):
             return [tables.Table("Fit", ("", ""), [(path, value) for path, value in self.estimates.items()])]
         rows, ends = [], self.intervals(LEVEL)
+        names = {f.path: f.name for f in self.task.free}
         for path, value in self.estimates.items():
             columns = (np.asarray(x).ravel() for x in (value, self.standard_errors[path], *ends[path]))
-            for label, x, e, low, high in zip(_labels(path, np.asarray(value)), *columns, strict=True):
+            for label, x, e, low, high in zip(_labels(names[path], np.asarray(value)), *columns, strict=True):
                 known = "not determined" if not np.isfinite(high - low) else "at its bound" if not np.isfinite(e) else float(e)
                 relative = f"{100 * e / abs(x):.2g} %" if np.isfinite(e) and x else ""
                 rows.append((label, float(x), known, relative, f"{low:.6g} to {high:.6g}" if np.isfinite(high - low) else ""))

@@ -53,9 +53,9 @@ def intervals_of(free: tuple[Free, ...], u: np.ndarray, slopes: list[np.ndarray]
         first = mine.stop
         if isinstance(form, Positive | Shifted):
             with np.errstate(over="ignore"):
-                found[f.leaf.path] = tuple(np.asarray(form.value(end[mine])) for end in (low, high))
+                found[f.path] = tuple(np.asarray(form.value(end[mine])) for end in (low, high))
             continue
         error, freedom = worth.spread(G.reshape(-1, len(u)))
         value, far = np.asarray(form.value(u[mine])), (quantile(level, freedom) * error).reshape(G.shape[:-1])
-        found[f.leaf.path] = (value - far, value + far)
+        found[f.path] = (value - far, value + far)
     return found

@@ -35,10 +35,10 @@ Limits = tuple[np.ndarray, np.ndarray]
 class Evaluations:
     """Residual and Jacobian of `function(u)` -> (r, J, more), counted, and never raising: a trial that fails has a residual of NaN.
 
-    `floor`: the norm of a column of J that is round-off. `best`: the u of the least cost so far."""
+    `floor`: the norm of a column of J that is round-off. `best`: the u of the least cost so far, also given to `better`."""
 
-    def __init__(self, function: Callable, most: int, *, floor: float = 0.0, progress: bool = False):
-        self.function, self.most, self.floor, self.progress = function, most, floor, progress
+    def __init__(self, function: Callable, most: int, *, floor: float = 0.0, progress: bool = False, better: Callable = lambda u: None):
+        self.function, self.most, self.floor, self.progress, self.better = function, most, floor, progress, better
         self.count, self.failed, self.history, self.best, self._least, self._last = 0, 0, [], None, np.inf, None
 
     def __call__(self, u) -> tuple[np.ndarray, np.ndarray]:
@@ -66,6 +66,7 @@ class Evaluations:
         self.history.append(cost)
         if cost < self._least:
             self.best, self._least = np.asarray(u), cost
+            self.better(self.best)
         if self.progress:
             print(f"evaluation {self.count}: " + ("failed" if bad else f"cost {cost:.9g}"), flush=True)
         self._last = (key, (r, J, more))
