@@ -1,6 +1,7 @@
 """jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
 
 from jaxbody import laws, presets, signals
+from jaxbody.bands import Bands, bands
 from jaxbody.bodies import Body, Support
 from jaxbody.branches import mac, track
 from jaxbody.cases import LoadCase, load_cases
@@ -29,6 +30,7 @@ from jaxbody.nonlinearities import backbones
 from jaxbody.options import fast_loops
 from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
 from jaxbody.preloads import preload
+from jaxbody.profiles import Profile, profile
 from jaxbody.random_responses import random_response
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
@@ -38,5 +40,6 @@ from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin
 from jaxbody.statics import equilibrium
 from jaxbody.torsions import AntiRollBar, Torsion
+from jaxbody.validations import Validation, validate
 from jaxbody.vibrations import modes
 from jaxbody.weightings import weighted, weighted_signal, weighting
