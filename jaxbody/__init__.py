@@ -1,7 +1,8 @@
 """jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
 
 from jaxbody import laws, presets, signals
-from jaxbody.bands import Bands, bands
+from jaxbody.bands import bands
+from jaxbody.base_motions import base_motion
 from jaxbody.bodies import Body, Support
 from jaxbody.branches import mac, track
 from jaxbody.cases import LoadCase, load_cases
@@ -22,6 +23,9 @@ from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll,
 from jaxbody.kinematics import retract
 from jaxbody.linearizations import excitation, linearize
 from jaxbody.loads import EngineTorque, Force, Load, Unbalance
+from jaxbody.measured_modes import MeasuredModes
+from jaxbody.measured_responses import MeasuredResponse
+from jaxbody.measurements import Record
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
@@ -30,16 +34,18 @@ from jaxbody.nonlinearities import backbones
 from jaxbody.options import fast_loops
 from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
 from jaxbody.preloads import preload
-from jaxbody.profiles import Profile, profile
+from jaxbody.profiles import profile
 from jaxbody.random_responses import random_response
+from jaxbody.recordings import read_record
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure
 from jaxbody.simulations import simulate
 from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin
+from jaxbody.splines import Spline
 from jaxbody.statics import equilibrium
 from jaxbody.torsions import AntiRollBar, Torsion
-from jaxbody.validations import Validation, validate
+from jaxbody.validations import validate
 from jaxbody.vibrations import modes
 from jaxbody.weightings import weighted, weighted_signal, weighting

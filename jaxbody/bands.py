@@ -27,10 +27,6 @@ from jaxbody.results import Result, warn_if_failed
 class Bands(Result):
     """`value` of a function of the fitted model, `standard_error`, `lower` and `upper` at `level`: arrays of one shape, infinite where the data cannot tell.
     `status` NONFINITE where the value or its derivatives are not finite.
-
-    >>> import inspect
-    >>> inspect.signature(bands).return_annotation  # bands returns them
-    'Bands'
     """
 
     value: np.ndarray

@@ -189,10 +189,9 @@ def renoised(task: Task, runs: Runs) -> tuple[Task, bool]:
 
 def noise_found(task: Task, runs: Runs) -> Levels:
     """{measurement: {channel: rms residual}}, with a robust loss what outliers do not raise."""
-    return {
-        run: {
-            name: task.noise[run][name] * level(channel, [runs[run][1][name]], [experiment.present(name)], task.loss)
-            for name, channel in experiment.channels.items()
-        }
-        for run, experiment in task.experiments.items()
-    }
+
+    def of(run: str, name: str, channel: Channel):
+        residuals = runs[run][1][name] * channel.spread(task.noise[run][name])
+        return level(channel, [residuals], [task.experiments[run].present(name)], task.loss)
+
+    return {run: {name: of(run, name, channel) for name, channel in e.channels.items()} for run, e in task.experiments.items()}
