@@ -131,7 +131,7 @@ class Fit(Result):
             for rms, unit in zip(np.ravel(levels), self.experiments[run].channels[name].unit.split(","), strict=True)
         ]
         u = self.uncertainty
-        notes = [f"{u.samples} samples, {int(self.evaluations)} evaluations; {self.report()}"]
+        notes = [f"{u.samples} samples, {int(self.evaluations)} evaluations, {u.noise}; {self.report()}"]
         notes += u.about_noise()
         if status_words := ([] if int(self.status) in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED) else u.words):
             notes += status_words

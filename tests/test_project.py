@@ -27,7 +27,7 @@ ROWS = (
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
     "channels sensors experiments measured_responses measured_modes parametrizations losses tasks checkpoints",
     "autocorrelations noises uncertainties intervals searches fits implicit_fits identification profiles validations bands",
-    "canvases mode_plots response_plots plots demos",
+    "canvases mode_plots response_plots fit_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
 
