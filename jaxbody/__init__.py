@@ -1,6 +1,7 @@
 """jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
 
 from jaxbody import laws, presets, signals
+from jaxbody.bands import bands
 from jaxbody.base_motions import base_motion
 from jaxbody.bodies import Body, Support
 from jaxbody.branches import mac, track
@@ -34,6 +35,7 @@ from jaxbody.nonlinearities import backbones
 from jaxbody.options import fast_loops
 from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
 from jaxbody.preloads import preload
+from jaxbody.profiles import profile
 from jaxbody.random_responses import random_response
 from jaxbody.recordings import read_record
 from jaxbody.road_spectra import Unevenness, road_profile
@@ -45,5 +47,6 @@ from jaxbody.spins import linearize_spin
 from jaxbody.splines import Spline
 from jaxbody.statics import equilibrium
 from jaxbody.torsions import AntiRollBar, Torsion
+from jaxbody.validations import validate
 from jaxbody.vibrations import modes
 from jaxbody.weightings import weighted, weighted_signal, weighting
