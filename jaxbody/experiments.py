@@ -85,7 +85,8 @@ class Experiment(eqx.Module):
         self.times = device_array(checked)  # pyright: ignore[reportArgumentType]
         self.motion = {name: as_motion(m) for name, m in (motion or {}).items()}
         self.loads = {name: jax.tree.map(device_array, load) for name, load in (loads or {}).items()}
-        self.initial, self.sensors = initial, dict(sensors)
+        self.initial = initial
+        self.sensors = {name: jax.tree.map(device_array, sensor) for name, sensor in sensors.items()}
         self.measured = {name: device_array(a) for name, a in arrays.items()}
         self.noise = None if levels is None else {name: device_array(level) for name, level in levels.items()}
 

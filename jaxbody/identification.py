@@ -28,7 +28,7 @@ from jaxbody.models import Model
 from jaxbody.naming import write
 from jaxbody.parametrizations import Free, choose, limits_of
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.sensors import Sensor, read
+from jaxbody.sensors import Sensor, readings
 from jaxbody.simulations import Trajectory, check_steps, integrate, motions_of
 from jaxbody.statics import size_of
 from jaxbody.uncertainties import Uncertainty, assess, known_directions
@@ -91,11 +91,10 @@ class Task(eqx.Module):
 
     def differences(self, model: Model, experiment: Experiment, noise: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
         """Readings, and residuals over noise (zero where a sample is missing), of one experiment."""
-        readings = self.simulate(model, experiment).at_samples(read, experiment.sensors)
-        residuals = {}
+        found, residuals = readings(self.simulate(model, experiment), experiment.sensors), {}
         for name, sensor in experiment.sensors.items():
-            residuals[name] = sensor.residual(readings[name], experiment.measured[name]) / sensor.spread(noise[name])
-        return readings, residuals
+            residuals[name] = sensor.misfit(experiment.times, found[name], experiment.measured[name]) / sensor.spread(noise[name])
+        return found, residuals
 
     def runs(self, u: Float[Array, "n"]) -> Runs:
         """`differences` of every experiment, those of equal structure side by side."""

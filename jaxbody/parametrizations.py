@@ -4,6 +4,7 @@ positive        x = x0 exp(u)                         stiffness, damping, mass
 definite        X = L(u) L(u)'                        inertia, 6 x 6 stiffness and damping; L lower, logarithms on its diagonal
 rotation        q = exp(u) q0                         orientations; coordinates of an initial state
 direction       n = (n0 + B u)/|n0 + B u|             axes of joints
+of instruments  x = x0 + s u                          gain (either sign) and bias, s of the order of the record where x0 is smaller; delay, of a sample
 anything else   x = x0 + s u                          s the largest of |x0|, or a size of the model where x0 is zero
 """
 
@@ -27,6 +28,7 @@ from jaxbody.naming import Leaf, leaves_of, matching
 from jaxbody.statics import size_of
 
 POSITIVE = ("stiffness", "damping", "mass")
+OF_CHAINS = ("gain", "bias", "start", "delay", "lag")  # of instruments
 
 
 class Parametrization(eqx.Module):
@@ -160,6 +162,21 @@ def parametrize(path: str, start: Array, model: Model, size: Array) -> Parametri
     return Shifted(start, jnp.where(largest > 0, largest, size))
 
 
+def of_instrument(path: str, start: Array, experiment: Experiment, sensor: str) -> Parametrization:
+    """The parametrization of what an instrument makes of its readings. Neither sign of a gain is ruled out: an instrument may be turned round."""
+    field = path.rsplit(".", 1)[-1]
+    if field == "lag":
+        return Positive(start)
+    measured = experiment.measured[sensor]
+    if field == "gain":
+        least = jnp.ones(())
+    elif field == "delay":
+        least = (experiment.times[-1] - experiment.times[0]) / (len(experiment.times) - 1)
+    else:
+        least = jnp.sqrt(jnp.nanmean(measured**2))
+    return Shifted(start, jnp.maximum(jnp.max(jnp.abs(start)), jnp.where(least > 0, least, 1.0)))
+
+
 class Free(eqx.Module):
     """A free parameter: the run it belongs to ("" for the model), where it is, and how it moves."""
 
@@ -187,7 +204,10 @@ def choose(model: Model, experiments: dict[str, Experiment], patterns: list[str]
     size = size_of(model)
     free = []
     for leaf in chosen:
-        form = parametrize(leaf.path, leaf.read(arrays[owner[leaf]]), model, size)
+        run, start = owner[leaf], leaf.read(arrays[owner[leaf]])
+        sensor = leaf.path.split(".")[1] if run and leaf.field in OF_CHAINS else ""
+        chained = run and sensor in experiments[run].sensors and leaf.path == f"{run}.{sensor}.{leaf.field}"
+        form = of_instrument(leaf.path, start, experiments[run], sensor) if chained else parametrize(leaf.path, start, model, size)
         if isinstance(form, Problem):
             problems.found.append(form)
         else:

@@ -25,7 +25,7 @@ ROWS = (
     "load_paths statics cases preloads equilibria ports state_spaces linearizations",
     "vibrations energies elastic_axes spins complex_modes branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
-    "sensors experiments parametrizations uncertainties identification",
+    "transducers sensors attitudes instruments gauges experiments parametrizations uncertainties identification",
     "canvases mode_plots response_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
