@@ -15,9 +15,10 @@ from jaxbody.energies import mode_energies
 from jaxbody.equilibria import find_equilibria
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
+from jaxbody.fits import Fit
 from jaxbody.frequency_responses import frequency_response
 from jaxbody.gauges import Displacement, LaserDistance, LaserVibrometer, StringPotentiometer, Velocity
-from jaxbody.identification import Fit, fit
+from jaxbody.identification import fit
 from jaxbody.instruments import Accelerometer, ForcePlate, Gyro, JointAngle, LoadCell, Tilt
 from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Joint, Translation
 from jaxbody.kinematics import retract
@@ -32,9 +33,10 @@ from jaxbody.options import fast_loops
 from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
 from jaxbody.preloads import preload
 from jaxbody.random_responses import random_response
+from jaxbody.records import measure
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
-from jaxbody.sensors import Elongation, Position, Sensor, measure
+from jaxbody.sensors import Elongation, Position, Sensor
 from jaxbody.simulations import simulate
 from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin

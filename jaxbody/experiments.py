@@ -2,24 +2,36 @@
 
 from typing import Any
 
+import diffrax
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody.arrays import device_array, float_array
+from jaxbody.channels import Measurement
 from jaxbody.errors import JaxbodyError, Problems, warn
 from jaxbody.loads import Load, loads_of
 from jaxbody.models import Model, State
 from jaxbody.motions import Motion, as_motion, check_times
+from jaxbody.records import readings
 from jaxbody.sensors import Sensor, check_sensors, noise_levels
-from jaxbody.simulations import check_run, motions_of
+from jaxbody.simulations import Trajectory, check_run, integrate, motions_of
 
 MANY_MISSING = 0.2
 
 
-class Experiment(eqx.Module):
+class Integration(eqx.Module):
+    """How runs are simulated: options of `simulate`."""
+
+    rtol: Float[Array, ""]
+    solver: diffrax.AbstractSolver | None
+    stepsize_controller: diffrax.AbstractStepSizeController | None
+    dt0: Float[Array, ""] | None
+    max_steps: int = eqx.field(static=True)
+
+
+class Experiment(Measurement):
     """What was done and what was measured.
 
     times [s] (nt,); motion {support: motion}; loads {name: load}; initial, the state at times[0] (the reference pose at rest without one);
@@ -90,7 +102,28 @@ class Experiment(eqx.Module):
         self.measured = {name: device_array(a) for name, a in arrays.items()}
         self.noise = None if levels is None else {name: device_array(level) for name, level in levels.items()}
 
-    def named(self) -> dict[str, Any]:
+    @property
+    def channels(self):
+        return self.sensors
+
+    def trajectory(self, model: Model, integration: Integration) -> Trajectory:
+        """The run, simulated."""
+        how, motions = integration, motions_of(model, self.motion)
+        return integrate(model, self.times, motions, tuple(self.loads.values()), self.initial, how.rtol, how.solver, how.stepsize_controller, diffrax.ForwardMode(), how.dt0, how.max_steps, diffrax.NoProgressMeter())  # fmt: skip
+
+    def readings(self, model, integration):
+        return readings(self.trajectory(model, integration), self.sensors)
+
+    def residual(self, name, reading):
+        return self.sensors[name].misfit(self.times, reading, self.measured[name])
+
+    def explain(self, model, integration):
+        return self.trajectory(model, integration).report()
+
+    def place(self, row):
+        return f"t = {float(self.times[row]):.6g} s", float(self.times[row])
+
+    def named(self):
         """What of it has a name in paths: the initial state, the motions, the loads, the sensors."""
         return {
             **({} if self.initial is None else {"initial": {"q": self.initial.q, "v": self.initial.v}}),
@@ -155,13 +188,3 @@ def _samples(name: str, sensor: Sensor, value: Any, times, problems: Problems):
         if MANY_MISSING < share < 1:
             warn("MISSING", f"{where} lacks {100 * share:.0f} % of its samples")
     return array
-
-
-def shared_structure(experiments: dict[str, Experiment]) -> list[list[str]]:
-    """Names of experiments of equal structure and shapes, which can run side by side."""
-
-    groups: dict[Any, list[str]] = {}
-    for name, experiment in experiments.items():
-        leaves, treedef = jax.tree.flatten(experiment)
-        groups.setdefault((treedef, tuple(jnp.shape(leaf) for leaf in leaves)), []).append(name)
-    return list(groups.values())

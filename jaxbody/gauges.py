@@ -37,7 +37,7 @@ class Gauge(Sensor):
         problems.raise_if_any()
 
     @property
-    def on(self) -> str:
+    def on(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.between[0]
 
     @property
@@ -121,10 +121,11 @@ class StringPotentiometer(Gauge):
         known = [concrete(x) for x in (*_at_reference(model, self.between[0], self.a), *_at_reference(model, self.between[1], self.b))]
         if any(x is None for x in known):
             return None
-        length, size = np.linalg.norm(known[0] - known[2]), max(np.abs(known[0]).max(), 1e-300)
+        p, _, other, _ = map(np.asarray, known)
+        length, size = np.linalg.norm(p - other), np.abs(p).max()
         told = f"has length {length:.3g} m in the reference pose, so no direction"
         hint = "Move one of its points."
-        return Problem("ZERO_LENGTH", where, told, length, "> 0", hint) if length <= 1e-12 * size or length == 0 else None
+        return Problem("ZERO_LENGTH", where, told, length, "> 0", hint) if length <= 1e-12 * size else None
 
 
 def _length(d: Float[Array, "3"]) -> Float[Array, ""]:
@@ -171,7 +172,7 @@ class LaserLine(Sensor):
     def distance(self, frame: Pose) -> Float[Array, ""]:
         """d, from the beam's origin to the spot."""
         N = rotate(frame.R, jnp.asarray(self.normal))
-        return dot(frame.point(self.point) - self.origin, N) / dot(jnp.asarray(self.axis), N)
+        return dot(frame.point(self.point) - jnp.asarray(self.origin), N) / dot(jnp.asarray(self.axis), N)
 
     def problem(self, model, where):
         if (found := super().problem(model, where)) is not None or self.normal is None:
@@ -204,7 +205,7 @@ class LaserVibrometer(LaserLine):
         frame, n = frames[model.layout.frame(self.on)], jnp.asarray(self.axis)
         if self.normal is None:
             return dot(n, frame.velocity(self.point))
-        spot = self.origin + self.distance(frame) * n
+        spot = jnp.asarray(self.origin) + self.distance(frame) * n
         return dot(n, frame.v + cross(frame.w, spot - frame.p))
 
 

@@ -192,7 +192,7 @@ class ForcePlate(Sensor):
 
     def reading(self, model, frames):
         row = model.layout.frame(self.on)
-        return jnp.concatenate([rotate_back(frames.R[row], x[row]) for x in (frames.F, frames.M)])
+        return jnp.concatenate([rotate_back(frames.R[row], jnp.asarray(x)[row]) for x in (frames.F, frames.M)])
 
     def spread(self, level):
         return jnp.repeat(jnp.broadcast_to(level, (2,)), 3)

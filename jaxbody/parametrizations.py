@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.arrays import concrete
+from jaxbody.channels import Measurement
 from jaxbody.errors import Problem, Problems
 from jaxbody.experiments import Experiment
 from jaxbody.kinematics import Coordinates
@@ -162,9 +163,8 @@ def parametrize(path: str, start: Array, model: Model, size: Array) -> Parametri
     return Shifted(start, jnp.where(largest > 0, largest, size))
 
 
-def of_instrument(path: str, start: Array, experiment: Experiment, sensor: str) -> Parametrization:
+def of_instrument(field: str, start: Array, experiment: Experiment, sensor: str) -> Parametrization:
     """The parametrization of what an instrument makes of its readings. Neither sign of a gain is ruled out: an instrument may be turned round."""
-    field = path.rsplit(".", 1)[-1]
     if field == "lag":
         return Positive(start)
     measured = experiment.measured[sensor]
@@ -185,7 +185,7 @@ class Free(eqx.Module):
     form: Parametrization
 
 
-def choose(model: Model, experiments: dict[str, Experiment], patterns: list[str]) -> tuple[Free, ...]:
+def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str]) -> tuple[Free, ...]:
     """The free parameters that the patterns mean, each with its parametrization."""
     problems = Problems()
     roots = {"": model, **experiments}
@@ -205,9 +205,11 @@ def choose(model: Model, experiments: dict[str, Experiment], patterns: list[str]
     free = []
     for leaf in chosen:
         run, start = owner[leaf], leaf.read(arrays[owner[leaf]])
-        sensor = leaf.path.split(".")[1] if run and leaf.field in OF_CHAINS else ""
-        chained = run and sensor in experiments[run].sensors and leaf.path == f"{run}.{sensor}.{leaf.field}"
-        form = of_instrument(leaf.path, start, experiments[run], sensor) if chained else parametrize(leaf.path, start, model, size)
+        experiment, name = experiments.get(run), leaf.path.removeprefix(f"{run}.").removesuffix(f".{leaf.field}")
+        if isinstance(experiment, Experiment) and name in experiment.sensors and leaf.field in OF_CHAINS:
+            form = of_instrument(leaf.field, start, experiment, name)
+        else:
+            form = parametrize(leaf.path, start, model, size)
         if isinstance(form, Problem):
             problems.found.append(form)
         else:

@@ -25,7 +25,8 @@ ROWS = (
     "load_paths statics cases preloads equilibria ports state_spaces linearizations",
     "vibrations energies elastic_axes spins complex_modes branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
-    "transducers sensors attitudes instruments gauges experiments parametrizations uncertainties identification",
+    "channels transducers sensors records attitudes instruments gauges",
+    "experiments parametrizations tasks uncertainties searches fits implicit_fits identification",
     "canvases mode_plots response_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
