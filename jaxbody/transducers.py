@@ -23,7 +23,8 @@ def between(times: Float[Array, "n"], x: Float[Array, "n k"], cells: Int[Array, 
     n = len(times)
     points = min(POINTS, n)
     first = jnp.clip(cells - (points // 2 - 1), 0, n - points)
-    nodes = times[first[:, None] + np.arange(points)]
+    near = first[:, None] + np.arange(points)
+    nodes = times[near]
     span = nodes[:, -1:] - nodes[:, :1]
     apart = (nodes[:, :, None] - nodes[:, None]) / span[..., None]
     below = jnp.prod(jnp.where(np.eye(points, dtype=bool), 1.0, apart), -1)[:, None]
@@ -33,7 +34,7 @@ def between(times: Float[Array, "n"], x: Float[Array, "n k"], cells: Int[Array, 
         left.append(left[-1] * away[..., j])
         right.append(right[-1] * away[..., points - 1 - j])
     weights = jnp.stack([a * b for a, b in zip(left, reversed(right), strict=True)], -1) / below
-    return sum((weights[..., j, None] * x[first + j][:, None] for j in range(points)), jnp.zeros((*t.shape, x.shape[1]), x.dtype))
+    return jnp.sum(weights[..., None] * x[near][:, None], 2)
 
 
 def delayed(times: Float[Array, "n"], x: Float[Array, "n *r"], tau: Float[Array, ""]) -> Float[Array, "n *r"]:
