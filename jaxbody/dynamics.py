@@ -167,9 +167,14 @@ class Dynamics(eqx.Module):
         mask = jnp.asarray(layout.carries, p.dtype)[..., None]
         return mask * (linear + cross(angular[None], p[:, None] - p[own][None])), mask * angular
 
-    def instant(self, t: Float[Array, ""], state: State) -> Instant:
-        """Frames with accelerations and what world and supports bear."""
+    def instant(self, t: Float[Array, ""], state: State, *, reactions: bool) -> Instant:
+        """Frames with accelerations and, if asked for, what world and supports bear."""
         frames, a, alpha = self._accelerated_floating(t, state) if self.model.layout.floating else self._accelerated(t, state)
+        borne = self._borne(t, frames, a, alpha) if reactions else (None, None)
+        return Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *borne)
+
+    def _borne(self, t, frames: Frame, a, alpha):
+        """Force and moment about its origin that the bodies and elements exert on world and supports; zero for bodies."""
         layout, first = self.model.layout, self.model.layout.first_body
         F, M = self._net(t, frames, a, alpha)
         on_frames = wrenches(self.model, frames)
@@ -177,8 +182,7 @@ class Dynamics(eqx.Module):
         moment = M + cross(frames.p[first:] - frames.p[:first, None], F)
         bodies = jnp.zeros_like(F)
         F = jnp.concatenate([on_frames[0][:first] + jnp.sum(jointed * F, 1), bodies])
-        M = jnp.concatenate([on_frames[1][:first] + jnp.sum(jointed * moment, 1), bodies])
-        return Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, F, M)
+        return F, jnp.concatenate([on_frames[1][:first] + jnp.sum(jointed * moment, 1), bodies])
 
     def _accelerated(self, t, state: State):
         v_dot, frames, a, alpha, lin, ang = self._solved(t, state.q, state.v)
@@ -205,7 +209,7 @@ class Dynamics(eqx.Module):
 
     def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
         """Force and moment about its origin that the bodies and elements exert on each support, world axes."""
-        now, first = self.instant(t, State(q, v)), self.model.layout.first_body
+        now, first = self.instant(t, State(q, v), reactions=True), self.model.layout.first_body
         assert now.F is not None and now.M is not None
         return now.F[1:first], now.M[1:first]
 

@@ -182,7 +182,7 @@ class ForcePlate(Sensor):
     on: str = eqx.field(static=True)
     shape = (6,)
     unit = "N, N m"
-    accelerations = True
+    accelerations = reactions = True
 
     def __init__(self, on: str, **chain: Unpack[Chain]):
         problems = Problems()

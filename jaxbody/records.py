@@ -22,7 +22,7 @@ from jaxbody.simulations import Trajectory, table_of
 def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sensor], loads: tuple[Load, ...] = ()) -> dict[str, Array]:
     """What all sensors measure at one time, before their chains; accelerations are worked out once, where any of them needs some."""
     if any(sensor.accelerations for sensor in sensors.values()):
-        now = Dynamics(model, motions, loads).instant(t, state)
+        now = Dynamics(model, motions, loads).instant(t, state, reactions=any(sensor.reactions for sensor in sensors.values()))
     else:
         now = at_instant(table_of(model, motions, t, state), state)
     return {name: sensor.reading(model, now) for name, sensor in sensors.items()}

@@ -41,7 +41,7 @@ class Sensor(Channel):
     has NaN there, and in a fit they count as missing, fading over one sample.
 
     `shape` of a reading and `noise_shape` of a residual; `unit` of either, where there are several by commas: noise has a number for each.
-    `accelerations` where a reading needs those of the frames. A sensor of one's own derives from it and states `on`, `shape`, `unit`, `reading`.
+    `accelerations`, `reactions`: whether a reading needs those of the frames, and what supports bear. A sensor of one's own derives from it and states `on`, `shape`, `unit`, `reading`.
 
     >>> Position("plate", gain=1.02, delay=1e-3).delay.item()
     0.001
@@ -49,6 +49,7 @@ class Sensor(Channel):
 
     on: eqx.AbstractVar[str]
     accelerations: ClassVar[bool] = False
+    reactions: ClassVar[bool] = False
     stages: ClassVar[tuple[str, ...]] = ("gain", "bias", "delay", "lag", "start")  # of the chain, that it may have
     gain: Float[Array, "*g"] | None = eqx.field(default=None, kw_only=True)
     bias: Float[Array, "*b"] | None = eqx.field(default=None, kw_only=True)
@@ -59,6 +60,7 @@ class Sensor(Channel):
     def chained(self, problems: Problems, **chain: Unpack[Chain]) -> None:
         """Takes gain, bias, delay, lag and start."""
         kind = type(self).__name__
+        self.gain = self.bias = self.delay = self.lag = self.start = None
         shapes = {"gain": self.shape, "bias": self.noise_shape, "start": self.shape}
         for name, value in chain.items():
             if name not in Chain.__annotations__:

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
-from equinox import filter_jit
+from equinox import combine, filter_jit, is_array, partition
 from jaxtyping import Array, Float, Int
 
 from jaxbody import integrators, tables
@@ -20,6 +20,7 @@ from jaxbody.dynamics import Dynamics
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.frames import Frame, Pose
 from jaxbody.kinematics import Coordinates, Motions, supports_moving
+from jaxbody.lanes import in_lanes
 from jaxbody.laws import has_range
 from jaxbody.linearizations import linearize
 from jaxbody.loads import Load, loads_of
@@ -421,10 +422,17 @@ def _support_power(model, motions, t, state, loads):
 
 @filter_jit
 def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
-    over_batch = jax.vmap(lambda m, s, on, t, x: function(m, s, t, x, *on, *more), in_axes=(None, None, None, 0, 0))
+    given, rest = partition((model, motions, loads), is_array)
+    others, fixed = partition(more, is_array)
+
+    def one(given, t, state, others):
+        model, motions, loads = combine(given, rest)
+        return function(model, motions, t, state, *loads, *combine(others, fixed))
+
+    over_batch = jax.vmap(in_lanes(one), in_axes=(None, 0, 0, None))
     for _ in range(batch_axes):
-        over_batch = jax.vmap(over_batch)
-    return over_batch(model, motions, loads, times, state)
+        over_batch = jax.vmap(over_batch, in_axes=(0, 0, 0, None))
+    return over_batch(given, times, state, others)
 
 
 def _culprit(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State) -> str:
