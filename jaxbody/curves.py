@@ -5,13 +5,12 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-import numpy as np
-
+from jaxbody import units
 from jaxbody.errors import JaxbodyError, Problem
+from jaxbody.texts import split_unit
 
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "rad": 1.0, "deg": np.pi / 180}
-RATES = {f"{unit}/s": factor for unit, factor in UNITS.items()}
-FORCES = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "N m": 1.0, "Nm": 1.0}
+LENGTHS = (units.LENGTH, units.ANGLE, units.SPEED, units.ANGULAR_RATE)
+FORCES = (units.FORCE, units.MOMENT)
 
 
 def read_columns(path: Path) -> tuple[list[float], list[float]]:
@@ -26,16 +25,18 @@ def read_columns(path: Path) -> tuple[list[float], list[float]]:
         raise JaxbodyError(Problem("NO_FILE", str(path), f"cannot be read: {error}", path, hint="Give the path of a text file.")) from None
     rows = [(i, row) for i, row in enumerate(csv.reader(lines), 1) if row and not row[0].lstrip().startswith("#")]
     head = rows[0] if rows else (1, [])
-    units = [cell[cell.find("[") + 1 : cell.rfind("]")].strip() if "[" in cell and "]" in cell else None for cell in head[1]]
-    if len(units) != 2 or None in units:
+    stated = [split_unit(cell)[1] for cell in head[1]]
+    if len(stated) != 2 or None in stated:
         raise fail(
             "NO_UNIT", head[0], "names no two columns with units", "elongation [mm], force [N]", "Write the units into the first line."
         )
     factors = []
-    for unit, known in zip(units, ({**UNITS, **RATES}, FORCES), strict=True):
-        if unit not in known:
-            raise fail("UNKNOWN_UNIT", head[0], f"unit '{unit}' is unknown", " ".join(known))
-        factors.append(known[unit])
+    for text, dimensions in zip(stated, (LENGTHS, FORCES), strict=True):
+        unit = units.parse(str(text), f"{path.name}:{head[0]}")
+        if unit.dimension not in dimensions:
+            limit = " or ".join(units.si_words(dimension) for dimension in dimensions)
+            raise fail("WRONG_DIMENSION", head[0], f"is in '{text}'", limit, "First elongation or its rate, then force or moment.")
+        factors.append(unit.factor)
     columns: tuple[list[float], list[float]] = ([], [])
     for i, row in rows[1:]:
         try:

@@ -5,31 +5,37 @@ r = (reading(u) - measured)/noise,    minimize 1/2 r'r over u
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any
 
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
 
 from jaxbody.channels import Measurement
+from jaxbody.checkpoints import resumed, save
 from jaxbody.checks import check_precision
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.experiments import Integration
 from jaxbody.fits import Fit
 from jaxbody.implicit_fits import solve
+from jaxbody.losses import check_loss
 from jaxbody.models import Model
-from jaxbody.parametrizations import choose, limits_of
+from jaxbody.noises import records_of
+from jaxbody.parametrizations import choose, limits_of, priors_of
 from jaxbody.results import warn_if_failed
 from jaxbody.searches import AT_BOUND, Evaluations, Limits, by_optax, by_scipy
 from jaxbody.simulations import check_steps
 from jaxbody.statics import size_of
-from jaxbody.tasks import Task, first_noise, noise_found, renoised, residual_and_jacobian
+from jaxbody.tasks import PRIORS, Task, first_noise, noise_found, renoised, residual_and_jacobian
 from jaxbody.uncertainties import assess
 
+EXACT = 100  # times the tolerance of the integration: residuals that are no noise
 ROUNDS = 5  # of estimating the noise of each channel and fitting with it
 
 
@@ -40,6 +46,8 @@ def fit(
     free: Iterable[str] | str,
     method: Any = "least_squares",
     bounds: dict[str, tuple[Any, Any]] | None = None,
+    priors: dict[str, tuple[Any, Any]] | None = None,
+    loss: str | None = None,
     rtol: float = 1e-8,
     solver: diffrax.AbstractSolver | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
@@ -47,24 +55,31 @@ def fit(
     max_steps: int = 10_000,
     max_evaluations: int = 2000,
     progress: bool = False,
+    resume: Fit | str | os.PathLike | None = None,
+    checkpoint: str | os.PathLike | None = None,
     allow_float32: bool = False,
 ) -> Fit:
     """Least-squares estimates of free parameters from measured motions.
 
-    free: paths or patterns, of the model ("*.stiffness", "plate.mass", "AB.a") or of an experiment ("run1.initial.v", "run1.base.frequency").
+    free: paths or patterns, of the model ("*.stiffness", "plate.mass", "AB.a") or of an experiment ("run1.initial.v", "run1.base.frequency");
+    "left.stiffness = right.stiffness" ties what it names to one number, "run1.acc.gain = run2.acc.gain" shares one between experiments.
     method: any optax optimizer, restarted in whitened coordinates until it has arrived; "least_squares", SciPy's trust-region
     reflective method, which takes `bounds` {path: (lower, upper)}; or an optimistix least-squares solver, which may also run inside
     jit and vmap and be differentiated in forward mode.
+    priors: {path: (mean, standard deviation)}, normal, of scalars and vectors; each counts as one more measurement.
+    loss: None for least squares; "soft_l1" or "cauchy" where some samples are outliers (`losses`).
 
-    Stiffness, damping and mass stay positive, inertia definite, orientations unit. What the data cannot tell is said in words instead of numbers. Noise
-    that an experiment does not state is estimated for each sensor from the residuals, and the fit repeated with it. A trial that cannot be
-    simulated is a step rejected.
+    Stiffness, damping and mass stay positive, orientations unit, inertia that of positive masses. What the data cannot tell is said in words
+    instead of numbers. Noise that an experiment does not state is estimated for each channel from the residuals, and the fit repeated with it. A trial that
+    cannot be simulated is a step rejected. Ctrl-C ends a fit with the best so far and status INTERRUPTED; resume= goes on from such a fit, or
+    from the file that checkpoint= names, which is written at every better trial.
 
     rtol, solver, stepsize_controller, dt0: as in `simulate`. Constant steps are several times faster where many experiments run side by side or where
     an input has kinks at samples on which the steps lie; that they are short enough is then yours to see to.
 
-    Errors: UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, BAD_BOUNDS, START_OUTSIDE, START_ON_BOUND, NONFINITE_START, FLOAT32 and those of
-    `simulate`; inside jit and vmap NO_NOISE, where noise would have to be estimated. Warns by status, and of FAILED_TRIALS.
+    Errors: UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, NONFINITE_START,
+    NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of `simulate`; inside jit and vmap NO_NOISE, where noise would have to be estimated. Warns by
+    status, of CORRELATED_RESIDUALS and of FAILED_TRIALS.
 
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
     ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
@@ -75,29 +90,48 @@ def fit(
     """
     check_precision("fit", model, needs_float64=not allow_float32)
     check_steps(stepsize_controller, dt0, "fit")
+    check_loss(loss, "fit.loss")
     _check_runs(model, experiments)
     parameters = choose(model, experiments, [free] if isinstance(free, str) else list(free))
     limits = limits_of(parameters, bounds or {}, method)
     search = _search(method, limits)
-    noise, estimated = first_noise(experiments)
+    known = priors_of(parameters, priors or {})
+    noise, estimated = first_noise(experiments, absolute=bool(known) or loss is not None)
     step = None if dt0 is None else jnp.asarray(dt0, float)
-    task = Task(model, dict(experiments), parameters, noise, Integration(jnp.asarray(rtol), solver, stepsize_controller, step, max_steps))
-    u = jnp.zeros(task.size)
+    task = Task(
+        model,
+        dict(experiments),
+        parameters,
+        noise,
+        Integration(jnp.asarray(rtol), solver, stepsize_controller, step, max_steps),
+        known,
+        loss,
+    )
+    u = np.zeros(task.size)
+    if resume is not None:
+        u, levels = resumed(resume, task)
+        task = eqx.tree_at(lambda t: t.noise, task, levels)
     if not is_concrete(model, experiments):
         return _fit_traced(task, u, method, max_evaluations, estimated)
-    evaluate = Evaluations(partial(residual_and_jacobian, task), max_evaluations, floor=_floor(task), progress=progress)
+    keep = (lambda u: None) if checkpoint is None else lambda u: save(checkpoint, task, u)
+    evaluate = Evaluations(partial(residual_and_jacobian, task), max_evaluations, floor=_floor(task), progress=progress, better=keep)
     _check_start(task, *evaluate(u))
-    arrived = False
-    for _ in range(ROUNDS if estimated else 1):
-        u, arrived = search(evaluate, task, u)
-        if not estimated:
-            break
-        task, changed = renoised(task, evaluate.more(u))
-        if not changed:
-            break
-        evaluate.renew(partial(residual_and_jacobian, task), _floor(task))
-    result = _finish(evaluate, task, u, arrived, limits)
+    arrived, interrupted = False, False
+    try:
+        for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
+            u, arrived = search(evaluate, task, u)
+            if not estimated:
+                break
+            task, changed = renoised(task, evaluate.more(u))
+            if not changed:
+                break
+            evaluate.renew(partial(residual_and_jacobian, task), _floor(task))
+    except KeyboardInterrupt:
+        u, interrupted = u if evaluate.best is None else evaluate.best, True
+    result = _finish(evaluate, task, u, Status.INTERRUPTED if interrupted else Status.OK if arrived else Status.NOT_CONVERGED, limits)
     warn_if_failed(result)
+    if result.ok and result.uncertainty is not None and result.uncertainty.correlated:
+        warn("CORRELATED_RESIDUALS", result.uncertainty.about_noise()[0])
     if evaluate.failed > evaluate.count / 2:
         warn("FAILED_TRIALS", f"{evaluate.failed} of {evaluate.count} trials of the fit could not be simulated")
     return result
@@ -144,28 +178,22 @@ def _fit_traced(task: Task, u, method, most: int, estimated: bool) -> Fit:
     return Fit(model, experiments, u, 0.5 * r @ r, status, steps, task, None, {}, {}, [], 0, [])
 
 
-def _finish(evaluate: Evaluations, task: Task, u, arrived: bool, limits: Limits) -> Fit:
+def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Limits) -> Fit:
     r, J = evaluate(u)
     runs = evaluate.more(u)
-    residuals = {run: runs[run][1] for run in task.experiments}
-    present = {run: {name: e.present(name) for name in e.channels} for run, e in task.experiments.items()}
-    G = jax.jacfwd(task.values)(jnp.asarray(u))
-    uncertainty = assess(r, J, [np.asarray(g) for g in G], [f.leaf.path for f in task.free], task.labels, residuals, present)
+    G = [np.asarray(g) for g in jax.jacfwd(task.values)(jnp.asarray(u))]
+    inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
+    paths, exact = [f.path for f in task.free], EXACT * _floor(task)
+    uncertainty = assess(*task.linearized(runs, J), G, paths, task.labels, records_of(task.experiments), inside=inside, exact=exact)
     at_bound = [
         f"{label} ({side})"
         for side, limit in zip(("lower", "upper"), limits, strict=True)
         for label, near in zip(task.labels, np.abs(np.asarray(u) - limit) < AT_BOUND, strict=True)
         if near
     ]
-    status = Status.OK
-    if not arrived:
-        status = Status.NOT_CONVERGED
-    elif uncertainty.still:
-        status = Status.NEVER_MOVED
-    elif uncertainty.rank < task.size:
-        status = Status.NOT_IDENTIFIABLE
-    elif at_bound:
-        status = Status.AT_BOUND
+    if status == Status.OK:
+        conditions = ((uncertainty.still, Status.NEVER_MOVED), (uncertainty.rank < task.size, Status.NOT_IDENTIFIABLE), (at_bound, Status.AT_BOUND))  # fmt: skip
+        status = next((found for true, found in conditions if true), Status.OK)
     model, experiments = task.scatter(jnp.asarray(u))
     predicted = {run: runs[run][0] for run in task.experiments}
     return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound)  # fmt: skip
@@ -176,7 +204,7 @@ def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
     if not experiments:
         problems.add("NO_DATA", "fit.experiments", "is empty", limit="at least one Experiment")
     for name, experiment in experiments.items():
-        if name in (*model.names, "world", "gravity") or set(name) & set(".*?[]"):
+        if name in (*model.names, "world", "gravity", PRIORS) or set(name) & set(".*?[]"):
             problems.add("BAD_NAME", f"experiments['{name}']", "is the name of something else, or has one of . * ? [ ]", value=name)
         elif not isinstance(experiment, Measurement):
             problems.add("WRONG_KIND", f"experiments['{name}']", f"is a {type(experiment).__name__}", value=experiment, limit="Experiment")

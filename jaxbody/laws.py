@@ -150,8 +150,8 @@ class Table(Law):
     @classmethod
     def read(cls, path) -> Table:
         """From a file of two columns, separated by commas, whose first line names them with units, as `elongation [mm], force [kN]`;
-        lines that start with # are comments. Units: m, cm, mm, in, rad, deg, the same per s, N, kN, lbf, N m. Errors name the line: NO_FILE, NO_UNIT,
-        UNKNOWN_UNIT, BAD_LINE and those of the table."""
+        lines that start with # are comments. Units of length or angle or their rates, then of force or moment. Errors name the line: NO_FILE, NO_UNIT,
+        UNKNOWN_UNIT, WRONG_DIMENSION, BAD_LINE and those of the table."""
         return cls(*read_columns(Path(path)))
 
     def force(self, x):

@@ -1,7 +1,8 @@
 """How a free parameter is moved in a fit: by numbers u that are zero at the start, unbounded and of the order of one.
 
 positive        x = x0 exp(u)                         stiffness, damping, mass
-definite        X = L(u) L(u)'                        inertia, 6 x 6 stiffness and damping; L lower, logarithms on its diagonal
+definite        X = L(u) L(u)'                        6 x 6 stiffness and damping; L lower, logarithms on its diagonal
+inertia         I = tr(S) 1 - S, S definite           so that masses of no sign but plus can have it (log-Cholesky of the pseudo-inertia)
 rotation        q = exp(u) q0                         orientations; coordinates of an initial state
 direction       n = (n0 + B u)/|n0 + B u|             axes of joints
 of instruments  x = x0 + s u                          gain (either sign) and bias, s of the order of the record where x0 is smaller; delay, of a sample
@@ -83,6 +84,24 @@ class Definite(Parametrization):
         return [f"[{i},{i}]" for i in range(n)] + [f"[{i},{j}]" for i, j in zip(rows, columns, strict=True)]
 
 
+class Inertia(Parametrization):
+    """About the center of mass I = tr(S) 1 - S, with S = sum of m x x' the second moment of mass.
+
+    S is definite if and only if I is of masses that are positive everywhere (P. Wensing, S. Kim, J.-J. Slotine, IEEE Robotics and Automation
+    Letters 3 (2018) 60): then its principal moments hold the triangle inequality."""
+
+    @property
+    def size(self) -> int:
+        return 6
+
+    def value(self, u):
+        S = Definite(0.5 * jnp.trace(self.start) * jnp.eye(3) - self.start).value(u)
+        return jnp.trace(S) * jnp.eye(3) - S
+
+    def labels(self):
+        return [f"[second moment {label[1:]}" for label in Definite(self.start).labels()]
+
+
 class Rotation(Parametrization):
     @property
     def size(self) -> int:
@@ -144,7 +163,14 @@ def parametrize(path: str, start: Array, model: Model, size: Array) -> Parametri
                 "Start at a small positive number.",
             )
         return Positive(start)
-    if field in (*POSITIVE, "inertia"):
+    if field == "inertia":
+        moments = None if known is None else np.linalg.eigvalsh(known)
+        if moments is not None and moments[0] + moments[1] - moments[2] <= 1e-9 * moments.sum():
+            told = f"starts at principal moments {moments}, those of a flat or thin body"
+            hint = "Give it some thickness: masses on both sides of its plane or line."
+            return Problem("START_ON_BOUND", path, told, known, "each less than the sum of the other two", hint)
+        return Inertia(start)
+    if field in POSITIVE:
         if known is not None and np.linalg.eigvalsh(known).min() <= 0:
             return Problem(
                 "START_ON_BOUND",
@@ -178,42 +204,64 @@ def of_instrument(field: str, start: Array, experiment: Experiment, sensor: str)
 
 
 class Free(eqx.Module):
-    """A free parameter: the run it belongs to ("" for the model), where it is, and how it moves."""
+    """A free parameter: where it is, once or, tied, several times, each in a run ("" for the model); and how it moves."""
 
-    run: str = eqx.field(static=True)
-    leaf: Leaf = eqx.field(static=True)
+    places: tuple[tuple[str, Leaf], ...] = eqx.field(static=True)
     form: Parametrization
+
+    @property
+    def path(self) -> str:
+        """Its first place."""
+        return self.places[0][1].path
+
+    @property
+    def name(self) -> str:
+        """All its places: "left.stiffness = right.stiffness"."""
+        return " = ".join(leaf.path for _, leaf in self.places)
+
+    def leaves(self, run: str) -> list[Leaf]:
+        return [leaf for owner, leaf in self.places if owner == run]
 
 
 def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str]) -> tuple[Free, ...]:
-    """The free parameters that the patterns mean, each with its parametrization."""
+    """The free parameters that the patterns mean, each with its parametrization; what "a = b" means is one parameter."""
     problems = Problems()
     roots = {"": model, **experiments}
     leaves = [(run, leaf) for run, tree in roots.items() for leaf in leaves_of(tree, f"{run}." if run else "")]
     owner = {leaf: run for run, leaf in leaves}
+    arrays = {run: jax.tree.leaves(tree) for run, tree in roots.items()}
+    sides = {pattern: [side.strip() for side in str(pattern).split("=")] for pattern in patterns}
+    found = matching(list(owner), dict.fromkeys(side for group in sides.values() for side in group), "fit.free")
     chosen: list[Leaf] = []
-    for pattern, found in matching(list(owner), patterns, "fit.free").items():
-        for leaf in found:
+    groups: list[list[Leaf]] = []
+    for pattern, group in sides.items():
+        meant = list(dict.fromkeys(leaf for side in group for leaf in found[side]))
+        for leaf in meant:
             if leaf in chosen:
                 problems.add("LISTED_TWICE", "fit.free", f"names {leaf.path} twice, by '{pattern}' too", value=pattern)
-            else:
-                chosen.append(leaf)
+        chosen += meant
+        groups += [meant] if len(group) > 1 else [[leaf] for leaf in meant]
     if not chosen:
         problems.add("NOTHING_FREE", "fit.free", "is empty", limit="at least one path")
-    arrays = {run: jax.tree.leaves(tree) for run, tree in roots.items()}
     size = size_of(model)
     free = []
-    for leaf in chosen:
-        run, start = owner[leaf], leaf.read(arrays[owner[leaf]])
+    for group in groups:
+        starts = [leaf.read(arrays[owner[leaf]]) for leaf in group]
+        known = [concrete(start) for start in starts]
+        for leaf, start in zip(group[1:], known[1:], strict=True):
+            if start is not None and known[0] is not None and (np.shape(start) != np.shape(known[0]) or (start != known[0]).any()):
+                told = f"starts at {start}, but is to equal {group[0].path}, which starts at {known[0]}"
+                problems.add("TIED_APART", leaf.path, told, value=start, limit=str(known[0]), hint="Set both alike with jb.replace.")
+        run, leaf = owner[group[0]], group[0]
         experiment, name = experiments.get(run), leaf.path.removeprefix(f"{run}.").removesuffix(f".{leaf.field}")
         if isinstance(experiment, Experiment) and name in experiment.sensors and leaf.field in OF_CHAINS:
-            form = of_instrument(leaf.field, start, experiment, name)
+            form = of_instrument(leaf.field, starts[0], experiment, name)
         else:
-            form = parametrize(leaf.path, start, model, size)
+            form = parametrize(leaf.path, starts[0], model, size)
         if isinstance(form, Problem):
             problems.found.append(form)
         else:
-            free.append(Free(owner[leaf], leaf, form))
+            free.append(Free(tuple((owner[leaf], leaf) for leaf in group), form))
     problems.raise_if_any()
     return tuple(free)
 
@@ -224,7 +272,7 @@ def limits_of(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method
     low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
     if bounds and not (isinstance(method, str) and method == "least_squares"):
         problems.add("BAD_BOUNDS", "fit.bounds", 'are kept by method="least_squares" only', value=method)
-    place = {f.leaf: i for i, f in enumerate(free)}
+    place = {leaf: i for i, f in enumerate(free) for _, leaf in f.places}
     for pattern, leaves in matching(list(place), bounds, "fit.bounds").items():
         for leaf in leaves:
             i = place[leaf]
@@ -258,3 +306,23 @@ def _ends(pair: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
         return [np.broadcast_to(np.asarray(end, float), shape) for end in (lower, upper)]
     except (TypeError, ValueError):
         return None
+
+
+def priors_of(free: tuple[Free, ...], priors: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Array, Array]]:
+    """{path: (mean, standard deviation)} of free parameters, as arrays of their shapes."""
+    problems = Problems()
+    forms = {leaf: f for f in free for _, leaf in f.places}
+    found = {}
+    for pattern, leaves in matching(list(forms), priors, "fit.priors").items():
+        for leaf in leaves:
+            form, pair = forms[leaf].form, _ends(priors[pattern], forms[leaf].form.start.shape)
+            where = f"fit.priors['{leaf.path}']"
+            if not isinstance(form, Positive | Shifted):
+                problems.add("BAD_PRIOR", where, "has no prior of its own", hint="Priors are for scalars and vectors.")
+            elif pair is None or not np.isfinite(pair).all() or not (pair[1] > 0).all():
+                told = f"is {priors[pattern]!r:.60}"
+                problems.add("BAD_PRIOR", where, told, value=priors[pattern], limit="(mean, standard deviation > 0), finite")
+            else:
+                found[forms[leaf].path] = (jnp.asarray(pair[0]), jnp.asarray(pair[1]))
+    problems.raise_if_any()
+    return found

@@ -226,8 +226,8 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
     readings = iter(_readings(model, q, [port for port in outputs if hasattr(port, "reading")]))
     whole = whole_matrices(lin)
     forces = [next(points) if isinstance(port, PointForce) else zero for port in inputs]
-    F = jnp.stack(forces, 1)
-    X = jnp.stack([_unit(layout, port, dtype) if isinstance(port, BaseMotion) else jnp.zeros(layout.nxi, dtype) for port in inputs], 1)
+    moved = [_unit(layout, port, dtype) if isinstance(port, BaseMotion) else jnp.zeros(layout.nxi, dtype) for port in inputs]
+    F, X = (jnp.reshape(jnp.asarray(columns, dtype), (len(inputs), -1)).T if inputs else jnp.zeros((size, 0), dtype) for columns, size in ((forces, n), (moved, layout.nxi)))  # fmt: skip
     rows, direct = [], []
     for port in outputs:
         G = jnp.zeros(len(inputs), dtype)
@@ -262,7 +262,9 @@ def whole_matrices(lin: Any) -> tuple[Float[Array, "n n"], Float[Array, "n n"], 
     return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)
 
 
-def ports_of(lin: Any, given: Any, what: str, where: str, problems: Problems) -> tuple[tuple[str, ...], tuple[Any, ...], tuple[str, ...]]:
+def ports_of(
+    model: Model, given: Any, what: str, where: str, problems: Problems
+) -> tuple[tuple[str, ...], tuple[Any, ...], tuple[str, ...]]:
     """Names, ports and units of a dict of them; what is wrong goes to `problems`."""
     limit = "{name: BaseMotion or PointForce}" if what == "inputs" else "{name: PointMotion, ElementForce, ...}"
     if not isinstance(given, dict) or not given:
@@ -280,12 +282,12 @@ def ports_of(lin: Any, given: Any, what: str, where: str, problems: Problems) ->
                 limit=limit,
                 hint="A sensor must read one number, with no chain and of no accelerations.",
             )
-        elif (found := port.problem(lin.model, there)) is not None:
+        elif (found := port.problem(model, there)) is not None:
             problems.found.append(found)
     if problems.found:
         return (), (), ()
     ports = tuple(given.values())
-    return tuple(given), ports, tuple(port.unit_on(lin.model) if hasattr(port, "unit_on") else port.unit for port in ports)
+    return tuple(given), ports, tuple(port.unit_on(model) if hasattr(port, "unit_on") else port.unit for port in ports)
 
 
 def _check_one_of(value: Any, known: tuple[str, ...], code: str, where: str, problems: Problems) -> None:
@@ -397,6 +399,6 @@ def _element_problem(port: Any, model: Model, where: str) -> Problem | None:
 def check_ports(lin: Any, inputs: Any, outputs: Any, where: str):
     """(names, ports, units) of inputs and outputs; raises with all that is wrong."""
     problems = Problems()
-    found = [ports_of(lin, given, what, where, problems) for given, what in ((inputs, "inputs"), (outputs, "outputs"))]
+    found = [ports_of(lin.model, given, what, where, problems) for given, what in ((inputs, "inputs"), (outputs, "outputs"))]
     problems.raise_if_any()
     return found

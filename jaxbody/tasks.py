@@ -15,10 +15,12 @@ from jaxtyping import Array, Float
 
 from jaxbody.channels import Channel, Measurement
 from jaxbody.experiments import Integration
+from jaxbody.losses import linearized, robust_level, root
 from jaxbody.models import Model
 from jaxbody.naming import write
 from jaxbody.parametrizations import Free
 
+PRIORS = "priors"  # what stands for a measurement's name where they are told with them
 PROPORTION = 0.01  # change of the estimated noise of one channel against another's that is worth another round
 
 Levels = dict[str, dict[str, Array]]  # of each measurement the noise of each channel
@@ -33,15 +35,22 @@ class Task(eqx.Module):
     free: tuple[Free, ...]
     noise: Levels
     integration: Integration
+    priors: dict[str, tuple[Array, Array]] = eqx.field(default_factory=dict)
+    loss: str | None = eqx.field(static=True, default=None)
 
     @property
     def size(self) -> int:
         return sum(f.form.size for f in self.free)
 
     @property
+    def absolute(self) -> bool:
+        """Whether the optimum depends on how large all noise is, not on its proportions alone."""
+        return self.loss is not None or bool(self.priors)
+
+    @property
     def labels(self) -> list[str]:
         """What each u is called."""
-        return [f.leaf.path + label for f in self.free for label in f.form.labels()]
+        return [f.name + label for f in self.free for label in f.form.labels()]
 
     def values(self, u: Float[Array, "n"]) -> list[Array]:
         """The leaf of each free parameter."""
@@ -50,12 +59,8 @@ class Task(eqx.Module):
 
     def scatter(self, u: Float[Array, "n"]) -> tuple[Model, dict[str, Measurement]]:
         values = list(zip(self.free, self.values(u), strict=True))
-        model = write(self.model, {f.leaf: value for f, value in values if not f.run})
-        runs = {
-            name: write(experiment, {f.leaf: value for f, value in values if f.run == name})
-            for name, experiment in self.experiments.items()
-        }
-        return model, runs
+        new = {run: {leaf: value for f, value in values for leaf in f.leaves(run)} for run in ("", *self.experiments)}
+        return write(self.model, new[""]), {name: write(measurement, new[name]) for name, measurement in self.experiments.items()}
 
     def differences(self, model: Model, experiment: Measurement, noise: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
         """Readings, and residuals over noise (zero where a sample is missing), of one measurement."""
@@ -76,14 +81,26 @@ class Task(eqx.Module):
             group, noise = (jax.tree.map(lambda *x: jnp.stack(x), *(tree[name] for name in names)) for tree in (runs, self.noise))
             both = jax.vmap(self.differences, in_axes=(None, 0, 0))(model, group, noise)
             found |= {name: jax.tree.map(lambda x, i=i: x[i], both) for i, name in enumerate(names)}
+        if self.priors:
+            values = dict(zip((f.path for f in self.free), self.values(u), strict=True))
+            found[PRIORS] = values, {path: (values[path] - mean) / deviation for path, (mean, deviation) in self.priors.items()}
         return found
 
     def residual(self, u: Float[Array, "n"]) -> Float[Array, "m"]:
-        return all_residuals(self.runs(u))
+        return self.losses(self.runs(u))
 
+    def losses(self, runs: Runs) -> Float[Array, "m"]:
+        """All residuals in one row, as the loss has them."""
+        parts = {run: jnp.concatenate([r.ravel() for r in residuals.values()]) for run, (_, residuals) in runs.items()}
+        return jnp.concatenate([root(r, None if run == PRIORS else self.loss) for run, r in parts.items()])
 
-def all_residuals(runs: Runs) -> Float[Array, "m"]:
-    return jnp.concatenate([r.ravel() for _, residuals in runs.values() for r in residuals.values()])
+    def linearized(self, runs: Runs, J) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals and Jacobian of the least-squares problem that has the optimum of the losses and its covariance."""
+        raw = {run: np.concatenate([np.ravel(r) for r in residuals.values()]) for run, (_, residuals) in runs.items()}
+        prior = raw.pop(PRIORS, np.zeros(0))
+        r, m = np.concatenate(list(raw.values())), len(J) - len(prior)
+        r, data = linearized(r, J[:m], self.loss)
+        return np.concatenate([r, prior]), np.concatenate([data, J[m:]])
 
 
 @eqx.filter_jit
@@ -92,7 +109,7 @@ def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Arra
 
     def evaluate(u):
         runs = task.runs(u)
-        r = all_residuals(runs)
+        r = task.losses(runs)
         return r, (r, runs)
 
     J, (r, runs) = jax.jacfwd(evaluate, has_aux=True)(u)
@@ -114,8 +131,21 @@ def rms(channel: Channel, residuals: list, present: list) -> Array:
     return jnp.sqrt(squares / sum(channel.pooled(jnp.asarray(there, float)) for there in present))
 
 
-def first_noise(experiments: dict[str, Measurement]) -> tuple[Levels, bool]:
-    """Stated noise; without it the standard deviation of each channel's record, over all runs, and True where it is still to be estimated."""
+def level(channel: Channel, residuals: list, present: list, loss: str | None) -> Array:
+    """The noise that residuals show: their rms, or with a robust loss what outliers do not raise."""
+    if loss is None:
+        return rms(channel, residuals, present)
+
+    def clipped(s, c):
+        capped = [jnp.minimum((jnp.asarray(r) / channel.spread(s)) ** 2, c**2) for r in residuals]
+        return rms(channel, [jnp.sqrt(x) for x in capped], present) ** 2
+
+    return robust_level(clipped, rms(channel, residuals, present))
+
+
+def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Levels, bool]:
+    """Stated noise; without it the standard deviation of each channel's record, over all runs, and True where it is still to be estimated,
+    be it that its level matters (`absolute`) or the proportions of several."""
     channels = {name: channel for e in experiments.values() for name, channel in e.channels.items()}
     spread = {}
     for name, channel in channels.items():
@@ -125,7 +155,7 @@ def first_noise(experiments: dict[str, Measurement]) -> tuple[Levels, bool]:
     noise = {run: {name: (e.noise or {}).get(name, spread[name]) for name in e.channels} for run, e in experiments.items()}
     stated = [name in (e.noise or {}) for e in experiments.values() for name in e.channels]
     units = sum(np.size(level) for level in spread.values())
-    return noise, not all(stated) and (units > 1 or any(stated))
+    return noise, not all(stated) and (absolute or units > 1 or any(stated))
 
 
 def away(experiment: Measurement, name: str) -> Array:
@@ -142,24 +172,25 @@ def renoised(task: Task, runs: Runs) -> tuple[Task, bool]:
             _, residuals, present = found.setdefault(name, (channel, [], []))
             residuals.append(runs[run][1][name] * channel.spread(task.noise[run][name]))
             present.append(experiment.present(name))
-    levels = {name: jnp.maximum(rms(*parts), 1e-12) for name, parts in found.items()}
+    levels = {name: jnp.maximum(level(*parts, task.loss), 1e-12) for name, parts in found.items()}
     new = {run: {name: (e.noise or {}).get(name, levels[name]) for name in e.channels} for run, e in task.experiments.items()}
     places = [(run, name) for run in new for name in new[run]]
     ratio, fitted = (
-        np.concatenate([np.ravel(level(*place) / task.noise[place[0]][place[1]]) for place in places])
-        for level in (lambda run, name: new[run][name], lambda _, name: levels[name])
+        np.concatenate([np.ravel(of(*place) / task.noise[place[0]][place[1]]) for place in places])
+        for of in (lambda run, name: new[run][name], lambda _, name: levels[name])
     )
     if fitted.max() < 1e-9:  # an exact fit has no noise to weigh by
         return task, False
+    if task.absolute:
+        ratio = np.append(ratio, 1.0)
     return eqx.tree_at(lambda t: t.noise, task, new), bool(ratio.max() / ratio.min() > 1 + PROPORTION)
 
 
 def noise_found(task: Task, runs: Runs) -> Levels:
-    """{measurement: {channel: rms residual}}."""
-    return {
-        run: {
-            name: task.noise[run][name] * rms(channel, [runs[run][1][name]], [experiment.present(name)])
-            for name, channel in experiment.channels.items()
-        }
-        for run, experiment in task.experiments.items()
-    }
+    """{measurement: {channel: rms residual}}, with a robust loss what outliers do not raise."""
+
+    def of(run: str, name: str, channel: Channel):
+        residuals = runs[run][1][name] * channel.spread(task.noise[run][name])
+        return level(channel, [residuals], [task.experiments[run].present(name)], task.loss)
+
+    return {run: {name: of(run, name, channel) for name, channel in e.channels.items()} for run, e in task.experiments.items()}

@@ -4,11 +4,9 @@
 met: 15 s and 1 s. Beside it MuJoCo's sysid (pip install 'mujoco[sysid]') on the same record, where it can be imported.
 """
 
-import sys
 import time
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 import jaxbody as jb
