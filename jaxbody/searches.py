@@ -94,8 +94,8 @@ def triangle(r: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return r, J
     if not np.isfinite(T).all():
         return np.full(n, np.nan), np.full((n, n - 1), np.nan)
-    blocks = np.linalg.qr(T[:whole].reshape(-1, ROWS, n), mode="r").reshape(-1, n)
-    T = np.linalg.qr(np.concatenate([blocks, T[whole:]]), mode="r")
+    blocks = np.reshape(np.linalg.qr(T[:whole].reshape(-1, ROWS, n), mode="r"), (-1, n))
+    T = np.asarray(np.linalg.qr(np.concatenate([blocks, T[whole:]]), mode="r"))
     return T[:, -1], T[:, :-1]
 
 
