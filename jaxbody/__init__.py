@@ -45,6 +45,7 @@ from jaxbody.records import measure
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
 from jaxbody.sensors import Elongation, Position, Sensor
+from jaxbody.shootings import multiple_shooting
 from jaxbody.simulations import simulate
 from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin

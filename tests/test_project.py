@@ -27,7 +27,7 @@ ROWS = (
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
     "channels transducers sensors records attitudes instruments gauges",
     "experiments measured_responses measured_modes parametrizations losses tasks checkpoints",
-    "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts profiles validations bands",
+    "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts shootings profiles validations bands",
     "canvases mode_plots response_plots fit_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
