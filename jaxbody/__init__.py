@@ -9,6 +9,7 @@ from jaxbody.collocations import Gauss
 from jaxbody.compilations import compile_times
 from jaxbody.complex_modes import complex_modes, whirl
 from jaxbody.contacts import Contact, Tyre
+from jaxbody.diagnoses import diagnose
 from jaxbody.elastic_axes import elastic_axes, torque_roll_axis
 from jaxbody.elements import Bushing, Element, Spring, SpringDamper
 from jaxbody.energies import mode_energies
