@@ -1,4 +1,4 @@
-"""What may be wrong with a record, by comparing it with what a model reads: a unit, a sign, a delay, channels swapped, axes of the other hand.
+"""What may be wrong with a record beside what a model reads: a unit, a sign, a delay, channels swapped, axes of the other hand.
 
     measured(t) ~ offset + gain reading(t - delay)
 
