@@ -41,6 +41,7 @@ class Measurement(eqx.Module):
     """The base of what a model is fitted to: `measured` numbers by channel, `noise`, their standard deviations where stated, and `readings`,
     what a model says in their place."""
 
+    series: ClassVar[bool] = True  # rows of `measured` follow one another, so that neighbors may be correlated
     measured: eqx.AbstractVar[dict[str, Array]]
     noise: eqx.AbstractVar[dict[str, Array] | None]
 

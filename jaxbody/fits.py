@@ -5,20 +5,24 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.channels import Measurement
 from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete
+from jaxbody.intervals import Interval, check_level, intervals_of
 from jaxbody.models import Model
 from jaxbody.results import Result
 from jaxbody.tasks import Task
 from jaxbody.uncertainties import Uncertainty
 
+LEVEL = 0.95  # of the intervals that print
+
 
 class Fit(Result):
-    """A fit: `model` and `experiments` with the estimates in them, `estimates` and `standard_errors` by path (infinite where the data cannot tell),
+    """A fit: `model` and `experiments` with the estimates in them, `estimates` and `standard_errors` by path (infinite where the data cannot tell), `intervals(level)`,
     `covariance` of u, `singular_values` of the Jacobian with relative columns, `unidentified` in words, `predicted` {run: {sensor: array}},
     `noise` {run: {sensor: rms residual}} (of a pose two, in meters and radians), `correlation` (lag one) of the residuals, `cost` 1/2 r'r,
     `history` of costs, `failed` trials that could not be simulated, `at_bound` in words. `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED
@@ -65,6 +69,12 @@ class Fit(Result):
         """{path: standard error}, infinite where the data cannot tell."""
         return self._assessed().standard_errors
 
+    def intervals(self, level: float = 0.95) -> dict[str, Interval]:
+        """{path: (lower, upper)}, confidence intervals of this level: of what is positive by its logarithm, at a bound with one side. Error: BAD_LEVEL."""
+        check_level(level, "fit.intervals.level")
+        slopes = [np.asarray(G) for G in jax.jacfwd(self.task.values)(self.u)]
+        return intervals_of(self.task.free, np.asarray(self.u), slopes, self._assessed(), level)
+
     @property
     def covariance(self) -> np.ndarray:
         return self._assessed().covariance
@@ -104,13 +114,14 @@ class Fit(Result):
     def _tables(self) -> list[tables.Table]:
         if self.uncertainty is None or not is_concrete(self.u):
             return [tables.Table("Fit", ("", ""), [(path, value) for path, value in self.estimates.items()])]
-        rows = []
+        rows, ends = [], self.intervals(LEVEL)
         names = {f.path: f.name for f in self.task.free}
         for path, value in self.estimates.items():
-            error = np.asarray(self.standard_errors[path])
-            for label, x, e in zip(_labels(names[path], np.asarray(value)), np.asarray(value).ravel(), error.ravel(), strict=True):
-                told = (float(e), f"{100 * e / abs(x):.2g} %" if x else "") if np.isfinite(e) else ("not determined", "")
-                rows.append((label, float(x), *told))
+            columns = (np.asarray(x).ravel() for x in (value, self.standard_errors[path], *ends[path]))
+            for label, x, e, low, high in zip(_labels(names[path], np.asarray(value)), *columns, strict=True):
+                known = "not determined" if not np.isfinite(high - low) else "at its bound" if not np.isfinite(e) else float(e)
+                relative = f"{100 * e / abs(x):.2g} %" if np.isfinite(e) and x else ""
+                rows.append((label, float(x), known, relative, f"{low:.6g} to {high:.6g}" if np.isfinite(high - low) else ""))
         fits = [
             (f"{run}.{name}", float(rms), unit.strip())
             for run, sensors in self.noise.items()
@@ -119,14 +130,11 @@ class Fit(Result):
         ]
         u = self.uncertainty
         notes = [f"{u.samples} samples, {int(self.evaluations)} evaluations; {self.report()}"]
-        if u.correlated:
-            notes.append(
-                f"residuals are correlated (lag one {u.correlation:.2f}): the standard errors, which take them for white noise, are too small"
-            )
+        notes += u.about_noise()
         if status_words := ([] if int(self.status) in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED) else u.words):
             notes += status_words
         return [
-            tables.Table("Fit", ("parameter", "estimate", "standard error", "relative"), rows),
+            tables.Table("Fit", ("parameter", "estimate", "standard error", "relative", f"{100 * LEVEL:g} % interval"), rows),
             tables.Table("", ("sensor", "rms residual", "unit"), fits, "\n".join(notes)),
         ]
 

@@ -26,6 +26,7 @@ from jaxbody.fits import Fit
 from jaxbody.implicit_fits import solve
 from jaxbody.losses import check_loss
 from jaxbody.models import Model
+from jaxbody.noises import records_of
 from jaxbody.parametrizations import choose, limits_of, priors_of
 from jaxbody.results import warn_if_failed
 from jaxbody.searches import AT_BOUND, Evaluations, Limits, by_optax, by_scipy
@@ -34,6 +35,7 @@ from jaxbody.statics import size_of
 from jaxbody.tasks import PRIORS, Task, first_noise, noise_found, renoised, residual_and_jacobian
 from jaxbody.uncertainties import assess
 
+EXACT = 100  # times the tolerance of the integration: residuals that are no noise
 ROUNDS = 5  # of estimating the noise of each channel and fitting with it
 
 
@@ -77,7 +79,7 @@ def fit(
 
     Errors: UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, NONFINITE_START,
     NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of `simulate`; inside jit and vmap NO_NOISE, where noise would have to be estimated. Warns by
-    status, and of FAILED_TRIALS.
+    status, of CORRELATED_RESIDUALS and of FAILED_TRIALS.
 
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
     ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
@@ -128,6 +130,8 @@ def fit(
         u, interrupted = u if evaluate.best is None else evaluate.best, True
     result = _finish(evaluate, task, u, Status.INTERRUPTED if interrupted else Status.OK if arrived else Status.NOT_CONVERGED, limits)
     warn_if_failed(result)
+    if result.ok and result.uncertainty is not None and result.uncertainty.correlated:
+        warn("CORRELATED_RESIDUALS", result.uncertainty.about_noise()[0])
     if evaluate.failed > evaluate.count / 2:
         warn("FAILED_TRIALS", f"{evaluate.failed} of {evaluate.count} trials of the fit could not be simulated")
     return result
@@ -177,11 +181,10 @@ def _fit_traced(task: Task, u, method, most: int, estimated: bool) -> Fit:
 def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Limits) -> Fit:
     r, J = evaluate(u)
     runs = evaluate.more(u)
-    residuals = {run: runs[run][1] for run in task.experiments}
-    present = {run: {name: e.present(name) for name in e.channels} for run, e in task.experiments.items()}
-    G = jax.jacfwd(task.values)(jnp.asarray(u))
-    paths = [f.path for f in task.free]
-    uncertainty = assess(*task.linearized(runs, J), [np.asarray(g) for g in G], paths, task.labels, residuals, present)
+    G = [np.asarray(g) for g in jax.jacfwd(task.values)(jnp.asarray(u))]
+    inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
+    paths, exact = [f.path for f in task.free], EXACT * _floor(task)
+    uncertainty = assess(*task.linearized(runs, J), G, paths, task.labels, records_of(task.experiments), inside=inside, exact=exact)
     at_bound = [
         f"{label} ({side})"
         for side, limit in zip(("lower", "upper"), limits, strict=True)

@@ -46,6 +46,7 @@ class MeasuredModes(Measurement):
     noise: dict[str, Float[Array, "..."]] | None
     sensors: dict[str, PointMotion]
     number: tuple[int, ...] | None = field(static=True)
+    series = False
 
     def __init__(self, *, frequency, damping_ratio=None, shapes=None, sensors=None, number=None, pairing: str = "order", noise=None):
         problems = Problems()

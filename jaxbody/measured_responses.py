@@ -34,7 +34,8 @@ class ResponseChannel(Channel):
         return one.stack([one.isnan(measured)] * 2, -1)
 
     def spread(self, level):
-        return jnp.asarray(level)[..., None]
+        level = jnp.asarray(level)
+        return level[:, None] if level.size > 1 else level
 
 
 class MeasuredResponse(Measurement):

@@ -1,26 +1,39 @@
-"""What an estimate is worth: covariance from the Jacobian, and in words what the data cannot tell.
+"""What an estimate is worth: covariance from the Jacobian and the noise that residuals show, and in words what the data cannot tell.
 
-    covariance of u = s^2 (J'J)^-1,   s^2 = r'r/(samples - parameters)
+    J = Q R,    covariance of u = R^-1 M R^-T,    M the covariance of Q'e (`noises`): s^2 I for one white noise, s^2 = r'r/(samples - parameters)
 
-Directions of u whose singular value vanishes against the largest leave the readings as they are; no number is given for what they touch.
+A variance v that is known from few numbers has 2 v^2/var(v) degrees of freedom (F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110), those of
+Student's t in intervals. Directions of u whose singular value vanishes against the largest leave the readings as they are; no number is
+given for what they touch, nor for a parameter at its bound, which the others are estimated with.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
 
-CORRELATED = 0.2  # lag-one correlation of residuals that is told, if it is also significant
+from jaxbody.autocorrelations import Whiteness, whiteness
+from jaxbody.noises import Noise, Record, noise_of
+
+CORRELATED = 0.1  # lag-one correlation of residuals that is told, if it is also significant
+SIGNIFICANT = 3.0  # standard deviations of the pooled lag-one correlation of white noise
+TOGETHER = 0.3  # correlation of two records that is told
 TOUCHED = 1e-3  # share of a null direction that makes a parameter undetermined
 RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
 
 
 class Uncertainty(eqx.Module):
-    """The worth of a fit."""
+    """The worth of a fit: `covariance` of u and what it would be if noise were white; `parts`, by how much it changes with the standard errors of
+    the numbers that it is made of; singular values, rank, null directions in `words`, parameters that stand `still`; how residuals of
+    channels are correlated in time (`whiteness`, `orders` of autoregressions, pooled `correlation` at lag one) and with one another (`pairs`); of a u `pressed` to its bound the slope of the
+    cost, its curvature with all others following, and the standard error, with its degrees of freedom, that it would have without the bound."""
 
     covariance: np.ndarray
+    white_covariance: np.ndarray
+    parts: np.ndarray
+    null: np.ndarray
     standard_errors: dict[str, np.ndarray]
     singular_values: np.ndarray
     rank: int
@@ -28,7 +41,57 @@ class Uncertainty(eqx.Module):
     still: list[str]
     correlation: float
     correlated: bool
+    whiteness: dict[str, Whiteness | None]
+    orders: dict[str, int]
+    pairs: dict[tuple[str, str], float]
+    pressed: dict[int, tuple[float, float, float, float]]
     samples: int
+
+    def spread(self, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Standard errors, infinite where the data cannot tell, and degrees of freedom of numbers whose slopes in u are the rows of G."""
+        error, freedom = _spread(G, self.covariance, self.parts)
+        size = np.linalg.norm(G, axis=1)
+        touched = np.linalg.norm(G @ self.null, axis=1) > TOUCHED * np.where(size > 0, size, 1)
+        return np.where(touched, np.inf, error), freedom
+
+    @property
+    def factor(self) -> float:
+        """Standard errors over those for white noise: of the parameter for which they differ most."""
+        ratio = np.sqrt(np.diag(self.covariance)[self._told] / np.diag(self.white_covariance)[self._told])
+        return float(ratio[np.argmax(np.abs(np.log(ratio)))]) if ratio.size else 1.0
+
+    @property
+    def _told(self) -> np.ndarray:
+        return (np.diag(self.covariance) > 0) & (np.diag(self.white_covariance) > 0)
+
+    def about_noise(self) -> list[str]:
+        """What standard errors take the noise for, in words."""
+        said = []
+        if self.correlated:
+            size = f"{self.factor:.2g} times too small" if self.factor > 1 else f"{1 / self.factor:.2g} times too large"
+            said.append(
+                f"residuals are correlated (lag one {self.correlation:.2f}): standard errors for white noise would be up to {size}; "
+                f"these take autoregressions of order {_range(self.orders.values())}"
+            )
+        elif any(self.orders.values()):
+            said.append(f"noise: autoregressions of order {_range(self.orders.values())}, not far from white")
+        if max((abs(x) for x in self.pairs.values()), default=0.0) > TOGETHER:
+            (one, other), most = max(self.pairs.items(), key=lambda pair: abs(pair[1]))
+            said.append(f"residuals of channels go together, most {one} with {other} ({most:.2f}); standard errors take it into account")
+        return said
+
+
+def _spread(G: np.ndarray, covariance: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    v = np.einsum("ij,ij->i", G @ covariance, G)
+    changes = np.einsum("lij,ij->li", G @ parts, G)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        freedom = np.where(v > 0, 2 * v**2 / (changes**2).sum(0), np.inf)
+    return np.sqrt(np.maximum(v, 0.0)), np.maximum(freedom, 1.0)
+
+
+def _range(orders) -> str:
+    low, high = min(orders), max(orders)
+    return f"{low}" if low == high else f"{low} to {high}"
 
 
 def known_directions(S: np.ndarray) -> np.ndarray:
@@ -36,25 +99,55 @@ def known_directions(S: np.ndarray) -> np.ndarray:
     return RANK * S.max(initial=0.0) < S
 
 
-def assess(r, J, slopes: list[np.ndarray], paths: list[str], labels: list[str], residuals: dict, present: dict) -> Uncertainty:
-    """From residuals r and Jacobian J in u, and the slopes of each leaf in u, what is known how well."""
+def decomposed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """J = U S V', a V' that is square, and which of S are known."""
     few = np.zeros((max(J.shape[1] - J.shape[0], 0), J.shape[1]))  # fewer residuals than parameters leave directions unknown too
-    _, S, Vt = np.linalg.svd(np.concatenate([J, few]), full_matrices=False)
-    known = known_directions(S)
-    null = Vt[~known].T
-    samples = int(sum(there.sum() for run in present.values() for there in run.values()))
-    s2 = float(r @ r) / max(samples - int(known.sum()), 1)
-    covariance = s2 * (Vt[known].T / S[known] ** 2) @ Vt[known]
-    errors = {}
-    for path, G in zip(paths, slopes, strict=True):
-        G2 = G.reshape(-1, len(S))
-        error = np.sqrt(np.einsum("ij,jk,ik->i", G2, covariance, G2))
-        size = np.linalg.norm(G2, axis=1)
-        touched = np.linalg.norm(G2 @ null, axis=1) > TOUCHED * np.where(size > 0, size, 1)
-        errors[path] = np.where(touched, np.inf, error).reshape(G.shape[:-1])
+    U, S, Vt = np.linalg.svd(np.concatenate([J, few]), full_matrices=False)
+    return U[: len(J)], S, Vt, known_directions(S)
+
+
+def assess(
+    r, J, slopes: list[np.ndarray], paths: list[str], labels: list[str], records: list[Record], *, inside=None, exact=0.0
+) -> Uncertainty:
+    """From residuals r and Jacobian J in u, the slopes of each leaf in u and the records that r is made of, what is known how well.
+
+    inside: which u are at no bound; exact: a norm of r that is no noise."""
+    inside = np.ones(J.shape[1], bool) if inside is None else np.asarray(inside)
+    _, S, Vt, known = decomposed(J)
+    null = np.concatenate([Vt[~known].T, np.eye(J.shape[1])[:, ~inside]], axis=1)
+    noise, back = _carried(r, J, inside, records)
+    covariance, white, *parts = (back @ M @ back.T for M in (noise.M, noise.white, *noise.parts))
     still = [label for label, silent in zip(labels, ~J.any(0), strict=True) if silent]
-    correlation, significant = lag_one(residuals, present)
-    return Uncertainty(covariance, errors, S, int(known.sum()), in_words(null, labels, still), still, correlation, significant, samples)
+    tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in records}
+    correlation, significant = lag_one(r, records)
+    found = Uncertainty(
+        covariance, white, np.reshape(parts, (len(parts), *covariance.shape)), null, {}, S, int(known.sum()),
+        in_words(Vt[~known].T, labels, still), still, correlation, significant and bool(r @ r > exact**2), tests,
+        dict(zip((c.name for c in records), noise.orders, strict=True)), noise.pairs, _pressed(r, J, inside, records), sum(len(c.rows) for c in records),
+    )  # fmt: skip
+    errors = {path: found.spread(G.reshape(-1, len(S)))[0].reshape(G.shape[:-1]) for path, G in zip(paths, slopes, strict=True)}
+    return replace(found, standard_errors=errors)
+
+
+def _carried(r, J, inside, records: list[Record]) -> tuple[Noise, np.ndarray]:
+    """The noise in Q' r, of the columns of J inside, and what carries it to u."""
+    U, S, Vt, known = decomposed(J[:, inside])
+    back = np.zeros((J.shape[1], known.sum()))
+    back[inside] = Vt[known].T / S[known]
+    return noise_of(r, U[:, known], records), back
+
+
+def _pressed(r, J, inside, records: list[Record]) -> dict[int, tuple[float, float, float, float]]:
+    found = {}
+    for i in np.flatnonzero(~inside & J.any(0)):
+        one = inside.copy()
+        one[i] = True
+        noise, back = _carried(r, J, one, records)
+        parts = np.reshape([back @ M @ back.T for M in noise.parts], (-1, J.shape[1], J.shape[1]))
+        error, freedom = _spread(np.eye(J.shape[1])[[i]], back @ noise.M @ back.T, parts)
+        curvature = 1 / float((back @ back.T)[i, i])
+        found[int(i)] = (float(J[:, i] @ r), curvature, float(error[0]), float(freedom[0]))
+    return found
 
 
 def in_words(null: np.ndarray, labels: list[str], still: list[str]) -> list[str]:
@@ -89,19 +182,11 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
     return A[sorted(done)]
 
 
-def lag_one(residuals: dict[str, dict[str, Any]], present: dict[str, dict[str, np.ndarray]]) -> tuple[float, bool]:
-    """The lag-one correlation of all residuals, pooled, and whether it is more than chance and CORRELATED."""
-    top = bottom = 0.0
-    pairs = 0
-    for run, sensors in residuals.items():
-        for name, values in sensors.items():
-            r = np.asarray(values).reshape(len(values), -1)
-            whole = np.asarray(present[run][name].reshape(len(values), -1).all(axis=1))
-            both = whole[1:] & whole[:-1]
-            top += float((r[1:] * r[:-1])[both].sum())
-            bottom += float((r[whole] ** 2).sum())
-            pairs += int(both.sum()) * r.shape[1]
-    if bottom == 0 or pairs == 0:
+def lag_one(r: np.ndarray, records: list[Record]) -> tuple[float, bool]:
+    """The lag-one correlation of all records, pooled, and whether it is more than chance and CORRELATED."""
+    series = [r[c.rows] for c in records if c.series and r[c.rows].any()]
+    n = sum(len(x) for x in series)
+    if n == 0:
         return 0.0, False
-    correlation = top / bottom
-    return correlation, bool(abs(correlation) > max(CORRELATED, 4 / np.sqrt(pairs)))
+    correlation = sum(float(x[1:] @ x[:-1]) / float(x @ x) * len(x) for x in series) / n
+    return correlation, abs(correlation) > max(CORRELATED, SIGNIFICANT / np.sqrt(n))

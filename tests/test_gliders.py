@@ -17,7 +17,8 @@ def gliders():
     spec = importlib.util.spec_from_file_location("gliders", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    module.fit, module.loose = module.main()
+    with pytest.warns(module.jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):
+        module.fit, module.loose = module.main()
     return module
 
 

@@ -110,7 +110,7 @@ def test_other_data_and_another_start_compile_nothing(record):
     fit(cart(), tracked(record))
     guess = jb.replace(cart(), {"*.stiffness": 77.0})
     with jb.compile_times() as spent:
-        other = fit(guess, tracked(1.01 * np.asarray(record)))
+        other = fit(guess, tracked(noisy(1.001 * np.asarray(record))))
     assert spent.count == 0, spent
     assert other.ok
 
@@ -325,9 +325,9 @@ def test_correlated_residuals_are_told_and_white_ones_are_not(clean, found):
     shocks, colored = NOISE * np.random.default_rng(4).normal(size=1041), np.zeros(1041)
     for i in range(1, 1041):
         colored[i] = 0.8 * colored[i - 1] + shocks[i]
-    other = fit(cart(), tracked(clean + colored[-41:]))
+    other = fit_with_warning("CORRELATED_RESIDUALS", cart(), tracked(clean + colored[-41:]))
     assert other.ok and other.uncertainty.correlated and other.correlation > 0.5
-    assert f"correlated (lag one {other.correlation:.2f})" in str(other) and "too small" in str(other)
+    assert f"correlated (lag one {other.correlation:.2f})" in str(other) and "for white noise would be up to" in str(other)
 
 
 def test_a_bound_that_is_met_is_named_and_the_rest_is_the_optimum_on_it(record):

@@ -1,0 +1,101 @@
+"""How the samples of one record hang together: autocovariances, autoregressions of the order that BIC takes, and tests for whiteness.
+
+    r_t = phi_1 r_(t-1) + ... + phi_q r_(t-q) + e_t,   e_t white,   gamma_k = E r_t r_(t+k)
+
+Sources: J. Durbin, The fitting of time-series models, Rev. Inst. Int. Stat. 28 (1960) 233; G. Schwarz, Ann. Stat. 6 (1978) 461;
+G. M. Ljung and G. E. P. Box, Biometrika 65 (1978) 297.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+SHARPEST = 0.995  # largest partial autocorrelation: no record of finite length tells it from a walk
+FEWEST = 20  # samples from which a record is looked at at all
+
+
+class Autoregression(NamedTuple):
+    """phi (q,), and the variance of what is new at every sample."""
+
+    phi: np.ndarray
+    variance: float
+
+
+def products(r: np.ndarray, most: int) -> np.ndarray:
+    """Sums of r_t r_(t+k), k = 0 ... most."""
+    return np.array([r[k:] @ r[: len(r) - k] for k in range(most + 1)])
+
+
+def autoregressions(gamma: np.ndarray) -> list[Autoregression]:
+    """Those of all orders up to len(gamma) - 1, by Durbin's recursion; partial autocorrelations of one or more are taken for SHARPEST."""
+    phi, variance = np.zeros(0), float(gamma[0])
+    found = [Autoregression(phi, variance)]
+    for k in range(1, len(gamma)):
+        partial = np.clip((gamma[k] - phi @ gamma[1:k][::-1]) / variance, -SHARPEST, SHARPEST) if variance > 0 else 0.0
+        phi, variance = np.append(phi - partial * phi[::-1], partial), variance * (1 - partial**2)
+        found.append(Autoregression(phi, variance))
+    return found
+
+
+def most_lags(n: int) -> int:
+    """The largest order that is tried with n samples."""
+    return 0 if n < FEWEST else int(min(10 * np.log10(n), n / 10))
+
+
+def chosen_order(r: np.ndarray) -> int:
+    """The order with the smallest n log(variance) + q log(n)."""
+    n = len(r)
+    if most_lags(n) == 0 or not r.any():
+        return 0
+    return int(np.argmin([n * np.log(a.variance) + len(a.phi) * np.log(n) for a in autoregressions(products(r, most_lags(n)) / n)]))
+
+
+def autocovariances(process: Autoregression, n: int) -> np.ndarray:
+    """gamma_0 ... gamma_(n-1) of a stationary autoregression: the Yule-Walker equations, then the recursion itself."""
+    from scipy.signal import lfilter, lfiltic
+
+    phi, variance = process
+    q = len(phi)
+    A = np.eye(q + 1)
+    for i in range(q + 1):
+        for j in range(q):
+            A[i, abs(i - j - 1)] -= phi[j]
+    first = np.linalg.solve(A, np.append(variance, np.zeros(q)))
+    if q == 0 or n <= q + 1:
+        return np.append(first, np.zeros(n))[:n]
+    b, a = np.ones(1), np.append(1.0, -phi)
+    return np.append(first, lfilter(b, a, np.zeros(n - q - 1), zi=lfiltic(b, a, first[:0:-1]))[0])
+
+
+def innovations(process: Autoregression, r: np.ndarray) -> np.ndarray:
+    """What is new at every sample, e_t."""
+    from scipy.signal import lfilter
+
+    return lfilter(np.append(1.0, -process.phi), np.ones(1), r)
+
+
+class Whiteness(NamedTuple):
+    """Lag-one correlation r1, Durbin and Watson's d, Ljung and Box's Q over `lags` and its p-value (of white noise being no whiter)."""
+
+    r1: float
+    d: float
+    Q: float
+    lags: int
+    p: float
+
+
+def whiteness(r: np.ndarray) -> Whiteness | None:
+    """Of a record; None of one too short to tell, or of zeros.
+
+    Q = n (n + 2) sum_k rho_k^2/(n - k),   d = sum (r_t - r_(t-1))^2 / sum r_t^2
+    """
+    from scipy.stats import chi2
+
+    n, lags = len(r), most_lags(len(r))
+    if lags == 0 or not r.any():
+        return None
+    rho = products(r, lags) / (r @ r)
+    Q = n * (n + 2) * float((rho[1:] ** 2 / (n - np.arange(1, lags + 1))).sum())
+    return Whiteness(float(rho[1]), float(np.diff(r) @ np.diff(r) / (r @ r)), Q, lags, float(chi2.sf(Q, lags)))

@@ -1,0 +1,61 @@
+"""Confidence intervals of estimates: Student's t in the coordinate that a parameter moves in, mapped to its values, which so stay possible.
+
+    value(u - t s) to value(u + t s),    s the standard error of u, t the quantile for the degrees of freedom of s
+
+At a bound the interval has one side, by the likelihood: how far u may go from it until the cost has risen by what a standard error is worth,
+2 g d + h d^2 = t^2 h s^2, g the slope there and h the curvature with all others following.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.errors import JaxbodyError, Problem
+from jaxbody.parametrizations import Free, Positive, Shifted
+from jaxbody.uncertainties import Uncertainty
+
+Interval = tuple[np.ndarray, np.ndarray]
+
+
+def quantile(level: float, freedom: Any, *, sides: int = 2) -> np.ndarray:
+    """Of Student's t."""
+    from scipy.stats import t
+
+    return np.asarray(t.ppf(1 - (1 - level) / sides, freedom))
+
+
+def check_level(level: float, where: str) -> None:
+    if not 0 < level < 1:
+        hint = "0.95 is 95 %."
+        raise JaxbodyError(Problem("BAD_LEVEL", where, f"is {level}", level, "between 0 and 1", hint))
+
+
+def interval_of_u(u: np.ndarray, worth: Uncertainty, level: float) -> Interval:
+    """(lower, upper) of each u, unbounded where the data cannot tell."""
+    error, freedom = worth.spread(np.eye(len(u)))
+    far = quantile(level, freedom) * error
+    low, high = u - far, u + far
+    for i, (slope, curvature, error, freedom) in worth.pressed.items():
+        t = float(quantile(level, freedom, sides=1))
+        away = t**2 * error**2 * curvature / (abs(slope) + np.sqrt(slope**2 + (t * error * curvature) ** 2))
+        low[i], high[i] = (u[i], u[i] + away) if slope > 0 else (u[i] - away, u[i])
+    return low, high
+
+
+def intervals_of(free: tuple[Free, ...], u: np.ndarray, slopes: list[np.ndarray], worth: Uncertainty, level: float) -> dict[str, Interval]:
+    """{path: (lower, upper)}, arrays like the leaf; of a matrix or a direction by its elements' standard errors, which are all it has."""
+    low, high = interval_of_u(u, worth, level)
+    found, first = {}, 0
+    for f, G in zip(free, slopes, strict=True):
+        form, mine = f.form, slice(first, first + f.form.size)
+        first = mine.stop
+        if isinstance(form, Positive | Shifted):
+            with np.errstate(over="ignore"):
+                found[f.path] = tuple(np.asarray(form.value(end[mine])) for end in (low, high))
+            continue
+        error, freedom = worth.spread(G.reshape(-1, len(u)))
+        value, far = np.asarray(form.value(u[mine])), (quantile(level, freedom) * error).reshape(G.shape[:-1])
+        found[f.path] = (value - far, value + far)
+    return found

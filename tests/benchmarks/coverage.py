@@ -1,0 +1,155 @@
+"""How often 95 % intervals hold the truth: white noise and AR(1) noise, by instruments; `--write` puts the table into coverage.md.
+
+A plate on five springs shakes with its base; stiffnesses, a damping and a free length are fitted to readings of one kind of instrument.
+The fits are Gauss-Newton steps from the truth, many side by side, with Jacobians to second order in what they move; noise levels are estimated;
+what the estimates are worth is said by the functions that `jaxbody.fit` calls. The naive interval takes residuals for white noise.
+"""
+
+import argparse
+import datetime
+import pathlib
+import sys
+import time
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.signal import lfilter
+from scipy.stats import chi2, kstest
+
+sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
+import rigs
+
+import jaxbody as jb
+from jaxbody.experiments import Integration
+from jaxbody.intervals import interval_of_u, quantile
+from jaxbody.noises import records_of
+from jaxbody.parametrizations import choose
+from jaxbody.tasks import Task, residual_and_jacobian
+from jaxbody.uncertainties import assess
+
+SEED, STEP, TOGETHER, CHANGE = 2026, 0.02, 64, 1e-3
+RHO = (0.0, 0.3, 0.6, 0.9)
+FREE = ["*.stiffness", "s0.damping", "s4.free_length"]
+CORNER = rigs.CORNERS[0]
+SENSORS = {
+    "Position": ({"corner": jb.Position("plate", CORNER)}, 2e-3),
+    "BodyPose": ({"pose": jb.BodyPose("plate")}, [1e-3, 3e-3]),
+    "Elongation": ({name: jb.Elongation(name) for name in ("s0", "s1", "s2", "s4")}, 1e-3),
+}
+
+
+class Study:
+    """One instrument, n samples: readings without noise, and fits of batches of noisy ones."""
+
+    def __init__(self, sensors: dict, level, n: int):
+        model = rigs.plate(damping=1.5)
+        start = jb.equilibrium(model).state
+        times = STEP * np.arange(n)
+        base = jb.Harmonic(frequency=[0.9, 1.3, 2.1, 0.7, 1.7, 1.1], translation=[0.02, 0.015, 0.02], rotation=[0.05, 0.04, 0.05])
+        clean = jb.measure(jb.simulate(model, times, motion={"base": base}, initial=start), sensors)
+        run = jb.Experiment(times, motion={"base": base}, initial=start, sensors=sensors, measured=clean, noise=level)
+        how = Integration(jnp.asarray(1e-8), None, diffrax.ConstantStepSize(), jnp.asarray(STEP), 10 * n)
+        self.task = Task(model, {"run": run}, choose(model, {"run": run}, FREE), {"run": run.noise}, how)
+        again = self.task.experiments["run"].readings(model, how)  # of these steps, so that the truth is where residuals are noise
+        self.task = eqx.tree_at(lambda t: t.experiments["run"].measured, self.task, again)
+        self.records = records_of(self.task.experiments)
+        J = [
+            np.asarray(residual_and_jacobian(self.task, u)[1])
+            for u in CHANGE * np.array([*np.eye(self.task.size), *-np.eye(self.task.size)])
+        ]
+        self.J, self.H = (
+            sum(J) / len(J),
+            np.stack([(a - b) / (2 * CHANGE) for a, b in zip(J[: len(J) // 2], J[len(J) // 2 :], strict=True)], -1),
+        )
+        self.fits = eqx.filter_jit(jax.vmap(self._fit))
+        self.shapes = {name: (n, *sensor.noise_shape) for name, sensor in sensors.items()}
+
+    def _fit(self, noise: dict):
+        run = self.task.experiments["run"]
+        new = {s: run.sensors[s].disturbed(run.measured[s], run.sensors[s].spread(run.noise[s]) * e) for s, e in noise.items()}
+        task = eqx.tree_at(lambda t: t.experiments["run"].measured, self.task, new)
+        start = jnp.zeros(task.size)
+        u = start - jnp.linalg.lstsq(self.J, task.residual(start))[0]
+        return u, task.residual(u), self.J + self.H @ u
+
+    def noises(self, rho: float, count: int, rng) -> dict:
+        """AR(1) of variance one in every component."""
+        found = {}
+        for name, (n, *rest) in self.shapes.items():
+            e = rng.normal(size=(count, n, *rest)) * np.sqrt(1 - rho**2)
+            e[:, 0] /= np.sqrt(1 - rho**2)
+            found[name] = lfilter([1.0], [1.0, -rho], e, axis=1)
+        return found
+
+    def run(self, rho: float, replicates: int, seed: int) -> dict:
+        rng = np.random.default_rng([seed, len(self.records), int(100 * rho), self.shapes[next(iter(self.shapes))][0]])
+        held, naive, flagged, distances = [], [], [], []
+        while len(held) < replicates:
+            for u, r, J in zip(*map(np.asarray, self.fits(self.noises(rho, TOGETHER, rng))), strict=True):
+                u, worth = assessed(u, r, J, self.task.labels, self.records)
+                low, high = interval_of_u(u, worth, 0.95)
+                held.append((low <= 0) & (high >= 0))
+                far = quantile(0.95, len(r) - len(u)) * np.sqrt(np.diag(worth.white_covariance))
+                naive.append(np.abs(u) <= far)
+                flagged.append(worth.correlated)
+                distances.append(u @ np.linalg.solve(worth.covariance, u))
+        held, naive = np.array(held[:replicates]), np.array(naive[:replicates])
+        return {
+            "held": held.mean(0),
+            "naive": naive.mean(0),
+            "flagged": np.mean(flagged[:replicates]),
+            "p": kstest(distances[:replicates], chi2(held.shape[1]).cdf).pvalue,
+        }
+
+
+def assessed(u, r, J, labels, records):
+    """With each unit of each sensor weighted by the noise that it shows, as `fit` does, one more step, and its worth."""
+    weights = np.ones(len(r))
+    for group in {one.group for one in records}:
+        rows = np.concatenate([one.rows for one in records if one.group == group])
+        weights[rows] = 1 / np.sqrt(np.mean(r[rows] ** 2))
+    r, J = r * weights, J * weights[:, None]
+    step = np.linalg.lstsq(J, -r, rcond=None)[0]
+    return u + step, assess(r + J @ step, J, [], [], labels, records)
+
+
+def row(name: str, n: int, rho: float, found: dict) -> str:
+    shares = [100 * np.array([found[key].min(), found[key].max()]) for key in ("held", "naive")]
+    cells = [f"{low:.1f} to {high:.1f}" for low, high in shares]
+    return f"| {name} | {n} | {rho} | {cells[0]} | {cells[1]} | {100 * found['flagged']:.1f} | {found['p']:.3f} |"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true")
+    parser.add_argument("--replicates", type=int, default=2000)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--samples", type=int, nargs="+", default=[250])
+    options = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    lines = [
+        "# Coverage of 95 % intervals",
+        "",
+        f"`tests/benchmarks/coverage.py`, {options.replicates} replicates a row, seed {SEED}, {datetime.date.today()}. Percent of replicates, "
+        f"least and most over {' '.join(FREE)} (7 parameters); 2000 replicates know a share of 95 % to 0.5 (one standard deviation). `p` is that of",
+        "Kolmogorov and Smirnov's test of the normalized squares of the errors against chi-squared.",
+        "",
+        "| instrument | samples a channel | rho | held, % | held by naive intervals, % | flagged, % | p |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name, (sensors, level) in SENSORS.items():
+        for n in options.samples if options.only in name else ():
+            study = Study(sensors, level, n)
+            for rho in RHO:
+                start = time.time()
+                lines.append(row(name, n, rho, study.run(rho, options.replicates, SEED)))
+                print(lines[-1], f"{time.time() - start:.0f} s", flush=True)
+    if options.write:
+        pathlib.Path(__file__).with_suffix(".md").write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
