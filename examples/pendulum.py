@@ -5,9 +5,10 @@ is in seconds is not told, here it is taken for one. With the inertia about the 
 
     x'' + a sin(x) + M(x') = 0
 
-and two laws of friction M are compared: viscous and dry, c w + F w/sqrt(w^2 + w0^2) with w0 = 0.05 held; progressive, c w + d w|w|. The dry one
-comes out with F < 0, which no hinge has: at slow speed the record shows less friction than viscous, not more. That is what the progressive
-law says in a physical way, and both foretell the second half alike; viscous friction alone errs twice as much there.
+and two laws of friction M are compared: viscous and dry, c w + F w/sqrt(w^2 + w0^2) with w0 = 0.05 held; progressive, c w + d w|w|. What is left
+over is correlated, and with that counted the interval of F, and that of d, holds zero: the record is explained by viscous friction, and dry
+friction is at most half a percent of a. (Standard errors for white noise would be nearly four times smaller, and make F certain to be negative,
+which no hinge has.)
 
 Independent of any fit, the period T between upward crossings and the amplitude A give a by the complete elliptic integral, T = 4 K(sin(A/2))/sqrt(a).
 

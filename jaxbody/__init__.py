@@ -36,6 +36,7 @@ from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointFor
 from jaxbody.preloads import preload
 from jaxbody.random_responses import random_response
 from jaxbody.recordings import read_record
+from jaxbody.response_files import read_responses
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
 from jaxbody.sensors import BodyPose, Elongation, Position, measure

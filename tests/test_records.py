@@ -123,14 +123,13 @@ def as_mat73(path):
         file.write(b"MATLAB 7.3 MAT-file".ljust(124))
 
 
-def as_uff(path):
-    import pyuff
-
+def uff_set(**fields):
+    """A set 58 with all that the package wants to have."""
     exponents = {f"{axis}_{of}_unit_exp": 0 for axis in ("abscissa", "ordinate", "orddenom", "z_axis") for of in ("len", "force", "temp")}
     labels = {f"{axis}_axis_units_lab": "NONE" for axis in ("abscissa", "ordinate", "orddenom", "z_axis")}
-    kinds = {f"{axis}_spec_data_type": 0 for axis in ("orddenom", "z_axis")}
+    kinds = {f"{axis}_spec_data_type": 0 for axis in ("ordinate", "orddenom", "z_axis")}
     where = {"rsp_node": 4, "rsp_ent_name": "NONE", "ref_node": 0, "ref_dir": 0, "ref_ent_name": "NONE", "ver_num": 0, "load_case_id": 0}
-    time = {
+    even = {
         "abscissa_spacing": 1,
         "abscissa_min": 0.0,
         "abscissa_inc": 1 / 200,
@@ -139,8 +138,14 @@ def as_uff(path):
         "x": TIMES,
     }
     common = {"type": 58, "binary": 0, "func_type": 1, "ord_data_type": 4, "num_pts": 50, **{f"id{i}": "NONE" for i in range(1, 6)}}
-    common |= {**exponents, **labels, **kinds, **where, **time, "ordinate_spec_data_type": 12, "ordinate_axis_units_lab": "g"}
-    pyuff.UFF(str(path)).write_sets([{**common, "rsp_dir": k + 1, "data": X[:, k] / 9.80665} for k in range(3)], "overwrite")
+    return {**common, **exponents, **labels, **kinds, **where, **even, **fields}
+
+
+def as_uff(path):
+    import pyuff
+
+    sets = [uff_set(rsp_dir=k + 1, data=X[:, k] / 9.80665, ordinate_axis_units_lab="g", ordinate_spec_data_type=12) for k in range(3)]
+    pyuff.UFF(str(path)).write_sets(sets, "overwrite")
 
 
 def as_tdms(path):
@@ -200,6 +205,41 @@ def test_a_missing_package_is_named_with_its_extra(missing, tmp_path, monkeypatc
     path.write_bytes(start[missing][1] + bytes(100))
     with pytest.raises(jb.JaxbodyError, match=r"pip install 'jaxbody\[(files|mdf)\]'.*MISSING_EXTRA"):
         jb.read_record(path, channels={"acc": "acc"})
+
+
+def test_frequency_responses_of_a_universal_file(tmp_path):
+    """Two of them, in mm/s2 per lbf and without units, and a record in time beside them; then an experiment made of them."""
+    pyuff = pytest.importorskip("pyuff", reason="pyuff is not installed: pip install 'jaxbody[files]'")
+    H = RNG.normal(size=(50, 2)) @ [1, 1j]
+    x = {
+        "x": 2.0 + 0.5 * np.arange(50),
+        "abscissa_min": 2.0,
+        "abscissa_inc": 0.5,
+        "abscissa_spec_data_type": 18,
+        "func_type": 4,
+        "ord_data_type": 6,
+    }
+    x |= {"ref_node": 1, "ref_dir": -3, "data": H}
+    units_of = {"ordinate_axis_units_lab": "mm/s^2", "orddenom_axis_units_lab": "lbf"}
+    sets = [uff_set(rsp_dir=3, **units_of, **x), uff_set(rsp_dir=1, **x), uff_set(rsp_dir=1, data=X[:, 0])]
+    path = tmp_path / "plate.uff"
+    pyuff.UFF(str(path)).write_sets(sets, "overwrite")
+    pairs = {("z", "f"): "4+Z/1-Z", ("x", "f"): ("4+X/1-Z", "m/s2", "N")}
+    frequencies, measured = jb.read_responses(path, pairs)
+    np.testing.assert_allclose(frequencies, x["x"], rtol=1e-6)
+    np.testing.assert_allclose(measured["z", "f"], H * 1e-3 / (0.45359237 * 9.80665), rtol=0, atol=1e-9)  # 7 digits
+    np.testing.assert_allclose(measured["x", "f"], H, rtol=0, atol=1e-5)
+    inputs, outputs = (
+        {"f": jb.PointForce("plate", direction="z")},
+        {k: jb.PointMotion("plate", direction=k, kind="acceleration") for k in "xz"},
+    )
+    assert set(jb.MeasuredResponse(frequencies, inputs=inputs, outputs=outputs, measured=measured).channels) == {"z/f", "x/f"}
+    for bad, code in (("4+Y/1-Z", "UNKNOWN_CHANNEL"), ("4+X/1-Z", "NO_UNIT"), (("4+Z/1-Z", "m/s2", "N"), "UNIT_CONFLICT")):
+        with pytest.raises(jb.JaxbodyError) as refused:
+            jb.read_responses(path, {("z", "f"): bad})
+        assert refused.value.code == code
+    with pytest.raises(jb.JaxbodyError, match=r"no function of time.*read_responses.*NOT_A_RECORD"):
+        jb.read_record(path, channels={"z": ("4+Z", "m/s2")})
 
 
 PEER = """PEER NGA STRONG MOTION DATABASE RECORD
