@@ -32,6 +32,7 @@ from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
 from jaxbody.naming import paths, replace
 from jaxbody.nonlinearities import backbones
 from jaxbody.options import fast_loops
+from jaxbody.plausibilities import plausibility
 from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
 from jaxbody.preloads import preload
 from jaxbody.random_responses import random_response

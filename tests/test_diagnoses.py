@@ -84,3 +84,60 @@ def test_gaps_are_left_out(swing):
 
     result, codes = diagnosed(swing, holed)
     assert codes == ["GAIN_FACTOR"] and "run.edge" in result.words[0]
+
+
+# Before any measurement: sizes that units make likely
+
+
+def scaled(model, pattern, factor):
+    """The model with numbers as they would be in another unit."""
+    return jb.replace(model, {path: np.asarray(value) * factor for path, value in jb.paths(model, pattern).items()})
+
+
+UNITS = {
+    "N/mm for N/m": (lambda m: scaled(m, "*.stiffness", 1e-3), "SAG"),
+    "points in mm": (lambda m: scaled(scaled(m, "*.a", 1e3), "*.b", 1e3), "GYRATION"),
+    "kg mm2 for kg m2": (lambda m: scaled(m, "*.inertia", 1e6), "GYRATION"),
+    "mass in g": (lambda m: scaled(m, "plate.mass", 1e3), "SAG"),
+    "gravity in mm/s2": (lambda m: scaled(m, "gravity", 1e3), "GRAVITY"),
+    "stiffness in nothing known": (lambda m: scaled(scaled(m, "*.stiffness", 1e-12), "gravity", 0.0), "FREQUENCY"),
+}
+
+
+@pytest.fixture(scope="module")
+def table():
+    """The plate with springs that bear it, relaxed at the reference pose but for their weight."""
+    model = plate()
+    for path, value in jb.paths(model, "*.stiffness").items():
+        model = jb.replace(model, {path: 30 * value})
+    return model
+
+
+@pytest.mark.parametrize("case", UNITS)
+def test_a_unit_that_moves_a_size_far_away_is_named(table, case):
+    change, code = UNITS[case]
+    with pytest.warns(jb.JaxbodyWarning) as told:
+        result = jb.plausibility(change(table))
+    codes = {w.message.code for w in told}
+    assert code in codes and result.words and all(word in str(result) for word in result.words)
+
+
+def test_times_in_milliseconds_are_named(table, swing):
+    run = jb.Experiment(1e3 * TIMES, sensors={"edge": SENSORS["edge"]}, measured={"edge": swing[2]["edge"]})
+    with pytest.warns(jb.JaxbodyWarning, match=r"step of 'run' over the first period is .*in seconds.*TIME_UNIT"):
+        jb.plausibility(table, {"run": run})
+
+
+def test_the_sizes_are_those_of_closed_forms(table):
+    """A mass on a spring along gravity: f = sqrt(k/m)/2 pi, sag m g/k; and sound models pass."""
+    model = jb.Model(
+        bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+        joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
+        elements={"s": jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0.5]), stiffness=800.0, free_length=0.5)},
+        gravity=[0, 0, -9.81],
+    )
+    numbers = jb.plausibility(model).numbers
+    assert numbers["first natural frequency"][0] == pytest.approx(np.sqrt(800 / 2) / (2 * np.pi), rel=1e-12)
+    assert numbers["sag under gravity over the size of the model"][0] == pytest.approx(2 * 9.81 / 800 / 0.5, rel=1e-12)
+    for sound in (table, jb.presets.quarter_car()):
+        assert jb.plausibility(sound).words == ()
