@@ -1,6 +1,7 @@
 """jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
 
 from jaxbody import laws, presets, signals
+from jaxbody.bands import bands
 from jaxbody.base_motions import base_motion
 from jaxbody.bodies import Body, Support
 from jaxbody.branches import mac, track
@@ -29,12 +30,14 @@ from jaxbody.measurements import Record
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
+from jaxbody.multistarts import Multistart, multistart
 from jaxbody.naming import paths, replace
 from jaxbody.nonlinearities import backbones
 from jaxbody.options import fast_loops
 from jaxbody.plausibilities import plausibility
 from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
 from jaxbody.preloads import preload
+from jaxbody.profiles import profile
 from jaxbody.random_responses import random_response
 from jaxbody.recordings import read_record
 from jaxbody.response_files import read_responses
@@ -47,5 +50,6 @@ from jaxbody.spins import linearize_spin
 from jaxbody.splines import Spline
 from jaxbody.statics import equilibrium
 from jaxbody.torsions import AntiRollBar, Torsion
+from jaxbody.validations import validate
 from jaxbody.vibrations import modes
 from jaxbody.weightings import weighted, weighted_signal, weighting

@@ -25,7 +25,8 @@ class Fit(Result):
     """A fit: `model` and `experiments` with the estimates in them, `estimates` and `standard_errors` by path (infinite where the data cannot tell), `intervals(level)`,
     `covariance` of u, `singular_values` of the Jacobian with relative columns, `unidentified` in words, `predicted` {run: {sensor: array}},
     `noise` {run: {sensor: rms residual}} (of a pose two, in meters and radians), `correlation` (lag one) of the residuals, `cost` 1/2 r'r,
-    `history` of costs, `failed` trials that could not be simulated, `at_bound` in words. `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED
+    `history` of costs, `failed` trials that could not be simulated, `at_bound` in words,
+    `limits` of u. `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED
     or AT_BOUND where it is not good. Leading axes of a batch stay; standard errors are not there inside jit or vmap.
 
     >>> import inspect
@@ -46,6 +47,7 @@ class Fit(Result):
     history: list[float]
     failed: int
     at_bound: list[str]
+    limits: tuple[np.ndarray, np.ndarray] | None = None
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -98,7 +100,7 @@ class Fit(Result):
             u = self._assessed()
             return f"rank {u.rank} of {len(u.singular_values)}: " + "; ".join(u.words)
         if status == Status.AT_BOUND:
-            return ", ".join(self.at_bound) + "; no standard error there is to be trusted"
+            return ", ".join(self.at_bound) + "; its interval has one side, the others are estimated with it there"
         if status == Status.INTERRUPTED:
             return f"after {int(self.evaluations)} evaluations; the best so far is kept; go on with fit(..., resume=this)"
         if status == Status.NOT_CONVERGED:
@@ -129,7 +131,7 @@ class Fit(Result):
             for rms, unit in zip(np.ravel(levels), self.experiments[run].channels[name].unit.split(","), strict=True)
         ]
         u = self.uncertainty
-        notes = [f"{u.samples} samples, {int(self.evaluations)} evaluations; {self.report()}"]
+        notes = [f"{u.samples} samples, {int(self.evaluations)} evaluations, {u.noise}; {self.report()}"]
         notes += u.about_noise()
         if status_words := ([] if int(self.status) in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED) else u.words):
             notes += status_words

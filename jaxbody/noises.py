@@ -40,10 +40,10 @@ class Record(NamedTuple):
 
 
 def records_of(experiments: dict[str, Measurement]) -> list[Record]:
-    """The records that the residuals of all measurements are made of; one noise level for each unit of a channel, in all runs."""
+    """The records that the residuals of all measurements are made of, by name as those are; one noise level for each unit of a channel, in all runs."""
     records, first = [], 0
-    for run, experiment in experiments.items():
-        for name, channel in experiment.channels.items():
+    for run, experiment in sorted(experiments.items()):
+        for name, channel in sorted(experiment.channels.items()):
             there = experiment.present(name)
             labels = [str(list(i)).replace(" ", "") if i else "" for i in np.ndindex(there.shape[1:])]
             there = there.reshape(len(there), -1)

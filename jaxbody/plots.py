@@ -16,6 +16,11 @@ from jaxbody.canvases import COLORS, GRAY, INK, LIGHT, axes_below, axes_or_new, 
 from jaxbody.complex_modes import ComplexModes
 from jaxbody.elements import LineElement
 from jaxbody.errors import JaxbodyError, Problem
+from jaxbody.fit_plots import plot_autocorrelation as plot_autocorrelation
+from jaxbody.fit_plots import plot_correlations as plot_correlations
+from jaxbody.fit_plots import plot_fit as plot_fit
+from jaxbody.fit_plots import plot_history as plot_history
+from jaxbody.fit_plots import plot_profile as plot_profile
 from jaxbody.frames import Pose
 from jaxbody.joints import Guide
 from jaxbody.kinematics import Coordinates, supports_at
@@ -100,49 +105,6 @@ def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
     ax.plot(factor, smallest, "o-", ms=4, color=COLORS[0])
     ax.axhline(0, color=GRAY, lw=0.8)
     ax.set(xlabel="load factor", ylabel="smallest eigenvalue of K", title=eq.report().split(";")[0] if int(eq.status) else "")
-    return ax
-
-
-def plot_fit(fit: Any, *, run: str | None = None, sensor: str | None = None, ax: Any = None) -> Any:
-    """One sensor of one run (the first, if none are named): measured points, the fitted model's line, and below them the residuals."""
-    run = run or next(iter(fit.experiments))
-    _check_known((run,), tuple(fit.experiments), "plot_fit.run")
-    experiment = fit.experiments[run]
-    sensor = sensor or next(iter(experiment.measured))
-    _check_known((sensor,), tuple(experiment.measured), "plot_fit.sensor")
-    ax = axes_or_new(ax, 7.0, 4.2)
-    t = np.asarray(experiment.times)
-    measured, predicted = (_columns(x[sensor], len(t)) for x in (experiment.measured, fit.predicted[run]))
-    below = axes_below(ax, 0.4)
-    shown = [i for i in range(measured.shape[1]) if np.isfinite(measured[:, i]).any() and np.ptp(predicted[:, i]) > 0] or [0]
-    for color, i in zip(COLORS, shown, strict=False):
-        name = sensor if measured.shape[1] == 1 else f"{sensor} {_component(i, measured.shape[1])}"
-        here = measured[:, i] - np.mean(predicted[:, i]) if len(shown) > 1 else measured[:, i]
-        line = predicted[:, i] - np.mean(predicted[:, i]) if len(shown) > 1 else predicted[:, i]
-        ax.plot(t, here, ".", color=color, ms=3.0, alpha=0.45, mew=0, zorder=2)
-        ax.plot(t, line, color=color, lw=1.4, label=name, zorder=3)
-        below.plot(t, measured[:, i] - predicted[:, i], ".", color=color, ms=3.0, alpha=0.6, mew=0)
-    below.axhline(0.0, color=INK, lw=0.8)
-    ax.plot([], [], ".", color=GRAY, ms=6, label="measured")
-    ax.plot([], [], color=GRAY, lw=1.4, label="fitted")
-    unit = getattr(experiment.sensors[sensor], "unit", "m")
-    about = ", from its mean" if len(shown) > 1 else ""
-    ax.set_ylabel(f"{sensor}{about} [{unit}]")
-    ax.tick_params(labelbottom=False)
-    below.set(xlabel="time [s]", ylabel=f"residual [{unit}]")
-    legend(ax, len(shown) + 2)
-    return ax
-
-
-def plot_history(fit: Any, *, ax: Any = None) -> Any:
-    """The cost of a fit at every evaluation, on a logarithmic scale."""
-    ax = axes_or_new(ax, 5.0, 3.0)
-    cost = np.asarray(fit.history, float).ravel()
-    ax.plot(np.arange(len(cost)), cost, ".-", color=COLORS[0], lw=1.2, ms=4)
-    if (cost > 0).any():
-        ax.set_yscale("log")
-    ax.set(xlabel="evaluation", ylabel="cost [-]")
-    ax.xaxis.get_major_locator().set_params(integer=True)
     return ax
 
 
@@ -422,14 +384,6 @@ def _turns(R: np.ndarray, start: np.ndarray) -> np.ndarray:
         if np.isfinite(angle) and angle > 0:
             out[i] *= 1 + 2 * np.pi * np.round((out[i - 1] @ out[i] / angle - angle) / (2 * np.pi)) / angle
     return out
-
-
-def _columns(values, count: int) -> np.ndarray:
-    return np.asarray(values, float).reshape(count, -1)
-
-
-def _component(i: int, count: int) -> str:
-    return AXES[i] if count == 3 else str(i + 1)
 
 
 def _check_known(names: tuple[str, ...], known: tuple[str, ...], where: str) -> None:

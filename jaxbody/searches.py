@@ -7,6 +7,7 @@ one unit away, and is restarted from where it got to until the Gauss-Newton step
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import jax
@@ -27,6 +28,8 @@ MOST_RESTARTS = 100
 MOST_INNER = 80
 PATIENCE = 25  # evaluations without a better one
 SETTLED = 1e-9  # part of the residual that parameters still explain, relative to all of it, not worth another evaluation
+SHORTER = 0.9  # part of a Gauss-Newton step that the next one may have
+REMEMBERED = 3  # steps that the next one learns from
 AT_BOUND = 1e-6  # distance in u from a bound that counts as at it
 
 Limits = tuple[np.ndarray, np.ndarray]
@@ -105,18 +108,31 @@ def by_scipy(evaluate: Evaluations, u, limits: Limits) -> tuple[np.ndarray, bool
 
 
 def settled(evaluate: Evaluations, u, arrived: bool, limits: Limits) -> tuple[np.ndarray, bool]:
-    """Gauss-Newton steps from where costs, rough by the tolerance of the integration, tell no difference, as long as they get much shorter."""
+    """Gauss-Newton steps from where costs, rough by the tolerance of the integration, tell no difference, as long as they get shorter."""
     u = np.asarray(u)
     inside = np.all(np.abs(u - np.stack(limits)) > AT_BOUND, axis=0)
     towards, S, V = _whitened(evaluate(u), inside)
+    taken: list[tuple[np.ndarray, np.ndarray]] = []
     while arrived and np.linalg.norm(towards) > SETTLED * np.linalg.norm(evaluate(u)[0]) and not evaluate.spent:
         new = u.copy()
-        new[inside] -= V @ (towards / S)
+        taken = [*taken[-REMEMBERED:], (u[inside], -V @ (towards / S))]
+        new[inside] = _accelerated(taken)
         before, (towards, S, V) = np.linalg.norm(towards), _whitened(evaluate(new), inside)
-        if not np.linalg.norm(towards) < before / 2 or (new < limits[0]).any() or (new > limits[1]).any():
+        if not np.linalg.norm(towards) < SHORTER * before or (new < limits[0]).any() or (new > limits[1]).any():
             break
         u = new
     return u, arrived
+
+
+def _accelerated(taken: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Where the last step leads, by what steps before it changed: where residuals are large, Gauss-Newton steps shrink by a factor each.
+
+    u + d - (dU + dD) c, c the least squares of d - dD c (D. G. Anderson, J. ACM 12 (1965) 547)"""
+    u, d = taken[-1]
+    if len(taken) == 1:
+        return u + d
+    U, D = (np.array([b - a for a, b in pairwise(x)]).T for x in zip(*taken, strict=True))
+    return u + d - (U + D) @ np.linalg.lstsq(D, d, rcond=1e-6)[0]
 
 
 def _whitened(found: tuple[np.ndarray, np.ndarray], columns=slice(None)) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

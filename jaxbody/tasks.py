@@ -91,17 +91,23 @@ class Task(eqx.Module):
         return self.losses(self.runs(u))
 
     def losses(self, runs: Runs) -> Float[Array, "m"]:
-        """All residuals in one row, as the loss has them."""
-        parts = {run: jnp.concatenate([r.ravel() for r in residuals.values()]) for run, (_, residuals) in runs.items()}
+        """All residuals in one row, as the loss has them: by name, as jit sorts dicts, those of priors last."""
+        parts = _rows(runs)
         return jnp.concatenate([root(r, None if run == PRIORS else self.loss) for run, r in parts.items()])
 
     def linearized(self, runs: Runs, J) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and Jacobian of the least-squares problem that has the optimum of the losses and its covariance."""
-        raw = {run: np.concatenate([np.ravel(r) for r in residuals.values()]) for run, (_, residuals) in runs.items()}
+        raw = {run: np.asarray(r) for run, r in _rows(runs).items()}
         prior = raw.pop(PRIORS, np.zeros(0))
         r, m = np.concatenate(list(raw.values())), len(J) - len(prior)
         r, data = linearized(r, J[:m], self.loss)
         return np.concatenate([r, prior]), np.concatenate([data, J[m:]])
+
+
+def _rows(runs: Runs) -> dict[str, Array]:
+    """The residuals of each measurement in one row."""
+    order = sorted(runs, key=lambda run: (run == PRIORS, run))
+    return {run: jnp.concatenate([runs[run][1][name].ravel() for name in sorted(runs[run][1])]) for run in order}
 
 
 @eqx.filter_jit

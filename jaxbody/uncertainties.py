@@ -64,17 +64,21 @@ class Uncertainty(eqx.Module):
     def _told(self) -> np.ndarray:
         return (np.diag(self.covariance) > 0) & (np.diag(self.white_covariance) > 0)
 
+    @property
+    def noise(self) -> str:
+        """What standard errors take the noise for."""
+        orders = list(self.orders.values())
+        return "noise white" if not any(orders) else f"noise autoregressive of order {_range(orders)}"
+
     def about_noise(self) -> list[str]:
-        """What standard errors take the noise for, in words."""
+        """What residuals show that white noise would not, in words."""
         said = []
         if self.correlated:
             size = f"{self.factor:.2g} times too small" if self.factor > 1 else f"{1 / self.factor:.2g} times too large"
             said.append(
                 f"residuals are correlated (lag one {self.correlation:.2f}): standard errors for white noise would be up to {size}; "
-                f"these take autoregressions of order {_range(self.orders.values())}"
+                f"these take autoregressions of order {_range(list(self.orders.values()))}"
             )
-        elif any(self.orders.values()):
-            said.append(f"noise: autoregressions of order {_range(self.orders.values())}, not far from white")
         if max((abs(x) for x in self.pairs.values()), default=0.0) > TOGETHER:
             (one, other), most = max(self.pairs.items(), key=lambda pair: abs(pair[1]))
             said.append(f"residuals of channels go together, most {one} with {other} ({most:.2f}); standard errors take it into account")
@@ -89,7 +93,7 @@ def _spread(G: np.ndarray, covariance: np.ndarray, parts: np.ndarray) -> tuple[n
     return np.sqrt(np.maximum(v, 0.0)), np.maximum(freedom, 1.0)
 
 
-def _range(orders) -> str:
+def _range(orders: list[int]) -> str:
     low, high = min(orders), max(orders)
     return f"{low}" if low == high else f"{low} to {high}"
 

@@ -1,5 +1,7 @@
 """Fits to frequency responses and to modes, alone and with a record in time, against matrices of two masses written out."""
 
+import itertools
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -90,7 +92,7 @@ def parts(measured, p):
 
 @pytest.fixture(scope="module")
 def measured():
-    H = noisy(TRUTH.values(), seed=1)  # in which no two channels go together by chance
+    H = noisy(TRUTH.values(), seed=2)  # noise that looks white, as most seeds do
     H["x1", "force"][7:9] = np.nan
     return H
 
@@ -106,7 +108,7 @@ def test_a_fit_to_responses_is_scipys_with_its_standard_errors(found, measured):
     r = parts(measured, expected)
     Q, R = np.linalg.qr(J)  # each channel has its own variance: (J'J)^-1 J' diag(s2) J (J'J)^-1
     ends = np.cumsum([0] + [2 * (~np.isnan(measured[pair])).sum() for pair in PAIRS])
-    M = sum(Q[i:j].T @ Q[i:j] * (r[i:j] @ r[i:j]) / (j - i - np.sum(Q[i:j] ** 2)) for i, j in zip(ends[:-1], ends[1:], strict=True))
+    M = sum(Q[i:j].T @ Q[i:j] * (r[i:j] @ r[i:j]) / (j - i - np.sum(Q[i:j] ** 2)) for i, j in itertools.pairwise(ends))
     errors = np.sqrt(np.diag(np.linalg.solve(R, np.linalg.solve(R, M).T))) * expected
     mine = np.array([float(found.standard_errors[path]) for path in TRUTH])
     print(mine / errors)

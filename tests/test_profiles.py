@@ -1,0 +1,163 @@
+"""Profiles, validation on runs held out, bands and their pictures: a mass let go on two springs, whose motion is known in closed form."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.optimize
+from scipy.stats import t as student
+
+import jaxbody as jb
+from jaxbody import plots
+
+SIGMA, X0, MASS = 0.02, 0.2, 2.0
+TIMES = np.linspace(0, 1.2, 61)
+FREE = ("spring.stiffness", "spring.damping")
+TRUTH = np.array([50.0, 1.5])
+
+
+def motion(k, c, times=TIMES):
+    """Underdamped: x'' = -k x/m - c x'/m."""
+    d = c / (2 * MASS)
+    w = np.sqrt(k / MASS - d**2)
+    return X0 * np.exp(-d * times) * (np.cos(w * times) + d / w * np.sin(w * times))
+
+
+def oscillator(values=(60.0, 1.0)):
+    return jb.Model(
+        bodies={"mass": jb.Body(mass=MASS, inertia=[1, 1, 1], position=[1, 0, 0])},
+        joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=values[0], free_length=1.0, damping=values[1])},
+    )
+
+
+def run(x, times=TIMES):
+    initial = jb.State(jnp.array([X0]), jnp.array([0.0]))
+    sensors = {"x": jb.Position("mass", axis=[1, 0, 0])}
+    return {"run": jb.Experiment(times, initial=initial, sensors=sensors, measured={"x": 1 + x})}
+
+
+def fit(experiments, **options):
+    return jb.fit(oscillator(), experiments, free=FREE, max_steps=2000, **options)
+
+
+@pytest.fixture(scope="module")
+def record():
+    return motion(*TRUTH) + SIGMA * np.random.default_rng(6).normal(size=len(TIMES))
+
+
+@pytest.fixture(scope="module")
+def found(record):
+    return fit(run(record))
+
+
+def least(record, fixed):
+    """The least sum of squares with the damping fixed, by SciPy."""
+    squares = lambda k: np.sum((motion(k, fixed) - record) ** 2)  # noqa: E731
+    return scipy.optimize.minimize_scalar(squares, bounds=(20, 100), method="bounded", options={"xatol": 1e-9}).fun
+
+
+@pytest.fixture(scope="module")
+def profile(found):
+    return jb.profile(found, "spring.damping")
+
+
+def test_a_profile_ends_where_the_sum_of_squares_has_risen_enough(found, record, profile):
+    """SciPy's root of S(c) = S (1 + t^2/(n - p)), on both sides; the damping is known badly and its interval skewed."""
+    S = np.sum((motion(*(float(x) for x in found.estimates.values())) - record) ** 2)
+    limit = S * (1 + student.ppf(0.975, len(TIMES) - 2) ** 2 / (len(TIMES) - 2))
+    best = float(found.estimates["spring.damping"])
+    expected = [scipy.optimize.brentq(lambda c: least(record, c) - limit, *ends) for ends in ((1e-9, best), (best, 6.0))]
+    print(profile.interval, expected, found.intervals()["spring.damping"])
+    np.testing.assert_allclose(profile.interval, expected, rtol=2e-3)  # of the cubic between points
+    assert profile.ok and profile.tau[0] < 0 < profile.tau[-1] and (np.diff(profile.tau) > 0).all()
+    low, high = found.intervals()["spring.damping"]
+    assert 0 < low < best < high and abs(float(low) / expected[0] - 1) > 0.01
+    assert f"interval {profile.interval[0]:.6g} to" in str(profile)
+
+
+def test_a_profile_at_a_bound_has_one_side(record):
+    with pytest.warns(jb.JaxbodyWarning, match="AT_BOUND"):
+        held = fit(run(record), bounds={"spring.stiffness": (54, 80)})
+    side = jb.profile(held, "spring.stiffness")
+    low, high = held.intervals()["spring.stiffness"]
+    print(side.interval, low, high)
+    assert side.interval[0] == pytest.approx(54) == float(low) and float(high) == pytest.approx(side.interval[1], rel=0.01)
+    assert "at its bound" in str(held) and np.isinf(held.standard_errors["spring.stiffness"])
+
+
+def test_what_has_no_profile_is_told(found):
+    for arguments, code in ((("spring.stifness",), "UNKNOWN_PATH"), (("spring.stiffness", 1.5), "BAD_LEVEL")):
+        with pytest.raises(jb.JaxbodyError) as error:
+            jb.profile(found, arguments[0], **({"level": arguments[1]} if arguments[1:] else {}))
+        assert error.value.code == code
+
+
+def test_validation_on_a_run_held_out(found):
+    times = np.linspace(0, 2.4, 61)  # as many: one program serves all
+    noise = SIGMA * np.random.default_rng(8).normal(size=len(times))
+    told = jb.validate(found, {"later": run(motion(*TRUTH, times) + noise, times)["run"]})
+    estimates = [float(x) for x in found.estimates.values()]
+    measured = 1 + motion(*TRUTH, times) + noise
+    expected = np.sqrt(np.mean((1 + motion(*estimates, times) - measured) ** 2)) / np.std(measured)
+    assert told.nrmse["later.x"] == pytest.approx(expected, rel=1e-6) and told.ok
+    assert told.excess["later.x"] == pytest.approx(told.rms["later.x"] / float(found.noise["run"]["x"]))
+    assert told.whiteness["later.x"].lags > 5 and f"{100 * (1 - expected):.2f} %" in str(told)
+
+
+def test_a_run_that_cannot_be_simulated_has_a_status(found):
+    """A run so long that it needs more steps than the fit was allowed."""
+    with pytest.warns(jb.JaxbodyWarning, match="NONFINITE"):
+        told = jb.validate(found, {"long": run(motion(*TRUTH), np.linspace(0, 4000, len(TIMES)))["run"]})
+    assert told.status == jb.Status.NONFINITE and "long: MAX_STEPS" in told.report()
+    with pytest.raises(jb.JaxbodyError, match="NO_DATA"):
+        jb.validate(found, {})
+
+
+def frequency(model):
+    return jnp.sqrt(model["spring"].stiffness / MASS) / (2 * jnp.pi) * jnp.array([1.0, 2.0])
+
+
+def test_bands_are_the_delta_method_and_draws_agree(found):
+    k, error = (float(x["spring.stiffness"]) for x in (found.estimates, found.standard_errors))
+    told = jb.bands(found, frequency)
+    f = np.sqrt(k / MASS) / (2 * np.pi) * np.array([1.0, 2.0])
+    np.testing.assert_allclose(told.value, f, rtol=1e-12)
+    np.testing.assert_allclose(told.standard_error, f * error / (2 * k), rtol=1e-9)
+    np.testing.assert_allclose(told.upper - f, student.ppf(0.975, len(TIMES) - 2) * told.standard_error, rtol=1e-6)
+    drawn = jb.bands(found, frequency, samples=2000, key=jax.random.key(1))
+    np.testing.assert_allclose(drawn.standard_error, told.standard_error, rtol=4 / np.sqrt(2 * 2000))
+
+
+def test_bands_of_what_has_none_are_told(found):
+    with pytest.raises(jb.JaxbodyError, match="WRONG_KIND"):
+        jb.bands(found, lambda model: 1j * frequency(model))
+    with pytest.raises(jb.JaxbodyError, match="NO_KEY"):
+        jb.bands(found, frequency, samples=10)
+    with pytest.warns(jb.JaxbodyWarning, match="NONFINITE"):
+        told = jb.bands(found, lambda model: jnp.sqrt(model["spring"].stiffness * 0.0))
+    assert np.isinf(told.standard_error)
+
+
+def test_intervals_and_notes_print(found):
+    low, high = found.intervals()["spring.stiffness"]
+    assert f"{low:.6g} to {high:.6g}" in str(found) and "noise white" in str(found) and "95 % interval" in str(found)
+    with pytest.raises(jb.JaxbodyError, match="BAD_LEVEL"):
+        found.intervals(95)
+
+
+def test_pictures_of_a_fit_show_its_numbers(found, record, profile):
+    axes = plots.plot_fit(found)
+    below = axes.figure.axes[1]
+    pale = below.patches[0].get_extents().transformed(below.transData.inverted())
+    np.testing.assert_allclose(pale.height, 2 * 1.96 * float(found.noise["run"]["x"]), rtol=1e-6)
+    heat = plots.plot_correlations(found)
+    rho = found.covariance[0, 1] / np.sqrt(found.covariance[0, 0] * found.covariance[1, 1])
+    np.testing.assert_allclose(np.asarray(heat.images[0].get_array())[0, 1], rho)
+    r = np.asarray(found.predicted["run"]["x"]) - 1 - record
+    bars = plots.plot_autocorrelation(found)
+    np.testing.assert_allclose(bars.lines[0].get_ydata()[0], r[1:] @ r[:-1] / (r @ r), rtol=1e-6)
+    line = plots.plot_profile(profile).lines[0]
+    np.testing.assert_array_equal(line.get_xdata(), profile.values)
+    with pytest.raises(jb.JaxbodyError, match="UNKNOWN_NAME"):
+        plots.plot_autocorrelation(found, sensor="y")
