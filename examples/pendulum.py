@@ -75,8 +75,8 @@ def pendulum(damper) -> jb.Model:
     )
 
 
-def run_of(part: jb.Record) -> jb.Experiment:
-    start = jb.State(q=jnp.asarray(part["angle"][:1]), v=jnp.asarray(part["rate"][:1]))
+def run_of(part: jb.Record, start: jb.State | None = None) -> jb.Experiment:
+    start = start or jb.State(q=jnp.asarray(part["angle"][:1]), v=jnp.asarray(part["rate"][:1]))
     return jb.Experiment(part.times, initial=start, sensors={"angle": jb.Elongation("encoder")}, measured={"angle": part["angle"]})
 
 
@@ -88,10 +88,11 @@ def fitted(damper, free) -> jb.Fit:
         )
 
 
-def foretold(fit: jb.Fit) -> np.ndarray:
-    """The angle over the whole record, simulated from the fitted start."""
+def foretold(fit: jb.Fit) -> tuple[np.ndarray, jb.State]:
+    """The angle over the whole record, simulated from the fitted start, and the state with which the second half begins."""
     trajectory = jb.simulate(fit.model, record.times, initial=fit.experiments["swing"].initial, **steps)
-    return np.asarray(trajectory.state.q[:, 0] - fit.model["encoder"].free_angle)
+    at = np.argmax(record.times > HALF)
+    return np.asarray(trajectory.state.q[:, 0] - fit.model["encoder"].free_angle), jb.State(trajectory.state.q[at], trajectory.state.v[at])
 
 
 def nrmse(error: np.ndarray, signal: np.ndarray) -> float:
@@ -135,8 +136,10 @@ print(record)
 fits, errors, after = {}, {}, record.times > HALF
 for name, (damper, free) in dampers.items():
     fits[name] = fitted(damper, free)
-    errors[name] = foretold(fits[name]) - record["angle"]
-    print(f"\n{name}:", fits[name], sep="\n")
+    x, state = foretold(fits[name])
+    errors[name] = x - record["angle"]
+    rest = run_of(record.part(record.times[after][0], 100), state)
+    print(f"\n{name}:", fits[name], jb.validate(fits[name], {"rest": rest}), sep="\n")
 print(f"\n{'residual [% of the signal]':28} fitted  held out")
 shares = {name: [nrmse(error[part], record["angle"][part]) for part in (~after, after)] for name, error in errors.items()}
 for name, (before, later) in shares.items():

@@ -380,6 +380,7 @@ RECORDS = {  # times, channel and unit, options, code, words
     "no sample in a column": (TIMES, (np.column_stack([X[:, 0], np.full(50, np.nan)]), "m"), {}, "ALL_NAN", "Record['x'][1] drop="),
     "infinite": (TIMES, (np.where(X > 2, np.inf, X), "m"), {}, "NON_FINITE", "Record['x']"),
     "too short": (TIMES, (X[:40], "m"), {}, "BAD_SHAPE", "40 samples 50"),
+    "transposed": (TIMES, (X.T, "m"), {}, "BAD_SHAPE", "3 samples 50 transposed values.T"),
     "a cube": (TIMES, (np.zeros((50, 2, 2)), "m"), {}, "BAD_SHAPE", "(n, k)"),
     "no unit": (TIMES, X, {}, "NO_UNIT", "Record['x'] m/s2"),
     "complex": (TIMES, (1j * X, "m"), {}, "COMPLEX", "Record['x']"),
