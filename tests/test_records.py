@@ -251,6 +251,17 @@ NPTS=  7, DT=  .0050 SEC,
 """
 
 
+def test_channels_of_different_clocks_are_told(tmp_path):
+    nptdms = pytest.importorskip("nptdms", reason="npTDMS is not installed: pip install 'jaxbody[files]'")
+    with nptdms.TdmsWriter(tmp_path / "run.tdms") as file:
+        for name, step in (("slow", 1 / 100), ("fast", 1 / 200)):
+            kept = {"wf_increment": step, "wf_start_offset": 0.0, "unit_string": "g"}
+            file.write_segment([nptdms.ChannelObject("run", name, X[:, 0], properties=kept)])
+    with pytest.raises(jb.JaxbodyError, match=r"different times .*records of their own.*DIFFERENT_TIMES"):
+        jb.read_record(tmp_path / "run.tdms", channels={"a": "run/slow", "b": "run/fast"})
+    assert jb.read_record(tmp_path / "run.tdms", channels={"b": "run/fast"}).sampling.rate == pytest.approx(200)
+
+
 def test_peer_ground_motions(tmp_path):
     (tmp_path / "RSN1.AT2").write_text(PEER)
     record = jb.read_record(tmp_path / "RSN1.AT2", channels={"ground": "motion"})
