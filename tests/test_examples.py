@@ -221,7 +221,8 @@ def test_comfort_on_a_class_c_road(monkeypatch):
 def test_one_glider():
     """It asserts that estimates are those of the closed form by SciPy; here the published residual of a free decay, and what is held out."""
     data("gliders", "real_linear_h_1.txt")
-    names, printed = run("glider.py")
+    with pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):
+        names, printed = run("glider.py")
     assert names["fit"].ok and names["shares"][1] < 0.8 and "held out" in printed
     whole = names["judge"](names["record"])
     assert abs(whole["stiffness"][0] / float(names["fit"].estimates["spring.stiffness"]) - 1) < 1e-3  # halves agree with the whole
