@@ -20,8 +20,8 @@ from jaxbody import tables
 from jaxbody.errors import Status, warn
 from jaxbody.experiments import Experiment
 from jaxbody.models import Model
+from jaxbody.records import measure
 from jaxbody.results import Result
-from jaxbody.sensors import measure
 from jaxbody.simulations import simulate
 
 FACTORS = {
