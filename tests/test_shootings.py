@@ -45,7 +45,9 @@ def experiment(times):
     shake = {"foot": jb.Harmonic(frequency=RATE, translation=[SHAKE, 0, 0], translation_phase=-np.pi / 2)}
     measured = np.stack([np.sin(theta), -np.cos(theta), 0 * theta], -1) + 1e-3 * np.random.default_rng(0).normal(size=(len(times), 3))
     initial = jb.State(jnp.array([0.5]), jnp.array([0.0]))
-    return {"run": jb.Experiment(times, motion=shake, initial=initial, sensors={"x": jb.Position("bob")}, measured={"x": measured}, noise=1e-3)}
+    return {
+        "run": jb.Experiment(times, motion=shake, initial=initial, sensors={"x": jb.Position("bob")}, measured={"x": measured}, noise=1e-3)
+    }
 
 
 @pytest.mark.parametrize(("samples", "count"), [(11, 2), (41, 4), (42, 5), (43, 42), (100, 7)])
