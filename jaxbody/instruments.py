@@ -57,7 +57,7 @@ class Accelerometer(Mounted):
     numbers, or `axis`, one number along that direction of the body. Accelerations are those of the equations of motion, loads included.
     `gain`, `bias`, `delay`, `lag`, `start`: see Sensor. Errors: TWO_AXES, ZERO_AXIS, BAD_QUATERNION, BAD_ROTATION, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
 
-    >>> model = Model(bodies={"box": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"box": Fixed("world")}, gravity=[0, 0, -9.81])
+    >>> model = Model(bodies={"box": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"box": Hinge("world", axis=[0, 0, 1])}, gravity=[0, 0, -9.81])
     >>> measure(simulate(model, [0.0, 0.1]), {"acc": Accelerometer("box", [0.1, 0, 0])})["acc"][0].tolist()
     [0.0, 0.0, 9.81]
     """

@@ -1,5 +1,8 @@
 """What instruments read, by closed forms and by differences of poses; delay and lag against sines and SciPy; what they refuse."""
 
+import sys
+from pathlib import Path
+
 import jax
 import jax.flatten_util
 import jax.numpy as jnp
@@ -12,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
 from jaxbody import transducers
+from jaxbody.parametrizations import choose
 from jaxbody.records import read, readings
 from jaxbody.sensors import check_sensors
 from jaxbody.simulations import Trajectory
@@ -406,3 +410,89 @@ def test_a_cell_in_a_bushing_reads_one_of_its_six_forces():
     q, v = jnp.array([0.1, 0.2, 0.3, 1, 0, 0, 0]), jnp.array([1.0, 2, 3, 0, 0, 0])
     found = read_all(model, jnp.array(0.0), q, v, {i: jb.LoadCell("m", component=i) for i in range(6)})
     np.testing.assert_allclose([found[i] for i in range(3)], [-1 - 1, -4 - 4, -9 - 9], rtol=1e-13)  # from the box to the world
+
+
+# Fits
+
+
+@pytest.fixture(scope="module")
+def cart():
+    model = jb.Model(
+        bodies={"cart": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+        supports={"base": jb.Support()},
+        joints={"cart": jb.Guide("base", axis=[1, 0, 0])},
+        elements={"s": jb.Spring(("cart", [0, 0, 0]), ("base", [1, 0.2, 0]), stiffness=400.0, free_length=1.0, damping=4.0)},
+    )
+    base = jb.Harmonic(frequency=0.9, translation=[0.03, 0, 0]) + jb.Harmonic(
+        frequency=2.3, translation=[0.01, 0, 0], translation_phase=1.0
+    )
+    return model, {"base": base}
+
+
+CHAIN = {"gain": -1.2, "bias": 0.05, "delay": 0.0031, "lag": 0.012, "start": 0.4}
+
+
+def taken(cart, seeds, chain, noise=0.0):
+    """Experiments of one run, cut out of the motion so that a delayed instrument has seen what was before."""
+    model, motion = cart
+    times = 0.01 * np.arange(-1, 150)
+    whole = jb.simulate(model, times, motion=motion, rtol=1e-11)
+    acc, gap = jb.Accelerometer("cart", axis=[1, 0, 0], **{**CHAIN, "start": None}), jb.Displacement("cart", "base", axis=[1, 0, 0])
+    level = {"acc": max(noise, 1e-6), "gap": max(noise / 100, 1e-8)}
+    initial = jax.tree.map(lambda x: x[1], whole.state)
+    found = {}
+    for seed in seeds:
+        measured = jb.measure(
+            whole, {"acc": acc, "gap": gap}, noise={name: noise and x for name, x in level.items()}, key=jax.random.key(seed)
+        )
+        measured = {name: x[1:] for name, x in measured.items()}
+        sensors = {"acc": jb.Accelerometer("cart", axis=[1, 0, 0], **chain), "gap": gap}
+        found[f"run{seed}"] = jb.Experiment(times[1:], motion=motion, initial=initial, sensors=sensors, measured=measured, noise=level)
+    return found
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seeds", [(0,), (0, 1)])
+def test_a_fit_finds_gain_bias_delay_and_lag_of_each_run(cart, seeds):
+    """From an instrument taken for a perfect one, of the wrong sign even; runs are side by side, and each has its own chain."""
+    model, _ = cart
+    runs = taken(cart, seeds, {"gain": 1.0, "bias": 0.0, "delay": 0.0, "lag": 0.02, "start": 0.0})
+    start = jb.replace(model, {"s.stiffness": 480.0, "s.damping": 3.0})
+    found = jb.fit(
+        start, runs, free=["s.stiffness", "s.damping", "run?.acc.gain", "run?.acc.bias", "run?.acc.delay", "run?.acc.lag", "run?.acc.start"]
+    )
+    assert found.ok
+    for run in runs:
+        for name in ("gain", "bias", "delay", "lag"):
+            np.testing.assert_allclose(found.estimates[f"{run}.acc.{name}"], CHAIN[name], rtol=2e-5, err_msg=name)
+    np.testing.assert_allclose([found.estimates[f"s.{name}"] for name in ("stiffness", "damping")], [400.0, 4.0], rtol=1e-6)
+
+
+def test_what_is_free_of_a_chain_moves_by_what_it_is_about_and_unknown_samples_do_not_count(cart):
+    """A bias of zero by the size of the record, a delay of zero by a sample, a gain with its sign."""
+    x = RANDOM.normal(size=50)
+    chain = {"gain": 1.0, "bias": 0.0, "delay": 0.025, "lag": 0.02}
+    run = jb.Experiment(0.01 * np.arange(50), sensors={"acc": jb.Accelerometer("cart", axis=[1, 0, 0], **chain)}, measured={"acc": x})
+    run = jb.replace(run, {"acc.delay": 0.0})
+    forms = {f.path: f.form for f in choose(cart[0], {"run": run}, ["run.acc.*"])}
+    moved = [forms[f"run.acc.{name}"].value(jnp.ones(1)) for name in ("gain", "bias", "delay", "lag")]
+    np.testing.assert_allclose(moved, [2.0, np.sqrt(np.mean(x**2)), 0.01, 0.02 * np.e], rtol=1e-9)
+    assert set(forms) == {f"run.acc.{name}" for name in ("gain", "bias", "delay", "lag", "point", "axis")}
+    late = jb.replace(run, {"acc.delay": 0.025})
+    np.testing.assert_allclose(late.residual("acc", x + 1.0)[:4], [0, 0, 0.5, 1], atol=1e-12)
+
+
+@pytest.mark.long
+def test_intervals_hold_where_delay_gain_and_bias_are_modelled_and_residuals_tell_where_they_are_not():
+    """A few of the replicates of tests/benchmarks/transducers.py; shares within four standard deviations of 95 %."""
+    sys.path.insert(0, str(Path(__file__).parent / "benchmarks"))
+    import transducers as benchmark
+
+    study = benchmark.Study()
+    n = 60
+    modelled, bare = study.replicates(n, True), study.replicates(10, False)
+    print(modelled["held"].mean(0), modelled["white"].min(), bare["white"].max())
+    assert (modelled["held"].mean(0) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / n)).all()
+    delay = modelled["errors"][:, modelled["paths"].index("run.acc.delay")] / benchmark.STEP
+    assert np.sqrt(np.mean(delay**2)) < 0.01 and not modelled["flagged"].any()
+    assert bare["flagged"].all() and bare["white"].max() < 1e-6 and not bare["held"].all(0).any()
