@@ -22,6 +22,7 @@ from jaxbody.autocorrelations import FEWEST, Autoregression, autocovariances, au
 from jaxbody.channels import Measurement
 
 ROUNDS = 4  # of raising autocovariances; what the last one changes is far less than what they are known to
+SINGULAR = 1e-12  # eigenvalue of autocovariances, relative to the largest, that is round-off
 LEAST = 0.5  # degrees of freedom that say anything of a variance
 ALL = ""
 STEP = 1e-4  # of derivatives by central differences, in standard errors
@@ -171,7 +172,8 @@ def _parts(one: _Piece) -> list[np.ndarray]:
     from scipy.linalg import toeplitz
 
     process, q = one.process, one.order
-    spread = np.linalg.cholesky(np.linalg.inv(toeplitz(autocovariances(process, q))) * process.variance / one.n)
+    w, V = np.linalg.eigh(toeplitz(autocovariances(process, q)))
+    spread = V * np.sqrt(process.variance / (one.n * np.maximum(w, SINGULAR * w[-1])))  # residuals of an exact fit may be one wave
     parts = [np.sqrt(2 / max(one.n - one.taken - q, 1.0)) * one.made_of(process)]
     for change in STEP * spread.T:
         ends = [one.made_of(Autoregression(process.phi + sign * change, process.variance)) for sign in (1, -1)]

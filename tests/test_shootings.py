@@ -33,7 +33,7 @@ def motion(values, times=TIMES):
     def rate(t, y):
         place = LENGTH * np.array([np.sin(y[0]), -np.cos(y[0])])
         along = LENGTH * np.array([np.cos(y[0]), np.sin(y[0])])
-        d = FOOT + [SHAKE * np.sin(2 * np.pi * RATE * t), 0] - place
+        d = FOOT + np.array([SHAKE * np.sin(2 * np.pi * RATE * t), 0]) - place
         L = np.linalg.norm(d)
         return [y[1], (-MASS * G * LENGTH * np.sin(y[0]) + k * (L - free) / L * (d @ along)) / (MASS * LENGTH**2)]
 
@@ -64,3 +64,19 @@ def test_where_one_shot_does_several_give_the_same():
     assert several.ok and list(several.experiments) == ["run"] and type(several.experiments["run"]) is jb.Experiment
     for path, value in whole.estimates.items():
         np.testing.assert_allclose(several.estimates[path], value, rtol=1e-7)
+
+
+@pytest.mark.long
+def test_a_chaotic_record_is_fitted_where_one_shot_is_lost():
+    """Half a minute, in which a change of the stiffness of 1e-6 is a hundred thousand times as much in the angle."""
+    other = motion(TRUTH * [1 + 1e-6, 1])
+    assert np.abs(other - motion(TRUTH))[-100:].max() > 1e-3
+    options = dict(free=["spring.stiffness", "spring.free_length"], max_steps=10_000)
+    with pytest.warns(jb.JaxbodyWarning):
+        lost = jb.fit(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), **options)
+    found = jb.multiple_shooting(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), segments=30, **options)
+    print(lost, found)
+    assert float(lost.cost) > 100 * float(found.cost)
+    assert found.ok
+    for value, truth, error in zip(found.estimates.values(), TRUTH, found.standard_errors.values(), strict=True):
+        assert abs(float(value) - truth) < 4 * float(error) and float(error) < 1e-3 * truth
