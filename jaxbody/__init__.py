@@ -29,6 +29,7 @@ from jaxbody.measurements import Record
 from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
+from jaxbody.multistarts import Multistart, multistart
 from jaxbody.naming import paths, replace
 from jaxbody.nonlinearities import backbones
 from jaxbody.options import fast_loops

@@ -232,3 +232,21 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_a_wrong_one_is_told(record, t
     assert problem_of(oscillator(), run(record), resume=tmp_path / "torn.npz").code == "NO_CHECKPOINT"
     other = problem_of(oscillator(), run(record), resume=done, free=["left.stiffness"])
     assert other.code == "OTHER_FIT" and "damper.damping" in other.message
+
+
+def test_many_starts_find_the_optima_that_scipy_finds():
+    """A stiffness too far off settles where the record's and the model's oscillations agree but for a period."""
+    record = motion(50.0, 0.1) + SIGMA * np.random.default_rng(3).normal(size=len(TIMES))
+    start = oscillator(left=250.0, c=0.1)
+    several = jb.multistart(start, run(record), free="left.stiffness", starts=12, spread=2.3, rtol=EXACT, max_steps=2000)
+    ends = {}
+    for u in np.linspace(-2.3, 2.3, 60) + np.log(250.0):
+        found = scipy.optimize.least_squares(lambda u: (motion(np.exp(u[0]) + 20, 0.1) - record) / SIGMA, [u], xtol=1e-13, ftol=1e-13)
+        ends[round(found.cost, 3)] = np.exp(found.x)
+    print(several, ends)
+    assert len(several.cost) >= 3 and several.found.sum() + several.lost == several.starts == 13
+    np.testing.assert_allclose(several.cost[0], min(ends), atol=1e-3)
+    np.testing.assert_allclose(values(several.best), ends[min(ends)], rtol=1e-6)
+    assert several.best.ok and float(several.best.cost) == pytest.approx(several.cost[0], rel=1e-9)
+    for cost in several.cost:
+        assert np.abs(np.array(list(ends)) / cost - 1).min() < 1e-5, cost

@@ -26,7 +26,7 @@ ROWS = (
     "vibrations energies elastic_axes spins complex_modes branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
     "channels sensors experiments measured_responses measured_modes parametrizations losses tasks checkpoints",
-    "autocorrelations noises uncertainties intervals searches fits implicit_fits identification profiles validations bands",
+    "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts profiles validations bands",
     "canvases mode_plots response_plots fit_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
