@@ -86,6 +86,17 @@ def test_a_profile_at_a_bound_has_one_side(record):
     assert "at its bound" in str(held) and np.isinf(held.standard_errors["spring.stiffness"])
 
 
+@pytest.mark.long
+def test_of_a_robust_loss_the_profile_is_as_wide_as_the_standard_error(record):
+    spoiled = record.copy()
+    spoiled[::13] += 15 * SIGMA
+    for loss in ("soft_l1", "cauchy"):
+        robust = fit(run(spoiled), loss=loss)
+        ends, (low, high) = jb.profile(robust, "spring.stiffness").interval, robust.intervals()["spring.stiffness"]
+        print(ends, low, high)
+        np.testing.assert_allclose(ends[1] - ends[0], high - low, rtol=0.1)
+
+
 def test_what_has_no_profile_is_told(found):
     for arguments, code in ((("spring.stifness",), "UNKNOWN_PATH"), (("spring.stiffness", 1.5), "BAD_LEVEL")):
         with pytest.raises(jb.JaxbodyError) as error:
