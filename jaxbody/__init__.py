@@ -1,6 +1,7 @@
 """jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
 
 from jaxbody import laws, presets, signals
+from jaxbody.attitudes import BodyPose, Orientation
 from jaxbody.bands import bands
 from jaxbody.base_motions import base_motion
 from jaxbody.bodies import Body, Support
@@ -18,7 +19,9 @@ from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
 from jaxbody.fits import Fit
 from jaxbody.frequency_responses import frequency_response
+from jaxbody.gauges import Displacement, LaserDistance, LaserVibrometer, StringPotentiometer, Velocity
 from jaxbody.identification import fit
+from jaxbody.instruments import Accelerometer, ForcePlate, Gyro, JointAngle, LoadCell, Tilt
 from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Joint, Translation
 from jaxbody.kinematics import retract
 from jaxbody.linearizations import excitation, linearize
@@ -38,9 +41,10 @@ from jaxbody.preloads import preload
 from jaxbody.profiles import profile
 from jaxbody.random_responses import random_response
 from jaxbody.recordings import read_record
+from jaxbody.records import measure
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
-from jaxbody.sensors import BodyPose, Elongation, Position, measure
+from jaxbody.sensors import Elongation, Position, Sensor
 from jaxbody.simulations import simulate
 from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin

@@ -53,6 +53,10 @@ class Measurement(eqx.Module):
         """{channel: array like `measured`}; NaN where the model cannot tell."""
         raise TypeError  # pragma: no cover
 
+    def residual(self, name: str, reading: Array) -> Array:
+        """Reading less measured of a channel, zero where a sample is missing."""
+        return self.channels[name].residual(reading, self.measured[name])
+
     def named(self) -> dict[str, Any]:
         """What of it has a name in paths."""
         return {}

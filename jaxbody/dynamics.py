@@ -18,13 +18,30 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
-from jaxbody.frames import Frame
+from jaxbody.frames import Frame, stack
 from jaxbody.kinematics import Coordinates, Motions, supports_moving
 from jaxbody.linear_solves import solve_spd
 from jaxbody.loads import Load
 from jaxbody.mechanics import wrenches
 from jaxbody.models import Model, State
 from jaxbody.rotations import cross, product, rotate, rotate_back, skew
+
+
+class Instant(Frame):
+    """The table of frames at one time with the state that it comes from; where instruments ask for them, the accelerations a of origins and
+    alpha of the frames, and the force F and moment M about its origin that world and supports bear (zero for bodies), world axes."""
+
+    state: State
+    a: Float[Array, "n 3"] | None = None
+    alpha: Float[Array, "n 3"] | None = None
+    F: Float[Array, "n 3"] | None = None
+    M: Float[Array, "n 3"] | None = None
+
+    def acceleration(self, row: int, a_B: Float[Array, "3"]) -> Float[Array, "3"]:
+        """World acceleration a + alpha x r + w x (w x r), r = R a, of a point fixed in a frame."""
+        assert self.a is not None and self.alpha is not None
+        r, w = rotate(self.R[row], a_B), self.w[row]
+        return self.a[row] + cross(self.alpha[row], r) + cross(w, cross(w, r))
 
 
 class Dynamics(eqx.Module):
@@ -85,13 +102,7 @@ class Dynamics(eqx.Module):
         p, quaternion, v_B, w_B = _cut(y, len(model.layout.bodies))
         R = rotations.matrix(quaternion)
         v, w = rotate(R, v_B), rotate(R, w_B)
-        zero = jnp.zeros((1, 3), y.dtype)
-        frames = Frame(
-            jnp.concatenate([zero, supports.p, p]),
-            jnp.concatenate([jnp.eye(3, dtype=y.dtype)[None], supports.R, R]),
-            jnp.concatenate([zero, supports.v, v]),
-            jnp.concatenate([zero, supports.w, w]),
-        )
+        frames = _table(supports, Frame(p, R, v, w))
         F, M = (x[model.layout.first_body :] for x in wrenches(model, frames, self.loads, t))
         m, c = bodies.mass[:, None], bodies.com
         P = m * (v_B + cross(w_B, c))  # momentum and moment of momentum about O, body axes
@@ -106,6 +117,10 @@ class Dynamics(eqx.Module):
 
     def acceleration(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nv"]:
         """dv/dt, in the speeds of the state."""
+        return self._solved(t, q, v)[0]
+
+    def _solved(self, t, q, v):
+        """v', and what it comes from: frames, accelerations at v' = 0, velocities per unit of each speed."""
         frames, (linear, angular), a, alpha = self._bias(t, q, v)
         F, M = self._net(t, frames, a, alpha)
         lin, ang = self._jacobian(frames, linear, angular)
@@ -117,7 +132,7 @@ class Dynamics(eqx.Module):
         turning = jnp.sum(J_C[:, None] * ang[:, :, None, :], -1)
         mass = jnp.sum(bodies.mass[:, None, None, None] * lin_C[:, :, None] * lin_C[:, None] + ang[:, :, None] * turning[:, None], (0, 3))
         right = jnp.sum(lin * F[:, None] + ang * M[:, None], (0, 2))
-        return solve_spd(mass, right)
+        return solve_spd(mass, right), frames, a, alpha, lin, ang
 
     def _bias(self, t, q, v):
         """Frames, axes, and the accelerations of origin and orientation of each body at v' = 0: the derivative of the velocities
@@ -152,21 +167,57 @@ class Dynamics(eqx.Module):
         mask = jnp.asarray(layout.carries, p.dtype)[..., None]
         return mask * (linear + cross(angular[None], p[:, None] - p[own][None])), mask * angular
 
-    def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
-        """Force and moment about its origin that the bodies and elements exert on each support, world axes."""
-        layout = self.model.layout
-        frames, (linear, angular), a, alpha = self._bias(t, q, v)
-        lin, ang = self._jacobian(frames, linear, angular)
-        v_dot = self.acceleration(t, q, v)
-        first = layout.first_body
-        a = a.at[first:].add(jnp.sum(lin * v_dot[:, None], 1))
-        alpha = alpha.at[first:].add(jnp.sum(ang * v_dot[:, None], 1))
+    def instant(self, t: Float[Array, ""], state: State, *, reactions: bool) -> Instant:
+        """Frames with accelerations and, if asked for, what world and supports bear."""
+        frames, a, alpha = self._accelerated_floating(t, state) if self.model.layout.floating else self._accelerated(t, state)
+        borne = self._borne(t, frames, a, alpha) if reactions else (None, None)
+        return Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *borne)
+
+    def _borne(self, t, frames: Frame, a, alpha):
+        """Force and moment about its origin that the bodies and elements exert on world and supports; zero for bodies."""
+        layout, first = self.model.layout, self.model.layout.first_body
         F, M = self._net(t, frames, a, alpha)
         on_frames = wrenches(self.model, frames)
-        rows = np.arange(1, first)
-        jointed = jnp.asarray(layout.roots == rows[:, None], F.dtype)[..., None]
-        moment = M + cross(frames.p[first:] - frames.p[rows][:, None], F)
-        return on_frames[0][1:first] + jnp.sum(jointed * F, 1), on_frames[1][1:first] + jnp.sum(jointed * moment, 1)
+        jointed = jnp.asarray(layout.roots == np.arange(first)[:, None], F.dtype)[..., None]
+        moment = M + cross(frames.p[first:] - frames.p[:first, None], F)
+        bodies = jnp.zeros_like(F)
+        F = jnp.concatenate([on_frames[0][:first] + jnp.sum(jointed * F, 1), bodies])
+        return F, jnp.concatenate([on_frames[1][:first] + jnp.sum(jointed * moment, 1), bodies])
+
+    def _accelerated(self, t, state: State):
+        v_dot, frames, a, alpha, lin, ang = self._solved(t, state.q, state.v)
+        first = self.model.layout.first_body
+        a = a.at[first:].add(jnp.sum(lin * v_dot[:, None], 1))
+        return frames, a, alpha.at[first:].add(jnp.sum(ang * v_dot[:, None], 1))
+
+    def _accelerated_floating(self, t, state: State):
+        """a = R (v_B' + w_B x v_B), alpha = R w_B'."""
+
+        def moving(t):
+            supports = supports_moving(self.model, self.motions, t)
+            return (supports.v, supports.w), supports
+
+        (_, (a, alpha), supports) = jax.jvp(moving, (t,), (jnp.ones_like(t),), has_aux=True)
+        y = self.pack(state)
+        n = len(self.model.layout.bodies)
+        p, quaternion, v_B, w_B = _cut(y, n)
+        _, _, v_rate, w_rate = _cut(self._rate_floating(t, supports, y), n)
+        R, zero = rotations.matrix(quaternion), jnp.zeros((1, 3), y.dtype)
+        frames = _table(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B)))
+        a = jnp.concatenate([zero, a, rotate(R, v_rate + cross(w_B, v_B))])
+        return frames, a, jnp.concatenate([zero, alpha, rotate(R, w_rate)])
+
+    def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
+        """Force and moment about its origin that the bodies and elements exert on each support, world axes."""
+        now, first = self.instant(t, State(q, v), reactions=True), self.model.layout.first_body
+        assert now.F is not None and now.M is not None
+        return now.F[1:first], now.M[1:first]
+
+
+def _table(supports: Frame, bodies: Frame) -> Frame:
+    """The table of frames of supports and of bodies that are free on the world."""
+    zero = jnp.zeros((1, 3), bodies.p.dtype)
+    return stack([Frame(zero, jnp.eye(3, dtype=zero.dtype)[None], zero, zero), supports, bodies])
 
 
 def mass_in_body_axes(model: Model) -> Float[Array, "nb 6 6"]:

@@ -14,7 +14,8 @@ from jaxbody.errors import JaxbodyError, Problems, warn
 from jaxbody.loads import Load, loads_of
 from jaxbody.models import Model, State
 from jaxbody.motions import Motion, as_motion, check_times
-from jaxbody.sensors import Sensor, check_sensors, noise_levels, read
+from jaxbody.records import readings
+from jaxbody.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations import Trajectory, check_run, integrate, motions_of
 
 MANY_MISSING = 0.2
@@ -96,7 +97,8 @@ class Experiment(Measurement):
         self.times = device_array(checked)  # pyright: ignore[reportArgumentType]
         self.motion = {name: as_motion(m) for name, m in (motion or {}).items()}
         self.loads = {name: jax.tree.map(device_array, load) for name, load in (loads or {}).items()}
-        self.initial, self.sensors = initial, dict(sensors)
+        self.initial = initial
+        self.sensors = {name: jax.tree.map(device_array, sensor) for name, sensor in sensors.items()}
         self.measured = {name: device_array(a) for name, a in arrays.items()}
         self.noise = None if levels is None else {name: device_array(level) for name, level in levels.items()}
 
@@ -110,7 +112,10 @@ class Experiment(Measurement):
         return integrate(model, self.times, motions, tuple(self.loads.values()), self.initial, how.rtol, how.solver, how.stepsize_controller, diffrax.ForwardMode(), how.dt0, how.max_steps, diffrax.NoProgressMeter())  # fmt: skip
 
     def readings(self, model, integration):
-        return self.trajectory(model, integration).at_samples(read, self.sensors)
+        return readings(self.trajectory(model, integration), self.sensors)
+
+    def residual(self, name, reading):
+        return self.sensors[name].misfit(self.times, reading, self.measured[name])
 
     def explain(self, model, integration):
         return self.trajectory(model, integration).report()

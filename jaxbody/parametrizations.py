@@ -5,6 +5,7 @@ definite        X = L(u) L(u)'                        6 x 6 stiffness and dampin
 inertia         I = tr(S) 1 - S, S definite           so that masses of no sign but plus can have it (log-Cholesky of the pseudo-inertia)
 rotation        q = exp(u) q0                         orientations; coordinates of an initial state
 direction       n = (n0 + B u)/|n0 + B u|             axes of joints
+of instruments  x = x0 + s u                          gain (either sign) and bias, s of the order of the record where x0 is smaller; delay, of a sample
 anything else   x = x0 + s u                          s the largest of |x0|, or a size of the model where x0 is zero
 """
 
@@ -22,12 +23,14 @@ from jaxbody import rotations
 from jaxbody.arrays import concrete
 from jaxbody.channels import Measurement
 from jaxbody.errors import Problem, Problems
+from jaxbody.experiments import Experiment
 from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model
 from jaxbody.naming import Leaf, leaves_of, matching
 from jaxbody.statics import size_of
 
 POSITIVE = ("stiffness", "damping", "mass")
+OF_CHAINS = ("gain", "bias", "start", "delay", "lag")  # of instruments
 
 
 class Parametrization(eqx.Module):
@@ -186,6 +189,20 @@ def parametrize(path: str, start: Array, model: Model, size: Array) -> Parametri
     return Shifted(start, jnp.where(largest > 0, largest, size))
 
 
+def of_instrument(field: str, start: Array, experiment: Experiment, sensor: str) -> Parametrization:
+    """The parametrization of what an instrument makes of its readings. Neither sign of a gain is ruled out: an instrument may be turned round."""
+    if field == "lag":
+        return Positive(start)
+    measured = experiment.measured[sensor]
+    if field == "gain":
+        least = jnp.ones(())
+    elif field == "delay":
+        least = (experiment.times[-1] - experiment.times[0]) / (len(experiment.times) - 1)
+    else:
+        least = jnp.sqrt(jnp.nanmean(measured**2))
+    return Shifted(start, jnp.maximum(jnp.max(jnp.abs(start)), jnp.where(least > 0, least, 1.0)))
+
+
 class Free(eqx.Module):
     """A free parameter: where it is, once or, tied, several times, each in a run ("" for the model); and how it moves."""
 
@@ -235,7 +252,12 @@ def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str
             if start is not None and known[0] is not None and (np.shape(start) != np.shape(known[0]) or (start != known[0]).any()):
                 told = f"starts at {start}, but is to equal {group[0].path}, which starts at {known[0]}"
                 problems.add("TIED_APART", leaf.path, told, value=start, limit=str(known[0]), hint="Set both alike with jb.replace.")
-        form = parametrize(group[0].path, starts[0], model, size)
+        run, leaf = owner[group[0]], group[0]
+        experiment, name = experiments.get(run), leaf.path.removeprefix(f"{run}.").removesuffix(f".{leaf.field}")
+        if isinstance(experiment, Experiment) and name in experiment.sensors and leaf.field in OF_CHAINS:
+            form = of_instrument(leaf.field, starts[0], experiment, name)
+        else:
+            form = parametrize(leaf.path, starts[0], model, size)
         if isinstance(form, Problem):
             problems.found.append(form)
         else:

@@ -19,12 +19,13 @@ from jaxbody import rotations
 from jaxbody.arrays import float_array
 from jaxbody.bodies import vector
 from jaxbody.derivatives import _at_rest, _jacobian, slope
+from jaxbody.dynamics import Instant
 from jaxbody.elements import Element
 from jaxbody.errors import Problem, Problems
 from jaxbody.frames import Frame, Pose
 from jaxbody.joints import unit_vector
 from jaxbody.kinematics import Coordinates, supports_at
-from jaxbody.models import Model, unknown
+from jaxbody.models import Model, State, unknown
 from jaxbody.torsions import Torsion
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  # along and about world axes
@@ -271,9 +272,16 @@ def ports_of(
         return (), (), ()
     for name, port in given.items():
         there = f"{where}.{what}[{name!r}]"
-        scalar_sensor = hasattr(port, "reading") and getattr(port, "shape", None) == ()
+        scalar_sensor = hasattr(port, "reading") and getattr(port, "shape", None) == () and port.plain
         if not (isinstance(port, Input) if what == "inputs" else isinstance(port, OUTPUTS) or scalar_sensor):
-            problems.add("WRONG_KIND", there, f"is a {type(port).__name__}", value=port, limit=limit, hint="A sensor must read one number.")
+            problems.add(
+                "WRONG_KIND",
+                there,
+                f"is a {type(port).__name__}",
+                value=port,
+                limit=limit,
+                hint="A sensor must read one number, with no chain and of no accelerations.",
+            )
         elif (found := port.problem(model, there)) is not None:
             problems.found.append(found)
     if problems.found:
@@ -339,8 +347,10 @@ def _readings(model: Model, q, sensors: list[Any]):
     def readings(x, rate):
         coordinates, (delta, xi), (v, xi_dot) = Coordinates(model), *(jnp.split(y, [layout.nv]) for y in (x, rate))
         supports = supports_at(model, xi.reshape(-1, 6), xi_dot.reshape(-1, 6))
-        frames = coordinates.frames(coordinates.retract(q, delta), v, supports)
-        return [sensor.reading(model, frames) for sensor in sensors]
+        state = State(coordinates.retract(q, delta), v)
+        frames = coordinates.frames(state.q, v, supports)
+        now = Instant(frames.p, frames.R, frames.v, frames.w, state)
+        return [sensor.reading(model, now) for sensor in sensors]
 
     return jax.jacfwd(readings, (0, 1))(zero, zero) if sensors else []
 

@@ -30,6 +30,7 @@ PATIENCE = 25  # evaluations without a better one
 SETTLED = 1e-9  # part of the residual that parameters still explain, relative to all of it, not worth another evaluation
 SHORTER = 0.9  # part of a Gauss-Newton step that the next one may have
 REMEMBERED = 3  # steps that the next one learns from
+ROWS = 512  # of a block whose triangle is made first
 AT_BOUND = 1e-6  # distance in u from a bound that counts as at it
 
 Limits = tuple[np.ndarray, np.ndarray]
@@ -42,10 +43,18 @@ class Evaluations:
 
     def __init__(self, function: Callable, most: int, *, floor: float = 0.0, progress: bool = False, better: Callable = lambda u: None):
         self.function, self.most, self.floor, self.progress, self.better = function, most, floor, progress, better
-        self.count, self.failed, self.history, self.best, self._least, self._last = 0, 0, [], None, np.inf, None
+        self.count, self.failed, self.history, self.best, self._least, self._last, self._turned = 0, 0, [], None, np.inf, None, None
 
     def __call__(self, u) -> tuple[np.ndarray, np.ndarray]:
         return self._at(u)[:2]
+
+    def triangle(self, u) -> tuple[np.ndarray, np.ndarray]:
+        """(r, J) turned into as few rows as they have columns: lengths and angles of r and the columns of J stay, which is all that Gauss-Newton
+        steps, costs and gradients at one u ask for."""
+        found = self._at(u)
+        if self._turned is None or self._turned[0] is not found:
+            self._turned = (found, triangle(*found[:2]))
+        return self._turned[1]
 
     def more(self, u) -> Any:
         return self._at(u)[2]
@@ -80,6 +89,19 @@ class Evaluations:
         return self.count >= self.most
 
 
+def triangle(r: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The last column of T, and those before it, of [J r] = Q T; first by blocks of rows, which stay in a cache."""
+    T = np.concatenate([J, r[:, None]], 1)
+    n, whole = T.shape[1], len(r) // ROWS * ROWS
+    if len(T) < 4 * n:
+        return r, J
+    if not np.isfinite(T).all():
+        return np.full(n, np.nan), np.full((n, n - 1), np.nan)
+    blocks = np.reshape(np.linalg.qr(T[:whole].reshape(-1, ROWS, n), mode="r"), (-1, n))
+    T = np.asarray(np.linalg.qr(np.concatenate([blocks, T[whole:]]), mode="r"))
+    return T[:, -1], T[:, :-1]
+
+
 class _Near(Exception):
     """The Gauss-Newton step from u is so short that it may finish the search."""
 
@@ -95,13 +117,13 @@ def by_scipy(evaluate: Evaluations, u, limits: Limits) -> tuple[np.ndarray, bool
     size = np.linalg.norm(evaluate(u)[0]) or 1.0  # so that its first region of trust is one of u, not of noise
 
     def jacobian(u):
-        towards, S, V = _whitened(evaluate(u))
+        towards, S, V = _whitened(evaluate.triangle(u))
         if np.abs(V @ (towards / S)).max(initial=0.0) <= NEAR and (limits[0] < u).all() and (u < limits[1]).all():
             raise _Near(u)
-        return evaluate(u)[1] / size
+        return evaluate.triangle(u)[1] / size
 
     try:
-        found = least_squares(lambda u: evaluate(u)[0] / size, np.asarray(u), jacobian, limits, x_scale="jac", xtol=1e-11, ftol=1e-15, gtol=1e-15, max_nfev=left)  # fmt: skip
+        found = least_squares(lambda u: evaluate.triangle(u)[0] / size, np.asarray(u), jacobian, limits, x_scale="jac", xtol=1e-11, ftol=1e-15, gtol=1e-15, max_nfev=left)  # fmt: skip
     except _Near as near:
         return settled(evaluate, near.u, True, limits)
     return settled(evaluate, found.x, found.status > 0, limits)
@@ -111,13 +133,13 @@ def settled(evaluate: Evaluations, u, arrived: bool, limits: Limits) -> tuple[np
     """Gauss-Newton steps from where costs, rough by the tolerance of the integration, tell no difference, as long as they get shorter."""
     u = np.asarray(u)
     inside = np.all(np.abs(u - np.stack(limits)) > AT_BOUND, axis=0)
-    towards, S, V = _whitened(evaluate(u), inside)
+    towards, S, V = _whitened(evaluate.triangle(u), inside)
     taken: list[tuple[np.ndarray, np.ndarray]] = []
     while arrived and np.linalg.norm(towards) > SETTLED * np.linalg.norm(evaluate(u)[0]) and not evaluate.spent:
         new = u.copy()
         taken = [*taken[-REMEMBERED:], (u[inside], -V @ (towards / S))]
         new[inside] = _accelerated(taken)
-        before, (towards, S, V) = np.linalg.norm(towards), _whitened(evaluate(new), inside)
+        before, (towards, S, V) = np.linalg.norm(towards), _whitened(evaluate.triangle(new), inside)
         if not np.linalg.norm(towards) < SHORTER * before or (new < limits[0]).any() or (new > limits[1]).any():
             break
         u = new

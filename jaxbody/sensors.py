@@ -1,44 +1,135 @@
-"""What an instrument on a body reads."""
+"""What an instrument on a body reads, with what lies between that and its record: gain, bias, delay and lag."""
 
-from typing import Any
+from typing import Any, ClassVar, TypedDict, Unpack
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 
-from jaxbody import rotations
+from jaxbody import rotations, transducers
 from jaxbody.arrays import checked, concrete
 from jaxbody.bodies import vector
 from jaxbody.channels import Channel
+from jaxbody.dynamics import Instant
 from jaxbody.elements import Element
 from jaxbody.errors import JaxbodyError, Problem, Problems
-from jaxbody.frames import Frame
 from jaxbody.joints import unit_vector
-from jaxbody.kinematics import Motions
-from jaxbody.models import Model, State, unknown
-from jaxbody.simulations import Trajectory, table_of
+from jaxbody.models import Model, unknown
 
 Reading = Float[Array, "*r"]
 
 
+class Chain(TypedDict, total=False):
+    """What may stand between what an instrument measures and what it reads: see Sensor."""
+
+    gain: Any
+    bias: Any
+    delay: Any
+    lag: Any
+    start: Any
+
+
 class Sensor(Channel):
-    """The base of all sensors: a channel with the `reading` of a table of frames."""
+    """The base of all sensors: `reading` of the frames at one time, `transduced` into a record, and `residual`, reading less measured.
+
+        y(t) = gain x_lag(t) + bias,   lag x_lag' + x_lag = x(t - delay),   x_lag(t_0) = start
+
+    Each of these may be missing (None): `gain`, one number or one for each component; `bias` likewise, in the unit of the residual; `delay` [s],
+    of either sign; `lag` [s], a time constant; `start`, without it x(t_0 - delay), as of an instrument that had settled. Before the first sample and
+    after the last a reading goes on as it did at most one sample far; delayed samples further outside are not known: `measure`
+    has NaN there, and in a fit they count as missing, fading over one sample.
+
+    `shape` of a reading and `noise_shape` of a residual; `unit` of either, where there are several by commas: noise has a number for each.
+    `accelerations`, `reactions`: whether a reading needs those of the frames, and what supports bear. A sensor of one's own derives from it and states `on`, `shape`, `unit`, `reading`.
+
+    >>> Position("plate", gain=1.02, delay=1e-3).delay.item()
+    0.001
+    """
 
     on: eqx.AbstractVar[str]
+    accelerations: ClassVar[bool] = False
+    reactions: ClassVar[bool] = False
+    stages: ClassVar[tuple[str, ...]] = ("gain", "bias", "delay", "lag", "start")  # of the chain, that it may have
+    gain: Float[Array, "*g"] | None = eqx.field(default=None, kw_only=True)
+    bias: Float[Array, "*b"] | None = eqx.field(default=None, kw_only=True)
+    delay: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
+    lag: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
+    start: Float[Array, "*r"] | None = eqx.field(default=None, kw_only=True)
 
-    def reading(self, model: Model, frames: Frame) -> Reading:
+    def chained(self, problems: Problems, **chain: Unpack[Chain]) -> None:
+        """Takes gain, bias, delay, lag and start."""
+        kind = type(self).__name__
+        self.gain = self.bias = self.delay = self.lag = self.start = None
+        shapes = {"gain": self.shape, "bias": self.noise_shape, "start": self.shape}
+        for name, value in chain.items():
+            if name not in Chain.__annotations__:
+                raise TypeError(f"{kind} has no argument '{name}'")
+            where = f"{kind}.{name}"
+            if value is None:
+                continue
+            if name not in self.stages:
+                problems.add("BAD_CHAIN", where, "has no meaning for an orientation", value=value, limit=", ".join(self.stages))
+                continue
+            shape = shapes.get(name, ())
+            several = shape if "gain" in self.stages else ()
+            array = checked(value, ((), shape) if shape and several else (shape,), where, problems)
+            setattr(self, name, array)
+            if name == "lag" and array is not None and (known := concrete(array)) is not None and known <= 0:
+                problems.add("BAD_LAG", where, f"is {known:g} s", value=known, limit="> 0", hint="Leave it out where there is none.")
+        if self.start is not None and self.lag is None:
+            problems.add(
+                "BAD_CHAIN", f"{kind}.start", "is where the lag sets out, and there is none", value=self.start, hint="Give lag=..."
+            )
+
+    def reading(self, model: Model, frames: Instant) -> Reading:
+        """What it measures at one time, before its chain."""
         raise TypeError  # pragma: no cover
+
+    def transduced(self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
+        """The record that its chain makes of what it measures."""
+        if self.delay is not None:
+            x = self.delayed(times, x)
+        if self.lag is not None:
+            x = transducers.lagged(times, x, self.lag, x[0] if self.start is None else self.start)
+        if self.gain is not None:
+            x = self.gain * x
+        return x if self.bias is None else self.disturbed(x, self.bias)
+
+    def delayed(self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
+        """x(t - delay)."""
+        return transducers.delayed(times, x, self.delay)
+
+    def weight(self, times: Float[Array, "nt"]) -> Float[Array, "nt"]:
+        """How far each sample counts: 0 where delayed ones are not known."""
+        return jnp.ones_like(times) if self.delay is None else transducers.known(times, self.delay)
+
+    def misfit(self, times: Float[Array, "nt"], reading: Float[Array, "nt *r"], measured: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
+        """Residuals of a record, each as far as it counts."""
+        r = self.residual(reading, measured)
+        if self.delay is None:
+            return r
+        weight = self.weight(times).reshape(-1, *[1] * (r.ndim - 1))
+        return jnp.where(weight > 0, weight * r, 0.0)
 
     def disturbed(self, reading: Reading, noise: Float[Array, "*r"]) -> Reading:
         """A reading with noise on it."""
         return reading + noise
 
+    @property
+    def plain(self) -> bool:
+        """True of one without a chain that needs no accelerations."""
+        return not self.accelerations and all(getattr(self, stage) is None for stage in Chain.__annotations__)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The bodies and supports that it is on."""
+        return (self.on,)
+
     def problem(self, model: Model, where: str) -> Problem | None:
         """What is wrong with it on this model."""
         known = model.layout.frames
-        return None if self.on in known else unknown(self.on, where, known)
+        return next((unknown(name, where, known) for name in self.names if name not in known), None)
 
     def misread(self, measured: np.ndarray, where: str) -> Problem | None:
         """What is wrong with samples of the right shape."""
@@ -57,10 +148,11 @@ class Position(Sensor):
     axis: Float[Array, "3"] | None
     unit = "m"
 
-    def __init__(self, on: str, point=(0, 0, 0), *, axis=None):
+    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, **chain: Unpack[Chain]):
         problems = Problems()
         self.on, self.point = on, vector(point, "Position.point", problems)
         self.axis = None if axis is None else unit_vector(axis, "Position.axis", problems)
+        self.chained(problems, **chain)
         problems.raise_if_any()
 
     @property
@@ -71,63 +163,6 @@ class Position(Sensor):
         row = model.layout.frame(self.on)
         p = frames.p[row] + rotations.rotate(frames.R[row], self.point)
         return p if self.axis is None else rotations.dot(self.axis, p)
-
-
-class BodyPose(Sensor):
-    """Pose of a body or support: position of its origin [m] and unit quaternion w, x, y, z, seven numbers.
-
-    The residual has six: position, and rotation vector from the measured to the read orientation, world axes. Noise is one number for
-    both, or two: meters on the position, radians on the orientation.
-
-    >>> BodyPose("plate").shape, BodyPose("plate").noise_shape
-    ((7,), (6,))
-    """
-
-    on: str = eqx.field(static=True)
-    shape = (7,)
-    unit = "m, rad"
-
-    def __init__(self, on: str):
-        self.on = on
-
-    @property
-    def noise_shape(self):
-        return (6,)
-
-    def reading(self, model, frames):
-        row = model.layout.frame(self.on)
-        return jnp.concatenate([frames.p[row], rotations.from_matrix(frames.R[row])])
-
-    def residual(self, reading, measured):
-        gone = self.missing(measured)
-        q = rotations.normalize(jnp.where(gone[..., 3:4], reading[..., 3:], measured[..., 3:]))
-        turn = rotations.log_quaternion(rotations.multiply(reading[..., 3:], q * jnp.array([1.0, -1, -1, -1])))
-        return jnp.where(gone, 0.0, jnp.concatenate([reading[..., :3] - measured[..., :3], turn], -1))
-
-    def missing(self, measured):
-        gone = super().missing(measured)
-        turn = gone[..., 3:].any(-1, keepdims=True)
-        return (np if isinstance(gone, np.ndarray) else jnp).concatenate([gone[..., :3], turn, turn, turn], -1)
-
-    def disturbed(self, reading, noise):
-        turned = rotations.multiply(rotations.exp_quaternion(noise[..., 3:]), reading[..., 3:])
-        return jnp.concatenate([reading[..., :3] + noise[..., :3], turned], -1)
-
-    def spread(self, level):
-        return jnp.repeat(jnp.broadcast_to(level, (2,)), 3)
-
-    def pooled(self, x):
-        return x.reshape(-1, 2, 3).sum((0, 2))
-
-    def misread(self, measured, where):
-        length = np.linalg.norm(measured[..., 3:], axis=-1)
-        off = np.flatnonzero(np.abs(length - 1) > 1e-3)  # not where it is NaN
-        if not len(off):
-            return None
-        told = f"has a quaternion of length {length[off[0]]:.6g} in row {off[0]}"
-        return Problem(
-            "BAD_QUATERNION", where, told, measured[off[0]], "1 within 1e-3", "Columns: x, y, z, then the quaternion w, x, y, z."
-        )
 
 
 class Elongation(Sensor):
@@ -141,8 +176,11 @@ class Elongation(Sensor):
     shape = ()
     unit = "m"
 
-    def __init__(self, on: str):
+    def __init__(self, on: str, **chain: Unpack[Chain]):
+        problems = Problems()
         self.on = on
+        self.chained(problems, **chain)
+        problems.raise_if_any()
 
     def reading(self, model, frames):
         element: Element = model[self.on]
@@ -151,12 +189,6 @@ class Elongation(Sensor):
     def problem(self, model, where):
         names = tuple(name for table in model.elements if table.rows.size == 1 for name in table.names)
         return None if self.on in names else unknown(self.on, where, names)
-
-
-def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sensor]) -> dict[str, Array]:
-    """What all sensors read at one time."""
-    frames = table_of(model, motions, t, state)
-    return {name: sensor.reading(model, frames) for name, sensor in sensors.items()}
 
 
 def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:
@@ -190,35 +222,3 @@ def noise_levels(sensors: dict[str, Sensor], noise: Any, where: str, problems: P
         if level is not None:
             levels[name] = level
     return levels
-
-
-def measure(
-    trajectory: Trajectory, sensors: dict[str, Sensor], *, noise: float | dict[str, Any] = 0.0, key: PRNGKeyArray | None = None
-) -> dict[str, Array]:
-    """{sensor: readings (nt, ...)} of a trajectory, with white Gaussian noise of the standard deviation `noise` (one number, or one for each sensor).
-
-    Noise on a pose is in meters on its position and in radians on its orientation; it may be two numbers. Leading axes of a batch of
-    trajectories stay. Errors, all at once: WRONG_KIND, UNKNOWN_NAME, BAD_NOISE, BAD_SHAPE, NON_FINITE, NO_KEY.
-
-    >>> import jax, jax.numpy as jnp
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, gravity=[0, -9.81, 0])
-    >>> measured = measure(simulate(model, jnp.linspace(0, 1, 5)), {"place": Position("mass")}, noise=1e-3, key=jax.random.key(0))
-    >>> measured["place"].shape
-    (5, 3)
-    """
-    check_sensors(sensors, trajectory.model, "sensors")
-    problems = Problems()
-    levels = noise_levels(sensors, noise, "noise", problems, zero=True)
-    noisy = any(concrete(level) is None or np.any(level) for level in levels.values())
-    if noisy and key is None:
-        problems.add("NO_KEY", "measure.key", "is missing", hint="Noise needs key=jax.random.key(...).")
-    problems.raise_if_any()
-    readings = trajectory.at_samples(read, sensors)
-    if key is None or not noisy:
-        return readings
-    keys = dict(zip(sensors, jax.random.split(key, len(sensors)), strict=True))
-    lead = trajectory.times.shape
-    return {
-        name: sensor.disturbed(readings[name], sensor.spread(levels.get(name, 0.0)) * jax.random.normal(keys[name], (*lead, *sensor.noise_shape)))
-        for name, sensor in sensors.items()
-    }  # fmt: skip

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
-from equinox import filter_jit
+from equinox import combine, filter_jit, is_array, partition
 from jaxtyping import Array, Float, Int
 
 from jaxbody import integrators, tables
@@ -20,6 +20,7 @@ from jaxbody.dynamics import Dynamics
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.frames import Frame, Pose
 from jaxbody.kinematics import Coordinates, Motions, supports_moving
+from jaxbody.lanes import in_lanes
 from jaxbody.laws import has_range
 from jaxbody.linearizations import linearize
 from jaxbody.loads import Load, loads_of
@@ -84,23 +85,25 @@ class Trajectory(Result):
         the loads put in [W], each (nt,)."""
         return {
             "damping": self.at_samples(_damping_power),
-            "supports": self.at_samples(_support_power, self.loads),
-            "loads": self.at_samples(_load_power, self.loads),
+            "supports": self.at_samples(_support_power, loads=True),
+            "loads": self.at_samples(_load_power, loads=True),
         }
 
     @property
     def reactions(self) -> dict[str, tuple[Array, Array]]:
         """Of each support the force and the moment about its origin, world axes, that everything on it exerts, each (nt, 3)."""
-        force, moment = self.at_samples(_reactions, self.loads)
+        force, moment = self.at_samples(_reactions, loads=True)
         axis = self.times.ndim
         return {name: (jnp.take(force, i, axis=axis), jnp.take(moment, i, axis=axis)) for i, name in enumerate(self.model.layout.supports)}
 
     def _of_elements(self, function: Callable) -> dict[str, Array]:
         return by_name(tuple(table.names for table in self.model.elements), self.at_samples(function), axis=self.times.ndim)
 
-    def at_samples(self, function: Callable, *more: Any) -> Any:
-        """function(model, motions, t, state, *more) at every sample, leading axes of a batch kept; compiled once for each function."""
-        return _evaluate(function, self.times.ndim - 1, self.model, self.motions, self.times, self.state, more)
+    def at_samples(self, function: Callable, *more: Any, loads: bool = False) -> Any:
+        """function(model, motions, t, state, *more) at every sample, with `loads` (..., state, loads, *more); leading axes of a batch kept;
+        compiled once for each function."""
+        with_loads = (self.loads,) if loads else ()
+        return _evaluate(function, self.times.ndim - 1, self.model, self.motions, with_loads, self.times, self.state, more)
 
     def explain(self) -> str:
         t, status = float(self.end[0]), Status(int(self.status))
@@ -418,11 +421,18 @@ def _support_power(model, motions, t, state, loads):
 
 
 @filter_jit
-def _evaluate(function: Callable, batch_axes: int, model, motions, times, state, more):
-    over_batch = jax.vmap(lambda m, s, t, x: function(m, s, t, x, *more), in_axes=(None, None, 0, 0))
+def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
+    given, rest = partition((model, motions, loads), is_array)
+    others, fixed = partition(more, is_array)
+
+    def one(given, t, state, others):
+        model, motions, loads = combine(given, rest)
+        return function(model, motions, t, state, *loads, *combine(others, fixed))
+
+    over_batch = jax.vmap(in_lanes(one), in_axes=(None, 0, 0, None))
     for _ in range(batch_axes):
-        over_batch = jax.vmap(over_batch)
-    return over_batch(model, motions, times, state)
+        over_batch = jax.vmap(over_batch, in_axes=(0, 0, 0, None))
+    return over_batch(given, times, state, others)
 
 
 def _culprit(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State) -> str:

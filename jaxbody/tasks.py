@@ -66,8 +66,7 @@ class Task(eqx.Module):
         """Readings, and residuals over noise (zero where a sample is missing), of one measurement."""
         readings = experiment.readings(model, self.integration)
         residuals = {
-            name: channel.residual(readings[name], experiment.measured[name]) / channel.spread(noise[name])
-            for name, channel in experiment.channels.items()
+            name: experiment.residual(name, readings[name]) / channel.spread(noise[name]) for name, channel in experiment.channels.items()
         }
         return readings, residuals
 

@@ -25,7 +25,8 @@ ROWS = (
     "load_paths statics cases preloads equilibria ports state_spaces linearizations",
     "vibrations energies elastic_axes spins complex_modes branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
-    "channels sensors experiments measured_responses measured_modes parametrizations losses tasks checkpoints",
+    "channels transducers sensors records attitudes instruments gauges",
+    "experiments measured_responses measured_modes parametrizations losses tasks checkpoints",
     "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts profiles validations bands",
     "canvases mode_plots response_plots fit_plots plots demos",
 )
