@@ -158,6 +158,24 @@ def test_intervals_and_notes_print(found):
         found.intervals(95)
 
 
+@pytest.mark.long
+def test_missing_samples_and_the_order_of_runs_change_nothing(record):
+    """Against a fit to the samples that there are, and to the same two runs, one with five times the noise, in the other order."""
+    gaps = np.where(np.arange(len(TIMES)) % 3 == 2, np.nan, record)
+    with pytest.warns(jb.JaxbodyWarning, match="MISSING"):
+        masked = fit(run(gaps))
+    there = np.isfinite(gaps)
+    alone = fit(run(record[there], TIMES[there]))
+    loud = motion(*TRUTH) + 5 * SIGMA * np.random.default_rng(1).normal(size=len(TIMES))
+    both = {"b": run(record)["run"], "a": run(loud)["run"]}
+    one, other = fit(both), fit(dict(reversed(both.items())))
+    for found, expected in ((masked, alone), (one, other)):
+        for path in FREE:
+            np.testing.assert_allclose(found.estimates[path], expected.estimates[path], rtol=1e-6)
+            np.testing.assert_allclose(found.standard_errors[path], expected.standard_errors[path], rtol=1e-4)
+    assert masked.uncertainty.samples == there.sum()
+
+
 def test_pictures_of_a_fit_show_its_numbers(found, record, profile):
     axes = plots.plot_fit(found)
     below = axes.figure.axes[1]
