@@ -129,11 +129,13 @@ class _Walk:
         self.arrived = True
 
     def _curvature(self) -> float:
-        """Of the cost, the others following: Gauss and Newton's; of a robust loss by differences of its gradient, as far outliers bend it the other way."""
+        """Of the cost, those of the others that are at no bound following: Gauss and Newton's; of a robust loss by differences of its gradient, as far outliers bend it the other way."""
         fit, i = self.fit, self.i
         _, J, runs = self.evaluate(fit.u)
         _, J = fit.task.linearized(runs, np.asarray(J))
-        along = np.insert(-np.linalg.lstsq(np.delete(J, i, axis=1), J[:, i], rcond=1e-9)[0], i, 1.0)
+        others = np.all(np.abs(np.asarray(fit.u) - np.stack(self.limits)) >= AT_BOUND, axis=0) & (np.arange(len(fit.u)) != i)
+        along = np.eye(len(fit.u))[i]
+        along[others] = -np.linalg.lstsq(J[:, others], J[:, i], rcond=1e-9)[0]
         if fit.task.loss is None or not np.isfinite(self.error):
             return float((J @ along) @ (J @ along))
         step = ROBUST_STEP * self.error * along
