@@ -129,7 +129,8 @@ class _Walk:
         self.arrived = True
 
     def _curvature(self) -> float:
-        """Of the cost, those of the others that are at no bound following: Gauss and Newton's; of a robust loss by differences of its gradient, as far outliers bend it the other way."""
+        """Of the cost, the others that are at no bound following: Gauss and Newton's; of a robust loss, which far outliers bend the other way, by
+        differences of its gradient."""
         fit, i = self.fit, self.i
         _, J, runs = self.evaluate(fit.u)
         _, J = fit.task.linearized(runs, np.asarray(J))
