@@ -134,9 +134,10 @@ def main():
     lines = [
         "# Coverage of 95 % intervals",
         "",
-        f"`tests/benchmarks/coverage.py`, {options.replicates} replicates a row, seed {SEED}, {datetime.date.today()}. Percent of replicates, "
-        f"least and most over {' '.join(FREE)} (7 parameters); 2000 replicates know a share of 95 % to 0.5 (one standard deviation). `p` is that of",
-        "Kolmogorov and Smirnov's test of the normalized squares of the errors against chi-squared.",
+        f"`tests/benchmarks/coverage.py`, {options.replicates} replicates a row, seed {SEED}, {datetime.date.today()}. Percent of replicates, least and most",
+        f"over seven parameters, {' '.join(FREE)}; 2000 replicates know a share of 95 % to 0.5 (one standard deviation). `p` is that of Kolmogorov and",
+        "Smirnov's test of the normalized squares of the errors against chi-squared, which holds for white noise; of much correlated noise the covariance",
+        "itself is known from so few independent numbers that squares are larger, which the t-quantiles of the intervals account for.",
         "",
         "| instrument | samples a channel | rho | held, % | held by naive intervals, % | flagged, % | p |",
         "|---|---|---|---|---|---|---|",
