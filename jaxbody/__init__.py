@@ -11,6 +11,7 @@ from jaxbody.collocations import Gauss
 from jaxbody.compilations import compile_times
 from jaxbody.complex_modes import complex_modes, whirl
 from jaxbody.contacts import Contact, Tyre
+from jaxbody.diagnoses import diagnose
 from jaxbody.elastic_axes import elastic_axes, torque_roll_axis
 from jaxbody.elements import Bushing, Element, Spring, SpringDamper
 from jaxbody.energies import mode_energies
@@ -36,15 +37,18 @@ from jaxbody.multistarts import Multistart, multistart
 from jaxbody.naming import paths, replace
 from jaxbody.nonlinearities import backbones
 from jaxbody.options import fast_loops
+from jaxbody.plausibilities import plausibility
 from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
 from jaxbody.preloads import preload
 from jaxbody.profiles import profile
 from jaxbody.random_responses import random_response
 from jaxbody.recordings import read_record
 from jaxbody.records import measure
+from jaxbody.response_files import read_responses
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
 from jaxbody.sensors import Elongation, Position, Sensor
+from jaxbody.shootings import multiple_shooting
 from jaxbody.simulations import simulate
 from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin

@@ -62,7 +62,8 @@ class Record:
         problems.raise_if_any()
         for key in [key for key, (x, _) in given.items() if len(x) != len(t)]:
             told, limit = f"has {len(given[key][0])} samples", f"{len(t)}, as the times have"
-            problems.add("BAD_SHAPE", f"{name}['{key}']", told, value=given[key][0].shape, limit=limit, hint="One row per time.")
+            hint = "It looks transposed: give values.T." if given[key][0].shape[-1] == len(t) else "One row per time."
+            problems.add("BAD_SHAPE", f"{name}['{key}']", told, value=given[key][0].shape, limit=limit, hint=hint)
         problems.raise_if_any()
         if drop_duplicates:
             t, given = without_duplicates(t, given, name, notes)

@@ -146,10 +146,26 @@ class Configuration(Parametrization):
         return [f"[{name}]" for name in self.model.layout.coordinates]
 
 
+class Configurations(Configuration):
+    """Several of them, a row each."""
+
+    @property
+    def size(self) -> int:
+        return len(self.start) * self.model.layout.nv
+
+    def value(self, u):
+        return jax.vmap(Coordinates(self.model).retract)(self.start, u.reshape(len(self.start), -1))
+
+    def labels(self):
+        return [f"[{row}, {name}]" for row in range(len(self.start)) for name in self.model.layout.coordinates]
+
+
 def parametrize(path: str, start: Array, model: Model, size: Array) -> Parametrization | Problem:
     """The parametrization that suits a leaf, or what is wrong with its start."""
     field = path.rsplit(".", 1)[-1]
     known = concrete(start)
+    if path.endswith("nodes.q"):
+        return Configurations(start, model)
     if path.endswith("initial.q"):
         return Configuration(start, model)
     if field in POSITIVE and start.ndim < 2:

@@ -355,7 +355,7 @@ def _scales(dynamics: Dynamics, span) -> Float[Array, "ny"]:
     length = {False: size, True: jnp.ones_like(size)}
     q = [1.0 if kind.nq - kind.nv == 1 and i >= kind.nq - 4 else length[bool(kind.nq == kind.nv and kind.turns[i])] for kind in layout.kinds for i in range(kind.nq)]  # fmt: skip
     v = [rate * length[bool(turn)] for turn in layout.turns]
-    scales = jnp.stack([jnp.asarray(x, size.dtype) for x in q + v])
+    scales = jnp.asarray(q + v, size.dtype).reshape(len(q + v))
     if not layout.floating:
         return scales
     n = len(layout.bodies)

@@ -221,7 +221,8 @@ def test_comfort_on_a_class_c_road(monkeypatch):
 def test_one_glider():
     """It asserts that estimates are those of the closed form by SciPy; here the published residual of a free decay, and what is held out."""
     data("gliders", "real_linear_h_1.txt")
-    names, printed = run("glider.py")
+    with pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):
+        names, printed = run("glider.py")
     assert names["fit"].ok and names["shares"][1] < 0.8 and "held out" in printed
     whole = names["judge"](names["record"])
     assert abs(whole["stiffness"][0] / float(names["fit"].estimates["spring.stiffness"]) - 1) < 1e-3  # halves agree with the whole
@@ -229,9 +230,9 @@ def test_one_glider():
 
 @pytest.mark.long
 def test_a_pendulum_with_friction():
-    """It asserts the period's a and the residuals; the dry friction comes out negative, by several standard errors."""
+    """It asserts the period's a and the residuals; the interval of the dry friction holds zero and ends below half a percent of the weight's moment."""
     data("gliders", "real_pend_h_1.txt")
     names, printed = run("pendulum.py")
     dry = names["fits"]["viscous and dry"]
-    path = "hinge.damper.terms.1.level"
-    assert float(dry.estimates[path]) < -2 * float(dry.standard_errors[path]) and "12 missing" in printed
+    level, error = (float(x["hinge.damper.terms.1.level"]) for x in (dry.estimates, dry.standard_errors))
+    assert level - 2 * error < 0 < level + 2 * error < 0.005 * names["a"] and "12 missing" in printed

@@ -18,16 +18,16 @@ PACKAGE = Path(jb.__file__).parent
 
 # From the ground up; a module imports only from modules before it.
 ROWS = (
-    "errors tables results arrays exports options compilations units texts mat_files formats",
+    "errors tables results arrays exports options compilations units texts sources mat_files universal_files formats",
     "rotations frames linear_solves eigenproblems lanes integrators",
-    "motions samplings repairs measurements recordings base_motions splines signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
+    "motions samplings repairs measurements recordings response_files base_motions splines signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
     "kinematics mechanics dynamics derivatives",
     "load_paths statics cases preloads equilibria ports state_spaces linearizations",
     "vibrations energies elastic_axes spins complex_modes branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
     "channels transducers sensors records attitudes instruments gauges",
-    "experiments measured_responses measured_modes parametrizations losses tasks checkpoints",
-    "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts profiles validations bands",
+    "experiments diagnoses plausibilities measured_responses measured_modes parametrizations losses tasks checkpoints",
+    "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts shootings profiles validations bands",
     "canvases mode_plots response_plots fit_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()

@@ -123,14 +123,13 @@ def as_mat73(path):
         file.write(b"MATLAB 7.3 MAT-file".ljust(124))
 
 
-def as_uff(path):
-    import pyuff
-
+def uff_set(**fields):
+    """A set 58 with all that the package wants to have."""
     exponents = {f"{axis}_{of}_unit_exp": 0 for axis in ("abscissa", "ordinate", "orddenom", "z_axis") for of in ("len", "force", "temp")}
     labels = {f"{axis}_axis_units_lab": "NONE" for axis in ("abscissa", "ordinate", "orddenom", "z_axis")}
-    kinds = {f"{axis}_spec_data_type": 0 for axis in ("orddenom", "z_axis")}
+    kinds = {f"{axis}_spec_data_type": 0 for axis in ("ordinate", "orddenom", "z_axis")}
     where = {"rsp_node": 4, "rsp_ent_name": "NONE", "ref_node": 0, "ref_dir": 0, "ref_ent_name": "NONE", "ver_num": 0, "load_case_id": 0}
-    time = {
+    even = {
         "abscissa_spacing": 1,
         "abscissa_min": 0.0,
         "abscissa_inc": 1 / 200,
@@ -139,8 +138,14 @@ def as_uff(path):
         "x": TIMES,
     }
     common = {"type": 58, "binary": 0, "func_type": 1, "ord_data_type": 4, "num_pts": 50, **{f"id{i}": "NONE" for i in range(1, 6)}}
-    common |= {**exponents, **labels, **kinds, **where, **time, "ordinate_spec_data_type": 12, "ordinate_axis_units_lab": "g"}
-    pyuff.UFF(str(path)).write_sets([{**common, "rsp_dir": k + 1, "data": X[:, k] / 9.80665} for k in range(3)], "overwrite")
+    return {**common, **exponents, **labels, **kinds, **where, **even, **fields}
+
+
+def as_uff(path):
+    import pyuff
+
+    sets = [uff_set(rsp_dir=k + 1, data=X[:, k] / 9.80665, ordinate_axis_units_lab="g", ordinate_spec_data_type=12) for k in range(3)]
+    pyuff.UFF(str(path)).write_sets(sets, "overwrite")
 
 
 def as_tdms(path):
@@ -202,6 +207,41 @@ def test_a_missing_package_is_named_with_its_extra(missing, tmp_path, monkeypatc
         jb.read_record(path, channels={"acc": "acc"})
 
 
+def test_frequency_responses_of_a_universal_file(tmp_path):
+    """Two of them, in mm/s2 per lbf and without units, and a record in time beside them; then an experiment made of them."""
+    pyuff = pytest.importorskip("pyuff", reason="pyuff is not installed: pip install 'jaxbody[files]'")
+    H = RNG.normal(size=(50, 2)) @ [1, 1j]
+    x = {
+        "x": 2.0 + 0.5 * np.arange(50),
+        "abscissa_min": 2.0,
+        "abscissa_inc": 0.5,
+        "abscissa_spec_data_type": 18,
+        "func_type": 4,
+        "ord_data_type": 6,
+    }
+    x |= {"ref_node": 1, "ref_dir": -3, "data": H}
+    units_of = {"ordinate_axis_units_lab": "mm/s^2", "orddenom_axis_units_lab": "lbf"}
+    sets = [uff_set(rsp_dir=3, **units_of, **x), uff_set(rsp_dir=1, **x), uff_set(rsp_dir=1, data=X[:, 0])]
+    path = tmp_path / "plate.uff"
+    pyuff.UFF(str(path)).write_sets(sets, "overwrite")
+    pairs = {("z", "f"): "4+Z/1-Z", ("x", "f"): ("4+X/1-Z", "m/s2", "N")}
+    frequencies, measured = jb.read_responses(path, pairs)
+    np.testing.assert_allclose(frequencies, x["x"], rtol=1e-6)
+    np.testing.assert_allclose(measured["z", "f"], H * 1e-3 / (0.45359237 * 9.80665), rtol=0, atol=1e-9)  # 7 digits
+    np.testing.assert_allclose(measured["x", "f"], H, rtol=0, atol=1e-5)
+    inputs, outputs = (
+        {"f": jb.PointForce("plate", direction="z")},
+        {k: jb.PointMotion("plate", direction=k, kind="acceleration") for k in "xz"},
+    )
+    assert set(jb.MeasuredResponse(frequencies, inputs=inputs, outputs=outputs, measured=measured).channels) == {"z/f", "x/f"}
+    for bad, code in (("4+Y/1-Z", "UNKNOWN_CHANNEL"), ("4+X/1-Z", "NO_UNIT"), (("4+Z/1-Z", "m/s2", "N"), "UNIT_CONFLICT")):
+        with pytest.raises(jb.JaxbodyError) as refused:
+            jb.read_responses(path, {("z", "f"): bad})
+        assert refused.value.code == code
+    with pytest.raises(jb.JaxbodyError, match=r"no function of time.*read_responses.*NOT_A_RECORD"):
+        jb.read_record(path, channels={"z": ("4+Z", "m/s2")})
+
+
 PEER = """PEER NGA STRONG MOTION DATABASE RECORD
 Somewhere, 1/1/2000, Station, 090
 ACCELERATION TIME SERIES IN UNITS OF G
@@ -209,6 +249,17 @@ NPTS=  7, DT=  .0050 SEC,
   .1000000E-02   .2000000E-02  -.3000000E-02   .4000000E-02   .5000000E-02
   .6000000E-02   .7000000E-02
 """
+
+
+def test_channels_of_different_clocks_are_told(tmp_path):
+    nptdms = pytest.importorskip("nptdms", reason="npTDMS is not installed: pip install 'jaxbody[files]'")
+    with nptdms.TdmsWriter(tmp_path / "run.tdms") as file:
+        for name, step in (("slow", 1 / 100), ("fast", 1 / 200)):
+            kept = {"wf_increment": step, "wf_start_offset": 0.0, "unit_string": "g"}
+            file.write_segment([nptdms.ChannelObject("run", name, X[:, 0], properties=kept)])
+    with pytest.raises(jb.JaxbodyError, match=r"different times .*records of their own.*DIFFERENT_TIMES"):
+        jb.read_record(tmp_path / "run.tdms", channels={"a": "run/slow", "b": "run/fast"})
+    assert jb.read_record(tmp_path / "run.tdms", channels={"b": "run/fast"}).sampling.rate == pytest.approx(200)
 
 
 def test_peer_ground_motions(tmp_path):
@@ -340,6 +391,7 @@ RECORDS = {  # times, channel and unit, options, code, words
     "no sample in a column": (TIMES, (np.column_stack([X[:, 0], np.full(50, np.nan)]), "m"), {}, "ALL_NAN", "Record['x'][1] drop="),
     "infinite": (TIMES, (np.where(X > 2, np.inf, X), "m"), {}, "NON_FINITE", "Record['x']"),
     "too short": (TIMES, (X[:40], "m"), {}, "BAD_SHAPE", "40 samples 50"),
+    "transposed": (TIMES, (X.T, "m"), {}, "BAD_SHAPE", "3 samples 50 transposed values.T"),
     "a cube": (TIMES, (np.zeros((50, 2, 2)), "m"), {}, "BAD_SHAPE", "(n, k)"),
     "no unit": (TIMES, X, {}, "NO_UNIT", "Record['x'] m/s2"),
     "complex": (TIMES, (1j * X, "m"), {}, "COMPLEX", "Record['x']"),

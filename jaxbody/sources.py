@@ -1,0 +1,110 @@
+"""A measurement file before and while it is read: that it is there, of which format it is, which of its names is meant, what went wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import importlib
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxbody.errors import JaxbodyError, Problem
+from jaxbody.texts import split_unit
+
+Pick = Callable[[list[str]], dict[str, str]]  # {name as asked for: name in the file}, of all names in the file
+MAGIC = {b"\x89HDF": "hdf5", b"PAR1": "parquet", b"TDSm": "tdms", b"MDF ": "mdf", b"MATLAB": "mat", b"PK\x03\x04": "zip or xlsx", b"\x1f\x8b": "gzip"}  # fmt: skip
+SUFFIXES = {
+    "text": ".csv .txt .tsv .dat .asc", "parquet": ".parquet .pq", "mat": ".mat", "hdf5": ".h5 .hdf5 .hdf", "uff": ".uff .unv .uf",
+    "tdms": ".tdms", "mdf": ".mf4 .mdf", "peer": ".at2 .vt2 .dt2",
+}  # fmt: skip
+
+
+def kind_of(path: Path, format: str | None, largest: float) -> str:
+    """The format of a file that is there, by its suffix or as stated, and not against its first bytes."""
+    if format is not None and format not in SUFFIXES:
+        raise JaxbodyError(Problem("UNKNOWN_FORMAT", "format", f"is {format!r}", format, " ".join(SUFFIXES), "Give one of these."))
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            start = file.read(8)
+    except IsADirectoryError:
+        raise JaxbodyError(
+            Problem("IS_DIRECTORY", str(path), "is a directory", path, "a file", "Give the path of one file in it.")
+        ) from None
+    except (OSError, ValueError) as error:
+        told = f"cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise JaxbodyError(Problem("NO_FILE", str(path)[-200:], told, path, hint="Give the path of a file.")) from None
+    if size == 0:
+        raise JaxbodyError(Problem("EMPTY_FILE", path.name, "has no bytes", 0, "> 0", "Was it copied before it was written?"))
+    if size > largest:
+        raise JaxbodyError(too_large(path.name, size, largest))
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    suffix = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else suffixes[-1] if suffixes else ""
+    kind = format or next((kind for kind, known in SUFFIXES.items() if suffix in known.split()), None)
+    if kind is None:
+        hint = f'If you know what it is, say format="text", or another of {" ".join(SUFFIXES)}.'
+        raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the ending '{suffix}'", suffix, " ".join(SUFFIXES.values()), hint))
+    found = next((word for magic, word in MAGIC.items() if start.startswith(magic)), None)
+    expected = {"text": {None, "gzip"} if suffixes[-1:] == [".gz"] else {None}, "uff": {None}, "peer": {None}, "mat": {"mat", "hdf5", None}}.get(kind, {kind})  # fmt: skip
+    if found not in expected:
+        told = f"is taken for {kind}, but begins like {found or 'something else'}"
+        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, told, start, hint='Is the ending right? If it is not, say format="...".'))
+    return kind
+
+
+def too_large(name: str, size: float, largest: float) -> Problem:
+    hint = f"Say largest={max(1, round(size * 1.1 / 1e9))}e9 if there is memory for about five times that, or cut the file."
+    return Problem("TOO_LARGE", name, f"has {size:.4g} bytes", size, f"{largest:.4g} bytes", hint)
+
+
+def find_name(asked: str, names: list[str], where: str) -> str:
+    """The name in the file of a channel: itself, or without its unit, or without an index such as [2]."""
+    for name in (str(asked), re.sub(r"\[\d+\]$", "", str(asked))):
+        matches = [known for known in names if known == name] or [known for known in names if split_unit(known)[0] == split_unit(name)[0]]
+        if len(matches) == 1:
+            return matches[0]
+    near = difflib.get_close_matches(str(asked), names, 3, 0.5)
+    shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
+    hint = (f"Did you mean {' or '.join(near)}? " if near else "") + f"It has: {shown or 'nothing that can be read'}."
+    raise JaxbodyError(Problem("UNKNOWN_CHANNEL", where, f"has no channel '{asked}'", asked, hint=hint))
+
+
+def needed(module: str, package: str, extra: str, what: str) -> Any:
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        hint = f"pip install 'jaxbody[{extra}]'"
+        raise JaxbodyError(
+            Problem("MISSING_EXTRA", what, f"needs the package {package}, which is not installed", package, hint=hint)
+        ) from None
+
+
+@contextlib.contextmanager
+def told_of(path: Path, kind: str) -> Iterator[None]:
+    """Whatever a reader of another project raises on a broken file becomes an error that says so."""
+    try:
+        yield
+    except JaxbodyError:
+        raise
+    except MemoryError:
+        raise JaxbodyError(
+            Problem("TOO_LARGE", path.name, "does not fit into memory", hint="Read fewer channels, or cut the file.")
+        ) from None
+    except Exception as error:
+        told = f"cannot be read as {kind}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"[:200]
+        raise JaxbodyError(
+            Problem("UNREADABLE", path.name, told, path, hint="Is it whole? Was it closed by the program that wrote it?")
+        ) from None
+
+
+def numeric(values: Any, name: str, where: str) -> np.ndarray:
+    """Float64 numbers (n,) or (n, k); what is no number is an error."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "biuf" or array.ndim not in (1, 2):
+        told = f"'{name}' holds {array.dtype} of shape {array.shape}"
+        raise JaxbodyError(Problem("NOT_A_NUMBER", where, told, array.dtype, "numbers, (n,) or (n, k)", "Read another channel."))
+    return array.astype(np.float64)

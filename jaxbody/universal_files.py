@@ -1,0 +1,77 @@
+"""Universal files (UFF, UNV), sets 58: functions of time and frequency responses by node and direction, "4+Z"."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxbody.errors import JaxbodyError, Problem
+from jaxbody.sources import Pick, find_name, kind_of, needed, numeric, told_of
+from jaxbody.texts import Column, Contents
+
+DIRECTIONS = {0: "", 1: "+X", -1: "-X", 2: "+Y", -2: "-Y", 3: "+Z", -3: "-Z", 4: "+RX", -4: "-RX", 5: "+RY", -5: "-RY", 6: "+RZ", -6: "-RZ"}
+
+
+def sets_of(path: Path) -> list[dict[str, Any]]:
+    pyuff = needed("pyuff", "pyuff", "files", path.name)
+    file = pyuff.UFF(str(path))
+    return [file.read_sets(i) for i, kind in enumerate(file.get_set_types()) if int(kind) == 58]
+
+
+def _uff_place(s: dict[str, Any], of: str) -> str:
+    """Node and direction of the response (`rsp`) or reference (`ref`), "4+Z"."""
+    return f"{int(s[of + '_node'])}{DIRECTIONS.get(int(s[of + '_dir']), '')}"
+
+
+def _uff_unit(s: dict[str, Any], axis: str) -> str | None:
+    unit = str(s.get(f"{axis}_axis_units_lab") or "").strip()
+    return None if unit in ("", "NONE") else unit
+
+
+def _distinct(names: list[str]) -> list[str]:
+    return [name if names.count(name) == 1 else f"{name}#{i}" for i, name in enumerate(names)]
+
+
+def read_uff(path: Path, pick: Pick) -> Contents:
+    sets = sets_of(path)
+    names = _distinct([_uff_place(s, "rsp") for s in sets])
+    columns = {}
+    for asked, name in pick(names).items():
+        s = sets[names.index(name)]
+        if int(s["func_type"]) not in (0, 1) or np.iscomplexobj(s["data"]):
+            told = f"'{name}' is no function of time (function type {int(s['func_type'])})"
+            hint = "Read a time response; read_responses reads frequency responses."
+            raise JaxbodyError(Problem("NOT_A_RECORD", path.name, told, s["func_type"], "0 or 1", hint))
+        columns[asked] = Column(numeric(s["data"], name, path.name), _uff_unit(s, "ordinate"), np.asarray(s["x"], float))
+    return Contents(columns)
+
+
+@dataclass
+class Response:
+    """A frequency response as a file has it: frequencies [Hz], complex values, units of numerator and denominator."""
+
+    frequencies: np.ndarray
+    values: np.ndarray
+    above: str | None
+    below: str | None
+
+
+def read_uff_responses(path: Any, wanted: list[str], largest: float) -> dict[str, Response]:
+    """Frequency responses of a universal file by "response/reference"."""
+    path = Path(path)
+    kind_of(path, "uff", largest)
+    with told_of(path, "uff"):
+        sets = [s for s in sets_of(path) if int(s["func_type"]) == 4]
+        names = _distinct([f"{_uff_place(s, 'rsp')}/{_uff_place(s, 'ref')}" for s in sets])
+        found = {}
+        for asked in wanted:
+            s = sets[names.index(find_name(asked, names, path.name))]
+            x, y = np.asarray(s["x"], float), np.asarray(s["data"], complex)
+            if not (np.isfinite(x).all() and np.isfinite(y).all() and len(x) == len(y) > 0):
+                told = f"'{asked}' has {len(y)} values at {len(x)} frequencies, or infinite ones"
+                raise JaxbodyError(Problem("NOT_A_RESPONSE", path.name, told, len(y), "finite, one each", "Was it exported whole?"))
+            found[asked] = Response(x, y, _uff_unit(s, "ordinate"), _uff_unit(s, "orddenom"))
+    return found

@@ -1,0 +1,143 @@
+"""Blunders planted in a measured record are named, and a sound record is let pass."""
+
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from rigs import plate
+
+import jaxbody as jb
+
+TIMES = np.linspace(0, 4, 201)
+SENSORS = {
+    "corner": jb.Position("plate", [0.4, 0.3, 0.0]),
+    "edge": jb.Position("plate", [-0.4, 0.1, 0.0], axis=[0, 0, 1]),
+    "side": jb.Position("plate", [0.1, -0.3, 0.0], axis=[1, 0, 0]),
+}
+
+
+@pytest.fixture(scope="module")
+def swing():
+    """The model, where it starts, and what it reads: along, across and upwards at different frequencies."""
+    model = plate(damping=0.5)
+    eq = jb.equilibrium(model)
+    initial = jb.State(eq.state.q.at[:3].add(jnp.array([0.02, -0.015, 0.01])), jnp.array([0.05, 0.1, -0.1, 0.3, -0.2, 0.4]))
+    return model, initial, jb.measure(jb.simulate(model, TIMES, initial=initial), SENSORS)
+
+
+def diagnosed(swing, change, key=0):
+    model, initial, readings = swing
+    levels = jax.random.split(jax.random.key(key), 3)
+    noisy = {name: np.asarray(x + 2e-4 * jax.random.normal(k, x.shape)) for (name, x), k in zip(readings.items(), levels, strict=True)}
+    run = jb.Experiment(TIMES, initial=initial, sensors=SENSORS, measured=noisy | change(noisy))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", jb.JaxbodyWarning)
+        result = jb.diagnose(model, {"run": run})
+    return result, sorted({w.message.code for w in told if isinstance(w.message, jb.JaxbodyWarning)})
+
+
+def later(x, delay):
+    return np.interp(TIMES - delay, TIMES, x)
+
+
+def mirrored(x):
+    return x * [1, 1, -1] + [0, 0, 2 * x[:, 2].mean()]
+
+
+PLANTED = {
+    "millimeters": (lambda m: {"edge": 1e3 * m["edge"]}, "GAIN_FACTOR", "run.edge thousandths"),
+    "inches": (lambda m: {"side": m["side"] / 0.0254}, "GAIN_FACTOR", "run.side inches"),
+    "g": (lambda m: {"edge": m["edge"] / 9.81}, "GAIN_FACTOR", "run.edge in g"),
+    "degrees": (lambda m: {"edge": np.rad2deg(m["edge"])}, "GAIN_FACTOR", "run.edge degrees"),
+    "sign": (lambda m: {"edge": -m["edge"]}, "GAIN_FACTOR", "run.edge turned round"),
+    "late": (lambda m: {"edge": later(m["edge"], 0.012)}, "DELAY", "run.edge 0.6 samples later"),
+    "early": (lambda m: {"edge": later(m["edge"], -0.02)}, "DELAY", "run.edge samples earlier"),
+    "swapped": (lambda m: {"edge": m["side"], "side": m["edge"]}, "SWAPPED", "run.edge run.side exchanged"),
+    "left-handed": (lambda m: {"corner": mirrored(m["corner"])}, "LEFT_HANDED", "run.corner mirrored"),
+}
+
+
+@pytest.mark.parametrize("case", PLANTED)
+def test_a_planted_blunder_is_named(swing, case):
+    change, code, words = PLANTED[case]
+    result, codes = diagnosed(swing, change)
+    assert code in codes, (codes, str(result))
+    text = " ".join(result.words)
+    assert [word for word in words.split() if word not in text] == [], text
+
+
+def test_sound_records_pass(swing):
+    """20 realizations of noise: a delay is told at four standard errors, which white noise passes once in 16000."""
+    for key in range(20):
+        result, codes = diagnosed(swing, lambda m: {}, key)
+        assert codes == [] and result.words == () and "nothing to remark" in str(result)
+    assert all(abs(c.gain - 1) < 0.05 and abs(c.delay) < 0.1 for c in result.channels)
+
+
+def test_gaps_are_left_out(swing):
+    def holed(m):
+        x = m["edge"].copy()
+        x[20:40] = np.nan
+        return {"edge": 1e3 * x}
+
+    result, codes = diagnosed(swing, holed)
+    assert codes == ["GAIN_FACTOR"] and "run.edge" in result.words[0]
+
+
+# Before any measurement: sizes that units make likely
+
+
+def scaled(model, pattern, factor):
+    """The model with numbers as they would be in another unit."""
+    return jb.replace(model, {path: np.asarray(value) * factor for path, value in jb.paths(model, pattern).items()})
+
+
+UNITS = {
+    "N/mm for N/m": (lambda m: scaled(m, "*.stiffness", 1e-3), "SAG"),
+    "points in mm": (lambda m: scaled(scaled(m, "*.a", 1e3), "*.b", 1e3), "GYRATION"),
+    "kg mm2 for kg m2": (lambda m: scaled(m, "*.inertia", 1e6), "GYRATION"),
+    "mass in g": (lambda m: scaled(m, "plate.mass", 1e3), "SAG"),
+    "gravity in mm/s2": (lambda m: scaled(m, "gravity", 1e3), "GRAVITY"),
+    "stiffness in nothing known": (lambda m: scaled(scaled(m, "*.stiffness", 1e-12), "gravity", 0.0), "FREQUENCY"),
+}
+
+
+@pytest.fixture(scope="module")
+def table():
+    """The plate with springs that bear it, relaxed at the reference pose but for their weight."""
+    model = plate()
+    for path, value in jb.paths(model, "*.stiffness").items():
+        model = jb.replace(model, {path: 30 * value})
+    return model
+
+
+@pytest.mark.parametrize("case", UNITS)
+def test_a_unit_that_moves_a_size_far_away_is_named(table, case):
+    change, code = UNITS[case]
+    with pytest.warns(jb.JaxbodyWarning) as told:
+        result = jb.plausibility(change(table))
+    codes = {w.message.code for w in told}
+    assert code in codes and result.words and all(word in str(result) for word in result.words)
+
+
+def test_times_in_milliseconds_are_named(table, swing):
+    run = jb.Experiment(1e3 * TIMES, sensors={"edge": SENSORS["edge"]}, measured={"edge": swing[2]["edge"]})
+    with pytest.warns(jb.JaxbodyWarning, match=r"step of 'run' over the first period is .*in seconds.*TIME_UNIT"):
+        jb.plausibility(table, {"run": run})
+
+
+def test_the_sizes_are_those_of_closed_forms(table):
+    """A mass on a spring along gravity: f = sqrt(k/m)/2 pi, sag m g/k; and sound models pass."""
+    model = jb.Model(
+        bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+        joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
+        elements={"s": jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0.5]), stiffness=800.0, free_length=0.5)},
+        gravity=[0, 0, -9.81],
+    )
+    numbers = jb.plausibility(model).numbers
+    assert numbers["first natural frequency"][0] == pytest.approx(np.sqrt(800 / 2) / (2 * np.pi), rel=1e-12)
+    assert numbers["sag under gravity over the size of the model"][0] == pytest.approx(2 * 9.81 / 800 / 0.5, rel=1e-12)
+    for sound in (table, jb.presets.quarter_car()):
+        assert jb.plausibility(sound).words == ()
