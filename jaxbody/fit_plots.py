@@ -1,4 +1,4 @@
-"""Pictures of fits: measured and fitted with residuals and bands, the way there, correlations, whiteness, a profile. `plots` holds them too."""
+"""Pictures of fits: the line through the points with residuals and bands, the way there, correlations, whiteness, a profile."""
 
 from __future__ import annotations
 

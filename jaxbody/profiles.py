@@ -25,6 +25,7 @@ from jaxbody.tasks import residual_and_jacobian
 
 STEPS = 4  # to the end of the interval, on each side
 FARTHEST = 3.0  # times the step before that the next may be
+ROBUST_STEP = 0.1  # standard errors
 MOST_POINTS = 20  # on each side
 MOST_EVALUATIONS = 60  # for one point
 LOWER = 1e-6  # share of kappa by which a cost below that of the fit is more than rounding
@@ -120,15 +121,27 @@ class _Walk:
         pressed = worth.pressed.get(i)
         if pressed is None:
             (self.error,), (freedom,) = worth.spread(np.eye(len(fit.u))[[i]])
-            J = np.asarray(self.evaluate(fit.u)[1])
-            others = np.delete(J, i, axis=1)
-            away = J[:, i] - others @ np.linalg.lstsq(others, J[:, i], rcond=1e-9)[0] if others.size else J[:, i]
-            self.curvature = float(away @ away)
+            self.curvature = self._curvature()
         else:
             _, self.curvature, self.error, freedom = pressed
         self.t = float(quantile(level, freedom, sides=2 if pressed is None else 1))
         self.kappa = self.curvature * self.error**2 if np.isfinite(self.error) else 1.0
         self.arrived = True
+
+    def _curvature(self) -> float:
+        """Of the cost, the others that are at no bound following: Gauss and Newton's; of a robust loss, which far outliers bend the other way, by
+        differences of its gradient."""
+        fit, i = self.fit, self.i
+        _, J, runs = self.evaluate(fit.u)
+        _, J = fit.task.linearized(runs, np.asarray(J))
+        others = np.all(np.abs(np.asarray(fit.u) - np.stack(self.limits)) >= AT_BOUND, axis=0) & (np.arange(len(fit.u)) != i)
+        along = np.eye(len(fit.u))[i]
+        along[others] = -np.linalg.lstsq(J[:, others], J[:, i], rcond=1e-9)[0]
+        if fit.task.loss is None or not np.isfinite(self.error):
+            return float((J @ along) @ (J @ along))
+        step = ROBUST_STEP * self.error * along
+        slopes = [along @ (np.asarray(J).T @ np.asarray(r)) for r, J, _ in (self.evaluate(fit.u + step), self.evaluate(fit.u - step))]
+        return float(slopes[0] - slopes[1]) / (2 * ROBUST_STEP * self.error)
 
     def to(self, sign: int) -> list[tuple[np.ndarray, float, float]]:
         """Points on one side, outwards, to a little beyond the end of the interval or to a bound."""

@@ -117,9 +117,9 @@ def assess(
 
     inside: which u are at no bound; exact: a norm of r that is no noise."""
     inside = np.ones(J.shape[1], bool) if inside is None else np.asarray(inside)
-    _, S, Vt, known = decomposed(J)
+    U, S, Vt, known = decomposed(J)
     null = np.concatenate([Vt[~known].T, np.eye(J.shape[1])[:, ~inside]], axis=1)
-    noise, back = _carried(r, J, inside, records)
+    noise, back = _carried(r, inside, records, (U, S, Vt, known) if inside.all() else decomposed(J[:, inside]))
     covariance, white, *parts = (back @ M @ back.T for M in (noise.M, noise.white, *noise.parts))
     still = [label for label, silent in zip(labels, ~J.any(0), strict=True) if silent]
     tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in records}
@@ -133,10 +133,10 @@ def assess(
     return replace(found, standard_errors=errors)
 
 
-def _carried(r, J, inside, records: list[Record]) -> tuple[Noise, np.ndarray]:
-    """The noise in Q' r, of the columns of J inside, and what carries it to u."""
-    U, S, Vt, known = decomposed(J[:, inside])
-    back = np.zeros((J.shape[1], known.sum()))
+def _carried(r, inside, records: list[Record], parts) -> tuple[Noise, np.ndarray]:
+    """The noise in Q' r, of the columns of J inside with their `parts`, and what carries it to u."""
+    U, S, Vt, known = parts
+    back = np.zeros((len(inside), known.sum()))
     back[inside] = Vt[known].T / S[known]
     return noise_of(r, U[:, known], records), back
 
@@ -146,7 +146,7 @@ def _pressed(r, J, inside, records: list[Record]) -> dict[int, tuple[float, floa
     for i in np.flatnonzero(~inside & J.any(0)):
         one = inside.copy()
         one[i] = True
-        noise, back = _carried(r, J, one, records)
+        noise, back = _carried(r, one, records, decomposed(J[:, one]))
         parts = np.reshape([back @ M @ back.T for M in noise.parts], (-1, J.shape[1], J.shape[1]))
         error, freedom = _spread(np.eye(J.shape[1])[[i]], back @ noise.M @ back.T, parts)
         curvature = 1 / float((back @ back.T)[i, i])

@@ -82,8 +82,8 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     noise = {run: {name: jnp.ones(np.shape(channel.spread(0.0))) for name, channel in e.channels.items()} for run, e in experiments.items()}
     task = Task(fit.model, dict(experiments), (), noise, fit.task.integration)
     runs = _runs(task)
-    r = np.concatenate([np.ravel(x) for _, residuals in runs.values() for x in residuals.values()])
-    signal = np.concatenate([np.ravel(_from_mean(e, name)) for e in experiments.values() for name in e.channels])
+    means = {run: ({}, {name: _from_mean(e, name) for name in e.channels}) for run, e in experiments.items()}
+    r, signal = np.asarray(task.losses(runs)), np.asarray(task.losses(means))
     known = {name: level for levels in fit.noise.values() for name, level in levels.items()}
     nrmse, rms, excess, tests, units = {}, {}, {}, {}, {}
     for record in records_of(task.experiments):

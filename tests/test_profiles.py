@@ -86,6 +86,17 @@ def test_a_profile_at_a_bound_has_one_side(record):
     assert "at its bound" in str(held) and np.isinf(held.standard_errors["spring.stiffness"])
 
 
+@pytest.mark.long
+def test_of_a_robust_loss_the_profile_is_as_wide_as_the_standard_error(record):
+    spoiled = record.copy()
+    spoiled[::13] += 15 * SIGMA
+    for loss in ("soft_l1", "cauchy"):
+        robust = fit(run(spoiled), loss=loss)
+        ends, (low, high) = jb.profile(robust, "spring.stiffness").interval, robust.intervals()["spring.stiffness"]
+        print(ends, low, high)
+        np.testing.assert_allclose(ends[1] - ends[0], high - low, rtol=0.1)
+
+
 def test_what_has_no_profile_is_told(found):
     for arguments, code in ((("spring.stifness",), "UNKNOWN_PATH"), (("spring.stiffness", 1.5), "BAD_LEVEL")):
         with pytest.raises(jb.JaxbodyError) as error:
@@ -96,12 +107,13 @@ def test_what_has_no_profile_is_told(found):
 def test_validation_on_a_run_held_out(found):
     times = np.linspace(0, 2.4, 61)  # as many: one program serves all
     noise = SIGMA * np.random.default_rng(8).normal(size=len(times))
-    told = jb.validate(found, {"later": run(motion(*TRUTH, times) + noise, times)["run"]})
+    later, again = (run(x, t)["run"] for x, t in ((motion(*TRUTH, times) + noise, times), (motion(*TRUTH), TIMES)))
+    told = jb.validate(found, {"later": later, "again": again})  # not in the order of the alphabet
     estimates = [float(x) for x in found.estimates.values()]
     measured = 1 + motion(*TRUTH, times) + noise
     expected = np.sqrt(np.mean((1 + motion(*estimates, times) - measured) ** 2)) / np.std(measured)
     assert told.nrmse["later.x"] == pytest.approx(expected, rel=1e-6) and told.ok
-    assert told.excess["later.x"] == pytest.approx(told.rms["later.x"] / float(found.noise["run"]["x"]))
+    assert told.nrmse["again.x"] < 0.1 and told.excess["later.x"] == pytest.approx(told.rms["later.x"] / float(found.noise["run"]["x"]))
     assert told.whiteness["later.x"].lags > 5 and f"{100 * (1 - expected):.2f} %" in str(told)
 
 
@@ -144,6 +156,24 @@ def test_intervals_and_notes_print(found):
     assert f"{low:.6g} to {high:.6g}" in str(found) and "noise white" in str(found) and "95 % interval" in str(found)
     with pytest.raises(jb.JaxbodyError, match="BAD_LEVEL"):
         found.intervals(95)
+
+
+@pytest.mark.long
+def test_missing_samples_and_the_order_of_runs_change_nothing(record):
+    """Against a fit to the samples that there are, and to the same two runs, one with five times the noise, in the other order."""
+    gaps = np.where(np.arange(len(TIMES)) % 3 == 2, np.nan, record)
+    with pytest.warns(jb.JaxbodyWarning, match="MISSING"):
+        masked = fit(run(gaps))
+    there = np.isfinite(gaps)
+    alone = fit(run(record[there], TIMES[there]))
+    loud = motion(*TRUTH) + 5 * SIGMA * np.random.default_rng(1).normal(size=len(TIMES))
+    both = {"b": run(record)["run"], "a": run(loud)["run"]}
+    one, other = fit(both), fit(dict(reversed(both.items())))
+    for found, expected in ((masked, alone), (one, other)):
+        for path in FREE:
+            np.testing.assert_allclose(found.estimates[path], expected.estimates[path], rtol=1e-6)
+            np.testing.assert_allclose(found.standard_errors[path], expected.standard_errors[path], rtol=1e-4)
+    assert masked.uncertainty.samples == there.sum()
 
 
 def test_pictures_of_a_fit_show_its_numbers(found, record, profile):
