@@ -10,7 +10,7 @@ from jaxbody.shootings import cuts
 
 # A pendulum, pulled by a spring whose foot shakes hard: theta'' = -(g/l) sin(theta) - ..., chaotic with little damping.
 MASS, LENGTH, G, FOOT = 1.0, 1.0, 9.81, np.array([1.5, -1.0])
-TIMES = np.linspace(0, 30, 601)
+TIMES = np.linspace(0, 12, 241)
 TRUTH = np.array([12.0, 1.1])  # stiffness of the spring, its free length
 SHAKE, RATE = 1.0, 0.7  # m, Hz
 
@@ -68,13 +68,15 @@ def test_where_one_shot_does_several_give_the_same():
 
 @pytest.mark.long
 def test_a_chaotic_record_is_fitted_where_one_shot_is_lost():
-    """Half a minute, in which a change of the stiffness of 1e-6 is a hundred thousand times as much in the angle."""
+    """A part in a million of the stiffness is a thousand times as much in the angle before the end."""
     other = motion(TRUTH * [1 + 1e-6, 1])
-    assert np.abs(other - motion(TRUTH))[-100:].max() > 1e-3
+    growth = np.abs(other - motion(TRUTH)).max() / 1e-6
+    print(growth)
+    assert growth > 1e3
     options = dict(free=["spring.stiffness", "spring.free_length"], max_steps=10_000)
     with pytest.warns(jb.JaxbodyWarning):
         lost = jb.fit(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), **options)
-    found = jb.multiple_shooting(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), segments=30, **options)
+    found = jb.multiple_shooting(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), segments=12, **options)
     print(lost, found)
     assert float(lost.cost) > 100 * float(found.cost)
     assert found.ok
