@@ -1,6 +1,6 @@
 """jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
 
-from jaxbody import laws, presets, signals
+from jaxbody import laws, objectives, presets, signals
 from jaxbody.bodies import Body, Support
 from jaxbody.branches import mac, track
 from jaxbody.cases import LoadCase, load_cases
@@ -8,6 +8,7 @@ from jaxbody.collocations import Gauss
 from jaxbody.compilations import compile_times
 from jaxbody.complex_modes import complex_modes, whirl
 from jaxbody.contacts import Contact, Tyre
+from jaxbody.designs import Tuning, tune
 from jaxbody.elastic_axes import elastic_axes, torque_roll_axis
 from jaxbody.elements import Bushing, Element, Spring, SpringDamper
 from jaxbody.energies import mode_energies

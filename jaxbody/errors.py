@@ -111,6 +111,7 @@ class Status(enum.IntEnum):
     IMPROPER = 21
     COARSE = 22
     NOT_POSITIVE = 23
+    INFEASIBLE = 30
 
 
 MESSAGES = {
@@ -137,6 +138,7 @@ MESSAGES = {
     Status.IMPROPER: "an output needs a derivative of an input",
     Status.COARSE: "the frequencies are too far apart for what lies between them",
     Status.NOT_POSITIVE: "the matrix of power spectral densities is not positive semidefinite",
+    Status.INFEASIBLE: "not all limits can be met",
 }
 
 

@@ -248,6 +248,20 @@ def backbones_dataset(backbones: Any) -> Any:
     return dataset(variables, {"mode": list(range(1, largest.shape[-1] + 1)), "coordinate": list(layout.coordinates)}, "backbones")
 
 
+def tuning_dataset(tuning: Any) -> Any:
+    """Of a tuned design by `start`: objective, violation of limits, status, and every quantity and free parameter."""
+    runs = tuning.runs
+    variables = {
+        "objective": (("start",), runs.objective, ""),
+        "violation": (("start",), runs.violation, ""),
+        "status": (("start",), runs.status, ""),
+    }
+    for name, values in {**runs.quantities, **runs.values}.items():
+        axes = tuple(f"{name}_{i}" for i in range(np.ndim(values) - 1))
+        variables.setdefault(name, (("start", *axes), values, ""))
+    return dataset(variables, {"start": np.arange(len(runs.status))}, f"design of least {tuning.minimize}")
+
+
 def fit_dataset(fit: Any) -> Any:
     """Of a fit: estimate and standard error by `parameter`, singular values, and `{run}_{sensor}` predicted over `{run}_time`."""
     names, estimates, errors = [], [], []
