@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from jaxbody.design_spaces import Space
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.models import unknown
-from jaxbody.optimizers import Rows
+from jaxbody.optimizers import Rows, Search
 
 MOST_FORWARD = 30  # free numbers up to which forward mode is the faster one
 
@@ -147,3 +147,18 @@ def check_start(program: Program, U: np.ndarray) -> None:
     told = f"gives {', '.join(bad)} at the start" + (f", and no numbers at any of {len(U)} starts" if len(U) > 1 else "")
     hint = "Look at evaluate(model) there: an equilibrium may not exist, a mode be unstable."
     raise JaxbodyError(Problem("NONFINITE_START", "tune.evaluate", told, values[0], "finite", hint))
+
+
+def check_slopes(program: Program, search: Search) -> None:
+    """No start had derivatives: which are not finite."""
+    labels, names = program.labels(), program.space.labels()
+    rows = np.r_[program.rows.objective, program.rows.limited]
+    bad = [
+        f"'{labels[i]}' by '{name}'"
+        for i in dict.fromkeys(rows)
+        for name, x in zip(names, search.slopes[i], strict=True)
+        if not np.isfinite(x)
+    ]
+    told = f"has derivatives that are not finite at the start: of {', '.join(bad[:4])}" + (", ..." if len(bad) > 4 else "")
+    hint = "Look for roots of zero, norms of zero, or simulate(adjoint=...); smooth quantities are in jb.objectives."
+    raise JaxbodyError(Problem("NONFINITE_START", "tune.evaluate", told, search.slopes, "finite", hint))

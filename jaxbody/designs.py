@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxbody import tables
 from jaxbody.checks import check_precision
-from jaxbody.design_programs import Evaluate, Limits, Program, Quantities, check_start, limits_of, named
+from jaxbody.design_programs import Evaluate, Limits, Program, Quantities, check_slopes, check_start, limits_of, named
 from jaxbody.design_spaces import Free, Space, at_value, drawn, space_of
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
 from jaxbody.models import Model
@@ -182,6 +182,8 @@ def tune(
             searches = _neighbors(program.space, best, shelves)
             hand_in_hand(program, searches, search_with(method, program.rows, max_iterations, tolerance))
             best = _best(program.rows, searches)
+    if not best.finite:
+        check_slopes(program, best)
     result = _finish(program, searches, best)
     warn_if_failed(result)
     return result
@@ -249,6 +251,7 @@ def _descend_all(program: Program, searches: list[Search], method: optax.Gradien
         search.found(np.asarray(ends[i]), values[i], slopes[i])
         search.finite = bool(np.isfinite(values[i, program.rows.objective]))
         search.history = [(float(f), 0.0) for f in history[i]]
+        search.size = abs(float(history[i, 0])) or 1.0
 
 
 @eqx.filter_jit

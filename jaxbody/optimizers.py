@@ -16,7 +16,7 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 
-ACTIVE = 1e-6  # scaled distance from a limit or bound that counts as at it
+ACTIVE = 1e-5  # scaled distance from a limit or bound that counts as at it
 MET = 1e-8  # scaled violation that counts as none
 ARRIVED = 1e-4  # slope left of the scaled objective, per unit of u, at which a search has arrived
 ASIDE = 1e-6  # how far in u derivatives are taken aside where they do not exist
@@ -54,6 +54,7 @@ class Search:
     low: Vector
     high: Vector
     finite: bool = False
+    size: float = 1.0  # of the objective, as far as it is known
     history: list[tuple[float, float]] = field(default_factory=list)
     iterations: int = 0
     error: BaseException | None = None
@@ -136,7 +137,7 @@ class Scaled:
         values, slopes = self._asked(search.start)
         search.found(search.start, values, slopes)
         search.finite = self._finite(values, slopes)
-        self.size = abs(values[rows.objective]) or 1.0
+        self.size = search.size = float(abs(values[rows.objective])) or 1.0
         self.scale = scales(rows, values)
         self.near = values, slopes  # of the last trial that was finite
         self.last: tuple[bytes, Any] = (b"", None)
@@ -234,7 +235,9 @@ def _minimize(problem: Scaled, method: str, iterations: int, tolerance: float) -
             limits = scipy.optimize.NonlinearConstraint(
                 lambda u: problem.at(u)[2], lower, upper, jac=lambda u: problem.at(u)[3], hess=scipy.optimize.BFGS()
             )
-        options = dict(maxiter=iterations, gtol=tolerance**0.8, xtol=tolerance, barrier_tol=tolerance**0.8)
+        inside = np.isfinite(np.r_[lower[lower != upper], upper[lower != upper], problem.search.low, problem.search.high]).any()
+        gtol = 1e-14 if inside else tolerance**0.8  # it would end at any barrier, however high
+        options = dict(maxiter=iterations, gtol=gtol, xtol=tolerance, barrier_tol=tolerance**0.8)
         common["hess"] = scipy.optimize.BFGS()
     found = scipy.optimize.minimize(lambda u: problem.at(u)[0], u, constraints=limits, method=method, options=options, **common)
     return int(found.nit)
@@ -270,7 +273,7 @@ class Multipliers:
 def multipliers(search: Search, rows: Rows) -> Multipliers:
     """grad f = sum of lambda grad c over the active limits and bounds, lambda of the sign of their side, by least squares."""
     values, slopes, u, low, high = search.values, search.slopes, search.u, search.low, search.high
-    scale, size = scales(rows, values), abs(values[rows.objective]) or 1.0
+    scale, size = scales(rows, values), max(abs(values[rows.objective]), search.size)
     c, A, g = values[rows.limited] / scale, slopes[rows.limited] / scale[:, None], slopes[rows.objective] / size
     at_lower, at_upper = c - rows.lower / scale <= ACTIVE, rows.upper / scale - c <= ACTIVE
     n = len(u)
