@@ -37,6 +37,7 @@ from jaxbody.simulations import simulate
 from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin
 from jaxbody.statics import equilibrium
+from jaxbody.sweeps import sweep
 from jaxbody.torsions import AntiRollBar, Torsion
 from jaxbody.vibrations import modes
 from jaxbody.weightings import weighted, weighted_signal, weighting
