@@ -8,7 +8,7 @@ from jaxbody.collocations import Gauss
 from jaxbody.compilations import compile_times
 from jaxbody.complex_modes import complex_modes, whirl
 from jaxbody.contacts import Contact, Tyre
-from jaxbody.designs import Tuning, tune
+from jaxbody.designs import tune
 from jaxbody.elastic_axes import elastic_axes, torque_roll_axis
 from jaxbody.elements import Bushing, Element, Spring, SpringDamper
 from jaxbody.energies import mode_energies
@@ -39,5 +39,6 @@ from jaxbody.spins import linearize_spin
 from jaxbody.statics import equilibrium
 from jaxbody.sweeps import sweep
 from jaxbody.torsions import AntiRollBar, Torsion
+from jaxbody.tunings import Tuning
 from jaxbody.vibrations import modes
 from jaxbody.weightings import weighted, weighted_signal, weighting

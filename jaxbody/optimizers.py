@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import scipy.optimize
 from jaxtyping import Float
 
 ACTIVE = 1e-5  # scaled distance from a limit or bound that counts as at it
@@ -211,6 +210,8 @@ def search_with(method: str, rows: Rows, iterations: int, tolerance: float) -> C
 
 
 def _minimize(problem: Scaled, method: str, iterations: int, tolerance: float) -> int:
+    import scipy.optimize  # slow to import
+
     rows, u = problem.rows, problem.search.u
     lower, upper = rows.lower / problem.scale, rows.upper / problem.scale
     bounds = scipy.optimize.Bounds(problem.search.low, problem.search.high, keep_feasible=True)  # pyright: ignore
@@ -245,6 +246,8 @@ def _minimize(problem: Scaled, method: str, iterations: int, tolerance: float) -
 
 def _restored(problem: Scaled, iterations: int) -> bool:
     """Whether the limits can be met, by the least sum of the squares of violations."""
+    import scipy.optimize
+
     lower, upper = problem.rows.lower / problem.scale, problem.rows.upper / problem.scale
     if iterations <= 0:
         return False
@@ -272,6 +275,8 @@ class Multipliers:
 
 def multipliers(search: Search, rows: Rows) -> Multipliers:
     """grad f = sum of lambda grad c over the active limits and bounds, lambda of the sign of their side, by least squares."""
+    import scipy.optimize
+
     values, slopes, u, low, high = search.values, search.slopes, search.u, search.low, search.high
     scale, size = scales(rows, values), max(abs(values[rows.objective]), search.size)
     c, A, g = values[rows.limited] / scale, slopes[rows.limited] / scale[:, None], slopes[rows.objective] / size

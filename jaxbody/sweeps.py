@@ -1,4 +1,4 @@
-"""Sweeps: quantities of many models, over named parameters on a grid or at samples, as labelled arrays, by one compiled program in chunks."""
+"""Sweeps: quantities of many models, on a grid of named parameters or at samples, as labelled arrays, by one program in chunks."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats.qmc as qmc
 
 from jaxbody.arrays import float_array
 from jaxbody.checks import check_precision
@@ -22,7 +21,7 @@ from jaxbody.naming import replace
 
 LARGEST_CHUNK = 1024
 MEMORY = 2**30  # bytes that a chunk may take besides its results
-SAMPLERS = {"sobol": qmc.Sobol, "latin": qmc.LatinHypercube}
+SAMPLERS = {"sobol": "Sobol", "latin": "LatinHypercube"}  # in scipy.stats.qmc
 
 compiled: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
 
@@ -79,6 +78,8 @@ def sweep(
 
 
 def _sampled(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> dict[str, np.ndarray]:
+    import scipy.stats.qmc as qmc  # slow to import
+
     problems = Problems()
     for path, values in ranges.items():
         if len(values) != 2 or not (values[0] < values[1]).all():
@@ -88,7 +89,7 @@ def _sampled(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> di
     problems.raise_if_any()
     sizes = [int(np.prod(values.shape[1:])) for values in ranges.values()]
     seed = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
-    draw = SAMPLERS[sampler](d=sum(sizes), rng=seed)
+    draw = getattr(qmc, SAMPLERS[sampler])(d=sum(sizes), seed=seed)
     unit = draw.random_base2(int(np.log2(samples))) if sampler == "sobol" and not samples & (samples - 1) else draw.random(samples)
     parts = np.split(unit, np.cumsum(sizes)[:-1], axis=1)
     return {
