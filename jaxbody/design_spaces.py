@@ -74,6 +74,7 @@ class Space(eqx.Module):
             if isinstance(group.form, Positive | Shifted):
                 x[at] = np.asarray(group.form.value(jnp.asarray(u[at]))).ravel()
                 slopes[at] = x[at] if isinstance(group.form, Positive) else float(group.form.scale)
+                x[at] = np.where(np.abs(x[at]) < 1e-12 * np.abs(slopes[at]), 0.0, x[at])
         return x, slopes
 
 
@@ -144,7 +145,7 @@ def _sound(form: Parametrization, ends, given: Any, where: str, problems: Proble
         problems.add("BAD_BOUNDS", where, f"is {given!r:.60}", value=given, limit="(lower, upper)")
     elif not (ends[0] < ends[1]).all():
         problems.add("BAD_BOUNDS", where, f"has lower {given[0]} >= upper {given[1]}", value=given, limit="lower < upper")
-    elif ((start < ends[0]) | (start > ends[1])).any():
+    elif ((start < ends[0] - ALIKE * abs(ends[0])) | (start > ends[1] + ALIKE * abs(ends[1]))).any():
         distance = np.maximum(ends[0] - start, start - ends[1]).max()
         told, limit = f"does not hold the start {start}, by {distance:.4g}", f"{given[0]} to {given[1]}"
         problems.add("START_OUTSIDE", where, told, value=start, limit=limit, hint="Move the start (replace) or the bound.")

@@ -19,6 +19,8 @@ from jaxbody.models import Model
 from jaxbody.optimizers import ARRIVED, MET, Multipliers, Rows, Search, multipliers, scales
 from jaxbody.results import Result
 
+DUST = 1e-12  # of what it was, at a bound of zero
+
 
 class Runs(eqx.Module):
     """Every start: `objective`, `violation` (the largest, relative to its limit), `status`, `values` {path: (n, ...)} and `quantities` {name: (n, ...)}."""
@@ -93,6 +95,7 @@ class Tuning(Result):
 def _each(path: str, label: str, before: Any, after: Any) -> list[tuple[str, str, float, float]]:
     """Of a scalar or an array, a row for each number."""
     before, after = np.asarray(before), np.asarray(after)
+    after = np.where(np.abs(after) < DUST * np.abs(before), 0.0, after)
     index = [""] if before.ndim == 0 else [str(list(i)).replace(" ", "") for i in np.ndindex(before.shape)]
     return [(path + i, label + i, float(a), float(b)) for i, a, b in zip(index, before.ravel(), after.ravel(), strict=True)]
 
