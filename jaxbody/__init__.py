@@ -16,6 +16,7 @@ from jaxbody.equilibria import find_equilibria
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
 from jaxbody.frequency_responses import frequency_response
+from jaxbody.fronts import Front, pareto
 from jaxbody.identification import Fit, fit
 from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Joint, Translation
 from jaxbody.kinematics import retract

@@ -280,6 +280,17 @@ def sweep_dataset(columns: dict[str, Any], found: dict[str, Any], *, on_grid: bo
     return dataset(variables, coordinates, "sweep")
 
 
+def front_dataset(front: Any) -> Any:
+    """Of a front by `point`: every quantity and parameter, slopes, status."""
+    variables = {"status": (("point",), front.status, "")}
+    for name, values in {**front.quantities, **front.values}.items():
+        axes = tuple(f"{name}_{i}" for i in range(np.ndim(values) - 1))
+        variables.setdefault(name, (("point", *axes), values, ""))
+    for name, slope in zip(list(front.objectives)[1:], front.slopes.T, strict=True):
+        variables[f"slope over {name}"] = (("point",), slope, "")
+    return dataset(variables, {"point": np.arange(1, 1 + len(front.status))}, "front")
+
+
 def fit_dataset(fit: Any) -> Any:
     """Of a fit: estimate and standard error by `parameter`, singular values, and `{run}_{sensor}` predicted over `{run}_time`."""
     names, estimates, errors = [], [], []

@@ -26,7 +26,7 @@ ROWS = (
     "vibrations energies elastic_axes spins complex_modes branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
     "sensors experiments parametrizations uncertainties identification",
-    "design_spaces optimizers design_programs tunings objectives designs sweeps",
+    "design_spaces optimizers design_programs tunings objectives designs fronts sweeps",
     "canvases mode_plots response_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
