@@ -33,12 +33,14 @@ from jaxbody.preloads import preload
 from jaxbody.random_responses import random_response
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
+from jaxbody.sensitivities import sensitivities
 from jaxbody.sensors import BodyPose, Elongation, Position, measure
 from jaxbody.simulations import simulate
 from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin
 from jaxbody.statics import equilibrium
 from jaxbody.sweeps import sweep
+from jaxbody.tolerances import robust, tolerances
 from jaxbody.torsions import AntiRollBar, Torsion
 from jaxbody.tunings import Tuning
 from jaxbody.vibrations import modes

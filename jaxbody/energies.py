@@ -26,6 +26,7 @@ from jaxbody.vibrations import _modes
 
 AXES = "xyz"
 LEAST_LOSS = 1e-12  # of the largest decay of a mode, below which a mode dissipates nothing
+UNTIED = 1e-8  # far above rounding, far below what counts as coinciding
 MOST_MODES = 12  # that a table has room for
 
 
@@ -209,10 +210,13 @@ def _curvatures(lin: Linearization) -> list[tuple[Array, Array]]:
 
 
 def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
-    """Shares, summing to 1, of bodies and directions (6 for each body) in the kinetic energy of each mode; of the sums over the space where frequencies coincide."""
-    values, shapes = natural((lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2)
+    """Shares, summing to 1, of bodies and directions (6 for each body) in the kinetic energy of each mode. Where frequencies coincide the modes are taken along the
+    coordinates as far as that can be: those of a K whose diagonal is raised by up to UNTIED, differently for each coordinate."""
+    K, M = (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2
+    untied = UNTIED * jnp.linspace(0.0, 1.0, len(K)) * jax.lax.stop_gradient(jnp.diagonal(K))
+    _, shapes = natural(K + jnp.diag(untied), M)
     kinetic = jax.vmap(lambda phi: _kinetic(lin.model, _moving(lin, phi)), in_axes=1, out_axes=-1)(shapes)
-    return averaged(kinetic.reshape(-1, kinetic.shape[-1]), clusters(values))  # phi' M phi = 1
+    return kinetic.reshape(-1, kinetic.shape[-1])  # phi' M phi = 1
 
 
 def _moving(lin: Linearization, phi: Float[Array, "nv"]) -> Frame:

@@ -57,7 +57,8 @@ def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
     >>> round(float(peak([-3.0, 1.0, 2.0])), 6)
     3.0
     """
-    x = jnp.abs(_numbers(x, "peak.x"))
+    x = _numbers(jnp.abs(x) if hasattr(x, "dtype") else x, "peak.x")
+    x = jnp.abs(x)
     largest = jax.lax.stop_gradient(jnp.max(x, initial=0.0))
     largest = jnp.where(largest > 0, largest, 1.0)  # a factor that cancels, and keeps powers in range
     total = jnp.sum((x / largest) ** power)
@@ -80,8 +81,8 @@ def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
         sum over modes j of sum over i != k of |e_ij| |e_kj|,   e_ij = v_i (M v)_i/(v' M v), shares of kinetic energy as in `mode_energies`
 
     It is 0 where each mode has but one share, and 5/6 a mode where six have equal ones. Shares may be negative where products of inertia
-    are, so their moduli count, sqrt(e^2 + 1e-12). Where frequencies coincide the shares are those of their space. Source: kinetic energy
-    decoupling, T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
+    are, so their moduli count, sqrt(e^2 + 1e-12). Modes that coincide are taken along the directions as far as that can be, so that coinciding alone
+    couples nothing. Source: kinetic energy decoupling, T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
 
     >>> model = jb.presets.isolated_table(at=(0.45, 0.3, 0.0))  # in the plane of its centre of mass
     >>> round(float(coupling_of_modes(linearize(model, model.reference))), 4)
@@ -150,7 +151,7 @@ def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
-    ...                        {"body": PointMotion("body", kind="acceleration")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    ...                        {"body": PointMotion("body", kind="acceleration"), "travel": ElementDeformation("suspension"), "tyre": ElementForce("tyre")}, {"road": Unevenness.iso("C").at_speed(20.0)})
     >>> round(float(comfort(ride, {"body": "Wk"})), 2)
     1.19
     """
@@ -166,7 +167,7 @@ def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, "
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
-    ...                        {"tyre": ElementForce("tyre")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    ...                        {"body": PointMotion("body", kind="acceleration"), "travel": ElementDeformation("suspension"), "tyre": ElementForce("tyre")}, {"road": Unevenness.iso("C").at_speed(20.0)})
     >>> round(float(road_holding(ride, {"tyre": 450 * 9.81})), 2)
     0.23
     """
@@ -184,7 +185,7 @@ def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Arr
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
-    ...                        {"travel": ElementDeformation("suspension")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    ...                        {"body": PointMotion("body", kind="acceleration"), "travel": ElementDeformation("suspension"), "tyre": ElementForce("tyre")}, {"road": Unevenness.iso("C").at_speed(20.0)})
     >>> round(float(stroke(ride, "travel")), 3)
     0.037
     """

@@ -26,8 +26,8 @@ ROWS = (
     "vibrations energies elastic_axes spins complex_modes branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
     "sensors experiments parametrizations uncertainties identification",
-    "design_spaces optimizers design_programs tunings objectives designs fronts sweeps",
-    "canvases mode_plots response_plots plots demos",
+    "design_spaces optimizers design_programs tunings objectives designs fronts sweeps sensitivities tolerances",
+    "canvases mode_plots response_plots design_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
 
