@@ -7,6 +7,7 @@ Each point starts from the one before it; the multiplier of b, the slope of the 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable
 from typing import Any
 
@@ -82,7 +83,9 @@ def pareto(
         for other, bound in bounds.items():
             lower, upper = both.get(other, (None, None))
             both[other] = (lower, bound if upper is None else min(bound, upper))
-        return tune(start, evaluate, minimize=name, free=free, limits=both, **(options if start is model else {**options, "starts": 1}))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # the front tells
+            return tune(start, evaluate, minimize=name, free=free, limits=both, **(options if start is model else {**options, "starts": 1}))
 
     ends = [least(model, name, {}) for name in names]
     found = _along(names, ends, least, points) if len(names) == 2 else _over(names, ends, least, points)
@@ -128,7 +131,7 @@ def _over(names: list[str], ends: list[Tuning], least: Any, points: int) -> list
     found, start = list(ends), ends[0]
     for row, bound in enumerate(ranges[0]):
         for last in ranges[1] if row % 2 else ranges[1][::-1]:
-            design = _quietly(least, start.model, names[0], {names[1]: _slack(float(bound)), names[2]: _slack(float(last))})
+            design = least(start.model, names[0], {names[1]: _slack(float(bound)), names[2]: _slack(float(last))})
             if design.ok:
                 found.append(design)
                 start = design
@@ -137,14 +140,6 @@ def _over(names: list[str], ends: list[Tuning], least: Any, points: int) -> list
         values[None] < values[:, None] * (1 - np.sign(values[:, None]) * 1e-4)
     ).any(-1)
     return [design for design, beaten in zip(found, better.any(1), strict=True) if not beaten]
-
-
-def _quietly(least: Any, *given: Any) -> Tuning:
-    import warnings
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return least(*given)
 
 
 def _front(names: list[str], found: list[Tuning]) -> Front:

@@ -78,7 +78,7 @@ def sensitivities(model: Model, evaluate: Evaluate, *, free: Free | Iterable[Fre
         if isinstance(group.form, Positive):
             up[at], down[at] = np.log1p(change), np.log1p(-change)
     U = np.concatenate([np.zeros((1, space.size)), np.diag(down), np.diag(up)])
-    program = Program(space, evaluate, "", {}, width=len(U))
+    program = Program(space, evaluate, "", {}, width=1)  # the program of `tune` from one start
     with threadpool_limits(1, "blas"):
         values, slopes = program(U)
     low, high = np.split(values[1:].T, 2, axis=1)
