@@ -84,13 +84,28 @@ def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u:
 
     def both(u):
         back = u.size > MOST_FORWARD if reverse is None else reverse
-        values, linear = (jax.vjp if back else jax.linearize)(flat, u)
-        if back:
-            return values, jax.vmap(lambda y: linear(y)[0])(jnp.eye(values.size))
-        return values, jax.vmap(linear, out_axes=1)(jnp.eye(u.size))
+        if not back:
+            return value_and_forward_slopes(flat, u)
+        values, pull = jax.vjp(flat, u)
+        return values, jax.vmap(lambda y: pull(y)[0])(jnp.eye(values.size))
 
     values, slopes = both(u) if u.ndim == 1 else jax.vmap(both)(u)
     return values, slopes, tuple(told)
+
+
+def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array, "n"]) -> tuple[Float[Array, "m"], Float[Array, "m n"]]:
+    """The value and the Jacobian: linearized once, or direction by direction through loops of unknown length, such as simulations, which cannot be."""
+    try:
+        values, push = jax.linearize(function, u)
+    except ValueError:
+
+        def both(u):
+            values = function(u)
+            return values, values
+
+        slopes, values = jax.jacfwd(both, has_aux=True)(u)
+        return values, slopes
+    return values, jax.vmap(push, out_axes=1)(jnp.eye(u.size))
 
 
 def named(found: Any) -> Quantities:

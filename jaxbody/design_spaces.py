@@ -139,13 +139,16 @@ def _bounded(space: Space, bounds: dict[str, Any], where: str) -> tuple[Space, n
 
 def _sound(form: Parametrization, ends, given: Any, where: str, problems: Problems) -> bool:
     start = np.asarray(form.start)
+    slack = ALIKE * max(
+        float(np.where(np.isfinite(end), np.abs(end), 0.0).max()) for end in ends or [start]
+    )  # what a tuned model comes with
     if not isinstance(form, Positive | Shifted):
         problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
     elif ends is None:
         problems.add("BAD_BOUNDS", where, f"is {given!r:.60}", value=given, limit="(lower, upper)")
     elif not (ends[0] < ends[1]).all():
         problems.add("BAD_BOUNDS", where, f"has lower {given[0]} >= upper {given[1]}", value=given, limit="lower < upper")
-    elif ((start < ends[0] - ALIKE * abs(ends[0])) | (start > ends[1] + ALIKE * abs(ends[1]))).any():
+    elif ((start < ends[0] - slack) | (start > ends[1] + slack)).any():
         distance = np.maximum(ends[0] - start, start - ends[1]).max()
         told, limit = f"does not hold the start {start}, by {distance:.4g}", f"{given[0]} to {given[1]}"
         problems.add("START_OUTSIDE", where, told, value=start, limit=limit, hint="Move the start (replace) or the bound.")

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from jaxbody import tables
 from jaxbody.arrays import concrete, float_array
 from jaxbody.checks import check_precision
-from jaxbody.design_programs import Evaluate, Quantities, named
+from jaxbody.design_programs import Evaluate, Quantities, named, value_and_forward_slopes
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.models import Model, unknown
 from jaxbody.naming import Leaf, leaves_of, matching, write
@@ -189,12 +189,8 @@ class Moved:
 def _expanded(flat: Any, size: int) -> tuple[Array, Array, Array]:
     """f and its Jacobian at zero, and second derivatives by differences of Jacobians: to compile them exactly takes far longer."""
 
-    def first(xi):
-        f, push = jax.linearize(flat, xi)
-        return f, jax.vmap(push, out_axes=1)(jnp.eye(size))
-
     steps = STEP * jnp.eye(size)
-    f, J = jax.lax.map(first, jnp.concatenate([jnp.zeros((1, size)), steps, -steps]))
+    f, J = jax.lax.map(lambda xi: value_and_forward_slopes(flat, xi), jnp.concatenate([jnp.zeros((1, size)), steps, -steps]))
     H = jnp.moveaxis(J[1 : size + 1] - J[size + 1 :], 0, 2) / (2 * STEP)
     return f[0], J[0], (H + jnp.swapaxes(H, 1, 2)) / 2
 

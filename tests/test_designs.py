@@ -286,6 +286,19 @@ def test_optax_for_smooth_and_for_noisy_objectives(weight):
     np.testing.assert_allclose(found.values["spring.stiffness"], 20.0, rtol=0.01)
 
 
+def test_a_tuned_design_is_a_start_within_its_bounds(weight):
+    """At bounds of zero and above, rounding or not."""
+    bounds = {"spring.free_length": (0.0, 1.3), "spring.stiffness": (7.0, 90.0)}
+
+    def low(model):
+        return model["spring"].free_length + model["spring"].stiffness
+
+    once = jb.tune(weight, low, free=list(bounds), bounds=bounds)
+    again = jb.tune(once.model, low, free=list(bounds), bounds=bounds)
+    np.testing.assert_allclose([again.values[path] for path in bounds], [0.0, 7.0], atol=1e-12)
+    assert again.active == ("spring.free_length >= 0", "spring.stiffness >= 7")
+
+
 # What cannot be
 
 

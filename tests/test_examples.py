@@ -215,3 +215,17 @@ def test_comfort_on_a_class_c_road(monkeypatch):
     names, printed = run("comfort.py")
     assert 400 < names["best"] < names["exact"] and "crest factor" in printed
     assert np.all(np.diff(names["rides"].rms[:, 1]) < 0)
+
+
+@pytest.mark.long
+def test_a_car_tuned_for_its_driver(monkeypatch):
+    """It asserts that differences lead to the same optimum; here that the design keeps its limits when looked at again, and that the front goes through it."""
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names, printed = run("ride_design.py")
+    found, front = names["found"], names["front"]
+    again = names["rides"](found.model)
+    assert float(again["felt"].max()) < 0.9 * float(found.before["worst"])
+    assert float(again["stroke"].max()) < 0.0751 and float(again["tyre"].max()) < 0.751
+    assert "1 % more" in printed and len(found.values) == 12
+    worst, longest = front.objectives["worst"], front.objectives["longest"]
+    assert np.all(np.diff(longest) > 0) and np.all(np.diff(worst) < 1e-6)

