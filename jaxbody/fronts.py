@@ -25,6 +25,8 @@ from jaxbody.optimizers import MET
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.tunings import Tuning
 
+SAME, NOTABLE = 1e-6, 1e-3  # parts of the range of an objective
+
 
 class Front(Result):
     """`objectives` {name: (n,)} along the front, `values` {path: (n, ...)} and all `quantities` {name: (n, ...)} of its designs, `slopes` (n, k - 1): what one unit more
@@ -62,8 +64,8 @@ def pareto(
 ) -> Front:
     """The front of two or three objectives, quantities of `evaluate` as in `tune`, whose other options this takes too.
 
-    Of two, from the design of least second objective to that of least first one, about equally far apart in both, relative to their ranges. Of three, a grid of bounds on the second and
-    the third between their least and what the others leave of them, about `points` of it, without those that cannot be met or leave but one point. Errors: BAD_FRONT, those of `tune`.
+    Of two, from the design of least second objective to that of least first one, about equally far apart in both, relative to their ranges. Of three, such fronts of the first and the third for some bounds on the second, about
+    `points` in all, without what another design beats or repeats. Errors: BAD_FRONT, those of `tune`.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):
@@ -123,23 +125,25 @@ def _along(names: list[str], ends: list[Tuning], least: Any, points: int) -> lis
 
 
 def _over(names: list[str], ends: list[Tuning], least: Any, points: int) -> list[Tuning]:
-    """A grid of bounds on the second and third, row by row back and forth."""
-    count = max(2, round(points**0.5))
-    ranges = [
-        np.linspace(min(_value(end, name) for end in ends), max(_value(end, name) for end in ends), count + 1)[1:] for name in names[1:]
-    ]
-    found, start = list(ends), ends[0]
-    for row, bound in enumerate(ranges[0]):
-        for last in ranges[1] if row % 2 else ranges[1][::-1]:
-            design = least(start.model, names[0], {names[1]: _slack(float(bound)), names[2]: _slack(float(last))})
-            if design.ok:
-                found.append(design)
-                start = design
+    """For each of some bounds on the second the front of the first and the third; then without what another design beats."""
+    one, second, third = names
+    count = max(3, round(points**0.5))
+    at = [_value(end, second) for end in ends]
+    found = list(ends)
+    for bound in np.linspace(min(at), max(at), count + 1)[1:]:
+
+        def within(start: Model, name: str, bounds: dict[str, float], bound=bound) -> Tuning:
+            return least(start, name, {**bounds, second: _slack(float(bound))})
+
+        sides = [within(ends[0].model, one, {}), within(ends[2].model, third, {})]
+        found += _along([one, third], sides, within, count)
+    found = [design for design in found if design.ok]
     values = np.array([[_value(design, name) for name in names] for design in found])
-    better = (values[None] <= values[:, None] * (1 + np.sign(values[:, None]) * 1e-6)).all(-1) & (
-        values[None] < values[:, None] * (1 - np.sign(values[:, None]) * 1e-4)
-    ).any(-1)
-    return [design for design, beaten in zip(found, better.any(1), strict=True) if not beaten]
+    size = np.ptp(values, axis=0)
+    gain = (values[:, None] - values[None]) / np.where(size > 0, size, 1.0)  # of the second of each pair over the first
+    beaten = (gain >= -SAME).all(-1) & (gain > NOTABLE).any(-1)
+    twice = np.triu((np.abs(gain) < NOTABLE).all(-1), 1).any(0)
+    return [design for design, worse, again in zip(found, beaten.any(1), twice, strict=True) if not worse and not again]
 
 
 def _front(names: list[str], found: list[Tuning]) -> Front:
