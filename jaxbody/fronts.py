@@ -64,8 +64,9 @@ def pareto(
 ) -> Front:
     """The front of two or three objectives, quantities of `evaluate` as in `tune`, whose other options this takes too.
 
-    Of two, from the design of least second objective to that of least first one, about equally far apart in both, relative to their ranges. Of three, such fronts of the first and the third for some bounds on the second, about
-    `points` in all, without what another design beats or repeats. Errors: BAD_FRONT, those of `tune`.
+    Of two, from the design of least second objective to that of least first one, about equally far apart in both, relative to their ranges.
+    Of three, such fronts of the first and the third for some bounds on the second, about `points` in all, without what another design beats or
+    repeats. Warns by the worst status of a design. Errors: BAD_FRONT, those of `tune`.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):
@@ -110,6 +111,7 @@ def _along(names: list[str], ends: list[Tuning], least: Any, points: int) -> lis
     one, other = names
     low, high = _value(ends[1], other), _value(ends[0], other)
     first = least(ends[1].model, one, {other: _slack(low)})  # of those of least second objective the best
+    first = first if first.ok else ends[1]  # there may be but one, which limits that meet in a point do not tell
     width = high - low
     height = _value(first, one) - _value(ends[0], one)
     if width <= MET * abs(high) or height <= MET * abs(_value(first, one)):
