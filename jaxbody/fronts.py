@@ -30,7 +30,12 @@ SAME, NOTABLE = 1e-6, 1e-3  # parts of the range of an objective
 
 class Front(Result):
     """`objectives` {name: (n,)} along the front, `values` {path: (n, ...)} and all `quantities` {name: (n, ...)} of its designs, `slopes` (n, k - 1): what one unit more
-    of each further objective adds to the first. `status` of each point."""
+    of each further objective adds to the first. `status` of each point, `designs` as `tune` gave them.
+
+    >>> import inspect
+    >>> inspect.signature(pareto).return_annotation  # pareto returns one
+    'Front'
+    """
 
     objectives: dict[str, Float[np.ndarray, "n"]]
     values: dict[str, Array]

@@ -23,6 +23,7 @@ def ride(model):
     return {name: found[name] for name in ASKED}
 
 
+@pytest.mark.long
 def test_comfort_against_travel_is_the_closed_form(car):
     """On the softest spring all along; travel fixes the damper, c = W M/(2 travel^2), and that the acceleration; its end is c = ks sqrt(M/kt). Slopes are those of the curve."""
     bounds = {"suspension.stiffness": (15e3, 60e3), "suspension.damping": (300.0, 4000.0)}

@@ -54,6 +54,7 @@ def test_coupling_is_made_of_the_published_energies(engine):
     np.testing.assert_allclose(objectives.coupling_of_modes(engine), np.sum(np.sum(e, 0) ** 2 - np.sum(e**2, 0)) / 1e4, atol=1e-4)
 
 
+@pytest.mark.long
 def test_couplings_vanish_where_modes_are_decoupled_and_have_derivatives_there():
     """A table on isolators in the plane of its centre of mass, square so that modes coincide: nothing couples, and raising the plane couples to second order."""
 
@@ -106,6 +107,7 @@ def test_what_a_random_road_does_is_the_closed_form(ride):
         objectives.stroke(ride, "travl")
 
 
+@pytest.mark.long
 def test_what_arrives_over_a_band():
     """A mass on a spring far above its resonance: |H| = r^-2, whose mean square over ln f is known."""
     model = jb.Model(
