@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from threadpoolctl import threadpool_limits
 
 from jaxbody.checks import check_precision
 from jaxbody.design_programs import Evaluate, Program, check_slopes, check_start, limits_of, named
@@ -24,7 +23,7 @@ from jaxbody.design_spaces import Free, Space, at_value, drawn, space_of
 from jaxbody.errors import JaxbodyError, Problem, Problems, is_concrete
 from jaxbody.models import Model
 from jaxbody.naming import matching
-from jaxbody.optimizers import MET, METHODS, Rows, Search, hand_in_hand, scales, search_with
+from jaxbody.optimizers import MET, METHODS, Rows, Search, hand_in_hand, one_thread, scales, search_with
 from jaxbody.results import warn_if_failed
 from jaxbody.tunings import Tuning, tuning_of
 
@@ -82,7 +81,7 @@ def tune(
     U = drawn(space, low, high, starts, key, "tune.bounds")
     stochastic = not isinstance(method, str) and len(inspect.signature(evaluate).parameters) > 1
     program = Program(space, evaluate, minimize, limited, width=starts, reverse=reverse, key=key if stochastic else None)
-    with threadpool_limits(1, "blas"):  # matrices are small: threads of BLAS only wait for each other
+    with one_thread():
         check_start(program, U)
         searches = [Search(u, low, high) for u in U]
         if isinstance(method, str):

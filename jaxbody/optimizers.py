@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
 
 ACTIVE = 1e-5  # scaled distance from a limit or bound that counts as at it
 MET = 1e-8  # scaled violation that counts as none
@@ -39,6 +40,13 @@ class Rows:
         """The largest, scaled."""
         c = values[..., self.limited]
         return np.max(np.maximum(self.lower - c, c - self.upper) / scale, axis=-1, initial=0.0)
+
+
+def one_thread() -> threadpool_limits:
+    """A context in which BLAS has one thread: matrices are small here, and threads would wait for each other most of the time."""
+    import scipy.optimize  # noqa: F401  # what is loaded later would not be limited
+
+    return threadpool_limits(1, "blas")
 
 
 class Stopped(Exception):

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 import numpy as np
 from jaxtyping import Float, Int
-from threadpoolctl import threadpool_limits
 
 from jaxbody import tables
 from jaxbody.checks import check_precision
@@ -14,6 +13,7 @@ from jaxbody.design_programs import Evaluate, Program
 from jaxbody.design_spaces import Free, space_of
 from jaxbody.errors import JaxbodyError, Problem, Status
 from jaxbody.models import Model, unknown
+from jaxbody.optimizers import one_thread
 from jaxbody.parametrizations import Positive
 from jaxbody.results import Result, warn_if_failed
 
@@ -79,7 +79,7 @@ def sensitivities(model: Model, evaluate: Evaluate, *, free: Free | Iterable[Fre
             up[at], down[at] = np.log1p(change), np.log1p(-change)
     U = np.concatenate([np.zeros((1, space.size)), np.diag(down), np.diag(up)])
     program = Program(space, evaluate, "", {}, width=1)  # the program of `tune` from one start
-    with threadpool_limits(1, "blas"):
+    with one_thread():
         values, slopes = program(U)
     low, high = np.split(values[1:].T, 2, axis=1)
     bad = not (np.isfinite(values).all() and np.isfinite(slopes[0]).all())
