@@ -1,6 +1,6 @@
 """jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
 
-from jaxbody import laws, presets, signals
+from jaxbody import laws, objectives, presets, signals
 from jaxbody.attitudes import BodyPose, Orientation
 from jaxbody.bands import bands
 from jaxbody.base_motions import base_motion
@@ -11,6 +11,7 @@ from jaxbody.collocations import Gauss
 from jaxbody.compilations import compile_times
 from jaxbody.complex_modes import complex_modes, whirl
 from jaxbody.contacts import Contact, Tyre
+from jaxbody.designs import tune
 from jaxbody.diagnoses import diagnose
 from jaxbody.elastic_axes import elastic_axes, torque_roll_axis
 from jaxbody.elements import Bushing, Element, Spring, SpringDamper
@@ -20,6 +21,7 @@ from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
 from jaxbody.experiments import Experiment
 from jaxbody.fits import Fit
 from jaxbody.frequency_responses import frequency_response
+from jaxbody.fronts import Front, pareto
 from jaxbody.gauges import Displacement, LaserDistance, LaserVibrometer, StringPotentiometer, Velocity
 from jaxbody.identification import fit
 from jaxbody.instruments import Accelerometer, ForcePlate, Gyro, JointAngle, LoadCell, Tilt
@@ -47,6 +49,7 @@ from jaxbody.records import measure
 from jaxbody.response_files import read_responses
 from jaxbody.road_spectra import Unevenness, road_profile
 from jaxbody.roads import Road
+from jaxbody.sensitivities import sensitivities
 from jaxbody.sensors import Elongation, Position, Sensor
 from jaxbody.shootings import multiple_shooting
 from jaxbody.simulations import simulate
@@ -54,7 +57,10 @@ from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
 from jaxbody.spins import linearize_spin
 from jaxbody.splines import Spline
 from jaxbody.statics import equilibrium
+from jaxbody.sweeps import sweep
+from jaxbody.tolerances import robust, tolerances
 from jaxbody.torsions import AntiRollBar, Torsion
+from jaxbody.tunings import Tuning
 from jaxbody.validations import validate
 from jaxbody.vibrations import modes
 from jaxbody.weightings import weighted, weighted_signal, weighting

@@ -26,6 +26,7 @@ from jaxbody.vibrations import _modes
 
 AXES = "xyz"
 LEAST_LOSS = 1e-12  # of the largest decay of a mode, below which a mode dissipates nothing
+UNTIED = 1e-8  # far above rounding, far below what counts as coinciding
 MOST_MODES = 12  # that a table has room for
 
 
@@ -208,20 +209,37 @@ def _curvatures(lin: Linearization) -> list[tuple[Array, Array]]:
     return each_element(lin.model, Coordinates(lin.model).frames(lin.state.q, lin.state.v, _still(lin.model)), of)
 
 
-def _of_motion(lin: Linearization, curvatures: list[tuple[Array, Array]], phi: Float[Array, "nv"]):
-    """Twice the kinetic energy by body and direction, twice the elastic energy and the power lost by element, of a motion along phi."""
-    model = lin.model
-    frames = Coordinates(model).frames(lin.state.q, phi, _still(model))
+def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
+    """Shares, summing to 1, of bodies and directions (6 for each body) in the kinetic energy of each mode. Where frequencies coincide the modes are taken along the
+    coordinates as far as that can be: those of a K whose diagonal is raised by up to UNTIED, differently for each coordinate."""
+    K, M = (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2
+    untied = UNTIED * jnp.linspace(0.0, 1.0, len(K)) * jax.lax.stop_gradient(jnp.diagonal(K))
+    _, shapes = natural(K + jnp.diag(untied), M)
+    kinetic = jax.vmap(lambda phi: _kinetic(lin.model, _moving(lin, phi)), in_axes=1, out_axes=-1)(shapes)
+    return kinetic.reshape(-1, kinetic.shape[-1])  # phi' M phi = 1
+
+
+def _moving(lin: Linearization, phi: Float[Array, "nv"]) -> Frame:
+    return Coordinates(lin.model).frames(lin.state.q, phi, _still(lin.model))
+
+
+def _kinetic(model: Model, frames: Frame) -> Float[Array, "nb 6"]:
+    """Twice the kinetic energy by body and direction."""
     bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
     v_C = moving.velocity(bodies.com)
     w_B = rotate_back(moving.R, moving.w)
     inertia = (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2
-    kinetic = jnp.concatenate([bodies.mass[:, None] * v_C**2, moving.w * rotate(moving.R, rotate(inertia, w_B))], -1)
-    changes = [e_dot.reshape(len(e_dot), -1) for _, e_dot in each_element(model, frames, lambda element, *F: element.rates(*F))]
+    return jnp.concatenate([bodies.mass[:, None] * v_C**2, moving.w * rotate(moving.R, rotate(inertia, w_B))], -1)
+
+
+def _of_motion(lin: Linearization, curvatures: list[tuple[Array, Array]], phi: Float[Array, "nv"]):
+    """Twice the kinetic energy by body and direction, twice the elastic energy and the power lost by element, of a motion along phi."""
+    frames = _moving(lin, phi)
+    changes = [e_dot.reshape(len(e_dot), -1) for _, e_dot in each_element(lin.model, frames, lambda element, *F: element.rates(*F))]
     none = jnp.zeros(0, phi.dtype)
 
     def quadratic(i):
         pairs = zip(changes, curvatures, strict=True)
         return jnp.concatenate([none, *(jnp.einsum("ni,nij,nj->n", change, both[i], change) for change, both in pairs)])
 
-    return kinetic, quadratic(0), quadratic(1)
+    return _kinetic(lin.model, frames), quadratic(0), quadratic(1)

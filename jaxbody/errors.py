@@ -112,6 +112,7 @@ class Status(enum.IntEnum):
     COARSE = 22
     NOT_POSITIVE = 23
     INTERRUPTED = 24
+    INFEASIBLE = 25
 
 
 MESSAGES = {
@@ -139,6 +140,7 @@ MESSAGES = {
     Status.COARSE: "the frequencies are too far apart for what lies between them",
     Status.NOT_POSITIVE: "the matrix of power spectral densities is not positive semidefinite",
     Status.INTERRUPTED: "it was interrupted",
+    Status.INFEASIBLE: "not all limits can be met",
 }
 
 

@@ -248,6 +248,49 @@ def backbones_dataset(backbones: Any) -> Any:
     return dataset(variables, {"mode": list(range(1, largest.shape[-1] + 1)), "coordinate": list(layout.coordinates)}, "backbones")
 
 
+def tuning_dataset(tuning: Any) -> Any:
+    """Of a tuned design by `start`: objective, violation of limits, status, and every quantity and free parameter."""
+    runs = tuning.runs
+    variables = {
+        "objective": (("start",), runs.objective, ""),
+        "violation": (("start",), runs.violation, ""),
+        "status": (("start",), runs.status, ""),
+    }
+    for name, values in {**runs.quantities, **runs.values}.items():
+        axes = tuple(f"{name}_{i}" for i in range(np.ndim(values) - 1))
+        variables.setdefault(name, (("start", *axes), values, ""))
+    return dataset(variables, {"start": np.arange(len(runs.status))}, f"design of least {tuning.minimize}")
+
+
+def sweep_dataset(columns: dict[str, Any], found: dict[str, Any], *, on_grid: bool) -> Any:
+    """Of a sweep: each quantity over the axes of the grid, or over `sample`."""
+    axes = tuple(columns) if on_grid else ("sample",)
+    lengths = tuple(len(values) for values in columns.values()) if on_grid else (len(next(iter(columns.values()))),)
+    variables = {}
+    for name, values in found.items():
+        own = values.shape[1:]
+        variables[name] = ((*axes, *(f"{name}_{i}" for i in range(len(own)))), values.reshape(*lengths, *own), "")
+    coordinates = {}
+    for path, values in columns.items():
+        over = path if on_grid else "sample"
+        flat = np.ndim(values) == 1
+        coordinates[path] = (over, values) if flat else (over, np.arange(len(values)))
+        if not flat:
+            coordinates[f"{path} values"] = ((over, *(f"{path}_{i}" for i in range(np.ndim(values) - 1))), values)
+    return dataset(variables, coordinates, "sweep")
+
+
+def front_dataset(front: Any) -> Any:
+    """Of a front by `point`: every quantity and parameter, slopes, status."""
+    variables = {"status": (("point",), front.status, "")}
+    for name, values in {**front.quantities, **front.values}.items():
+        axes = tuple(f"{name}_{i}" for i in range(np.ndim(values) - 1))
+        variables.setdefault(name, (("point", *axes), values, ""))
+    for name, slope in zip(list(front.objectives)[1:], front.slopes.T, strict=True):
+        variables[f"slope over {name}"] = (("point",), slope, "")
+    return dataset(variables, {"point": np.arange(1, 1 + len(front.status))}, "front")
+
+
 def fit_dataset(fit: Any) -> Any:
     """Of a fit: estimate and standard error by `parameter`, singular values, and `{run}_{sensor}` predicted over `{run}_time`."""
     names, estimates, errors = [], [], []

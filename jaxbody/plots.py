@@ -14,6 +14,10 @@ from equinox import filter_jit
 
 from jaxbody.canvases import COLORS, GRAY, INK, LIGHT, axes_below, axes_or_new, legend
 from jaxbody.complex_modes import ComplexModes
+from jaxbody.design_plots import plot_front as plot_front
+from jaxbody.design_plots import plot_tolerances as plot_tolerances
+from jaxbody.design_plots import plot_tornado as plot_tornado
+from jaxbody.design_plots import plot_tuning as plot_tuning
 from jaxbody.elements import LineElement
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.fit_plots import plot_autocorrelation as plot_autocorrelation

@@ -236,3 +236,17 @@ def test_a_pendulum_with_friction():
     dry = names["fits"]["viscous and dry"]
     level, error = (float(x["hinge.damper.terms.1.level"]) for x in (dry.estimates, dry.standard_errors))
     assert level - 2 * error < 0 < level + 2 * error < 0.005 * names["a"] and "12 missing" in printed
+
+
+@pytest.mark.long
+def test_a_car_tuned_for_its_driver(monkeypatch):
+    """It asserts that differences lead to the same optimum; here that the design keeps its limits when looked at again, and that the front goes through it."""
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names, printed = run("ride_design.py")
+    found, front = names["found"], names["front"]
+    again = names["rides"](found.model)
+    assert float(again["felt"].max()) < 0.9 * float(found.before["worst"])
+    assert float(again["stroke"].max()) < 0.0751 and float(again["tyre"].max()) < 0.751
+    assert "1 % more" in printed and len(found.values) == 12
+    worst, longest = front.objectives["worst"], front.objectives["longest"]
+    assert np.all(np.diff(longest) > 0) and np.all(np.diff(worst) < 1e-6)

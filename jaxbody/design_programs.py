@@ -1,0 +1,179 @@
+"""Quantities of a design and their exact derivatives as one compiled program, for one u or for a batch of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.design_spaces import Space
+from jaxbody.errors import JaxbodyError, Problem, Problems
+from jaxbody.models import unknown
+from jaxbody.optimizers import Rows, Search
+
+MOST_FORWARD = 30  # free numbers up to which forward mode is the faster one
+
+Quantities = dict[str, Array]
+Evaluate = Callable[..., Any]
+Limits = dict[str, tuple[float, float]]
+
+
+class Program:
+    """All quantities and their derivatives at a batch of u."""
+
+    def __init__(
+        self, space: Space, evaluate: Evaluate, minimize: str, limits: Limits, *, width: int, reverse: bool | None = None, key: Any = None
+    ):
+        self.space, self.evaluate, self.minimize, self.limits = space, evaluate, minimize, limits
+        self.width, self.reverse, self.key = width, reverse, key
+        self.count = 0
+        self.shapes: tuple[tuple[str, tuple[int, ...]], ...] = ()
+        self.origin = np.zeros(0)
+
+    def __call__(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values (b, m) and Jacobians (b, m, n), in batches of the one width that is compiled."""
+        self.count += 1
+        parts = [self._of(U[i : i + self.width]) for i in range(0, len(U), self.width)]
+        return np.concatenate([v for v, _ in parts]), np.concatenate([J for _, J in parts])
+
+    def _of(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        filled = np.concatenate([U, np.repeat(U[-1:], self.width - len(U), 0)])
+        u = jnp.asarray(filled if self.width > 1 else filled[0])
+        values, slopes, self.shapes = values_and_slopes(self.space, self.evaluate, self.reverse, u, self.key)
+        values, slopes = np.asarray(values), np.asarray(slopes)
+        return (values[: len(U)], slopes[: len(U)]) if self.width > 1 else (values[None], slopes[None])
+
+    @property
+    def rows(self) -> Rows:
+        ends = np.cumsum([0] + [int(np.prod(shape)) for _, shape in self.shapes])
+        at = {name: np.arange(i, j) for (name, _), i, j in zip(self.shapes, ends[:-1], ends[1:], strict=True)}
+        rows = [at[name] for name in self.limits]
+        lower, upper = (
+            np.concatenate([np.zeros(0), *(np.full(len(r), limit[k]) for r, limit in zip(rows, self.limits.values(), strict=True))])
+            for k in (0, 1)
+        )
+        return Rows(int(at[self.minimize][0]), np.concatenate([np.zeros(0, int), *rows]).astype(int), lower, upper)
+
+    def labels(self) -> list[str]:
+        """Of every value."""
+        return [
+            name + (str(list(i)).replace(" ", "") if shape else "")
+            for name, shape in self.shapes
+            for i in (np.ndindex(shape) if shape else [()])
+        ]
+
+    def quantities(self, values: np.ndarray) -> Quantities:
+        parts = np.split(values, np.cumsum([int(np.prod(shape)) for _, shape in self.shapes])[:-1], axis=-1)
+        return {name: part.reshape((*values.shape[:-1], *shape)) for (name, shape), part in zip(self.shapes, parts, strict=True)}
+
+
+@eqx.filter_jit
+def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any):
+    """Nothing here knows what is minimized or limited, so that one program serves for all of that."""
+    told: list[tuple[str, tuple[int, ...]]] = []
+
+    def flat(u):
+        found = named(evaluate(space.place(u)) if key is None else evaluate(space.place(u), key))  # pyright: ignore
+        told[:] = [(name, x.shape) for name, x in found.items()]
+        return jnp.concatenate([x.ravel() for x in found.values()])
+
+    def both(u):
+        back = u.size > MOST_FORWARD if reverse is None else reverse
+        if not back:
+            return value_and_forward_slopes(flat, u)
+        values, pull = jax.vjp(flat, u)
+        return values, jax.vmap(lambda y: pull(y)[0])(jnp.eye(values.size))
+
+    values, slopes = both(u) if u.ndim == 1 else jax.vmap(both)(u)
+    return values, slopes, tuple(told)
+
+
+def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array, "n"]) -> tuple[Float[Array, "m"], Float[Array, "m n"]]:
+    """The value and the Jacobian: linearized once, or direction by direction through loops of unknown length, such as simulations, which cannot be."""
+    try:
+        values, push = jax.linearize(function, u)
+    except ValueError:
+
+        def both(u):
+            values = function(u)
+            return values, values
+
+        slopes, values = jax.jacfwd(both, has_aux=True)(u)
+        return values, slopes
+    return values, jax.vmap(push, out_axes=1)(jnp.eye(u.size))
+
+
+def named(found: Any) -> Quantities:
+    """{name: array}."""
+    named = found if isinstance(found, dict) else {"objective": found}
+    try:
+        return {str(name): jnp.asarray(x, float) for name, x in named.items()}
+    except (TypeError, ValueError):
+        told, hint = f"gives {found!r:.80}", "Return {name: number or array}, or one number."
+        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", told, found, "numbers", hint)) from None
+
+
+def check_names(program: Program) -> None:
+    """What is minimized and limited is there, and one number is minimized."""
+    problems, shapes = Problems(), dict(program.shapes)
+    for where, names in (("tune.minimize", (program.minimize,)), ("tune.limits", program.limits)):
+        problems.found += [unknown(name, where, tuple(shapes)) for name in names if name not in shapes]
+    shape = shapes.get(program.minimize, ())
+    if shape:
+        hint = "Minimize one number; limit the others."
+        problems.add("BAD_OBJECTIVE", f"evaluate[{program.minimize!r}]", f"has shape {shape}", value=shape, limit="one number", hint=hint)
+    problems.raise_if_any()
+
+
+def limits_of(limits: dict[str, Any]) -> Limits:
+    """{name: (lower, upper)}."""
+    problems, found = Problems(), {}
+    for name, given in limits.items():
+        where = f"tune.limits[{name!r}]"
+        try:
+            lower, upper = (given, given) if np.ndim(given) == 0 and not isinstance(given, tuple) else given
+            ends = (-np.inf if lower is None else float(lower), np.inf if upper is None else float(upper))
+        except (TypeError, ValueError):
+            problems.add("BAD_LIMITS", where, f"is {given!r:.60}", value=given, limit="(lower, upper), a number, or None for either")
+            continue
+        if not ends[0] <= ends[1]:
+            problems.add("BAD_LIMITS", where, f"has lower {ends[0]:g} > upper {ends[1]:g}", value=given, limit="lower <= upper")
+        found[name] = ends
+    problems.raise_if_any()
+    return found
+
+
+def check_start(program: Program, U: np.ndarray) -> None:
+    """Evaluate the starts, of which the first is the model as it is; at least one must be finite. Of the first it is told what is not."""
+    values, _ = program(U)
+    check_names(program)
+    program.origin = values[0]
+    rows = np.r_[program.rows.objective, program.rows.limited]
+    good = np.isfinite(values[:, rows]).all(-1)
+    if good.any():
+        return
+    labels = program.labels()
+    bad = [f"{labels[i]} = {values[0, i]}" for i in dict.fromkeys(rows) if not np.isfinite(values[0, i])]
+    told = f"gives {', '.join(bad)} at the start" + (f", and no numbers at any of {len(U)} starts" if len(U) > 1 else "")
+    hint = "Look at evaluate(model) there: an equilibrium may not exist, a mode be unstable."
+    raise JaxbodyError(Problem("NONFINITE_START", "tune.evaluate", told, values[0], "finite", hint))
+
+
+def check_slopes(program: Program, search: Search) -> None:
+    """No start had derivatives: which are not finite."""
+    labels, names = program.labels(), program.space.labels()
+    rows = np.r_[program.rows.objective, program.rows.limited]
+    bad = [
+        f"'{labels[i]}' by '{name}'"
+        for i in dict.fromkeys(rows)
+        for name, x in zip(names, search.slopes[i], strict=True)
+        if not np.isfinite(x)
+    ]
+    told = f"has derivatives that are not finite at the start: of {', '.join(bad[:4])}" + (", ..." if len(bad) > 4 else "")
+    hint = "Look for roots of zero, norms of zero, or simulate(adjoint=...); smooth quantities are in jb.objectives."
+    raise JaxbodyError(Problem("NONFINITE_START", "tune.evaluate", told, search.slopes, "finite", hint))

@@ -1,0 +1,204 @@
+"""Where a search for a design may go: parameters by path, equal ones together, between bounds, as numbers u of the order of one."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.errors import Problem, Problems
+from jaxbody.models import Model
+from jaxbody.naming import Leaf, leaves_of, matching, write
+from jaxbody.parametrizations import Parametrization, Positive, Rotation, Shifted, parametrize
+from jaxbody.statics import size_of
+
+ALIKE = 1e-9  # relative difference of starts that are to stay equal
+SPREAD = 0.3  # of random starts of what has no bounds of its own: directions, matrices
+
+Free = str | tuple[str, ...]
+
+
+class Group(eqx.Module):
+    """Leaves of one value, and how it moves."""
+
+    leaves: tuple[Leaf, ...] = eqx.field(static=True)
+    form: Parametrization
+
+    @property
+    def path(self) -> str:
+        return self.leaves[0].path
+
+    @property
+    def label(self) -> str:
+        return " = ".join(leaf.path for leaf in self.leaves[:2]) + (" = ..." if len(self.leaves) > 2 else "")
+
+
+class Space(eqx.Module):
+    """A model as a function of u, zero at the start: `place(u)`, between `low` and `high`."""
+
+    model: Model
+    groups: tuple[Group, ...]
+
+    @property
+    def size(self) -> int:
+        return sum(group.form.size for group in self.groups)
+
+    @property
+    def ends(self) -> list[slice]:
+        """Which numbers of u each group has."""
+        at = np.cumsum([0] + [group.form.size for group in self.groups])
+        return [slice(i, j) for i, j in itertools.pairwise(at)]
+
+    def values(self, u: Float[Array, "n"]) -> dict[str, Array]:
+        """{path of each group's first leaf: value}."""
+        return {group.path: group.form.value(u[at]) for group, at in zip(self.groups, self.ends, strict=True)}
+
+    def place(self, u: Float[Array, "n"]) -> Model:
+        values = self.values(u)
+        return write(self.model, {leaf: values[group.path] for group in self.groups for leaf in group.leaves})
+
+    def labels(self) -> list[str]:
+        """What each u belongs to: "AB.stiffness", "mount 1.a[0]"."""
+        return [group.path + suffix for group in self.groups for suffix in group.form.labels()]
+
+    def numbers(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What each u stands for, and its derivative in u: the parameter's number; where it has none, an orientation's or a matrix's, u itself."""
+        x, slopes = np.array(u), np.ones(len(u))
+        for group, at in zip(self.groups, self.ends, strict=True):
+            if isinstance(group.form, Positive | Shifted):
+                x[at] = np.asarray(group.form.value(jnp.asarray(u[at]))).ravel()
+                slopes[at] = x[at] if isinstance(group.form, Positive) else float(group.form.scale)
+                x[at] = np.where(np.abs(x[at]) < 1e-12 * np.abs(slopes[at]), 0.0, x[at])
+        return x, slopes
+
+
+def space_of(model: Model, free: Free | Iterable[Free], bounds: dict[str, Any], where: str) -> tuple[Space, np.ndarray, np.ndarray]:
+    """The space of the free parameters, and the bounds of u."""
+    groups = _grouped(model, [free] if isinstance(free, str) else list(free), where)
+    return _bounded(Space(model, groups), bounds, f"{where}.bounds")
+
+
+def _grouped(model: Model, free: list[Free], where: str) -> tuple[Group, ...]:
+    problems, where = Problems(), f"{where}.free"
+    leaves, arrays, size = leaves_of(model), jax.tree.leaves(model), size_of(model)
+    named = [pattern for entry in free for pattern in ((entry,) if isinstance(entry, str) else entry)]
+    matched = matching(leaves, named, where)
+    taken: set[Leaf] = set()
+    groups = []
+    for entry in free:
+        found = [leaf for pattern in ((entry,) if isinstance(entry, str) else entry) for leaf in matched[pattern]]
+        for leaf in found:
+            if leaf in taken:
+                problems.add("LISTED_TWICE", where, f"names {leaf.path} twice", value=entry, hint="Each parameter is free once.")
+            taken.add(leaf)
+        for together in [(leaf,) for leaf in found] if isinstance(entry, str) else [tuple(found)]:
+            groups.append(_group(together, arrays, model, size, where, problems))
+    if not named:
+        problems.add("NOTHING_FREE", where, "is empty", limit="at least one path", hint='Name what may change: free=["*.stiffness"].')
+    problems.raise_if_any()
+    return tuple(groups)
+
+
+def _group(leaves: tuple[Leaf, ...], arrays, model: Model, size, where: str, problems: Problems) -> Group | None:
+    starts = [leaf.read(arrays) for leaf in leaves]
+    for leaf, start in zip(leaves, starts, strict=True):
+        alike = start.shape == starts[0].shape and np.allclose(start, starts[0], rtol=ALIKE, atol=0)
+        if not alike:
+            told = f"holds {leaves[0].path} and {leaf.path} equal, which start at {np.asarray(starts[0])} and {np.asarray(start)}"
+            problems.add("START_APART", where, told, value=start, hint="Make them equal first, with replace.")
+    form = parametrize(leaves[0].path, starts[0], model, size)
+    if isinstance(form, Problem):
+        problems.found.append(form)
+        return None
+    return Group(leaves, form)
+
+
+def _bounded(space: Space, bounds: dict[str, Any], where: str) -> tuple[Space, np.ndarray, np.ndarray]:
+    problems = Problems()
+    owner = {leaf: i for i, group in enumerate(space.groups) for leaf in group.leaves}
+    low, high = np.full(space.size, -np.inf), np.full(space.size, np.inf)
+    forms = [group.form for group in space.groups]
+    for pattern, leaves in matching(list(owner), bounds, where).items():
+        for i in dict.fromkeys(owner[leaf] for leaf in leaves):
+            path, form, at = space.groups[i].path, forms[i], space.ends[i]
+            ends = _ends(bounds[pattern], form.start.shape)
+            if _sound(form, ends, bounds[pattern], f"{where}['{path}']", problems):
+                lower, upper = ends  # pyright: ignore
+                if isinstance(form, Shifted) and np.isfinite(upper - lower).all():
+                    forms[i] = form = Shifted(form.start, jnp.asarray((upper - lower).max() / 2))
+                low[at], high[at] = _inverse(form, lower), _inverse(form, upper)
+    problems.raise_if_any()
+    return Space(space.model, tuple(Group(g.leaves, form) for g, form in zip(space.groups, forms, strict=True))), low, high
+
+
+def _sound(form: Parametrization, ends, given: Any, where: str, problems: Problems) -> bool:
+    start = np.asarray(form.start)
+    slack = ALIKE * max(
+        float(np.where(np.isfinite(end), np.abs(end), 0.0).max()) for end in ends or [start]
+    )  # what a tuned model comes with
+    if not isinstance(form, Positive | Shifted):
+        problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
+    elif ends is None:
+        problems.add("BAD_BOUNDS", where, f"is {given!r:.60}", value=given, limit="(lower, upper)")
+    elif not (ends[0] < ends[1]).all():
+        problems.add("BAD_BOUNDS", where, f"has lower {given[0]} >= upper {given[1]}", value=given, limit="lower < upper")
+    elif ((start < ends[0] - slack) | (start > ends[1] + slack)).any():
+        distance = np.maximum(ends[0] - start, start - ends[1]).max()
+        told, limit = f"does not hold the start {start}, by {distance:.4g}", f"{given[0]} to {given[1]}"
+        problems.add("START_OUTSIDE", where, told, value=start, limit=limit, hint="Move the start (replace) or the bound.")
+    else:
+        return True
+    return False
+
+
+def _ends(pair: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
+    try:
+        lower, upper = pair
+        return [np.broadcast_to(np.asarray(end, float), shape) for end in (lower, upper)]
+    except (TypeError, ValueError):
+        return None
+
+
+def _inverse(form: Positive | Shifted, x: Any) -> np.ndarray:
+    """u of a value."""
+    start, x = np.asarray(form.start), np.asarray(x, float)
+    if isinstance(form, Positive):
+        with np.errstate(divide="ignore"):
+            return np.log(np.maximum(x, 0.0) / start).ravel()
+    return ((x - start) / float(form.scale)).ravel()
+
+
+def at_value(space: Space, group: int, x: Any) -> np.ndarray:
+    """u of a group at a value."""
+    return _inverse(space.groups[group].form, np.broadcast_to(x, space.groups[group].form.start.shape))
+
+
+def drawn(space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any, where: str) -> np.ndarray:
+    """Starts (count, n): the model as it is, and others at random, evenly between the bounds of u; orientations anywhere."""
+    problems = Problems()
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+    u = np.zeros((count, space.size))
+    for group, at in zip(space.groups, space.ends, strict=True):
+        if isinstance(group.form, Rotation):
+            q = rng.normal(size=(count, 4))
+            q = q / np.linalg.norm(q, axis=1, keepdims=True)
+            angle = 2 * np.arctan2(np.linalg.norm(q[:, 1:], axis=1), q[:, 0])
+            u[:, at] = (
+                q[:, 1:] / np.linalg.norm(q[:, 1:], axis=1, keepdims=True) * np.where(angle > np.pi, angle - 2 * np.pi, angle)[:, None]
+            )
+        elif not isinstance(group.form, Positive | Shifted):
+            u[:, at] = SPREAD * rng.normal(size=(count, group.form.size))
+        elif count > 1 and not np.isfinite(high[at] - low[at]).all():
+            limit, hint = "finite, both", "Random starts lie between bounds."
+            problems.add("NO_BOUNDS", f"{where}['{group.path}']", "is missing", limit=limit, hint=hint)
+        elif count > 1:
+            u[:, at] = rng.uniform(low[at], high[at], (count, group.form.size))
+    problems.raise_if_any()
+    u[0] = 0.0
+    return u

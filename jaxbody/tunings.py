@@ -1,0 +1,179 @@
+"""What a tuned design tells: its parameters and quantities before and after, what holds it back, and what more of that would buy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxbody import tables
+from jaxbody.design_programs import Limits, Program, Quantities
+from jaxbody.design_spaces import Space
+from jaxbody.errors import Status
+from jaxbody.models import Model
+from jaxbody.optimizers import ARRIVED, MET, Multipliers, Rows, Search, multipliers, scales
+from jaxbody.results import Result
+
+DUST = 1e-12  # of what it was, at a bound of zero
+
+
+class Runs(eqx.Module):
+    """Every start: `objective`, `violation` (the largest, relative to its limit), `status`, `values` {path: (n, ...)} and `quantities` {name: (n, ...)}."""
+
+    objective: Float[np.ndarray, "n"]
+    violation: Float[np.ndarray, "n"]
+    status: Int[np.ndarray, "n"]
+    values: dict[str, Array]
+    quantities: Quantities
+
+
+class Tuning(Result):
+    """A tuned design: `model`, `values` {path: value}, quantities `before` and `after` {name: value}, `active` limits and bounds in words,
+    `multipliers` {name of a limited quantity or of a parameter at its bound: what one unit more of the limit adds to the objective}, `words` what one percent more of each buys, `history`
+    (evaluations, 2) of the objective and the violation of limits, `evaluations`, and all starts in `runs`. `status` INFEASIBLE where limits are not met, `unmet` says which,
+    and NOT_CONVERGED.
+
+    >>> import inspect
+    >>> inspect.signature(tune).return_annotation  # tune returns one
+    'Tuning'
+    """
+
+    model: Model
+    values: dict[str, Array]
+    before: Quantities
+    after: Quantities
+    multipliers: dict[str, float]
+    active: tuple[str, ...]
+    words: tuple[str, ...]
+    unmet: tuple[str, ...]
+    history: Float[np.ndarray, "k 2"]
+    evaluations: int
+    runs: Runs
+    status: Int[np.ndarray, ""]
+    space: Space
+    minimize: str = eqx.field(static=True)
+    limits: Limits = eqx.field(static=True)
+
+    def explain(self) -> str:
+        if int(self.status) == Status.INFEASIBLE:
+            return "nearest to all limits " + "; ".join(self.unmet)
+        if int(self.status) == Status.NOT_CONVERGED:
+            return f"after {self.evaluations} evaluations; the best so far is kept; give more max_iterations"
+        return ""
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset over `start`: objective, violation, status, and every quantity and parameter."""
+        from jaxbody.exports import tuning_dataset
+
+        return tuning_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        start = {group.path: group.form.start for group in self.space.groups}
+        rows = [
+            (label, *pair, "at its bound" if name in self.multipliers else "")
+            for group in self.space.groups
+            for name, label, *pair in _each(group.path, group.label, start[group.path], self.values[group.path])
+        ]
+        quantities = [
+            (name, label, *pair, _limit(self.limits.get(name)), self.multipliers.get(label, ""))
+            for name, before in self.before.items()
+            for _, label, *pair in _each(name, name, before, self.after[name])
+        ]
+        note = "\n".join([*self.words, f"{self.evaluations} evaluations, best of {len(self.runs.status)} starts; {self.report()}"])
+        heads = ("", "before", "after", "limit", f"{self.minimize} per unit of the limit")
+        return [
+            tables.Table(f"Design of least {self.minimize}", ("parameter", "before", "after", ""), rows),
+            tables.Table("", heads, [row[1:] for row in quantities], note),
+        ]
+
+
+def _each(path: str, label: str, before: Any, after: Any) -> list[tuple[str, str, float, float]]:
+    """Of a scalar or an array, a row for each number."""
+    before, after = np.asarray(before), np.asarray(after)
+    after = np.where(np.abs(after) < DUST * np.abs(before), 0.0, after)
+    index = [""] if before.ndim == 0 else [str(list(i)).replace(" ", "") for i in np.ndindex(before.shape)]
+    return [(path + i, label + i, float(a), float(b)) for i, a, b in zip(index, before.ravel(), after.ravel(), strict=True)]
+
+
+def _limit(limit: tuple[float, float] | None) -> str:
+    if limit is None:
+        return ""
+    lower, upper = limit
+    if lower == upper:
+        return f"= {lower:.6g}"
+    return f"<= {upper:.6g}" if lower == -np.inf else f">= {lower:.6g}" if upper == np.inf else f"{lower:.6g} to {upper:.6g}"
+
+
+def _judged(search: Search, rows: Rows) -> tuple[int, Multipliers | None]:
+    """How a search ended, by the conditions of the optimum and not by what the optimizer says."""
+    if not search.finite:
+        return Status.NONFINITE.value, None
+    found = multipliers(search, rows)
+    if rows.violation(search.values, scales(rows, search.values)) > 10 * MET:
+        return Status.INFEASIBLE.value, found
+    return (Status.OK.value if found.left <= ARRIVED else Status.NOT_CONVERGED.value), found
+
+
+def tuning_of(program: Program, searches: list[Search], best: Search) -> Tuning:
+    rows, space, quantities = program.rows, program.space, program.quantities
+    U, values = (np.stack([getattr(search, name) for search in searches]) for name in ("u", "values"))
+    codes = np.array([_judged(search, rows)[0] for search in searches])
+    violation = rows.violation(values, scales(rows, best.values))
+    runs = Runs(values[:, rows.objective], violation, codes, jax.vmap(space.values)(jnp.asarray(U)), quantities(values))
+    status, prices = _judged(best, rows)
+    told = [] if prices is None or status == Status.INFEASIBLE else _held(program, best, prices)
+    u = jnp.asarray(best.u)
+    return Tuning(
+        space.place(u), space.values(u), quantities(program.origin), quantities(best.values), {held.name: held.price for held in told},
+        tuple(map(str, told)), tuple(held.worth(program.minimize, best.values[rows.objective]) for held in told), _unmet(program, best.values),
+        np.array(best.history).reshape(-1, 2), program.count, runs, np.asarray(status), space, program.minimize, program.limits,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Held:
+    """A limit or bound that holds the optimum back: d objective/d limit is its `price`."""
+
+    name: str
+    at: float
+    price: float
+    sign: str
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.sign} {self.at:.6g}"
+
+    def worth(self, objective: str, f: float) -> str:
+        """What one percent more of the limit buys."""
+        if not self.at or not f:
+            return f"{self} : one unit more changes {objective} by {self.price:.3g}"
+        return f"{self}: 1 % more ({0.01 * self.at:.3g}) changes {objective} by {self.price * self.at / f:+.3g} %"
+
+
+def _held(program: Program, best: Search, prices: Multipliers) -> list[Held]:
+    rows, space, labels = program.rows, program.space, program.labels()
+    found = []
+    for row, lower, upper, price in zip(rows.limited, rows.lower, rows.upper, prices.limits, strict=True):
+        if price:
+            sign = "=" if lower == upper else ">=" if price > 0 else "<="
+            found.append(Held(labels[row], float(lower if price > 0 else upper), float(price), sign))
+    numbers, slopes = space.numbers(best.u)
+    for name, x, slope, price in zip(space.labels(), numbers, slopes, prices.bounds, strict=True):
+        if price:
+            found.append(Held(name, float(x), float(price / slope), ">=" if price > 0 else "<="))
+    return found
+
+
+def _unmet(program: Program, values: np.ndarray) -> tuple[str, ...]:
+    """Limits that are not kept, and by how much."""
+    rows, labels, told = program.rows, program.labels(), []
+    for row, lower, upper, scale in zip(rows.limited, rows.lower, rows.upper, scales(rows, values), strict=True):
+        x = values[row]
+        if max(lower - x, x - upper) > 10 * MET * scale:
+            end = lower if x < lower else upper
+            told.append(f"{labels[row]} is {x:.6g}, {'below' if x < lower else 'above'} {end:.6g} by {abs(x - end):.3g}")
+    return tuple(told)

@@ -1,0 +1,141 @@
+"""Tolerances, robust designs and sensitivities against polynomials, whose moments are known, and against differences; their pictures."""
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import scipy.stats
+from rigs import hung
+
+import jaxbody as jb
+from jaxbody import plots
+
+K0, C0, SK, SC = 50.0, 1.0, 2.0, 0.1
+
+
+@pytest.fixture(scope="module")
+def weight():
+    return hung(jb.Body(mass=2.0, inertia=[1, 1, 1]), to=(0, 0, 1), stiffness=K0, free_length=1.0, damping=C0)
+
+
+def quadratic(model):
+    k, c = model["spring"].stiffness - K0, model["spring"].damping - C0
+    return {"f": 3 + 2 * k + 5 * c + 0.5 * k**2 + 4 * k * c - 6 * c**2, "pair": jnp.stack([k, 10 * c])}
+
+
+@pytest.fixture(scope="module")
+def found(weight):
+    return jb.tolerances(weight, quadratic, {"spring.stiffness": SK, "spring.damping": SC}, samples=20_000, key=jax.random.key(1))
+
+
+def test_the_moments_of_a_quadratic_are_exact_and_those_of_its_samples(found):
+    """Second order is exact for it; samples are within four standard errors."""
+    mean = 3 + 0.5 * SK**2 - 6 * SC**2
+    first = np.hypot(2 * SK, 5 * SC)
+    second = np.sqrt(first**2 + (1.0 * SK**2) ** 2 / 2 + (4 * SK * SC) ** 2 + (12 * SC**2) ** 2 / 2)
+    assert found.ok and found.quantities == ("f", "pair[0]", "pair[1]") and found.parameters == ("spring.stiffness", "spring.damping")
+    np.testing.assert_allclose(
+        [found.nominal[0], found.first[0], found.mean[0], found.deviation[0]], [3.0, first, mean, second], rtol=1e-12
+    )
+    np.testing.assert_allclose(found.first[1:], [SK, 10 * SC], rtol=1e-12)
+    n = len(found.samples)
+    assert abs(found.sampled_mean[0] - mean) < 4 * second / n**0.5
+    assert abs(found.sampled_deviation[0] / second - 1) < 4 * np.sqrt(0.5 / n) * 2
+    np.testing.assert_allclose(found.shares[0], [(2 * SK) ** 2 / first**2, (5 * SC) ** 2 / first**2], rtol=1e-12)
+    assert "spring.stiffness 98 %" in str(found) and "20000 samples; ok" in str(found)
+
+
+def test_samples_without_numbers_are_told(weight):
+    with pytest.warns(jb.JaxbodyWarning, match=r"NONFINITE: .*; \d+ of 200 samples have no numbers"):
+        found = jb.tolerances(weight, lambda model: jnp.sqrt(model["spring"].damping - 0.9), {"spring.damping": 0.1}, samples=200)
+    assert np.isfinite(found.sampled_mean).all() and np.isfinite(found.first).all()
+
+
+def test_a_design_for_the_mean_plus_three_sigma(weight):
+    """(x - 1)^2 + p x^2 with p of zero mean and deviation s is least at x = 1/(1 + 3 s), not at 1."""
+    s = 0.1
+
+    def cost(model):
+        x, p = model["spring"].stiffness / K0, model["spring"].damping - C0
+        return {"cost": (x - 1) ** 2 + p * x**2}
+
+    made = jb.robust(cost, {"spring.damping": s})
+    free = dict(free="spring.stiffness", bounds={"spring.stiffness": (10.0, 200.0)})
+    found = jb.tune(weight, made, minimize="cost high", **free)
+    np.testing.assert_allclose(found.values["spring.stiffness"], K0 / (1 + 3 * s), rtol=1e-5)
+    np.testing.assert_allclose(found.after["cost high"], 3 * s / (1 + 3 * s), rtol=1e-9)
+    softer = jb.replace(weight, {"spring.stiffness": 40.0})
+    plain = jb.tune(softer, made, minimize="cost", limits={"cost high": (None, 0.25)}, **free)
+    x = plain.after["cost high"]  # the limit lies between the two designs
+    assert float(x) == pytest.approx(0.25, rel=1e-6) and K0 / 1.3 < float(plain.values["spring.stiffness"]) < K0
+
+
+BAD = {
+    "UNKNOWN_PATH": ({"sprong.damping": 1.0}, "Did you mean spring.damping"),
+    "BAD_SCATTER": ({"spring.damping": -1.0}, "standard deviations"),
+    "LISTED_TWICE": ({"*.damping": 1.0, "spring.damping": 1.0}, "spring.damping twice"),
+}
+
+
+@pytest.mark.parametrize("code", BAD)
+def test_bad_scatter_is_told(weight, code):
+    scatter, words = BAD[code]
+    for call in (lambda: jb.tolerances(weight, quadratic, scatter), lambda: jb.robust(quadratic, scatter)(weight)):
+        with pytest.raises(jb.JaxbodyError, match=words) as told:
+            call()
+        assert told.value.code == code
+
+
+def modal(model):
+    lin = jb.linearize(model, model.reference)
+    return {"frequency": jb.modes(lin).frequency}
+
+
+@pytest.fixture(scope="module")
+def ranked():
+    car = jb.presets.quarter_car(damping=1500.0)
+    return car, jb.sensitivities(car, modal, free=["*.stiffness", "*.mass"], change=0.2)
+
+
+def test_sensitivities_are_differences_and_ranked(ranked):
+    """Slopes to differences; both ends exactly; the body's mode follows its spring and mass, the wheel's its own."""
+    car, found = ranked
+    frequency = jax.jit(lambda model: modal(model)["frequency"])
+    for i, path in enumerate(found.parameters):
+        value = float(jb.paths(car)[path])
+        at = lambda x, path=path: np.asarray(frequency(jb.replace(car, {path: x})))  # noqa: E731
+        np.testing.assert_allclose(found.slopes[:, i], (at(value * 1.0001) - at(value * 0.9999)) / (2e-4 * value), rtol=1e-6)
+        np.testing.assert_allclose(found.low[:, i], at(0.8 * value), rtol=1e-12)
+        np.testing.assert_allclose(found.high[:, i], at(1.2 * value), rtol=1e-12)
+    assert found.ranked("frequency[0]")[:2] == ("body.mass", "suspension.stiffness")
+    assert found.ranked("frequency[1]")[:2] == ("wheel.mass", "tyre.stiffness")
+    assert "20 % less" in str(found)
+    with pytest.raises(jb.JaxbodyError, match="Did you mean"):
+        found.ranked("frequency")
+    with pytest.raises(jb.JaxbodyError, match="BAD_CHANGE"):
+        jb.sensitivities(car, modal, free="*.mass", change=1.5)
+
+
+def test_a_tornado_and_a_histogram_show_what_was_found(ranked, found, weight):
+    _, sensitive = ranked
+    ax = plots.plot_tornado(sensitive, "frequency[1]")
+    names = [label.get_text() for label in ax.get_yticklabels()]
+    assert names == list(sensitive.ranked("frequency[1]")) and ax.get_xlabel() == "frequency[1]"
+    reached = sorted(bar.get_x() + bar.get_width() for bar in ax.patches if abs(bar.get_width()) > 0)
+    np.testing.assert_allclose(
+        [reached[0], reached[-1]],
+        [min(sensitive.low[1].min(), sensitive.high[1].min()), max(sensitive.low[1].max(), sensitive.high[1].max())],
+        rtol=1e-12,
+    )
+    below = plots.plot_tolerances(found)
+    heights = np.array([[bar.get_height(), bar.get_width()] for bar in below.patches])
+    np.testing.assert_allclose(np.sum(heights.prod(1)), 1.0, rtol=1e-12)
+    for line, mean, deviation in zip(below.lines[:2], (found.nominal, found.mean), (found.first, found.deviation), strict=True):
+        x = line.get_xdata()
+        shown = scipy.stats.norm(float(mean[0]), float(deviation[0])).cdf(x[[-1, 0]])
+        np.testing.assert_allclose(np.trapezoid(line.get_ydata(), x), shown[0] - shown[1], rtol=1e-3)
+    tuned = jb.tune(weight, lambda model: (model["spring"].stiffness - 40.0) ** 2, free="spring.stiffness")
+    course = plots.plot_tuning(tuned)
+    np.testing.assert_allclose(course.lines[0].get_ydata(), tuned.history[:, 0])
+    plt.close("all")
