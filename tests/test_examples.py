@@ -6,6 +6,7 @@ import re
 import runpy
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -68,6 +69,18 @@ def test_what_readme_says_of_vibration_runs():
     names: dict = {"jb": jb}
     exec(blocks("python")[1], names)
     assert names["ride"].ok and "car bounce 85 %" in str(jb.mode_energies(names["lin"], forward="x"))
+    exec(blocks("python")[3], names)
+    assert names["tuned"].ok and "stroke <= 0.05" in names["tuned"].active
+
+
+@pytest.mark.long
+def test_what_readme_says_of_identification_runs(contract):
+    names: dict = {"jb": jb, "jax": jax, "jnp": jnp} | contract[0]
+    exec(blocks("python")[2], names)
+    found, model = names["found"], names["model"]
+    assert found.ok
+    for path, truth in {"AB.stiffness": model["AB"].stiffness, "EF.stiffness": model["EF"].stiffness, "run1.acc.delay": 0.0}.items():
+        assert abs(float(found.estimates[path]) - float(truth)) < 4 * float(found.standard_errors[path]), path
 
 
 def test_readme_shows_what_the_contract_script_prints(contract):
