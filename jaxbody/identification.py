@@ -23,11 +23,11 @@ from jaxbody.checks import check_precision
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.experiments import Integration
 from jaxbody.fits import Fit
+from jaxbody.free_parameters import choose, limits_of, priors_of
 from jaxbody.implicit_fits import solve
 from jaxbody.losses import check_loss
 from jaxbody.models import Model
 from jaxbody.noises import records_of
-from jaxbody.parametrizations import choose, limits_of, priors_of
 from jaxbody.results import warn_if_failed
 from jaxbody.searches import AT_BOUND, Evaluations, Limits, by_optax, by_scipy
 from jaxbody.simulations import check_steps

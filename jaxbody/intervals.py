@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from jaxbody.errors import JaxbodyError, Problem
-from jaxbody.parametrizations import Free, Positive, Shifted
+from jaxbody.free_parameters import Free
+from jaxbody.parametrizations import Positive, Shifted
 from jaxbody.uncertainties import Uncertainty
 
 Interval = tuple[np.ndarray, np.ndarray]

@@ -18,10 +18,10 @@ from jaxbody import tables
 from jaxbody.channels import Measurement
 from jaxbody.errors import JaxbodyError, Problem, Status, warn
 from jaxbody.fits import Fit
+from jaxbody.free_parameters import limits_of
 from jaxbody.identification import fit
 from jaxbody.implicit_fits import solve
 from jaxbody.models import Model
-from jaxbody.parametrizations import limits_of
 from jaxbody.results import Result
 from jaxbody.tasks import Task
 

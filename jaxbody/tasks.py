@@ -15,10 +15,10 @@ from jaxtyping import Array, Float
 
 from jaxbody.channels import Channel, Measurement
 from jaxbody.experiments import Integration
+from jaxbody.free_parameters import Free
 from jaxbody.losses import linearized, robust_level, root
 from jaxbody.models import Model
 from jaxbody.naming import write
-from jaxbody.parametrizations import Free
 
 PRIORS = "priors"  # what stands for a measurement's name where they are told with them
 PROPORTION = 0.01  # change of the estimated noise of one channel against another's that is worth another round

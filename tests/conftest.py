@@ -1,4 +1,6 @@
-"""The tests compute in float64, and each draws its own random numbers, the same in every run."""
+"""The tests compute in float64, each draws its own random numbers, the same in every run, and programs compiled for a file go with it."""
+
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -6,7 +8,18 @@ import pytest
 
 jax.config.update("jax_enable_x64", True)
 
+MAPS = Path("/proc/self/maps")
+MANY = 20_000  # pieces of mapped memory; Linux ends a process that asks for more than 65530
+
 
 @pytest.fixture
 def rng():
     return np.random.default_rng(2011)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def room_for_programs():
+    """Every compiled program is mapped memory."""
+    yield
+    if MAPS.exists() and MAPS.read_text().count("\n") > MANY:
+        jax.clear_caches()

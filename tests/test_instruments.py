@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
 from jaxbody import transducers
-from jaxbody.parametrizations import choose
+from jaxbody.free_parameters import choose
 from jaxbody.records import read, readings
 from jaxbody.sensors import check_sensors
 from jaxbody.simulations import Trajectory

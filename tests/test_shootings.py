@@ -56,6 +56,7 @@ def test_segments_reach_one_another_and_cover_the_record(samples, count):
     assert starts[0] == 0 and starts[-1] + rows == samples and (np.diff(starts) < rows).all() and (np.diff(starts) > 0).all()
 
 
+@pytest.mark.long
 def test_where_one_shot_does_several_give_the_same():
     run = experiment(np.linspace(0, 3, 61))
     options = dict(free=["spring.stiffness", "spring.free_length"], rtol=1e-10, max_steps=2000)

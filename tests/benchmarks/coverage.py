@@ -25,9 +25,9 @@ import rigs
 
 import jaxbody as jb
 from jaxbody.experiments import Integration
+from jaxbody.free_parameters import choose
 from jaxbody.intervals import interval_of_u, quantile
 from jaxbody.noises import records_of
-from jaxbody.parametrizations import choose
 from jaxbody.tasks import Task, residual_and_jacobian
 from jaxbody.uncertainties import assess
 

@@ -29,8 +29,8 @@ def problem(rng, beside: bool):
     mass = rng.uniform(5, 20)
     size = rng.uniform(0.2, 0.5, 3)
     inertia = mass / 3 * np.array([size[1] ** 2 + size[2] ** 2, size[0] ** 2 + size[2] ** 2, size[0] ** 2 + size[1] ** 2])
-    corners = np.array([[1, 1, -1], [1, -1, -1], [-1, 1, -1], [-1, -1, -1]]) * size * rng.uniform(0.7, 1.0, (4, 3))
-    feet = corners * [1.5, 1.5, 1.0] + [0, 0, -0.4] + rng.uniform(-0.1, 0.1, (4, 3))
+    corners = np.array([[1, 1, 1], [1, -1, 1], [-1, 1, 1], [-1, -1, 1]]) * size * rng.uniform(0.7, 1.0, (4, 3))
+    feet = corners * [1.5, 1.5, 1.0] + [0, 0, 0.4] + rng.uniform(-0.1, 0.1, (4, 3))  # it hangs: standing, some would fall
     if beside:
         corners[3], feet[3] = corners[2], feet[2]
     stiffness, damping = 10 ** rng.uniform(2.5, 3.5, 4), 10 ** rng.uniform(0.5, 1.3, 4)

@@ -1,0 +1,145 @@
+"""The free parameters of a fit: which leaves paths and patterns mean, one or several tied; their bounds and priors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxbody.arrays import concrete
+from jaxbody.channels import Measurement
+from jaxbody.errors import Problem, Problems
+from jaxbody.experiments import Experiment
+from jaxbody.models import Model
+from jaxbody.naming import Leaf, leaves_of, matching
+from jaxbody.parametrizations import OF_CHAINS, Parametrization, Positive, Shifted, of_instrument, parametrize
+from jaxbody.statics import size_of
+
+
+class Free(eqx.Module):
+    """A free parameter: where it is, once or, tied, several times, each in a run ("" for the model); and how it moves."""
+
+    places: tuple[tuple[str, Leaf], ...] = eqx.field(static=True)
+    form: Parametrization
+
+    @property
+    def path(self) -> str:
+        """Its first place."""
+        return self.places[0][1].path
+
+    @property
+    def name(self) -> str:
+        """All its places: "left.stiffness = right.stiffness"."""
+        return " = ".join(leaf.path for _, leaf in self.places)
+
+    def leaves(self, run: str) -> list[Leaf]:
+        return [leaf for owner, leaf in self.places if owner == run]
+
+
+def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str]) -> tuple[Free, ...]:
+    """The free parameters that the patterns mean, each with its parametrization; what "a = b" means is one parameter."""
+    problems = Problems()
+    roots = {"": model, **experiments}
+    leaves = [(run, leaf) for run, tree in roots.items() for leaf in leaves_of(tree, f"{run}." if run else "")]
+    owner = {leaf: run for run, leaf in leaves}
+    arrays = {run: jax.tree.leaves(tree) for run, tree in roots.items()}
+    sides = {pattern: [side.strip() for side in str(pattern).split("=")] for pattern in patterns}
+    found = matching(list(owner), dict.fromkeys(side for group in sides.values() for side in group), "fit.free")
+    chosen: list[Leaf] = []
+    groups: list[list[Leaf]] = []
+    for pattern, group in sides.items():
+        meant = list(dict.fromkeys(leaf for side in group for leaf in found[side]))
+        for leaf in meant:
+            if leaf in chosen:
+                problems.add("LISTED_TWICE", "fit.free", f"names {leaf.path} twice, by '{pattern}' too", value=pattern)
+        chosen += meant
+        groups += [meant] if len(group) > 1 else [[leaf] for leaf in meant]
+    if not chosen:
+        problems.add("NOTHING_FREE", "fit.free", "is empty", limit="at least one path")
+    size = size_of(model)
+    free = []
+    for group in groups:
+        starts = [leaf.read(arrays[owner[leaf]]) for leaf in group]
+        known = [concrete(start) for start in starts]
+        for leaf, start in zip(group[1:], known[1:], strict=True):
+            if start is not None and known[0] is not None and (np.shape(start) != np.shape(known[0]) or (start != known[0]).any()):
+                told = f"starts at {start}, but is to equal {group[0].path}, which starts at {known[0]}"
+                problems.add("TIED_APART", leaf.path, told, value=start, limit=str(known[0]), hint="Set both alike with jb.replace.")
+        run, leaf = owner[group[0]], group[0]
+        experiment, name = experiments.get(run), leaf.path.removeprefix(f"{run}.").removesuffix(f".{leaf.field}")
+        if isinstance(experiment, Experiment) and name in experiment.sensors and leaf.field in OF_CHAINS:
+            form = of_instrument(leaf.field, starts[0], experiment, name)
+        else:
+            form = parametrize(leaf.path, starts[0], model, size)
+        if isinstance(form, Problem):
+            problems.found.append(form)
+        else:
+            free.append(Free(tuple((owner[leaf], leaf) for leaf in group), form))
+    problems.raise_if_any()
+    return tuple(free)
+
+
+def limits_of(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of u, from bounds of values."""
+    problems = Problems()
+    low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
+    if bounds and not (isinstance(method, str) and method == "least_squares"):
+        problems.add("BAD_BOUNDS", "fit.bounds", 'are kept by method="least_squares" only', value=method)
+    place = {leaf: i for i, f in enumerate(free) for _, leaf in f.places}
+    for pattern, leaves in matching(list(place), bounds, "fit.bounds").items():
+        for leaf in leaves:
+            i = place[leaf]
+            form, where = free[i].form, f"fit.bounds['{leaf.path}']"
+            ends = _ends(bounds[pattern], form.start.shape)
+            start = np.asarray(form.start)
+            if not isinstance(form, Positive | Shifted):
+                problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
+            elif ends is None:
+                problems.add("BAD_BOUNDS", where, f"is {bounds[pattern]!r:.60}", value=bounds[pattern], limit="(lower, upper)")
+            elif not (ends[0] < ends[1]).all():
+                lower, upper = bounds[pattern]
+                problems.add("BAD_BOUNDS", where, f"has lower {lower} >= upper {upper}", value=(lower, upper), limit="lower < upper")
+            elif ((start < ends[0]) | (start > ends[1])).any():
+                distance = np.maximum(ends[0] - start, start - ends[1]).max()
+                told, limit = f"does not hold the start {start}, by {distance:.4g}", f"{bounds[pattern][0]} to {bounds[pattern][1]}"
+                problems.add("START_OUTSIDE", where, told, value=start, limit=limit, hint="Move the start or the bound.")
+            elif isinstance(form, Positive):
+                with np.errstate(divide="ignore"):
+                    low[i], high[i] = (np.log(np.maximum(end, 0.0) / start).ravel() for end in ends)
+            else:
+                low[i], high[i] = (((end - start) / float(form.scale)).ravel() for end in ends)
+    problems.raise_if_any()
+    return np.concatenate(low), np.concatenate(high)
+
+
+def _ends(pair: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
+    """(lower, upper) as arrays of the shape; None where it is not such a pair."""
+    try:
+        lower, upper = pair
+        return [np.broadcast_to(np.asarray(end, float), shape) for end in (lower, upper)]
+    except (TypeError, ValueError):
+        return None
+
+
+def priors_of(free: tuple[Free, ...], priors: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Array, Array]]:
+    """{path: (mean, standard deviation)} of free parameters, as arrays of their shapes."""
+    problems = Problems()
+    forms = {leaf: f for f in free for _, leaf in f.places}
+    found = {}
+    for pattern, leaves in matching(list(forms), priors, "fit.priors").items():
+        for leaf in leaves:
+            form, pair = forms[leaf].form, _ends(priors[pattern], forms[leaf].form.start.shape)
+            where = f"fit.priors['{leaf.path}']"
+            if not isinstance(form, Positive | Shifted):
+                problems.add("BAD_PRIOR", where, "has no prior of its own", hint="Priors are for scalars and vectors.")
+            elif pair is None or not np.isfinite(pair).all() or not (pair[1] > 0).all():
+                told = f"is {priors[pattern]!r:.60}"
+                problems.add("BAD_PRIOR", where, told, value=priors[pattern], limit="(mean, standard deviation > 0), finite")
+            else:
+                found[forms[leaf].path] = (jnp.asarray(pair[0]), jnp.asarray(pair[1]))
+    problems.raise_if_any()
+    return found
