@@ -57,6 +57,7 @@ def without_slow(x, degree):
     return x - np.polynomial.legendre.legval(s, np.polynomial.legendre.legfit(s, x, degree)).T
 
 
+@pytest.mark.long
 def test_a_moving_and_turning_base_is_recovered(record):
     """Up to the cubic in displacement and the line in angle that are removed, from the truth too. Lines between accelerations weaken a
     harmonic by (w h)^2/12, 3e-4 at 4 Hz; the slow part of turns of 0.2 rad is not quite that of their rotation vectors, by a tenth of a percent."""

@@ -31,6 +31,7 @@ def moved(stages, dt0, stiffness=400.0, **options):
     return jb.simulate(model, TIMES, initial=PUSHED, solver=solver, stepsize_controller=STEPS, dt0=dt0, **options)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stages", [1, 2, 3])
 def test_order_and_energy_of_a_linear_system(stages):
     """Order two for each stage; a quadratic energy stays to rounding."""

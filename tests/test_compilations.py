@@ -22,6 +22,7 @@ def run(program, **environment):
     return done.stdout.splitlines()
 
 
+@pytest.mark.long
 def test_another_shape_or_option_is_another_program():
     model, options = rigs.plate(), dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.01)
     with jb.compile_times() as spent:

@@ -9,6 +9,8 @@ import optax
 import pytest
 from data import data
 
+pytestmark = pytest.mark.long  # the example itself, with its assertions, is run by .ci/run
+
 
 @pytest.fixture(scope="module")
 def gliders():

@@ -245,6 +245,7 @@ def test_vmap_is_a_loop_and_jit_changes_nothing():
                 assert apart(found[i], expected) < 1e-12 * scale, kind
 
 
+@pytest.mark.long
 def test_new_values_compile_nothing(caplog):
     """Of the model, of the motion, of the initial state, of the times and of the tolerance; with and without names of results."""
 

@@ -214,6 +214,7 @@ def realizations(many, clean):
     return records, np.stack([estimates[path] for path in FREE], 1)
 
 
+@pytest.mark.long
 def test_two_hundred_realizations_of_the_noise_scatter_as_the_standard_errors_say(found, realizations):
     """The standard deviation of n normal numbers is itself known to 1/sqrt(2 n): 5 % here; limits are four of these."""
     _, estimates = realizations
@@ -235,6 +236,7 @@ def n_free(found):
     return len(TIMES) - len(found.paths)
 
 
+@pytest.mark.long
 def test_fits_side_by_side_are_those_one_by_one(realizations):
     records, estimates = realizations
     for i in (0, 17):

@@ -47,7 +47,9 @@ def loss(model, factor, **options):
     return jnp.sum(path(model, factor, rtol=1e-10, **options)[:, :3] ** 2)
 
 
-@pytest.mark.parametrize("small", [pytest.param(False, marks=pytest.mark.long, id="one block"), pytest.param(True, id="small blocks")])
+@pytest.mark.parametrize(
+    "small", [pytest.param(False, marks=pytest.mark.long, id="one block"), pytest.param(True, marks=pytest.mark.long, id="small blocks")]
+)
 def test_reverse_is_forward(model, small, monkeypatch):
     """Both differentiate the same steps, but for the rounding that the control of steps feels; also where the last window is not full and
     blocks of 4 steps end within windows of 8 samples."""
@@ -107,6 +109,7 @@ def test_gradients_of_a_batch(model):
     np.testing.assert_allclose(slopes, [alone(0.9), alone(1.1)], rtol=1e-9)
 
 
+@pytest.mark.long
 def test_more_samples_than_a_window_and_more_steps_than_a_block(model):
     """2500 samples, over 128 steps: each sample as if it alone were asked for."""
     times = jnp.linspace(0.0, 60.0, 2500)
@@ -116,6 +119,7 @@ def test_more_samples_than_a_window_and_more_steps_than_a_block(model):
     np.testing.assert_allclose(run.state.q[some], jb.simulate(model, times[some], motion=MOTION).state.q, rtol=0, atol=1e-9)
 
 
+@pytest.mark.long
 def test_too_few_steps_keep_what_there_is(model):
     with pytest.warns(jb.JaxbodyWarning, match="MAX_STEPS"):
         run = jb.simulate(model, TIMES, motion=MOTION, max_steps=3)

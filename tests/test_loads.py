@@ -331,6 +331,7 @@ def test_a_limit_point_is_found_where_the_force_is_largest():
         plots.load_path(jb.equilibrium(truss()))
 
 
+@pytest.mark.long
 def test_two_stable_equilibria_and_the_one_between_are_found():
     found = jb.find_equilibria(truss(), starts=16)
     assert found.stable.tolist() == [True, True, False] and found.negative.tolist() == [0, 0, 1]
@@ -393,6 +394,7 @@ def test_preload_says_what_cannot_be_had():
         jb.preload(model, free="spring.spring.coefficient")
 
 
+@pytest.mark.long
 def test_equilibrium_of_a_nonlinear_rig_under_a_load_is_scipys():
     """Two guides with stops and gas, pulled: a root of NumPy's equations."""
     gas = laws.AirSpring.carrying(3 * G, area=1e-3, height=0.3)

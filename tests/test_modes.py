@@ -176,6 +176,7 @@ def of_square(square):
     return linearized
 
 
+@pytest.mark.long
 def test_equal_frequencies_have_two_one_sided_derivatives(of_square):
     """Roll and pitch of the plate: w^2 = 4 k a^2/J; a mount more by dk adds 2 a^2 dk/J to turning about one diagonal, nothing to the other."""
     frequency = jax.jit(lambda k: jb.modes(of_square(k)).frequency)

@@ -38,6 +38,7 @@ def engine():
     return jb.linearize(model, model.reference)
 
 
+@pytest.mark.long
 def test_coupling_is_made_of_the_published_energies(engine):
     """REFERENCES, section 1, as printed to four decimals; products of inertia make some shares negative."""
     e = np.array(

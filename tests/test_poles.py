@@ -114,6 +114,7 @@ def test_gradients_of_poles(poles_of):
         assert apart(forward[:, i], difference) < 1e-6 * np.abs(difference).max()
 
 
+@pytest.mark.long
 def test_equal_poles_have_sums_and_one_sided_derivatives():
     """A matrix with a double pair of poles and a double pole at zero that has one vector only."""
     rng = np.random.default_rng(3)
@@ -184,6 +185,7 @@ def spinning(model, speed):
     return jb.State(model.reference.q, jnp.zeros(6).at[5].set(speed))
 
 
+@pytest.mark.long
 def test_a_rotor_whirls_forward_and_backward_as_in_closed_form():
     """I w^2 -+ P W w - k = 0 for turning across the axis, w = -+P W/(2 I) + sqrt((P W/(2 I))^2 + k/I); translation does not notice the spin."""
     model, speed = rotor(), 80.0
@@ -365,6 +367,7 @@ def test_modes_are_followed_through_crossings(crossing, values):
     assert np.asarray(found.mac).min() > 1 - 1e-9 and "least MAC" in str(found)
 
 
+@pytest.mark.long
 def test_following_is_differentiable(crossing):
     k = jnp.array([100.0, 250.0, 350.0])
     rows = jax.jacrev(lambda k: jb.track(crossing, k).frequency)(k)

@@ -114,7 +114,24 @@ def test_everything_public_is_explained_by_an_example(name):
     assert doctest.DocTestParser().get_examples(thing.__doc__ or ""), f"{name} has no >>> example"
 
 
-@pytest.mark.parametrize("module", MODULES)
+# Whose examples take more than five seconds, nearly all of it compiling.
+SLOW = [
+    "bands",
+    "branches",
+    "cases",
+    "complex_modes",
+    "elastic_axes",
+    "equilibria",
+    "mode_plots",
+    "multistarts",
+    "nonlinearities",
+    "objectives",
+    "shootings",
+    "spins",
+]
+
+
+@pytest.mark.parametrize("module", [pytest.param(m, marks=[pytest.mark.long] * (m in SLOW)) for m in MODULES])
 def test_examples_in_docstrings_run(module):
     """With jb, jax, jnp and the public names at hand."""
     imported = importlib.import_module(f"jaxbody.{module}")

@@ -104,6 +104,7 @@ def test_any_frequencies_are_integrated_by_trapezoids(lin, ride):
     assert jb.Status(int(coarse.status)).name == "COARSE"
 
 
+@pytest.mark.long
 def test_a_wheelbase_filters_what_both_axles_feel():
     """Heave and pitch of a symmetric half car behind each other at a distance: |1 + exp(-i w d)|^2/4 and |1 - exp(-i w d)|^2 of what coherent axles give."""
     car = jb.presets.half_car(front=1.25, rear=1.25, front_stiffness=2e4, rear_stiffness=2e4, front_damping=1500.0, rear_damping=1500.0)

@@ -134,6 +134,7 @@ def test_steady_motion_is_that_of_simulate(rig):
         assert np.abs(measured / expected - 1).max() < 1e-5, f
 
 
+@pytest.mark.long
 def test_modal_sum_and_state_space_give_the_same(rig):
     """To 1e-10 of the largest response; by kinds of base motion as far as each has a state space."""
     _, _, lin = rig
@@ -180,6 +181,7 @@ def test_receptance_is_symmetric(rig):
     assert np.all(H.imag[0, 0] < 0)  # power is lost
 
 
+@pytest.mark.long
 def test_a_loss_factor_makes_the_stiffness_complex():
     """One mass on k = 50 N/m with eta: base to mass (1 + i eta)/(1 + i eta - r^2), the spring's force -k (1 + i eta) of its elongation."""
     model = jb.Model(
@@ -304,6 +306,7 @@ def test_responses_have_derivatives_where_modes_coincide():
     assert apart(slope, difference) < 1e-6 * np.abs(difference).max()
 
 
+@pytest.mark.long
 def test_second_derivatives():
     """Forward over reverse against differences of the gradient: the response is no straight line of its parameters."""
     model = jb.presets.quarter_car(damping=1800.0)

@@ -103,6 +103,7 @@ def moved(model, start):
     return trajectory
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FORCES)
 def test_a_mass_on_every_law_moves_as_by_scipy(model, moved, start, name):
     """1e-8 of the largest value, in displacement and velocity."""
@@ -144,6 +145,7 @@ LIKE_ADAMS = {
 }
 
 
+@pytest.mark.long
 def test_every_law_that_can_express_it_moves_as_in_adams():
     """The file has seven digits, six decimals: the limit is half of the last one."""
     time, *place = columns("adams_tsda", "TranSpring_Case02_ADAMS_Pos.txt", header=3)
@@ -195,6 +197,7 @@ def test_an_equilibrium_beyond_a_table_says_which():
 # Derivatives at awkward places
 
 
+@pytest.mark.long
 def test_struts_of_zero_length_and_free_length_have_the_stiffness_of_their_law():
     """K = F'(0) I at d = 0, and its derivative by the law's number is I."""
 
