@@ -65,21 +65,3 @@ def test_where_one_shot_does_several_give_the_same():
     assert several.ok and list(several.experiments) == ["run"] and type(several.experiments["run"]) is jb.Experiment
     for path, value in whole.estimates.items():
         np.testing.assert_allclose(several.estimates[path], value, rtol=1e-7)
-
-
-@pytest.mark.long
-def test_a_chaotic_record_is_fitted_where_one_shot_is_lost():
-    """A part in a million of the stiffness is a thousand times as much in the angle before the end."""
-    other = motion(TRUTH * [1 + 1e-6, 1])
-    growth = np.abs(other - motion(TRUTH)).max() / 1e-6
-    print(growth)
-    assert growth > 1e3
-    options = dict(free=["spring.stiffness", "spring.free_length"], max_steps=10_000)
-    with pytest.warns(jb.JaxbodyWarning):
-        lost = jb.fit(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), **options)
-    found = jb.multiple_shooting(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), segments=12, **options)
-    print(lost, found)
-    assert float(lost.cost) > 100 * float(found.cost)
-    assert found.ok
-    for value, truth, error in zip(found.estimates.values(), TRUTH, found.standard_errors.values(), strict=True):
-        assert abs(float(value) - truth) < 4 * float(error) and float(error) < 1e-3 * truth
