@@ -80,21 +80,9 @@ class BodyPose(Attitude):
     places = 3
     unit = "m, rad"
 
-    def __init__(self, on: str, **chain: Unpack[Chain]):
-        problems = Problems()
-        self.on = on
-        self.chained(problems, **chain)
-        problems.raise_if_any()
-
     def reading(self, model, frames):
         row = model.layout.frame(self.on)
         return jnp.concatenate([frames.p[row], rotations.from_matrix(frames.R[row])])
-
-    def spread(self, level):
-        return jnp.repeat(jnp.broadcast_to(level, (2,)), 3)
-
-    def pooled(self, x):
-        return x.reshape(-1, 2, 3).sum((0, 2))
 
 
 class Orientation(Attitude):

@@ -26,15 +26,20 @@ class Channel(eqx.Module):
 
     def spread(self, level: Any) -> Any:
         """Noise levels, one number or one for each unit, as they belong to the components of a residual."""
-        return level
+        return level if self.units == 1 else jnp.repeat(jnp.broadcast_to(level, (self.units,)), self.noise_shape[-1] // self.units)
 
     def pooled(self, x: Any) -> Any:
         """The sum of components of residuals of one unit, over all samples: one number, or one for each unit."""
-        return x.sum()
+        return x.sum() if self.units == 1 else x.reshape(-1, self.units, self.noise_shape[-1] // self.units).sum((0, 2))
 
     @property
     def noise_shape(self) -> tuple[int, ...]:
         return self.shape
+
+    @property
+    def units(self) -> int:
+        """How many units there are, each of as many components that follow one another."""
+        return self.unit.count(",") + 1
 
 
 class Measurement(eqx.Module):

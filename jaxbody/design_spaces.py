@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from jaxbody.errors import Problem, Problems
 from jaxbody.models import Model
 from jaxbody.naming import Leaf, leaves_of, matching, write
-from jaxbody.parametrizations import Parametrization, Positive, Rotation, Shifted, parametrize
+from jaxbody.parametrizations import Parametrization, Positive, Rotation, Shifted, pair_of, parametrize, sound_bounds
 from jaxbody.statics import size_of
 
 ALIKE = 1e-9  # relative difference of starts that are to stay equal
@@ -127,56 +127,22 @@ def _bounded(space: Space, bounds: dict[str, Any], where: str) -> tuple[Space, n
     for pattern, leaves in matching(list(owner), bounds, where).items():
         for i in dict.fromkeys(owner[leaf] for leaf in leaves):
             path, form, at = space.groups[i].path, forms[i], space.ends[i]
-            ends = _ends(bounds[pattern], form.start.shape)
-            if _sound(form, ends, bounds[pattern], f"{where}['{path}']", problems):
+            ends = pair_of(bounds[pattern], form.start.shape)
+            largest = max(float(np.where(np.isfinite(end), np.abs(end), 0.0).max()) for end in ends or [np.asarray(form.start)])
+            slack = ALIKE * largest  # what a tuned model comes with
+            if sound_bounds(form, ends, bounds[pattern], f"{where}['{path}']", problems, slack):
                 lower, upper = ends  # pyright: ignore
                 if isinstance(form, Shifted) and np.isfinite(upper - lower).all():
                     forms[i] = form = Shifted(form.start, jnp.asarray((upper - lower).max() / 2))
-                low[at], high[at] = _inverse(form, lower), _inverse(form, upper)
+                low[at], high[at] = form.inverse(lower), form.inverse(upper)  # pyright: ignore
     problems.raise_if_any()
     return Space(space.model, tuple(Group(g.leaves, form) for g, form in zip(space.groups, forms, strict=True))), low, high
 
 
-def _sound(form: Parametrization, ends, given: Any, where: str, problems: Problems) -> bool:
-    start = np.asarray(form.start)
-    slack = ALIKE * max(
-        float(np.where(np.isfinite(end), np.abs(end), 0.0).max()) for end in ends or [start]
-    )  # what a tuned model comes with
-    if not isinstance(form, Positive | Shifted):
-        problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
-    elif ends is None:
-        problems.add("BAD_BOUNDS", where, f"is {given!r:.60}", value=given, limit="(lower, upper)")
-    elif not (ends[0] < ends[1]).all():
-        problems.add("BAD_BOUNDS", where, f"has lower {given[0]} >= upper {given[1]}", value=given, limit="lower < upper")
-    elif ((start < ends[0] - slack) | (start > ends[1] + slack)).any():
-        distance = np.maximum(ends[0] - start, start - ends[1]).max()
-        told, limit = f"does not hold the start {start}, by {distance:.4g}", f"{given[0]} to {given[1]}"
-        problems.add("START_OUTSIDE", where, told, value=start, limit=limit, hint="Move the start (replace) or the bound.")
-    else:
-        return True
-    return False
-
-
-def _ends(pair: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
-    try:
-        lower, upper = pair
-        return [np.broadcast_to(np.asarray(end, float), shape) for end in (lower, upper)]
-    except (TypeError, ValueError):
-        return None
-
-
-def _inverse(form: Positive | Shifted, x: Any) -> np.ndarray:
-    """u of a value."""
-    start, x = np.asarray(form.start), np.asarray(x, float)
-    if isinstance(form, Positive):
-        with np.errstate(divide="ignore"):
-            return np.log(np.maximum(x, 0.0) / start).ravel()
-    return ((x - start) / float(form.scale)).ravel()
-
-
 def at_value(space: Space, group: int, x: Any) -> np.ndarray:
     """u of a group at a value."""
-    return _inverse(space.groups[group].form, np.broadcast_to(x, space.groups[group].form.start.shape))
+    form: Any = space.groups[group].form
+    return form.inverse(np.broadcast_to(x, form.start.shape))
 
 
 def drawn(space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any, where: str) -> np.ndarray:

@@ -16,7 +16,7 @@ from jaxbody.errors import Problem, Problems
 from jaxbody.experiments import Experiment
 from jaxbody.models import Model
 from jaxbody.naming import Leaf, leaves_of, matching
-from jaxbody.parametrizations import OF_CHAINS, Parametrization, Positive, Shifted, of_instrument, parametrize
+from jaxbody.parametrizations import OF_CHAINS, Parametrization, Positive, Shifted, of_instrument, pair_of, parametrize, sound_bounds
 from jaxbody.statics import size_of
 
 
@@ -94,35 +94,11 @@ def limits_of(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method
         for leaf in leaves:
             i = place[leaf]
             form, where = free[i].form, f"fit.bounds['{leaf.path}']"
-            ends = _ends(bounds[pattern], form.start.shape)
-            start = np.asarray(form.start)
-            if not isinstance(form, Positive | Shifted):
-                problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
-            elif ends is None:
-                problems.add("BAD_BOUNDS", where, f"is {bounds[pattern]!r:.60}", value=bounds[pattern], limit="(lower, upper)")
-            elif not (ends[0] < ends[1]).all():
-                lower, upper = bounds[pattern]
-                problems.add("BAD_BOUNDS", where, f"has lower {lower} >= upper {upper}", value=(lower, upper), limit="lower < upper")
-            elif ((start < ends[0]) | (start > ends[1])).any():
-                distance = np.maximum(ends[0] - start, start - ends[1]).max()
-                told, limit = f"does not hold the start {start}, by {distance:.4g}", f"{bounds[pattern][0]} to {bounds[pattern][1]}"
-                problems.add("START_OUTSIDE", where, told, value=start, limit=limit, hint="Move the start or the bound.")
-            elif isinstance(form, Positive):
-                with np.errstate(divide="ignore"):
-                    low[i], high[i] = (np.log(np.maximum(end, 0.0) / start).ravel() for end in ends)
-            else:
-                low[i], high[i] = (((end - start) / float(form.scale)).ravel() for end in ends)
+            ends = pair_of(bounds[pattern], form.start.shape)
+            if sound_bounds(form, ends, bounds[pattern], where, problems):
+                low[i], high[i] = (form.inverse(end) for end in ends)  # pyright: ignore
     problems.raise_if_any()
     return np.concatenate(low), np.concatenate(high)
-
-
-def _ends(pair: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
-    """(lower, upper) as arrays of the shape; None where it is not such a pair."""
-    try:
-        lower, upper = pair
-        return [np.broadcast_to(np.asarray(end, float), shape) for end in (lower, upper)]
-    except (TypeError, ValueError):
-        return None
 
 
 def priors_of(free: tuple[Free, ...], priors: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Array, Array]]:
@@ -132,7 +108,7 @@ def priors_of(free: tuple[Free, ...], priors: dict[str, tuple[Any, Any]]) -> dic
     found = {}
     for pattern, leaves in matching(list(forms), priors, "fit.priors").items():
         for leaf in leaves:
-            form, pair = forms[leaf].form, _ends(priors[pattern], forms[leaf].form.start.shape)
+            form, pair = forms[leaf].form, pair_of(priors[pattern], forms[leaf].form.start.shape)
             where = f"fit.priors['{leaf.path}']"
             if not isinstance(form, Positive | Shifted):
                 problems.add("BAD_PRIOR", where, "has no prior of its own", hint="Priors are for scalars and vectors.")

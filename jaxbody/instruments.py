@@ -184,21 +184,9 @@ class ForcePlate(Sensor):
     unit = "N, N m"
     accelerations = reactions = True
 
-    def __init__(self, on: str, **chain: Unpack[Chain]):
-        problems = Problems()
-        self.on = on
-        self.chained(problems, **chain)
-        problems.raise_if_any()
-
     def reading(self, model, frames):
         row = model.layout.frame(self.on)
         return jnp.concatenate([rotate_back(frames.R[row], jnp.asarray(x)[row]) for x in (frames.F, frames.M)])
-
-    def spread(self, level):
-        return jnp.repeat(jnp.broadcast_to(level, (2,)), 3)
-
-    def pooled(self, x):
-        return x.reshape(-1, 2, 3).sum((0, 2))
 
     def problem(self, model, where):
         known = model.layout.frames[: model.layout.first_body]

@@ -48,7 +48,7 @@ def records_of(experiments: dict[str, Measurement]) -> list[Record]:
             there = experiment.present(name)
             labels = [str(list(i)).replace(" ", "") if i else "" for i in np.ndindex(there.shape[1:])]
             there = there.reshape(len(there), -1)
-            units = np.broadcast_to(channel.spread(np.arange(channel.unit.count(",") + 1)), there.shape[1:])
+            units = np.broadcast_to(channel.spread(np.arange(channel.units)), there.shape[1:])
             for i, (label, unit) in enumerate(zip(labels, units, strict=True)):
                 times = np.flatnonzero(there[:, i])
                 rows = first + times * there.shape[1] + i

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.arrays import concrete
-from jaxbody.errors import Problem
+from jaxbody.errors import Problem, Problems
 from jaxbody.experiments import Experiment
 from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model
@@ -47,18 +47,33 @@ class Parametrization(eqx.Module):
 
 
 class Positive(Parametrization):
+    """x = x0 exp(u)."""
+
     def value(self, u):
         return self.start * jnp.exp(u.reshape(self.start.shape))
 
+    def inverse(self, x: Any) -> np.ndarray:
+        """u of a value, -inf at zero and below."""
+        with np.errstate(divide="ignore"):
+            return np.log(np.maximum(np.asarray(x, float), 0.0) / np.asarray(self.start)).ravel()
+
 
 class Shifted(Parametrization):
+    """x = x0 + s u."""
+
     scale: Float[Array, ""]
 
     def value(self, u):
         return self.start + self.scale * u.reshape(self.start.shape)
 
+    def inverse(self, x: Any) -> np.ndarray:
+        """u of a value."""
+        return ((np.asarray(x, float) - np.asarray(self.start)) / float(self.scale)).ravel()
+
 
 class Definite(Parametrization):
+    """X = L(u) L(u)'."""
+
     @property
     def size(self) -> int:
         n = self.start.shape[0]
@@ -98,6 +113,8 @@ class Inertia(Parametrization):
 
 
 class Rotation(Parametrization):
+    """q = exp(u) q0."""
+
     @property
     def size(self) -> int:
         return 3
@@ -110,6 +127,8 @@ class Rotation(Parametrization):
 
 
 class Direction(Parametrization):
+    """n = (n0 + B u)/|n0 + B u|."""
+
     @property
     def size(self) -> int:
         return 2
@@ -212,3 +231,32 @@ def of_instrument(field: str, start: Array, experiment: Experiment, sensor: str)
     else:
         least = jnp.sqrt(jnp.nanmean(measured**2))
     return Shifted(start, jnp.maximum(jnp.max(jnp.abs(start)), jnp.where(least > 0, least, 1.0)))
+
+
+def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
+    """A pair, (lower, upper) or (mean, deviation), as arrays of the shape; None where it is not one."""
+    try:
+        lower, upper = given
+        return [np.broadcast_to(np.asarray(end, float), shape) for end in (lower, upper)]
+    except (TypeError, ValueError):
+        return None
+
+
+def sound_bounds(
+    form: Parametrization, ends: list[np.ndarray] | None, given: Any, where: str, problems: Problems, slack: float = 0.0
+) -> bool:
+    """Whether bounds, as given and as a pair of arrays, are some and hold the start; what is wrong goes to `problems`."""
+    start = np.asarray(form.start)
+    if not isinstance(form, Positive | Shifted):
+        problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
+    elif ends is None:
+        problems.add("BAD_BOUNDS", where, f"is {given!r:.60}", value=given, limit="(lower, upper)")
+    elif not (ends[0] < ends[1]).all():
+        problems.add("BAD_BOUNDS", where, f"has lower {given[0]} >= upper {given[1]}", value=given, limit="lower < upper")
+    elif ((start < ends[0] - slack) | (start > ends[1] + slack)).any():
+        distance = np.maximum(ends[0] - start, start - ends[1]).max()
+        told, limit = f"does not hold the start {start}, by {distance:.4g}", f"{given[0]} to {given[1]}"
+        problems.add("START_OUTSIDE", where, told, value=start, limit=limit, hint="Move the start or the bound.")
+    else:
+        return True
+    return False

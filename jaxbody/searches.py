@@ -175,11 +175,9 @@ def by_optax(evaluate: Evaluations, u, optimizer, limits: Limits) -> tuple[np.nd
     optimizer = optax.with_extra_args_support(optimizer)
     u, reach = np.asarray(u), 1.0
     for _ in range(MOST_RESTARTS):
-        r0, J0 = evaluate(u)
-        U, S, Vt = np.linalg.svd(J0, full_matrices=False)
-        known = known_directions(S)
-        towards = U.T[known] @ r0
-        gauss_newton = -Vt[known].T @ (towards / S[known])
+        r0, _ = evaluate(u)
+        towards, S, V = _whitened(evaluate.triangle(u))
+        gauss_newton = -V @ (towards / S)
         step = np.abs(gauss_newton).max(initial=0.0)
         if step <= ARRIVED:
             return settled(evaluate, u, True, limits)
@@ -190,7 +188,7 @@ def by_optax(evaluate: Evaluations, u, optimizer, limits: Limits) -> tuple[np.nd
             continue
         share = reach * min(1.0, FARTHEST / step)  # of the way to the linearized optimum that is one unit of y
         size = share * np.linalg.norm(towards)
-        spread = Vt[known].T * (size / S[known])
+        spread = V * (size / S)
         y = _descend(evaluate, optimizer, u, r0, spread, size, enough=-ENOUGH * (1 / share - 0.5))
         u, reach = (u, reach / 10) if y is None else (u + spread @ y, min(1.0, 10 * reach))
     return u, False

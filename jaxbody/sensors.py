@@ -57,6 +57,12 @@ class Sensor(Channel):
     lag: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
     start: Float[Array, "*r"] | None = eqx.field(default=None, kw_only=True)
 
+    def __init__(self, on: str, **chain: Unpack[Chain]):
+        problems = Problems()
+        self.on = on
+        self.chained(problems, **chain)
+        problems.raise_if_any()
+
     def chained(self, problems: Problems, **chain: Unpack[Chain]) -> None:
         """Takes gain, bias, delay, lag and start."""
         kind = type(self).__name__
@@ -176,12 +182,6 @@ class Elongation(Sensor):
     shape = ()
     unit = "m"
 
-    def __init__(self, on: str, **chain: Unpack[Chain]):
-        problems = Problems()
-        self.on = on
-        self.chained(problems, **chain)
-        problems.raise_if_any()
-
     def reading(self, model, frames):
         element: Element = model[self.on]
         return element.deformation(*(frames[model.layout.frame(end)].pose() for end in element.between))
@@ -213,7 +213,7 @@ def noise_levels(sensors: dict[str, Sensor], noise: Any, where: str, problems: P
             found = unknown(name, there, tuple(sensors))
             problems.add(found.code, there, found.message, value=name, hint=found.hint)
             continue
-        units = sensors[name].unit.count(",") + 1
+        units = sensors[name].units
         level = checked(value, ((),) if units == 1 else ((), (units,)), there, problems, f"One number [{sensors[name].unit}].")
         known = None if level is None else concrete(level)
         if known is not None and ((known < 0).any() or not (zero or known.all())):

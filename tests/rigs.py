@@ -110,3 +110,16 @@ def rodrigues(phi):
     x, y, z = phi / angle
     n = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * n + (1 - np.cos(angle)) * n @ n
+
+
+# Modal kinetic energies [%] of the powertrain on three mounts: rows x y z rx ry rz, a column for each mode (REFERENCES.md, section 1).
+POWERTRAIN_ENERGIES = np.array(
+    [
+        [99.4023, 0.0447, 0.0603, 0.1399, 0.3423, 0.0105],
+        [0.0322, 98.2133, 0.4394, 1.2595, 0.0141, 0.0415],
+        [0.0059, 1.1117, 29.8554, 49.3597, 3.8814, 15.7859],
+        [0.0014, 0.5487, 10.8785, 7.6086, 2.1262, 78.8366],
+        [0.0661, 0.0001, 21.6356, 7.9213, 65.5363, 4.8406],
+        [0.4921, 0.0814, 37.1309, 33.7109, 28.0997, 0.4850],
+    ]
+)

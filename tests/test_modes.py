@@ -7,20 +7,13 @@ import numpy as np
 import pytest
 import rigs
 import scipy.linalg
-from rigs import apart
+from rigs import POWERTRAIN_ENERGIES, apart
 
 import jaxbody as jb
 from jaxbody.eigenproblems import natural
 from jaxbody.mechanics import frames_of
 
 RNG = np.random.default_rng(5)
-PUBLISHED = """
-    99.4023  0.0447  0.0603  0.1399  0.3423  0.0105
-     0.0322 98.2133  0.4394  1.2595  0.0141  0.0415
-     0.0059  1.1117 29.8554 49.3597  3.8814 15.7859
-     0.0014  0.5487 10.8785  7.6086  2.1262 78.8366
-     0.0661  0.0001 21.6356  7.9213 65.5363  4.8406
-     0.4921  0.0814 37.1309 33.7109 28.0997  0.4850"""  # REFERENCES.md, section 1
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +43,7 @@ def inertia_of(engine):
 
 def test_kinetic_energies_of_the_published_powertrain(engine):
     found = jb.mode_energies(jb.linearize(engine, engine.reference), forward="x", up="z")
-    published = np.array(PUBLISHED.split(), float).reshape(6, 6)
+    published = POWERTRAIN_ENERGIES
     assert apart(found.kinetic["engine"], published) < 0.51e-4  # half of the last digit printed
     named = ("fore-aft 99", "lateral 98", "yaw 37", "bounce 49", "pitch 66", "roll 79")
     assert found.names == tuple(f"engine {name} %" for name in named)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.signal
 from data import data
+from rigs import POWERTRAIN_ENERGIES
 
 import jaxbody as jb
 from jaxbody import objectives
@@ -41,16 +42,7 @@ def engine():
 @pytest.mark.long
 def test_coupling_is_made_of_the_published_energies(engine):
     """REFERENCES, section 1, as printed to four decimals; products of inertia make some shares negative."""
-    e = np.array(
-        [
-            [99.4023, 0.0447, 0.0603, 0.1399, 0.3423, 0.0105],
-            [0.0322, 98.2133, 0.4394, 1.2595, 0.0141, 0.0415],
-            [0.0059, 1.1117, 29.8554, 49.3597, 3.8814, 15.7859],
-            [0.0014, 0.5487, 10.8785, 7.6086, 2.1262, 78.8366],
-            [0.0661, 0.0001, 21.6356, 7.9213, 65.5363, 4.8406],
-            [0.4921, 0.0814, 37.1309, 33.7109, 28.0997, 0.4850],
-        ]
-    )
+    e = POWERTRAIN_ENERGIES
     np.testing.assert_allclose(objectives.dominant_shares(engine), e.max(0), atol=1e-4)
     np.testing.assert_allclose(objectives.coupling_of_modes(engine), np.sum(np.sum(e, 0) ** 2 - np.sum(e**2, 0)) / 1e4, atol=1e-4)
 
