@@ -5,6 +5,7 @@ from typing import Any
 import diffrax
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -24,11 +25,11 @@ MANY_MISSING = 0.2
 class Integration(eqx.Module):
     """How runs are simulated: options of `simulate`."""
 
-    rtol: Float[Array, ""]
-    solver: diffrax.AbstractSolver | None
-    stepsize_controller: diffrax.AbstractStepSizeController | None
-    dt0: Float[Array, ""] | None
-    max_steps: int = eqx.field(static=True)
+    rtol: Float[Array, ""] = eqx.field(default=1e-8, converter=jnp.asarray)
+    solver: diffrax.AbstractSolver | None = None
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None
+    dt0: Float[Array, ""] | None = eqx.field(default=None, converter=lambda dt: None if dt is None else jnp.asarray(dt, float))
+    max_steps: int = eqx.field(default=10_000, static=True)
 
 
 class Experiment(Measurement):

@@ -36,6 +36,12 @@ class Free(eqx.Module):
         """All its places: "left.stiffness = right.stiffness"."""
         return " = ".join(leaf.path for _, leaf in self.places)
 
+    @property
+    def run(self) -> str:
+        """The one measurement whose readings alone it moves, or ""."""
+        owners = {owner for owner, _ in self.places}
+        return owners.pop() if len(owners) == 1 else ""
+
     def leaves(self, run: str) -> list[Leaf]:
         return [leaf for owner, leaf in self.places if owner == run]
 

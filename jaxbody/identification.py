@@ -20,6 +20,7 @@ import optimistix
 from jaxbody.channels import Measurement
 from jaxbody.checkpoints import resumed, save
 from jaxbody.checks import check_precision
+from jaxbody.colorings import PRIORS
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.experiments import Integration
 from jaxbody.fits import Fit
@@ -32,7 +33,7 @@ from jaxbody.results import warn_if_failed
 from jaxbody.searches import AT_BOUND, Evaluations, Limits, by_optax, by_scipy
 from jaxbody.simulations import check_steps
 from jaxbody.statics import size_of
-from jaxbody.tasks import PRIORS, Task, first_noise, noise_found, renoised, residual_and_jacobian
+from jaxbody.tasks import Task, first_noise, noise_found, renoised, residual_and_jacobian
 from jaxbody.uncertainties import assess
 
 EXACT = 100  # times the tolerance of the integration: residuals that are no noise
@@ -97,13 +98,12 @@ def fit(
     search = _search(method, limits)
     known = priors_of(parameters, priors or {})
     noise, estimated = first_noise(experiments, absolute=bool(known) or loss is not None)
-    step = None if dt0 is None else jnp.asarray(dt0, float)
     task = Task(
         model,
         dict(experiments),
         parameters,
         noise,
-        Integration(jnp.asarray(rtol), solver, stepsize_controller, step, max_steps),
+        Integration(rtol, solver, stepsize_controller, dt0, max_steps),
         known,
         loss,
     )

@@ -28,7 +28,9 @@ from jaxbody.identification import fit
 from jaxbody.models import Model, State
 from jaxbody.records import readings
 from jaxbody.simulations import Trajectory, integrate, motions_of
+from jaxbody.tasks import first_noise
 
+MOST = 50  # evaluations to find the state that a segment starts from
 SLACKS = (1.0, 0.1, 1e-2, 1e-4, 1e-6)  # of the states between segments, relative to how much they move in the record
 WORSE = 1.01  # cost of the whole record's fit over that of the segments, above which the segments are better
 
@@ -69,6 +71,20 @@ class Segments(Measurement):
     def named(self):
         return {**self.whole.named(), "nodes": {"q": self.nodes.q, "v": self.nodes.v}}
 
+    def moved_rows(self, path, channel):
+        """Of what is read in a segment the state that it starts from; of how far two are apart the starts of both."""
+        chained = any(sensor.delay is not None or sensor.lag is not None for sensor in self.whole.sensors.values())
+        if ".nodes." not in path or chained:
+            return None
+        nodes, ends = jnp.arange(1, self.count), jnp.arange(self.count - 1)[:, None]
+        if channel == "continuity":
+            return (nodes == ends) | (nodes == ends + 1)
+        return jnp.asarray(self._segment_of_samples())[:, None] == nodes
+
+    def _segment_of_samples(self) -> np.ndarray:
+        starts, _ = cuts(len(self.whole.times), self.count)
+        return np.searchsorted(starts, np.arange(len(self.whole.times)), side="right") - 1
+
     def place(self, row):
         return self.whole.place(row)
 
@@ -89,7 +105,7 @@ class Segments(Measurement):
         apart = [
             (ends - nodes) / scale for ends, nodes, scale in ((meet.q, self.nodes.q, self.scale.q), (meet.v, self.nodes.v, self.scale.v))
         ]
-        owner = np.searchsorted(starts, np.arange(len(self.whole.times)), side="right") - 1
+        owner = self._segment_of_samples()
         joined = jax.tree.map(lambda x: x[owner, np.arange(len(owner)) - starts[owner]], parts.state)
         end = jax.tree.map(lambda x: x[-1], parts.end)
         whole = Trajectory(self.whole.times, joined, jnp.max(parts.status), {}, end, model, motions, loads)
@@ -130,14 +146,10 @@ def multiple_shooting(
     if not 2 <= segments < least:
         raise JaxbodyError(Problem("BAD_NUMBER", "multiple_shooting.segments", f"is {segments}", segments, f"2 to {least - 1}"))
     patterns = [free] if isinstance(free, str) else list(free)
-    rtol = jnp.asarray(options.get("rtol", 1e-8))
-    integration = Integration(
-        rtol, options.get("solver"), options.get("stepsize_controller"), options.get("dt0"), options.get("max_steps", 10_000)
-    )
-    cut = {name: _cut(model, experiment, segments, integration) for name, experiment in experiments.items()}
     loose: Fit | None = None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", JaxbodyWarning)  # of steps on the way
+        cut = {name: _cut(model, name, experiment, segments, options) for name, experiment in experiments.items()}
         for slack in SLACKS:
             if loose is not None:
                 model, cut = loose.model, loose.experiments  # pyright: ignore[reportAssignmentType]
@@ -162,19 +174,29 @@ def _cost(found: Fit, noise: dict[str, dict[str, Array]]) -> float:
     return total
 
 
-def _cut(model: Model, experiment: Experiment, count: int, integration: Integration) -> Segments:
-    """An experiment whose segments meet on the motion that the model has now, or rest where that fails."""
-    states = experiment.trajectory(model, integration).state
-    first = model.reference if experiment.initial is None else experiment.initial
-    starts, _ = cuts(len(experiment.times), count)
+def _cut(model: Model, name: str, experiment: Experiment, count: int, options: dict[str, Any]) -> Segments:
+    """An experiment in segments, each of which starts from where the one before ended, moved to what the record says of it."""
+    starts, rows = cuts(len(experiment.times), count)
+    how = {field.name: options[field.name] for field in dataclasses.fields(Integration) if field.name in options}
+    state = model.reference if experiment.initial is None else experiment.initial
+    known = first_noise({name: experiment}, absolute=False)[0][name], state
+    whole = eqx.tree_at(lambda e: (e.noise, e.initial), experiment, known, is_leaf=lambda x: x is None)
+    motions: list[State] = []
+    for i, following in zip(starts, [*starts[1:], starts[-1]], strict=True):
+        record = {channel: x[i : i + rows] for channel, x in whole.measured.items()}
+        part = eqx.tree_at(lambda e: (e.times, e.measured, e.initial), whole, (whole.times[i : i + rows], record, state))
+        if i:
+            part = fit(model, {name: part}, free=f"{name}.initial.*", max_evaluations=MOST, **how).experiments[name]
+            assert isinstance(part, Experiment)
+        motions.append(part.trajectory(model, Integration(**how)).state)
+        state = State(*(x[following - i] for x in (motions[-1].q, motions[-1].v)))
+    nodes = jax.tree.map(lambda *x: jnp.stack([each[0] for each in x]), *motions[1:])
 
-    def nodes(x, x0):
-        return jnp.where(jnp.isfinite(x[starts[1:]]), x[starts[1:]], x0)
+    def scale(*parts):
+        x = jnp.concatenate(parts)
+        size = jnp.sqrt(jnp.mean((x - jnp.mean(x, 0)) ** 2, 0))
+        largest = jnp.max(size, initial=0.0)
+        return jnp.maximum(size, 1e-3 * jnp.where(largest > 0, largest, 1.0))
 
-    def scale(x):
-        size = jnp.sqrt(jnp.nanmean((x - jnp.nanmean(x, 0)) ** 2, 0))
-        largest = jnp.nanmax(size, initial=0.0)
-        return jnp.maximum(jnp.nan_to_num(size), 1e-3 * jnp.where(largest > 0, largest, 1.0))
-
-    at = State(nodes(states.q, first.q), nodes(states.v, first.v))
-    return Segments(experiment, at, State(scale(states.q), scale(states.v)), jnp.asarray(SLACKS[0]), count)  # pyright: ignore[reportCallIssue]
+    sizes = jax.tree.map(scale, *motions)
+    return Segments(experiment, nodes, sizes, jnp.asarray(SLACKS[0]), count)  # pyright: ignore[reportCallIssue]

@@ -14,13 +14,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody.channels import Channel, Measurement
+from jaxbody.colorings import PRIORS, colors_of, moved_rows
 from jaxbody.experiments import Integration
 from jaxbody.free_parameters import Free
 from jaxbody.losses import linearized, robust_level, root
 from jaxbody.models import Model
 from jaxbody.naming import write
 
-PRIORS = "priors"  # what stands for a measurement's name where they are told with them
 PROPORTION = 0.01  # change of the estimated noise of one channel against another's that is worth another round
 
 Levels = dict[str, dict[str, Array]]  # of each measurement the noise of each channel
@@ -105,8 +105,11 @@ class Task(eqx.Module):
 
 def _rows(runs: Runs) -> dict[str, Array]:
     """The residuals of each measurement in one row."""
-    order = sorted(runs, key=lambda run: (run == PRIORS, run))
-    return {run: jnp.concatenate([runs[run][1][name].ravel() for name in sorted(runs[run][1])]) for run in order}
+    return {run: jnp.concatenate([runs[run][1][name].ravel() for name in sorted(runs[run][1])]) for run in _order(runs)}
+
+
+def _order(runs: Runs) -> list[str]:
+    return sorted(runs, key=lambda run: (run == PRIORS, run))
 
 
 @eqx.filter_jit
@@ -115,11 +118,13 @@ def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Arra
 
     def evaluate(u):
         runs = task.runs(u)
-        r = task.losses(runs)
-        return r, (r, runs)
+        return task.losses(runs), runs
 
-    J, (r, runs) = jax.jacfwd(evaluate, has_aux=True)(u)
-    return r, J, runs
+    colors = colors_of(task.free, task.experiments)
+    seeds = jnp.asarray(colors[:, None] == np.arange(colors.max(initial=-1) + 1), float)
+    r, sums, runs = jax.vmap(lambda seed: jax.jvp(evaluate, (u,), (seed,), has_aux=True), 1, (None, 1, None))(seeds)
+    blocks = [moved_rows(task.free, task.experiments, run, name, runs[run][1][name].size) for run in _order(runs) for name in sorted(runs[run][1])]  # fmt: skip
+    return r, jnp.where(jnp.concatenate(blocks), sums[:, colors], 0.0), runs
 
 
 def shared_structure(experiments: dict[str, Measurement]) -> list[list[str]]:

@@ -1,12 +1,17 @@
-"""Multiple shooting against single shooting where that works, and where it does not."""
+"""Multiple shooting against single shooting where that works, and where it does not; its Jacobian by few columns against all of them."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import jaxbody as jb
-from jaxbody.shootings import cuts
+from jaxbody.colorings import colors_of
+from jaxbody.experiments import Integration
+from jaxbody.free_parameters import choose, priors_of
+from jaxbody.shootings import Segments, cuts
+from jaxbody.tasks import Task, first_noise, residual_and_jacobian
 
 # A pendulum, pulled by a spring whose foot shakes hard: theta'' = -(g/l) sin(theta) - ..., chaotic with little damping.
 MASS, LENGTH, G, FOOT = 1.0, 1.0, 9.81, np.array([1.5, -1.0])
@@ -65,3 +70,42 @@ def test_where_one_shot_does_several_give_the_same():
     assert several.ok and list(several.experiments) == ["run"] and type(several.experiments["run"]) is jb.Experiment
     for path, value in whole.estimates.items():
         np.testing.assert_allclose(several.estimates[path], value, rtol=1e-7)
+
+
+def segments(samples, count):
+    """Of a record of its own length, the states between them anywhere."""
+    whole = experiment(np.linspace(0, 0.1 * samples, samples))["run"]
+    q = jnp.asarray(np.random.default_rng(1).normal(size=(count - 1, 1)))
+    return Segments(whole, jb.State(q, q), jb.State(jnp.ones(1), jnp.ones(1)), jnp.asarray(0.1), count)
+
+
+@pytest.mark.long
+def test_columns_that_touch_different_residuals_share_a_tangent():
+    """Two runs in six segments each: two columns of the model, four of the states between, one of each run, in place of 24."""
+    runs = {"a": segments(31, 6), "b": segments(31, 6)}
+    model = model_of(TRUTH)
+    free = choose(model, runs, ["spring.stiffness", "spring.free_length", "*.nodes.*", "a.initial.v", "b.foot.frequency"])
+    priors = priors_of(free, {"spring.stiffness": (11.0, 1.0), "b.foot.frequency": (0.7, 0.1)})
+    task = Task(model, runs, free, first_noise(runs, False)[0], Integration(max_steps=500), priors)
+    u = jnp.asarray(np.random.default_rng(2).normal(size=task.size)) * 0.01
+    r, J, _ = residual_and_jacobian(task, u)
+    assert task.size == 24 and len(set(colors_of(free, runs))) == 7
+    all_columns, same = jax.jit(jax.jacfwd(lambda u: 2 * (task.residual(u),), has_aux=True))(u)
+    np.testing.assert_allclose(r, same, rtol=1e-13)
+    np.testing.assert_allclose(J, all_columns, rtol=1e-12, atol=1e-12 * np.abs(J).max())
+
+
+@pytest.mark.long
+def test_a_chaotic_record_is_fitted_where_one_shot_is_lost():
+    """A part in a million of the stiffness is a thousand times as much in the angle before the end."""
+    other = motion(TRUTH * [1 + 1e-6, 1])
+    growth = np.abs(other - motion(TRUTH)).max() / 1e-6
+    assert growth > 1e3
+    options = dict(free=["spring.stiffness", "spring.free_length"], max_steps=10_000)
+    with pytest.warns(jb.JaxbodyWarning):
+        lost = jb.fit(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), **options)
+    found = jb.multiple_shooting(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), segments=48, **options)
+    assert float(lost.cost) > 100 * float(found.cost)
+    assert found.ok
+    for value, truth, error in zip(found.estimates.values(), TRUTH, found.standard_errors.values(), strict=True):
+        assert abs(float(value) - truth) < 4 * float(error) and float(error) < 1e-3 * truth
