@@ -65,10 +65,12 @@ class Support(eqx.Module):
 
 
 def scalar(value: Any, where: str, problems: Problems) -> Any:
+    """A number. Error: BAD_SHAPE."""
     return shaped(value, (), where, problems)
 
 
 def vector(value: Any, where: str, problems: Problems) -> Any:
+    """Three numbers. Error: BAD_SHAPE."""
     return shaped(value, (3,), where, problems)
 
 

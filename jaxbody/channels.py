@@ -77,6 +77,10 @@ class Measurement(eqx.Module):
         """Why readings are not finite."""
         return "the model has no finite number there"
 
+    def axis(self, channel: str) -> tuple[str, Array | np.ndarray, str]:
+        """What the rows of a channel's record are over: its name, values, unit."""
+        raise TypeError  # pragma: no cover
+
     def place(self, row: int) -> tuple[str, float]:
         """Where a row of `measured` is, in words and as a number."""
         raise TypeError  # pragma: no cover

@@ -46,6 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(out: Path, seed: int, ahead: ThreadPoolExecutor) -> int:
+    """The whole tour: model, modes, motion, fit."""
     import jax
 
     jax.config.update("jax_enable_x64", True)

@@ -331,6 +331,7 @@ def _negative(kind: str, name: str, told: str, value: Any, allowed: bool, proble
 
 
 def free_length_of(value: Any, kind: str, problems: Problems) -> Any:
+    """The free length of an element [m]. Error: NEGATIVE_LENGTH."""
     length = scalar(value, f"{kind}.free_length", problems)
     l0 = concrete(length)
     if l0 is not None and l0 < 0:

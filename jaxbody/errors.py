@@ -64,6 +64,7 @@ class JaxbodyWarning(UserWarning):
 
 
 def warn(code: str, message: str) -> None:
+    """A JaxbodyWarning of this code, told at the line of the user."""
     warnings.warn(JaxbodyWarning(code, message), stacklevel=4)
 
 

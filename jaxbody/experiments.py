@@ -121,6 +121,9 @@ class Experiment(Measurement):
     def explain(self, model, integration):
         return self.trajectory(model, integration).report()
 
+    def axis(self, channel):
+        return "time", self.times, "s"
+
     def place(self, row):
         return f"t = {float(self.times[row]):.6g} s", float(self.times[row])
 

@@ -292,8 +292,10 @@ def front_dataset(front: Any) -> Any:
 
 
 def fit_dataset(fit: Any) -> Any:
-    """Of a fit: estimate and standard error by `parameter`, singular values, and `{run}_{sensor}` predicted over `{run}_time`."""
-    names, estimates, errors = [], [], []
+    """Of a fit: estimate, standard error and 95 % interval by `parameter`, singular values, and `{run}_{channel}` predicted and measured over
+    `{run}_time`, `{run}_frequency` or `{run}_mode`."""
+    names, estimates, errors, intervals = [], [], [], fit.intervals(0.95)
+    ends = [np.concatenate([np.ravel(interval[side]) for interval in intervals.values()]) for side in (0, 1)]
     for path, value in fit.estimates.items():
         value = np.asarray(value)
         names += [path] if value.ndim == 0 else [path + str(list(i)).replace(" ", "") for i in np.ndindex(value.shape)]
@@ -302,18 +304,21 @@ def fit_dataset(fit: Any) -> Any:
     variables: dict[str, tuple[tuple[str, ...], Any, str]] = {
         "estimate": (("parameter",), estimates, ""),
         "standard_error": (("parameter",), errors, ""),
+        "lower": (("parameter",), ends[0], ""),
+        "upper": (("parameter",), ends[1], ""),
         "singular_value": (("direction",), fit.singular_values, ""),
         "status": ((), fit.status, ""),
     }
     coordinates: dict[str, Any] = {"parameter": names}
     for run, sensors in fit.predicted.items():
         experiment = fit.experiments[run]
-        coordinates[f"{run}_time"] = (f"{run}_time", np.asarray(experiment.times), {"units": "s"})
-        for sensor, values in sensors.items():
-            columns = (f"{run}_{sensor}_component",) * (np.ndim(values) - 1)
-            unit = experiment.sensors[sensor].unit
-            variables[f"{run}_{sensor}_predicted"] = ((f"{run}_time", *columns), values, unit)
-            variables[f"{run}_{sensor}_measured"] = ((f"{run}_time", *columns), experiment.measured[sensor], unit)
+        for name, values in sensors.items():
+            over, where, unit = experiment.axis(name)
+            row = f"{run}_{over}"
+            coordinates[row] = (row, np.asarray(where), {"units": unit})
+            dimensions, unit = (row, *(f"{run}_{name}_component",) * (np.ndim(values) - 1)), experiment.channels[name].unit
+            variables[f"{run}_{name}_predicted"] = (dimensions, values, unit)
+            variables[f"{run}_{name}_measured"] = (dimensions, experiment.measured[name], unit)
     return dataset(variables, coordinates, "fit")
 
 

@@ -35,7 +35,8 @@ def plot_fit(fit: Fit, *, run: str | None = None, sensor: str | None = None, ax:
     run, sensor = _chosen(fit, run, sensor, "plot_fit")
     experiment = fit.experiments[run]
     ax = axes_or_new(ax, 7.0, 4.2)
-    x, axis = _abscissa(experiment)
+    over, x, its_unit = experiment.axis(sensor)
+    x = np.asarray(x)
     measured, predicted = (_columns(values[sensor], len(x)) for values in (experiment.measured, fit.predicted[run]))
     below = axes_below(ax, 0.4)
     shown = [i for i in range(measured.shape[1]) if np.isfinite(measured[:, i]).any() and np.ptp(predicted[:, i]) > 0] or [0]
@@ -57,7 +58,7 @@ def plot_fit(fit: Fit, *, run: str | None = None, sensor: str | None = None, ax:
     about = ", from its mean" if len(shown) > 1 else ""
     ax.set_ylabel(f"{sensor}{about} [{unit}]")
     ax.tick_params(labelbottom=False)
-    below.set(xlabel=axis, ylabel=f"residual [{unit}]")
+    below.set(xlabel=f"{over} [{its_unit}]" if its_unit else over, ylabel=f"residual [{unit}]")
     legend(ax, len(shown) + 2)
     return ax
 
@@ -149,14 +150,6 @@ def _chosen(fit: Fit, run: str | None, sensor: str | None, where: str) -> tuple[
     if sensor not in known:
         raise JaxbodyError(unknown(sensor, f"{where}.sensor", known))
     return run, sensor
-
-
-def _abscissa(experiment: Any) -> tuple[np.ndarray, str]:
-    if hasattr(experiment, "times"):
-        return np.asarray(experiment.times), "time [s]"
-    if hasattr(experiment, "frequencies"):
-        return np.asarray(experiment.frequencies), "frequency [Hz]"
-    return np.arange(1, 1 + len(next(iter(experiment.measured.values())))), "mode"
 
 
 def _columns(values: Any, count: int) -> np.ndarray:

@@ -147,6 +147,7 @@ def check_frequencies(given: Any, where: str) -> Float[Array, "nf"]:
 
 
 def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne"] | None:
+    """One loss factor for each element, from one for all or {element: factor}. Errors: UNKNOWN_NAME, BAD_SHAPE, NEGATIVE."""
     if given is None:
         return None
     problems, names = Problems(), model.element_names

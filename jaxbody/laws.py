@@ -541,12 +541,14 @@ def _row(value: Any, where: str, problems: Problems, least: int) -> Any:
 
 
 def not_negative(value: Any, where: str, unit: str, problems: Problems, hint: str = "") -> None:
+    """Error: NEGATIVE."""
     known = concrete(value)
     if known is not None and (known < 0).any():
         problems.add("NEGATIVE", where, f"is {known.min():g} {unit}".rstrip(), value=float(known.min()), limit=">= 0", hint=hint)
 
 
 def positive(value: Any, where: str, unit: str, problems: Problems, hint: str = "") -> None:
+    """Error: NOT_POSITIVE."""
     known = concrete(value)
     if known is not None and not any(p.where == where for p in problems.found) and (known <= 0).any():
         problems.add("NOT_POSITIVE", where, f"is {known.min():g} {unit}".rstrip(), value=float(known.min()), limit="> 0", hint=hint)

@@ -25,6 +25,7 @@ CLIPPED = 1.345  # standard deviations beyond which a residual does not raise th
 
 
 def check_loss(loss: str | None, where: str) -> None:
+    """Error: UNKNOWN_LOSS."""
     if loss is not None and loss not in LOSSES:
         raise JaxbodyError(Problem("UNKNOWN_LOSS", where, f"is {loss!r:.60}", loss, "None, " + ", ".join(LOSSES)))
 

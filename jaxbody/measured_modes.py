@@ -22,6 +22,8 @@ UNITS = {"frequency": "Hz", "damping_ratio": "", "shapes": ""}
 
 
 class ModalChannel(Channel):
+    """A number of each mode."""
+
     unit: str = field(static=True)  # pyright: ignore[reportIncompatibleVariableOverride]
     shape = ()
 
@@ -132,6 +134,9 @@ class MeasuredModes(Measurement):
 
     def explain(self, model, integration):
         return told(model)
+
+    def axis(self, channel):
+        return "mode", np.arange(1, 1 + len(self.measured[channel])), ""
 
     def place(self, row):
         return f"mode {row + 1}", row + 1

@@ -114,6 +114,9 @@ class MeasuredResponse(Measurement):
     def explain(self, model, integration):
         return told(model)
 
+    def axis(self, channel):
+        return "frequency", self.frequencies, "Hz"
+
     def place(self, row):
         return f"{float(self.frequencies[row]):.6g} Hz", float(self.frequencies[row])
 

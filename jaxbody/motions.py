@@ -342,6 +342,7 @@ def _nearest(previous, phi, xp):
 
 
 def is_uniform(times) -> bool:
+    """Whether times are equally spaced; False inside jit, where nobody can tell."""
     known = concrete(times)
     if known is None:
         return False

@@ -25,6 +25,7 @@ def without_duplicates(t: np.ndarray, given: dict[str, Any], name: str, notes: l
 
 
 def without_empty(given: dict[str, Any], notes: list[str], name: str) -> dict[str, Any]:
+    """Without channels that lack every sample. Error: NO_DATA where none is left."""
     empty = [key for key, (x, _) in given.items() if np.isnan(x.reshape(len(x), -1)).all(0).any()]
     if len(empty) == len(given):
         raise JaxbodyError(Problem("NO_DATA", name, "has no channel with samples", empty, "at least one", "Was anything connected?"))

@@ -178,6 +178,7 @@ def multiply(p: Float[Array, "*n 4"], q: Float[Array, "*n 4"]) -> Float[Array, "
 
 
 def normalize(q: Float[Array, "*n 4"]) -> Float[Array, "*n 4"]:
+    """q/|q|."""
     return q / jnp.sqrt(jnp.sum(q * q, -1, keepdims=True))
 
 

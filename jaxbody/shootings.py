@@ -85,6 +85,9 @@ class Segments(Measurement):
         starts, _ = cuts(len(self.whole.times), self.count)
         return np.searchsorted(starts, np.arange(len(self.whole.times)), side="right") - 1
 
+    def axis(self, channel):
+        return ("segment", np.arange(1, self.count), "") if channel == "continuity" else self.whole.axis(channel)
+
     def place(self, row):
         return self.whole.place(row)
 

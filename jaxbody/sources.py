@@ -57,6 +57,7 @@ def kind_of(path: Path, format: str | None, largest: float) -> str:
 
 
 def too_large(name: str, size: float, largest: float) -> Problem:
+    """What is told of a file beyond the largest size."""
     hint = f"Say largest={max(1, round(size * 1.1 / 1e9))}e9 if there is memory for about five times that, or cut the file."
     return Problem("TOO_LARGE", name, f"has {size:.4g} bytes", size, f"{largest:.4g} bytes", hint)
 
@@ -74,6 +75,7 @@ def find_name(asked: str, names: list[str], where: str) -> str:
 
 
 def needed(module: str, package: str, extra: str, what: str) -> Any:
+    """A module of an extra. Error: MISSING_EXTRA."""
     try:
         return importlib.import_module(module)
     except ImportError:

@@ -147,6 +147,7 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
 
 @filter_jit
 def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, loads: tuple[Load, ...], max_steps: int) -> Equilibrium:
+    """The jitted core of `equilibrium`."""
     frozen = jax.lax.stop_gradient(model)
     start = reference_coordinates(frozen) if start is None else jax.lax.stop_gradient(start)
     size = size_of(frozen)

@@ -120,6 +120,7 @@ def _judged(search: Search, rows: Rows) -> tuple[int, Multipliers | None]:
 
 
 def tuning_of(program: Program, searches: list[Search], best: Search) -> Tuning:
+    """What searches from all starts came to, told of the best."""
     rows, space, quantities = program.rows, program.space, program.quantities
     U, values = (np.stack([getattr(search, name) for search in searches]) for name in ("u", "values"))
     codes = np.array([_judged(search, rows)[0] for search in searches])

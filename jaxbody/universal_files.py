@@ -16,6 +16,7 @@ DIRECTIONS = {0: "", 1: "+X", -1: "-X", 2: "+Y", -2: "-Y", 3: "+Z", -3: "-Z", 4:
 
 
 def sets_of(path: Path) -> list[dict[str, Any]]:
+    """The functions (sets 58) of a universal file."""
     pyuff = needed("pyuff", "pyuff", "files", path.name)
     file = pyuff.UFF(str(path))
     return [file.read_sets(i) for i, kind in enumerate(file.get_set_types()) if int(kind) == 58]
@@ -36,6 +37,7 @@ def _distinct(names: list[str]) -> list[str]:
 
 
 def read_uff(path: Path, pick: Pick) -> Contents:
+    """Functions of time. Errors: UNKNOWN_CHANNEL, NOT_A_RECORD."""
     sets = sets_of(path)
     names = _distinct([_uff_place(s, "rsp") for s in sets])
     columns = {}

@@ -82,10 +82,11 @@ def test_a_fit():
     times = jnp.linspace(0, 1, 4)
     sensors = {"place": jb.Position("mass"), "stretch": jb.Elongation("s")}
     measured = {"place": jnp.ones((4, 3)), "stretch": jnp.arange(4.0)}
-    experiment = SimpleNamespace(times=times, measured=measured, sensors=sensors)
+    experiment = jb.Experiment(times, measured=measured, sensors=sensors)
     fit = SimpleNamespace(
         estimates={"s.stiffness": jnp.array(50.0), "mass.com": jnp.array([1.0, 2.0, 3.0])},
         standard_errors={"s.stiffness": np.array(0.5), "mass.com": np.array([0.1, 0.2, np.inf])},
+        intervals=lambda level: {"s.stiffness": (49.0, 51.0), "mass.com": ([0.8, 1.6, -np.inf], [1.2, 2.4, np.inf])},
         singular_values=np.arange(4.0),
         predicted={"run1": {name: 2 * values for name, values in measured.items()}},
         experiments={"run1": experiment},
@@ -94,6 +95,7 @@ def test_a_fit():
     made = exports.fit_dataset(fit)
     assert float(made["estimate"].sel(parameter="mass.com[1]")) == 2.0
     assert float(made["standard_error"].sel(parameter="mass.com[2]")) == np.inf
+    np.testing.assert_array_equal(made["upper"], [51.0, 1.2, 2.4, np.inf])
     np.testing.assert_array_equal(made["run1_stretch_predicted"], 2 * np.arange(4.0))
     np.testing.assert_array_equal(made["run1_place_measured"], np.ones((4, 3)))
     np.testing.assert_array_equal(made["run1_time"], times)

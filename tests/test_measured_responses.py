@@ -109,6 +109,8 @@ def test_a_fit_to_responses_is_scipys_with_its_standard_errors(found, measured):
     Q, R = np.linalg.qr(J)  # each channel has its own variance: (J'J)^-1 J' diag(s2) J (J'J)^-1
     ends = np.cumsum([0] + [2 * (~np.isnan(measured[pair])).sum() for pair in PAIRS])
     M = sum(Q[i:j].T @ Q[i:j] * (r[i:j] @ r[i:j]) / (j - i - np.sum(Q[i:j] ** 2)) for i, j in itertools.pairwise(ends))
+    made = found.to_xarray()
+    np.testing.assert_array_equal(made["hammer_x1/force_measured"].sel(hammer_frequency=F), measured["x1", "force"])
     errors = np.sqrt(np.diag(np.linalg.solve(R, np.linalg.solve(R, M).T))) * expected
     mine = np.array([float(found.standard_errors[path]) for path in TRUTH])
     print(mine / errors)

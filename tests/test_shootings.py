@@ -76,7 +76,7 @@ def segments(samples, count):
     """Of a record of its own length, the states between them anywhere."""
     whole = experiment(np.linspace(0, 0.1 * samples, samples))["run"]
     q = jnp.asarray(np.random.default_rng(1).normal(size=(count - 1, 1)))
-    return Segments(whole, jb.State(q, q), jb.State(jnp.ones(1), jnp.ones(1)), jnp.asarray(0.1), count)
+    return Segments(whole, jb.State(q, q), jb.State(jnp.ones(1), jnp.ones(1)), jnp.asarray(0.1), count)  # pyright: ignore[reportCallIssue]
 
 
 @pytest.mark.long
