@@ -106,7 +106,7 @@ def test_a_fit_is_drawn_with_its_residuals(ax):
     predicted = np.stack([np.sin(times), np.cos(times), 0 * times], 1)
     measured = predicted + np.random.default_rng(0).normal(0, 0.01, predicted.shape)
     measured[3] = np.nan
-    run = SimpleNamespace(times=times, measured={"corner": measured}, channels={"corner": jb.Position("plate")})
+    run = jb.Experiment(times, measured={"corner": measured}, sensors={"corner": jb.Position("plate")})
     fit = SimpleNamespace(uncertainty=None, experiments={"run1": run}, predicted={"run1": {"corner": predicted}}, history=[10.0, 1.0, 0.1])
     assert plots.plot_fit(fit, ax=ax) is ax
     means = predicted.mean(0)
