@@ -15,6 +15,7 @@ class Channel(eqx.Module):
 
     shape: ClassVar[tuple[int, ...]]
     unit: ClassVar[str]
+    series: ClassVar[bool] = True  # samples follow one another: neighbors may be correlated, and there are enough to tell their noise
 
     def residual(self, reading: Array, measured: Array) -> Float[Array, "*r"]:
         """Reading less measured, zero where a sample is missing."""
@@ -46,7 +47,6 @@ class Measurement(eqx.Module):
     """The base of what a model is fitted to: `measured` numbers by channel, `noise`, their standard deviations where stated, and `readings`,
     what a model says in their place."""
 
-    series: ClassVar[bool] = True  # rows of `measured` follow one another, so that neighbors may be correlated
     measured: eqx.AbstractVar[dict[str, Array]]
     noise: eqx.AbstractVar[dict[str, Array] | None]
 

@@ -24,6 +24,7 @@ UNITS = {"frequency": "Hz", "damping_ratio": "", "shapes": ""}
 class ModalChannel(Channel):
     """A number of each mode."""
 
+    series = False
     unit: str = field(static=True)  # pyright: ignore[reportIncompatibleVariableOverride]
     shape = ()
 
@@ -48,7 +49,6 @@ class MeasuredModes(Measurement):
     noise: dict[str, Float[Array, "..."]] | None
     sensors: dict[str, PointMotion]
     number: tuple[int, ...] | None = field(static=True)
-    series = False
 
     def __init__(self, *, frequency, damping_ratio=None, shapes=None, sensors=None, number=None, pairing: str = "order", noise=None):
         problems = Problems()

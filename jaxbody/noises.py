@@ -30,7 +30,8 @@ STEP = 1e-4  # of derivatives by central differences, in standard errors
 
 class Record(NamedTuple):
     """One component of one channel of one run: its rows among the residuals in the order of time, missing samples left out; `group`, records of one
-    noise level; those of a `run` are sampled together, at `times` (sample numbers). Without `series`, numbers in no order."""
+    noise level; those of a `run` are sampled together, at `times` (sample numbers). Without `series`, numbers in no order, and if their noise is
+    stated, it is `known`: they are too few to tell another."""
 
     name: str
     group: str
@@ -38,6 +39,7 @@ class Record(NamedTuple):
     rows: np.ndarray
     times: np.ndarray
     series: bool = True
+    known: bool = False
 
 
 def records_of(experiments: dict[str, Measurement]) -> list[Record]:
@@ -52,7 +54,8 @@ def records_of(experiments: dict[str, Measurement]) -> list[Record]:
             for i, (label, unit) in enumerate(zip(labels, units, strict=True)):
                 times = np.flatnonzero(there[:, i])
                 rows = first + times * there.shape[1] + i
-                records.append(Record(f"{run}.{name}{label}", f"{name} {unit}", run, rows, times, experiment.series))
+                known = not channel.series and name in (experiment.noise or {})
+                records.append(Record(f"{run}.{name}{label}", f"{name} {unit}", run, rows, times, channel.series, known))
             first += there.size
     return records
 
@@ -60,12 +63,12 @@ def records_of(experiments: dict[str, Measurement]) -> list[Record]:
 @dataclass
 class Noise:
     """M, the covariance of Q'e; `parts`, by how much M changes when one of the numbers behind it moves by its standard error, independent of
-    one another; `white`, M if all noise were white; the order of each record's autoregression; correlations of what is new in pairs of records."""
+    one another; `white`, M if all noise were white; the order of the autoregression of each record by name; correlations of what is new in pairs of records."""
 
     M: np.ndarray
     parts: np.ndarray
     white: np.ndarray
-    orders: list[int]
+    orders: dict[str, int]
     pairs: dict[tuple[str, str], float]
 
 
@@ -119,10 +122,10 @@ class _Piece:
 
 
 def noise_of(r: np.ndarray, Q: np.ndarray, records: list[Record]) -> Noise:
-    """From residuals r, the orthonormal columns Q of what could be fitted and the records; rows in no record have a noise of one, known."""
-    pieces = [_Piece(record, r, Q) for record in records]
+    """From residuals r, the orthonormal columns Q of what could be fitted and the records; rows in no record, as those of priors, have a noise of one, known, too."""
+    pieces = [_Piece(record, r, Q) for record in records if not record.known]
     known = np.ones(len(r), bool)
-    known[np.concatenate([np.zeros(0, int), *(record.rows for record in records)])] = False
+    known[np.concatenate([np.zeros(0, int), *(one.record.rows for one in pieces)])] = False
     of_known = Q[known].T @ Q[known]
     variances = _variances(pieces)
     white = of_known + sum(variances[one.record.group][0] * one.square for one in pieces)
@@ -151,7 +154,7 @@ def noise_of(r: np.ndarray, Q: np.ndarray, records: list[Record]) -> Noise:
         both = size * (both + both.T)
         M = M + correlation * both
         parts.append(np.sqrt((1 + correlation**2) / one.n) * both)
-    return Noise(M, np.reshape(parts, (len(parts), *M.shape)), white, [one.order for one in pieces], pairs)
+    return Noise(M, np.reshape(parts, (len(parts), *M.shape)), white, {one.record.name: one.order for one in pieces}, pairs)
 
 
 def _variances(pieces: list[_Piece]) -> dict[str, tuple[float, float]]:

@@ -15,12 +15,13 @@ import equinox as eqx
 import numpy as np
 
 from jaxbody.autocorrelations import Whiteness, whiteness
-from jaxbody.noises import Noise, Record, noise_of
+from jaxbody.noises import LEAST, Noise, Record, noise_of
 
 CORRELATED = 0.1  # lag-one correlation of residuals that is told, if it is also significant
 SIGNIFICANT = 3.0  # standard deviations of the pooled lag-one correlation of white noise
 TOGETHER = 0.3  # correlation of two records that is told
 TOUCHED = 1e-3  # share of a null direction that makes a parameter undetermined
+UNLIKELY = 1e-3  # chance of residuals beyond their stated noise that is told
 RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
 
 
@@ -28,7 +29,8 @@ class Uncertainty(eqx.Module):
     """The worth of a fit: `covariance` of u and what it would be if noise were white; `parts`, by how much it changes with the standard errors of
     the numbers that it is made of; singular values, rank, null directions in `words`, parameters that stand `still`; how residuals of
     channels are correlated in time (`whiteness`, `orders` of autoregressions, pooled `correlation` at lag one) and with one another (`pairs`); of a u `pressed` to its bound the slope of the
-    cost, its curvature with all others following, and the standard error, with its degrees of freedom, that it would have without the bound."""
+    cost, its curvature with all others following, and the standard error, with its degrees of freedom, that it would have without the bound;
+    of records whose stated noise is taken as known, and whose residuals are more, how many times more (`beyond_stated`)."""
 
     covariance: np.ndarray
     white_covariance: np.ndarray
@@ -45,6 +47,7 @@ class Uncertainty(eqx.Module):
     orders: dict[str, int]
     pairs: dict[tuple[str, str], float]
     pressed: dict[int, tuple[float, float, float, float]]
+    beyond_stated: dict[str, float]
     samples: int
 
     def spread(self, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -68,6 +71,8 @@ class Uncertainty(eqx.Module):
     def noise(self) -> str:
         """What standard errors take the noise for."""
         orders = list(self.orders.values())
+        if not orders:
+            return "noise as stated"
         return "noise white" if not any(orders) else f"noise autoregressive of order {_range(orders)}"
 
     def about_noise(self) -> list[str]:
@@ -82,6 +87,9 @@ class Uncertainty(eqx.Module):
         if max((abs(x) for x in self.pairs.values()), default=0.0) > TOGETHER:
             (one, other), most = max(self.pairs.items(), key=lambda pair: abs(pair[1]))
             said.append(f"residuals of channels go together, most {one} with {other} ({most:.2f}); standard errors take it into account")
+        told = [f"{name} {ratio:.2g} times" for name, ratio in self.beyond_stated.items()]
+        if told:
+            said.append(f"residuals exceed the stated noise, which standard errors are of: {', '.join(told)}")
         return said
 
 
@@ -127,7 +135,7 @@ def assess(
     found = Uncertainty(
         covariance, white, np.reshape(parts, (len(parts), *covariance.shape)), null, {}, S, int(known.sum()),
         in_words(Vt[~known].T, labels, still), still, correlation, significant and bool(r @ r > exact**2), tests,
-        dict(zip((c.name for c in records), noise.orders, strict=True)), noise.pairs, _pressed(r, J, inside, records), sum(len(c.rows) for c in records),
+        noise.orders, noise.pairs, _pressed(r, J, inside, records), _beyond_stated(r, U[:, known], records), sum(len(c.rows) for c in records),
     )  # fmt: skip
     errors = {path: found.spread(G.reshape(-1, len(S)))[0].reshape(G.shape[:-1]) for path, G in zip(paths, slopes, strict=True)}
     return replace(found, standard_errors=errors)
@@ -139,6 +147,17 @@ def _carried(r, inside, records: list[Record], parts) -> tuple[Noise, np.ndarray
     back = np.zeros((len(inside), known.sum()))
     back[inside] = Vt[known].T / S[known]
     return noise_of(r, U[:, known], records), back
+
+
+def _beyond_stated(r: np.ndarray, Q: np.ndarray, records: list[Record]) -> dict[str, float]:
+    from scipy.stats import chi2
+
+    found = {}
+    for record in (record for record in records if record.known):
+        square, freedom = float(r[record.rows] @ r[record.rows]), len(record.rows) - float(np.sum(Q[record.rows] ** 2))
+        if freedom > LEAST and chi2.sf(square, freedom) < UNLIKELY:
+            found[record.name] = np.sqrt(square / freedom)
+    return found
 
 
 def _pressed(r, J, inside, records: list[Record]) -> dict[int, tuple[float, float, float, float]]:

@@ -145,7 +145,8 @@ def test_modes_alone_and_all_together_are_scipys(measured):
     test = dict(frequency=frequency * (1 + 1e-3 * rng.normal(size=2)), damping_ratio=damping * (1 + 0.05 * rng.normal(size=2)))
     observed = -7 * (shapes / scale + 0.01 * rng.normal(size=(2, 2)))  # of any scale and sign
     noise = {"frequency": 1e-3, "damping_ratio": 1e-3, "shapes": 0.01}
-    modal_test = jb.MeasuredModes(**test, shapes=observed, sensors={"x1": port("m1"), "x2": port("m2")}, noise=noise)
+    given = dict(**test, shapes=observed, sensors={"x1": port("m1"), "x2": port("m2")})
+    modal_test = jb.MeasuredModes(**given, noise=noise)
     unit = observed / np.linalg.norm(observed, axis=1, keepdims=True)
 
     def modal_residual(p):
@@ -154,8 +155,15 @@ def test_modes_alone_and_all_together_are_scipys(measured):
         return np.concatenate([(f - test["frequency"]) / 1e-3, (z - test["damping_ratio"]) / 1e-3, ((x - unit) / 0.01).ravel()])
 
     alone = fit({"test": modal_test})
-    expected, _ = optimum(modal_residual)
+    expected, J = optimum(modal_residual)
     np.testing.assert_allclose(values(alone), expected, rtol=1e-6)
+    errors = np.sqrt(np.diag(np.linalg.inv(J.T @ J))) * expected  # of the noise as stated: eight numbers tell no other
+    np.testing.assert_allclose([float(x) for x in alone.standard_errors.values()], errors, rtol=1e-4)
+    ends = [alone.intervals()[path] for path in alone.paths]
+    np.testing.assert_allclose(ends, np.stack([expected * np.exp(s * 1.959964 * errors / expected) for s in (-1, 1)], 1), rtol=1e-4)
+    assert "noise as stated" in str(alone)
+    careless = fit({"test": jb.MeasuredModes(**given, noise={name: level / 30 for name, level in noise.items()})})
+    assert "exceed the stated noise" in str(careless) and "exceed" not in str(alone)
 
     record = np.cos(2 * np.pi * 1.2 * np.linspace(0, 1, 21))  # of no model: it only has to be weighed
     from scipy.integrate import solve_ivp
