@@ -23,6 +23,10 @@ def _names(task: Task) -> list[str]:
 def save(path: str | os.PathLike, task: Task, u: np.ndarray) -> None:
     """Into a file beside it, which then takes its place: a crash or a full disk leaves the old one as it was."""
     path = Path(path)
+    if path.exists() and not path.is_file():
+        raise JaxbodyError(
+            Problem("NOT_SAVED", str(path), "is there already and no file", limit="a file or nothing", hint="Choose another path.")
+        )
     levels = [np.asarray(level) for each in task.noise.values() for level in each.values()]
     arrays = {"names": np.array(_names(task)), "u": np.asarray(u), **{f"noise{i}": level for i, level in enumerate(levels)}}
     temporary = None

@@ -90,7 +90,7 @@ def fit(
     39.47842
     """
     check_precision("fit", model, needs_float64=not allow_float32)
-    check_steps(stepsize_controller, dt0, "fit")
+    check_steps(stepsize_controller, dt0, rtol, max_steps, "fit")
     check_loss(loss, "fit.loss")
     _check_runs(model, experiments)
     parameters = choose(model, experiments, [free] if isinstance(free, str) else list(free))
@@ -115,9 +115,9 @@ def fit(
         return _fit_traced(task, u, method, max_evaluations, estimated)
     keep = (lambda u: None) if checkpoint is None else lambda u: save(checkpoint, task, u)
     evaluate = Evaluations(partial(residual_and_jacobian, task), max_evaluations, floor=_floor(task), progress=progress, better=keep)
-    _check_start(task, *evaluate(u))
     arrived, interrupted = False, False
     try:
+        _check_start(task, *evaluate(u))
         for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
             u, arrived = search(evaluate, task, u)
             if not estimated:

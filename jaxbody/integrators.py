@@ -31,12 +31,13 @@ C, E = np.asarray(TABLEAU.c), np.asarray(TABLEAU.b_error)
 P = np.asarray(diffrax.Dopri8.interpolation_cls.eval_coeffs)[:, ::-1].T  # (6, stages): of theta, theta^2 ...  # pyright: ignore
 BLOCK = 128  # steps, at most
 WINDOW = 1024  # samples worked out together, at most
+NEAR = 1e-12  # of kinks to one another, relative to the whole time, that are one
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of one step's length to the next
 
 
 class Problem(NamedTuple):
     """y' = rate(arguments, u, y) with u = drive(arguments, t), what depends on time alone; tolerances of a step's error, its least
-    length, its first if given, how many there may be."""
+    length, its first if given, how many there may be, and times in order at which steps end since the rate has kinks there."""
 
     drive: Callable[[Any, Array], Any]
     rate: Callable[[Any, Any, Array], Array]
@@ -45,6 +46,7 @@ class Problem(NamedTuple):
     shortest: Float[Array, ""]
     first: Float[Array, ""] | None
     max_steps: int
+    kinks: Float[Array, "nk"] | None = None
 
 
 class Steps(NamedTuple):
@@ -187,6 +189,13 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
     """Steps until goal, at most a block of them."""
     rows = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), begun.last)._replace(h=jnp.full(size, jnp.inf, begun.y.dtype))
     steps = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, rows)
+    ends = None if problem.kinks is None else jnp.append(problem.kinks - t0, jnp.inf)
+
+    def stop(tau):
+        """Where a step from tau must end."""
+        if ends is None:
+            return end
+        return jnp.minimum(end, ends[jnp.searchsorted(ends, tau + NEAR * end, side="right", method="scan_unrolled")])
 
     def active(tau, course):
         return (course.code == Status.OK.value) & (tau < goal)
@@ -194,7 +203,8 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
     def one(carry):
         tau, y, f, course, steps, i = carry
         on = active(tau, course)
-        left = end - tau
+        to = lax.stop_gradient(stop(tau))
+        left = to - tau
         h = lax.stop_gradient(jnp.where(course.h > 0.9999 * left, left, course.h))
         y1, f1, k = _step(problem, arguments, t0 + tau, y, f, h)
         error = jnp.abs(_sum(E, k)) / (problem.atol + problem.rtol * jnp.maximum(jnp.abs(y), jnp.abs(y1)))
@@ -202,8 +212,10 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
         good = error <= 1
         factor = SAFETY / _eighth_root(jnp.maximum(error, 1e-30))
         longer = h * jnp.where(jnp.isfinite(error), jnp.clip(factor, SHRINK, jnp.where(good, GROW, 1.0)), SHRINK)
+        if ends is not None:  # a step cut short says little of the next
+            longer = jnp.where(good & (h < course.h), jnp.maximum(longer, course.h), longer)
         made, tries = on & good, course.accepted + course.rejected + 1
-        tau1 = jnp.where(h == left, end, tau + h)
+        tau1 = jnp.where(h == left, to, tau + h)
         code = jnp.where(longer < problem.shortest, Status.DT_MIN.value, Status.OK.value)
         code = jnp.where(good & (tau1 >= end), Status.OK.value, jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, code))
         after = Course(longer, course.accepted + good, course.rejected + ~good, code)

@@ -5,7 +5,7 @@ Velocity and acceleration are derivatives of that function, so they cannot disag
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import equinox as eqx
@@ -35,6 +35,9 @@ class Motion(eqx.Module):
     def covers(self) -> tuple[Any, Any]:
         """First and last time [s] at which the motion is known."""
         return -np.inf, np.inf
+
+    def kinks(self) -> Array | None:
+        """Times [s] between which it is smooth and at which it is rough, where steps of an integration had better end."""
 
     def __add__(self, other: Motion | Callable[[Array], Array]) -> Sum:
         return Sum((self, as_motion(other)))
@@ -103,6 +106,9 @@ class Sum(Motion):
         spans = [term.covers() for term in self.terms]
         return max(s[0] for s in spans), min(s[1] for s in spans)
 
+    def kinks(self) -> Array | None:
+        return kinks_of(self.terms)
+
 
 class Delayed(Motion):
     """Xi(t) = motion(t - delay): the same motion `delay` [s] later, such as what a rear wheel feels of a front wheel's road.
@@ -128,6 +134,10 @@ class Delayed(Motion):
     def covers(self) -> tuple[Any, Any]:
         first, last = self.motion.covers()
         return first + self.delay, last + self.delay
+
+    def kinks(self) -> Array | None:
+        known = self.motion.kinks()
+        return None if known is None else known + self.delay
 
 
 class Function(Motion):
@@ -160,11 +170,12 @@ class Sampled(Motion):
     values: Float[Array, "n 6"]
     curvatures: Float[Array, "n 6"]
     uniform: bool = eqx.field(static=True)
+    rough: bool = eqx.field(static=True)  # as accelerations with their noise are
 
     def __init__(self, times, *, translation=None, rotation=None):
         times, values = _samples(times, translation, rotation, Problems(), minimum=4)
         self.times, self.values = device_array(times), device_array(values)
-        self.uniform = is_uniform(times)
+        self.uniform, self.rough = is_uniform(times), False
         self.curvatures = curvatures(self.times, self.values)
 
     @classmethod
@@ -183,18 +194,27 @@ class Sampled(Motion):
         velocity = v0 + jnp.concatenate([jnp.zeros((1, 6), m.dtype), jnp.cumsum(h * (m[1:] + m[:-1]) / 2, 0)])
         steps = h * velocity[:-1] + h**2 * (2 * m[:-1] + m[1:]) / 6
         values = x0 + jnp.concatenate([jnp.zeros((1, 6), m.dtype), jnp.cumsum(steps, 0)])
-        for name, value in dict(times=t, values=values, curvatures=m, uniform=is_uniform(times)).items():
+        for name, value in dict(times=t, values=values, curvatures=m, uniform=is_uniform(times), rough=True).items():
             object.__setattr__(self, name, value)
         return self
 
     def covers(self) -> tuple[Any, Any]:
         return self.times[0], self.times[-1]
 
+    def kinks(self) -> Array | None:
+        return self.times if self.rough else None
+
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         i, h, a, b = cell(self.times, self.uniform, t)
         return (
             a * self.values[i] + b * self.values[i + 1] + h**2 / 6 * ((a**3 - a) * self.curvatures[i] + (b**3 - b) * self.curvatures[i + 1])
         )
+
+
+def kinks_of(functions: Iterable[Any]) -> Array | None:
+    """Those of several functions of time, in order."""
+    known = [kinks for function in functions if (kinks := function.kinks()) is not None]
+    return jnp.sort(jnp.concatenate(known)) if known else None
 
 
 def cell(times: Float[Array, "n"], uniform: bool, t: Float[Array, ""]):

@@ -32,6 +32,9 @@ class Signal(eqx.Module):
         """First and last time [s] at which it is known."""
         return -np.inf, np.inf
 
+    def kinks(self) -> Array | None:
+        """Times [s] between which it is smooth and at which its slope jumps, where steps of an integration had better end."""
+
 
 class Constant(Signal):
     """The same at all times.
@@ -102,6 +105,9 @@ class Samples(Signal):
 
     def covers(self) -> tuple[Any, Any]:
         return self.times[0], self.times[-1]
+
+    def kinks(self):
+        return self.times if self.kind == "linear" else None
 
     def __call__(self, t):
         i, h, a, b = cell(self.times, self.uniform, t)

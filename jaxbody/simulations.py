@@ -26,7 +26,7 @@ from jaxbody.linearizations import linearize
 from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, frames_of, kinetic, lost_power, potential
 from jaxbody.models import Model, State, unknown
-from jaxbody.motions import AtRest, Motion, as_motion, check_times
+from jaxbody.motions import AtRest, Motion, as_motion, check_times, kinks_of
 from jaxbody.naming import by_name
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import size_of
@@ -205,7 +205,7 @@ def simulate(
                 hint="Use diffrax.DirectAdjoint() or ForwardMode().",
             )
         )
-    check_steps(stepsize_controller, dt0, "simulate")
+    check_steps(stepsize_controller, dt0, rtol, max_steps, "simulate")
     loose = unattached(model)
     if loose:
         warn("UNATTACHED", f"nothing ties {', '.join(loose)} to world or a support")
@@ -218,10 +218,16 @@ def simulate(
     return result
 
 
-def check_steps(stepsize_controller: diffrax.AbstractStepSizeController | None, dt0: float | None, where: str) -> None:
-    """Constant steps have a length."""
+def check_steps(stepsize_controller: diffrax.AbstractStepSizeController | None, dt0: Any, rtol: Any, max_steps: int, where: str) -> None:
+    """Constant steps have a length, tolerances and numbers of steps are positive."""
+    problems = Problems()
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
-        raise JaxbodyError(Problem("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds."))
+        problems.add("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds.")
+    for name, value in (("dt0", dt0), ("rtol", rtol), ("max_steps", max_steps)):
+        known = None if value is None else concrete(value)
+        if known is not None and not (np.isfinite(known) and known > 0):
+            problems.add("BAD_NUMBER", f"{where}.{name}", f"is {value}", value, "> 0")
+    problems.raise_if_any()
 
 
 def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None) -> None:
@@ -310,7 +316,9 @@ def _tolerances(dynamics: Dynamics, span, rtol):
 def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
     """By the steps of `integrators`."""
     limits = jax.lax.stop_gradient(_tolerances(dynamics, times[-1] - times[0], rtol))
-    problem = integrators.Problem(Dynamics.drive, Dynamics.driven, *limits, jax.lax.stop_gradient(dt0), max_steps)
+    signals = [signal for load in dynamics.loads for signal in load.signals()]
+    fixed = jax.lax.stop_gradient((dt0, kinks_of((*dynamics.motions, *signals))))
+    problem = integrators.Problem(Dynamics.drive, Dynamics.driven, *limits, fixed[0], max_steps, fixed[1])
     forward = isinstance(adjoint, diffrax.ForwardMode)
     ended = integrators.solve(problem, dynamics, y0, times) if forward else integrators.solve_reversible((dynamics, y0, times), problem)
     course = ended.course

@@ -398,6 +398,7 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         ({"free": []}, ["NOTHING_FREE"], [""]),
         ({"free": ["*.damping"]}, ["START_ON_BOUND"] * 2, ["t.damping", "hold.damping"]),
         ({"stepsize_controller": diffrax.ConstantStepSize()}, ["NO_STEP"], ["fit.dt0"]),
+        ({"rtol": -1.0, "max_steps": 0}, ["BAD_NUMBER"] * 2, ["fit.rtol: is -1.0", "fit.max_steps: is 0"]),
         ({"method": "simplex"}, ["UNKNOWN_METHOD"], ["simplex"]),
         ({"bounds": {"cart.mass": (1, 3)}, "method": optax.adam(0.1)}, ["BAD_BOUNDS"], ["least_squares"]),
         ({"bounds": {"cart.mass": (1, 3)}, "method": GAUSS_NEWTON}, ["BAD_BOUNDS"], ["least_squares"]),
@@ -409,7 +410,7 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
             ["lower 2 >= upper 2", "does not hold the start 104.0, by 102", "nan"],
         ),
     ],
-    ids=["unknown", "twice", "nothing", "start", "steps", "method", "optax", "optimistix", "elsewhere", "shapes", "several"],
+    ids=["unknown", "twice", "nothing", "start", "steps", "tolerance", "method", "optax", "optimistix", "elsewhere", "shapes", "several"],
 )  # fmt: skip
 def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, told):
     found = problems_of(cart(), tracked(record), **options)

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 
 import jaxbody as jb
 from jaxbody import integrators
@@ -126,3 +127,32 @@ def test_too_few_steps_keep_what_there_is(model):
     good = np.isfinite(np.asarray(run.state.q)).all(1)
     assert 0 < good.sum() < len(TIMES) and good[: good.sum()].all()
     np.testing.assert_allclose(run.state.q[good], jb.simulate(model, TIMES, motion=MOTION).state.q[good], rtol=0, atol=1e-9)
+
+
+def test_steps_end_where_measured_accelerations_and_forces_have_their_samples(rng):
+    """White noise, held by straight lines, against the exact solution of each piece: x'' + c x' + k x = F - a, by exponentials of matrices."""
+    k, c, times = 400.0, 3.0, np.linspace(0, 2, 101)
+    ground, force = rng.normal(size=len(times)), rng.normal(size=57)
+    knots = np.sort(rng.uniform(0, 2, 55))
+    knots = np.concatenate([[0.0], knots, [2.0]])
+    model = jb.Model(
+        bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+        supports={"ground": jb.Support()},
+        joints={"mass": jb.Guide("ground", axis=[1, 0, 0])},
+        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("ground", [0, 0, 0]), stiffness=k, damping=c, free_length=1.0)},
+    )
+    along = np.array([1.0, 0, 0])
+    push = jb.Force("mass", force=jb.signals.Samples(knots, force[:, None] * along, kind="linear"))
+    shaken = jb.Sampled.from_accelerations(times, translation=ground[:, None] * along)
+    found = jb.simulate(model, times, motion={"ground": shaken}, loads={"push": push})
+    every = np.union1d(times, knots)
+    u = np.interp(every, knots, force) - np.interp(every, times, ground)
+    z, exact = np.zeros(2), {0.0: 0.0}
+    for i, h in enumerate(np.diff(every)):
+        A = np.zeros((4, 4))
+        A[0, 1], A[1], A[2, 3] = 1.0, [-k, -c, 1.0, 0.0], 1.0
+        z = (scipy.linalg.expm(A * h) @ [*z, u[i], (u[i + 1] - u[i]) / h])[:2]
+        exact[every[i + 1]] = z[0]
+    exact = np.array([exact[t] for t in times])
+    np.testing.assert_allclose(found.state.q[:, 0], exact, atol=1e-10 * np.abs(exact).max())
+    assert int(found.statistics["num_accepted_steps"]) <= len(every) + 10 and int(found.statistics["num_rejected_steps"]) < 10
