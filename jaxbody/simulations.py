@@ -226,7 +226,7 @@ def check_steps(stepsize_controller: diffrax.AbstractStepSizeController | None, 
     for name, value in (("dt0", dt0), ("rtol", rtol), ("max_steps", max_steps)):
         known = None if value is None else concrete(value)
         if known is not None and not (np.isfinite(known) and known > 0):
-            problems.add("BAD_NUMBER", f"{where}.{name}", f"is {value}", value, "> 0")
+            problems.add("BAD_NUMBER", f"{where}.{name}", f"is {value}", value=value, limit="> 0")
     problems.raise_if_any()
 
 
