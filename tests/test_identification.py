@@ -398,7 +398,7 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         ({"free": []}, ["NOTHING_FREE"], [""]),
         ({"free": ["*.damping"]}, ["START_ON_BOUND"] * 2, ["t.damping", "hold.damping"]),
         ({"stepsize_controller": diffrax.ConstantStepSize()}, ["NO_STEP"], ["fit.dt0"]),
-        ({"rtol": -1.0, "dt0": 0.0}, ["BAD_NUMBER"] * 2, ["fit.rtol: is -1.0", "fit.dt0: is 0.0"]),
+        ({"rtol": -1.0, "dt0": 0.0}, ["BAD_NUMBER"] * 2, ["fit.dt0: is 0.0", "fit.rtol: is -1.0"]),
         ({"method": "simplex"}, ["UNKNOWN_METHOD"], ["simplex"]),
         ({"bounds": {"cart.mass": (1, 3)}, "method": optax.adam(0.1)}, ["BAD_BOUNDS"], ["least_squares"]),
         ({"bounds": {"cart.mass": (1, 3)}, "method": GAUSS_NEWTON}, ["BAD_BOUNDS"], ["least_squares"]),
