@@ -5,7 +5,8 @@
 
 Coefficients are diffrax's (Prince, Dormand, J. Comp. Appl. Math. 7 (1981) 67). Steps come in blocks: a block keeps the polynomials of its steps,
 and the samples that lie in it are worked out together after it. Reverse mode keeps where each block began and its step lengths, and repeats it,
-so memory grows with the number of blocks. Step lengths are constants to both modes. In a batch every member has steps of its own.
+so memory grows with the number of blocks. Step lengths are constants to both modes. In a batch every member has steps of its own. Steps end at
+the samples of measured accelerations and of forces held by straight lines, over whose kinks no polynomial of high degree leads.
 """
 
 from __future__ import annotations

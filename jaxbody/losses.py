@@ -42,10 +42,10 @@ def root(r: Float[Array, "m"], loss: str | None) -> Float[Array, "m"]:
     return r * jnp.sqrt(jnp.where(small, 1 - z / 2 + z**2 / 3 - z**3 / 4, jnp.log1p(wide) / wide))
 
 
-def linearized(r, J, loss: str | None) -> tuple[np.ndarray, np.ndarray]:
+def linearized(r, J, there: np.ndarray, loss: str | None) -> tuple[np.ndarray, np.ndarray]:
     """Residuals and Jacobian of the least-squares problem that has the optimum of the loss and its covariance, from r and the Jacobian of root(r).
 
-    r* = rho'(r)/mean rho''(r),   J* = dr/du
+    r* = rho'(r)/mean rho''(r),   J* = dr/du,   the mean over those that are `there`
     """
     if loss is None:
         return np.asarray(r), np.asarray(J)
@@ -53,7 +53,7 @@ def linearized(r, J, loss: str | None) -> tuple[np.ndarray, np.ndarray]:
     each = lambda f: jax.vmap(f)(r)  # noqa: E731
     rho = lambda x: 0.5 * root(x, loss) ** 2  # noqa: E731
     slope, curvature = each(jax.grad(rho)), each(jax.grad(jax.grad(rho)))
-    return np.asarray(slope / jnp.mean(curvature)), np.asarray(J) / np.asarray(each(jax.grad(lambda x: root(x, loss))))[:, None]
+    return np.asarray(slope / jnp.mean(curvature[there])), np.asarray(J) / np.asarray(each(jax.grad(lambda x: root(x, loss))))[:, None]
 
 
 def robust_level(mean_of_clipped_squares, start: Array) -> Array:

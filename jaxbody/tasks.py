@@ -99,7 +99,8 @@ class Task(eqx.Module):
         raw = {run: np.asarray(r) for run, r in _rows(runs).items()}
         prior = raw.pop(PRIORS, np.zeros(0))
         r, m = np.concatenate(list(raw.values())), len(J) - len(prior)
-        r, data = linearized(r, J[:m], self.loss)
+        there = [self.experiments[run].present(name).ravel() for run in _order(self.experiments) for name in sorted(runs[run][1])]
+        r, data = linearized(r, J[:m], np.concatenate(there), self.loss)
         return np.concatenate([r, prior]), np.concatenate([data, J[m:]])
 
 
@@ -108,7 +109,7 @@ def _rows(runs: Runs) -> dict[str, Array]:
     return {run: jnp.concatenate([runs[run][1][name].ravel() for name in sorted(runs[run][1])]) for run in _order(runs)}
 
 
-def _order(runs: Runs) -> list[str]:
+def _order(runs: Runs | dict[str, Measurement]) -> list[str]:
     return sorted(runs, key=lambda run: (run == PRIORS, run))
 
 

@@ -154,6 +154,13 @@ def test_losses_are_their_formulas_and_efficient_for_normal_residuals():
         assert np.isfinite(slopes).all() and (np.asarray(slopes) > 0).all()
 
 
+def test_missing_samples_make_no_difference_to_what_a_robust_fit_is_worth(rng):
+    r, J, there = rng.normal(size=50), rng.normal(size=(50, 2)), np.arange(80) < 50
+    alone, _ = linearized(r, J, there[:50], "cauchy")
+    padded, _ = linearized(np.append(r, np.zeros(30)), np.concatenate([J, np.zeros((30, 2))]), there, "cauchy")
+    np.testing.assert_allclose(padded[:50], alone, rtol=1e-14)
+
+
 def test_the_robust_level_of_normal_residuals_is_their_standard_deviation():
     z = 3.7 * scipy.stats.norm.ppf((np.arange(20000) + 0.5) / 20000)
     found = robust_level(lambda s, c: jnp.mean(jnp.minimum((z / s) ** 2, c**2)), jnp.asarray(100.0))
