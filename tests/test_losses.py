@@ -148,7 +148,7 @@ def test_losses_are_their_formulas_and_efficient_for_normal_residuals():
     np.testing.assert_allclose(0.5 * root(jnp.asarray(r), "cauchy") ** 2, 0.5 * c**2 * np.log1p((r / c) ** 2), rtol=1e-12)
     z = scipy.stats.norm.ppf((np.arange(20000) + 0.5) / 20000)
     for loss in LOSSES:
-        pseudo, _ = linearized(z, np.ones((len(z), 1)), loss)
+        pseudo, _ = linearized(z, np.ones((len(z), 1)), np.ones(len(z), bool), loss)
         assert np.mean(pseudo**2) == pytest.approx(1 / 0.95, abs=0.01)  # the variance of the mean of normal residuals, against 1
         slopes = jax.vmap(jax.grad(lambda x, loss=loss: root(x, loss)))(jnp.asarray(r))
         assert np.isfinite(slopes).all() and (np.asarray(slopes) > 0).all()
