@@ -21,6 +21,7 @@ from jaxbody.design_programs import Evaluate, Quantities, named, value_and_forwa
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.models import Model, unknown
 from jaxbody.naming import Leaf, leaves_of, matching, write
+from jaxbody.options import jit_quickly
 from jaxbody.results import Result, warn_if_failed
 
 STEP = 1e-2  # in standard deviations, for second derivatives
@@ -202,7 +203,7 @@ def _moments(f, J, H) -> tuple[Array, Array]:
     return f + jnp.trace(H, axis1=1, axis2=2) / 2, jnp.where(some, jnp.sqrt(jnp.where(some, variance, 1.0)), 0.0)
 
 
-@eqx.filter_jit
+@jit_quickly
 def _tolerances(model: Model, evaluate: Evaluate, leaves: tuple[Leaf, ...], deviations: tuple[Array, ...], samples: int, key: Any):
     moved = Moved(model, evaluate, leaves, deviations)
     f, J, H = _expanded(moved.flat, moved.size)
