@@ -108,7 +108,7 @@ def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array,
 
         slopes, values = jax.jacfwd(both, has_aux=True)(u)
         return values, slopes
-    return values, jax.vmap(push, out_axes=1)(jnp.eye(u.size))
+    return values, jax.lax.map(push, jnp.eye(u.size)).T  # one after the other: what each needs stays in the cache
 
 
 def needed(function: Callable[[Array], Array], u: Float[Array, "n"]) -> Callable[[Array], Array]:
