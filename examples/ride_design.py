@@ -78,8 +78,8 @@ def evaluate(model):
 
 free = [*(f"spring {wheel}.{what}" for what in ("stiffness", "damping") for wheel in wheels)]
 free += [
-    ("tyre fl.stiffness", "tyre fr.stiffness"),
-    ("tyre rl.stiffness", "tyre rr.stiffness"),
+    "tyre fl.stiffness = tyre fr.stiffness",
+    "tyre rl.stiffness = tyre rr.stiffness",
     "bar front.spring.coefficient",
     "bar rear.spring.coefficient",
 ]

@@ -19,7 +19,7 @@ import optax
 
 from jaxbody.checks import check_precision
 from jaxbody.design_programs import Evaluate, Program, check_slopes, check_start, limits_of, named
-from jaxbody.design_spaces import Free, Space, at_value, drawn, space_of
+from jaxbody.design_spaces import Space, at_value, drawn, space_of
 from jaxbody.errors import JaxbodyError, Problem, Problems, is_concrete
 from jaxbody.models import Model
 from jaxbody.naming import matching
@@ -34,7 +34,7 @@ def tune(
     model: Model,
     evaluate: Evaluate,
     *,
-    free: Free | Iterable[Free],
+    free: str | Iterable[str],
     minimize: str = "objective",
     limits: dict[str, Any] | None = None,
     bounds: dict[str, tuple[Any, Any]] | None = None,
@@ -50,7 +50,7 @@ def tune(
 
     evaluate: model -> {name: number or array}, any JAX functions of a model, or one number, then called "objective". minimize: the name of f. limits:
     {name: (lower, upper)}, either may be None, one number for equality; of an array for each of its numbers. free: paths or patterns, each
-    parameter by itself; those of a tuple stay equal, ("spring fl.stiffness", "spring fr.stiffness"). bounds: {path or pattern: (lower, upper)}, never left. Stiffness,
+    parameter by itself; "spring fl.stiffness = spring fr.stiffness" keeps what it names equal, "left.a = right.a * [1, -1, 1]" mirrored, by factors. bounds: {path or pattern: (lower, upper)}, never left. Stiffness,
     damping and mass move by factors, orientations by turns. catalogues: {path or pattern: values that there are}: all neighbors of
     the optimum among them are tried, the rest tuned again.
 
@@ -60,7 +60,7 @@ def tune(
     forward mode for up to thirty free numbers. A trial that is not finite is a step rejected; where derivatives do not exist, at modes that
     coincide, they are taken a little aside: smooth quantities (`objectives`) don't need that.
 
-    Errors: UNKNOWN_PATH, UNKNOWN_NAME, LISTED_TWICE, NOTHING_FREE, START_APART, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE,
+    Errors: UNKNOWN_PATH, UNKNOWN_NAME, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE,
     NONFINITE_START, TRACED, FLOAT32. Warns INFEASIBLE, with what is not met, and NOT_CONVERGED.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)

@@ -173,7 +173,8 @@ def response_values(lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, e
     own = jax.tree.map(lambda A: A[:nv, :nv], whole)
     right = wiring.F[:nv, :, None] - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale
     Delta, complete = _solved(own, s, jnp.broadcast_to(right, (nv, X.shape[1], f.shape[0])), method)
-    rows = _Matrices(*wiring.Y, None if eta is None else _elastic_rows(wiring.Y, whole.H, wiring, lin, eta))
+    Y = wiring.Y
+    rows = _Matrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, wiring, lin, eta))
     on_bodies, on_supports = jax.tree.map(lambda A: A[:, :nv], rows), jax.tree.map(lambda A: A[:, nv:] @ X, rows)
     values = on_bodies.times(s, Delta) + on_supports.at(s) * scale + wiring.G[:, :, None]
     status = jnp.select(
@@ -218,7 +219,10 @@ def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tupl
             L, R = (right.T, left.T) if transposed else (left, right)
             return jnp.tensordot(L, jnp.tensordot(R, b, 1) / (at - poles[:, None])[:, None], 1)
     else:
-        complete, solve = jnp.array(True), _eliminated(frozen, at)
+        complete, eliminated = jnp.array(True), _eliminated(frozen, at)
+
+        def solve(b, transposed):
+            return eliminated(b, transposed)
 
     return jax.lax.custom_linear_solve(lambda x: own.times(s, x), b, lambda _, b: solve(b, False), lambda _, b: solve(b, True)), complete
 

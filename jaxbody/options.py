@@ -66,7 +66,7 @@ def jit_quickly(function: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.cache
     def compiled():
-        return eqx.filter_jit(function, compiler_options=quick_options())
+        return eqx.filter_jit(function, compiler_options=quick_options())  # pyright: ignore  # goes on to jax.jit
 
     @functools.wraps(function)
     def call(*args):
