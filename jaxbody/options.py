@@ -1,4 +1,4 @@
-"""Options of XLA: that which makes long simulations of small models fast on a CPU, set when a user asks for it, and that which compiles a program quickly."""
+"""Options of XLA: one for fast simulations of small models on a CPU, when a user asks for it, and one to compile quickly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What free paths mean: each leaf by itself or, tied, several by one number: "left.stiffness = right.stiffness", mirrored "left.a = right.a * [1, -1, 1]"."""
+"""What free paths mean: each leaf by itself or tied, "left.k = right.k", mirrored too, "left.a = right.a * [1, -1, 1]"."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ ROWS = (
     "channels transducers sensors records attitudes instruments gauges",
     "experiments diagnoses plausibilities measured_responses measured_modes parametrizations ties free_parameters losses tasks checkpoints",
     "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts shootings profiles validations bands",
-    "design_spaces optimizers design_programs tunings objectives designs fronts sweeps sensitivities tolerances",
+    "design_spaces interior_points optimizers design_programs tunings objectives designs fronts sweeps sensitivities tolerances",
     "canvases mode_plots response_plots fit_plots design_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
