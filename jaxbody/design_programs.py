@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float
 
 from jaxbody.design_spaces import Space
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.models import unknown
 from jaxbody.optimizers import Rows, Search
+from jaxbody.options import jit_quickly
 
 MOST_FORWARD = 30  # free numbers up to which forward mode is the faster one
 
@@ -72,7 +74,7 @@ class Program:
         return {name: part.reshape((*values.shape[:-1], *shape)) for (name, shape), part in zip(self.shapes, parts, strict=True)}
 
 
-@eqx.filter_jit
+@jit_quickly
 def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any):
     """Nothing here knows what is minimized or limited, so that one program serves for all of that."""
     told: list[tuple[str, tuple[int, ...]]] = []
@@ -86,7 +88,7 @@ def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u:
         back = u.size > MOST_FORWARD if reverse is None else reverse
         if not back:
             return value_and_forward_slopes(flat, u)
-        values, pull = jax.vjp(flat, u)
+        values, pull = jax.vjp(needed(flat, u), u)
         return values, jax.vmap(lambda y: pull(y)[0])(jnp.eye(values.size))
 
     values, slopes = both(u) if u.ndim == 1 else jax.vmap(both)(u)
@@ -95,6 +97,7 @@ def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u:
 
 def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array, "n"]) -> tuple[Float[Array, "m"], Float[Array, "m n"]]:
     """The value and the Jacobian: linearized once, or direction by direction through loops of unknown length, such as simulations, which cannot be."""
+    function = needed(function, u)
     try:
         values, push = jax.linearize(function, u)
     except ValueError:
@@ -105,7 +108,14 @@ def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array,
 
         slopes, values = jax.jacfwd(both, has_aux=True)(u)
         return values, slopes
-    return values, jax.vmap(push, out_axes=1)(jnp.eye(u.size))
+    return values, jax.lax.map(push, jnp.eye(u.size)).T  # one after the other: what each needs stays in the cache
+
+
+def needed(function: Callable[[Array], Array], u: Float[Array, "n"]) -> Callable[[Array], Array]:
+    """The function without what its result does not need, of which nothing is then differentiated: to trace that takes as long as to compile the rest."""
+    traced = jax.make_jaxpr(function)(u)
+    kept, _ = dce_jaxpr(traced.jaxpr, [True] * len(traced.out_avals), instantiate=True)
+    return lambda u: jaxpr_as_fun(ClosedJaxpr(kept, traced.consts))(u)[0]
 
 
 def named(found: Any) -> Quantities:

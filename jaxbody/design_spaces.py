@@ -17,17 +17,16 @@ from jaxbody.models import Model
 from jaxbody.naming import Leaf, leaves_of, matching, write
 from jaxbody.parametrizations import Parametrization, Positive, Rotation, Shifted, pair_of, parametrize, sound_bounds
 from jaxbody.statics import size_of
+from jaxbody.ties import ALIKE, Factor, Tie, bounds_of_first, check_alike, equation, ties, times
 
-ALIKE = 1e-9  # relative difference of starts that are to stay equal
 SPREAD = 0.3  # of random starts of what has no bounds of its own: directions, matrices
-
-Free = str | tuple[str, ...]
 
 
 class Group(eqx.Module):
-    """Leaves of one value, and how it moves."""
+    """Leaves tied to one value, that of the first, by factors, and how it moves."""
 
     leaves: tuple[Leaf, ...] = eqx.field(static=True)
+    factors: tuple[Factor, ...] = eqx.field(static=True)
     form: Parametrization
 
     @property
@@ -36,7 +35,7 @@ class Group(eqx.Module):
 
     @property
     def label(self) -> str:
-        return " = ".join(leaf.path for leaf in self.leaves[:2]) + (" = ..." if len(self.leaves) > 2 else "")
+        return equation([leaf.path for leaf in self.leaves[:2]], self.factors) + (" = ..." if len(self.leaves) > 2 else "")
 
 
 class Space(eqx.Module):
@@ -61,7 +60,8 @@ class Space(eqx.Module):
 
     def place(self, u: Float[Array, "n"]) -> Model:
         values = self.values(u)
-        return write(self.model, {leaf: values[group.path] for group in self.groups for leaf in group.leaves})
+        tied = [(group, *pair) for group in self.groups for pair in zip(group.leaves, group.factors, strict=True)]
+        return write(self.model, {leaf: times(values[group.path], factor) for group, leaf, factor in tied})
 
     def labels(self) -> list[str]:
         """What each u belongs to: "AB.stiffness", "mount 1.a[0]"."""
@@ -78,65 +78,60 @@ class Space(eqx.Module):
         return x, slopes
 
 
-def space_of(model: Model, free: Free | Iterable[Free], bounds: dict[str, Any], where: str) -> tuple[Space, np.ndarray, np.ndarray]:
+def space_of(model: Model, free: str | Iterable[str], bounds: dict[str, Any], where: str) -> tuple[Space, np.ndarray, np.ndarray]:
     """The space of the free parameters, and the bounds of u."""
     groups = _grouped(model, [free] if isinstance(free, str) else list(free), where)
     return _bounded(Space(model, groups), bounds, f"{where}.bounds")
 
 
-def _grouped(model: Model, free: list[Free], where: str) -> tuple[Group, ...]:
-    problems, where = Problems(), f"{where}.free"
-    leaves, arrays, size = leaves_of(model), jax.tree.leaves(model), size_of(model)
-    named = [pattern for entry in free for pattern in ((entry,) if isinstance(entry, str) else entry)]
-    matched = matching(leaves, named, where)
-    taken: set[Leaf] = set()
-    groups = []
-    for entry in free:
-        found = [leaf for pattern in ((entry,) if isinstance(entry, str) else entry) for leaf in matched[pattern]]
-        for leaf in found:
-            if leaf in taken:
-                problems.add("LISTED_TWICE", where, f"names {leaf.path} twice", value=entry, hint="Each parameter is free once.")
-            taken.add(leaf)
-        for together in [(leaf,) for leaf in found] if isinstance(entry, str) else [tuple(found)]:
-            groups.append(_group(together, arrays, model, size, where, problems))
-    if not named:
-        problems.add("NOTHING_FREE", where, "is empty", limit="at least one path", hint='Name what may change: free=["*.stiffness"].')
+def _grouped(model: Model, free: list[str], where: str) -> tuple[Group, ...]:
+    problems = Problems()
+    arrays, size = jax.tree.leaves(model), size_of(model)
+    found = ties(leaves_of(model), free, f"{where}.free", problems)
+    groups = [_group(tie, arrays, model, size, problems) for tie in found]
     problems.raise_if_any()
-    return tuple(groups)
+    return tuple(group for group in groups if group is not None)
 
 
-def _group(leaves: tuple[Leaf, ...], arrays, model: Model, size, where: str, problems: Problems) -> Group | None:
-    starts = [leaf.read(arrays) for leaf in leaves]
-    for leaf, start in zip(leaves, starts, strict=True):
-        alike = start.shape == starts[0].shape and np.allclose(start, starts[0], rtol=ALIKE, atol=0)
-        if not alike:
-            told = f"holds {leaves[0].path} and {leaf.path} equal, which start at {np.asarray(starts[0])} and {np.asarray(start)}"
-            problems.add("START_APART", where, told, value=start, hint="Make them equal first, with replace.")
-    form = parametrize(leaves[0].path, starts[0], model, size)
+def _group(tie: Tie, arrays, model: Model, size, problems: Problems) -> Group | None:
+    starts = [leaf.read(arrays) for leaf in tie]
+    form = parametrize(next(iter(tie)).path, starts[0], model, size)
     if isinstance(form, Problem):
         problems.found.append(form)
         return None
-    return Group(leaves, form)
+    check_alike(tie, starts, form, problems)
+    return Group(tuple(tie), tuple(tie.values()), form)
 
 
 def _bounded(space: Space, bounds: dict[str, Any], where: str) -> tuple[Space, np.ndarray, np.ndarray]:
     problems = Problems()
-    owner = {leaf: i for i, group in enumerate(space.groups) for leaf in group.leaves}
+    owner = {leaf: (i, factor) for i, group in enumerate(space.groups) for leaf, factor in zip(group.leaves, group.factors, strict=True)}
     low, high = np.full(space.size, -np.inf), np.full(space.size, np.inf)
     forms = [group.form for group in space.groups]
+    asked: dict[int, list[tuple[str, Factor]]] = {}
     for pattern, leaves in matching(list(owner), bounds, where).items():
-        for i in dict.fromkeys(owner[leaf] for leaf in leaves):
-            path, form, at = space.groups[i].path, forms[i], space.ends[i]
-            ends = pair_of(bounds[pattern], form.start.shape)
-            largest = max(float(np.where(np.isfinite(end), np.abs(end), 0.0).max()) for end in ends or [np.asarray(form.start)])
-            slack = ALIKE * largest  # what a tuned model comes with
-            if sound_bounds(form, ends, bounds[pattern], f"{where}['{path}']", problems, slack):
-                lower, upper = ends  # pyright: ignore
-                if isinstance(form, Shifted) and np.isfinite(upper - lower).all():
-                    forms[i] = form = Shifted(form.start, jnp.asarray((upper - lower).max() / 2))
-                low[at], high[at] = form.inverse(lower), form.inverse(upper)  # pyright: ignore
+        for i, factor in (owner[leaf] for leaf in leaves):
+            asked.setdefault(i, []).append((pattern, factor))
+    for i, named in asked.items():
+        path, form, at, given = space.groups[i].path, forms[i], space.ends[i], bounds[named[0][0]]
+        ends = _within([(pair_of(bounds[pattern], form.start.shape), factor) for pattern, factor in named])
+        largest = max(float(np.where(np.isfinite(end), np.abs(end), 0.0).max()) for end in ends or [np.asarray(form.start)])
+        slack = ALIKE * largest  # what a tuned model comes with
+        if sound_bounds(form, ends, given, f"{where}['{path}']", problems, slack):
+            lower, upper = ends  # pyright: ignore
+            if isinstance(form, Shifted) and np.isfinite(upper - lower).all():
+                forms[i] = form = Shifted(form.start, jnp.asarray((upper - lower).max() / 2))
+            low[at], high[at] = form.inverse(lower), form.inverse(upper)  # pyright: ignore
     problems.raise_if_any()
-    return Space(space.model, tuple(Group(g.leaves, form) for g, form in zip(space.groups, forms, strict=True))), low, high
+    return Space(space.model, tuple(Group(g.leaves, g.factors, form) for g, form in zip(space.groups, forms, strict=True))), low, high
+
+
+def _within(pairs: list[tuple[list[np.ndarray] | None, Factor]]) -> list[np.ndarray] | None:
+    """All bounds of what is tied, as bounds of the first."""
+    if any(pair is None for pair, _ in pairs):
+        return None
+    lower, upper = zip(*(bounds_of_first(pair, factor) for pair, factor in pairs if pair is not None), strict=True)
+    return [np.maximum.reduce(lower), np.minimum.reduce(upper)]
 
 
 def at_value(space: Space, group: int, x: Any) -> np.ndarray:

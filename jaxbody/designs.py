@@ -19,8 +19,9 @@ import optax
 
 from jaxbody.checks import check_precision
 from jaxbody.design_programs import Evaluate, Program, check_slopes, check_start, limits_of, named
-from jaxbody.design_spaces import Free, Space, at_value, drawn, space_of
+from jaxbody.design_spaces import Space, at_value, drawn, space_of
 from jaxbody.errors import JaxbodyError, Problem, Problems, is_concrete
+from jaxbody.interior_points import check_ipopt
 from jaxbody.models import Model
 from jaxbody.naming import matching
 from jaxbody.optimizers import MET, METHODS, Rows, Search, hand_in_hand, one_thread, scales, search_with
@@ -34,7 +35,7 @@ def tune(
     model: Model,
     evaluate: Evaluate,
     *,
-    free: Free | Iterable[Free],
+    free: str | Iterable[str],
     minimize: str = "objective",
     limits: dict[str, Any] | None = None,
     bounds: dict[str, tuple[Any, Any]] | None = None,
@@ -50,18 +51,18 @@ def tune(
 
     evaluate: model -> {name: number or array}, any JAX functions of a model, or one number, then called "objective". minimize: the name of f. limits:
     {name: (lower, upper)}, either may be None, one number for equality; of an array for each of its numbers. free: paths or patterns, each
-    parameter by itself; those of a tuple stay equal, ("spring fl.stiffness", "spring fr.stiffness"). bounds: {path or pattern: (lower, upper)}, never left. Stiffness,
+    parameter by itself; "spring fl.stiffness = spring fr.stiffness" keeps what it names equal, "left.a = right.a * [1, -1, 1]" mirrored, by factors. bounds: {path or pattern: (lower, upper)}, never left. Stiffness,
     damping and mass move by factors, orientations by turns. catalogues: {path or pattern: values that there are}: all neighbors of
     the optimum among them are tried, the rest tuned again.
 
-    starts: how many, the model as it is and others drawn between the bounds with `key`; all are evaluated side by side. method: "slsqp" or "trust-constr", SciPy's
+    starts: how many, the model as it is and others drawn between the bounds with `key`; all are evaluated side by side. method: "slsqp" or "trust-constr", SciPy's, or "ipopt", an extra (jaxbody[ipopt])
     (restarted while that gains; where limits are not met, the least violation is sought first), or an optax optimizer for large or stochastic
     objectives without limits: there `evaluate` may take a key besides the model, a new one each time, and max_iterations steps are made. reverse: derivatives by reverse mode; without it,
     forward mode for up to thirty free numbers. A trial that is not finite is a step rejected; where derivatives do not exist, at modes that
     coincide, they are taken a little aside: smooth quantities (`objectives`) don't need that.
 
-    Errors: UNKNOWN_PATH, UNKNOWN_NAME, LISTED_TWICE, NOTHING_FREE, START_APART, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE,
-    NONFINITE_START, TRACED, FLOAT32. Warns INFEASIBLE, with what is not met, and NOT_CONVERGED.
+    Errors: UNKNOWN_PATH, UNKNOWN_NAME, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE,
+    NONFINITE_START, NO_CASADI, TRACED, FLOAT32. Warns INFEASIBLE, with what is not met, and NOT_CONVERGED.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def sag(model):
@@ -130,6 +131,8 @@ def _check_options(method: Any, starts: Any, limits: dict[str, Any], shelves: di
             problems.add("BAD_METHOD", "tune.method", "is of optax and keeps no limits", value=method, limit=" ".join(METHODS))
     elif method not in METHODS:
         problems.add("BAD_METHOD", "tune.method", f"is {method!r:.60}", value=method, limit=" ".join(METHODS) + " or an optax optimizer")
+    elif method == "ipopt":
+        check_ipopt("tune.method")
     if not isinstance(starts, int) or starts < 1:
         problems.add("BAD_STARTS", "tune.starts", f"is {starts!r}", value=starts, limit="a whole number >= 1")
     problems.raise_if_any()

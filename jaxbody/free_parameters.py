@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxbody.arrays import concrete
 from jaxbody.channels import Measurement
 from jaxbody.errors import Problem, Problems
 from jaxbody.experiments import Experiment
@@ -18,12 +17,14 @@ from jaxbody.models import Model
 from jaxbody.naming import Leaf, leaves_of, matching
 from jaxbody.parametrizations import OF_CHAINS, Parametrization, Positive, Shifted, of_instrument, pair_of, parametrize, sound_bounds
 from jaxbody.statics import size_of
+from jaxbody.ties import Factor, bounds_of_first, check_alike, equation, ties, times
 
 
 class Free(eqx.Module):
-    """A free parameter: where it is, once or, tied, several times, each in a run ("" for the model); and how it moves."""
+    """A free parameter: where it is, once or, tied by factors, several times, each in a run ("" for the model); and how it moves."""
 
     places: tuple[tuple[str, Leaf], ...] = eqx.field(static=True)
+    factors: tuple[Factor, ...] = eqx.field(static=True)
     form: Parametrization
 
     @property
@@ -34,7 +35,7 @@ class Free(eqx.Module):
     @property
     def name(self) -> str:
         """All its places: "left.stiffness = right.stiffness"."""
-        return " = ".join(leaf.path for _, leaf in self.places)
+        return equation([leaf.path for _, leaf in self.places], self.factors)
 
     @property
     def run(self) -> str:
@@ -42,8 +43,9 @@ class Free(eqx.Module):
         owners = {owner for owner, _ in self.places}
         return owners.pop() if len(owners) == 1 else ""
 
-    def leaves(self, run: str) -> list[Leaf]:
-        return [leaf for owner, leaf in self.places if owner == run]
+    def spread(self, value: Array, run: str) -> dict[Leaf, Array]:
+        """What its leaves in a run are at a value of the first."""
+        return {leaf: times(value, factor) for (owner, leaf), factor in zip(self.places, self.factors, strict=True) if owner == run}
 
 
 def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str]) -> tuple[Free, ...]:
@@ -53,28 +55,11 @@ def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str
     leaves = [(run, leaf) for run, tree in roots.items() for leaf in leaves_of(tree, f"{run}." if run else "")]
     owner = {leaf: run for run, leaf in leaves}
     arrays = {run: jax.tree.leaves(tree) for run, tree in roots.items()}
-    sides = {pattern: [side.strip() for side in str(pattern).split("=")] for pattern in patterns}
-    found = matching(list(owner), dict.fromkeys(side for group in sides.values() for side in group), "fit.free")
-    chosen: list[Leaf] = []
-    groups: list[list[Leaf]] = []
-    for pattern, group in sides.items():
-        meant = list(dict.fromkeys(leaf for side in group for leaf in found[side]))
-        for leaf in meant:
-            if leaf in chosen:
-                problems.add("LISTED_TWICE", "fit.free", f"names {leaf.path} twice, by '{pattern}' too", value=pattern)
-        chosen += meant
-        groups += [meant] if len(group) > 1 else [[leaf] for leaf in meant]
-    if not chosen:
-        problems.add("NOTHING_FREE", "fit.free", "is empty", limit="at least one path")
+    found = ties(list(owner), patterns, "fit.free", problems)
     size = size_of(model)
     free = []
-    for group in groups:
-        starts = [leaf.read(arrays[owner[leaf]]) for leaf in group]
-        known = [concrete(start) for start in starts]
-        for leaf, start in zip(group[1:], known[1:], strict=True):
-            if start is not None and known[0] is not None and (np.shape(start) != np.shape(known[0]) or (start != known[0]).any()):
-                told = f"starts at {start}, but is to equal {group[0].path}, which starts at {known[0]}"
-                problems.add("TIED_APART", leaf.path, told, value=start, limit=str(known[0]), hint="Set both alike with jb.replace.")
+    for tie in found:
+        group, starts = list(tie), [leaf.read(arrays[owner[leaf]]) for leaf in tie]
         run, leaf = owner[group[0]], group[0]
         experiment, name = experiments.get(run), leaf.path.removeprefix(f"{run}.").removesuffix(f".{leaf.field}")
         if isinstance(experiment, Experiment) and name in experiment.sensors and leaf.field in OF_CHAINS:
@@ -84,7 +69,8 @@ def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str
         if isinstance(form, Problem):
             problems.found.append(form)
         else:
-            free.append(Free(tuple((owner[leaf], leaf) for leaf in group), form))
+            check_alike(tie, starts, form, problems)
+            free.append(Free(tuple((owner[leaf], leaf) for leaf in group), tuple(tie.values()), form))
     problems.raise_if_any()
     return tuple(free)
 
@@ -95,14 +81,15 @@ def limits_of(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method
     low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
     if bounds and not (isinstance(method, str) and method == "least_squares"):
         problems.add("BAD_BOUNDS", "fit.bounds", 'are kept by method="least_squares" only', value=method)
-    place = {leaf: i for i, f in enumerate(free) for _, leaf in f.places}
+    place = {leaf: (i, factor) for i, f in enumerate(free) for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
     for pattern, leaves in matching(list(place), bounds, "fit.bounds").items():
         for leaf in leaves:
-            i = place[leaf]
+            i, factor = place[leaf]
             form, where = free[i].form, f"fit.bounds['{leaf.path}']"
             ends = pair_of(bounds[pattern], form.start.shape)
+            ends = ends and bounds_of_first(ends, factor)
             if sound_bounds(form, ends, bounds[pattern], where, problems):
-                low[i], high[i] = (form.inverse(end) for end in ends)  # pyright: ignore
+                low[i], high[i] = np.maximum(low[i], form.inverse(ends[0])), np.minimum(high[i], form.inverse(ends[1]))  # pyright: ignore
     problems.raise_if_any()
     return np.concatenate(low), np.concatenate(high)
 
@@ -110,11 +97,12 @@ def limits_of(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method
 def priors_of(free: tuple[Free, ...], priors: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Array, Array]]:
     """{path: (mean, standard deviation)} of free parameters, as arrays of their shapes."""
     problems = Problems()
-    forms = {leaf: f for f in free for _, leaf in f.places}
+    forms = {leaf: (f, np.asarray(factor)) for f in free for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
     found = {}
     for pattern, leaves in matching(list(forms), priors, "fit.priors").items():
         for leaf in leaves:
-            form, pair = forms[leaf].form, pair_of(priors[pattern], forms[leaf].form.start.shape)
+            (parameter, factor), form = forms[leaf], forms[leaf][0].form
+            pair = pair_of(priors[pattern], form.start.shape)
             where = f"fit.priors['{leaf.path}']"
             if not isinstance(form, Positive | Shifted):
                 problems.add("BAD_PRIOR", where, "has no prior of its own", hint="Priors are for scalars and vectors.")
@@ -122,6 +110,6 @@ def priors_of(free: tuple[Free, ...], priors: dict[str, tuple[Any, Any]]) -> dic
                 told = f"is {priors[pattern]!r:.60}"
                 problems.add("BAD_PRIOR", where, told, value=priors[pattern], limit="(mean, standard deviation > 0), finite")
             else:
-                found[forms[leaf].path] = (jnp.asarray(pair[0]), jnp.asarray(pair[1]))
+                found[parameter.path] = (jnp.asarray(pair[0] / factor), jnp.asarray(pair[1] / np.abs(factor)))
     problems.raise_if_any()
     return found

@@ -8,6 +8,7 @@ gravity or tension. Frequencies are the last axis of all arrays, so that few ope
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -166,18 +167,17 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
 @filter_jit
 def response_values(lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, eta: Float[Array, "ne"] | None, method: str = "direct"):
     """(values (ny, nu, nf), status)."""
-    nv = lin.M.shape[-1]
+    nv, X = lin.M.shape[-1], wiring.X
     s = 2j * jnp.pi * f
-    K, C, M = whole_matrices(lin)
-    H = None if eta is None else hysteretic(lin, eta)
+    whole = _Matrices(*whole_matrices(lin), None if eta is None else hysteretic(lin, eta))
     scale = s[None] ** -jnp.array(wiring.orders, f.dtype)[:, None].astype(int) if any(wiring.orders) else jnp.ones((len(wiring.orders), 1))
-    Xi = wiring.X[:, :, None] * scale[None]
-    right = wiring.F[:nv, :, None] - _times(K[:nv, nv:], C[:nv, nv:], M[:nv, nv:], None if H is None else H[:nv, nv:], s, Xi)
-    own = _Matrices(K[:nv, :nv], C[:nv, :nv], M[:nv, :nv], None if H is None else H[:nv, :nv])
-    Delta, complete = _solved(own, s, jnp.broadcast_to(right, (nv, Xi.shape[1], f.shape[0])), method)
-    x = jnp.concatenate([Delta, jnp.broadcast_to(Xi, (Xi.shape[0], *Delta.shape[1:]))])
+    own = jax.tree.map(lambda A: A[:nv, :nv], whole)
+    right = wiring.F[:nv, :, None] - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale
+    Delta, complete = _solved(own, s, jnp.broadcast_to(right, (nv, X.shape[1], f.shape[0])), method)
     Y = wiring.Y
-    values = _times(Y[0], Y[1], Y[2], None if H is None else _elastic_rows(Y, H, wiring, lin, eta), s, x) + wiring.G[:, :, None]
+    rows = _Matrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, wiring, lin, eta))
+    on_bodies, on_supports = jax.tree.map(lambda A: A[:, :nv], rows), jax.tree.map(lambda A: A[:, nv:] @ X, rows)
+    values = on_bodies.times(s, Delta) + on_supports.at(s) * scale + wiring.G[:, :, None]
     status = jnp.select(
         [jnp.isin(lin.status, jnp.array(FAILED)), grows(own), ~complete, ~jnp.isfinite(values).all()],
         [lin.status, Status.UNSTABLE.value, Status.DEFECTIVE.value, Status.NONFINITE.value],
@@ -190,30 +190,24 @@ def response_values(lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, e
 class _Matrices(Module):
     """Of D = K + s C + s^2 M + i H, s = i w."""
 
-    K: Float[Array, "n n"]
-    C: Float[Array, "n n"]
-    M: Float[Array, "n n"]
-    H: Float[Array, "n n"] | None
-
-    @property
-    def T(self) -> _Matrices:
-        return jax.tree.map(jnp.transpose, self)
+    K: Float[Array, "k n"]
+    C: Float[Array, "k n"]
+    M: Float[Array, "k n"]
+    H: Float[Array, "k n"] | None
 
     def moved(self, left: Array, right: Array) -> _Matrices:
         return jax.tree.map(lambda A: left @ A @ right, self)
 
-    def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "n n nf"]:
+    def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "k n nf"]:
         K = self.K if self.H is None else self.K + 1j * self.H
         return K[:, :, None] + self.C[:, :, None] * s + self.M[:, :, None] * s**2
 
-
-def _times(K, C, M, H, s, x: Complex[Array, "n m nf"]) -> Complex[Array, "k m nf"]:
-    """(K + s C + s^2 M + i H) x by real products."""
-    parts = jnp.concatenate([K, C, M] if H is None else [K, C, M, H])
-    re, im = (jnp.tensordot(parts, part, 1) for part in (x.real, x.imag))
-    product = [re_ + 1j * im_ for re_, im_ in zip(jnp.split(re, len(parts) // len(K)), jnp.split(im, len(parts) // len(K)), strict=True)]
-    sum = product[0] + s * product[1] + s**2 * product[2]
-    return sum if H is None else sum + 1j * product[3]
+    def times(self, s: Complex[Array, "nf"], x: Complex[Array, "n m nf"]) -> Complex[Array, "k m nf"]:
+        """D(s) x by real products."""
+        parts = jax.tree.leaves(self)
+        re, im = (jnp.split(jnp.tensordot(jnp.concatenate(parts), part, 1), len(parts)) for part in (x.real, x.imag))
+        product = [re_ + 1j * im_ for re_, im_ in zip(re, im, strict=True)]
+        return sum((a * b for a, b in zip(product[1:], (s, s**2, 1j), strict=False)), product[0])
 
 
 def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tuple[Complex[Array, "n m nf"], Bool[Array, ""]]:
@@ -222,40 +216,46 @@ def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tupl
     if method == "modal":
         left, poles, right, complete = _complex_modes(frozen)
 
-        def solve(A, s, b, transposed):
+        def solve(b, transposed):
             L, R = (right.T, left.T) if transposed else (left, right)
-            return jnp.tensordot(L, jnp.tensordot(R, b, 1) / (s - poles[:, None])[:, None], 1)
+            return jnp.tensordot(L, jnp.tensordot(R, b, 1) / (at - poles[:, None])[:, None], 1)
     else:
-        complete = jnp.array(True)
+        complete, eliminated = jnp.array(True), _eliminated(frozen, at)
 
-        def solve(A, s, b, transposed):
-            return _eliminated(A.T if transposed else A, s, b)
+        def solve(b, transposed):
+            return eliminated(b, transposed)
 
-    return jax.lax.custom_linear_solve(
-        lambda x: _times(own.K, own.C, own.M, own.H, s, x),
-        b,
-        lambda _, b: solve(frozen, at, b, False),
-        lambda _, b: solve(frozen, at, b, True),
-    ), complete
+    return jax.lax.custom_linear_solve(lambda x: own.times(s, x), b, lambda _, b: solve(b, False), lambda _, b: solve(b, True)), complete
 
 
-def _eliminated(A: _Matrices, s, b: Complex[Array, "n m nf"]) -> Complex[Array, "n m nf"]:
-    """By elimination without a search for pivots, in the coordinates of the real modes: there D is diagonal but for damping, where rows need
-    no exchange, as no entry of C is larger than the mean of two on its diagonal."""
+def _eliminated(A: _Matrices, s) -> Callable[[Complex[Array, "n m nf"], bool], Complex[Array, "n m nf"]]:
+    """b -> D^-1 b or its transpose, eliminated once for all that is asked. There is no search for pivots, in the coordinates of the real modes:
+    there D is diagonal but for damping, where rows need no exchange, as no entry of C is larger than the mean of two on its diagonal."""
     n = len(A.M)
     if n > LARGEST_UNROLLED:
-        x = jnp.linalg.solve(jnp.moveaxis(A.at(s), -1, 0), jnp.moveaxis(b, -1, 0))
-        return jnp.moveaxis(x, 0, -1)
+        factors = jax.scipy.linalg.lu_factor(jnp.moveaxis(A.at(s), -1, 0))
+        return lambda b, transposed: jax.vmap(lambda LU, b: jax.scipy.linalg.lu_solve(LU, b, trans=int(transposed)), (0, -1), -1)(
+            factors, b
+        )
     L = jnp.linalg.cholesky((A.M + A.M.T) / 2)
     half = jax.scipy.linalg.solve_triangular(L, (A.K + A.K.T) / 2, lower=True)
     whitened = jax.scipy.linalg.solve_triangular(L, half.T, lower=True)
     shapes = jax.scipy.linalg.solve_triangular(L, jnp.linalg.eigh((whitened + whitened.T) / 2)[1], lower=True, trans=1)
     D = A.moved(shapes.T, shapes).at(s)
-    Db = jnp.concatenate([D, jnp.tensordot(shapes.T, b, 1)], 1)
+    D = jnp.concatenate([D, jnp.broadcast_to(shapes.T[:, :, None], D.shape)], 1)
     for i in range(n):  # of the columns not yet cleared
-        row = Db[i, 1:] / Db[i, 0]
-        Db = jnp.where((jnp.arange(n) == i)[:, None, None], row, Db[:, 1:] - Db[:, :1] * row)
-    return jnp.tensordot(shapes, Db, 1)
+        row = D[i, 1:] / D[i, 0]
+        D = jnp.where((jnp.arange(n) == i)[:, None, None], row, D[:, 1:] - D[:, :1] * row)
+    inverse = jnp.tensordot(shapes, D, 1)
+    return lambda b, transposed: _product(jnp.swapaxes(inverse, 0, 1) if transposed else inverse, b)
+
+
+def _product(A: Complex[Array, "k n nf"], x: Complex[Array, "n m nf"]) -> Complex[Array, "k m nf"]:
+    """At each frequency, by sums along these."""
+    pairs = [(A[:, j, None], x[j]) for j in range(len(x))]
+    none = jnp.zeros((len(A), *x.shape[1:]), A.real.dtype)
+    re = sum((a.real * b.real - a.imag * b.imag for a, b in pairs), none)
+    return re + 1j * sum((a.real * b.imag + a.imag * b.real for a, b in pairs), none)
 
 
 def _companion(A: _Matrices) -> Array:

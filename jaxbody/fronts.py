@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.design_programs import Evaluate, Quantities
-from jaxbody.design_spaces import Free
 from jaxbody.designs import tune
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.models import Model
@@ -62,7 +61,7 @@ def pareto(
     evaluate: Evaluate,
     *,
     minimize: Iterable[str],
-    free: Free | Iterable[Free],
+    free: str | Iterable[str],
     points: int = 12,
     limits: dict[str, Any] | None = None,
     **options: Any,

@@ -63,7 +63,7 @@ def fit(
     """Least-squares estimates of free parameters from measured motions.
 
     free: paths or patterns, of the model ("*.stiffness", "plate.mass", "AB.a") or of an experiment ("run1.initial.v", "run1.base.frequency");
-    "left.stiffness = right.stiffness" ties what it names to one number, "run1.acc.gain = run2.acc.gain" shares one between experiments.
+    "left.stiffness = right.stiffness" ties what it names to one number, "left.a = right.a * [1, -1, 1]" by factors, "run1.acc.gain = run2.acc.gain" shares one between experiments.
     method: any optax optimizer, restarted in whitened coordinates until it has arrived; "least_squares", SciPy's trust-region
     reflective method, which takes `bounds` {path: (lower, upper)}; or an optimistix least-squares solver, which may also run inside
     jit and vmap and be differentiated in forward mode.
@@ -78,7 +78,7 @@ def fit(
     rtol, solver, stepsize_controller, dt0: as in `simulate`. Constant steps are several times faster where many experiments run side by side or where
     an input has kinks at samples on which the steps lie; that they are short enough is then yours to see to.
 
-    Errors: UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, NONFINITE_START,
+    Errors: UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, NONFINITE_START,
     NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of `simulate`; inside jit and vmap NO_NOISE, where noise would have to be estimated. Warns by
     status, of CORRELATED_RESIDUALS and of FAILED_TRIALS.
 

@@ -16,13 +16,15 @@ import numpy as np
 from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
+from jaxbody.interior_points import minimize_by_ipopt
+
 ACTIVE = 1e-5  # scaled distance from a limit or bound that counts as at it
 MET = 1e-8  # scaled violation that counts as none
 ARRIVED = 1e-4  # slope left of the scaled objective, per unit of u, at which a search has arrived
 ASIDE = 1e-6  # how far in u derivatives are taken aside where they do not exist
 REPELLED = 1e3  # what a trial that is not finite costs, in scaled objectives
 MOST_RESTARTS = 4
-METHODS = ("slsqp", "trust-constr")
+METHODS = ("slsqp", "trust-constr", "ipopt")
 
 Vector = Float[np.ndarray, "n"]
 
@@ -222,6 +224,8 @@ def _minimize(problem: Scaled, method: str, iterations: int, tolerance: float) -
 
     rows, u = problem.rows, problem.search.u
     lower, upper = rows.lower / problem.scale, rows.upper / problem.scale
+    if method == "ipopt":
+        return minimize_by_ipopt(problem.at, u, (problem.search.low, problem.search.high), (lower, upper), iterations, tolerance)
     bounds = scipy.optimize.Bounds(problem.search.low, problem.search.high, keep_feasible=True)  # pyright: ignore
     common: dict[str, Any] = dict(jac=lambda u: problem.at(u)[1], bounds=bounds)
     limits: Any = ()

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from equinox import field, filter_jit
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_precision
@@ -123,8 +124,7 @@ def _random_response(lin: Linearization, f, weights, coarse, wiring: Wiring, inp
     if isinstance(spectra, CrossPSD):
         order = np.array([spectra.names.index(name) for name in names])
         R = spectra.correlation(f)[order][:, order]
-        driven = H * jnp.sqrt(S)
-        psd = jnp.einsum("yif,ijf,yjf->yf", driven, R, driven.conj()).real
+        psd = hermitian_form(H * jnp.sqrt(S), R)
         positive = spectra.positive(f)
     else:
         psd = jnp.sum((H.real**2 + H.imag**2) * S, 1)
@@ -132,6 +132,27 @@ def _random_response(lin: Linearization, f, weights, coarse, wiring: Wiring, inp
     psd = psd * jnp.where(positive, 1.0, jnp.nan)
     good = jnp.where(positive, resolution(psd, weights, coarse), Status.NOT_POSITIVE.value)
     return psd, root_mean_square(psd, weights), jnp.where(status == Status.OK, good, status)
+
+
+@jax.custom_jvp
+def hermitian_form(x: Complex[Array, "ny n nf"], R: Complex[Array, "n n nf"]) -> Float[Array, "ny nf"]:
+    """sum_ij x_i R_ij conj(x_j), R = R^H, whose change with x is 2 Re sum_i dx_i w_i, w = R conj(x)."""
+    return _real_sum(x, _weighted(R, x))
+
+
+@hermitian_form.defjvp
+def _hermitian_form_jvp(primals, tangents):
+    (x, R), (dx, dR) = primals, tangents
+    w = _weighted(R, x)
+    return _real_sum(x, w), 2 * _real_sum(dx, w) + _real_sum(x, _weighted(dR, x))
+
+
+def _weighted(R, x):
+    return sum((R[:, j] * x[:, j, None].conj() for j in range(x.shape[1])), jnp.zeros_like(x))
+
+
+def _real_sum(x, w):
+    return jnp.sum(x.real * w.real - x.imag * w.imag, 1)
 
 
 def _order(spectrum: Spectrum, port: Any) -> int:

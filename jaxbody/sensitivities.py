@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from jaxbody import tables
 from jaxbody.checks import check_precision
 from jaxbody.design_programs import Evaluate, Program
-from jaxbody.design_spaces import Free, space_of
+from jaxbody.design_spaces import space_of
 from jaxbody.errors import JaxbodyError, Problem, Status
 from jaxbody.models import Model, unknown
 from jaxbody.optimizers import one_thread
@@ -55,7 +55,7 @@ class Sensitivities(Result):
         return [tables.Table("Sensitivities, the strongest first", heads, rows, self.report() if int(self.status) else "")]
 
 
-def sensitivities(model: Model, evaluate: Evaluate, *, free: Free | Iterable[Free], change: float = 0.1) -> Sensitivities:
+def sensitivities(model: Model, evaluate: Evaluate, *, free: str | Iterable[str], change: float = 0.1) -> Sensitivities:
     """How quantities depend on parameters, one at a time, about the model as it is.
 
         d q/d x exactly;   q(x (1 - change)),   q(x (1 + change))

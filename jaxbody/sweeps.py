@@ -18,6 +18,7 @@ from jaxbody.errors import Problems
 from jaxbody.exports import sweep_dataset
 from jaxbody.models import Model
 from jaxbody.naming import replace
+from jaxbody.options import quick_options
 
 LARGEST_CHUNK = 1024
 MEMORY = 2**30  # bytes that a chunk may take besides its results
@@ -127,7 +128,7 @@ def _program(model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], wi
 
         def built(width):
             given = {path: jax.ShapeDtypeStruct((width, *shape), float) for path, shape in shapes}
-            return jax.jit(jax.vmap(one, in_axes=(None, 0))).lower(numbers, given).compile()
+            return jax.jit(jax.vmap(one, in_axes=(None, 0)), compiler_options=quick_options()).lower(numbers, given).compile()
 
         program = built(width)
         taken = getattr(program.memory_analysis(), "temp_size_in_bytes", 0)

@@ -59,7 +59,7 @@ class Task(eqx.Module):
 
     def scatter(self, u: Float[Array, "n"]) -> tuple[Model, dict[str, Measurement]]:
         values = list(zip(self.free, self.values(u), strict=True))
-        new = {run: {leaf: value for f, value in values for leaf in f.leaves(run)} for run in ("", *self.experiments)}
+        new = {run: {leaf: x for f, value in values for leaf, x in f.spread(value, run).items()} for run in ("", *self.experiments)}
         return write(self.model, new[""]), {name: write(measurement, new[name]) for name, measurement in self.experiments.items()}
 
     def differences(self, model: Model, experiment: Measurement, noise: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:

@@ -17,6 +17,7 @@ from jaxbody.design_spaces import Space
 from jaxbody.errors import Status
 from jaxbody.models import Model
 from jaxbody.optimizers import ARRIVED, MET, Multipliers, Rows, Search, multipliers, scales
+from jaxbody.options import jit_quickly
 from jaxbody.results import Result
 
 DUST = 1e-12  # of what it was, at a bound of zero
@@ -125,15 +126,25 @@ def tuning_of(program: Program, searches: list[Search], best: Search) -> Tuning:
     U, values = (np.stack([getattr(search, name) for search in searches]) for name in ("u", "values"))
     codes = np.array([_judged(search, rows)[0] for search in searches])
     violation = rows.violation(values, scales(rows, best.values))
-    runs = Runs(values[:, rows.objective], violation, codes, jax.vmap(space.values)(jnp.asarray(U)), quantities(values))
+    runs = Runs(values[:, rows.objective], violation, codes, _values(space, jnp.asarray(U)), quantities(values))
     status, prices = _judged(best, rows)
     told = [] if prices is None or status == Status.INFEASIBLE else _held(program, best, prices)
-    u = jnp.asarray(best.u)
+    model, values_of = _placed(space, jnp.asarray(best.u))
     return Tuning(
-        space.place(u), space.values(u), quantities(program.origin), quantities(best.values), {held.name: held.price for held in told},
+        model, values_of, quantities(program.origin), quantities(best.values), {held.name: held.price for held in told},
         tuple(map(str, told)), tuple(held.worth(program.minimize, best.values[rows.objective]) for held in told), _unmet(program, best.values),
         np.array(best.history).reshape(-1, 2), program.count, runs, np.asarray(status), space, program.minimize, program.limits,
     )  # fmt: skip
+
+
+@jit_quickly
+def _placed(space: Space, u: Float[Array, "n"]):
+    return space.place(u), space.values(u)
+
+
+@jit_quickly
+def _values(space: Space, U: Float[Array, "b n"]):
+    return jax.vmap(space.values)(U)
 
 
 @dataclass(frozen=True)

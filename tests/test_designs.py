@@ -95,6 +95,26 @@ def test_both_optimizers_agree_and_say_what_holds_the_design_back(car):
     assert float(one.before["sag"]) == pytest.approx(MS * G / 35000.0) and one.to_xarray()["sag"].shape == (1,)
 
 
+def test_ipopt_finds_the_same_optimum(car):
+    pytest.importorskip("casadi", reason="casadi, which brings IPOPT, is not installed")
+    for limits in ({"travel": (None, 0.0125), "sag": (None, 0.2)}, {"sag": 0.08}, {"travel": (None, 1e-3)}):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", jb.JaxbodyWarning)  # the last cannot be met
+            one, other = (
+                jb.tune(car, quantities, free=BOTH, bounds=BOUNDS, minimize="acceleration", limits=limits, method=m)
+                for m in ("slsqp", "ipopt")
+            )
+        assert other.status == one.status and other.active == one.active and other.unmet == one.unmet
+        name = "acceleration" if one.ok else "travel"  # what cannot be met comes as near as it can
+        np.testing.assert_allclose(other.after[name], one.after[name], rtol=1e-6)
+
+
+def test_ipopt_that_is_not_there_is_told(car, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(jb.JaxbodyError, match=r"NO_CASADI"):
+        jb.tune(car, quantities, free=BOTH, minimize="acceleration", method="ipopt")
+
+
 def test_multipliers_are_those_of_the_problem_solved_again(car):
     """d objective/d limit by differences of optima; of a bound as of a limit."""
     limits = {"travel": (None, 0.0125), "sag": (None, 0.2)}
@@ -228,7 +248,7 @@ def test_equal_left_and_right_and_from_a_list():
             "sum": left + middle,
         }
 
-    free = [("left.stiffness", "right.stiffness"), "middle.stiffness", "rear.stiffness"]
+    free = ["left.stiffness = right.stiffness", "middle.stiffness", "rear.stiffness"]
     bounds = {"*.stiffness": (1.0, 100.0)}
     equal = jb.tune(model, cost, free=free, bounds=bounds, minimize="f", limits={"sum": (None, 44.0)})
     assert float(equal.model["left"].stiffness) == float(equal.model["right"].stiffness)
@@ -244,6 +264,33 @@ def test_equal_left_and_right_and_from_a_list():
     np.testing.assert_allclose([found.values["left.stiffness"], found.values["middle.stiffness"]], [x, y], rtol=1e-12)
     np.testing.assert_allclose(found.after["f"], least, rtol=1e-8)
     np.testing.assert_allclose(found.values["rear.stiffness"], 0.6 * y, rtol=1e-5)
+
+
+def test_mirrored_left_and_right_and_one_twice_the_other():
+    """Positions mirrored in y, and a spring twice as stiff as another: as tied they stay, within the bounds of both."""
+    springs = {
+        name: jb.Spring(("body", [0.5, y, 0]), ("world", [0.5, y, -1]), stiffness=k, free_length=1.0, damping=1.0)
+        for name, y, k in (("left", 0.3, 20.0), ("right", -0.3, 10.0))
+    }
+    model = jb.Model(bodies={"body": jb.Body(mass=1.0, inertia=[1, 1, 1])}, elements=springs)
+    free = ["left.a = right.a * [1, -1, 1]", "right.stiffness = left.stiffness * 0.5"]
+    bounds = {"left.a": ([0.4, 0.1, -0.1], [0.6, 0.5, 0.1]), "right.a": ([0.0, -0.35, -1.0], [1.0, 0.0, 1.0]), "*.stiffness": (5.0, 60.0)}
+
+    def far(model):
+        left, right = model["left"], model["right"]
+        wide = (left.a[1] - right.a[1] - 1.0) ** 2 + (right.a[0] - 0.45) ** 2 + left.a[2] ** 2
+        return wide + (left.stiffness + right.stiffness - 120.0) ** 2 / 1e4
+
+    found = jb.tune(model, far, free=free, bounds=bounds)
+    left, right = found.model["left"], found.model["right"]
+    np.testing.assert_allclose(left.a, [0.45, 0.35, 0.0], atol=1e-6)  # 0.5 but for the bound of the right one
+    np.testing.assert_array_equal(right.a, left.a * np.array([1, -1, 1]))
+    np.testing.assert_allclose([left.stiffness, right.stiffness], [60.0, 30.0], rtol=1e-9)  # 80 and 40 but for the bound of the left one
+    with pytest.raises(
+        jb.JaxbodyError,
+        match=r"right.a: starts at .*, but left.a = right.a \* \[1, -0.5, 1\], and left.a starts at \[0.5 0.3 0. \].*TIED_APART",
+    ):
+        jb.tune(model, far, free="left.a = right.a * [1, -0.5, 1]")
 
 
 @pytest.fixture(scope="module")
@@ -324,14 +371,18 @@ BAD = {
     "NOTHING_FREE": (dict(free=[]), "at least one path"),
     "UNKNOWN_PATH": (dict(free="sprong.stiffness"), "Did you mean spring.stiffness"),
     "LISTED_TWICE": (dict(free=["*.stiffness", "spring.stiffness"]), "spring.stiffness twice"),
-    "START_APART": (dict(free=[("spring.stiffness", "spring.damping")]), "50.* and .*1.0"),
+    "TIED_APART": (
+        dict(free="spring.stiffness = spring.damping"),
+        "1.0, but spring.stiffness = spring.damping, and spring.stiffness starts at 50.0",
+    ),
+    "BAD_TIE": (dict(free="spring.a = spring.b * [1, 0, 1]"), r"has the factor \[1, 0, 1\] .limit: a number or a list of numbers, none 0"),
     "START_OUTSIDE": (dict(bounds={"spring.stiffness": (60.0, 90.0)}), r"does not hold the start 50.0, by 10 \(limit: 60.0 to 90.0\)"),
     "BAD_BOUNDS": (dict(bounds={"spring.stiffness": (90.0, 60.0)}), "lower 90.0 >= upper 60.0"),
     "BAD_LIMITS": (dict(limits={"k": (3.0, 2.0)}), r"tune.limits\['k'\]: has lower 3 > upper 2"),
     "UNKNOWN_NAME": (dict(limits={"kk": 3.0}), "'kk' is unknown. Did you mean 'k'"),
     "NO_BOUNDS": (dict(starts=4), r"tune.bounds\['spring.stiffness'\]: is missing"),
     "BAD_CATALOGUE": (dict(catalogues={"spring.stiffness": [-1.0]}), "positive numbers"),
-    "BAD_METHOD": (dict(method="simplex"), "'simplex' .limit: slsqp trust-constr or an optax optimizer"),
+    "BAD_METHOD": (dict(method="simplex"), "'simplex' .limit: slsqp trust-constr ipopt or an optax optimizer"),
     "BAD_STARTS": (dict(starts=0), "is 0"),
 }
 
@@ -367,12 +418,12 @@ def test_an_objective_that_is_no_number_at_the_start_is_told(weight):
 @pytest.mark.long
 def test_mounts_that_decouple_a_powertrain():
     """Positions free within 0.15 m, orientations free, stiffnesses from half to twice, frequencies in 6 to 18 Hz: of 64 starts at least half bring the smallest over the modes
-    of the dominant share of kinetic energy from 37 % to 98 % or more (published: 95 %), in 30 s of processor time, compiling included."""
+    of the dominant share of kinetic energy from 37 % to 98 % or more (published: 95 %), in 20 s of processor time, compiling included (10 s by two cores)."""
     engine = jb.presets.engine_on_mounts()
     free, bounds = [], {}
     for name in ("mount 1", "mount 2", "mount 3"):
         mount = engine[name]
-        free += [(f"{name}.a", f"{name}.b"), (f"{name}.orientation", f"{name}.orientation_b"), f"{name}.stiffness"]
+        free += [f"{name}.a = {name}.b", f"{name}.orientation = {name}.orientation_b", f"{name}.stiffness"]
         bounds |= {f"{name}.a": (mount.a - 0.15, mount.a + 0.15), f"{name}.stiffness": (mount.stiffness / 2, mount.stiffness * 2)}
 
     def modal(model):
@@ -407,4 +458,4 @@ def test_mounts_that_decouple_a_powertrain():
     hertz = np.sqrt(w2) / (2 * np.pi)
     assert hertz.min() > 6 - 1e-5 and hertz.max() < 18 + 1e-5
     assert (100 * (phi * (np.asarray(lin.M) @ phi)).max(0) > 99.0).all()
-    assert spent < 30.0
+    assert spent < 20.0
