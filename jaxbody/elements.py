@@ -19,6 +19,7 @@ from jaxbody.arrays import checked, concrete
 from jaxbody.bodies import IDENTITY, as_quaternion, scalar, vector
 from jaxbody.errors import Problems, warn
 from jaxbody.frames import Frame, Pose
+from jaxbody.lanes import kept
 from jaxbody.rotations import cross, dot, product, rotate, rotate_back
 
 Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about the frame's origin, world axes
@@ -135,11 +136,11 @@ class LineElement(Element):
     def wrenches(self, A, B):
         """Closed form: the tension along AB."""
         arm_a, arm_b = rotate(A.R, self.a), rotate(B.R, self.b)
-        d = (B.p - A.p) + (arm_b - arm_a)
-        rate = (B.v - A.v) + (cross(B.w, arm_b) - cross(A.w, arm_a))
+        d = kept((B.p - A.p) + (arm_b - arm_a))
+        rate = kept((B.v - A.v) + (cross(B.w, arm_b) - cross(A.w, arm_a)))
         L, u = _length(d)
         k0, rest, _ = self.split(L)
-        force = k0 * d + (self.damper_tension(L - self.free_length, dot(u, rate)) + rest) * u
+        force = kept(k0 * d + (self.damper_tension(L - self.free_length, dot(u, rate)) + rest) * u)
         return (force, cross(arm_a, force)), (-force, cross(force, arm_b))
 
 

@@ -11,12 +11,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
+from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool
 
-LANES = 64
+LANES = 32
 ELEMENTWISE = {
     "abs", "acos", "add", "and", "asin", "atan", "atan2", "cbrt", "ceil", "clamp", "convert_element_type", "copy", "cos", "cosh", "div",
     "eq", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "log", "log1p", "logistic", "lt", "max",
@@ -25,7 +27,7 @@ ELEMENTWISE = {
 }  # fmt: skip
 SAME_AXES = {
     "argmax", "argmin", "cummax", "cummin", "cumsum", "reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_prod", "reduce_sum",
-    "rev", "split", "squeeze",
+    "rev", "split", "squeeze", "sum_in_lanes",
 }  # fmt: skip
 CALLS = {
     "in_lanes": "jaxpr",
@@ -70,6 +72,42 @@ _any_p.def_impl(lambda x: x)
 _any_p.def_abstract_eval(lambda x: x)
 mlir.register_lowering(_any_p, lambda context, x: [x])
 batching.primitive_batchers[_any_p] = lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None)
+
+# The same numbers, which a batch in lanes works out once; else XLA works them out again in each fusion, and for each element, that uses them.
+_kept_p = Primitive("kept_in_lanes")
+kept: Callable[[Array], Array] = _kept_p.bind
+_kept_p.def_impl(lambda x: x)
+_kept_p.def_abstract_eval(lambda x: x)
+mlir.register_lowering(_kept_p, lambda context, x: [x])
+ad.deflinear2(_kept_p, lambda cotangent, x: [cotangent])
+batching.defvectorized(_kept_p)
+
+
+def _as_kept(x: Array) -> Array:
+    """x / 1, as XLA fuses no division into several users; it must not know that it is 1."""
+    return x / jnp.where(x == x, 1.0, jnp.nan)
+
+
+# Sums by a reducer that XLA does not recognize: else it gives large ones to a library, whose calls keep a loop from being compiled whole.
+# It must be an addition all the same, as XLA merges sums of sums.
+def _plain_sum(x: Array, axes: tuple[int, ...]) -> Array:
+    return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
+
+
+def _spread_back(cotangent, x, axes):
+    return [lax.broadcast_in_dim(cotangent, x.aval.shape, [i for i in range(x.aval.ndim) if i not in axes])]
+
+
+def _batched_sum(args, batched, axes):
+    return _sum_p.bind(jnp.moveaxis(args[0], batched[0], -1), axes=axes), args[0].ndim - 1 - len(axes)
+
+
+_sum_p = Primitive("sum_in_lanes")
+_sum_p.def_impl(_plain_sum)
+_sum_p.def_abstract_eval(lambda x, axes: ShapedArray(tuple(n for i, n in enumerate(x.shape) if i not in axes), x.dtype))
+mlir.register_lowering(_sum_p, mlir.lower_fun(_plain_sum, multiple_results=False))
+batching.primitive_batchers[_sum_p] = _batched_sum
+ad.deflinear2(_sum_p, _spread_back)
 
 _lanes_p = Primitive("in_lanes")
 _lanes_p.multiple_results = True
@@ -140,9 +178,7 @@ def _reach_of(eqn, on: list[bool]) -> list[bool]:
     if name in CALLS:
         return _reach(p[CALLS[name]], on)
     if name == "while" and any(on):
-        consts, carry = p["cond_nconsts"] + p["body_nconsts"], on[p["cond_nconsts"] + p["body_nconsts"] :]
-        carry = _fixpoint(p["body_jaxpr"], on[p["cond_nconsts"] : consts], carry, [])
-        asks = _reach(p["cond_jaxpr"], on[: p["cond_nconsts"]] + carry)[0]
+        asks, carry = _reach_of_while(p, on)
         return [True] * len(carry) if asks else carry
     if name == "scan":
         consts, end = _parts_of_scan(eqn)
@@ -151,6 +187,13 @@ def _reach_of(eqn, on: list[bool]) -> list[bool]:
     if name == "cond" and not on[0]:
         return [any(of) for of in zip(*(_reach(branch, on[1:]) for branch in p["branches"]), strict=True)]
     return [any(on) and name != "any_of_batch"] * len(eqn.outvars)
+
+
+def _reach_of_while(p, on: list[bool]) -> tuple[bool, list[bool]]:
+    """Whether what the loop asks depends on the lane, and what it carries."""
+    a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
+    carry = _fixpoint(p["body_jaxpr"], on[a:b], on[b:], [])
+    return _reach(p["cond_jaxpr"], on[:a] + carry)[0], carry
 
 
 def _parts_of_scan(eqn) -> tuple[int, int]:
@@ -209,6 +252,10 @@ class Lanes:
         if name in ELEMENTWISE:
             shape = eqn.outvars[0].aval.shape
             return [eqn.primitive.bind(*(self._spread(a, o, shape) for a, o in zip(x, on, strict=True)), **p)]
+        if name == "kept_in_lanes":
+            return [_as_kept(x[0])]
+        if name == "reduce_sum" and jnp.issubdtype(x[0].dtype, jnp.floating):
+            return [_sum_p.bind(x[0], axes=tuple(p["axes"]))]
         if name in SAME_AXES:
             return _bind(eqn, x)
         if name in ("concatenate", "stack"):
@@ -232,7 +279,7 @@ class Lanes:
             return [lax.dynamic_update_slice(whole, part, (*x[2:], jnp.zeros_like(x[2])))]
         if name == "any_of_batch":
             return [jnp.any(x[0])]
-        if name == "while" and not all(_reach_of(eqn, on)):
+        if name == "while" and not _reach_of_while(p, on)[0]:
             return self._while(p, on, x)
         if name == "scan":
             return self._scan(eqn, on, x)
@@ -242,7 +289,7 @@ class Lanes:
 
     def _while(self, p, on, x):
         a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
-        carry = _fixpoint(p["body_jaxpr"], on[a:b], on[b:], [])
+        _, carry = _reach_of_while(p, on)
         start = [
             self._spread(v, o, av.shape) if c else v
             for v, o, c, av in zip(x[b:], on[b:], carry, p["body_jaxpr"].in_avals[b - a :], strict=True)

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from jaxbody import rotations
 from jaxbody.arrays import checked, concrete, device_array, float_array, shaped
 from jaxbody.errors import JaxbodyError, Problem, Problems
+from jaxbody.trigonometry import sincos
 
 LARGEST_TURN = np.deg2rad(30)  # between samples
 
@@ -90,8 +91,8 @@ class Harmonic(Motion):
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         amplitude = jnp.concatenate([self.translation, self.rotation])
         phase = jnp.concatenate([self.translation_phase, self.rotation_phase])
-        turned = 2 * jnp.pi * self.frequency * t  # one cosine and sine where the frequency is one number
-        return amplitude * jnp.cos(phase) * jnp.cos(turned) - amplitude * jnp.sin(phase) * jnp.sin(turned)
+        s, c = sincos(2 * jnp.pi * self.frequency * t)  # one sine and cosine where the frequency is one number
+        return amplitude * jnp.cos(phase) * c - amplitude * jnp.sin(phase) * s
 
 
 class Sum(Motion):

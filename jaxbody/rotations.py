@@ -11,6 +11,9 @@ from math import factorial
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxbody.lanes import kept
+from jaxbody.trigonometry import polynomial, sincos
+
 TERMS = 12  # of the power series in theta^2 < 1: 1e-16 up to the fourth derivative
 SINC = [(-1) ** n / factorial(2 * n + 1) for n in range(TERMS)]  # sin(t)/t
 COSC = [(-1) ** n / factorial(2 * n + 2) for n in range(TERMS)]  # (1 - cos(t))/t^2
@@ -32,14 +35,6 @@ BERNOULLI = [
     236364091 / 2730,
 ]
 COTC = [b / factorial(2 * n + 2) for n, b in enumerate(BERNOULLI)]
-
-
-def polynomial(coefficients: list[float], x: Array) -> Array:
-    """sum c_n x^n by Horner's rule."""
-    total = jnp.full_like(x, coefficients[-1])
-    for c in reversed(coefficients[:-1]):
-        total = total * x + c
-    return total
 
 
 def dot(a: Float[Array, "*n 3"], b: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
@@ -89,10 +84,9 @@ def _coefficients(x: Array) -> tuple[Array, Array]:
     small = x < 1.0
     near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
     t = jnp.sqrt(far)
-    return (
-        jnp.where(small, polynomial(SINC, near), jnp.sin(t) / t),
-        jnp.where(small, polynomial(COSC, near), (1 - jnp.cos(t)) / far),
-    )
+    sin, cos = sincos(t)
+    a, b = jnp.where(small, polynomial(SINC, near), sin / t), jnp.where(small, polynomial(COSC, near), (1 - cos) / far)
+    return kept(a), kept(b)
 
 
 def exp(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
@@ -116,7 +110,7 @@ def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     near, far = jnp.where(small, x, 0.0), jnp.where(small, 1.0, x)
     t = jnp.sqrt(far)
     third = [(-1) ** n / factorial(2 * n + 3) for n in range(TERMS)]  # (t - sin(t))/t^3
-    c = jnp.where(small, polynomial(third, near), (t - jnp.sin(t)) / (far * t))
+    c = kept(jnp.where(small, polynomial(third, near), (t - sincos(t)[0]) / (far * t)))
     P = skew(phi)
     return jnp.eye(3, dtype=P.dtype) + b[..., None, None] * P + c[..., None, None] * product(P, P)
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxbody.lanes import LANES, any_of_batch, in_lanes, vmap_last
+from jaxbody.lanes import LANES, any_of_batch, in_lanes, kept, vmap_last
 
 
 def vectors(x, a):
@@ -37,7 +37,20 @@ def until_all_have(x, a):
     return jax.lax.while_loop(more, body, (x, 0))[0]
 
 
-@pytest.mark.parametrize("function", [vectors, loops, until_all_have])
+def sums_of_what_is_kept(x, a):
+    """Numbers worked out once, sums of sums."""
+    y = kept(jnp.sin(x))
+    table = kept(y[:, None] * a) / kept(1 + a * a)
+    return jnp.sum(jnp.sum(table * table[::-1], 0) - table, 0), jnp.sum(table), y
+
+
+def while_carrying_lanes_alone(x, a):
+    """As `until_all_have`, all that is carried different in each lane: such a loop is not left to jax.vmap."""
+    go = lambda c: jnp.where(c[0] < 4.0, c + 1.0, c)  # noqa: E731
+    return jax.lax.while_loop(lambda c: any_of_batch(c[0] < 4.0), go, x)
+
+
+@pytest.mark.parametrize("function", [vectors, loops, until_all_have, sums_of_what_is_kept, while_carrying_lanes_alone])
 def test_lanes_are_vmap(function):
     x = jax.random.normal(jax.random.key(0), (LANES + 5, 3))
     a = jnp.array([0.3, -1.0, 2.0])
@@ -55,7 +68,7 @@ def test_derivatives_forward_and_batches_of_batches():
     def energy(function):
         return lambda x: sum(jnp.sum(y**2) for y in jax.tree.leaves(function(x, a)) if jnp.issubdtype(y.dtype, jnp.inexact))
 
-    for function in (vectors, loops):
+    for function in (vectors, loops, sums_of_what_is_kept):
         ours, theirs = (jax.jit(jax.vmap(jax.vmap(jax.jacfwd(energy(f)))))(x) for f in (in_lanes(function), function))
         np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
@@ -65,3 +78,21 @@ def test_results_that_do_not_depend_on_the_lane_are_given_to_all():
     assert ours[0].shape == (3,) and ours[1].shape == (3, 2)
     last = vmap_last(lambda t: (jnp.sin(t), jnp.ones(2)))(jnp.arange(4.0))
     assert last[0].shape == (4,) and last[1].shape == (2, 4)
+
+
+def test_derivatives_in_reverse_of_sums_and_of_what_is_kept():
+    x = jax.random.normal(jax.random.key(2), (4, 3))
+    a = jnp.array([0.3, -1.0, 2.0])
+
+    def energy(function):
+        over = jax.vmap(function, in_axes=(0, None))
+        return lambda x: sum(jnp.sum(y**2) for y in over(x, a))
+
+    ours, theirs = (jax.jit(jax.grad(energy(f)))(x) for f in (in_lanes(sums_of_what_is_kept), sums_of_what_is_kept))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-12)
+
+
+def test_a_loop_of_all_lanes_keeps_them_last():
+    x = jnp.zeros((5, 3))
+    text = str(jax.make_jaxpr(jax.vmap(in_lanes(while_carrying_lanes_alone), in_axes=(0, None)))(x, x[0]))
+    assert "while" in text and "f64[3,5]" in text.split("while", 1)[1]
