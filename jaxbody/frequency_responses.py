@@ -14,7 +14,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import Module, field, filter_jit
+from equinox import Module, field
 from jaxtyping import Array, Bool, Complex, Float, Int
 
 from jaxbody import tables
@@ -25,6 +25,7 @@ from jaxbody.kinematics import Coordinates, supports_at
 from jaxbody.linearizations import Linearization
 from jaxbody.mechanics import each_element
 from jaxbody.models import Model, unknown
+from jaxbody.options import jit_quickly
 from jaxbody.ports import Wiring, check_ports, whole_matrices, wired
 from jaxbody.results import Result, warn_if_failed
 
@@ -164,7 +165,7 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
     return jnp.stack([device_array(value) for value in each]) if each else jnp.zeros(0)
 
 
-@filter_jit
+@jit_quickly
 def response_values(lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, eta: Float[Array, "ne"] | None, method: str = "direct"):
     """(values (ny, nu, nf), status)."""
     nv, X = lin.M.shape[-1], wiring.X

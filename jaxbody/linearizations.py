@@ -28,6 +28,7 @@ from jaxbody.loads import Load
 from jaxbody.mechanics import each_element, gravity_energy, potential
 from jaxbody.models import Model, State, unknown
 from jaxbody.naming import by_name
+from jaxbody.options import jit_quickly
 from jaxbody.results import Result
 from jaxbody.state_spaces import StateSpace, state_space
 from jaxbody.statics import Equilibrium, zero_modes
@@ -190,7 +191,7 @@ def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
     return coordinates.frames(coordinates.retract(state.q, delta), v, supports_at(model, xi.reshape(-1, 6), xi_dot.reshape(-1, 6)))
 
 
-@filter_jit
+@jit_quickly
 def _linearize(model: Model, state: State, status: Int[Array, ""], loads: tuple[Load, ...]) -> Linearization:
     n = model.layout.nv
     numbers, rest = eqx.partition(model, eqx.is_array)

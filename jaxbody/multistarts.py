@@ -22,6 +22,7 @@ from jaxbody.free_parameters import limits_of
 from jaxbody.identification import fit
 from jaxbody.implicit_fits import solve
 from jaxbody.models import Model
+from jaxbody.options import jit_quickly
 from jaxbody.results import Result
 from jaxbody.tasks import Task
 
@@ -134,7 +135,7 @@ def _points(limits, starts: int, spread: float, seed: int) -> np.ndarray:
     return low + (high - low) * unit
 
 
-@eqx.filter_jit
+@jit_quickly
 def _searched(task: Task, points: Float[Array, "n m"], most: int):
     """u, status and cost of the end of each search."""
 

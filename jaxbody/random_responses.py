@@ -10,7 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import field, filter_jit
+from equinox import field
 from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody import tables
@@ -19,6 +19,7 @@ from jaxbody.errors import JaxbodyError, Problems, Status, is_concrete
 from jaxbody.frequency_responses import check_frequencies, check_loss_factors, response_values
 from jaxbody.linearizations import Linearization
 from jaxbody.models import unknown
+from jaxbody.options import jit_quickly
 from jaxbody.ports import KINDS, UNITS, Wiring, check_ports, wired
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.spectra import Band, CrossPSD, Spectrum, check_spectra, trapezoids
@@ -116,7 +117,7 @@ def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
     return jnp.where(jnp.any(jnp.abs(fine - rough) > COARSE * fine), Status.COARSE.value, Status.OK.value)
 
 
-@filter_jit
+@jit_quickly
 def _random_response(lin: Linearization, f, weights, coarse, wiring: Wiring, inputs: tuple, names, spectra, eta):
     H, status = response_values(lin, f, wiring, eta)
     each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra

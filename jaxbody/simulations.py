@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
-from equinox import combine, filter_jit, is_array, partition
+from equinox import combine, is_array, partition
 from jaxtyping import Array, Float, Int
 
 from jaxbody import integrators, tables
@@ -28,6 +28,7 @@ from jaxbody.mechanics import beyond_laws, each_element, frames_of, kinetic, los
 from jaxbody.models import Model, State, unknown
 from jaxbody.motions import AtRest, Motion, as_motion, check_times, kinks_of
 from jaxbody.naming import by_name
+from jaxbody.options import jit_quickly
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import size_of
 
@@ -281,7 +282,7 @@ def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], ini
     return device_array(checked)
 
 
-@filter_jit
+@jit_quickly
 def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
     """The jitted core of `simulate`: it knows arrays only, and never raises."""
     initial = model.reference if initial is None else initial
@@ -428,7 +429,7 @@ def _support_power(model, motions, t, state, loads):
     return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
 
 
-@filter_jit
+@jit_quickly
 def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
     given, rest = partition((model, motions, loads), is_array)
     others, fixed = partition(more, is_array)

@@ -32,6 +32,7 @@ from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, potential
 from jaxbody.models import Layout, Model, State, reference_coordinates
 from jaxbody.naming import by_name
+from jaxbody.options import jit_quickly
 from jaxbody.results import Result, warn_if_failed
 
 TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the error left is its square
@@ -145,7 +146,7 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     return result
 
 
-@filter_jit
+@jit_quickly
 def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, loads: tuple[Load, ...], max_steps: int) -> Equilibrium:
     """The jitted core of `equilibrium`."""
     frozen = jax.lax.stop_gradient(model)
@@ -158,7 +159,7 @@ def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, loads: tuple[
     return found if not loads else under_loads(model, found, Raised(loads, jnp.ones(len(loads), q.dtype), jnp.zeros(3, q.dtype)))
 
 
-@filter_jit
+@jit_quickly
 def under_loads(model: Model, start: Equilibrium, raised: Raised) -> Equilibrium:
     """The equilibrium that the path of the loads from an unloaded one leads to."""
     frozen, still = jax.lax.stop_gradient((model, raised))

@@ -20,6 +20,7 @@ from jaxbody.free_parameters import Free
 from jaxbody.losses import linearized, robust_level, root
 from jaxbody.models import Model
 from jaxbody.naming import write
+from jaxbody.options import jit_quickly
 
 PROPORTION = 0.01  # change of the estimated noise of one channel against another's that is worth another round
 
@@ -113,7 +114,7 @@ def _order(runs: Runs | dict[str, Measurement]) -> list[str]:
     return sorted(runs, key=lambda run: (run == PRIORS, run))
 
 
-@eqx.filter_jit
+@jit_quickly
 def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, Runs]:
     """r, dr/du and what they come from, in one program: compiling costs more than running."""
 

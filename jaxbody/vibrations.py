@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import jax.numpy as jnp
-from equinox import field, filter_jit
+from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
@@ -14,6 +14,7 @@ from jaxbody.eigenproblems import ZERO, averaged, clusters, natural, refused_in_
 from jaxbody.errors import Status, is_concrete
 from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import Layout
+from jaxbody.options import jit_quickly
 from jaxbody.results import Result, warn_if_failed
 
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
@@ -88,7 +89,7 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     return result
 
 
-@filter_jit
+@jit_quickly
 def _modes(lin: Linearization) -> Modes:
     values, shapes = natural((lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2)
     cluster = clusters(values)
