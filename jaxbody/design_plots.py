@@ -17,7 +17,7 @@ BINS = 40
 
 
 def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
-    """The objective at every evaluation of the best start: full circles within all limits, open ones outside."""
+    """The objective at every trial of the best start that gave numbers: full circles within all limits, open ones outside."""
     ax = axes_or_new(ax, 5.0, 3.0)
     objective, violation = tuning.history.T
     kept = violation <= 1e-6
@@ -26,7 +26,7 @@ def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
     ax.plot(count[kept], objective[kept], "o", ms=4, color=COLORS[0], label="within the limits")
     if not kept.all():
         ax.plot(count[~kept], objective[~kept], "o", ms=4, mfc="white", color=COLORS[1], label="not within them")
-    ax.set(xlabel="evaluation", ylabel=tuning.minimize)
+    ax.set(xlabel="trial", ylabel=tuning.minimize)
     ax.xaxis.get_major_locator().set_params(integer=True)
     ax.legend(frameon=False, fontsize=8)
     return ax

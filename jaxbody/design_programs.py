@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -29,10 +30,19 @@ class Program:
     """All quantities and their derivatives at a batch of u."""
 
     def __init__(
-        self, space: Space, evaluate: Evaluate, minimize: str, limits: Limits, *, width: int, reverse: bool | None = None, key: Any = None
+        self,
+        space: Space,
+        evaluate: Evaluate,
+        minimize: str,
+        limits: Limits,
+        *,
+        width: int,
+        reverse: bool | None = None,
+        key: Any = None,
+        progress: bool = False,
     ):
         self.space, self.evaluate, self.minimize, self.limits = space, evaluate, minimize, limits
-        self.width, self.reverse, self.key = width, reverse, key
+        self.width, self.reverse, self.key, self.progress = width, reverse, key, progress
         self.count = 0
         self.shapes: tuple[tuple[str, tuple[int, ...]], ...] = ()
         self.origin = np.zeros(0)
@@ -41,7 +51,16 @@ class Program:
         """Values (b, m) and Jacobians (b, m, n), in batches of the one width that is compiled."""
         self.count += 1
         parts = [self._of(U[i : i + self.width]) for i in range(0, len(U), self.width)]
-        return np.concatenate([v for v, _ in parts]), np.concatenate([J for _, J in parts])
+        values, slopes = np.concatenate([v for v, _ in parts]), np.concatenate([J for _, J in parts])
+        if self.progress:
+            self._tell(values)
+        return values, slopes
+
+    def _tell(self, values: np.ndarray) -> None:
+        shown = values[:, self.rows.objective] if self.minimize in dict(self.shapes) else np.zeros(0)
+        finite = shown[np.isfinite(shown)]
+        least = f", {self.minimize} {finite.min():.6g}" + (f" at least of {len(shown)}" if len(shown) > 1 else "") if len(finite) else ""
+        print(f"evaluation {self.count}{least}", file=sys.stderr, flush=True)
 
     def _of(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         filled = np.concatenate([U, np.repeat(U[-1:], self.width - len(U), 0)])
@@ -80,7 +99,7 @@ def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u:
     told: list[tuple[str, tuple[int, ...]]] = []
 
     def flat(u):
-        found = named(evaluate(space.place(u)) if key is None else evaluate(space.place(u), key))  # pyright: ignore
+        found = evaluated(evaluate, space.place(u), *(() if key is None else (key,)))
         told[:] = [(name, x.shape) for name, x in found.items()]
         return jnp.concatenate([x.ravel() for x in found.values()])
 
@@ -118,14 +137,24 @@ def needed(function: Callable[[Array], Array], u: Float[Array, "n"]) -> Callable
     return lambda u: jaxpr_as_fun(ClosedJaxpr(kept, traced.consts))(u)[0]
 
 
-def named(found: Any) -> Quantities:
-    """{name: array}."""
+def evaluated(evaluate: Evaluate, *given: Any) -> Quantities:
+    """{name: array} of evaluate(model), while it is being traced. Error: BAD_OBJECTIVE."""
+    hint = "Return {name: number or array}, or one number, by JAX functions of the model: no float(), no numpy, no if of its numbers."
+    if not callable(evaluate):
+        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", f"is {evaluate!r:.60}", evaluate, "a function of the model", hint))
+    try:
+        found = evaluate(*given)
+    except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
+        told = f"makes a Python or NumPy number of one that JAX is still working with: {str(error).splitlines()[0]}"
+        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", told, hint=hint)) from error
     named = found if isinstance(found, dict) else {"objective": found}
     try:
-        return {str(name): jnp.asarray(x, float) for name, x in named.items()}
+        quantities = {str(name): jnp.asarray(x, float) for name, x in named.items()}
     except (TypeError, ValueError):
-        told, hint = f"gives {found!r:.80}", "Return {name: number or array}, or one number."
-        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", told, found, "numbers", hint)) from None
+        quantities = {}
+    if not quantities:
+        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", f"gives {found!r:.80}", found, "numbers", hint)) from None
+    return quantities
 
 
 def check_names(program: Program) -> None:
@@ -143,6 +172,9 @@ def check_names(program: Program) -> None:
 def limits_of(limits: dict[str, Any]) -> Limits:
     """{name: (lower, upper)}."""
     problems, found = Problems(), {}
+    if not isinstance(limits, dict):
+        problems.add("BAD_LIMITS", "tune.limits", f"is {limits!r:.60}", value=limits, limit="{name: (lower, upper)}")
+        problems.raise_if_any()
     for name, given in limits.items():
         where = f"tune.limits[{name!r}]"
         try:
@@ -151,7 +183,9 @@ def limits_of(limits: dict[str, Any]) -> Limits:
         except (TypeError, ValueError):
             problems.add("BAD_LIMITS", where, f"is {given!r:.60}", value=given, limit="(lower, upper), a number, or None for either")
             continue
-        if not ends[0] <= ends[1]:
+        if np.isnan(ends).any() or ends == (-np.inf, np.inf):
+            problems.add("BAD_LIMITS", where, f"is {given!r:.60}", value=given, limit="a number at one end or both")
+        elif not ends[0] <= ends[1]:
             problems.add("BAD_LIMITS", where, f"has lower {ends[0]:g} > upper {ends[1]:g}", value=given, limit="lower <= upper")
         found[name] = ends
     problems.raise_if_any()

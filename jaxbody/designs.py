@@ -18,7 +18,7 @@ import numpy as np
 import optax
 
 from jaxbody.checks import check_precision
-from jaxbody.design_programs import Evaluate, Program, check_slopes, check_start, limits_of, named
+from jaxbody.design_programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of
 from jaxbody.design_spaces import Space, at_value, drawn, space_of
 from jaxbody.errors import JaxbodyError, Problem, Problems, is_concrete
 from jaxbody.interior_points import check_ipopt
@@ -46,6 +46,7 @@ def tune(
     max_iterations: int = 200,
     tolerance: float = 1e-10,
     reverse: bool | None = None,
+    progress: bool = False,
 ) -> Tuning:
     """The design of least f within limits, by exact gradients.
 
@@ -59,7 +60,7 @@ def tune(
     (restarted while that gains; where limits are not met, the least violation is sought first), or an optax optimizer for large or stochastic
     objectives without limits: there `evaluate` may take a key besides the model, a new one each time, and max_iterations steps are made. reverse: derivatives by reverse mode; without it,
     forward mode for up to thirty free numbers. A trial that is not finite is a step rejected; where derivatives do not exist, at modes that
-    coincide, they are taken a little aside: smooth quantities (`objectives`) don't need that.
+    coincide, they are taken a little aside: smooth quantities (`objectives`) don't need that. progress: tell every evaluation on stderr.
 
     Errors: UNKNOWN_PATH, UNKNOWN_NAME, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE,
     NONFINITE_START, NO_CASADI, TRACED, FLOAT32. Warns INFEASIBLE, with what is not met, and NOT_CONVERGED.
@@ -81,7 +82,7 @@ def tune(
     _check_options(method, starts, limited, shelves)
     U = drawn(space, low, high, starts, key, "tune.bounds")
     stochastic = not isinstance(method, str) and len(inspect.signature(evaluate).parameters) > 1
-    program = Program(space, evaluate, minimize, limited, width=starts, reverse=reverse, key=key if stochastic else None)
+    program = Program(space, evaluate, minimize, limited, width=starts, reverse=reverse, key=key if stochastic else None, progress=progress)
     with one_thread():
         check_start(program, U)
         searches = [Search(u, low, high) for u in U]
@@ -174,7 +175,7 @@ def _descend(space: Space, evaluate: Evaluate, minimize: str, method, steps: int
 
     def one(u, key):
         def value(u, key):
-            return named(evaluate(space.place(u), key) if stochastic else evaluate(space.place(u)))[minimize]
+            return evaluated(evaluate, space.place(u), *((key,) if stochastic else ()))[minimize]
 
         def step(carry, key):
             u, state = carry

@@ -51,7 +51,8 @@ class Front(Result):
 
     def _tables(self) -> list[tables.Table]:
         names = tuple(self.objectives)
-        rows = [(str(i + 1), *numbers) for i, numbers in enumerate(zip(*self.objectives.values(), *self.slopes.T, strict=True))]
+        columns = (*self.objectives.values(), *self.slopes.T)
+        rows = [(str(i + 1), *("" if np.isnan(x) else x for x in numbers)) for i, numbers in enumerate(zip(*columns, strict=True))]
         heads = ("point", *names, *(f"d {names[0]}/d {name}" for name in names[1:]))
         return [tables.Table("Front of " + " and ".join(names), heads, rows, self.report())]
 
@@ -81,8 +82,8 @@ def pareto(
     [0.3, 1.0]
     """
     names = [minimize] if isinstance(minimize, str) else list(minimize)
-    if len(names) not in (2, 3) or points < 3:
-        told, hint = f"has {len(names)} objectives and {points} points", "Give two or three names, and three points or more."
+    if len(set(names)) != len(names) or len(names) not in (2, 3) or points < 3:
+        told, hint = f"has objectives {', '.join(names)}, {points} points", "Give two or three different names, and three points or more."
         raise JaxbodyError(Problem("BAD_FRONT", "pareto.minimize", told, names, "two or three, points >= 3", hint))
 
     def least(start: Model, name: str, bounds: dict[str, float]) -> Tuning:

@@ -29,7 +29,7 @@ def smooth_max(x: Any, width: Any) -> Float[Array, ""]:
 
         width log(sum of exp(x/width)),   above the largest by at most width log(n)
 
-    `width` in the unit of x. Errors: BAD_WIDTH, NOT_A_NUMBER.
+    `width` in the unit of x. Errors: BAD_WIDTH, NOT_A_NUMBER, NO_DATA.
 
     >>> round(float(smooth_max([1.0, 2.0, 3.0], 0.1)), 4)
     3.0
@@ -52,17 +52,19 @@ def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
 
         (sum of |x|^power)^(1/power),   above the largest by at most the factor n^(1/power), n as many as come near it
 
-    Error: NOT_A_NUMBER.
+    NaN where one of them is not finite. Errors: NOT_A_NUMBER, NO_DATA, BAD_NUMBER of a power below 1.
 
     >>> round(float(peak([-3.0, 1.0, 2.0])), 6)
     3.0
     """
+    if not power >= 1:
+        raise JaxbodyError(Problem("BAD_NUMBER", "peak.power", f"is {power}", power, ">= 1"))
     x = _numbers(jnp.abs(x) if hasattr(x, "dtype") else x, "peak.x")
     x = jnp.abs(x)
     largest = jax.lax.stop_gradient(jnp.max(x, initial=0.0))
     largest = jnp.where(largest > 0, largest, 1.0)  # a factor that cancels, and keeps powers in range
     total = jnp.sum((x / largest) ** power)
-    return largest * jnp.where(total > 0, total, 1.0) ** (1 / power) * (total > 0)
+    return jnp.where(total > 0, largest * jnp.where(total > 0, total, 1.0) ** (1 / power), total)  # 0, or NaN of what is not finite
 
 
 def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
@@ -197,7 +199,10 @@ def _root(square: Float[Array, ""]) -> Float[Array, ""]:
 
 
 def _numbers(x: Any, where: str) -> Float[Array, "*n"]:
-    return jnp.atleast_1d(jnp.asarray(float_array(x, where)))
+    numbers = jnp.atleast_1d(jnp.asarray(float_array(x, where)))
+    if not numbers.size:
+        raise JaxbodyError(Problem("NO_DATA", where, "is empty", x, "one number or more"))
+    return numbers
 
 
 def _width(width: Any, where: str) -> Any:

@@ -55,12 +55,14 @@ class Sensitivities(Result):
         return [tables.Table("Sensitivities, the strongest first", heads, rows, self.report() if int(self.status) else "")]
 
 
-def sensitivities(model: Model, evaluate: Evaluate, *, free: str | Iterable[str], change: float = 0.1) -> Sensitivities:
+def sensitivities(
+    model: Model, evaluate: Evaluate, *, free: str | Iterable[str], change: float = 0.1, progress: bool = False
+) -> Sensitivities:
     """How quantities depend on parameters, one at a time, about the model as it is.
 
         d q/d x exactly;   q(x (1 - change)),   q(x (1 + change))
 
-    evaluate, free: as of `tune`. What has no size of its own, such as a coordinate that is 0, changes by that share of the model's size, orientations by `change` radians. Errors: those of `tune`
+    evaluate, free: as of `tune`. What has no size of its own, such as a coordinate that is 0, changes by that share of the model's size, orientations by `change` radians. progress: tell every evaluation on stderr. Errors: those of `tune`
     about these, BAD_CHANGE; warns NONFINITE.
 
     >>> def sag(model):
@@ -78,7 +80,7 @@ def sensitivities(model: Model, evaluate: Evaluate, *, free: str | Iterable[str]
         if isinstance(group.form, Positive):
             up[at], down[at] = np.log1p(change), np.log1p(-change)
     U = np.concatenate([np.zeros((1, space.size)), np.diag(down), np.diag(up)])
-    program = Program(space, evaluate, "", {}, width=1)  # the program of `tune` from one start
+    program = Program(space, evaluate, "", {}, width=1, progress=progress)  # the program of `tune` from one start
     with one_thread():
         values, slopes = program(U)
     low, high = np.split(values[1:].T, 2, axis=1)

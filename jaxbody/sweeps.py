@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxbody.arrays import float_array
 from jaxbody.checks import check_precision
-from jaxbody.design_programs import Evaluate, named
+from jaxbody.design_programs import Evaluate, evaluated
 from jaxbody.errors import Problems
 from jaxbody.exports import sweep_dataset
 from jaxbody.models import Model
@@ -45,7 +45,7 @@ def sweep(
     (hypercube), scrambled by `key`. A value that a pattern means serves all its matches. chunk: how many models at a time; without it as many, up to 1024, as
     take less than 1 GiB. The same `evaluate` is compiled once. progress: tell on stderr.
 
-    Errors: those of `replace` for the first and last values, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, NO_XARRAY.
+    Errors: those of `replace`, NON_FINITE, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, NO_XARRAY.
 
     >>> car = jb.presets.quarter_car()
     >>> def sag(model):
@@ -60,6 +60,9 @@ def sweep(
     empty = not columns or any(values.ndim < 1 or not len(values) for values in columns.values())
     if empty or (samples is not None and samples < 1):
         problems.add("EMPTY_SWEEP", "sweep.over", "has no values", value=over, limit="values for each path", hint="Give {path: [values]}.")
+    for path, values in columns.items():
+        if not np.isfinite(values).all():
+            problems.add("NON_FINITE", f"sweep['{path}']", f"is {values[~np.isfinite(values)][0]}", value=values, limit="finite")
     if sampler not in SAMPLERS:
         problems.add("BAD_SAMPLER", "sweep.sampler", f"is {sampler!r}", value=sampler, limit=" ".join(SAMPLERS))
     if chunk is not None and not chunk >= 1:
@@ -72,10 +75,15 @@ def sweep(
         shape = tuple(len(values) for values in columns.values())
         index = np.indices(shape).reshape(len(shape), -1)
         points = {path: values[i] for (path, values), i in zip(columns.items(), index, strict=True)}
-    for place in (0, -1):
-        replace(model, {path: values[place] for path, values in points.items()})
+    for ends in (np.argmin, np.argmax):  # what any number is checked for, the least or the largest shows
+        replace(model, {path: _end(values, ends) for path, values in points.items()})
     found = _evaluated(model, evaluate, points, chunk, progress)
     return sweep_dataset(columns, found, on_grid=samples is None)
+
+
+def _end(values: np.ndarray, which: Any) -> np.ndarray:
+    """The value that holds the least or the largest number."""
+    return values[np.unravel_index(which(values), values.shape)[0]]
 
 
 def _sampled(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> dict[str, np.ndarray]:
@@ -124,7 +132,7 @@ def _program(model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], wi
     if place not in known:
 
         def one(numbers, values):
-            return named(evaluate(replace(eqx.combine(numbers, rest), values)))
+            return evaluated(evaluate, replace(eqx.combine(numbers, rest), values))
 
         def built(width):
             given = {path: jax.ShapeDtypeStruct((width, *shape), float) for path, shape in shapes}

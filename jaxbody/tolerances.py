@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from jaxbody import tables
 from jaxbody.arrays import concrete, float_array
 from jaxbody.checks import check_precision
-from jaxbody.design_programs import Evaluate, Quantities, named, value_and_forward_slopes
+from jaxbody.design_programs import Evaluate, Quantities, evaluated, value_and_forward_slopes
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.models import Model, unknown
 from jaxbody.naming import Leaf, leaves_of, matching, write
@@ -170,7 +170,7 @@ class Moved:
         arrays = jax.tree.leaves(self.model)
         parts = jnp.split(xi, np.cumsum([s.size for s in self.deviations])[:-1])
         values = {leaf: leaf.read(arrays) + s * x.reshape(s.shape) for leaf, s, x in zip(self.leaves, self.deviations, parts, strict=True)}
-        found = named(self.evaluate(write(self.model, values)))
+        found = evaluated(self.evaluate, write(self.model, values))
         self.shapes = {name: x.shape for name, x in found.items()}
         return jnp.concatenate([x.ravel() for x in found.values()])
 

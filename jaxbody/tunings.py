@@ -18,9 +18,13 @@ from jaxbody.errors import Status
 from jaxbody.models import Model
 from jaxbody.optimizers import ARRIVED, MET, Multipliers, Rows, Search, multipliers, scales
 from jaxbody.options import jit_quickly
+from jaxbody.parametrizations import Positive
 from jaxbody.results import Result
 
 DUST = 1e-12  # of what it was, at a bound of zero
+AT_BOUND = 1e-9  # distance from a bound in u that is none
+FAR = 12.0  # in u, a factor of 160 000, where only a bound could hold a search
+BOUND, CHOSEN, GONE = "at its bound", "of its catalogue", "held by nothing"
 
 
 class Runs(eqx.Module):
@@ -36,7 +40,7 @@ class Runs(eqx.Module):
 class Tuning(Result):
     """A tuned design: `model`, `values` {path: value}, quantities `before` and `after` {name: value}, `active` limits and bounds in words,
     `multipliers` {name of a limited quantity or of a parameter at its bound: what one unit more of the limit adds to the objective}, `words` what one percent more of each buys, `history`
-    (evaluations, 2) of the objective and the violation of limits, `evaluations`, and all starts in `runs`. `status` INFEASIBLE where limits are not met, `unmet` says which,
+    (evaluations, 2) of the objective and the violation of limits, `evaluations`, and all starts in `runs`. `places` {parameter: "at its bound", "of its catalogue" or "held by nothing"}. `status` INFEASIBLE where limits are not met, `unmet` says which,
     and NOT_CONVERGED.
 
     >>> import inspect
@@ -51,6 +55,7 @@ class Tuning(Result):
     multipliers: dict[str, float]
     active: tuple[str, ...]
     words: tuple[str, ...]
+    places: dict[str, str] = eqx.field(static=True)
     unmet: tuple[str, ...]
     history: Float[np.ndarray, "k 2"]
     evaluations: int
@@ -64,6 +69,9 @@ class Tuning(Result):
         if int(self.status) == Status.INFEASIBLE:
             return "nearest to all limits " + "; ".join(self.unmet)
         if int(self.status) == Status.NOT_CONVERGED:
+            gone = [name for name, where in self.places.items() if where == GONE]
+            if gone:
+                return f"{', '.join(gone)} went farther than a factor of {np.exp(FAR):.0f} and nothing holds it; give bounds or limits"
             return f"after {self.evaluations} evaluations; the best so far is kept; give more max_iterations"
         return ""
 
@@ -76,7 +84,7 @@ class Tuning(Result):
     def _tables(self) -> list[tables.Table]:
         start = {group.path: group.form.start for group in self.space.groups}
         rows = [
-            (label, *pair, "at its bound" if name in self.multipliers else "")
+            (label, *pair, self.places.get(name, ""))
             for group in self.space.groups
             for name, label, *pair in _each(group.path, group.label, start[group.path], self.values[group.path])
         ]
@@ -110,29 +118,39 @@ def _limit(limit: tuple[float, float] | None) -> str:
     return f"<= {upper:.6g}" if lower == -np.inf else f">= {lower:.6g}" if upper == np.inf else f"{lower:.6g} to {upper:.6g}"
 
 
-def _judged(search: Search, rows: Rows) -> tuple[int, Multipliers | None]:
+def _places(space: Space, search: Search) -> dict[str, str]:
+    """Parameters at a bound, chosen from a catalogue, or gone where no bound is."""
+    at = np.minimum(np.abs(search.u - search.low), np.abs(search.u - search.high)) <= AT_BOUND
+    factors = np.concatenate([np.full(group.form.size, isinstance(group.form, Positive)) for group in space.groups])
+    gone = factors & (np.abs(search.u) > FAR) & np.isinf(np.where(search.u < 0, search.low, search.high))
+    words = np.select([search.low == search.high, at, gone], [CHOSEN, BOUND, GONE], "")
+    return {name: str(word) for name, word in zip(space.labels(), words, strict=True) if word}
+
+
+def _judged(search: Search, rows: Rows, space: Space) -> tuple[int, Multipliers | None]:
     """How a search ended, by the conditions of the optimum and not by what the optimizer says."""
     if not search.finite:
         return Status.NONFINITE.value, None
     found = multipliers(search, rows)
     if rows.violation(search.values, scales(rows, search.values)) > 10 * MET:
         return Status.INFEASIBLE.value, found
-    return (Status.OK.value if found.left <= ARRIVED else Status.NOT_CONVERGED.value), found
+    arrived = found.left <= ARRIVED and GONE not in _places(space, search).values()
+    return (Status.OK.value if arrived else Status.NOT_CONVERGED.value), found
 
 
 def tuning_of(program: Program, searches: list[Search], best: Search) -> Tuning:
     """What searches from all starts came to, told of the best."""
     rows, space, quantities = program.rows, program.space, program.quantities
     U, values = (np.stack([getattr(search, name) for search in searches]) for name in ("u", "values"))
-    codes = np.array([_judged(search, rows)[0] for search in searches])
+    codes = np.array([_judged(search, rows, space)[0] for search in searches])
     violation = rows.violation(values, scales(rows, best.values))
     runs = Runs(values[:, rows.objective], violation, codes, _values(space, jnp.asarray(U)), quantities(values))
-    status, prices = _judged(best, rows)
+    status, prices = _judged(best, rows, space)
     told = [] if prices is None or status == Status.INFEASIBLE else _held(program, best, prices)
     model, values_of = _placed(space, jnp.asarray(best.u))
     return Tuning(
         model, values_of, quantities(program.origin), quantities(best.values), {held.name: held.price for held in told},
-        tuple(map(str, told)), tuple(held.worth(program.minimize, best.values[rows.objective]) for held in told), _unmet(program, best.values),
+        tuple(map(str, told)), tuple(held.worth(program.minimize, best.values[rows.objective]) for held in told), _places(space, best), _unmet(program, best.values),
         np.array(best.history).reshape(-1, 2), program.count, runs, np.asarray(status), space, program.minimize, program.limits,
     )  # fmt: skip
 
@@ -174,8 +192,8 @@ def _held(program: Program, best: Search, prices: Multipliers) -> list[Held]:
             sign = "=" if lower == upper else ">=" if price > 0 else "<="
             found.append(Held(labels[row], float(lower if price > 0 else upper), float(price), sign))
     numbers, slopes = space.numbers(best.u)
-    for name, x, slope, price in zip(space.labels(), numbers, slopes, prices.bounds, strict=True):
-        if price:
+    for name, x, slope, price, chosen in zip(space.labels(), numbers, slopes, prices.bounds, best.low == best.high, strict=True):
+        if price and not chosen:
             found.append(Held(name, float(x), float(price / slope), ">=" if price > 0 else "<="))
     return found
 

@@ -262,6 +262,9 @@ def test_equal_left_and_right_and_from_a_list():
     ]
     least, x, y = min(combinations)
     np.testing.assert_allclose([found.values["left.stiffness"], found.values["middle.stiffness"]], [x, y], rtol=1e-12)
+    assert found.places == {"left.stiffness": "of its catalogue", "middle.stiffness": "of its catalogue"} and "at its bound" not in str(
+        found
+    )
     np.testing.assert_allclose(found.after["f"], least, rtol=1e-8)
     np.testing.assert_allclose(found.values["rear.stiffness"], 0.6 * y, rtol=1e-5)
 
@@ -366,6 +369,10 @@ def square(model):
     return {"f": (model["spring"].stiffness - 20.0) ** 2, "k": model["spring"].stiffness}
 
 
+def square_root(model):
+    return {"f": jnp.sqrt(model["spring"].stiffness)}
+
+
 GOOD = dict(free="spring.stiffness", minimize="f")
 BAD = {
     "NOTHING_FREE": (dict(free=[]), "at least one path"),
@@ -387,9 +394,15 @@ BAD = {
 }
 
 
+BAD |= {
+    "BAD_LIMITS ": (dict(limits={"k": (None, None)}), "a number at one end or both"),
+    "BAD_LIMITS  ": (dict(limits=["k"]), r"tune.limits: is \['k'\] .limit: {name: .lower, upper.}"),
+}
+
+
 @pytest.mark.parametrize("code", BAD)
 def test_bad_input_is_told(weight, code):
-    options, words = BAD[code]
+    (options, words), code = BAD[code], code.strip()
     with pytest.raises(jb.JaxbodyError, match=words) as told:
         jb.tune(weight, square, **(GOOD | options))
     assert told.value.code == code
@@ -408,8 +421,17 @@ def test_an_objective_that_is_no_number_at_the_start_is_told(weight):
     assert told.value.code == "BAD_OBJECTIVE"
     with pytest.raises(jb.JaxbodyError, match=r"of .objective. by .spring.stiffness.") as told:
         jb.tune(weight, lambda model: jax.lax.rsqrt(jnp.inf * model["spring"].stiffness), free="spring.stiffness")
-    with pytest.raises(jb.JaxbodyError, match="BAD_OBJECTIVE"):
-        jb.tune(weight, lambda model: "soft", free="spring.stiffness")
+    for evaluate in (lambda model: "soft", lambda model: {}, lambda model: float(model["spring"].stiffness), None):
+        with pytest.raises(jb.JaxbodyError, match="BAD_OBJECTIVE"):
+            jb.tune(weight, evaluate, free="spring.stiffness")
+
+
+def test_what_nothing_holds_is_no_optimum(weight, capsys):
+    """A spring that had better be none, without a bound."""
+    with pytest.warns(jb.JaxbodyWarning, match=r"spring.stiffness went farther .* give bounds"):
+        found = jb.tune(weight, square_root, free="spring.stiffness", minimize="f", progress=True)
+    assert found.status == jb.Status.NOT_CONVERGED and found.places == {"spring.stiffness": "held by nothing"}
+    assert "evaluation 1, f 7.07107\n" in capsys.readouterr().err
 
 
 # The powertrain of REFERENCES, section 1

@@ -81,7 +81,8 @@ def test_samples_are_spread_between_their_ranges(car, sampler):
 BAD = {
     "EMPTY_SWEEP": (dict(over={}), "has no values"),
     "UNKNOWN_PATH": (dict(over={"body.mas": [1.0]}), "Did you mean body.mass"),
-    "BAD_MASS": (dict(over={"body.mass": [-1.0, 2.0]}), "is -1 kg"),
+    "BAD_MASS": (dict(over={"body.mass": [1.0, -1.0, 2.0]}), "is -1 kg"),
+    "NON_FINITE": (dict(over={"body.mass": [1.0, np.nan, 2.0]}), r"sweep\['body.mass'\]: is nan"),
     "BAD_RANGE": (dict(over={"body.mass": (2.0, 1.0)}, samples=4), r"limit: \(low, high\)"),
     "BAD_SAMPLER": (dict(over={"body.mass": (1.0, 2.0)}, samples=4, sampler="dice"), "sobol latin"),
     "BAD_CHUNK": (dict(over={"body.mass": [1.0]}, chunk=0), "limit: >= 1"),
