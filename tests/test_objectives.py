@@ -31,7 +31,7 @@ def test_smooth_extremes_bound_the_true_ones(rng):
     assert float(objectives.peak(np.zeros(3))) == 0 and not jax.grad(objectives.peak)(jnp.zeros(3)).any()
     assert np.isnan([jb.objectives.peak([1.0, x]) for x in (np.nan, np.inf)]).all() and float(jb.objectives.peak([0.0])) == 0.0
     for wrong in (lambda: jb.objectives.peak([]), lambda: jb.objectives.smooth_max([], 1.0), lambda: jb.objectives.peak([1.0], power=0)):
-        with pytest.raises(jb.JaxbodyError, match="NO_DATA|BAD_NUMBER"):
+        with pytest.raises(jb.JaxbodyError, match=r"NO_DATA|BAD_NUMBER"):
             wrong()
     with pytest.raises(jb.JaxbodyError, match="BAD_WIDTH"):
         objectives.smooth_max(x, 0.0)
