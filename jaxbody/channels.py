@@ -66,6 +66,10 @@ class Measurement(eqx.Module):
         """What of it has a name in paths."""
         return {}
 
+    def absent(self) -> dict[str, str]:
+        """{path: how to have it} of what would have a name in paths if it were given."""
+        return {}
+
     def moved_rows(self, path: str, channel: str) -> Array | None:
         """(rows, parts) of booleans: which rows of a channel's record each part of a leaf of this measurement moves, none of them more than two
         parts that follow one another. None: any row."""

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.arrays import device_array, float_array
 from jaxbody.channels import Measurement
-from jaxbody.errors import JaxbodyError, Problems, warn
+from jaxbody.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.loads import Load, loads_of
 from jaxbody.models import Model, State
 from jaxbody.motions import Motion, as_motion, check_times
@@ -20,6 +20,13 @@ from jaxbody.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations import Trajectory, check_run, integrate, motions_of
 
 MANY_MISSING = 0.2
+NEUTRAL = {
+    "gain": "gain=1.0",
+    "bias": "bias=0.0",
+    "delay": "delay=0.0",
+    "lag": "lag=1e-3",
+    "start": "start=0.0",
+}  # of a chain, to set out from
 
 
 class Integration(eqx.Module):
@@ -136,6 +143,16 @@ class Experiment(Measurement):
             **self.sensors,
         }
 
+    def absent(self):
+        hint = "The experiment has no initial state: give it initial=State(q, v), or the .state of an equilibrium, to have one."
+        missing = {} if self.initial is not None else {"initial.q": hint, "initial.v": hint}
+        for name, sensor in self.sensors.items():
+            for stage in sensor.stages:
+                if getattr(sensor, stage) is None:
+                    given = NEUTRAL[stage] if stage != "start" or sensor.lag is not None else f"{NEUTRAL['lag']}, {NEUTRAL[stage]}"
+                    missing[f"{name}.{stage}"] = f"Sensor '{name}' has no {stage}: give it {given} to have one."
+        return missing
+
     def check(self, model: Model, where: str) -> None:
         """It fits the model."""
         try:
@@ -144,6 +161,22 @@ class Experiment(Measurement):
             check_sensors(self.sensors, model, "sensors")
         except JaxbodyError as error:
             raise JaxbodyError(*(_under(where, problem) for problem in error.problems)) from None
+
+
+def check_measurements(experiments: dict[str, Measurement], where: str) -> Problems:
+    """They are there, by name, and each is one: what is wrong, for who has more to tell. Raises WRONG_KIND where they are no dict."""
+    problems = Problems()
+    if not isinstance(experiments, dict):
+        kind = type(experiments).__name__
+        told = f"is one {kind} without a name" if isinstance(experiments, Measurement) else f"is a {kind}"
+        hint = 'Write {"run": experiment}: its name stands in paths and tables.'
+        raise JaxbodyError(Problem("WRONG_KIND", where, told, experiments, "a dict of experiments by name", hint))
+    if not experiments:
+        problems.add("NO_DATA", where, "is empty", limit="at least one Experiment")
+    for name, experiment in experiments.items():
+        if not isinstance(experiment, Measurement):
+            problems.add("WRONG_KIND", f"experiments[{name!r}]", f"is a {type(experiment).__name__}", value=experiment, limit="Experiment")
+    return problems
 
 
 def _under(where: str, problem):

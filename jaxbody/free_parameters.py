@@ -54,7 +54,14 @@ def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str
     owner = {leaf: run for run, leaf in leaves}
     arrays = {run: jax.tree.leaves(tree) for run, tree in roots.items()}
     sides = {pattern: [side.strip() for side in str(pattern).split("=")] for pattern in patterns}
-    found = matching(list(owner), dict.fromkeys(side for group in sides.values() for side in group), "fit.free")
+    for pattern in [pattern for pattern, group in sides.items() if len(group) > 1 and not all(group)]:
+        hint = 'Say "left.stiffness = right.stiffness".'
+        problems.add(
+            "UNKNOWN_PATH", "fit.free", f"'{pattern}' ties nothing on one side", value=pattern, limit="a path on both sides", hint=hint
+        )
+    absent = {f"{run}.{path}": hint for run, experiment in experiments.items() for path, hint in experiment.absent().items()}
+    named = dict.fromkeys(side for group in sides.values() for side in group if side or len(group) == 1)
+    found = {"": [], **matching(list(owner), named, "fit.free", problems, absent)}
     chosen: list[Leaf] = []
     groups: list[list[Leaf]] = []
     for pattern, group in sides.items():
@@ -63,8 +70,8 @@ def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str
             if leaf in chosen:
                 problems.add("LISTED_TWICE", "fit.free", f"names {leaf.path} twice, by '{pattern}' too", value=pattern)
         chosen += meant
-        groups += [meant] if len(group) > 1 else [[leaf] for leaf in meant]
-    if not chosen:
+        groups += [meant] if len(group) > 1 and meant else [[leaf] for leaf in meant]
+    if not chosen and not problems.found:
         problems.add("NOTHING_FREE", "fit.free", "is empty", limit="at least one path")
     size = size_of(model)
     free = []
@@ -95,8 +102,10 @@ def limits_of(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method
     low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
     if bounds and not (isinstance(method, str) and method == "least_squares"):
         problems.add("BAD_BOUNDS", "fit.bounds", 'are kept by method="least_squares" only', value=method)
+    if not _is_dict(bounds, "fit.bounds", "BAD_BOUNDS", "(lower, upper)", problems):
+        bounds = {}
     place = {leaf: i for i, f in enumerate(free) for _, leaf in f.places}
-    for pattern, leaves in matching(list(place), bounds, "fit.bounds").items():
+    for pattern, leaves in matching(list(place), bounds, "fit.bounds", problems).items():
         for leaf in leaves:
             i = place[leaf]
             form, where = free[i].form, f"fit.bounds['{leaf.path}']"
@@ -107,12 +116,21 @@ def limits_of(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method
     return np.concatenate(low), np.concatenate(high)
 
 
+def _is_dict(given: Any, where: str, code: str, pair: str, problems: Problems) -> bool:
+    if not isinstance(given, dict):
+        told, hint = f"is {given!r:.60}", f'Write {{"s.stiffness": {pair}}}; a pattern such as "*.stiffness" will do too.'
+        problems.add(code, where, told, value=given, limit="a dict of pairs by path", hint=hint)
+    return isinstance(given, dict)
+
+
 def priors_of(free: tuple[Free, ...], priors: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Array, Array]]:
     """{path: (mean, standard deviation)} of free parameters, as arrays of their shapes."""
     problems = Problems()
+    if not _is_dict(priors, "fit.priors", "BAD_PRIOR", "(mean, standard deviation)", problems):
+        priors = {}
     forms = {leaf: f for f in free for _, leaf in f.places}
     found = {}
-    for pattern, leaves in matching(list(forms), priors, "fit.priors").items():
+    for pattern, leaves in matching(list(forms), priors, "fit.priors", problems).items():
         for leaf in leaves:
             form, pair = forms[leaf].form, pair_of(priors[pattern], forms[leaf].form.start.shape)
             where = f"fit.priors['{leaf.path}']"

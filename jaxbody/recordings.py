@@ -45,6 +45,9 @@ def read_record(
     [0.981, 1.961, 0.0]
     """
     problems, name = Problems(), str(getattr(path, "name", path))[-100:]
+    if not isinstance(channels, dict):
+        told, hint = f"is {channels!r:.60}", 'Write {"acc": ("ax", "m/s2")}: your name, then column and unit.'
+        raise JaxbodyError(Problem("WRONG_KIND", "channels", told, channels, "a dict {name: column}", hint))
     wanted = {key: _wanted(spec, f"channels['{key}']", problems) for key, spec in channels.items()}
     clock = None if time is None else _wanted(time, "time", problems)
     if not channels:

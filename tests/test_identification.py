@@ -399,6 +399,15 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         ({"free": ["*.damping"]}, ["START_ON_BOUND"] * 2, ["t.damping", "hold.damping"]),
         ({"stepsize_controller": diffrax.ConstantStepSize()}, ["NO_STEP"], ["fit.dt0"]),
         ({"method": "simplex"}, ["UNKNOWN_METHOD"], ["simplex"]),
+        ({"max_evaluations": 0}, ["BAD_NUMBER"], ["fit.max_evaluations: is 0 (limit: a whole number >= 1)"]),
+        ({"free": None}, ["WRONG_KIND"], ['fit.free: is None (limit: paths or patterns). Say free=["*.stiffness"']),
+        ({"free": ["run.x.bias"]}, ["UNKNOWN_PATH"], ["Sensor 'x' has no bias: give it bias=0.0 to have one."]),
+        ({"free": ["run.*.lag", "run.x.start"]}, ["UNKNOWN_PATH"] * 2, ["give it lag=1e-3 to", "give it lag=1e-3, start=0.0 to"]),
+        ({"free": ["s.stiffness =", "run.x.biass"]}, ["UNKNOWN_PATH"] * 2, ["'s.stiffness =' ties nothing on one side", "matches nothing. Did you"]),
+        ({"priors": {"s.stiffness": (400, -1), "s.x": (1, 1)}}, ["UNKNOWN_PATH", "BAD_PRIOR"], ["'s.x' matches", "(400, -1)"]),
+        ({"bounds": {"s.stiffness": (2, 1), "s.x": (1, 1)}}, ["UNKNOWN_PATH", "BAD_BOUNDS"], ["'s.x' matches", "lower 2"]),
+        ({"bounds": [(300.0, 600.0)]}, ["BAD_BOUNDS"], ['is [(300.0, 600.0)] (limit: a dict of pairs by path). Write {"s.stiffness": (lower']),
+        ({"priors": [(300.0, 6.0)]}, ["BAD_PRIOR"], ['Write {"s.stiffness": (mean, standard deviation)}']),
         ({"bounds": {"cart.mass": (1, 3)}, "method": optax.adam(0.1)}, ["BAD_BOUNDS"], ["least_squares"]),
         ({"bounds": {"cart.mass": (1, 3)}, "method": GAUSS_NEWTON}, ["BAD_BOUNDS"], ["least_squares"]),
         ({"bounds": {"hold.stiffness": (1, 3)}}, ["UNKNOWN_PATH"], ["hold.stiffness"]),
@@ -406,10 +415,10 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         (
             {"bounds": {"cart.mass": (2, 2), "s.*": (1, 2), "t.stiffness": (np.nan, 90)}},
             ["BAD_BOUNDS", "START_OUTSIDE", "BAD_BOUNDS"],
-            ["lower 2 >= upper 2", "does not hold the start 104.0, by 102", "nan"],
+            ["lower 2 >= upper 2", "does not hold the start 104.0, by 102", "is (nan, 90), which has a NaN"],
         ),
     ],
-    ids=["unknown", "twice", "nothing", "start", "steps", "method", "optax", "optimistix", "elsewhere", "shapes", "several"],
+    ids=["unknown", "twice", "nothing", "start", "steps", "method", "evaluations", "none", "bias", "lag", "tie", "priors", "bounds", "list", "list of priors", "optax", "optimistix", "elsewhere", "shapes", "several"],
 )  # fmt: skip
 def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, told):
     found = problems_of(cart(), tracked(record), **options)
@@ -420,13 +429,38 @@ def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, told):
 def test_what_is_wrong_with_the_experiments_is_told_at_once(record):
     (run,) = tracked(record).values()
     assert [p.code for p in problems_of(cart(), {})] == ["NO_DATA"]
-    assert [p.code for p in problems_of(cart(), {"cart": run, "a.b": run, "c": 3})] == ["BAD_NAME", "BAD_NAME", "WRONG_KIND"]
+    found = problems_of(cart(), {"cart": run, "a.b": run, "s": run, "base": run, "world": run, 1: run, "c": 3})
+    assert [p.code for p in found] == ["WRONG_KIND", *["BAD_NAME"] * 6]
+    for told, problem in zip(
+        ("name of a body", "has . in", "of an element", "of a support", "is reserved", "no text"), found[1:], strict=True
+    ):
+        assert told in problem.message
     other = jb.Experiment(TIMES, sensors={"x": jb.Position("card")}, measured={"x": np.zeros((41, 3))})
     (problem,) = problems_of(cart(), {"run": other})
     assert problem.code == "UNKNOWN_NAME" and problem.where == "run.sensors['x']" and "'cart'" in problem.hint
     short = jb.State(jnp.zeros(2), jnp.zeros(1))
     (problem,) = problems_of(cart(), {"run": jb.Experiment(TIMES, initial=short, sensors=run.sensors, measured=run.measured)})
     assert problem.code == "BAD_SHAPE" and problem.where == "run.initial.q"
+
+
+def test_what_is_of_another_kind_is_told_and_no_traceback(record):
+    (run,) = tracked(record).values()
+    cases = [
+        (lambda: fit(cart(), run), "fit.experiments: is one Experiment without a name (limit: a dict of experiments by name). Write {\"run\": experiment}"),
+        (lambda: jb.validate(None, run), "validate.experiments: is one Experiment"),
+        (lambda: jb.multiple_shooting(cart(), run, free=FREE, segments=2), "multiple_shooting.experiments: is one Experiment"),
+        (lambda: fit("osc", {"run": run}), "fit.model: is a str (limit: jb.Model)"),
+    ]  # fmt: skip
+    for call, told in cases:
+        with pytest.raises(jb.JaxbodyError) as caught:
+            call()
+        assert caught.value.code == "WRONG_KIND" and told in str(caught.value)
+
+
+def test_an_experiment_without_an_initial_state_says_so(record):
+    run = jb.Experiment(TIMES, sensors={"x": jb.Position("cart", axis=[1, 0, 0])}, measured={"x": record})
+    (problem,) = problems_of(cart(), {"run": run}, free=["run.initial.*"])
+    assert problem.code == "UNKNOWN_PATH" and problem.hint.startswith("The experiment has no initial state: give it initial=State(q, v)")
 
 
 def test_one_pattern_may_stand_alone(record):

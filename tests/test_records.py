@@ -318,6 +318,7 @@ FILES = {  # content, file, options, code, place and words
     "units that differ": ("t,a [g]\n0,1\n1,2\n", "run.csv", {}, "UNIT_CONFLICT", "'g' in the file 'm/s2'"),
     "times in meters": (GOOD, "run.csv", {"time": ("t", "m")}, "WRONG_DIMENSION", "run.csv.times 'm' unit of time"),
     "no times": (GOOD, "run.csv", {"time": None}, "NO_TIME", "time=(\"t\", \"s\") rate="),
+    "channels that are no dict": (GOOD, "run.csv", {"channels": ["a"]}, "WRONG_KIND", "channels ['a'] {\"acc\": (\"ax\""),
     "a channel that is no name": (GOOD, "run.csv", {"channels": {"a": 1.5}}, "WRONG_KIND", "channels['a'] 1.5"),
 }  # fmt: skip
 
