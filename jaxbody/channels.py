@@ -15,6 +15,7 @@ class Channel(eqx.Module):
 
     shape: ClassVar[tuple[int, ...]]
     unit: ClassVar[str]
+    parts: ClassVar[tuple[str, ...]] = ()  # what the components of each unit are called, where there are several units
 
     def residual(self, reading: Array, measured: Array) -> Float[Array, "*r"]:
         """Reading less measured, zero where a sample is missing."""

@@ -107,7 +107,8 @@ class Record:
                 label = name + (f"[{k}]" if x.ndim == 2 else "")
                 gone = int(np.isnan(column).sum())
                 rows.append((label, self.units[name], self.stated[name], len(x) - gone, gone, np.nanmin(column), np.nanmax(column)))
-        note = f"{len(self.times)} times, {self.times[0]:.6g} to {self.times[-1]:.6g} s: {s.rate:.6g} Hz, jitter {100 * s.jitter / s.step:.2g} %, {s.missing} missing"
+        jitter = tables.percent(s.jitter / s.step)
+        note = f"{len(self.times)} times, {self.times[0]:.6g} to {self.times[-1]:.6g} s: {s.rate:.6g} Hz, {f'jitter {jitter}, ' if jitter else ''}{s.missing} missing"
         heads = ("channel", "unit", "stated in", "samples", "gaps", "least", "largest")
         return [tables.Table("Record", heads, rows, "\n".join([note, *self.notes]))]
 

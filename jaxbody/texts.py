@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jaxbody.errors import MOST_PROBLEMS, JaxbodyError, Problem, Problems
+from jaxbody.tables import counted
 from jaxbody.units import is_unit
 
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?|nan|NaN|NAN|NA|")  # nothing, or no number, is a missing sample
@@ -87,9 +88,9 @@ def read_text(
         raise JaxbodyError(Problem("BAD_LINE", f"{name}:{i}", f"is {line!r:.60}", line, "names or numbers", hint))
     names = [head if head and names.count(head) == 1 else f"{head}#{k}" if head else str(k) for k, head in enumerate(names)]
     columns = {head: Column(values[:, k], unit) for k, (head, unit) in enumerate(zip(names, units, strict=True))}
-    notes = [f"left out {count} lines {where}" for count, where in ((skip, "at the start"), (footer, "at the end")) if count]
+    notes = [f"left out {counted(count, 'line')} {where}" for count, where in ((skip, "at the start"), (footer, "at the end")) if count]
     if first - used > 0:
-        notes.append(f"passed over {first - used} line{'s' if first - used > 1 else ''} before the table")
+        notes.append(f"passed over {counted(first - used, 'line')} before the table")
     return Contents(columns, notes)
 
 

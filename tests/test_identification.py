@@ -1,6 +1,10 @@
 """Fits against an independent simulation and least-squares program in SciPy: optimum, standard errors, and what is said where they fail."""
 
+import re
+from typing import ClassVar
+
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +15,9 @@ import scipy.optimize
 from scipy.integrate import solve_ivp
 
 import jaxbody as jb
+from jaxbody.channels import Measurement
+from jaxbody.field_units import units_of
+from jaxbody.naming import leaves_of
 
 # A cart on a guide of a shaken base, on three springs. With two of them, their damper and the mass unknown, the third sets the scale.
 ENDS = {"s": [0.6, 0.5, 0.0], "t": [-0.3, 0.7, 0.0], "hold": [-0.6, -0.3, 0.0]}
@@ -138,7 +145,8 @@ def test_the_fit_says_what_it_found(found, record, optimum):
     np.testing.assert_allclose(found.correlation, r[1:] @ r[:-1] / (r @ r), rtol=1e-6)
     assert found.cost in found.history and found.cost <= min(found.history) * (1 + 1e-8) and len(found.history) == found.evaluations
     assert values_of(found).tolist() == [float(jb.paths(found.model)[path]) for path in FREE]
-    assert "79.92" in str(found) and "41 samples" in str(found) and str(found).endswith("ok") and "not determined" not in str(found)
+    assert re.search(r"\n  s.stiffness +79.92\d* +N/m +0.\d+ ", str(found)) and re.search(r"\n  s.damping +\S+ +N s/m ", str(found))
+    assert "41 samples" in str(found) and str(found).endswith("ok") and "not determined" not in str(found)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -320,6 +328,98 @@ def test_parameters_without_any_effect_are_named():
     assert [word.split()[0] for word in found.unidentified] == list(FREE) and "s.damping has no effect" in found.report()
     assert all(np.isinf(found.standard_errors[path]) for path in FREE)
     np.testing.assert_array_equal(values_of(found), START)
+
+
+class Mine(jb.Position):
+    """A sensor of a user's."""
+
+
+RIG_OF_ALL = jb.Model(
+    bodies={"plate": jb.Body(mass=3.0, inertia=[0.3, 0.4, 0.5]), "arm": jb.Body(mass=1.0, inertia=[1, 1, 1])},
+    supports={"base": jb.Support()},
+    joints={"arm": jb.Hinge("base", axis=[0, 0, 1])},
+    elements={
+        "strut": jb.SpringDamper(("plate", [0, 0, 0]), ("base", [0, 0, 1]), spring=jb.laws.Linear(1.0) + jb.laws.Stop(gap=0.1, stiffness=1.0), damper=2.0),
+        "torsion": jb.Torsion("arm", "base", axis=[0, 0, 1], spring=2.0, damper=jb.laws.Friction(level=1.0, velocity=1e-3)),
+        "mount": jb.Bushing(("plate", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=np.eye(6)),
+    },
+)  # fmt: skip
+RUN_OF_ALL = jb.Experiment(
+    [0.0, 1.0],
+    motion={"base": jb.Harmonic(frequency=1.0, translation=[0, 0, 0.01])},
+    initial=RIG_OF_ALL.reference,
+    sensors={
+        "plate6": jb.ForcePlate("base", gain=1.0, bias=np.zeros(6)),
+        "pose": jb.BodyPose("plate", bias=np.zeros(6)),
+        "acc": jb.Accelerometer("plate", axis=[0, 0, 1], bias=0.0, delay=0.0, lag=1e-3),
+        "mine": Mine("plate", axis=[0, 0, 1], bias=0.0),
+    },
+    measured={"plate6": np.zeros((2, 6)), "pose": np.tile([0, 0, 0, 1.0, 0, 0, 0], (2, 1)), "acc": [0, 0], "mine": [0, 0]},
+)
+
+
+class Weighed(Measurement):
+    """A reading without a simulation: times the stiffness of s along x."""
+
+    measured: dict = eqx.field(default_factory=dict)
+    noise: dict | None = None
+    channels: ClassVar = {"force": jb.ForcePlate("base")}  # pyright: ignore[reportIncompatibleMethodOverride]
+
+    def readings(self, model, integration):
+        along = model["s"].stiffness * model.joint("cart").axis
+        return {"force": jnp.arange(1.0, 5.0)[:, None] * jnp.concatenate([along, along])}
+
+
+def test_a_direction_that_the_data_cannot_tell_has_no_number_along_it_either():
+    """The first derivative of a unit vector along itself is zero; what there is of it moves with what is not known."""
+    along = np.multiply.outer(np.arange(1.0, 5.0), [120.0, 0, 0, 120.0, 0, 0])
+    along[:, [1, 2, 4, 5]] = np.nan
+    found = fit_with_warning("NEVER_MOVED", cart(), {"run": Weighed({"force": jnp.asarray(along)})}, free=["s.stiffness", "cart.axis"])
+    np.testing.assert_array_equal(found.standard_errors["cart.axis"], np.inf)
+    np.testing.assert_array_equal(found.intervals()["cart.axis"], [[-np.inf] * 3, [np.inf] * 3])
+    assert float(found.standard_errors["s.stiffness"]) < 1e-6 and float(found.estimates["s.stiffness"]) == pytest.approx(120)
+    printed = str(found)
+    assert printed.count("not determined") == 3 and re.search(r"\n  cart.axis\[0\] +1 +not determined\n", printed)
+    assert "\n  run.force force " in printed and "\n  run.force moment " in printed and "%" not in printed.split("interval")[1]
+
+
+@pytest.mark.parametrize(
+    ("path", "units"),
+    [
+        ("plate.mass", ["kg"]),
+        ("plate.inertia", ["kg m2"] * 9),
+        ("plate.com", ["m"] * 3),
+        ("plate.orientation", [""] * 4),
+        ("arm.axis", [""] * 3),
+        ("gravity", ["m/s2"] * 3),
+        ("strut.spring.terms.0.coefficient", ["N/m"]),
+        ("strut.spring.terms.1.gap", ["m"]),
+        ("strut.damper.coefficient", ["N s/m"]),
+        ("torsion.spring.coefficient", ["N m/rad"]),
+        ("torsion.damper.level", ["N m"]),
+        ("torsion.damper.velocity", ["rad/s"]),
+        ("torsion.free_angle", ["rad"]),
+        ("torsion.a", ["m"] * 3),
+        ("mount.stiffness", [*(["N/m"] * 3 + ["N"] * 3) * 3, *(["N"] * 3 + ["N m/rad"] * 3) * 3]),
+        ("run.initial.q", ["m"] * 3 + [""] * 4 + ["rad"]),
+        ("run.initial.v", ["m/s"] * 3 + ["rad/s"] * 4),
+        ("run.base.frequency", ["Hz"]),
+        ("run.base.rotation", ["rad"] * 3),
+        ("run.plate6.bias", ["N"] * 3 + ["N m"] * 3),
+        ("run.plate6.gain", [""]),
+        ("run.pose.bias", ["m"] * 3 + ["rad"] * 3),
+        ("run.acc.bias", ["m/s2"]),
+        ("run.acc.lag", ["s"]),
+        ("run.acc.delay", ["s"]),
+        ("run.mine.bias", ["m"]),
+    ],
+)
+def test_each_number_of_a_parameter_has_its_unit(path, units):
+    trees = {"": RIG_OF_ALL, "run": RUN_OF_ALL}
+    run = "run" if path.startswith("run.") else ""
+    leaf = next(leaf for leaf in leaves_of(trees[run], f"{run}." if run else "") if leaf.path == path)
+    value = np.asarray(leaf.read(jax.tree.leaves(trees[run])))
+    assert units_of(leaf, run, RIG_OF_ALL, {"run": RUN_OF_ALL}, value) == units
 
 
 def test_correlated_residuals_are_told_and_white_ones_are_not(clean, found):

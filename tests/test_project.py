@@ -26,7 +26,7 @@ ROWS = (
     "vibrations energies elastic_axes spins complex_modes branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
     "channels transducers sensors records attitudes instruments gauges",
-    "experiments diagnoses plausibilities measured_responses measured_modes parametrizations free_parameters losses colorings tasks checkpoints",
+    "experiments diagnoses plausibilities measured_responses measured_modes parametrizations free_parameters field_units losses colorings tasks checkpoints",
     "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts shootings profiles validations bands",
     "design_spaces optimizers design_programs tunings objectives designs fronts sweeps sensitivities tolerances",
     "canvases mode_plots response_plots fit_plots design_plots plots demos",

@@ -441,6 +441,13 @@ def test_sound_records_are_not_warned_of():
 # Repairs
 
 
+def test_round_off_of_times_is_no_jitter_and_one_line_is_one_line(tmp_path):
+    assert "jitter" not in str(jb.Record(np.arange(100) / 1e3, {"a": (np.arange(100.0), "m")}))
+    assert ", jitter " in str(jb.Record([0, 0.0101, 0.02, 0.0301], {"a": (np.arange(4.0), "m")}))
+    record = jb.read_record(written(tmp_path, "logger 7\n" + GOOD), skip=1, time=("t", "s"), channels={"a": ("a", "m")})
+    assert record.notes == ("left out 1 line at the start",)
+
+
 def test_repeated_rows_are_dropped_on_request_and_noted():
     rows = [0, 1, 1, 2, 3, 3, *range(4, 50)]
     record = jb.Record(TIMES[rows], {"x": (gone(X, 7)[rows], "m")}, drop_duplicates=True)
