@@ -42,7 +42,7 @@ def axes_below(ax: Any, height: float) -> Any:
     return below
 
 
-def legend(ax: Any, count: int) -> None:
+def legend(ax: Any, count: int, **options: Any) -> None:
     """Names beside the axes, unless they are too many."""
     if 0 < count <= MOST_LINES:
-        ax.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+        ax.legend(**options, frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)

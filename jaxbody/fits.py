@@ -28,7 +28,7 @@ class Fit(Result):
     """A fit: `model` and `experiments` with the estimates in them, `estimates` and `standard_errors` by path (infinite where the data cannot tell), `intervals(level)`,
     `covariance` of u, `singular_values` of the Jacobian with relative columns, `unidentified` in words, `predicted` {run: {sensor: array}},
     `noise` {run: {sensor: rms residual}} (of a pose two, in meters and radians), `correlation` (lag one) of the residuals, `cost` 1/2 r'r,
-    `history` of costs, `failed` trials that could not be simulated, `at_bound` in words,
+    `history` of costs, `rounds`, where in it the noise was estimated anew, `failed` trials that could not be simulated, `at_bound` in words,
     `limits` of u. `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED
     or AT_BOUND where it is not good. Leading axes of a batch stay; standard errors are not there inside jit or vmap.
 
@@ -51,6 +51,7 @@ class Fit(Result):
     failed: int
     at_bound: list[str]
     limits: tuple[np.ndarray, np.ndarray] | None = None
+    rounds: tuple[int, ...] = ()
 
     @property
     def paths(self) -> tuple[str, ...]:

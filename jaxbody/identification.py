@@ -209,7 +209,7 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Limits
         status = next((found for true, found in conditions if true), Status.OK)
     model, experiments = task.scatter(jnp.asarray(u))
     predicted = {run: runs[run][0] for run in task.experiments}
-    return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits)  # fmt: skip
+    return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds))  # fmt: skip
 
 
 def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:

@@ -94,7 +94,7 @@ class MeasuredModes(Measurement):
 
     @property
     def channels(self):
-        return {name: ModalChannel(UNITS[name]) for name in self.measured}
+        return {name: ModalChannel(unit) for name, unit in UNITS.items() if name in self.measured}
 
     def named(self):
         return dict(self.sensors)

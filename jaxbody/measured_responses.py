@@ -23,7 +23,7 @@ class ResponseChannel(Channel):
     """One complex response; a residual has its real and its imaginary part, each with the noise level as standard deviation."""
 
     shape = ()
-    unit = ""
+    unit: str = eqx.field(static=True, default="")  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def residual(self, reading, measured):
         difference = jnp.where(jnp.isnan(measured), 0.0, reading - measured)
@@ -94,7 +94,7 @@ class MeasuredResponse(Measurement):
 
     @property
     def channels(self):
-        return {_name(pair): ResponseChannel() for pair in self.pairs}
+        return {_name(pair): ResponseChannel(_unit(self.outputs[pair[0]], self.inputs[pair[1]])) for pair in self.pairs}
 
     def named(self):
         return {**self.inputs, **self.outputs, **({} if self.loss_factor is None else {"loss_factor": self.loss_factor})}
@@ -136,6 +136,14 @@ def told(model: Model) -> str:
 
 def _name(pair: tuple[str, str]) -> str:
     return f"{pair[0]}/{pair[1]}"
+
+
+def _unit(output: Any, source: Any) -> str:
+    """Of a response, "m/N", where the ports say theirs; of a ratio none."""
+    above, below = getattr(output, "unit", ""), getattr(source, "unit", "")
+    if not above or not below or above == below:
+        return ""
+    return f"{f'({above})' if '/' in above else above}/{f'({below})' if set(below) & set('/ ') else below}"
 
 
 def _by_element(loss_factor: Any) -> dict[str, Any]:

@@ -29,7 +29,7 @@ ROWS = (
     "experiments diagnoses plausibilities measured_responses measured_modes parametrizations free_parameters field_units losses colorings tasks checkpoints",
     "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts shootings profiles validations bands",
     "design_spaces optimizers design_programs tunings objectives designs fronts sweeps sensitivities tolerances",
-    "canvases mode_plots response_plots fit_plots design_plots plots demos",
+    "canvases mode_plots response_plots fit_plots measured_plots design_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
 
