@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.arrays import device_array, float_array
 from jaxbody.channels import Measurement
-from jaxbody.errors import JaxbodyError, Problem, Problems, warn
+from jaxbody.errors import JaxbodyError, Problem, Problems, is_concrete, warn
 from jaxbody.loads import Load, loads_of
 from jaxbody.models import Model, State
 from jaxbody.motions import Motion, as_motion, check_times
@@ -155,12 +155,28 @@ class Experiment(Measurement):
 
     def check(self, model: Model, where: str) -> None:
         """It fits the model."""
-        try:
-            loads_of(self.loads, model.layout.bodies)
-            check_run(model, self.times, motions_of(model, self.motion), self.loads, self.initial)
-            check_sensors(self.sensors, model, "sensors")
-        except JaxbodyError as error:
-            raise JaxbodyError(*(_under(where, problem) for problem in error.problems)) from None
+        problems = Problems()
+        problems.gather(lambda: loads_of(self.loads, model.layout.bodies))
+        motions = problems.gather(lambda: motions_of(model, self.motion))
+        if not problems.found:
+            problems.gather(lambda: check_run(model, self.times, motions, self.loads, self.initial))
+        problems.gather(lambda: check_sensors(self.sensors, model, "sensors"))
+        problems.found += [found for name in self.sensors if (found := self._too_late(name)) is not None]
+        problems.found = [_under(where, problem) for problem in problems.found]
+        problems.raise_if_any()
+
+    def _too_late(self, name: str) -> Problem | None:
+        """The delay of a sensor must leave samples that were measured."""
+        sensor = self.sensors[name]
+        if sensor.delay is None or not is_concrete(sensor.delay, self.times, self.measured[name]):
+            return None
+        there = self.present(name).reshape(len(self.times), -1).any(1)
+        if (np.asarray(sensor.weight(self.times)) * there).any():
+            return None
+        length = float(self.times[-1] - self.times[0])
+        told = f"is {float(sensor.delay):.6g} s in a record of {length:.6g} s: no measured sample is left to compare with"
+        hint = "Is it in milliseconds? Give seconds, a small part of the record."
+        return Problem("BAD_DELAY", f"sensors['{name}'].delay", told, float(sensor.delay), f"-{length:.6g} to {length:.6g} s", hint)
 
 
 def check_measurements(experiments: dict[str, Measurement], where: str) -> Problems:

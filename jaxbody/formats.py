@@ -17,12 +17,13 @@ from __future__ import annotations
 import gzip
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxbody.errors import JaxbodyError, Problem
+from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.mat_files import read_matlab
 from jaxbody.sources import Pick, find_name, kind_of, needed, numeric, told_of, too_large
 from jaxbody.texts import Column, Contents, read_text, split_unit
@@ -39,7 +40,10 @@ def read_columns(path: Any, wanted: list[str], *, format: str | None = None, lar
     kind = kind_of(path, format, largest)
 
     def pick(names: list[str]) -> dict[str, str]:
-        return {name: find_name(name, names, path.name) for name in wanted}
+        problems = Problems()
+        found = {name: problems.gather(partial(find_name, name, names, path.name)) for name in wanted}
+        problems.raise_if_any()
+        return found
 
     with told_of(path, kind):
         options = {"text": {"largest": largest, **text}, "mat": {"largest": largest}}.get(kind, {})

@@ -78,7 +78,7 @@ def fit(
     rtol, solver, stepsize_controller, dt0: as in `simulate`. Constant steps are several times faster where many experiments run side by side or where
     an input has kinks at samples on which the steps lie; that they are short enough is then yours to see to.
 
-    Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, NONFINITE_START,
+    Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, BAD_DELAY, NONFINITE_START,
     NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of `simulate`; inside jit and vmap NO_NOISE, where noise would have to be estimated. Warns by
     status, of CORRELATED_RESIDUALS and of FAILED_TRIALS.
 
@@ -227,7 +227,8 @@ def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
             problems.add("BAD_NAME", f"experiments[{name!r}]", told, value=name, hint=hint)
     problems.raise_if_any()
     for name, experiment in experiments.items():
-        experiment.check(model, name)
+        problems.gather(partial(experiment.check, model, name))
+    problems.raise_if_any()
 
 
 def _check_start(task: Task, r: np.ndarray, J: np.ndarray) -> None:

@@ -53,9 +53,13 @@ def read_record(
     if not channels:
         problems.add("NO_DATA", "channels", "is empty", limit="at least one", hint='Say channels={"acc": ("ax", "m/s2")}.')
     problems.raise_if_any()
+    stated = {f"{name}['{key}']": unit for key, (_, unit) in wanted.items()} | ({} if clock is None else {f"{name}.times": clock[1]})
+    for where, unit in stated.items():
+        problems.gather(lambda unit=unit, where=where: None if unit is None else units.parse(unit, where))
     asked = [column for columns, _ in (*wanted.values(), *([clock] if clock else [])) for column in columns]
     text = {"encoding": encoding, "separator": separator, "decimal": decimal, "skip": skip, "footer": footer}
-    found = formats.read_columns(path, list(dict.fromkeys(asked)), format=format, largest=largest, **text)
+    found = problems.gather(lambda: formats.read_columns(path, list(dict.fromkeys(asked)), format=format, largest=largest, **text))
+    problems.raise_if_any()
     notes = list(found.notes)
     times, time_unit = _clock(found.columns, clock, options.get("rate"), name, problems, notes)
     given = {}

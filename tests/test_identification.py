@@ -538,6 +538,16 @@ def test_what_is_wrong_with_the_experiments_is_told_at_once(record):
     other = jb.Experiment(TIMES, sensors={"x": jb.Position("card")}, measured={"x": np.zeros((41, 3))})
     (problem,) = problems_of(cart(), {"run": other})
     assert problem.code == "UNKNOWN_NAME" and problem.where == "run.sensors['x']" and "'cart'" in problem.hint
+    base = {"tabel": jb.Harmonic(frequency=1.0)}
+    lost = jb.Experiment(TIMES, motion=base, sensors={"x": jb.Position("cat", axis=[1, 0, 0])}, measured={"x": record})
+    assert [p.where for p in problems_of(cart(), {"run": lost, "two": other})] == [
+        "run.motion",
+        "run.sensors['x']",
+        "two.sensors['x']",
+    ]
+    late = jb.Experiment(TIMES, sensors={"x": jb.Position("cart", axis=[1, 0, 0], delay=100.0)}, measured={"x": record})
+    (problem,) = problems_of(cart(), {"run": late})
+    assert problem.code == "BAD_DELAY" and problem.where == "run.sensors['x'].delay" and "is 100 s in a record of 2 s" in problem.message
     short = jb.State(jnp.zeros(2), jnp.zeros(1))
     (problem,) = problems_of(cart(), {"run": jb.Experiment(TIMES, initial=short, sensors=run.sensors, measured=run.measured)})
     assert problem.code == "BAD_SHAPE" and problem.where == "run.initial.q"

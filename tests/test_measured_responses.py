@@ -231,6 +231,13 @@ def test_what_is_wrong_with_them_is_told_at_once(measured):
     ]
     found = codes_of(lambda: jb.MeasuredModes(frequency=[1.0, 2.0], damping_ratio=[0.1], pairing="mac", noise={"shapes": 1.0}))
     assert [code for code, _ in found] == ["BAD_SHAPE", "BAD_PAIRING", "UNKNOWN_NAME"]
+    assert codes_of(lambda: jb.MeasuredModes(frequency=[-1.0, 2.0])) == [("BAD_FREQUENCY", "MeasuredModes.frequency")]
+    ports = {"inputs": hammer(measured).inputs, "outputs": hammer(measured).outputs}
+    assert codes_of(lambda: jb.MeasuredResponse([3, 2, -1], measured={("x1", "g"): [1j, 2]}, **ports)) == [
+        ("BAD_FREQUENCY", "MeasuredResponse.frequencies"),
+        ("UNKNOWN_NAME", "MeasuredResponse.measured[('x1', 'g')]"),
+        ("BAD_SHAPE", "MeasuredResponse.measured[('x1', 'g')]"),
+    ]
     wrong = hammer(measured).outputs | {"x2": port("m3")}
     response = jb.MeasuredResponse(F, inputs=hammer(measured).inputs, outputs=wrong, measured=measured)
     assert codes_of(lambda: fit({"hammer": response})) == [("UNKNOWN_NAME", "hammer.outputs['x2']")]

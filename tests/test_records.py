@@ -346,6 +346,12 @@ def test_a_file_that_is_missing_or_a_directory(tmp_path):
         assert refused.value.code == code
 
 
+def test_columns_and_units_that_are_wrong_are_told_at_once(tmp_path):
+    with pytest.raises(jb.JaxbodyError) as refused:
+        jb.read_record(written(tmp_path, GOOD), time=("tt", "s"), channels={"a": ("a", "m/parsec"), "b": ("bb", "m")})
+    assert [problem.code for problem in refused.value.problems] == ["UNKNOWN_UNIT", "UNKNOWN_CHANNEL", "UNKNOWN_CHANNEL"]
+
+
 def test_a_byte_order_mark_and_blank_lines_do_no_harm(tmp_path):
     record = jb.read_record(
         written(tmp_path, b"\xef\xbb\xbft,a\r\n\r\n0,1\r\n0.01,\r\n0.02,3\r\n0.03,4\r\n0.04,5\r\n"),
