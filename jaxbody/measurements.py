@@ -67,7 +67,7 @@ class Record:
         problems.raise_if_any()
         if drop_duplicates:
             t, given = without_duplicates(t, given, name, notes)
-        sampling = check_sampling(t, problems, f"{name}.times", rate=rate, irregular=irregular, highest=highest)
+        sampling = check_sampling(t, problems, f"{name}.times", rate=rate, irregular=irregular, highest=highest, dropped=drop_duplicates)
         for key, (x, unit) in given.items():
             check_values(x, unit, t, problems, f"{name}['{key}']", may_lack=drop is not None)
         problems.raise_if_any()

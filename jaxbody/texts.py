@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import re
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class Column:
 class Contents:
     """Columns by name, and what was done to read them."""
 
-    columns: dict[str, Column]
+    columns: dict[Any, Column]
     notes: list[str] = field(default_factory=list)
 
 

@@ -192,6 +192,25 @@ def test_each_format_gives_the_same_record(kind, tmp_path):
     assert record.sampling.rate == pytest.approx(200, rel=1e-9) and record.sampling.missing == 0
 
 
+def test_channels_by_number_and_by_id_line(tmp_path):
+    pyuff = pytest.importorskip("pyuff", reason="pyuff is not installed: pip install 'jaxbody[files]'")
+    units = dict(ordinate_axis_units_lab="m/s2", ordinate_spec_data_type=12)
+    sets = [uff_set(rsp_dir=k + 1, id1=name, data=X[:, k], **units) for k, name in enumerate(["seat", "rail", "rail"])]
+    path = tmp_path / "run.uff"
+    pyuff.UFF(str(path)).write_sets(sets, "overwrite")
+    record = jb.read_record(path, channels={"first": 0, "last": 2, "named": "seat", "placed": "4+Y"})
+    for name, k in (("first", 0), ("last", 2), ("named", 0), ("placed", 1)):
+        np.testing.assert_allclose(record[name], X[:, k], rtol=1e-6)
+    for asked, told in (("rail", "It has: 4+X, 4+Y, 4+Z, seat"), (3, "has no channel of number 3: it has 3, counted from 0")):
+        with pytest.raises(jb.JaxbodyError, match="UNKNOWN_CHANNEL") as refused:
+            jb.read_record(path, channels={"a": asked})
+        assert told in str(refused.value)
+    record = jb.read_record(written(tmp_path, GOOD), time=(0, "s"), channels={"a": (1, "m")})
+    assert record["a"].tolist() == [1, 2, 3]
+    with pytest.raises(jb.JaxbodyError, match="is no universal file: it has no sets"):
+        jb.read_record(written(tmp_path, "junk\nmore junk\n", "junk.uff"), channels={"a": "a"})
+
+
 @pytest.mark.parametrize("missing", ["pyarrow.parquet", "h5py", "pyuff", "nptdms", "asammdf"])
 def test_a_missing_package_is_named_with_its_extra(missing, tmp_path, monkeypatch):
     import importlib
@@ -393,8 +412,14 @@ def gone(x, rows):
 BACK = np.concatenate([TIMES[:5], TIMES[3:-2]])
 RECORDS = {  # times, channel and unit, options, code, words
     "unsorted": (BACK, (X[:, 0], "m"), {}, "UNSORTED_TIME", "index 5: 0.02 s, then 0.015 s"),
-    "repeated": (np.repeat(TIMES, 2)[:50], (X[:, 0], "m"), {}, "DUPLICATE_TIME", "index 1"),
-    "repeated with other values": (np.repeat(TIMES, 2)[:50], (X[:, 0], "m"), {"drop_duplicates": True}, "DUPLICATE_TIME", "index 1"),
+    "repeated": (np.repeat(TIMES, 2)[:50], (X[:, 0], "m"), {}, "DUPLICATE_TIME", "index 1 drop_duplicates=True"),
+    "repeated with other values": (
+        np.repeat(TIMES, 2)[:50],
+        (X[:, 0], "m"),
+        {"drop_duplicates": True},
+        "DUPLICATE_TIME",
+        "index 1 differ in their values",
+    ),
     "NaN in times": (gone(TIMES, 12), (X[:, 0], "m"), {}, "NAN_TIME", "index 12"),
     "another rate": (TIMES, (X, "m"), {"rate": 200.3}, "RATE_MISMATCH", "200 Hz 200.3 0.1 %"),
     "jitter": (TIMES + 6e-4 * np.sin(np.arange(50)), (X, "m"), {}, "JITTER", "% of a step 5 % irregular=True"),
