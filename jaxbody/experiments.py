@@ -88,16 +88,12 @@ class Experiment(Measurement):
         arrays = {name: _samples(name, sensor, measured[name], checked, problems) for name, sensor in sensors.items() if name in measured}
         known = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
         levels = None if noise is None else noise_levels(known, noise, "Experiment.noise", problems, zero=False)
-        others = (*(motion or {}), "initial")
-        clash = [name for name in sensors if name in (*others, *(loads or {}))] + [name for name in loads or {} if name in others]
-        if clash:
-            problems.add(
-                "DUPLICATE_NAME",
-                f"Experiment.{'sensors' if clash[0] in sensors else 'loads'}['{clash[0]}']",
-                "is also a support, a load or reserved",
-                value=clash[0],
-                hint="Paths need different names.",
-            )
+        taken = {"initial": "is reserved"} | dict.fromkeys(motion or {}, "is the name of a support too")
+        for kind, names in (("loads", loads or {}), ("sensors", sensors)):
+            for name in [name for name in names if name in taken]:
+                where, hint = f"Experiment.{kind}['{name}']", "Paths need different names."
+                problems.add("DUPLICATE_NAME", where, taken[name], value=name, hint=hint)
+            taken |= dict.fromkeys(names, "is the name of a load too")
         for name in sensors:
             if not isinstance(name, str) or not name or set(name) & set(".*?[]"):
                 problems.add("BAD_NAME", f"Experiment.sensors[{name!r}]", "is no name", value=name, hint="None of . * ? [ ], for paths.")
