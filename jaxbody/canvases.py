@@ -42,6 +42,11 @@ def axes_below(ax: Any, height: float) -> Any:
     return below
 
 
+def pale(color: str) -> str:
+    """The color, half way to white: of points under a line, opaque, so that many of them don't darken to it."""
+    return "#" + "".join(f"{(int(color[i : i + 2], 16) + 255) // 2:02x}" for i in (1, 3, 5))
+
+
 def legend(ax: Any, count: int, **options: Any) -> None:
     """Names beside the axes, unless they are too many."""
     if 0 < count <= MOST_LINES:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.canvases import COLORS, INK, LIGHT, axes_below, axes_or_new, legend
+from jaxbody.canvases import COLORS, INK, LIGHT, axes_below, axes_or_new, legend, pale
 from jaxbody.channels import Channel
 from jaxbody.fit_plots import chosen, linearized, records_about
 from jaxbody.fits import Fit
@@ -56,7 +56,7 @@ def _draw_record(fit: Fit, run: str, sensor: str, part: int, ax: Any) -> Any:
     points, line = [], {"lw": 1.2} if experiment.series else {"ls": "none", "marker": "_", "ms": 16, "mew": 1.8}
     for color, i, name in zip(COLORS, shown, names, strict=False):
         center = np.mean(predicted[:, i]) if len(shown) > 1 and experiment.series else 0.0
-        points += ax.plot(x, measured[:, i] - center, color=color, alpha=0.4, zorder=2, **dots)
+        points += ax.plot(x, measured[:, i] - center, color=pale(color), zorder=2, **dots)
         ax.plot(x, predicted[:, i] - center, color=color, label=name, zorder=3, **line)
     bands = _bands(fit, run, sensor, residual.shape) if fit.uncertainty is not None else {}
     for color, i in zip(COLORS[len(shown) - len(left) :], left, strict=False):
@@ -101,7 +101,7 @@ def _draw_response(fit: Fit, run: str, sensor: str, ax: Any) -> Any:
         (ax, np.abs(measured), np.abs(predicted)),
         (below, *np.rad2deg([np.where(there, phase + apart, np.nan), phase])),
     ):
-        points += axes.plot(f, one, "o", color=COLORS[0], ms=5.0 if len(f) <= FEW else 3.5, mew=0, alpha=0.4, zorder=2)
+        points += axes.plot(f, one, "o", color=pale(COLORS[0]), ms=5.0 if len(f) <= FEW else 3.5, mew=0, zorder=2)
         axes.plot(f, other, color=COLORS[0], lw=1.2, zorder=3)
     ax.set_yscale("log")
     ax.set_ylabel(_with_unit(f"magnitude of {sensor}", experiment.channels[sensor].unit))
