@@ -79,6 +79,7 @@ class BodyPose(Attitude):
     on: str = eqx.field(static=True)
     places = 3
     unit = "m, rad"
+    parts = ("position", "orientation")
 
     def reading(self, model, frames):
         row = model.layout.frame(self.on)

@@ -23,6 +23,7 @@ from jaxbody.errors import JaxbodyError, Problems, Status, warn
 from jaxbody.measurements import Record
 from jaxbody.motions import Sampled
 from jaxbody.results import Result
+from jaxbody.tables import counted
 
 JUMP = 20  # standard deviations of the steps from sample to sample
 NAMES = ("x", "y", "z", "about x", "about y", "about z")
@@ -266,5 +267,5 @@ def _words(t: np.ndarray, degree: int | None, cutoff: float | None, slow: np.nda
         return ("nothing removed: at rest in the reference pose when the record begins",)
     kind = ("a constant", "a line")[degree] if degree < 2 else f"a polynomial of degree {degree}"
     what = f"removed from the accelerations: {kind}" + (f" and all below {cutoff:g} Hz" if cutoff else "")
-    what += f", {slow.shape[1]} functions over {t[-1]:.4g} s, true motion of that kind included"
+    what += f", {counted(slow.shape[1], 'function')} over {t[-1]:.4g} s, true motion of that kind included"
     return (what, *(["from the rates: the same, one degree less"] if turns else []))

@@ -42,7 +42,12 @@ def axes_below(ax: Any, height: float) -> Any:
     return below
 
 
-def legend(ax: Any, count: int) -> None:
+def pale(color: str) -> str:
+    """The color, half way to white: of points under a line, opaque, so that many of them don't darken to it."""
+    return "#" + "".join(f"{(int(color[i : i + 2], 16) + 255) // 2:02x}" for i in (1, 3, 5))
+
+
+def legend(ax: Any, count: int, **options: Any) -> None:
     """Names beside the axes, unless they are too many."""
     if 0 < count <= MOST_LINES:
-        ax.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+        ax.legend(**options, frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)

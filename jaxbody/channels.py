@@ -16,6 +16,7 @@ class Channel(eqx.Module):
     shape: ClassVar[tuple[int, ...]]
     unit: ClassVar[str]
     series: ClassVar[bool] = True  # samples follow one another: neighbors may be correlated, and there are enough to tell their noise
+    parts: ClassVar[tuple[str, ...]] = ()  # what the components of each unit are called, where there are several units
 
     def residual(self, reading: Array, measured: Array) -> Float[Array, "*r"]:
         """Reading less measured, zero where a sample is missing."""
@@ -64,6 +65,10 @@ class Measurement(eqx.Module):
 
     def named(self) -> dict[str, Any]:
         """What of it has a name in paths."""
+        return {}
+
+    def absent(self) -> dict[str, str]:
+        """{path: how to have it} of what would have a name in paths if it were given."""
         return {}
 
     def moved_rows(self, path: str, channel: str) -> Array | None:

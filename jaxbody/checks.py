@@ -16,6 +16,10 @@ _told_of_float32 = False
 def check_precision(where: str, model: Model, *, needs_float64: bool = False) -> None:
     """Float32 is told once, refused where half the digits would be lost; a switch that was moved after the model was built is an error."""
     global _told_of_float32
+    if not isinstance(model, Model):
+        raise JaxbodyError(
+            Problem("WRONG_KIND", f"{where}.model", f"is a {type(model).__name__}", model, "jb.Model", "Give the model first.")
+        )
     x64 = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
     dtype = model.gravity.dtype
     if x64 != (dtype == jnp.float64):

@@ -57,7 +57,9 @@ class CompileTimes:
         shown = rows[:MOST_ROWS]
         if rest:
             shown.append((f"{len(rest)} others", *(sum(column) for column in list(zip(*rest, strict=True))[1:])))
-        end = f"{self.count} compilations, {self.seconds:.3g} s" + (f", {self.cached} from the cache" if self.cached else "")
+        end = f"{tables.counted(self.count, 'compilation')}, {self.seconds:.3g} s" + (
+            f", {self.cached} from the cache" if self.cached else ""
+        )
         return tables.text(tables.Table("Compilations", ("function", "traced [s]", "lowered [s]", "compiled [s]", "count"), shown, end))
 
 

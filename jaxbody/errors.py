@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -76,6 +77,14 @@ class Problems:
 
     def add(self, code: str, where: str, message: str, *, value: Any = None, limit: str = "", hint: str = "") -> None:
         self.found.append(Problem(code, where, message, value, limit, hint))
+
+    def gather(self, look: Callable[[], Any]) -> Any:
+        """What `look` returns; None where it raises, and what is wrong is collected."""
+        try:
+            return look()
+        except JaxbodyError as error:
+            self.found += error.problems
+            return None
 
     def raise_if_any(self) -> None:
         if self.found:

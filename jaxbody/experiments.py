@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.arrays import device_array, float_array
 from jaxbody.channels import Measurement
-from jaxbody.errors import JaxbodyError, Problems, warn
+from jaxbody.errors import JaxbodyError, Problem, Problems, is_concrete, warn
 from jaxbody.loads import Load, loads_of
 from jaxbody.models import Model, State
 from jaxbody.motions import Motion, as_motion, check_times
@@ -20,6 +20,13 @@ from jaxbody.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations import Trajectory, check_run, integrate, motions_of
 
 MANY_MISSING = 0.2
+NEUTRAL = {
+    "gain": "gain=1.0",
+    "bias": "bias=0.0",
+    "delay": "delay=0.0",
+    "lag": "lag=1e-3",
+    "start": "start=0.0",
+}  # of a chain, to set out from
 
 
 class Integration(eqx.Module):
@@ -81,16 +88,12 @@ class Experiment(Measurement):
         arrays = {name: _samples(name, sensor, measured[name], checked, problems) for name, sensor in sensors.items() if name in measured}
         known = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
         levels = None if noise is None else noise_levels(known, noise, "Experiment.noise", problems, zero=False)
-        others = (*(motion or {}), "initial")
-        clash = [name for name in sensors if name in (*others, *(loads or {}))] + [name for name in loads or {} if name in others]
-        if clash:
-            problems.add(
-                "DUPLICATE_NAME",
-                f"Experiment.{'sensors' if clash[0] in sensors else 'loads'}['{clash[0]}']",
-                "is also a support, a load or reserved",
-                value=clash[0],
-                hint="Paths need different names.",
-            )
+        taken = {"initial": "is reserved"} | dict.fromkeys(motion or {}, "is the name of a support too")
+        for kind, names in (("loads", loads or {}), ("sensors", sensors)):
+            for name in [name for name in names if name in taken]:
+                where, hint = f"Experiment.{kind}['{name}']", "Paths need different names."
+                problems.add("DUPLICATE_NAME", where, taken[name], value=name, hint=hint)
+            taken |= dict.fromkeys(names, "is the name of a load too")
         for name in sensors:
             if not isinstance(name, str) or not name or set(name) & set(".*?[]"):
                 problems.add("BAD_NAME", f"Experiment.sensors[{name!r}]", "is no name", value=name, hint="None of . * ? [ ], for paths.")
@@ -136,14 +139,56 @@ class Experiment(Measurement):
             **self.sensors,
         }
 
+    def absent(self):
+        hint = "The experiment has no initial state: give it initial=State(q, v), or the .state of an equilibrium, to have one."
+        missing = {} if self.initial is not None else {"initial.q": hint, "initial.v": hint}
+        for name, sensor in self.sensors.items():
+            for stage in sensor.stages:
+                if getattr(sensor, stage) is None:
+                    given = NEUTRAL[stage] if stage != "start" or sensor.lag is not None else f"{NEUTRAL['lag']}, {NEUTRAL[stage]}"
+                    missing[f"{name}.{stage}"] = f"Sensor '{name}' has no {stage}: give it {given} to have one."
+        return missing
+
     def check(self, model: Model, where: str) -> None:
         """It fits the model."""
-        try:
-            loads_of(self.loads, model.layout.bodies)
-            check_run(model, self.times, motions_of(model, self.motion), self.loads, self.initial)
-            check_sensors(self.sensors, model, "sensors")
-        except JaxbodyError as error:
-            raise JaxbodyError(*(_under(where, problem) for problem in error.problems)) from None
+        problems = Problems()
+        problems.gather(lambda: loads_of(self.loads, model.layout.bodies))
+        motions = problems.gather(lambda: motions_of(model, self.motion))
+        if not problems.found:
+            problems.gather(lambda: check_run(model, self.times, motions, self.loads, self.initial))
+        problems.gather(lambda: check_sensors(self.sensors, model, "sensors"))
+        problems.found += [found for name in self.sensors if (found := self._too_late(name)) is not None]
+        problems.found = [_under(where, problem) for problem in problems.found]
+        problems.raise_if_any()
+
+    def _too_late(self, name: str) -> Problem | None:
+        """The delay of a sensor must leave samples that were measured."""
+        sensor = self.sensors[name]
+        if sensor.delay is None or not is_concrete(sensor.delay, self.times, self.measured[name]):
+            return None
+        there = self.present(name).reshape(len(self.times), -1).any(1)
+        if (np.asarray(sensor.weight(self.times)) * there).any():
+            return None
+        length = float(self.times[-1] - self.times[0])
+        told = f"is {float(sensor.delay):.6g} s in a record of {length:.6g} s: no measured sample is left to compare with"
+        hint = "Is it in milliseconds? Give seconds, a small part of the record."
+        return Problem("BAD_DELAY", f"sensors['{name}'].delay", told, float(sensor.delay), f"-{length:.6g} to {length:.6g} s", hint)
+
+
+def check_measurements(experiments: dict[str, Measurement], where: str) -> Problems:
+    """They are there, by name, and each is one: what is wrong, for who has more to tell. Raises WRONG_KIND where they are no dict."""
+    problems = Problems()
+    if not isinstance(experiments, dict):
+        kind = type(experiments).__name__
+        told = f"is one {kind} without a name" if isinstance(experiments, Measurement) else f"is a {kind}"
+        hint = 'Write {"run": experiment}: its name stands in paths and tables.'
+        raise JaxbodyError(Problem("WRONG_KIND", where, told, experiments, "a dict of experiments by name", hint))
+    if not experiments:
+        problems.add("NO_DATA", where, "is empty", limit="at least one Experiment")
+    for name, experiment in experiments.items():
+        if not isinstance(experiment, Measurement):
+            problems.add("WRONG_KIND", f"experiments[{name!r}]", f"is a {type(experiment).__name__}", value=experiment, limit="Experiment")
+    return problems
 
 
 def _under(where: str, problem):

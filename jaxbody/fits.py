@@ -12,20 +12,23 @@ from jaxtyping import Array, Float, Int
 from jaxbody import tables
 from jaxbody.channels import Measurement
 from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete
+from jaxbody.field_units import units_of
 from jaxbody.intervals import Interval, check_level, intervals_of
 from jaxbody.models import Model
+from jaxbody.parametrizations import Direction, Rotation
 from jaxbody.results import Result
 from jaxbody.tasks import Task
 from jaxbody.uncertainties import Uncertainty
 
 LEVEL = 0.95  # of the intervals that print
+STILL = 1e-9  # slope of a number, relative to the largest of its leaf, that is none
 
 
 class Fit(Result):
     """A fit: `model` and `experiments` with the estimates in them, `estimates` and `standard_errors` by path (infinite where the data cannot tell), `intervals(level)`,
     `covariance` of u, `singular_values` of the Jacobian with relative columns, `unidentified` in words, `predicted` {run: {sensor: array}},
     `noise` {run: {sensor: rms residual}} (of a pose two, in meters and radians), `correlation` (lag one) of the residuals, `cost` 1/2 r'r,
-    `history` of costs, `failed` trials that could not be simulated, `at_bound` in words,
+    `history` of costs, `rounds`, where in it the noise was estimated anew, `failed` trials that could not be simulated, `at_bound` in words,
     `limits` of u. `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED
     or AT_BOUND where it is not good. Leading axes of a batch stay; standard errors are not there inside jit or vmap.
 
@@ -48,6 +51,7 @@ class Fit(Result):
     failed: int
     at_bound: list[str]
     limits: tuple[np.ndarray, np.ndarray] | None = None
+    rounds: tuple[int, ...] = ()
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -69,13 +73,31 @@ class Fit(Result):
     @property
     def standard_errors(self) -> dict[str, np.ndarray]:
         """{path: standard error}, infinite where the data cannot tell."""
-        return self._assessed().standard_errors
+        found = self._assessed().standard_errors
+        return {path: np.where(lost, np.inf, found[path]) for path, lost in self._lost().items()}
+
+    def _lost(self) -> dict[str, np.ndarray]:
+        """Which numbers of a direction or an orientation move only to second order, in what the data cannot tell: a tilted axis z has
+        a first derivative of zero along z."""
+        error, _ = self._assessed().spread(np.eye(self.u.size))
+        found, first = {}, 0
+        for f in self.task.free:
+            mine = slice(first, first + f.form.size)
+            first = mine.stop
+            found[f.path] = np.zeros(f.form.start.shape, bool)
+            if isinstance(f.form, Direction | Rotation) and not np.isfinite(error[mine]).all():
+                G = np.asarray(jax.jacfwd(f.form.value)(self.u[mine]))
+                size = np.linalg.norm(G, axis=-1)
+                found[f.path] = size <= STILL * size.max()
+        return found
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """{path: (lower, upper)}, confidence intervals of this level: of what is positive by its logarithm, at a bound with one side. Error: BAD_LEVEL."""
         check_level(level, "fit.intervals.level")
         slopes = [np.asarray(G) for G in jax.jacfwd(self.task.values)(self.u)]
-        return intervals_of(self.task.free, np.asarray(self.u), slopes, self._assessed(), level)
+        found = intervals_of(self.task.free, np.asarray(self.u), slopes, self._assessed(), level)
+        lost = self._lost()
+        return {path: (np.where(lost[path], -np.inf, low), np.where(lost[path], np.inf, high)) for path, (low, high) in found.items()}
 
     @property
     def covariance(self) -> np.ndarray:
@@ -102,9 +124,9 @@ class Fit(Result):
         if status == Status.AT_BOUND:
             return ", ".join(self.at_bound) + "; its interval has one side, the others are estimated with it there"
         if status == Status.INTERRUPTED:
-            return f"after {int(self.evaluations)} evaluations; the best so far is kept; go on with fit(..., resume=this)"
+            return f"after {tables.counted(int(self.evaluations), 'evaluation')}; the best so far is kept; go on with fit(..., resume=this)"
         if status == Status.NOT_CONVERGED:
-            return f"after {int(self.evaluations)} evaluations; the best so far is kept; start nearer, or give more max_evaluations"
+            return f"after {tables.counted(int(self.evaluations), 'evaluation')}; the best so far is kept; start nearer, or give more max_evaluations"
         return ""
 
     def to_xarray(self) -> Any:
@@ -116,28 +138,34 @@ class Fit(Result):
     def _tables(self) -> list[tables.Table]:
         if self.uncertainty is None or not is_concrete(self.u):
             return [tables.Table("Fit", ("", ""), [(path, value) for path, value in self.estimates.items()])]
-        rows, ends = [], self.intervals(LEVEL)
-        names = {f.path: f.name for f in self.task.free}
-        for path, value in self.estimates.items():
-            columns = (np.asarray(x).ravel() for x in (value, self.standard_errors[path], *ends[path]))
-            for label, x, e, low, high in zip(_labels(names[path], np.asarray(value)), *columns, strict=True):
+        rows, ends, errors = [], self.intervals(LEVEL), self.standard_errors
+        for f, (path, value) in zip(self.task.free, self.estimates.items(), strict=True):
+            value = np.asarray(value)
+            units = units_of(f.places[0][1], f.places[0][0], self.model, self.experiments, value)
+            columns = (np.asarray(x).ravel() for x in (value, errors[path], *ends[path]))
+            for label, unit, x, e, low, high in zip(_labels(f.name, value), units, *columns, strict=True):
                 known = "not determined" if not np.isfinite(high - low) else "at its bound" if not np.isfinite(e) else float(e)
-                relative = f"{100 * e / abs(x):.2g} %" if np.isfinite(e) and x else ""
-                rows.append((label, float(x), known, relative, f"{low:.6g} to {high:.6g}" if np.isfinite(high - low) else ""))
-        fits = [
-            (f"{run}.{name}", float(rms), unit.strip())
-            for run, sensors in self.noise.items()
-            for name, levels in sensors.items()
-            for rms, unit in zip(np.ravel(levels), self.experiments[run].channels[name].unit.split(","), strict=True)
-        ]
+                relative = tables.percent(e / abs(x)) if x else ""
+                rows.append((label, float(x), unit, known, relative, f"{low:.6g} to {high:.6g}" if np.isfinite(high - low) else ""))
+        fits = [row for run, sensors in self.noise.items() for name, levels in sensors.items() for row in self._met(run, name, levels)]
         u = self.uncertainty
-        notes = [f"{u.samples} samples, {int(self.evaluations)} evaluations, {u.noise}; {self.report()}"]
+        counts = tables.counted(u.samples, "sample"), tables.counted(int(self.evaluations), "evaluation")
+        notes = [f"{', '.join(counts)}, {u.noise}; {self.report()}"]
         notes += u.about_noise()
         if status_words := ([] if int(self.status) in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED) else u.words):
             notes += status_words
         return [
-            tables.Table("Fit", ("parameter", "estimate", "standard error", "relative", f"{100 * LEVEL:g} % interval"), rows),
+            tables.Table("Fit", ("parameter", "estimate", "unit", "standard error", "relative", f"{100 * LEVEL:g} % interval"), rows),
             tables.Table("", ("sensor", "rms residual", "unit"), fits, "\n".join(notes)),
+        ]
+
+    def _met(self, run: str, name: str, levels: Array) -> list[tuple[str, float, str]]:
+        """How a sensor was met, in each of its units."""
+        channel = self.experiments[run].channels[name]
+        parts = [f" {part}" for part in channel.parts] or [""] * channel.units
+        return [
+            (f"{run}.{name}{part}", float(rms), unit.strip())
+            for rms, unit, part in zip(np.ravel(levels), channel.unit.split(","), parts, strict=True)
         ]
 
 

@@ -17,19 +17,20 @@ from __future__ import annotations
 import gzip
 import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxbody.errors import JaxbodyError, Problem
+from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.mat_files import read_matlab
-from jaxbody.sources import Pick, find_name, kind_of, needed, numeric, told_of, too_large
+from jaxbody.sources import Asked, Pick, find_name, kind_of, needed, numeric, told_of, too_large
 from jaxbody.texts import Column, Contents, read_text, split_unit
 from jaxbody.universal_files import read_uff
 
 
-def read_columns(path: Any, wanted: list[str], *, format: str | None = None, largest: float = 1e9, **text: Any) -> Contents:
+def read_columns(path: Any, wanted: list[Asked], *, format: str | None = None, largest: float = 1e9, **text: Any) -> Contents:
     """The columns that are wanted of a file, under the names that they were asked for.
 
     Errors: NO_FILE, IS_DIRECTORY, EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA, UNREADABLE, UNKNOWN_CHANNEL, NOT_A_NUMBER and
@@ -38,8 +39,11 @@ def read_columns(path: Any, wanted: list[str], *, format: str | None = None, lar
     path = Path(path)
     kind = kind_of(path, format, largest)
 
-    def pick(names: list[str]) -> dict[str, str]:
-        return {name: find_name(name, names, path.name) for name in wanted}
+    def pick(names: list[str], aliases: list[str] | None = None) -> dict[Asked, str]:
+        problems = Problems()
+        found = {name: problems.gather(partial(find_name, name, names, path.name, aliases)) for name in wanted}
+        problems.raise_if_any()
+        return found
 
     with told_of(path, kind):
         options = {"text": {"largest": largest, **text}, "mat": {"largest": largest}}.get(kind, {})

@@ -55,7 +55,8 @@ def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str
     leaves = [(run, leaf) for run, tree in roots.items() for leaf in leaves_of(tree, f"{run}." if run else "")]
     owner = {leaf: run for run, leaf in leaves}
     arrays = {run: jax.tree.leaves(tree) for run, tree in roots.items()}
-    found = ties(list(owner), patterns, "fit.free", problems)
+    absent = {f"{run}.{path}": hint for run, experiment in experiments.items() for path, hint in experiment.absent().items()}
+    found = ties(list(owner), patterns, "fit.free", problems, absent)
     size = size_of(model)
     free = []
     for tie in found:
@@ -81,8 +82,10 @@ def limits_of(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method
     low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
     if bounds and not (isinstance(method, str) and method == "least_squares"):
         problems.add("BAD_BOUNDS", "fit.bounds", 'are kept by method="least_squares" only', value=method)
+    if not _is_dict(bounds, "fit.bounds", "BAD_BOUNDS", "(lower, upper)", problems):
+        bounds = {}
     place = {leaf: (i, factor) for i, f in enumerate(free) for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
-    for pattern, leaves in matching(list(place), bounds, "fit.bounds").items():
+    for pattern, leaves in matching(list(place), bounds, "fit.bounds", problems).items():
         for leaf in leaves:
             i, factor = place[leaf]
             form, where = free[i].form, f"fit.bounds['{leaf.path}']"
@@ -94,12 +97,21 @@ def limits_of(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method
     return np.concatenate(low), np.concatenate(high)
 
 
+def _is_dict(given: Any, where: str, code: str, pair: str, problems: Problems) -> bool:
+    if not isinstance(given, dict):
+        told, hint = f"is {given!r:.60}", f'Write {{"s.stiffness": {pair}}}; a pattern such as "*.stiffness" will do too.'
+        problems.add(code, where, told, value=given, limit="a dict of pairs by path", hint=hint)
+    return isinstance(given, dict)
+
+
 def priors_of(free: tuple[Free, ...], priors: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Array, Array]]:
     """{path: (mean, standard deviation)} of free parameters, as arrays of their shapes."""
     problems = Problems()
+    if not _is_dict(priors, "fit.priors", "BAD_PRIOR", "(mean, standard deviation)", problems):
+        priors = {}
     forms = {leaf: (f, np.asarray(factor)) for f in free for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
     found = {}
-    for pattern, leaves in matching(list(forms), priors, "fit.priors").items():
+    for pattern, leaves in matching(list(forms), priors, "fit.priors", problems).items():
         for leaf in leaves:
             (parameter, factor), form = forms[leaf], forms[leaf][0].form
             pair = pair_of(priors[pattern], form.start.shape)

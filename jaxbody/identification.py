@@ -21,8 +21,8 @@ from jaxbody.channels import Measurement
 from jaxbody.checkpoints import resumed, save
 from jaxbody.checks import check_precision
 from jaxbody.colorings import PRIORS
-from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
-from jaxbody.experiments import Integration
+from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete, warn
+from jaxbody.experiments import Integration, check_measurements
 from jaxbody.fits import Fit
 from jaxbody.free_parameters import choose, limits_of, priors_of
 from jaxbody.implicit_fits import solve
@@ -78,7 +78,7 @@ def fit(
     rtol, solver, stepsize_controller, dt0: as in `simulate`. Constant steps are several times faster where many experiments run side by side or where
     an input has kinks at samples on which the steps lie; that they are short enough is then yours to see to.
 
-    Errors: UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, NONFINITE_START,
+    Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, BAD_DELAY, NONFINITE_START,
     NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of `simulate`; inside jit and vmap NO_NOISE, where noise would have to be estimated. Warns by
     status, of CORRELATED_RESIDUALS and of FAILED_TRIALS.
 
@@ -92,11 +92,14 @@ def fit(
     check_precision("fit", model, needs_float64=not allow_float32)
     check_steps(stepsize_controller, dt0, rtol, max_steps, "fit")
     check_loss(loss, "fit.loss")
+    if isinstance(max_evaluations, bool) or not isinstance(max_evaluations, int | np.integer) or max_evaluations < 1:
+        told, hint = f"is {max_evaluations!r:.40}", "1 is the start alone."
+        raise JaxbodyError(Problem("BAD_NUMBER", "fit.max_evaluations", told, max_evaluations, "a whole number >= 1", hint))
     _check_runs(model, experiments)
-    parameters = choose(model, experiments, [free] if isinstance(free, str) else list(free))
-    limits = limits_of(parameters, bounds or {}, method)
+    parameters = choose(model, experiments, _patterns(free))
+    limits = limits_of(parameters, {} if bounds is None else bounds, method)
     search = _search(method, limits)
-    known = priors_of(parameters, priors or {})
+    known = priors_of(parameters, {} if priors is None else priors)
     noise, estimated = first_noise(experiments, absolute=bool(known) or loss is not None)
     task = Task(
         model,
@@ -135,6 +138,16 @@ def fit(
     if evaluate.failed > evaluate.count / 2:
         warn("FAILED_TRIALS", f"{evaluate.failed} of {evaluate.count} trials of the fit could not be simulated")
     return result
+
+
+def _patterns(free: Any) -> list[str]:
+    """One pattern, or several, as a list."""
+    if isinstance(free, str):
+        return [free]
+    if not isinstance(free, Iterable):
+        limit, hint = "paths or patterns", 'Say free=["*.stiffness", "mass.mass"], what is to be found.'
+        raise JaxbodyError(Problem("WRONG_KIND", "fit.free", f"is {free!r:.60}", free, limit, hint))
+    return list(free)
 
 
 def _floor(task: Task) -> float:
@@ -196,21 +209,26 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Limits
         status = next((found for true, found in conditions if true), Status.OK)
     model, experiments = task.scatter(jnp.asarray(u))
     predicted = {run: runs[run][0] for run in task.experiments}
-    return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits)  # fmt: skip
+    return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds))  # fmt: skip
 
 
 def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
-    problems = Problems()
-    if not experiments:
-        problems.add("NO_DATA", "fit.experiments", "is empty", limit="at least one Experiment")
-    for name, experiment in experiments.items():
-        if name in (*model.names, "world", "gravity", PRIORS) or set(name) & set(".*?[]"):
-            problems.add("BAD_NAME", f"experiments['{name}']", "is the name of something else, or has one of . * ? [ ]", value=name)
-        elif not isinstance(experiment, Measurement):
-            problems.add("WRONG_KIND", f"experiments['{name}']", f"is a {type(experiment).__name__}", value=experiment, limit="Experiment")
+    problems = check_measurements(experiments, "fit.experiments")
+    for name in experiments:
+        taken = {"a body": model.layout.bodies, "a support": model.layout.supports, "an element": model.element_names}
+        what = next((kind for kind, names in taken.items() if name in names), None)
+        marks = "".join(mark for mark in ".*?[]" if isinstance(name, str) and mark in name)
+        told = (
+            "is no text" if not isinstance(name, str) else f"is the name of {what} of the model" if what
+            else "is reserved" if name in ("world", "gravity", PRIORS) else f"has {' '.join(marks)} in it" if marks else ""
+        )  # fmt: skip
+        if told:
+            hint = "Name the experiment otherwise: its name begins paths, none of . * ? [ ]."
+            problems.add("BAD_NAME", f"experiments[{name!r}]", told, value=name, hint=hint)
     problems.raise_if_any()
     for name, experiment in experiments.items():
-        experiment.check(model, name)
+        problems.gather(partial(experiment.check, model, name))
+    problems.raise_if_any()
 
 
 def _check_start(task: Task, r: np.ndarray, J: np.ndarray) -> None:

@@ -182,6 +182,7 @@ class ForcePlate(Sensor):
     on: str = eqx.field(static=True)
     shape = (6,)
     unit = "N, N m"
+    parts = ("force", "moment")
     accelerations = reactions = True
 
     def reading(self, model, frames):

@@ -300,6 +300,6 @@ def unit_vector(axis, where: str, problems: Problems) -> Any:
     if known is None:
         return n / jnp.linalg.norm(n)
     if not known.any():
-        problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give the direction of the joint.")
+        problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give a direction, such as [0, 0, 1].")
         return n
     return n / np.linalg.norm(known)

@@ -38,7 +38,7 @@ class MeasuredModes(Measurement):
     measured one and the multiple of the model's that is nearest to it. noise: {"frequency": [Hz], "damping_ratio": ..., "shapes": ...},
     each one number or one for each number measured; estimated from the residuals where it is not given. Natural modes are meant, those of small damping.
 
-    Errors, all at once: NO_DATA, BAD_SHAPE, NON_FINITE, ALL_NAN, BAD_NOISE, UNKNOWN_NAME, WRONG_KIND, BAD_PAIRING.
+    Errors, all at once: NO_DATA, BAD_SHAPE, BAD_FREQUENCY, NON_FINITE, ALL_NAN, BAD_NOISE, UNKNOWN_NAME, WRONG_KIND, BAD_PAIRING.
 
     >>> test = MeasuredModes(frequency=[0.8, 2.1], damping_ratio=[0.01, np.nan], noise={"frequency": 0.01})
     >>> list(test.channels)
@@ -66,6 +66,9 @@ class MeasuredModes(Measurement):
                 problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=str(expected[name]), hint=hint)
             elif known is not None and np.isinf(known).any():
                 problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN where there is none")
+            elif name == "frequency" and known is not None and (known < 0).any():
+                least = float(np.nanmin(known))
+                problems.add("BAD_FREQUENCY", where, f"has {least:g} Hz", value=least, limit=">= 0", hint="NaN where there is none.")
             elif known is not None and known.size and np.isnan(known).all():
                 problems.add("ALL_NAN", where, "has no number at all", hint="Leave it out.")
         if pairing not in ("order", "mac") or (pairing == "mac" and shapes is None):
@@ -94,7 +97,7 @@ class MeasuredModes(Measurement):
 
     @property
     def channels(self):
-        return {name: ModalChannel(UNITS[name]) for name in self.measured}
+        return {name: ModalChannel(unit) for name, unit in UNITS.items() if name in self.measured}
 
     def named(self):
         return dict(self.sensors)

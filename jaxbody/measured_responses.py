@@ -23,7 +23,7 @@ class ResponseChannel(Channel):
     """One complex response; a residual has its real and its imaginary part, each with the noise level as standard deviation."""
 
     shape = ()
-    unit = ""
+    unit: str = eqx.field(static=True, default="")  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def residual(self, reading, measured):
         difference = jnp.where(jnp.isnan(measured), 0.0, reading - measured)
@@ -63,8 +63,9 @@ class MeasuredResponse(Measurement):
     pairs: tuple[tuple[str, str], ...] = eqx.field(static=True)
 
     def __init__(self, frequencies, *, inputs, outputs, measured, noise=None, loss_factor=None):
-        self.frequencies = check_frequencies(frequencies, "MeasuredResponse.frequencies")
         problems = Problems()
+        checked = problems.gather(lambda: check_frequencies(frequencies, "MeasuredResponse.frequencies"))
+        shape = np.shape(frequencies if checked is None else checked)
         if not measured:
             problems.add("NO_DATA", "MeasuredResponse.measured", "is empty", limit="at least one pair (output, input)")
         arrays, levels = {}, {}
@@ -73,19 +74,20 @@ class MeasuredResponse(Measurement):
             for name, known in zip(pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, pair), (outputs, inputs), strict=True):
                 if name not in known:
                     problems.found.append(unknown(str(name), where, tuple(known)))
-            arrays[pair] = _complex(value, self.frequencies.shape, where, problems)
+            arrays[pair] = _complex(value, shape, where, problems)
         for pair, value in (noise if isinstance(noise, dict) else {} if noise is None else dict.fromkeys(measured, noise)).items():
             where = f"MeasuredResponse.noise[{pair!r}]"
             known: Any = np.asarray(value, float) if concrete(value) is not None else value
             if pair not in measured:
                 problems.add("UNKNOWN_NAME", where, "is of no measured pair", value=pair, limit=", ".join(map(str, measured)))
-            elif np.shape(known) not in ((), self.frequencies.shape):
-                problems.add("BAD_SHAPE", where, f"has shape {np.shape(known)}", value=known, limit=f"() or {self.frequencies.shape}")
+            elif np.shape(known) not in ((), shape):
+                problems.add("BAD_SHAPE", where, f"has shape {np.shape(known)}", value=known, limit=f"() or {shape}")
             elif isinstance(known, np.ndarray) and not (np.isfinite(known) & (known > 0)).all():
                 problems.add("BAD_NOISE", where, "is not positive", value=known, limit="> 0", hint="Leave noise out to have it estimated.")
             else:
                 levels[_name(pair)] = device_array(known)
         problems.raise_if_any()
+        self.frequencies = checked  # pyright: ignore[reportAttributeAccessIssue]
         self.inputs, self.outputs = dict(inputs), dict(outputs)
         self.loss_factor = None if loss_factor is None else {name: device_array(x) for name, x in _by_element(loss_factor).items()}
         self.measured = {_name(pair): jnp.asarray(x) for pair, x in arrays.items()}
@@ -94,7 +96,7 @@ class MeasuredResponse(Measurement):
 
     @property
     def channels(self):
-        return {_name(pair): ResponseChannel() for pair in self.pairs}
+        return {_name(pair): ResponseChannel(_unit(self.outputs[pair[0]], self.inputs[pair[1]])) for pair in self.pairs}
 
     def named(self):
         return {**self.inputs, **self.outputs, **({} if self.loss_factor is None else {"loss_factor": self.loss_factor})}
@@ -136,6 +138,14 @@ def told(model: Model) -> str:
 
 def _name(pair: tuple[str, str]) -> str:
     return f"{pair[0]}/{pair[1]}"
+
+
+def _unit(output: Any, source: Any) -> str:
+    """Of a response, "m/N", where the ports say theirs; of a ratio none."""
+    above, below = getattr(output, "unit", ""), getattr(source, "unit", "")
+    if not above or not below or above == below:
+        return ""
+    return f"{f'({above})' if '/' in above else above}/{f'({below})' if set(below) & set('/ ') else below}"
 
 
 def _by_element(loss_factor: Any) -> dict[str, Any]:

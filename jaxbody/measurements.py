@@ -67,7 +67,7 @@ class Record:
         problems.raise_if_any()
         if drop_duplicates:
             t, given = without_duplicates(t, given, name, notes)
-        sampling = check_sampling(t, problems, f"{name}.times", rate=rate, irregular=irregular, highest=highest)
+        sampling = check_sampling(t, problems, f"{name}.times", rate=rate, irregular=irregular, highest=highest, dropped=drop_duplicates)
         for key, (x, unit) in given.items():
             check_values(x, unit, t, problems, f"{name}['{key}']", may_lack=drop is not None)
         problems.raise_if_any()
@@ -107,7 +107,8 @@ class Record:
                 label = name + (f"[{k}]" if x.ndim == 2 else "")
                 gone = int(np.isnan(column).sum())
                 rows.append((label, self.units[name], self.stated[name], len(x) - gone, gone, np.nanmin(column), np.nanmax(column)))
-        note = f"{len(self.times)} times, {self.times[0]:.6g} to {self.times[-1]:.6g} s: {s.rate:.6g} Hz, jitter {100 * s.jitter / s.step:.2g} %, {s.missing} missing"
+        jitter = tables.percent(s.jitter / s.step)
+        note = f"{len(self.times)} times, {self.times[0]:.6g} to {self.times[-1]:.6g} s: {s.rate:.6g} Hz, {f'jitter {jitter}, ' if jitter else ''}{s.missing} missing"
         heads = ("channel", "unit", "stated in", "samples", "gaps", "least", "largest")
         return [tables.Table("Record", heads, rows, "\n".join([note, *self.notes]))]
 

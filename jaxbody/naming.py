@@ -75,9 +75,13 @@ def _fields(tree: Any) -> list[tuple[str, int]]:
     return [(".".join(name(key) for key in keys), leaf) for keys, leaf in jax.tree_util.tree_leaves_with_path(tree)]
 
 
-def matching(leaves: list[Leaf], patterns: Iterable[str], where: str) -> dict[str, list[Leaf]]:
-    """The leaves that each pattern means; a pattern that means nothing is an error with the nearest path."""
-    problems, found = Problems(), {}
+def matching(
+    leaves: list[Leaf], patterns: Iterable[str], where: str, problems: Problems | None = None, absent: dict[str, str] | None = None
+) -> dict[str, list[Leaf]]:
+    """The leaves that each pattern means; a pattern that means nothing is an error with the nearest path, or with what `absent` {path: hint} says
+    of one that there could be. It goes to `problems`, where these are collected, and is raised where not."""
+    collected, found = problems is not None, {}
+    problems = Problems() if problems is None else problems
     by_path = {leaf.path: leaf for leaf in leaves}
     for pattern in patterns:
         exact = by_path.get(pattern)
@@ -85,8 +89,12 @@ def matching(leaves: list[Leaf], patterns: Iterable[str], where: str) -> dict[st
         if not found[pattern]:
             paths = [leaf.path for leaf in leaves]
             near = difflib.get_close_matches(str(pattern), paths, 3, 0.5) or paths[:3]
-            problems.add("UNKNOWN_PATH", where, f"'{pattern}' matches nothing.", value=pattern, hint=f"Did you mean {' or '.join(near)}?")
-    problems.raise_if_any()
+            hint = next(
+                (how for path, how in (absent or {}).items() if fnmatchcase(path, str(pattern))), f"Did you mean {' or '.join(near)}?"
+            )
+            problems.add("UNKNOWN_PATH", where, f"'{pattern}' matches nothing.", value=pattern, hint=hint)
+    if not collected:
+        problems.raise_if_any()
     return found
 
 

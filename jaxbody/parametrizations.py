@@ -251,6 +251,9 @@ def sound_bounds(
         problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
     elif ends is None:
         problems.add("BAD_BOUNDS", where, f"is {given!r:.60}", value=given, limit="(lower, upper)")
+    elif np.isnan(ends).any():
+        hint = "A side without a bound is -inf or inf."
+        problems.add("BAD_BOUNDS", where, f"is {given!r:.60}, which has a NaN", value=given, limit="numbers", hint=hint)
     elif not (ends[0] < ends[1]).all():
         problems.add("BAD_BOUNDS", where, f"has lower {given[0]} >= upper {given[1]}", value=given, limit="lower < upper")
     elif ((start < ends[0] - slack) | (start > ends[1] + slack)).any():

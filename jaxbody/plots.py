@@ -22,13 +22,13 @@ from jaxbody.elements import LineElement
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.fit_plots import plot_autocorrelation as plot_autocorrelation
 from jaxbody.fit_plots import plot_correlations as plot_correlations
-from jaxbody.fit_plots import plot_fit as plot_fit
 from jaxbody.fit_plots import plot_history as plot_history
 from jaxbody.fit_plots import plot_profile as plot_profile
 from jaxbody.frames import Pose
 from jaxbody.joints import Guide
 from jaxbody.kinematics import Coordinates, supports_at
 from jaxbody.linearizations import Linearization
+from jaxbody.measured_plots import plot_fit as plot_fit
 from jaxbody.mode_plots import plot_branches as plot_branches
 from jaxbody.mode_plots import plot_mode_energies as plot_mode_energies
 from jaxbody.models import WORLD, Model, State, unknown

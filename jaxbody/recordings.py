@@ -10,6 +10,7 @@ import numpy as np
 from jaxbody import formats, units
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.measurements import Record
+from jaxbody.sources import Asked
 from jaxbody.texts import Column
 
 
@@ -29,8 +30,8 @@ def read_record(
 ) -> Record:
     """The Record in a file: CSV and other tables of text (also .gz), Parquet, MATLAB, HDF5, UFF58, TDMS, MDF4, PEER AT2, by its ending or `format`.
 
-    channels {name: columns} or {name: (columns, unit)}: columns is a column's name or number, or a list of them; "X[2]" is a column of an
-    array. time, the same: a name, or (name, unit). Units come from the file, "acc [g]" or its own fields, or from you; where both state one they
+    channels {name: columns} or {name: (columns, unit)}: columns is a column's name or number (counted from 0), or a list of them; "X[2]" is a column of an
+    array, "1+Z" in a UFF file what node 1 did along Z, which may also be named by its id line where that is like no other. time, the same: a name, or (name, unit). Units come from the file, "acc [g]" or its own fields, or from you; where both state one they
     must agree. UFF, TDMS, MDF and AT2 files state times themselves; without any, give rate=. Text: encoding, separator, decimal, and how many lines
     to skip at the start and, of a footer, at the end. largest, of a file [bytes]. Further options as of `Record`. The one channel of an
     AT2 file is called "motion".
@@ -45,14 +46,21 @@ def read_record(
     [0.981, 1.961, 0.0]
     """
     problems, name = Problems(), str(getattr(path, "name", path))[-100:]
+    if not isinstance(channels, dict):
+        told, hint = f"is {channels!r:.60}", 'Write {"acc": ("ax", "m/s2")}: your name, then column and unit.'
+        raise JaxbodyError(Problem("WRONG_KIND", "channels", told, channels, "a dict {name: column}", hint))
     wanted = {key: _wanted(spec, f"channels['{key}']", problems) for key, spec in channels.items()}
     clock = None if time is None else _wanted(time, "time", problems)
     if not channels:
         problems.add("NO_DATA", "channels", "is empty", limit="at least one", hint='Say channels={"acc": ("ax", "m/s2")}.')
     problems.raise_if_any()
+    stated = {f"{name}['{key}']": unit for key, (_, unit) in wanted.items()} | ({} if clock is None else {f"{name}.times": clock[1]})
+    for where, unit in stated.items():
+        problems.gather(lambda unit=unit, where=where: None if unit is None else units.parse(unit, where))
     asked = [column for columns, _ in (*wanted.values(), *([clock] if clock else [])) for column in columns]
     text = {"encoding": encoding, "separator": separator, "decimal": decimal, "skip": skip, "footer": footer}
-    found = formats.read_columns(path, list(dict.fromkeys(asked)), format=format, largest=largest, **text)
+    found = problems.gather(lambda: formats.read_columns(path, list(dict.fromkeys(asked)), format=format, largest=largest, **text))
+    problems.raise_if_any()
     notes = list(found.notes)
     times, time_unit = _clock(found.columns, clock, options.get("rate"), name, problems, notes)
     given = {}
@@ -71,24 +79,26 @@ def read_record(
     return record
 
 
-def _wanted(spec: Any, where: str, problems: Problems) -> tuple[list[str], str | None]:
+def _wanted(spec: Any, where: str, problems: Problems) -> tuple[list[Asked], str | None]:
     """Columns and, where it is stated, unit."""
     columns, unit = spec if isinstance(spec, tuple) and len(spec) == 2 else (spec, None)
     names = columns if isinstance(columns, list) else [columns]
     if not names or not all(isinstance(name, str | int) for name in names) or not isinstance(unit, str | None):
         problems.add("WRONG_KIND", where, f"is {spec!r:.60}", value=spec, limit='"ax", ("ax", "m/s2") or (["ax", "ay"], "m/s2")')
         return [], None
-    return [str(name) for name in names], unit
+    return names, unit
 
 
-def _part(column: Column, asked: str) -> np.ndarray:
+def _part(column: Column, asked: Asked) -> np.ndarray:
     """The values; of an array, the column that "X[2]" means."""
-    index = re.search(r"\[(\d+)\]$", asked)
+    index = re.search(r"\[(\d+)\]$", str(asked))
     if index is None or column.values.ndim == 1:
         return column.values
     if int(index[1]) >= column.values.shape[1]:
         told = f"has {column.values.shape[1]} columns"
-        raise JaxbodyError(Problem("UNKNOWN_CHANNEL", asked, told, asked, f"[0] to [{column.values.shape[1] - 1}]", "They count from 0."))
+        raise JaxbodyError(
+            Problem("UNKNOWN_CHANNEL", str(asked), told, asked, f"[0] to [{column.values.shape[1] - 1}]", "They count from 0.")
+        )
     return column.values[:, int(index[1])]
 
 
@@ -115,7 +125,7 @@ def _unit(stated: str | None, said: set[str | None], where: str, problems: Probl
     return stated
 
 
-def _clock(columns: dict[str, Column], clock: Any, rate: Any, name: str, problems: Problems, notes: list[str]) -> tuple[Any, str]:
+def _clock(columns: dict[Any, Column], clock: Any, rate: Any, name: str, problems: Problems, notes: list[str]) -> tuple[Any, str]:
     """Times and their unit: of a column, of the file itself, or none where a rate is given."""
     if clock is not None:
         column = columns[clock[0][0]]

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.samplings import counts_of
+from jaxbody.tables import counted
 
 FILLS = ("linear", "spline")
 
@@ -20,7 +21,9 @@ def without_duplicates(t: np.ndarray, given: dict[str, Any], name: str, notes: l
         same &= ((rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1]))).all(1)
     keep = np.concatenate([[True], ~same])
     if same.any():
-        notes.append(f"dropped {int(same.sum())} rows that repeat the one before, the first at {t[1:][same][0]:.9g} s")
+        notes.append(
+            f"dropped {counted(int(same.sum()), 'row')} that {'repeats' if same.sum() == 1 else 'repeat'} the one before, the first at {t[1:][same][0]:.9g} s"
+        )
     return t[keep], {key: (x[keep], unit) for key, (x, unit) in given.items()}
 
 
@@ -43,7 +46,7 @@ def filled(t: np.ndarray, given: dict[str, Any], fill: str, max_gap: int, notes:
     places = np.repeat(np.flatnonzero(fits) + 1, counts[fits] - 1)
     new = np.insert(t, places, np.concatenate(added)) if added else t
     if added:
-        notes.append(f"put in {len(places)} rows that were missing")
+        notes.append(f"put in {counted(len(places), 'row')} that {'was' if len(places) == 1 else 'were'} missing")
     out = {}
     for key, (x, unit) in given.items():
         rows = np.insert(x.reshape(len(x), -1), places, np.nan, axis=0)
@@ -58,6 +61,6 @@ def filled(t: np.ndarray, given: dict[str, Any], fill: str, max_gap: int, notes:
                 CubicSpline(new[~gone], column[~gone]) if fill == "spline" else lambda s, c=column, g=gone: np.interp(s, new[~g], c[~g])
             )
             rows[at, k] = between(new[at])
-            notes.append(f"filled {len(at)} samples of '{key}'" + (f"[{k}]" if x.ndim == 2 else "") + f" by {fill}")
+            notes.append(f"filled {counted(len(at), 'sample')} of '{key}'" + (f"[{k}]" if x.ndim == 2 else "") + f" by {fill}")
         out[key] = (rows.reshape(len(new), *x.shape[1:]), unit)
     return new, out

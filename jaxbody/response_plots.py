@@ -37,7 +37,7 @@ def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> A
     (unit,) = units if len(units) == 1 else ("",)
     ax.set_ylabel(f"magnitude [{unit}]" if unit else "magnitude")
     ax.tick_params(labelbottom=False)
-    _hertz(below, f)
+    hertz(below, f)
     below.set_ylabel("phase [degrees]")
     below.yaxis.get_major_locator().set_params(steps=[1, 1.8, 3.6, 4.5, 9, 10])
     legend(ax, len(response.outputs) * len(response.inputs))
@@ -61,7 +61,7 @@ def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any
     ax.axhspan(1.0, max(2.0, 2 * top), color=LIGHT, alpha=0.4, lw=0, zorder=0)
     ax.axhline(1.0, color=GRAY, lw=0.8)
     ax.set(ylabel="transmissibility", ylim=(None, max(2.0, 2 * top)))
-    _hertz(ax, f)
+    hertz(ax, f)
     legend(ax, len(ratios))
     return ax
 
@@ -85,7 +85,7 @@ def plot_psd(response: RandomResponse, *, outputs: tuple[str, ...] | None = None
         ax.loglog(f, psd[response.outputs.index(name)], color=COLORS[i % len(COLORS)], lw=1.5, label=label)
     shown = unit if unit.isalpha() else f"({unit})"
     ax.set_ylabel(f"power spectral density [{shown}$^2$/Hz]")
-    _hertz(ax, f)
+    hertz(ax, f)
     top = max(np.nanmax(psd[response.outputs.index(name)]) for name in names)
     ax.set_ylim(bottom=max(ax.get_ylim()[0], top * 1e-8))
     legend(ax, len(names))
@@ -100,7 +100,7 @@ def _pairs(response: FrequencyResponse) -> list[tuple[int, int, str]]:
     return [(i, j, name) for i, j, name in pairs if not size[i, j] <= 1e-12 * size[i].max()] or pairs
 
 
-def _hertz(ax: Any, f: np.ndarray) -> None:
+def hertz(ax: Any, f: np.ndarray) -> None:
     """Frequencies below, as plain numbers: all of 1, 2, 5 where there are few decades."""
     from matplotlib.ticker import LogLocator, NullFormatter
 

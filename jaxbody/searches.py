@@ -44,6 +44,7 @@ class Evaluations:
     def __init__(self, function: Callable, most: int, *, floor: float = 0.0, progress: bool = False, better: Callable = lambda u: None):
         self.function, self.most, self.floor, self.progress, self.better = function, most, floor, progress, better
         self.count, self.failed, self.history, self.best, self._least, self._last, self._turned = 0, 0, [], None, np.inf, None, None
+        self.rounds: list[int] = []  # counts at which another function began
 
     def __call__(self, u) -> tuple[np.ndarray, np.ndarray]:
         return self._at(u)[:2]
@@ -61,6 +62,7 @@ class Evaluations:
 
     def renew(self, function: Callable, floor: float) -> None:
         """Go on with another function."""
+        self.rounds.append(self.count)
         self.function, self.floor, self.best, self._least, self._last = function, floor, None, np.inf, None
 
     def _at(self, u) -> tuple[np.ndarray, np.ndarray, Any]:

@@ -22,7 +22,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.channels import Channel, Measurement
 from jaxbody.errors import JaxbodyError, JaxbodyWarning, Problem
-from jaxbody.experiments import Experiment, Integration
+from jaxbody.experiments import Experiment, Integration, check_measurements
 from jaxbody.fits import Fit
 from jaxbody.identification import fit
 from jaxbody.models import Model, State
@@ -145,6 +145,7 @@ def multiple_shooting(
     >>> round(float(multiple_shooting(model, {"track": track}, free="spring.stiffness", segments=4).estimates["spring.stiffness"]), 4)
     39.4784
     """
+    check_measurements(experiments, "multiple_shooting.experiments").raise_if_any()  # pyright: ignore[reportArgumentType]
     least = min((len(experiment.times) for experiment in experiments.values()), default=2)
     if not 2 <= segments < least:
         raise JaxbodyError(Problem("BAD_NUMBER", "multiple_shooting.segments", f"is {segments}", segments, f"2 to {least - 1}"))

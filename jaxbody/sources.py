@@ -15,7 +15,8 @@ import numpy as np
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.texts import split_unit
 
-Pick = Callable[[list[str]], dict[str, str]]  # {name as asked for: name in the file}, of all names in the file
+Asked = str | int  # a name, or the number of one
+Pick = Callable[..., dict[Asked, str]]  # {name as asked for: name in the file}, of all names in the file, and of other names that they have
 MAGIC = {b"\x89HDF": "hdf5", b"PAR1": "parquet", b"TDSm": "tdms", b"MDF ": "mdf", b"MATLAB": "mat", b"PK\x03\x04": "zip or xlsx", b"\x1f\x8b": "gzip"}  # fmt: skip
 SUFFIXES = {
     "text": ".csv .txt .tsv .dat .asc", "parquet": ".parquet .pq", "mat": ".mat", "hdf5": ".h5 .hdf5 .hdf", "uff": ".uff .unv .uf",
@@ -62,16 +63,26 @@ def too_large(name: str, size: float, largest: float) -> Problem:
     return Problem("TOO_LARGE", name, f"has {size:.4g} bytes", size, f"{largest:.4g} bytes", hint)
 
 
-def find_name(asked: str, names: list[str], where: str) -> str:
-    """The name in the file of a channel: itself, or without its unit, or without an index such as [2]."""
+def find_name(asked: str | int, names: list[str], where: str, aliases: list[str] | None = None) -> str:
+    """The name in the file of a channel, or one of `aliases` of channels: itself, without its unit, without an index such as [2]; a number counts
+    the names from 0."""
+    if isinstance(asked, int):
+        if 0 <= asked < len(names):
+            return names[asked]
+        told = f"has no channel of number {asked}: it has {len(names)}, counted from 0"
+        raise JaxbodyError(Problem("UNKNOWN_CHANNEL", where, told, asked, f"0 to {len(names) - 1}", _shown(names)))
+    names = [*names, *(aliases or ())]
     for name in (str(asked), re.sub(r"\[\d+\]$", "", str(asked))):
         matches = [known for known in names if known == name] or [known for known in names if split_unit(known)[0] == split_unit(name)[0]]
         if len(matches) == 1:
             return matches[0]
     near = difflib.get_close_matches(str(asked), names, 3, 0.5)
-    shown = ", ".join(names[:12]) + (", ..." if len(names) > 12 else "")
-    hint = (f"Did you mean {' or '.join(near)}? " if near else "") + f"It has: {shown or 'nothing that can be read'}."
+    hint = (f"Did you mean {' or '.join(near)}? " if near else "") + _shown(names)
     raise JaxbodyError(Problem("UNKNOWN_CHANNEL", where, f"has no channel '{asked}'", asked, hint=hint))
+
+
+def _shown(names: list[str]) -> str:
+    return f"It has: {', '.join(names[:12]) or 'nothing that can be read'}{', ...' if len(names) > 12 else ''}."
 
 
 def needed(module: str, package: str, extra: str, what: str) -> Any:

@@ -10,6 +10,7 @@ import numpy as np
 from jax.core import Tracer
 
 MOST_ROWS = 40
+ROUND_OFF = 1e-8  # shares below which nothing is said
 
 
 @dataclass
@@ -34,6 +35,22 @@ def number(value: Any) -> str:
     if array.ndim == 1 and array.size <= 7:
         return " ".join(f"{x:.6g}" for x in array.tolist())
     return "array " + " x ".join(map(str, array.shape))
+
+
+def percent(share: Any) -> str:
+    """A share in percent, to two digits; nothing where it is round-off, or no number.
+
+    >>> percent(0.0123), percent(2.1), percent(2e-14)
+    ('1.2 %', '210 %', '')
+    """
+    if not np.isfinite(share) or abs(share) < ROUND_OFF:
+        return ""
+    return f"{float(f'{100 * share:.2g}'):g} %"
+
+
+def counted(count: int, what: str) -> str:
+    """A number of things: "1 line", "2 lines"."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def without_dust(values: Any) -> Any:

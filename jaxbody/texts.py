@@ -9,14 +9,17 @@ from __future__ import annotations
 import csv
 import re
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from jaxbody.errors import MOST_PROBLEMS, JaxbodyError, Problem, Problems
+from jaxbody.tables import counted
 from jaxbody.units import is_unit
 
 NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?|nan|NaN|NAN|NA|")  # nothing, or no number, is a missing sample
 COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+THOUSANDS = re.compile(r"[+-]?\d{1,3}([,' ]\d{3})+(\.\d*)?|[+-]?\d{1,3}(\.\d{3})+(,\d*)?")
 COMMENTS = ("#", "%", "!")
 LONGEST_PREAMBLE = 1000
 
@@ -34,7 +37,7 @@ class Column:
 class Contents:
     """Columns by name, and what was done to read them."""
 
-    columns: dict[str, Column]
+    columns: dict[Any, Column]
     notes: list[str] = field(default_factory=list)
 
 
@@ -83,13 +86,13 @@ def read_text(
     names, units, used = _heads([line for _, line in lines[:first]], separator, values.shape[1])
     if any(NUMBER.fullmatch(cell) and cell for cell in names) and used:
         i, line = lines[first - used]
-        hint = f"If it is neither names nor numbers, say skip={i}."
+        hint = _thousands(_cells(line, separator)) or f"If it is neither names nor numbers, say skip={i}."
         raise JaxbodyError(Problem("BAD_LINE", f"{name}:{i}", f"is {line!r:.60}", line, "names or numbers", hint))
     names = [head if head and names.count(head) == 1 else f"{head}#{k}" if head else str(k) for k, head in enumerate(names)]
     columns = {head: Column(values[:, k], unit) for k, (head, unit) in enumerate(zip(names, units, strict=True))}
-    notes = [f"left out {count} lines {where}" for count, where in ((skip, "at the start"), (footer, "at the end")) if count]
+    notes = [f"left out {counted(count, 'line')} {where}" for count, where in ((skip, "at the start"), (footer, "at the end")) if count]
     if first - used > 0:
-        notes.append(f"passed over {first - used} line{'s' if first - used > 1 else ''} before the table")
+        notes.append(f"passed over {counted(first - used, 'line')} before the table")
     return Contents(columns, notes)
 
 
@@ -124,9 +127,17 @@ def _pointed(cell: str, decimal: str) -> str:
     return cell if decimal == "." else cell.replace(".", "?").replace(decimal, ".")
 
 
+def _thousands(cells: list[str]) -> str:
+    """What is told of a number in groups of three digits; "" where there is none."""
+    cell = next((cell for cell in cells if THOUSANDS.fullmatch(cell) and not NUMBER.fullmatch(cell)), None)
+    return "" if cell is None else f"{cell!r} has separators of thousands, or quotes around them: write numbers without."
+
+
 def _no_numbers(lines: list[tuple[int, str]], name: str, separator: str | None, decimal: str) -> JaxbodyError:
     i, line = lines[0] if lines else (1, "")
     hint = f"Numbers, separated by {separator or 'commas, semicolons, tabs or blanks'}, with '{decimal}' in them, below one line of names."
+    grouped = (_thousands(_cells(row, separator or _separator(row))) for _, row in lines[:LONGEST_PREAMBLE])
+    hint = next((told for told in grouped if told), hint)
     told = f"has no line of numbers alone; line {i} is {line!r:.60}" if lines else "has no line that is not blank"
     return JaxbodyError(Problem("NO_NUMBERS", name, told, i, "a table of numbers", hint))
 
@@ -144,9 +155,11 @@ def _numbers(rows: list[tuple[int, str]], name: str, separator: str, decimal: st
     problems = Problems()
     cells = [_cells(line, separator) for _, line in rows]
     width = len(cells[0])
+    no_numbers = [[cell for cell in row if not NUMBER.fullmatch(_pointed(cell, decimal))] for row in cells]
+    last_good = max((k for k, row in enumerate(cells) if len(row) == width and not no_numbers[k]), default=0)
     for k, ((i, line), row) in enumerate(zip(rows, cells, strict=True)):
         where = f"{name}:{i}"
-        wrong = [cell for cell in row if not NUMBER.fullmatch(_pointed(cell, decimal))]
+        wrong = no_numbers[k]
         comma = next((cell for cell in wrong if COMMA_NUMBER.fullmatch(cell)), None)
         if len(row) != width:
             last = k == len(rows) - 1 and not complete and len(row) < width
@@ -155,15 +168,23 @@ def _numbers(rows: list[tuple[int, str]], name: str, separator: str, decimal: st
             problems.add("TRUNCATED" if last else "RAGGED_LINE", where, told, value=len(row), limit=limit, hint=hint)
         elif comma is not None:
             hint = f'It may be a decimal comma: say decimal=",", separator="{separator}".'
+            hint += " If it separates thousands, write numbers without." if THOUSANDS.fullmatch(comma) else ""
             problems.add("DECIMAL_COMMA", where, f"has {comma!r}", value=comma, limit="a decimal point", hint=hint)
         elif wrong and wrong[0].lower().lstrip("+-") in ("inf", "infinity", "1.#inf"):
             problems.add(
                 "NON_FINITE", where, f"has {wrong[0]!r}", value=wrong[0], limit="finite", hint="Leave the cell empty for no sample."
             )
         elif wrong:
-            left = len(rows) - k
-            hint = f"If the table ends before it, say footer={left}." if left < 20 else "Is it text within the table?"
-            problems.add("BAD_LINE", where, f"has {wrong[0]!r:.40}", value=wrong[0], limit="numbers", hint=hint)
+            at_end = k > last_good
+            if at_end and k > last_good + 1:
+                continue  # told with the first line of the footer
+            hint = _thousands(wrong) or (
+                f"If the table ends before it, say footer={len(rows) - k}; where it stands for a missing sample, leave the cell empty or write nan."
+                if at_end
+                else "Numbers follow: where it stands for a missing sample, leave the cell empty or write nan."
+            )
+            told = f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}"
+            problems.add("BAD_LINE", where, told, value=wrong[0], limit="numbers", hint=hint)
         if len(problems.found) >= MOST_PROBLEMS:
             break
     problems.raise_if_any()

@@ -20,11 +20,16 @@ Factor = float | tuple[float, ...]
 Tie = dict[Leaf, Factor]  # of each leaf, its value over that of the first one
 
 
-def ties(leaves: list[Leaf], free: Iterable[str], where: str, problems: Problems) -> list[Tie]:
-    """The parameters that are free: of a path or pattern each leaf, of "a = b" all together, "a = b * factor" of them a number or a list of numbers."""
-    sides = {str(entry): [_side(side, where, problems) for side in str(entry).split(" = ")] for entry in free}
-    problems.raise_if_any()
-    matched = matching(leaves, dict.fromkeys(pattern for entry in sides.values() for pattern, _ in entry), where)
+def ties(leaves: list[Leaf], free: Iterable[str], where: str, problems: Problems, absent: dict[str, str] | None = None) -> list[Tie]:
+    """The parameters that are free: of a path or pattern each leaf, of "a = b" all together, "a = b * factor" of them a number or a list of
+    numbers. absent: as of `matching`."""
+    sides = {str(entry): [_side(side, where, problems) for side in str(entry).split("=")] for entry in free}
+    for entry in [entry for entry, parts in sides.items() if len(parts) > 1 and not all(pattern for pattern, _ in parts)]:
+        limit, hint = "a path on both sides", 'Say "left.stiffness = right.stiffness".'
+        problems.add("UNKNOWN_PATH", where, f"'{entry}' ties nothing on one side", value=entry, limit=limit, hint=hint)
+        sides[entry] = [part for part in sides[entry] if part[0]]
+    named = dict.fromkeys(pattern for parts in sides.values() for pattern, _ in parts)
+    matched = matching(leaves, named, where, problems, absent)
     taken: set[Leaf] = set()
     found: list[Tie] = []
     for entry, parts in sides.items():
@@ -38,7 +43,7 @@ def ties(leaves: list[Leaf], free: Iterable[str], where: str, problems: Problems
         ratios: Tie = {leaf: _ratio(first, factor) for leaf, factor in meant.items()}
         apart: list[Tie] = [{leaf: 1.0} for leaf in meant]
         found += [ratios] if len(parts) > 1 else apart
-    if not found:
+    if not found and not problems.found:
         problems.add("NOTHING_FREE", where, "is empty", limit="at least one path", hint='Name what may change: free=["*.stiffness"].')
     return found
 
@@ -55,6 +60,7 @@ def _side(text: str, where: str, problems: Problems) -> tuple[str, Any]:
     if factor.ndim > 1 or not (np.isfinite(factor) & (factor != 0)).all():
         limit = "a number or a list of numbers, none 0"
         problems.add("BAD_TIE", where, f"has the factor {parts[2]}", value=text, limit=limit, hint='Write "left.a = right.a * [1, -1, 1]".')
+        return parts[1], 1.0
     return parts[1], factor
 
 

@@ -19,7 +19,16 @@ def sets_of(path: Path) -> list[dict[str, Any]]:
     """The functions (sets 58) of a universal file."""
     pyuff = needed("pyuff", "pyuff", "files", path.name)
     file = pyuff.UFF(str(path))
-    return [file.read_sets(i) for i, kind in enumerate(file.get_set_types()) if int(kind) == 58]
+    kinds = [int(kind) for kind in file.get_set_types()]
+    if 58 not in kinds:
+        told = (
+            f"has no function of time or response (set 58), only sets {sorted(set(kinds))}"
+            if kinds
+            else "is no universal file: it has no sets"
+        )
+        hint = "Export responses as functions (set 58)." if kinds else 'Is the ending right? If it is not, say format="...".'
+        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, told, kinds, "sets 58", hint))
+    return [file.read_sets(i) for i, kind in enumerate(kinds) if kind == 58]
 
 
 def _uff_place(s: dict[str, Any], of: str) -> str:
@@ -37,12 +46,14 @@ def _distinct(names: list[str]) -> list[str]:
 
 
 def read_uff(path: Path, pick: Pick) -> Contents:
-    """Functions of time. Errors: UNKNOWN_CHANNEL, NOT_A_RECORD."""
+    """Functions of time, by node and direction or by an id line that no other has. Errors: WRONG_FORMAT, UNKNOWN_CHANNEL, NOT_A_RECORD."""
     sets = sets_of(path)
     names = _distinct([_uff_place(s, "rsp") for s in sets])
+    lines = [str(s.get("id1") or "").strip() for s in sets]
+    places = {line: i for i, line in enumerate(lines) if line not in ("", "NONE", *names) and lines.count(line) == 1}
     columns = {}
-    for asked, name in pick(names).items():
-        s = sets[names.index(name)]
+    for asked, name in pick(names, list(places)).items():
+        s = sets[names.index(name) if name in names else places[name]]
         if int(s["func_type"]) not in (0, 1) or np.iscomplexobj(s["data"]):
             told = f"'{name}' is no function of time (function type {int(s['func_type'])})"
             hint = "Read a time response; read_responses reads frequency responses."

@@ -15,7 +15,8 @@ from jaxtyping import Array
 from jaxbody import tables
 from jaxbody.autocorrelations import Whiteness, whiteness
 from jaxbody.channels import Measurement
-from jaxbody.errors import Problems, Status
+from jaxbody.errors import Status
+from jaxbody.experiments import check_measurements
 from jaxbody.fits import Fit
 from jaxbody.noises import records_of
 from jaxbody.results import Result, warn_if_failed
@@ -70,13 +71,7 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     >>> print(f"{100 * validate(found, {'two': run(jnp.linspace(0, 2, 41), 0.02)}).nrmse['two.x']:.1f} %")
     2.3 %
     """
-    problems = Problems()
-    if not experiments:
-        problems.add("NO_DATA", "validate.experiments", "is empty", limit="at least one Experiment")
-    for name, experiment in experiments.items():
-        if not isinstance(experiment, Measurement):
-            problems.add("WRONG_KIND", f"experiments['{name}']", f"is a {type(experiment).__name__}", value=experiment, limit="Experiment")
-    problems.raise_if_any()
+    check_measurements(experiments, "validate.experiments").raise_if_any()
     for name, experiment in experiments.items():
         experiment.check(fit.model, name)
     noise = {run: {name: jnp.ones(np.shape(channel.spread(0.0))) for name, channel in e.channels.items()} for run, e in experiments.items()}

@@ -1,6 +1,10 @@
 """Fits against an independent simulation and least-squares program in SciPy: optimum, standard errors, and what is said where they fail."""
 
+import re
+from typing import ClassVar
+
 import diffrax
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +15,9 @@ import scipy.optimize
 from scipy.integrate import solve_ivp
 
 import jaxbody as jb
+from jaxbody.channels import Measurement
+from jaxbody.field_units import units_of
+from jaxbody.naming import leaves_of
 
 # A cart on a guide of a shaken base, on three springs. With two of them, their damper and the mass unknown, the third sets the scale.
 ENDS = {"s": [0.6, 0.5, 0.0], "t": [-0.3, 0.7, 0.0], "hold": [-0.6, -0.3, 0.0]}
@@ -138,7 +145,8 @@ def test_the_fit_says_what_it_found(found, record, optimum):
     np.testing.assert_allclose(found.correlation, r[1:] @ r[:-1] / (r @ r), rtol=1e-6)
     assert found.cost in found.history and found.cost <= min(found.history) * (1 + 1e-8) and len(found.history) == found.evaluations
     assert values_of(found).tolist() == [float(jb.paths(found.model)[path]) for path in FREE]
-    assert "79.92" in str(found) and "41 samples" in str(found) and str(found).endswith("ok") and "not determined" not in str(found)
+    assert re.search(r"\n  s.stiffness +79.92\d* +N/m +0.\d+ ", str(found)) and re.search(r"\n  s.damping +\S+ +N s/m ", str(found))
+    assert "41 samples" in str(found) and str(found).endswith("ok") and "not determined" not in str(found)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -322,6 +330,98 @@ def test_parameters_without_any_effect_are_named():
     np.testing.assert_array_equal(values_of(found), START)
 
 
+class Mine(jb.Position):
+    """A sensor of a user's."""
+
+
+RIG_OF_ALL = jb.Model(
+    bodies={"plate": jb.Body(mass=3.0, inertia=[0.3, 0.4, 0.5]), "arm": jb.Body(mass=1.0, inertia=[1, 1, 1])},
+    supports={"base": jb.Support()},
+    joints={"arm": jb.Hinge("base", axis=[0, 0, 1])},
+    elements={
+        "strut": jb.SpringDamper(("plate", [0, 0, 0]), ("base", [0, 0, 1]), spring=jb.laws.Linear(1.0) + jb.laws.Stop(gap=0.1, stiffness=1.0), damper=2.0),
+        "torsion": jb.Torsion("arm", "base", axis=[0, 0, 1], spring=2.0, damper=jb.laws.Friction(level=1.0, velocity=1e-3)),
+        "mount": jb.Bushing(("plate", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=np.eye(6)),
+    },
+)  # fmt: skip
+RUN_OF_ALL = jb.Experiment(
+    [0.0, 1.0],
+    motion={"base": jb.Harmonic(frequency=1.0, translation=[0, 0, 0.01])},
+    initial=RIG_OF_ALL.reference,
+    sensors={
+        "plate6": jb.ForcePlate("base", gain=1.0, bias=np.zeros(6)),
+        "pose": jb.BodyPose("plate", bias=np.zeros(6)),
+        "acc": jb.Accelerometer("plate", axis=[0, 0, 1], bias=0.0, delay=0.0, lag=1e-3),
+        "mine": Mine("plate", axis=[0, 0, 1], bias=0.0),
+    },
+    measured={"plate6": np.zeros((2, 6)), "pose": np.tile([0, 0, 0, 1.0, 0, 0, 0], (2, 1)), "acc": [0, 0], "mine": [0, 0]},
+)
+
+
+class Weighed(Measurement):
+    """A reading without a simulation: times the stiffness of s along x."""
+
+    measured: dict = eqx.field(default_factory=dict)
+    noise: dict | None = None
+    channels: ClassVar = {"force": jb.ForcePlate("base")}  # pyright: ignore[reportIncompatibleMethodOverride]
+
+    def readings(self, model, integration):
+        along = model["s"].stiffness * model.joint("cart").axis
+        return {"force": jnp.arange(1.0, 5.0)[:, None] * jnp.concatenate([along, along])}
+
+
+def test_a_direction_that_the_data_cannot_tell_has_no_number_along_it_either():
+    """The first derivative of a unit vector along itself is zero; what there is of it moves with what is not known."""
+    along = np.multiply.outer(np.arange(1.0, 5.0), [120.0, 0, 0, 120.0, 0, 0])
+    along[:, [1, 2, 4, 5]] = np.nan
+    found = fit_with_warning("NEVER_MOVED", cart(), {"run": Weighed({"force": jnp.asarray(along)})}, free=["s.stiffness", "cart.axis"])
+    np.testing.assert_array_equal(found.standard_errors["cart.axis"], np.inf)
+    np.testing.assert_array_equal(found.intervals()["cart.axis"], [[-np.inf] * 3, [np.inf] * 3])
+    assert float(found.standard_errors["s.stiffness"]) < 1e-6 and float(found.estimates["s.stiffness"]) == pytest.approx(120)
+    printed = str(found)
+    assert printed.count("not determined") == 3 and re.search(r"\n  cart.axis\[0\] +1 +not determined\n", printed)
+    assert "\n  run.force force " in printed and "\n  run.force moment " in printed and "%" not in printed.split("interval")[1]
+
+
+@pytest.mark.parametrize(
+    ("path", "units"),
+    [
+        ("plate.mass", ["kg"]),
+        ("plate.inertia", ["kg m2"] * 9),
+        ("plate.com", ["m"] * 3),
+        ("plate.orientation", [""] * 4),
+        ("arm.axis", [""] * 3),
+        ("gravity", ["m/s2"] * 3),
+        ("strut.spring.terms.0.coefficient", ["N/m"]),
+        ("strut.spring.terms.1.gap", ["m"]),
+        ("strut.damper.coefficient", ["N s/m"]),
+        ("torsion.spring.coefficient", ["N m/rad"]),
+        ("torsion.damper.level", ["N m"]),
+        ("torsion.damper.velocity", ["rad/s"]),
+        ("torsion.free_angle", ["rad"]),
+        ("torsion.a", ["m"] * 3),
+        ("mount.stiffness", [*(["N/m"] * 3 + ["N"] * 3) * 3, *(["N"] * 3 + ["N m/rad"] * 3) * 3]),
+        ("run.initial.q", ["m"] * 3 + [""] * 4 + ["rad"]),
+        ("run.initial.v", ["m/s"] * 3 + ["rad/s"] * 4),
+        ("run.base.frequency", ["Hz"]),
+        ("run.base.rotation", ["rad"] * 3),
+        ("run.plate6.bias", ["N"] * 3 + ["N m"] * 3),
+        ("run.plate6.gain", [""]),
+        ("run.pose.bias", ["m"] * 3 + ["rad"] * 3),
+        ("run.acc.bias", ["m/s2"]),
+        ("run.acc.lag", ["s"]),
+        ("run.acc.delay", ["s"]),
+        ("run.mine.bias", ["m"]),
+    ],
+)
+def test_each_number_of_a_parameter_has_its_unit(path, units):
+    trees = {"": RIG_OF_ALL, "run": RUN_OF_ALL}
+    run = "run" if path.startswith("run.") else ""
+    leaf = next(leaf for leaf in leaves_of(trees[run], f"{run}." if run else "") if leaf.path == path)
+    value = np.asarray(leaf.read(jax.tree.leaves(trees[run])))
+    assert units_of(leaf, run, RIG_OF_ALL, {"run": RUN_OF_ALL}, value) == units
+
+
 def test_correlated_residuals_are_told_and_white_ones_are_not(clean, found):
     assert not found.uncertainty.correlated and "correlated" not in str(found)
     shocks, colored = NOISE * np.random.default_rng(4).normal(size=1041), np.zeros(1041)
@@ -400,6 +500,15 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         ({"stepsize_controller": diffrax.ConstantStepSize()}, ["NO_STEP"], ["fit.dt0"]),
         ({"rtol": -1.0, "dt0": 0.0}, ["BAD_NUMBER"] * 2, ["fit.dt0: is 0.0", "fit.rtol: is -1.0"]),
         ({"method": "simplex"}, ["UNKNOWN_METHOD"], ["simplex"]),
+        ({"max_evaluations": 0}, ["BAD_NUMBER"], ["fit.max_evaluations: is 0 (limit: a whole number >= 1)"]),
+        ({"free": None}, ["WRONG_KIND"], ['fit.free: is None (limit: paths or patterns). Say free=["*.stiffness"']),
+        ({"free": ["run.x.bias"]}, ["UNKNOWN_PATH"], ["Sensor 'x' has no bias: give it bias=0.0 to have one."]),
+        ({"free": ["run.*.lag", "run.x.start"]}, ["UNKNOWN_PATH"] * 2, ["give it lag=1e-3 to", "give it lag=1e-3, start=0.0 to"]),
+        ({"free": ["s.stiffness =", "run.x.biass"]}, ["UNKNOWN_PATH"] * 2, ["'s.stiffness =' ties nothing on one side", "matches nothing. Did you"]),
+        ({"priors": {"s.stiffness": (400, -1), "s.x": (1, 1)}}, ["UNKNOWN_PATH", "BAD_PRIOR"], ["'s.x' matches", "(400, -1)"]),
+        ({"bounds": {"s.stiffness": (2, 1), "s.x": (1, 1)}}, ["UNKNOWN_PATH", "BAD_BOUNDS"], ["'s.x' matches", "lower 2"]),
+        ({"bounds": [(300.0, 600.0)]}, ["BAD_BOUNDS"], ['is [(300.0, 600.0)] (limit: a dict of pairs by path). Write {"s.stiffness": (lower']),
+        ({"priors": [(300.0, 6.0)]}, ["BAD_PRIOR"], ['Write {"s.stiffness": (mean, standard deviation)}']),
         ({"bounds": {"cart.mass": (1, 3)}, "method": optax.adam(0.1)}, ["BAD_BOUNDS"], ["least_squares"]),
         ({"bounds": {"cart.mass": (1, 3)}, "method": GAUSS_NEWTON}, ["BAD_BOUNDS"], ["least_squares"]),
         ({"bounds": {"hold.stiffness": (1, 3)}}, ["UNKNOWN_PATH"], ["hold.stiffness"]),
@@ -407,10 +516,10 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         (
             {"bounds": {"cart.mass": (2, 2), "s.*": (1, 2), "t.stiffness": (np.nan, 90)}},
             ["BAD_BOUNDS", "START_OUTSIDE", "BAD_BOUNDS"],
-            ["lower 2 >= upper 2", "does not hold the start 104.0, by 102", "nan"],
+            ["lower 2 >= upper 2", "does not hold the start 104.0, by 102", "is (nan, 90), which has a NaN"],
         ),
     ],
-    ids=["unknown", "twice", "nothing", "start", "steps", "tolerance", "method", "optax", "optimistix", "elsewhere", "shapes", "several"],
+    ids=["unknown", "twice", "nothing", "start", "steps", "tolerance", "method", "evaluations", "none", "bias", "lag", "tie", "priors", "bounds", "list", "list of priors", "optax", "optimistix", "elsewhere", "shapes", "several"],
 )  # fmt: skip
 def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, told):
     found = problems_of(cart(), tracked(record), **options)
@@ -421,13 +530,48 @@ def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, told):
 def test_what_is_wrong_with_the_experiments_is_told_at_once(record):
     (run,) = tracked(record).values()
     assert [p.code for p in problems_of(cart(), {})] == ["NO_DATA"]
-    assert [p.code for p in problems_of(cart(), {"cart": run, "a.b": run, "c": 3})] == ["BAD_NAME", "BAD_NAME", "WRONG_KIND"]
+    found = problems_of(cart(), {"cart": run, "a.b": run, "s": run, "base": run, "world": run, 1: run, "c": 3})
+    assert [p.code for p in found] == ["WRONG_KIND", *["BAD_NAME"] * 6]
+    for told, problem in zip(
+        ("name of a body", "has . in", "of an element", "of a support", "is reserved", "no text"), found[1:], strict=True
+    ):
+        assert told in problem.message
     other = jb.Experiment(TIMES, sensors={"x": jb.Position("card")}, measured={"x": np.zeros((41, 3))})
     (problem,) = problems_of(cart(), {"run": other})
     assert problem.code == "UNKNOWN_NAME" and problem.where == "run.sensors['x']" and "'cart'" in problem.hint
+    base = {"tabel": jb.Harmonic(frequency=1.0)}
+    lost = jb.Experiment(TIMES, motion=base, sensors={"x": jb.Position("cat", axis=[1, 0, 0])}, measured={"x": record})
+    assert [p.where for p in problems_of(cart(), {"run": lost, "two": other})] == [
+        "run.motion",
+        "run.sensors['x']",
+        "two.sensors['x']",
+    ]
+    late = jb.Experiment(TIMES, sensors={"x": jb.Position("cart", axis=[1, 0, 0], delay=100.0)}, measured={"x": record})
+    (problem,) = problems_of(cart(), {"run": late})
+    assert problem.code == "BAD_DELAY" and problem.where == "run.sensors['x'].delay" and "is 100 s in a record of 2 s" in problem.message
     short = jb.State(jnp.zeros(2), jnp.zeros(1))
     (problem,) = problems_of(cart(), {"run": jb.Experiment(TIMES, initial=short, sensors=run.sensors, measured=run.measured)})
     assert problem.code == "BAD_SHAPE" and problem.where == "run.initial.q"
+
+
+def test_what_is_of_another_kind_is_told_and_no_traceback(record):
+    (run,) = tracked(record).values()
+    cases = [
+        (lambda: fit(cart(), run), "fit.experiments: is one Experiment without a name (limit: a dict of experiments by name). Write {\"run\": experiment}"),
+        (lambda: jb.validate(None, run), "validate.experiments: is one Experiment"),
+        (lambda: jb.multiple_shooting(cart(), run, free=FREE, segments=2), "multiple_shooting.experiments: is one Experiment"),
+        (lambda: fit("osc", {"run": run}), "fit.model: is a str (limit: jb.Model)"),
+    ]  # fmt: skip
+    for call, told in cases:
+        with pytest.raises(jb.JaxbodyError) as caught:
+            call()
+        assert caught.value.code == "WRONG_KIND" and told in str(caught.value)
+
+
+def test_an_experiment_without_an_initial_state_says_so(record):
+    run = jb.Experiment(TIMES, sensors={"x": jb.Position("cart", axis=[1, 0, 0])}, measured={"x": record})
+    (problem,) = problems_of(cart(), {"run": run}, free=["run.initial.*"])
+    assert problem.code == "UNKNOWN_PATH" and problem.hint.startswith("The experiment has no initial state: give it initial=State(q, v)")
 
 
 def test_one_pattern_may_stand_alone(record):

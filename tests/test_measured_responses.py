@@ -1,14 +1,17 @@
 """Fits to frequency responses and to modes, alone and with a record in time, against matrices of two masses written out."""
 
 import itertools
+import re
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.linalg
 import scipy.optimize
+from matplotlib.figure import Figure
 
 import jaxbody as jb
+from jaxbody import plots
 
 # Two masses in a row on a base: base - k1, c1 - m1 - k2, c2 - m2.
 TRUTH = {"lower.stiffness": 4000.0, "upper.stiffness": 900.0, "lower.damping": 12.0, "upper.damping": 5.0, "m2.mass": 1.5}
@@ -118,6 +121,9 @@ def test_a_fit_to_responses_is_scipys_with_its_standard_errors(found, measured):
     np.testing.assert_allclose(found.cost, 0.5 * r @ r, rtol=1e-8)
     assert found.uncertainty.samples == len(r) == 2 * (3 * len(F) - 2)
     np.testing.assert_allclose([found.noise["hammer"][f"{y}/{u}"] / SIGMA[y, u] for y, u in PAIRS], 1, atol=0.15)
+    assert re.search(r"\n  hammer.x1/force +\S+ +m/N\n", str(found))
+    drawn = plots.plot_autocorrelation(found, sensor="x1/force", ax=Figure().subplots())
+    assert drawn.get_xlabel() == "lag [lines]" and drawn.get_legend().get_texts()[1].get_text() == "hammer.x1/force imaginary"
 
 
 @pytest.mark.long
@@ -233,6 +239,13 @@ def test_what_is_wrong_with_them_is_told_at_once(measured):
     ]
     found = codes_of(lambda: jb.MeasuredModes(frequency=[1.0, 2.0], damping_ratio=[0.1], pairing="mac", noise={"shapes": 1.0}))
     assert [code for code, _ in found] == ["BAD_SHAPE", "BAD_PAIRING", "UNKNOWN_NAME"]
+    assert codes_of(lambda: jb.MeasuredModes(frequency=[-1.0, 2.0])) == [("BAD_FREQUENCY", "MeasuredModes.frequency")]
+    ports = {"inputs": hammer(measured).inputs, "outputs": hammer(measured).outputs}
+    assert codes_of(lambda: jb.MeasuredResponse([3, 2, -1], measured={("x1", "g"): [1j, 2]}, **ports)) == [
+        ("BAD_FREQUENCY", "MeasuredResponse.frequencies"),
+        ("UNKNOWN_NAME", "MeasuredResponse.measured[('x1', 'g')]"),
+        ("BAD_SHAPE", "MeasuredResponse.measured[('x1', 'g')]"),
+    ]
     wrong = hammer(measured).outputs | {"x2": port("m3")}
     response = jb.MeasuredResponse(F, inputs=hammer(measured).inputs, outputs=wrong, measured=measured)
     assert codes_of(lambda: fit({"hammer": response})) == [("UNKNOWN_NAME", "hammer.outputs['x2']")]

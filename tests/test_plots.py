@@ -107,7 +107,9 @@ def test_a_fit_is_drawn_with_its_residuals(ax):
     measured = predicted + np.random.default_rng(0).normal(0, 0.01, predicted.shape)
     measured[3] = np.nan
     run = jb.Experiment(times, measured={"corner": measured}, sensors={"corner": jb.Position("plate")})
-    fit = SimpleNamespace(uncertainty=None, experiments={"run1": run}, predicted={"run1": {"corner": predicted}}, history=[10.0, 1.0, 0.1])
+    fit = SimpleNamespace(
+        uncertainty=None, experiments={"run1": run}, predicted={"run1": {"corner": predicted}}, history=[10.0, 1.0, 0.1], rounds=()
+    )
     assert plots.plot_fit(fit, ax=ax) is ax
     means = predicted.mean(0)
     np.testing.assert_allclose(lines(ax)["corner y"].get_ydata(), predicted[:, 1] - means[1])
@@ -120,6 +122,69 @@ def test_a_fit_is_drawn_with_its_residuals(ax):
     other = Figure().subplots()
     plots.plot_history(fit, ax=other)
     assert other.get_yscale() == "log" and list(other.lines[0].get_ydata()) == [10.0, 1.0, 0.1]
+
+
+def fitted(experiment, **predicted):
+    """What a fit to one experiment would be, as far as pictures look at it."""
+    return SimpleNamespace(uncertainty=None, experiments={"run": experiment}, predicted={"run": predicted})
+
+
+def test_of_two_units_those_of_one_are_drawn_by_their_names(ax):
+    times = np.linspace(0, 1, 11)
+    read = np.zeros((11, 6))
+    read[:, [0, 2, 4]] = np.sin(np.outer(times, [1.0, 2.0, 3.0]))
+    fit = fitted(jb.Experiment(times, sensors={"plate": jb.ForcePlate("base")}, measured={"plate": read + 0.1}), plate=read)
+    plots.plot_fit(fit, ax=ax)
+    assert ax.get_ylabel() == "plate force, from its mean [N]" and {"plate Fx", "plate Fz"} < set(lines(ax))
+    assert [text.get_text() for text in ax.get_legend().get_texts()] == ["plate Fx", "plate Fz", "measured", "fitted"]
+    other = Figure().subplots()
+    plots.plot_fit(fit, sensor="plate moment", ax=other)
+    assert other.get_ylabel() == "plate My [N m]"
+    with pytest.raises(jb.JaxbodyError, match="Known: plate, plate force, plate moment"):
+        plots.plot_fit(fit, sensor="plate torque", ax=ax)
+
+
+def test_measured_quaternions_are_drawn_with_the_sign_of_those_fitted_and_their_turns_as_residuals(ax):
+    times, angle = np.linspace(0, 1, 11), np.linspace(0, 1, 11)
+    turned = np.stack([np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)], 1)
+    read = np.stack([np.cos(angle / 2 + 0.01), 0 * angle, 0 * angle, np.sin(angle / 2 + 0.01)], 1)
+    fit = fitted(jb.Experiment(times, sensors={"imu": jb.Orientation("box")}, measured={"imu": -turned}), imu=read)
+    plots.plot_fit(fit, ax=ax)
+    below = ax.figure.axes[1]
+    np.testing.assert_allclose(below.lines[2].get_ydata(), -0.02, atol=1e-12)
+    assert ax.get_ylabel() == "imu, from its mean" and below.get_ylabel() == "residual [rad]" and "imu z" in lines(ax)
+
+
+def test_a_response_is_drawn_by_magnitude_and_phase(ax):
+    f = np.linspace(1.0, 20.0, 30)
+    ports = {"inputs": {"f": jb.PointForce("mass", direction="z")}, "outputs": {"y": jb.PointMotion("mass", direction="z")}}
+    H = 1 / (25.0 - f**2 + 2j * f)
+    fit = fitted(jb.MeasuredResponse(f, measured={("y", "f"): H * np.exp(0.3j)}, **ports), **{"y/f": H})
+    plots.plot_fit(fit, ax=ax)
+    below = ax.figure.axes[1]
+    assert ax.get_yscale() == "log" and ax.get_ylabel() == "magnitude of y/f [m/N]" and below.get_ylabel() == "phase [degrees]"
+    np.testing.assert_allclose(below.lines[0].get_ydata() - below.lines[1].get_ydata(), np.rad2deg(0.3))
+    np.testing.assert_allclose(ax.lines[1].get_ydata(), np.abs(H))
+
+
+def test_modes_are_marks_at_whole_numbers_frequencies_first(ax):
+    modes = jb.MeasuredModes(damping_ratio=[0.02, 0.03, 0.01], frequency=[1.0, 2.0, 3.0])
+    plots.plot_fit(fitted(modes, damping_ratio=np.full(3, 0.02), frequency=np.array([1.1, 2.1, 2.9])), ax=ax)
+    assert ax.get_ylabel() == "frequency [Hz]" and all(line.get_linestyle() == "None" for line in ax.lines)
+    below = ax.figure.axes[1]
+    assert below.get_xlabel() == "mode" and all(tick == round(tick) for tick in below.get_xticks())
+    other = Figure().subplots()
+    plots.plot_fit(fitted(modes, damping_ratio=np.full(3, 0.02)), sensor="damping_ratio", ax=other)
+    assert other.get_ylabel() == "damping_ratio"
+
+
+def test_a_history_shows_where_noise_was_estimated_anew_and_what_failed(ax):
+    plots.plot_history(SimpleNamespace(history=[10.0, np.nan, 0.03, 300.0, 250.0], rounds=(3,)), ax=ax)
+    first, second, *_ = ax.lines
+    assert list(first.get_xdata()) == [0, 2] and list(second.get_ydata()) == [300.0, 250.0]
+    assert list(lines(ax)["noise estimated anew"].get_xdata()) == [2.5, 2.5] and list(lines(ax)["could not be simulated"].get_xdata()) == [
+        1
+    ]
 
 
 def test_a_model_is_drawn_through_its_attachment_points(model, ax):

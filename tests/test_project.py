@@ -26,10 +26,10 @@ ROWS = (
     "vibrations energies elastic_axes spins complex_modes branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
     "channels transducers sensors records attitudes instruments gauges",
-    "experiments diagnoses plausibilities measured_responses measured_modes parametrizations ties free_parameters losses colorings tasks checkpoints",
+    "experiments diagnoses plausibilities measured_responses measured_modes parametrizations ties free_parameters field_units losses colorings tasks checkpoints",
     "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts shootings profiles validations bands",
     "design_spaces interior_points optimizers design_programs tunings objectives designs fronts sweeps sensitivities tolerances",
-    "canvases mode_plots response_plots fit_plots design_plots plots demos",
+    "canvases mode_plots response_plots fit_plots measured_plots design_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
 

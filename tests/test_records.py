@@ -192,6 +192,25 @@ def test_each_format_gives_the_same_record(kind, tmp_path):
     assert record.sampling.rate == pytest.approx(200, rel=1e-9) and record.sampling.missing == 0
 
 
+def test_channels_by_number_and_by_id_line(tmp_path):
+    pyuff = pytest.importorskip("pyuff", reason="pyuff is not installed: pip install 'jaxbody[files]'")
+    units = dict(ordinate_axis_units_lab="m/s2", ordinate_spec_data_type=12)
+    sets = [uff_set(rsp_dir=k + 1, id1=name, data=X[:, k], **units) for k, name in enumerate(["seat", "rail", "rail"])]
+    path = tmp_path / "run.uff"
+    pyuff.UFF(str(path)).write_sets(sets, "overwrite")
+    record = jb.read_record(path, channels={"first": 0, "last": 2, "named": "seat", "placed": "4+Y"})
+    for name, k in (("first", 0), ("last", 2), ("named", 0), ("placed", 1)):
+        np.testing.assert_allclose(record[name], X[:, k], rtol=1e-6)
+    for asked, told in (("rail", "It has: 4+X, 4+Y, 4+Z, seat"), (3, "has no channel of number 3: it has 3, counted from 0")):
+        with pytest.raises(jb.JaxbodyError, match="UNKNOWN_CHANNEL") as refused:
+            jb.read_record(path, channels={"a": asked})
+        assert told in str(refused.value)
+    record = jb.read_record(written(tmp_path, GOOD), time=(0, "s"), channels={"a": (1, "m")})
+    assert record["a"].tolist() == [1, 2, 3]
+    with pytest.raises(jb.JaxbodyError, match="is no universal file: it has no sets"):
+        jb.read_record(written(tmp_path, "junk\nmore junk\n", "junk.uff"), channels={"a": "a"})
+
+
 @pytest.mark.parametrize("missing", ["pyarrow.parquet", "h5py", "pyuff", "nptdms", "asammdf"])
 def test_a_missing_package_is_named_with_its_extra(missing, tmp_path, monkeypatch):
     import importlib
@@ -296,7 +315,13 @@ FILES = {  # content, file, options, code, place and words
     "zero bytes": (b"t,a\n0,1\0\n", "run.csv", {}, "WRONG_FORMAT", "zero byte offset 7"),
     "decimal comma": ("t;a\n0;1,5\n1;2,5\n", "run.csv", {}, "DECIMAL_COMMA", 'run.csv:2 1,5 decimal="," separator=";"'),
     "decimal comma, commas between": ("t,a\n0,00,1,50\n0,01,1,60\n", "run.csv", {}, "RAGGED_LINE", "run.csv:1 names 2 columns decimal commas"),
-    "thousands": ("t;a\n0;1,234.5\n1;2\n", "run.csv", {}, "BAD_LINE", "run.csv:2 1,234.5 skip=2"),
+    "text among numbers": ("t,a\n0,1\n1,n/a\n2,3\n3,4\n4,5\n5,6\n", "run.csv", {}, "BAD_LINE", "run.csv:3 'n/a' column 2 Numbers follow empty nan"),
+    "a footer of two lines": ("t,a\n0,1\n1,2\nmean,1.5\nworst,2\n", "run.csv", {}, "BAD_LINE", "run.csv:4 mean footer=2"),
+    "thousands in quotes": ('t,a\n0,1\n1,"1,000.5"\n2,3\n', "run.csv", {}, "BAD_LINE", "run.csv:3 '1,000.5' column 2 separators of thousands quotes"),
+    "thousands in the first line": ('t,a\n0,"1,000.5"\n1,2\n', "run.csv", {}, "BAD_LINE", "run.csv:2 '1,000.5' separators of thousands"),
+    "thousands everywhere": ('t,a\n0,"1,000.5"\n1,"1,002.5"\n', "run.csv", {}, "NO_NUMBERS", "'1,000.5' separators of thousands"),
+    "thousands or decimals": ("t;a\n0;1\n1;1,000\n", "run.csv", {}, "DECIMAL_COMMA", "run.csv:3 decimal= separates thousands"),
+    "thousands": ("t;a\n0;1,234.5\n1;2\n", "run.csv", {}, "BAD_LINE", "run.csv:2 1,234.5 separators of thousands"),
     "footer": ("t,a\n0,1\n1,2\nmean,1.5\n", "run.csv", {}, "BAD_LINE", "run.csv:4 mean footer=1"),
     "mixed rows": ("t,a\n0,1\n1,2,3\n2,3\n", "run.csv", {}, "RAGGED_LINE", "run.csv:3 3 cells 2, as line 2 has"),
     "ends in a line": ("t,a\n0,1\n1,2\n2", "run.csv", {}, "TRUNCATED", "run.csv:4 1 cells"),
@@ -318,6 +343,7 @@ FILES = {  # content, file, options, code, place and words
     "units that differ": ("t,a [g]\n0,1\n1,2\n", "run.csv", {}, "UNIT_CONFLICT", "'g' in the file 'm/s2'"),
     "times in meters": (GOOD, "run.csv", {"time": ("t", "m")}, "WRONG_DIMENSION", "run.csv.times 'm' unit of time"),
     "no times": (GOOD, "run.csv", {"time": None}, "NO_TIME", "time=(\"t\", \"s\") rate="),
+    "channels that are no dict": (GOOD, "run.csv", {"channels": ["a"]}, "WRONG_KIND", "channels ['a'] {\"acc\": (\"ax\""),
     "a channel that is no name": (GOOD, "run.csv", {"channels": {"a": 1.5}}, "WRONG_KIND", "channels['a'] 1.5"),
 }  # fmt: skip
 
@@ -343,6 +369,12 @@ def test_a_file_that_is_missing_or_a_directory(tmp_path):
         with pytest.raises(jb.JaxbodyError) as refused:
             jb.read_record(path, time=("t", "s"), channels={"a": ("a", "m")})
         assert refused.value.code == code
+
+
+def test_columns_and_units_that_are_wrong_are_told_at_once(tmp_path):
+    with pytest.raises(jb.JaxbodyError) as refused:
+        jb.read_record(written(tmp_path, GOOD), time=("tt", "s"), channels={"a": ("a", "m/parsec"), "b": ("bb", "m")})
+    assert [problem.code for problem in refused.value.problems] == ["UNKNOWN_UNIT", "UNKNOWN_CHANNEL", "UNKNOWN_CHANNEL"]
 
 
 def test_a_byte_order_mark_and_blank_lines_do_no_harm(tmp_path):
@@ -380,8 +412,14 @@ def gone(x, rows):
 BACK = np.concatenate([TIMES[:5], TIMES[3:-2]])
 RECORDS = {  # times, channel and unit, options, code, words
     "unsorted": (BACK, (X[:, 0], "m"), {}, "UNSORTED_TIME", "index 5: 0.02 s, then 0.015 s"),
-    "repeated": (np.repeat(TIMES, 2)[:50], (X[:, 0], "m"), {}, "DUPLICATE_TIME", "index 1"),
-    "repeated with other values": (np.repeat(TIMES, 2)[:50], (X[:, 0], "m"), {"drop_duplicates": True}, "DUPLICATE_TIME", "index 1"),
+    "repeated": (np.repeat(TIMES, 2)[:50], (X[:, 0], "m"), {}, "DUPLICATE_TIME", "index 1 drop_duplicates=True"),
+    "repeated with other values": (
+        np.repeat(TIMES, 2)[:50],
+        (X[:, 0], "m"),
+        {"drop_duplicates": True},
+        "DUPLICATE_TIME",
+        "index 1 differ in their values",
+    ),
     "NaN in times": (gone(TIMES, 12), (X[:, 0], "m"), {}, "NAN_TIME", "index 12"),
     "another rate": (TIMES, (X, "m"), {"rate": 200.3}, "RATE_MISMATCH", "200 Hz 200.3 0.1 %"),
     "jitter": (TIMES + 6e-4 * np.sin(np.arange(50)), (X, "m"), {}, "JITTER", "% of a step 5 % irregular=True"),
@@ -438,6 +476,13 @@ def test_sound_records_are_not_warned_of():
 
 
 # Repairs
+
+
+def test_round_off_of_times_is_no_jitter_and_one_line_is_one_line(tmp_path):
+    assert "jitter" not in str(jb.Record(np.arange(100) / 1e3, {"a": (np.arange(100.0), "m")}))
+    assert ", jitter " in str(jb.Record([0, 0.0101, 0.02, 0.0301], {"a": (np.arange(4.0), "m")}))
+    record = jb.read_record(written(tmp_path, "logger 7\n" + GOOD), skip=1, time=("t", "s"), channels={"a": ("a", "m")})
+    assert record.notes == ("left out 1 line at the start",)
 
 
 def test_repeated_rows_are_dropped_on_request_and_noted():

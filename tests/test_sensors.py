@@ -298,6 +298,7 @@ def test_an_experiment_tells_all_that_is_wrong_at_once():
     )
     codes = [problem.code for problem in found]
     assert codes == ["DUPLICATE_TIME", "UNKNOWN_NAME", "UNKNOWN_NAME", "COMPLEX", "WRONG_KIND", "BAD_NOISE", "UNKNOWN_NAME", "DUPLICATE_NAME", "BAD_NAME"]  # fmt: skip
+    assert found[-2].message == "is the name of a support too"
     found = problems_of(experiment, point=np.full((6, 3), np.inf), pose=pose)
     assert [problem.code for problem in found] == ["NON_FINITE", "BAD_QUATERNION"] and "row 3" in found[1].message
 
