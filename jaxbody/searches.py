@@ -17,9 +17,7 @@ import optax
 
 from jaxbody.uncertainties import known_directions
 
-ARRIVED = 1e-7  # largest Gauss-Newton step in u at which a fit has arrived
 WORTH = 0.01  # share of the expected fall of the cost that is worth having
-ROUGH = 3e-4  # part of the residual that parameters still explain, relative to all of it, below which its roughness may hide a fall
 FLAT = 0.02  # slope, relative to the first, at which coordinates are whitened anew
 ENOUGH = 0.75  # share of the fall expected one unit away, after which coordinates are whitened anew
 NEAR = 1e-4  # largest Gauss-Newton step in u from where such steps finish
@@ -179,15 +177,11 @@ def by_optax(evaluate: Evaluations, u, optimizer, limits: Limits) -> tuple[np.nd
     for _ in range(MOST_RESTARTS):
         r0, _ = evaluate(u)
         towards, S, V = _whitened(evaluate.triangle(u))
-        gauss_newton = -V @ (towards / S)
-        step = np.abs(gauss_newton).max(initial=0.0)
-        if step <= ARRIVED:
+        step = np.abs(V @ (towards / S)).max(initial=0.0)
+        if step <= NEAR:
             return settled(evaluate, u, True, limits)
         if evaluate.spent or reach < 1e-6:
             break
-        if step < 0.1 and np.linalg.norm(towards) <= ROUGH * np.linalg.norm(r0):
-            u = u + gauss_newton
-            continue
         share = reach * min(1.0, FARTHEST / step)  # of the way to the linearized optimum that is one unit of y
         size = share * np.linalg.norm(towards)
         spread = V * (size / S)

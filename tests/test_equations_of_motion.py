@@ -180,7 +180,7 @@ def states_of(model, x, x_dot):
     return jax.vmap(lambda x, x_dot: state_of(model, x, x_dot))(x, x_dot)
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", [pytest.param("one body on three springs", marks=pytest.mark.long), "two bodies"])
 def test_free_bodies_move_as_by_euler_lagrange_and_as_by_the_paper(name):
     rng = np.random.default_rng(1)
     names, springs = MODELS[name]

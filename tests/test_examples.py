@@ -46,6 +46,7 @@ def assert_found(names, free):
         assert abs(float(fit.estimates[path]) - float(model[name].stiffness)) < 4 * float(fit.standard_errors[path])
 
 
+@pytest.mark.long  # .ci/run runs the script too
 def test_the_contract_script_finds_what_it_should(contract):
     names, _ = contract
     assert_found(names, ["AB", "CD", "EF"])
@@ -83,6 +84,7 @@ def test_what_readme_says_of_identification_runs(contract):
         assert abs(float(found.estimates[path]) - float(truth)) < 4 * float(found.standard_errors[path]), path
 
 
+@pytest.mark.long
 def test_readme_shows_what_the_contract_script_prints(contract):
     """The same words, and numbers to a part in a thousand; how often a fit evaluates may change with the platform."""
     (shown,) = blocks("text")
@@ -111,6 +113,7 @@ def test_the_papers_formulas_as_printed():
     np.testing.assert_allclose(demos.printed_force(4.0, 2.0, 0.1, 0.3), K @ xi, rtol=1e-15)
 
 
+@pytest.mark.long  # .ci/run runs it too
 def test_the_demo_says_what_it_finds_and_draws_it(contract, tmp_path, capsys, monkeypatch):
     """After the contract script, whose compiled functions it shares; the exit code tells an estimate that is off."""
     assert demos.main(["demo", "--out", str(tmp_path)]) == 0

@@ -128,6 +128,7 @@ METHODS = {
     "least_squares": "least_squares",
     "levenberg_marquardt": optimistix.LevenbergMarquardt(rtol=1e-10, atol=1e-10),
 }
+QUICK = [pytest.param(name, marks=[pytest.mark.long] if name == "levenberg_marquardt" else []) for name in METHODS]
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +150,7 @@ def test_the_fit_says_what_it_found(found, record, optimum):
     assert "41 samples" in str(found) and str(found).endswith("ok") and "not determined" not in str(found)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", QUICK)
 def test_every_method_reaches_the_optimum_that_scipy_finds_by_itself(method, record, optimum):
     found = fit(cart(), tracked(record), method=METHODS[method])
     assert found.ok and found.paths == FREE

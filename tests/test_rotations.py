@@ -88,7 +88,7 @@ def over_all(function, points):
     return [np.asarray(x).reshape(len(points), len(DIRECTIONS), *x.shape[1:]) for x in values]
 
 
-@pytest.mark.parametrize("mode", ["forward over exp_quaternion", "reverse over forward over exp"])
+@pytest.mark.parametrize("mode", ["forward over exp_quaternion", pytest.param("reverse over forward over exp", marks=pytest.mark.long)])
 def test_derivatives_to_the_fourth_are_exact_from_zero_to_three_turns(mode):
     """A potential |R a - b|^2 at rotations of 0 and 1e-16 to 0.1, on either side of the switches of branch, and up to 19 rad."""
 

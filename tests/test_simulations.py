@@ -68,7 +68,7 @@ def shaken(rig, start):
 
 
 @pytest.mark.parametrize("rtol", [1e-6, 1e-8, 1e-10, 1e-12])
-@pytest.mark.parametrize("name", ["plate", "rig"])
+@pytest.mark.parametrize("name", ["plate", pytest.param("rig", marks=pytest.mark.long)])
 def test_energy_stays_within_a_hundred_tolerances_for_ten_seconds(name, rtol, start):
     """Above the equilibrium's, relative to what it was; the base is held by a motion of no amplitude."""
     if name == "plate":
@@ -102,7 +102,10 @@ def base_velocity(times):
     return np.array(v), np.array(w)
 
 
-@pytest.mark.parametrize(("rtol", "on_samples"), [(1e-6, False), (1e-8, False), (1e-10, True), (1e-12, True)])
+CLOSE = [pytest.param(rtol, True, marks=pytest.mark.long) for rtol in (1e-10, 1e-12)]
+
+
+@pytest.mark.parametrize(("rtol", "on_samples"), [(1e-6, False), (1e-8, False), *CLOSE])
 def test_work_of_the_moving_base_is_the_change_of_energy_and_what_dampers_lose(rig, resting, start, rtol, on_samples):
     """Work by quadrature of reaction times velocity of the base; loss by quadrature of (tension - k elongation)^2 / c. For the closest
     tolerances steps end on the samples: between the ends of its steps Dopri8 interpolates to the sixth order only."""
