@@ -152,10 +152,10 @@ def _march_on(problem: Problem, arguments: Any, y0, times, keep: bool):
     past = times - times[0]
     end = lax.stop_gradient(past[-1])
     reach = lax.stop_gradient(_windows(past)[:, -1])
-    f0 = _rate(problem, arguments, times[0], y0)
+    f0, h = _first(problem, arguments, times[0], y0, end)
     zero, none = jnp.zeros_like(past[0]), jnp.zeros((), int)
     begun = Begun(zero, y0, f0, Steps(zero, zero, jnp.zeros((7, len(y0)), y0.dtype).at[0].set(y0)), none, zero - 1)
-    course = Course(_first_length(problem, arguments, times[0], y0, f0, end), none, none, jnp.full((), Status.OK.value))
+    course = Course(h, none, none, jnp.full((), Status.OK.value))
     size = BLOCK if keep else min(max(len(times) // 8, 16), BLOCK)  # few samples need few steps at hand
     blocks = problem.max_steps // BLOCK + len(reach) + 1 if keep else 0
     kept = jax.tree.map(lambda x: jnp.zeros((blocks, *x.shape), x.dtype), (begun, jnp.zeros(BLOCK, y0.dtype)))
@@ -217,7 +217,8 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
             longer = jnp.where(good & (h < course.h), jnp.maximum(longer, course.h), longer)
         made, tries = on & good, course.accepted + course.rejected + 1
         tau1 = jnp.where(h == left, to, tau + h)
-        code = jnp.where(longer < problem.shortest, Status.DT_MIN.value, Status.OK.value)
+        small = jnp.where(jnp.isfinite(error), Status.DT_MIN.value, Status.NONFINITE.value)
+        code = jnp.where(longer < problem.shortest, small, Status.OK.value)
         code = jnp.where(good & (tau1 >= end), Status.OK.value, jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, code))
         after = Course(longer, course.accepted + good, course.rejected + ~good, code)
         step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), _polynomial(y, k))
@@ -294,22 +295,31 @@ def _last(steps: Steps) -> Steps:
     return jax.tree.map(lambda x: x[i], steps)
 
 
-def _first_length(problem: Problem, arguments, t0, y0, f0, end) -> Float[Array, ""]:
-    """Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.4."""
+def _first(problem: Problem, arguments, t0, y0, end) -> tuple[Float[Array, "ny"], Float[Array, ""]]:
+    """The rate at the beginning and the first step's length: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.4."""
     if problem.first is not None:
-        return problem.first
+        return _rate(problem, arguments, t0, y0), problem.first
     scale = problem.atol + problem.rtol * jnp.abs(y0)
 
     def size(x):
         return jnp.max(jnp.abs(x) / scale, initial=0.0)
 
-    d0, d1 = size(y0), size(f0)
-    h0 = jnp.where((d0 < 1e-5) | (d1 < 1e-5), 1e-6, 0.01 * d0 / jnp.where(d1 > 0, d1, 1.0))
-    d2 = size(_rate(problem, arguments, t0 + h0, y0 + h0 * f0) - f0) / h0
+    def trial(f0):
+        d0, d1 = size(y0), size(f0)
+        return jnp.where((d0 < 1e-5) | (d1 < 1e-5), 1e-6, 0.01 * d0 / jnp.where(d1 > 0, d1, 1.0))
+
+    def rate(before, _):
+        f, h = before
+        f = _rate(problem, arguments, t0 + h, y0 + h * f)
+        return (f, lax.stop_gradient(trial(f))), f
+
+    _, (f0, f1) = lax.scan(rate, (jnp.zeros_like(y0), jnp.zeros_like(end)), None, 2)  # one rate to compile, at t0 and a trial step on
+    h0, d1 = trial(f0), size(f0)
+    d2 = size(f1 - f0) / h0
     most = jnp.maximum(d1, d2)
     h1 = jnp.where(most <= 1e-15, jnp.maximum(1e-6, 1e-3 * h0), _eighth_root(0.01 / jnp.where(most > 0, most, 1.0)))
     h = jnp.minimum(jnp.minimum(100 * h0, h1), end)
-    return lax.stop_gradient(jnp.where(jnp.isfinite(h), h, problem.shortest))
+    return f0, lax.stop_gradient(jnp.where(jnp.isfinite(h), h, problem.shortest))
 
 
 def _eighth_root(x: Array) -> Array:

@@ -296,9 +296,7 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     blown = (code == Status.OK.value) & ~finite.all()  # which constant steps do not notice
     last = jnp.maximum(jnp.argmin(finite) - 1, 0)
     t_end, y_end = jnp.where(blown, times[last], t_end), jnp.where(blown, samples[last], y_end)
-    ahead = t_end + span * jnp.array([0.0, 1e-12, 1e-9, 1e-6])
-    stuck = (code != Status.OK.value) & ~jnp.isfinite(jax.vmap(lambda t: dynamics.rate(t, y_end))(ahead)).all()
-    code = jnp.where(blown | stuck, Status.NONFINITE.value, code)
+    code = jnp.where(blown, Status.NONFINITE.value, code)
     good = (finite & (times <= t_end))[:, None]
     state = jax.vmap(dynamics.unpack)(jnp.where(good, samples, jnp.nan))
     if has_range(model.elements):
@@ -351,8 +349,11 @@ def _by_diffrax(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint
     code = jnp.select(
         [solution.result == result for result, _ in STATUSES], [status.value for _, status in STATUSES], Status.NOT_CONVERGED.value
     )
+    t_end, y_end = solution.ts[1][-1], solution.ys[1][-1]
+    ahead = t_end + (times[-1] - times[0]) * jnp.array([0.0, 1e-12, 1e-9, 1e-6])
+    stuck = (code != Status.OK.value) & ~jnp.isfinite(jax.vmap(lambda t: dynamics.rate(t, y_end))(ahead)).all()
     steps = (solution.stats[f"num_{kind}_steps"] for kind in ("accepted", "rejected"))
-    return solution.ys[0].at[0].set(y0), solution.ts[1][-1], solution.ys[1][-1], code, *steps
+    return solution.ys[0].at[0].set(y0), t_end, y_end, jnp.where(stuck, Status.NONFINITE.value, code), *steps
 
 
 def _scales(dynamics: Dynamics, span) -> Float[Array, "ny"]:
