@@ -287,7 +287,6 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     """The jitted core of `simulate`: it knows arrays only, and never raises."""
     initial = model.reference if initial is None else initial
     dynamics = Dynamics(model, motions, loads)
-    span = times[-1] - times[0]
     own = solver is None and stepsize_controller is None and isinstance(adjoint, diffrax.ForwardMode | None) and isinstance(meter, diffrax.NoProgressMeter)  # fmt: skip
     by = _by_blocks if own else _by_diffrax
     y0 = dynamics.pack(initial)
