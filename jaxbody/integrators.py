@@ -33,6 +33,8 @@ P = np.asarray(diffrax.Dopri8.interpolation_cls.eval_coeffs)[:, ::-1].T  # (6, s
 BLOCK = 128  # steps, at most
 WINDOW = 1024  # samples worked out together, at most
 NEAR = 1e-12  # of kinks to one another, relative to the whole time, that are one
+ROUNDED = 100.0  # errors, in eps of the state, that round-off may make: smaller ones say nothing of the next step,
+LEAST_ERROR = 1e-3  # nor does any below this where tolerances are near round-off
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of one step's length to the next
 
 
@@ -211,7 +213,7 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
         error = jnp.abs(_sum(E, k)) / (problem.atol + problem.rtol * jnp.maximum(jnp.abs(y), jnp.abs(y1)))
         error = lax.stop_gradient(jnp.max(error, initial=0.0))
         good = error <= 1
-        factor = SAFETY / _eighth_root(jnp.maximum(error, 1e-30))
+        factor = SAFETY / _eighth_root(jnp.maximum(error, jnp.minimum(ROUNDED * jnp.finfo(y.dtype).eps / problem.rtol, LEAST_ERROR)))
         longer = h * jnp.where(jnp.isfinite(error), jnp.clip(factor, SHRINK, jnp.where(good, GROW, 1.0)), SHRINK)
         if ends is not None:  # a step cut short says little of the next
             longer = jnp.where(good & (h < course.h), jnp.maximum(longer, course.h), longer)

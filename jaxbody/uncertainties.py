@@ -131,7 +131,7 @@ def assess(
     covariance, white, *parts = (back @ M @ back.T for M in (noise.M, noise.white, *noise.parts))
     still = [label for label, silent in zip(labels, ~J.any(0), strict=True) if silent]
     tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in records}
-    correlation, significant = lag_one(r, records)
+    correlation, significant = lag_one(r, U[:, known], records)
     found = Uncertainty(
         covariance, white, np.reshape(parts, (len(parts), *covariance.shape)), null, {}, S, int(known.sum()),
         in_words(Vt[~known].T, labels, still), still, correlation, significant and bool(r @ r > exact**2), tests,
@@ -205,11 +205,13 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
     return A[sorted(done)]
 
 
-def lag_one(r: np.ndarray, records: list[Record]) -> tuple[float, bool]:
-    """The lag-one correlation of all records, pooled, and whether it is more than chance and CORRELATED."""
-    series = [r[c.rows] for c in records if c.series and r[c.rows].any()]
-    n = sum(len(x) for x in series)
+def lag_one(r: np.ndarray, Q: np.ndarray, records: list[Record]) -> tuple[float, bool]:
+    """The lag-one correlation of all records, pooled, and whether it is more than chance and CORRELATED beyond that of white noise without
+    what the fit has taken, (I - QQ')e: many parameters leave white noise correlated."""
+    series = [(r[c.rows], Q[c.rows]) for c in records if c.series and r[c.rows].any()]
+    n = sum(len(x) for x, _ in series)
     if n == 0:
         return 0.0, False
-    correlation = sum(float(x[1:] @ x[:-1]) / float(x @ x) * len(x) for x in series) / n
-    return correlation, abs(correlation) > max(CORRELATED, SIGNIFICANT / np.sqrt(n))
+    found = sum(float(x[1:] @ x[:-1]) / float(x @ x) * len(x) for x, _ in series) / n
+    taken = sum(float(np.sum(q[1:] * q[:-1])) / max(len(x) - float(np.sum(q**2)), LEAST) * len(x) for x, q in series) / n
+    return found, abs(found + taken) > max(CORRELATED, SIGNIFICANT / np.sqrt(n))

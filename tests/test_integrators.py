@@ -94,11 +94,10 @@ def test_gradients_to_initial_states_and_times(model):
 
 
 def test_a_batch_is_a_loop_and_members_do_not_disturb_one_another(model):
-    """Forty members, more than a chunk of lanes, with steps of their own; one of them is NaN from the start and only it ends so. Round-off in the
-    estimated errors changes step lengths, so both are solved more exactly than they are compared."""
+    """Forty members, more than a chunk of lanes, with steps of their own; one of them is NaN from the start and only it ends so."""
     factors = jnp.linspace(0.5, 2.0, 40).at[7].set(jnp.nan)
-    batch = jax.jit(jax.vmap(lambda f: path(model, f, rtol=1e-11)))(factors)
-    alone = jax.jit(lambda f: path(model, f, rtol=1e-11))
+    batch = jax.jit(jax.vmap(lambda f: path(model, f)))(factors)
+    alone = jax.jit(lambda f: path(model, f))
     for i in (0, 6, 8, 39):
         np.testing.assert_allclose(batch[i], alone(factors[i]), rtol=0, atol=1e-11)
     assert np.isnan(batch[7, 1:]).all() and np.isfinite(np.delete(batch, 7, 0)).all()
