@@ -56,9 +56,10 @@ def test_optax_reaches_the_optimum_that_scipy_reaches(gliders):
     jb = gliders.jb
     noise = {name: float(level) for name, level in gliders.fit.noise["track"].items()}
     track = eqx.tree_at(lambda e: e.noise, gliders.track, noise, is_leaf=lambda x: x is None)
-    by_optax, by_scipy = (
-        jb.fit(gliders.model, {"track": track}, free=gliders.shape, method=method) for method in (optax.lbfgs(), "least_squares")
-    )
+    with pytest.warns(jb.JaxbodyWarning, match="residuals are correlated"):  # they are, by 0.6
+        by_optax, by_scipy = (
+            jb.fit(gliders.model, {"track": track}, free=gliders.shape, method=method) for method in (optax.lbfgs(), "least_squares")
+        )
     for path, expected in by_scipy.estimates.items():
         print(path, np.abs(by_optax.estimates[path] - expected).max() / np.abs(expected).max())
         np.testing.assert_allclose(by_optax.estimates[path], expected, rtol=0, atol=1e-6 * np.abs(expected).max(), err_msg=path)
