@@ -103,6 +103,7 @@ def run(out: Path, seed: int, ahead: ThreadPoolExecutor) -> int:
 
 
 def say(what: str) -> None:
+    """A line on the way, with the seconds since the start."""
     print(f"\n[{time.perf_counter() - START:4.1f} s] {what}", flush=True)
 
 
@@ -137,6 +138,7 @@ def printed_force(k: float, l: float, xi0: float, phi0: float) -> np.ndarray:
 
 
 def compare_K_tilde(K_tilde: np.ndarray, k: float, kt: float, l: float) -> None:
+    """The base's stiffness beside the paper's (77)."""
     from jaxbody.tables import Table, text
 
     printed, ways = printed_K_tilde(k, kt, l), ("x", "y", "z", "about x", "about y", "about z")
@@ -148,6 +150,7 @@ def compare_K_tilde(K_tilde: np.ndarray, k: float, kt: float, l: float) -> None:
 
 
 def compare_forces(linear: np.ndarray, exact: np.ndarray, k: float, l: float) -> None:
+    """The force of a moved base beside the paper's (79) and the exact one."""
     from jaxbody.tables import Table, text
 
     say("The force of a base displaced by 10 mm along x and turned by 20 mrad about z:")
@@ -180,11 +183,13 @@ def figure(width: float, height: float, rows: int, columns: int, **ratios: Any) 
 
 
 def saved(made: Any, path: Path) -> Path:
+    """Where a figure was written to."""
     made.savefig(path, dpi=130)
     return path
 
 
 def draw_plate(plate: Any, out: Path) -> Path:
+    """The plate at rest, into plate.png."""
     from jaxbody.plots import draw_model
 
     made, (ax,) = figure(6.5, 4.6, 1, 1)
@@ -193,6 +198,7 @@ def draw_plate(plate: Any, out: Path) -> Path:
 
 
 def draw_modes(lin: Any, modes: Any, out: Path) -> Path:
+    """All six modes, into modes.png."""
     from jaxbody.plots import draw_mode
 
     made, axes = figure(11.0, 6.2, 2, 3)
@@ -202,6 +208,7 @@ def draw_modes(lin: Any, modes: Any, out: Path) -> Path:
 
 
 def draw_motion(trajectory: Any, out: Path) -> Path:
+    """Positions and tensions over time, into motion.png."""
     from jaxbody.plots import plot_forces, plot_trajectory
 
     made, (above, below) = figure(8.0, 7.0, 2, 1, height_ratios=(1.6, 1.0))
@@ -211,6 +218,7 @@ def draw_motion(trajectory: Any, out: Path) -> Path:
 
 
 def draw_fit(fit: Any, out: Path) -> Path:
+    """The model, the record with the fit, and the way there, into fit.png."""
     from jaxbody.plots import draw_model, plot_fit, plot_history
 
     made, (left, middle, right) = figure(14.0, 4.4, 1, 3, width_ratios=(1.0, 1.25, 0.65))

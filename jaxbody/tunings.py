@@ -16,13 +16,12 @@ from jaxbody.design_programs import Limits, Program, Quantities
 from jaxbody.design_spaces import Space
 from jaxbody.errors import Status
 from jaxbody.models import Model
-from jaxbody.optimizers import ARRIVED, MET, Multipliers, Rows, Search, multipliers, scales
+from jaxbody.optimizers import ACTIVE, ARRIVED, MET, Multipliers, Rows, Search, multipliers, scales
 from jaxbody.options import jit_quickly
 from jaxbody.parametrizations import Positive
 from jaxbody.results import Result
 
 DUST = 1e-12  # of what it was, at a bound of zero
-AT_BOUND = 1e-9  # distance from a bound in u that is none
 FAR = 12.0  # in u, a factor of 160 000, where only a bound could hold a search
 BOUND, CHOSEN, GONE = "at its bound", "of its catalogue", "held by nothing"
 
@@ -120,7 +119,7 @@ def _limit(limit: tuple[float, float] | None) -> str:
 
 def _places(space: Space, search: Search) -> dict[str, str]:
     """Parameters at a bound, chosen from a catalogue, or gone where no bound is."""
-    at = np.minimum(np.abs(search.u - search.low), np.abs(search.u - search.high)) <= AT_BOUND
+    at = np.minimum(np.abs(search.u - search.low), np.abs(search.u - search.high)) <= ACTIVE
     factors = np.concatenate([np.full(group.form.size, isinstance(group.form, Positive)) for group in space.groups])
     gone = factors & (np.abs(search.u) > FAR) & np.isinf(np.where(search.u < 0, search.low, search.high))
     words = np.select([search.low == search.high, at, gone], [CHOSEN, BOUND, GONE], "")
