@@ -29,6 +29,7 @@ from jaxbody.kinematics import Coordinates, supports_at, take
 from jaxbody.mechanics import each_element, potential, sums, wrenches
 from jaxbody.models import Layout, Model
 from jaxbody.rotations import cross, dot, product, rotate, rotate_back, skew
+from jaxbody.trigonometry import inverse_root
 
 Vector = Float[Array, "n"]
 Square = Float[Array, "n n"]
@@ -114,7 +115,7 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
     a, b = rotate(A.R, line.a), rotate(B.R, line.b)
     d = (B.p - A.p) + (b - a)
     square = dot(d, d)
-    inverse = jnp.where(square > 0, 1 / jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0)
+    inverse = inverse_root(square)
     k0, rest, rate = line.split(square * inverse)
     h = k0 + rest * inverse
     c = (rate - rest * inverse) * inverse**2

@@ -21,6 +21,7 @@ from jaxbody.errors import Problems, warn
 from jaxbody.frames import Frame, Pose
 from jaxbody.lanes import kept
 from jaxbody.rotations import cross, dot, product, rotate, rotate_back
+from jaxbody.trigonometry import inverse_root
 
 Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about the frame's origin, world axes
 
@@ -236,8 +237,7 @@ class SpringDamper(LineElement):
 def _length(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """|d| and d/|d|, both zero with zero derivatives at d = 0."""
     square = dot(d, d)
-    long = square > 1e-80  # below, the fifth power of 1/|d| in higher derivatives would overflow, and inf * 0 is NaN
-    inverse = jnp.where(long, 1 / jnp.sqrt(jnp.where(long, square, 1.0)), 0.0)
+    inverse = inverse_root(square)
     return square * inverse, d * inverse
 
 

@@ -1,12 +1,13 @@
-"""Adaptive steps of the Dormand-Prince method of order 8, in loops that carry little: what XLA compiles into fast code.
+"""Steps of the Dormand-Prince method of order 8, adaptive or constant, in loops that carry little: what XLA compiles into fast code.
 
     k_i = h f(t + c_i h, y + sum_j a_ij k_j),   y(t + h) = y + sum_i b_i k_i,   error = sum_i e_i k_i
     y(t + theta h) = y + sum_i p_i(theta) k_i,  p_i of degree 6 without a constant
 
 Coefficients are diffrax's (Prince, Dormand, J. Comp. Appl. Math. 7 (1981) 67). Steps come in blocks: a block keeps the polynomials of its steps,
 and the samples that lie in it are worked out together after it. Reverse mode keeps where each block began and its step lengths, and repeats it,
-so memory grows with the number of blocks. Step lengths are constants to both modes. In a batch every member has steps of its own. Steps end at
-the samples of measured accelerations and of forces held by straight lines, over whose kinks no polynomial of high degree leads.
+so memory grows with the number of blocks. Step lengths are constants to both modes. In a batch every member has steps of its own; constant steps
+are the same for all, and what depends on time alone is then worked out once. Adaptive steps end at the samples of measured accelerations and of
+forces held by straight lines, over whose kinks no polynomial of high degree leads.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ C, E = np.asarray(TABLEAU.c), np.asarray(TABLEAU.b_error)
 P = np.asarray(diffrax.Dopri8.interpolation_cls.eval_coeffs)[:, ::-1].T  # (6, stages): of theta, theta^2 ...  # pyright: ignore
 BLOCK = 128  # steps, at most
 WINDOW = 1024  # samples worked out together, at most
+LANES = 40  # members of a batch in step: loops over 32 or fewer are unrolled before they can become vector instructions
 NEAR = 1e-12  # of kinks to one another, relative to the whole time, that are one
 ROUNDED = 100.0  # errors, in eps of the state, that round-off may make: smaller ones say nothing of the next step,
 LEAST_ERROR = 1e-3  # nor does any below this where tolerances are near round-off
@@ -40,7 +42,8 @@ SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of one step's length to the next
 
 class Problem(NamedTuple):
     """y' = rate(arguments, u, y) with u = drive(arguments, t), what depends on time alone; tolerances of a step's error, its least
-    length, its first if given, how many there may be, and times in order at which steps end since the rate has kinks there."""
+    length, its first if given, how many there may be, times in order at which steps end since the rate has kinks there, and whether
+    all have the length of the first, whatever their errors."""
 
     drive: Callable[[Any, Array], Any]
     rate: Callable[[Any, Any, Array], Array]
@@ -50,6 +53,7 @@ class Problem(NamedTuple):
     first: Float[Array, ""] | None
     max_steps: int
     kinks: Float[Array, "nk"] | None = None
+    constant: bool = False
 
 
 class Steps(NamedTuple):
@@ -147,7 +151,7 @@ def _march(problem: Problem, arguments: Any, y0, times, keep: bool) -> tuple[End
         problem, arguments = combine(numbers, rest)
         return _march_on(problem, arguments, y0, times, keep)
 
-    return in_lanes(march)(numbers, y0, times)
+    return in_lanes(march, lanes=LANES)(numbers, y0, times)
 
 
 def _march_on(problem: Problem, arguments: Any, y0, times, keep: bool):
@@ -203,13 +207,8 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
     def active(tau, course):
         return (course.code == Status.OK.value) & (tau < goal)
 
-    def one(carry):
-        tau, y, f, course, steps, i = carry
-        on = active(tau, course)
-        to = lax.stop_gradient(stop(tau))
-        left = to - tau
-        h = lax.stop_gradient(jnp.where(course.h > 0.9999 * left, left, course.h))
-        y1, f1, k = _step(problem, arguments, t0 + tau, y, f, h)
+    def control(course, y, y1, k, h):
+        """Whether a step's error is small enough, the next step's length, and what is wrong with it."""
         error = jnp.abs(_sum(E, k)) / (problem.atol + problem.rtol * jnp.maximum(jnp.abs(y), jnp.abs(y1)))
         error = lax.stop_gradient(jnp.max(error, initial=0.0))
         good = error <= 1
@@ -217,10 +216,19 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
         longer = h * jnp.where(jnp.isfinite(error), jnp.clip(factor, SHRINK, jnp.where(good, GROW, 1.0)), SHRINK)
         if ends is not None:  # a step cut short says little of the next
             longer = jnp.where(good & (h < course.h), jnp.maximum(longer, course.h), longer)
+        small = jnp.where(jnp.isfinite(error), Status.DT_MIN.value, Status.NONFINITE.value)
+        return good, longer, jnp.where(longer < problem.shortest, small, Status.OK.value)
+
+    def one(carry):
+        tau, y, f, course, steps, i = carry
+        on = active(tau, course)
+        to = lax.stop_gradient(stop(tau))
+        left = to - tau
+        h = lax.stop_gradient(jnp.where(course.h > 0.9999 * left, left, course.h))
+        y1, f1, k = _step(problem, arguments, t0 + tau, y, f, h)
+        good, longer, code = (jnp.array(True), course.h, course.code) if problem.constant else control(course, y, y1, k, h)
         made, tries = on & good, course.accepted + course.rejected + 1
         tau1 = jnp.where(h == left, to, tau + h)
-        small = jnp.where(jnp.isfinite(error), Status.DT_MIN.value, Status.NONFINITE.value)
-        code = jnp.where(longer < problem.shortest, small, Status.OK.value)
         code = jnp.where(good & (tau1 >= end), Status.OK.value, jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, code))
         after = Course(longer, course.accepted + good, course.rejected + ~good, code)
         step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), _polynomial(y, k))

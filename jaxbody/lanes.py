@@ -1,7 +1,7 @@
 """Batches on the last axis. `jax.vmap` puts a batch first; vectors of three then leave a processor's wide registers empty.
 
 A function that is `in_lanes` does what it did, but in a batch its operations are rewritten one by one so that arrays (3,) become (3, b), with
-at most LANES members at a time. Operations without a rule here are left to jax.vmap.
+at most so many members at a time. Operations without a rule here are left to jax.vmap.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ CALLS = {
 }
 
 
-def in_lanes(function: Callable, *, reversible: bool = False) -> Callable[..., Any]:
-    """The function, arrays to arrays, in a batch rewritten for lanes. Its derivative in forward mode is in lanes too; where it is to be
-    `reversible`, derivatives are those of the function as it stands."""
+def in_lanes(function: Callable, *, reversible: bool = False, lanes: int = LANES) -> Callable[..., Any]:
+    """The function, arrays to arrays, in a batch rewritten for chunks of so many lanes. Its derivative in forward mode is in lanes too; where it
+    is to be `reversible`, derivatives are those of the function as it stands."""
 
     def wrapped(*args):
         leaves, tree = jax.tree.flatten(args)
         leaves = [jnp.asarray(x) for x in leaves]
         traced, out = jax.make_jaxpr(lambda *x: function(*tree.unflatten(x)), return_shape=True)(*leaves)
         open_jaxpr = traced.jaxpr.replace(constvars=[], invars=[*traced.jaxpr.constvars, *traced.jaxpr.invars])
-        results = _lanes_p.bind(*traced.consts, *leaves, jaxpr=ClosedJaxpr(open_jaxpr, []), reversible=reversible)
+        results = _lanes_p.bind(*traced.consts, *leaves, jaxpr=ClosedJaxpr(open_jaxpr, []), reversible=reversible, lanes=lanes)
         return jax.tree.unflatten(jax.tree.structure(out), results)
 
     return wrapped
@@ -112,12 +112,12 @@ ad.deflinear2(_sum_p, _spread_back)
 _lanes_p = Primitive("in_lanes")
 _lanes_p.multiple_results = True
 _lanes_p.is_high = lambda *_, **__: False  # pyright: ignore  # newer JAX asks; what its function holds is lowered with it
-_lanes_p.def_impl(lambda *args, jaxpr, reversible: jaxpr_as_fun(jaxpr)(*args))
-_lanes_p.def_abstract_eval(lambda *args, jaxpr, reversible: jaxpr.out_avals)
-mlir.register_lowering(_lanes_p, mlir.lower_fun(lambda *args, jaxpr, reversible: jaxpr_as_fun(jaxpr)(*args), multiple_results=True))
+_lanes_p.def_impl(lambda *args, jaxpr, **_: jaxpr_as_fun(jaxpr)(*args))
+_lanes_p.def_abstract_eval(lambda *args, jaxpr, **_: jaxpr.out_avals)
+mlir.register_lowering(_lanes_p, mlir.lower_fun(lambda *args, jaxpr, **_: jaxpr_as_fun(jaxpr)(*args), multiple_results=True))
 
 
-def _jvp(primals, tangents, *, jaxpr, reversible):
+def _jvp(primals, tangents, *, jaxpr, reversible, lanes):
     moved = [not isinstance(t, ad.Zero) for t in tangents]
     smooth = [jnp.issubdtype(aval.dtype, jnp.inexact) for aval in jaxpr.out_avals]
 
@@ -129,31 +129,31 @@ def _jvp(primals, tangents, *, jaxpr, reversible):
 
         return jax.jvp(of_moved, [p for m, p in zip(moved, primals, strict=True) if m], tangents, has_aux=True)
 
-    push = pushed if reversible else in_lanes(pushed)
+    push = pushed if reversible else in_lanes(pushed, lanes=lanes)
     y, dy, others = push(list(primals), [t for t in tangents if not isinstance(t, ad.Zero)])
     y, dy, others = iter(y), iter(dy), iter(others)
     out = [next(y) if s else next(others) for s in smooth]
     return out, [next(dy) if s else ad.Zero(aval.to_tangent_aval()) for s, aval in zip(smooth, jaxpr.out_avals, strict=True)]
 
 
-def _batch(args, axes, *, jaxpr, reversible):
-    """In chunks of LANES, so that memory does not grow with the batch."""
+def _batch(args, axes, *, jaxpr, reversible, lanes):
+    """In chunks, so that memory does not grow with the batch."""
     on = [axis is not None for axis in axes]
     args = [jnp.moveaxis(x, axis, -1) if o else x for x, axis, o in zip(args, axes, on, strict=True)]
     n = next(x.shape[-1] for x, o in zip(args, on, strict=True) if o)
     reached = _reach(jaxpr, on)
-    if n <= LANES:
+    if n <= lanes:
         out = Lanes(n).run(jaxpr, on, args)
         return out, [x.ndim - 1 if o else None for x, o in zip(out, reached, strict=True)]
-    chunks = -(-n // LANES)
+    chunks = -(-n // lanes)
 
     def cut(x):
-        x = jnp.concatenate([x, jnp.broadcast_to(x[..., -1:], (*x.shape[:-1], chunks * LANES - n))], -1)
-        return jnp.moveaxis(x.reshape(*x.shape[:-1], chunks, LANES), -2, 0)
+        x = jnp.concatenate([x, jnp.broadcast_to(x[..., -1:], (*x.shape[:-1], chunks * lanes - n))], -1)
+        return jnp.moveaxis(x.reshape(*x.shape[:-1], chunks, lanes), -2, 0)
 
     def chunk(cuts):
         cuts = iter(cuts)
-        return Lanes(LANES).run(jaxpr, on, [next(cuts) if o else x for x, o in zip(args, on, strict=True)])
+        return Lanes(lanes).run(jaxpr, on, [next(cuts) if o else x for x, o in zip(args, on, strict=True)])
 
     out = lax.map(chunk, [cut(x) for x, o in zip(args, on, strict=True) if o])
     joined = [jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :n] if o else x[0] for x, o in zip(out, reached, strict=True)]
@@ -277,6 +277,10 @@ class Lanes:
         if name == "dynamic_update_slice" and not any(on[2:]):
             whole, part = (self._spread(a, o, v.aval.shape) for a, o, v in zip(x[:2], on, eqn.invars, strict=False))
             return [lax.dynamic_update_slice(whole, part, (*x[2:], jnp.zeros_like(x[2])))]
+        if name == "gather" and not on[1]:
+            axes = p["dimension_numbers"]
+            axes = axes._replace(offset_dims=(*axes.offset_dims, eqn.outvars[0].aval.ndim))
+            return [lax.gather_p.bind(*x, **p | {"dimension_numbers": axes, "slice_sizes": (*p["slice_sizes"], n)})]
         if name == "any_of_batch":
             return [jnp.any(x[0])]
         if name == "while" and not _reach_of_while(p, on)[0]:

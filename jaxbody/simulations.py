@@ -36,6 +36,7 @@ MAX_STEPS = 100_000
 STABLE = 2.8  # longest step times rate at which the classical Runge-Kutta method is stable; explicit ones of diffrax are near
 SAFETY = 0.1  # local error over rtol, as solvers interpolate between steps to a lower order than they step
 CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
+OWN_STEPS = diffrax.ConstantStepSize | None
 STATUSES = (
     (diffrax.RESULTS.successful, Status.OK),
     (diffrax.RESULTS.max_steps_reached, Status.MAX_STEPS),
@@ -178,9 +179,10 @@ def simulate(
 
     motion: {support: motion}; a support without one is at rest. loads: {name: load} on bodies. rtol: ten times the relative local error that
     the step control allows in any component, so that samples between steps hold it too; absolute errors a hundredth of it times the size of the model (velocities: size times its fastest frequency, roughly). Without
-    solver and stepsize_controller the method is Dopri8 in loops of our own (`integrators`); solver, stepsize_controller, adjoint: diffrax's
-    objects, and diffrax then integrates. dt0 [s]: the first step, or the constant one with diffrax.ConstantStepSize(). Reverse mode works by
-    default; forward mode with adjoint=diffrax.ForwardMode(), which is faster for few parameters. A batch by jax.vmap runs in chunks of 32, each member with steps of its own.
+    solver the method is Dopri8 in loops of our own (`integrators`), with steps of its own choice or, with stepsize_controller=diffrax.ConstantStepSize(), of dt0 [s];
+    with other solvers, stepsize_controllers and adjoints, which are diffrax's objects, diffrax integrates. dt0 is else the first step. Reverse mode works by
+    default; forward mode with adjoint=diffrax.ForwardMode(), which is faster for few parameters. A batch by jax.vmap runs in chunks of 40, each member with steps of its own;
+    with constant steps it takes half the time, but nothing controls the error: compare with a shorter dt0.
 
     Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME of a support, UNKNOWN_BODY of a load. An integration that ends early
     warns, and returns what it has with a status.
@@ -287,7 +289,7 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     """The jitted core of `simulate`: it knows arrays only, and never raises."""
     initial = model.reference if initial is None else initial
     dynamics = Dynamics(model, motions, loads)
-    own = solver is None and stepsize_controller is None and isinstance(adjoint, diffrax.ForwardMode | None) and isinstance(meter, diffrax.NoProgressMeter)  # fmt: skip
+    own = solver is None and isinstance(stepsize_controller, OWN_STEPS) and isinstance(adjoint, diffrax.ForwardMode | None) and isinstance(meter, diffrax.NoProgressMeter)  # fmt: skip
     by = _by_blocks if own else _by_diffrax
     y0 = dynamics.pack(initial)
     samples, t_end, y_end, code, accepted, rejected = by(dynamics, y0, times, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)  # fmt: skip
@@ -315,8 +317,11 @@ def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint,
     """By the steps of `integrators`."""
     limits = jax.lax.stop_gradient(_tolerances(dynamics, times[-1] - times[0], rtol))
     signals = [signal for load in dynamics.loads for signal in load.signals()]
-    fixed = jax.lax.stop_gradient((dt0, kinks_of((*dynamics.motions, *signals))))
-    problem = integrators.Problem(Dynamics.drive, Dynamics.driven, *limits, fixed[0], max_steps, fixed[1])
+    constant = isinstance(controller, diffrax.ConstantStepSize)
+    kinks = None if constant else kinks_of((*dynamics.motions, *signals))
+    most = max_steps + (0 if kinks is None else len(kinks))
+    first, kinks = jax.lax.stop_gradient((dt0, kinks))
+    problem = integrators.Problem(Dynamics.drive, Dynamics.driven, *limits, first, most, kinks, constant)
     forward = isinstance(adjoint, diffrax.ForwardMode)
     ended = integrators.solve(problem, dynamics, y0, times) if forward else integrators.solve_reversible((dynamics, y0, times), problem)
     course = ended.course

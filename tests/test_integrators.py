@@ -9,6 +9,8 @@ import scipy.linalg
 
 import jaxbody as jb
 from jaxbody import integrators
+from jaxbody.dynamics import Dynamics
+from jaxbody.simulations import motions_of
 
 TIMES = jnp.linspace(0.0, 0.8, 33)
 MOTION = {"base": jb.Harmonic(frequency=0.8, translation=[0.01, 0, 0], rotation=[0, 0, 0.02])}
@@ -33,6 +35,51 @@ def test_one_step_is_that_of_diffrax(model):
     ours = path(model, times=times, rtol=1e6, dt0=0.05)
     theirs = path(model, times=times, stepsize_controller=diffrax.ConstantStepSize(), solver=diffrax.Dopri8(), dt0=0.05)
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-13)
+
+
+STEPS = {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 0.03}
+
+
+def test_constant_steps_are_those_of_the_tableau(model):
+    """Two steps and a shorter one, samples on them, and the derivative in reverse mode, against the method step by step."""
+    tableau, ends = diffrax.Dopri8.tableau, jnp.array([0.0, 0.03, 0.06, 0.075])
+    rate = jax.jit(lambda factor, t, y: dynamics(factor).rate(t, y))
+
+    def dynamics(factor):
+        stiffer = jb.replace(model, {"*.stiffness": factor * 40.0})
+        return Dynamics(stiffer, motions_of(stiffer, MOTION))
+
+    def by_hand(factor):
+        y = dynamics(factor).pack(model.reference)
+        for t, h in zip(ends[:-1], jnp.diff(ends), strict=True):
+            k = [rate(factor, t, y)]
+            for c, a in zip(tableau.c, tableau.a_lower, strict=True):
+                k.append(rate(factor, t + c * h, y + h * sum(float(x) * f for x, f in zip(a, k, strict=True))))
+            y = y + h * sum(float(b) * f for b, f in zip(tableau.b_sol, k, strict=True))
+        return dynamics(factor).unpack(y).q
+
+    q, q_slope = jax.jvp(by_hand, (1.1,), (1.0,))
+    ours, pull = jax.vjp(jax.jit(lambda f: path(model, f, times=ends, **STEPS)), 1.1)
+    np.testing.assert_allclose(ours[-1], q, rtol=0, atol=1e-14)
+    for i in range(3):
+        (slope,) = pull(jnp.zeros_like(ours).at[-1, i].set(1.0))
+        assert float(slope) == pytest.approx(float(q_slope[i]), rel=1e-10)
+
+
+def test_a_batch_of_constant_steps_is_a_loop(model):
+    """More than a chunk; then each with a step length of its own, and with fewer steps than it takes."""
+    factors = jnp.linspace(0.5, 2.0, integrators.LANES + 1)
+    alone = jax.jit(lambda f, dt0: path(model, f, **STEPS | {"dt0": dt0}))
+    batch = jax.jit(jax.vmap(lambda f: path(model, f, **STEPS)))(factors)
+    for i in (0, 7, -1):
+        np.testing.assert_allclose(batch[i], alone(factors[i], 0.03), rtol=0, atol=1e-12)
+    lengths = jnp.array([0.03, 0.05, 0.02])
+    each = jax.jit(jax.vmap(lambda dt0: path(model, 1.2, **STEPS | {"dt0": dt0})))(lengths)
+    for q, dt0 in zip(each, lengths, strict=True):
+        np.testing.assert_allclose(q, alone(1.2, dt0), rtol=0, atol=1e-12)
+    with pytest.warns(jb.JaxbodyWarning, match="MAX_STEPS"):
+        short = jb.simulate(model, TIMES, motion=MOTION, **STEPS, max_steps=10)
+    assert int(short.statistics["num_accepted_steps"]) == 10 and np.isfinite(short.state.q).all(1).sum() == 13
 
 
 @pytest.mark.long

@@ -27,7 +27,7 @@ from pathlib import Path
 import measured
 from measured import LIMITS, MEASURED_AGAINST
 
-OPTION = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"  # to be set before the first computation
+OPTION = "--xla_cpu_prefer_vector_width=512 --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"  # as fast_loops
 JOBS = {"plate": "a plate on 5 springs", "three": "three bodies on 14 springs"}
 TARGETS = {("T1", False): 8, ("T1", True): 1.8, ("T2", True): 3, ("T3", True): 3, ("T4", True): 1.5, ("T4", False): 1.5}  # ratios to C
 STARTS = {"simulate": 1.5, "modes": 1.5, "gradient": 4.0}  # seconds to a first result
