@@ -16,6 +16,7 @@ Rows: the speeds v, then six for each support. Where every body is free on the w
 from __future__ import annotations
 
 from functools import singledispatch
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,7 +35,32 @@ from jaxbody.trigonometry import inverse_root
 Vector = Float[Array, "n"]
 Square = Float[Array, "n n"]
 Slopes = tuple[Float[Array, "6"], ...]  # of each frame of an element
-Blocks = dict[tuple[int, int], Float[Array, "6 6"]]  # of each two of its frames, the first not after the second
+
+
+class Block(NamedTuple):
+    """A block of a Hessian in the displacements of two frames, P + [[h I, -[y]], [[x], Q]]: sums of many are worked out part by part."""
+
+    P: Float[Array, "*n 6 6"]
+    h: Float[Array, "*n"] | None = None
+    x: Float[Array, "*n 3"] | None = None
+    y: Float[Array, "*n 3"] | None = None
+    Q: Float[Array, "*n 3 3"] | None = None
+
+    def __neg__(self) -> Block:
+        return jax.tree.map(jnp.negative, self)
+
+    @property
+    def T(self) -> Block:
+        P, Q = (None if part is None else jnp.swapaxes(part, -1, -2) for part in (self.P, self.Q))
+        return Block(P, self.h, self.y, self.x, Q)
+
+    def whole(self) -> Float[Array, "*n 6 6"]:
+        if self.h is None:
+            return self.P
+        return self.P + _square(self.h[..., None, None] * jnp.eye(3, dtype=self.P.dtype), -skew(self.y), skew(self.x), self.Q)
+
+
+Blocks = dict[tuple[int, int], Block]  # of each two of an element's frames, the first not after the second
 
 
 def slope(model: Model, q: Float[Array, "nq"]) -> Vector:
@@ -121,19 +147,14 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
     c = (rate - rest * inverse) * inverse**2
     g_a, g_b = (jnp.concatenate([d, cross(arm, d)]) for arm in (a, b))
 
-    def block(x, y, g_x, g_y):
-        return (
-            h * _square(jnp.eye(3, dtype=d.dtype), -skew(y), skew(x), dot(x, y) * jnp.eye(3, dtype=d.dtype) - y[:, None] * x)
-            + c * g_x[:, None] * g_y
-        )
-
-    def turned(arm, force):
-        return jnp.pad(turning(arm, force), ((3, 0), (3, 0)))
+    def block(x, y, g_x, g_y, turned=0.0):
+        Q = dot(x, y) * jnp.eye(3, dtype=d.dtype) - y[:, None] * x
+        return Block(c * g_x[:, None] * g_y, h, h * x, h * y, h * Q + turned)
 
     return (-h * g_a, h * g_b), {
-        (0, 0): block(a, a, g_a, g_a) + turned(a, -h * d),
+        (0, 0): block(a, a, g_a, g_a, turning(a, -h * d)),
         (0, 1): -block(a, b, g_a, g_b),
-        (1, 1): block(b, b, g_b, g_b) + turned(b, h * d),
+        (1, 1): block(b, b, g_b, g_b, turning(b, h * d)),
     }
 
 
@@ -156,9 +177,9 @@ def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
     Z_a, Z_b = _square(-I, skew(P), O, -I), _square(I, -skew(b), O, I)
     slopes = tuple(jnp.concatenate([f, m]) @ Z for Z in (Z_a, Z_b))
     return slopes, {
-        (0, 0): Z_a.T @ H @ Z_a + _square(O, skew(f), -skew(f), turning(P, f)),
-        (0, 1): Z_a.T @ H @ Z_b + _square(O, O, skew(f), -product(skew(f), skew(b)) + skew(m) / 2),
-        (1, 1): Z_b.T @ H @ Z_b + _square(O, O, O, turning(b, f)),
+        (0, 0): Block(Z_a.T @ H @ Z_a + _square(O, skew(f), -skew(f), turning(P, f))),
+        (0, 1): Block(Z_a.T @ H @ Z_b + _square(O, O, skew(f), -product(skew(f), skew(b)) + skew(m) / 2)),
+        (1, 1): Block(Z_b.T @ H @ Z_b + _square(O, O, O, turning(b, f))),
     }
 
 
@@ -234,7 +255,7 @@ def dissipation_hessian(element: Element, *frames: Frame) -> Blocks:
 
 def _blocks(H: Float[Array, "m m"]) -> Blocks:
     n = len(H) // 6
-    return {(i, j): H[6 * i : 6 * i + 6, 6 * j : 6 * j + 6] for i in range(n) for j in range(i, n)}
+    return {(i, j): Block(H[6 * i : 6 * i + 6, 6 * j : 6 * j + 6]) for i in range(n) for j in range(i, n)}
 
 
 def _square(a: Array, b: Array, c: Array, d: Array) -> Array:
@@ -346,10 +367,14 @@ def _hessian(model: Model, bodies: Float[Array, "nb 6 6"], elements: list[Blocks
         pairs = [(places[link[one]], places[link[other]]) for link in table.links]
         return [None if i is None or j is None else i * n + j for i, j in pairs]
 
-    parts = [(bodies, [i * n + i for i in range(len(bodies))])]
+    found = [(Block(bodies), [i * n + i for i in range(len(bodies))])]
     for table, blocks in zip(model.elements, elements, strict=False):
         for (one, other), block in blocks.items():
-            parts.append((block, cells(table, one, other)))
+            found.append((block, cells(table, one, other)))
             if one != other:
-                parts.append((jnp.swapaxes(block, -1, -2), cells(table, other, one)))
-    return _collected(parts, n * n).reshape(n, n, 6, 6).swapaxes(1, 2)
+                found.append((block.T, cells(table, other, one)))
+    parts = [
+        [(part, to) for part, to in zip(parts, (to for _, to in found), strict=True) if part is not None]
+        for parts in zip(*(block for block, _ in found), strict=True)
+    ]
+    return Block(*(_collected(part, n * n) if part else None for part in parts)).whole().reshape(n, n, 6, 6).swapaxes(1, 2)

@@ -88,10 +88,14 @@ def _as_kept(x: Array) -> Array:
     return x / jnp.where(x == x, 1.0, jnp.nan)
 
 
-# Sums by a reducer that XLA does not recognize: else it gives large ones to a library, whose calls keep a loop from being compiled whole.
-# It must be an addition all the same, as XLA merges sums of sums.
+# Sums and maxima by reducers that XLA does not recognize: else it gives large ones to a library, whose calls keep a loop from being compiled
+# whole. They must be what they are all the same, as XLA merges sums of sums.
 def _plain_sum(x: Array, axes: tuple[int, ...]) -> Array:
     return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
+
+
+def _plain_max(x: Array, axes: tuple[int, ...]) -> Array:
+    return lax.reduce(x, np.array(-np.inf, x.dtype), lambda a, b: -lax.min(-a, -b), axes)
 
 
 def _spread_back(cotangent, x, axes):
@@ -256,6 +260,8 @@ class Lanes:
             return [_as_kept(x[0])]
         if name == "reduce_sum" and jnp.issubdtype(x[0].dtype, jnp.floating):
             return [_sum_p.bind(x[0], axes=tuple(p["axes"]))]
+        if name == "reduce_max" and jnp.issubdtype(x[0].dtype, jnp.floating):
+            return [_plain_max(x[0], tuple(p["axes"]))]
         if name in SAME_AXES:
             return _bind(eqn, x)
         if name in ("concatenate", "stack"):

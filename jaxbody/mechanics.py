@@ -17,7 +17,7 @@ from jaxbody.models import Model, State
 from jaxbody.rotations import cross, dot, rotate, rotate_back
 
 Xi = Float[Array, "ns 6"] | None
-FEW_RUNS = 16  # slices that a sum may take; more would cost more to compile than a gather costs to run
+FEW_RUNS = 64  # slices that a sum may take; more would cost more to compile than a gather costs to run
 
 
 def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Frame:

@@ -112,7 +112,7 @@ def compute(element, *frames):
             return element.potential(*(f.pose().displaced(part) for f, part in zip(frames, jnp.split(x, n), strict=True)))
 
         _, blocks = second_order(element, *frames)
-        K = jnp.block([[blocks[i, j] if i <= j else blocks[j, i].T for j in range(n)] for i in range(n)])
+        K = jnp.block([[blocks[i, j].whole() if i <= j else blocks[j, i].T.whole() for j in range(n)] for i in range(n)])
         return Acting(
             V, V_dot, R, jnp.sum(R_slope * e_dot), e, e_dot, element.force(*frames), element.wrenches(*frames),
             jb.Element.wrenches(plain, *frames), K, jax.hessian(displaced)(jnp.zeros(6 * n)),
