@@ -5,6 +5,7 @@
 p is conjugate to q: for a quaternion, four numbers. With T and V of R(q), the same for any length of q, these are Hamilton's equations of
 H = p . B v - T + V on the whole space of (q, p), which has no singular place. |q| is kept and q . p stays zero; shifts of p along q change nothing, so poses and
 their momenta move as they do without what is added. Both are quadratic, and moments of momentum p x q too: all that Gauss collocation keeps.
+Compare Betsch, Siebert, Int. J. Numer. Meth. Engng 79 (2009) 444; Hairer, Lubich, Wanner, Geometric Numerical Integration, VI.4.
 """
 
 from __future__ import annotations
