@@ -1,4 +1,4 @@
-"""Collocation at Gauss points: an integrator that keeps the energy of vibrations without trend, for records of many periods."""
+"""Collocation at Gauss points: a symplectic integrator, which keeps energy without trend, for records of many periods."""
 
 from __future__ import annotations
 
@@ -31,17 +31,18 @@ GAUSS = {
 
 
 class Gauss(AbstractSolver):
-    """A solver for `simulate` with constant steps whose energy error stays bounded: of a vibration that nothing damps no trend over 1e5 periods.
+    """A solver for `simulate` with constant steps whose energy error stays bounded: where nothing damps or drives, no trend over 1e5 periods.
 
         k_i = f(t + c_i h, y + h sum_j A_ij k_j),   y_new = y + h sum_i b_i k_i,   order 2 stages; 1 stage is the implicit midpoint rule
 
-    It is symmetric in time and keeps quadratic invariants to rounding: the length of quaternions, the energy of linear systems, energy and
-    moment of momentum of a body that nothing turns. In chaotic motion, turning by a radian and more, the energy wanders (5e-5 over 1e5 periods
-    with 3 stages), as no structure of that is kept. Stages are iterated until rounding stops them, which takes steps of less than 2 over the
-    fastest rate [rad/s]; NOT_CONVERGED where they do not settle. A tenth of its period for the fastest mode and 3 stages is a good
-    beginning. It is not for stiff models: take diffrax.Kvaerno5() there. Forward and reverse derivatives pass.
+    `simulate` gives it Hamilton's equations, y = (q, p) with quaternions and their momenta (`momenta`). There it is symplectic and symmetric in
+    time, so energy keeps to a bound in chaotic motion too, turning over any number of times. To rounding it keeps quadratic invariants: the length of quaternions, the
+    energy of linear systems, momentum and moment of momentum where nothing acts on them. Stages are iterated until rounding stops them,
+    which takes steps of less than 2 over the fastest rate [rad/s]; NOT_CONVERGED where they do not settle. A tenth of its period for the
+    fastest mode and 3 stages is a good beginning for vibrations, a twentieth where bodies turn over; violent motion asks for more, as the bound holds
+    for steps that are short beside the time in which a spring's ends pass one another. It is not for stiff models: take diffrax.Kvaerno5() there. Forward and reverse derivatives pass.
 
-    Errors: BAD_VALUE unless stages is 1, 2 or 3. Source: Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.3, IV.2.1, XI.
+    Errors: BAD_VALUE unless stages is 1, 2 or 3. Source: Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.3, IV.2.1, VI.4, IX.8.
 
     >>> solver = Gauss(stages=3)
     >>> # simulate(model, times, solver=solver, stepsize_controller=diffrax.ConstantStepSize(), dt0=period / 10)

@@ -63,17 +63,18 @@ class Dynamics(eqx.Module):
     def model(self) -> Model:
         return self.coordinates.model
 
-    def pack(self, state: State) -> Float[Array, "ny"]:
+    def pack(self, state: State, t: Any = None) -> Float[Array, "ny"]:
+        """y of a state; at which time is asked where y holds momenta (`momenta`)."""
         if not self.model.layout.floating:
             return jnp.concatenate([state.q, state.v])
         q, v = state.q.reshape(-1, 7), state.v.reshape(-1, 2, 3)
         v_B = rotate_back(rotations.matrix(q[:, None, 3:]), v)
         return jnp.concatenate([q[:, :3].ravel(), q[:, 3:].ravel(), v_B[:, 0].ravel(), v_B[:, 1].ravel()])
 
-    def unpack(self, y: Float[Array, "ny"]) -> State:
+    def unpack(self, y: Float[Array, "ny"], t: Any = None) -> State:
         layout = self.model.layout
         if not layout.floating:
-            return State(_normalized(self.model, y[: layout.nq]), y[layout.nq :])
+            return State(normalized(self.model, y[: layout.nq]), y[layout.nq :])
         p, quaternion, v_B, w_B = _cut(y, len(layout.bodies))
         quaternion = rotations.normalize(quaternion)
         R = rotations.matrix(quaternion)
@@ -102,7 +103,7 @@ class Dynamics(eqx.Module):
         p, quaternion, v_B, w_B = _cut(y, len(model.layout.bodies))
         R = rotations.matrix(quaternion)
         v, w = rotate(R, v_B), rotate(R, w_B)
-        frames = _table(supports, Frame(p, R, v, w))
+        frames = table_of_floating(supports, Frame(p, R, v, w))
         F, M = (x[model.layout.first_body :] for x in wrenches(model, frames, self.loads, t))
         m, c = bodies.mass[:, None], bodies.com
         P = m * (v_B + cross(w_B, c))  # momentum and moment of momentum about O, body axes
@@ -123,16 +124,20 @@ class Dynamics(eqx.Module):
         """v', and what it comes from: frames, accelerations at v' = 0, velocities per unit of each speed."""
         frames, (linear, angular), a, alpha = self._bias(t, q, v)
         F, M = self._net(t, frames, a, alpha)
-        lin, ang = self._jacobian(frames, linear, angular)
-        bodies = self.model.bodies.rows
-        R = frames.R[self.model.layout.first_body :]
-        c = rotate(R, bodies.com)
-        J_C = product(product(R, bodies.inertia), jnp.swapaxes(R, -1, -2))
-        lin_C = lin + cross(ang, c[:, None])
-        turning = jnp.sum(J_C[:, None] * ang[:, :, None, :], -1)
-        mass = jnp.sum(bodies.mass[:, None, None, None] * lin_C[:, :, None] * lin_C[:, None] + ang[:, :, None] * turning[:, None], (0, 3))
+        lin, ang = self.jacobian(frames, linear, angular)
         right = jnp.sum(lin * F[:, None] + ang * M[:, None], (0, 2))
-        return solve_spd(mass, right), frames, a, alpha, lin, ang
+        return solve_spd(self.inertia(frames, lin, ang)[0], right), frames, a, alpha, lin, ang
+
+    def inertia(self, frames: Frame, lin, ang) -> tuple[Float[Array, "nv nv"], Float[Array, "nv"]]:
+        """The mass matrix, and the generalized momenta of the frames' velocities."""
+        bodies, moving = self.model.bodies.rows, frames[self.model.layout.first_body :]
+        m, R = bodies.mass[:, None, None], moving.R
+        J_C = product(product(R, bodies.inertia), jnp.swapaxes(R, -1, -2))
+        lin_C = lin + cross(ang, rotate(R, bodies.com)[:, None])
+        turning = jnp.sum(J_C[:, None] * ang[:, :, None, :], -1)
+        mass = jnp.sum(m[..., None] * lin_C[:, :, None] * lin_C[:, None] + ang[:, :, None] * turning[:, None], (0, 3))
+        momenta = jnp.sum(m * lin_C * moving.velocity(bodies.com)[:, None] + turning * moving.w[:, None], (0, 2))
+        return mass, momenta
 
     def _bias(self, t, q, v):
         """Frames, axes, and the accelerations of origin and orientation of each body at v' = 0: the derivative of the velocities
@@ -159,7 +164,7 @@ class Dynamics(eqx.Module):
 
         return F - force, M - (J(alpha) + cross(moving.w, J(moving.w)) + cross(c, force))
 
-    def _jacobian(self, frames: Frame, linear, angular):
+    def jacobian(self, frames: Frame, linear, angular):
         """(nb, nv, 3) velocities of each body's origin and its angular velocities per unit of each speed."""
         layout = self.model.layout
         own = np.repeat(np.arange(len(layout.bodies)), [kind.nv for kind in layout.kinds])
@@ -203,7 +208,7 @@ class Dynamics(eqx.Module):
         p, quaternion, v_B, w_B = _cut(y, n)
         _, _, v_rate, w_rate = _cut(self._rate_floating(t, supports, y), n)
         R, zero = rotations.matrix(quaternion), jnp.zeros((1, 3), y.dtype)
-        frames = _table(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B)))
+        frames = table_of_floating(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B)))
         a = jnp.concatenate([zero, a, rotate(R, v_rate + cross(w_B, v_B))])
         return frames, a, jnp.concatenate([zero, alpha, rotate(R, w_rate)])
 
@@ -214,7 +219,7 @@ class Dynamics(eqx.Module):
         return now.F[1:first], now.M[1:first]
 
 
-def _table(supports: Frame, bodies: Frame) -> Frame:
+def table_of_floating(supports: Frame, bodies: Frame) -> Frame:
     """The table of frames of supports and of bodies that are free on the world."""
     zero = jnp.zeros((1, 3), bodies.p.dtype)
     return stack([Frame(zero, jnp.eye(3, dtype=zero.dtype)[None], zero, zero), supports, bodies])
@@ -234,7 +239,7 @@ def _cut(y: Array, n: int):
     return y[: 3 * n].reshape(n, 3), y[3 * n : 7 * n].reshape(n, 4), y[7 * n : 10 * n].reshape(n, 3), y[10 * n :].reshape(n, 3)
 
 
-def _normalized(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
+def normalized(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     """Unit quaternions again, joint by joint, by a retraction of nothing."""
     parts = []
     for name, kind in zip(model.layout.bodies, model.layout.kinds, strict=True):

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from jaxbody import integrators, tables
 from jaxbody.arrays import concrete, device_array
 from jaxbody.checks import check_precision, check_state, unattached
+from jaxbody.collocations import Gauss
 from jaxbody.dynamics import Dynamics
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.frames import Frame, Pose
@@ -26,6 +27,7 @@ from jaxbody.linearizations import linearize
 from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, frames_of, kinetic, lost_power, potential
 from jaxbody.models import Model, State, unknown
+from jaxbody.momenta import Canonical
 from jaxbody.motions import AtRest, Motion, as_motion, check_times, kinks_of
 from jaxbody.naming import by_name
 from jaxbody.options import jit_quickly
@@ -291,20 +293,21 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     dynamics = Dynamics(model, motions, loads)
     own = solver is None and isinstance(stepsize_controller, OWN_STEPS) and isinstance(adjoint, diffrax.ForwardMode | None) and isinstance(meter, diffrax.NoProgressMeter)  # fmt: skip
     by = _by_blocks if own else _by_diffrax
-    y0 = dynamics.pack(initial)
-    samples, t_end, y_end, code, accepted, rejected = by(dynamics, y0, times, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)  # fmt: skip
+    form = Canonical(dynamics) if isinstance(solver, Gauss) else dynamics
+    y0 = form.pack(initial, times[0])
+    samples, t_end, y_end, code, accepted, rejected = by(form, y0, times, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)  # fmt: skip
     finite = jnp.isfinite(samples).all(1)
     blown = (code == Status.OK.value) & ~finite.all()  # which constant steps do not notice
     last = jnp.maximum(jnp.argmin(finite) - 1, 0)
     t_end, y_end = jnp.where(blown, times[last], t_end), jnp.where(blown, samples[last], y_end)
     code = jnp.where(blown, Status.NONFINITE.value, code)
     good = (finite & (times <= t_end))[:, None]
-    state = jax.vmap(dynamics.unpack)(jnp.where(good, samples, jnp.nan))
+    state = jax.vmap(form.unpack)(jnp.where(good, samples, jnp.nan), times)
     if has_range(model.elements):
         beyond = jax.vmap(lambda t, state: jnp.any(beyond_laws(model, table_of(model, motions, t, state))))(times, state)
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
     statistics = {"num_accepted_steps": accepted, "num_rejected_steps": rejected}
-    return Trajectory(times, state, code, statistics, (t_end, dynamics.unpack(y_end)), model, motions, loads)
+    return Trajectory(times, state, code, statistics, (t_end, form.unpack(y_end, t_end)), model, motions, loads)
 
 
 def _tolerances(dynamics: Dynamics, span, rtol):

@@ -21,7 +21,7 @@ ROWS = (
     "errors tables results arrays exports options compilations units texts sources mat_files universal_files formats",
     "lanes trigonometry rotations frames linear_solves eigenproblems integrators",
     "motions samplings repairs measurements recordings response_files base_motions splines signals roads bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
-    "kinematics mechanics dynamics derivatives",
+    "kinematics mechanics dynamics momenta derivatives",
     "load_paths statics cases preloads equilibria ports state_spaces linearizations",
     "vibrations energies elastic_axes spins complex_modes branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
