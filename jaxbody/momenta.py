@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
-from jaxbody.dynamics import Dynamics, normalized, table_of_floating
+from jaxbody.dynamics import Dynamics, normalized, table_of_free
 from jaxbody.frames import Frame
 from jaxbody.kinematics import supports_moving
 from jaxbody.linear_solves import solve_spd
@@ -90,7 +90,7 @@ class Canonical(eqx.Module):
         in_body = rotate_back(R[:, None], momenta).reshape(-1, 1, 6)
         v, w = jnp.moveaxis(rotate(R[:, None], jnp.sum(self.dynamics.inverse_mass * in_body, -1).reshape(-1, 2, 3)), 1, 0)
         carried = cross(v, momenta[:, 0]) + cross(w, momenta[:, 1])
-        frames = table_of_floating(supports, Frame(q[:, :3], R, v, w))
+        frames = table_of_free(supports, Frame(q[:, :3], R, v, w))
         return jnp.concatenate([v, w], -1).ravel(), frames, lambda F, M: jnp.concatenate([F, M - carried], -1).ravel()
 
 
