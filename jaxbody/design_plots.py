@@ -8,8 +8,8 @@ import numpy as np
 
 from jaxbody.canvases import COLORS, GRAY, INK, LIGHT, axes_or_new, legend
 from jaxbody.fronts import Front
-from jaxbody.sensitivities import Sensitivities
-from jaxbody.tolerances import Tolerances
+from jaxbody.sensitivity_analyses import Sensitivities
+from jaxbody.tolerance_analyses import Tolerances
 from jaxbody.tunings import Tuning
 
 MOST_BARS = 15

@@ -12,11 +12,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbody.arrays import float_array
-from jaxbody.elastic_axes import torque_roll_axis
 from jaxbody.energies import kinetic_shares
 from jaxbody.errors import JaxbodyError, Problem, is_concrete
 from jaxbody.frequency_responses import FrequencyResponse
 from jaxbody.linearizations import Linearization
+from jaxbody.mount_axes import torque_roll_axis
 from jaxbody.random_responses import RandomResponse
 from jaxbody.weightings import weighted
 
