@@ -29,6 +29,8 @@ TABLEAU = diffrax.Dopri8.tableau
 STAGES = len(TABLEAU.c) + 1
 A = np.array([np.pad(row, (0, STAGES - len(row))) for row in TABLEAU.a_lower])  # its last row is b: the last stage starts the next step
 C, E = np.asarray(TABLEAU.c), np.asarray(TABLEAU.b_error)
+EULER = A[1, 1]  # share of a trial step, which begins with f = 0: its first stage is at its start, its second one step of Euler's method on
+C_TRIAL = np.array([0.0, EULER, *C[2:]])
 P = np.asarray(diffrax.Dopri8.interpolation_cls.eval_coeffs)[:, ::-1].T  # (6, stages): of theta, theta^2 ...  # pyright: ignore
 BLOCK = 128  # steps, at most
 WINDOW = 1024  # samples worked out together, at most
@@ -36,6 +38,7 @@ NEAR = 1e-12  # of kinks to one another, relative to the whole time, that are on
 ROUNDED = 100.0  # errors, in eps of the state, that round-off may make: smaller ones say nothing of the next step,
 LEAST_ERROR = 1e-3  # nor does any below this where tolerances are near round-off
 SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of one step's length to the next
+TRIAL = 1e-6  # of the whole time: the length of the trial step, which tells the first rate and the first step
 
 
 class Problem(NamedTuple):
@@ -154,10 +157,9 @@ def _march_on(problem: Problem, arguments: Any, y0, times, keep: bool):
     past = times - times[0]
     end = lax.stop_gradient(past[-1])
     reach = lax.stop_gradient(_windows(past)[:, -1])
-    f0, h = _first(problem, arguments, times[0], y0, end)
     zero, none = jnp.zeros_like(past[0]), jnp.zeros((), int)
-    begun = Begun(zero, y0, f0, Steps(zero, zero, jnp.zeros((7, len(y0)), y0.dtype).at[0].set(y0)), none, zero - 1)
-    course = Course(h, none, none, jnp.full((), Status.OK.value))
+    begun = Begun(zero, y0, jnp.zeros_like(y0), Steps(zero, zero, jnp.zeros((7, len(y0)), y0.dtype).at[0].set(y0)), none, zero - 1)
+    course = Course(TRIAL * end, none, none, jnp.full((), Status.OK.value))
     size = BLOCK if keep else min(max(len(times) // 8, 16), BLOCK)  # few samples need few steps at hand
     blocks = problem.max_steps // BLOCK + len(reach) + 1 if keep else 0
     kept = jax.tree.map(lambda x: jnp.zeros((blocks, *x.shape), x.dtype), (begun, jnp.zeros(BLOCK, y0.dtype)))
@@ -169,7 +171,7 @@ def _march_on(problem: Problem, arguments: Any, y0, times, keep: bool):
     def block(carry):
         begun, course, out, kept, n = carry
         goal = jnp.where(running(begun, course), _at(reach, begun.window), -1.0)
-        tau, y, f, course, steps = _advance(problem, arguments, times[0], begun, course, goal, end, size)
+        tau, y, f, course, steps = _advance(problem, arguments, times[0], begun, course, goal, end, size, n == 0)
         values, fill = _sampled(times, begun, steps, tau)
         out = _put(out, begun.window, jnp.where(fill[:, None], values, _at(out, begun.window)))
         if keep:
@@ -184,12 +186,14 @@ def _march_on(problem: Problem, arguments: Any, y0, times, keep: bool):
 
     carry = (begun, course, out, kept, none)
     begun, course, out, kept, n = lax.while_loop(lambda carry: any_of_batch(running(carry[0], carry[1])), block, carry)
+    if keep:  # the first block began with the rate that its trial step told
+        kept = kept[0]._replace(f=kept[0].f.at[0].set(_rate(problem, arguments, times[0], y0))), kept[1]
     samples = out.reshape(-1, len(y0))[: len(times)].at[0].set(y0)
     return Ended(samples, begun.tau, begun.y, course), (*kept, n)
 
 
-def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal, end, size: int):
-    """Steps until goal, at most a block of them."""
+def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal, end, size: int, starting: Bool[Array, ""]):
+    """Steps until goal, at most a block of them; when starting, a trial step before them."""
     rows = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), begun.last)._replace(h=jnp.full(size, jnp.inf, begun.y.dtype))
     steps = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, rows)
     ends = None if problem.kinks is None else jnp.append(problem.kinks - t0, jnp.inf)
@@ -209,7 +213,8 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
         to = lax.stop_gradient(stop(tau))
         left = to - tau
         h = lax.stop_gradient(jnp.where(course.h > 0.9999 * left, left, course.h))
-        y1, f1, k = _step(problem, arguments, t0 + tau, y, f, h)
+        trial = i == 0
+        y1, f1, k = _step(problem, arguments, t0 + tau, y, f, h, trial)
         error = jnp.abs(_sum(E, k)) / (problem.atol + problem.rtol * jnp.maximum(jnp.abs(y), jnp.abs(y1)))
         error = lax.stop_gradient(jnp.max(error, initial=0.0))
         good = error <= 1
@@ -217,21 +222,24 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
         longer = h * jnp.where(jnp.isfinite(error), jnp.clip(factor, SHRINK, jnp.where(good, GROW, 1.0)), SHRINK)
         if ends is not None:  # a step cut short says little of the next
             longer = jnp.where(good & (h < course.h), jnp.maximum(longer, course.h), longer)
-        made, tries = on & good, course.accepted + course.rejected + 1
+        made, tries = on & good & ~trial, course.accepted + course.rejected + 1
         tau1 = jnp.where(h == left, to, tau + h)
         small = jnp.where(jnp.isfinite(error), Status.DT_MIN.value, Status.NONFINITE.value)
         code = jnp.where(longer < problem.shortest, small, Status.OK.value)
         code = jnp.where(good & (tau1 >= end), Status.OK.value, jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, code))
         after = Course(longer, course.accepted + good, course.rejected + ~good, code)
+        f0 = k[1] / h  # where it is a trial
+        begin = course._replace(h=_first(problem, y, f0, f1, EULER * h, end))
+        after = jax.tree.map(lambda new, old: jnp.where(trial, new, old), begin, after)
         step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), _polynomial(y, k))
         steps = jax.tree.map(lambda all, new: lax.dynamic_update_index_in_dim(all, new, i, 0), steps, step)
-        tau, y, f = (jnp.where(made, new, old) for new, old in ((tau1, tau), (y1, y), (f1, f)))
+        tau, y, f = (jnp.where(made, new, old) for new, old in ((tau1, tau), (y1, y), (f1, jnp.where(trial, f0, f))))
         return tau, y, f, jax.tree.map(lambda new, old: jnp.where(on, new, old), after, course), steps, i + 1
 
     def more(carry):
         return any_of_batch(active(carry[0], carry[3])) & (carry[5] <= size)
 
-    return lax.while_loop(more, one, (begun.tau, begun.y, begun.f, course, steps, jnp.ones((), int)))[:5]
+    return lax.while_loop(more, one, (begun.tau, begun.y, begun.f, course, steps, jnp.where(starting, 0, 1)))[:5]
 
 
 def _repeat(problem: Problem, arguments, t0, begun: Begun, lengths: Float[Array, "n"]):
@@ -250,8 +258,9 @@ def _rate(problem: Problem, arguments, t, y):
     return problem.rate(arguments, problem.drive(arguments, t), y)
 
 
-def _step(problem: Problem, arguments, t, y, f, h):
-    """The state and its rate after a step, and the k_i."""
+def _step(problem: Problem, arguments, t, y, f, h, trial: Bool[Array, ""] | None = None):
+    """The state and its rate after a step, and the k_i; of a trial step two stages only, k_1 = h f(t, y) and the rate a little later. To work these out
+    by themselves would be a second copy of the rate to compile."""
 
     def stage(carry, row):
         k, _, _ = carry
@@ -260,10 +269,15 @@ def _step(problem: Problem, arguments, t, y, f, h):
         f_i = problem.rate(arguments, u, y_i)
         return (lax.dynamic_update_index_in_dim(k, h * f_i, i, 0), y_i, f_i), None
 
-    driven = vmap_last(lambda t: problem.drive(arguments, t))(t + C * h)  # for all stages at once
+    c = C if trial is None else jnp.where(trial, C_TRIAL, C)
+    driven = vmap_last(lambda t: problem.drive(arguments, t))(t + c * h)  # for all stages at once
     k = jnp.zeros((STAGES, len(y)), y.dtype).at[0].set(h * f)
     rows = jnp.asarray(A, y.dtype), jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), driven), np.arange(1, STAGES)
-    (k, y, f), _ = lax.scan(stage, (k, y, f), rows)
+    if trial is None:
+        (k, y, f), _ = lax.scan(stage, (k, y, f), rows)
+    else:
+        stages = jnp.where(trial, 2, STAGES - 1)
+        k, y, f = lax.fori_loop(0, stages, lambda i, carry: stage(carry, jax.tree.map(lambda x: _at(x, i), rows))[0], (k, y, f))
     return y, f, k
 
 
@@ -297,31 +311,18 @@ def _last(steps: Steps) -> Steps:
     return jax.tree.map(lambda x: x[i], steps)
 
 
-def _first(problem: Problem, arguments, t0, y0, end) -> tuple[Float[Array, "ny"], Float[Array, ""]]:
-    """The rate at the beginning and the first step's length: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, II.4."""
+def _first(problem: Problem, y0, f0, f1, dt, end) -> Float[Array, ""]:
+    """The first step's length, by the rate at the beginning and dt after it: Hairer, Norsett, Wanner, Solving Ordinary Differential
+    Equations I, II.4."""
     if problem.first is not None:
-        return _rate(problem, arguments, t0, y0), problem.first
+        return problem.first
     scale = problem.atol + problem.rtol * jnp.abs(y0)
-
-    def size(x):
-        return jnp.max(jnp.abs(x) / scale, initial=0.0)
-
-    def trial(f0):
-        d0, d1 = size(y0), size(f0)
-        return jnp.where((d0 < 1e-5) | (d1 < 1e-5), 1e-6, 0.01 * d0 / jnp.where(d1 > 0, d1, 1.0))
-
-    def rate(before, _):
-        f, h = before
-        f = _rate(problem, arguments, t0 + h, y0 + h * f)
-        return (f, lax.stop_gradient(trial(f))), f
-
-    _, (f0, f1) = lax.scan(rate, (jnp.zeros_like(y0), jnp.zeros_like(end)), None, 2)  # one rate to compile, at t0 and a trial step on
-    h0, d1 = trial(f0), size(f0)
-    d2 = size(f1 - f0) / h0
+    d0, d1, d2 = (jnp.max(jnp.abs(x) / scale, initial=0.0) for x in (y0, f0, (f1 - f0) / dt))
+    h0 = jnp.where((d0 < 1e-5) | (d1 < 1e-5), 1e-6, 0.01 * d0 / jnp.where(d1 > 0, d1, 1.0))
     most = jnp.maximum(d1, d2)
     h1 = jnp.where(most <= 1e-15, jnp.maximum(1e-6, 1e-3 * h0), _eighth_root(0.01 / jnp.where(most > 0, most, 1.0)))
     h = jnp.minimum(jnp.minimum(100 * h0, h1), end)
-    return f0, lax.stop_gradient(jnp.where(jnp.isfinite(h), h, problem.shortest))
+    return lax.stop_gradient(jnp.where(jnp.isfinite(h), h, problem.shortest))
 
 
 def _eighth_root(x: Array) -> Array:
