@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 from jaxbody import rotations
 from jaxbody.frames import Frame, stack
 from jaxbody.kinematics import Coordinates, Motions, supports_moving
-from jaxbody.linear_solves import solve_spd
+from jaxbody.linear_solves import inverse_of_three, solve_spd
 from jaxbody.loads import Load
 from jaxbody.mechanics import wrenches
 from jaxbody.models import Model, State
@@ -57,7 +57,7 @@ class Dynamics(eqx.Module):
     def __init__(self, model: Model, motions: Motions, loads: tuple[Load, ...] = ()):
         self.coordinates = Coordinates(model)
         self.motions, self.loads = motions, loads
-        self.inverse_mass = jnp.linalg.inv(mass_in_body_axes(model)) if model.layout.floating else None
+        self.inverse_mass = inverse_mass(model) if model.layout.floating else None
 
     @property
     def model(self) -> Model:
@@ -102,7 +102,7 @@ class Dynamics(eqx.Module):
         p, quaternion, v_B, w_B = _cut(y, len(model.layout.bodies))
         R = rotations.matrix(quaternion)
         v, w = rotate(R, v_B), rotate(R, w_B)
-        frames = _table(supports, Frame(p, R, v, w))
+        frames = table_of_free(supports, Frame(p, R, v, w))
         F, M = (x[model.layout.first_body :] for x in wrenches(model, frames, self.loads, t))
         m, c = bodies.mass[:, None], bodies.com
         P = m * (v_B + cross(w_B, c))  # momentum and moment of momentum about O, body axes
@@ -203,7 +203,7 @@ class Dynamics(eqx.Module):
         p, quaternion, v_B, w_B = _cut(y, n)
         _, _, v_rate, w_rate = _cut(self._rate_floating(t, supports, y), n)
         R, zero = rotations.matrix(quaternion), jnp.zeros((1, 3), y.dtype)
-        frames = _table(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B)))
+        frames = table_of_free(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B)))
         a = jnp.concatenate([zero, a, rotate(R, v_rate + cross(w_B, v_B))])
         return frames, a, jnp.concatenate([zero, alpha, rotate(R, w_rate)])
 
@@ -214,20 +214,20 @@ class Dynamics(eqx.Module):
         return now.F[1:first], now.M[1:first]
 
 
-def _table(supports: Frame, bodies: Frame) -> Frame:
+def table_of_free(supports: Frame, bodies: Frame) -> Frame:
     """The table of frames of supports and of bodies that are free on the world."""
     zero = jnp.zeros((1, 3), bodies.p.dtype)
     return stack([Frame(zero, jnp.eye(3, dtype=zero.dtype)[None], zero, zero), supports, bodies])
 
 
-def mass_in_body_axes(model: Model) -> Float[Array, "nb 6 6"]:
-    """[[m I, -m [c]], [m [c], J_C - m [c][c]]] of each body about O (42)."""
+def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
+    """The inverse of [[m I, -m [c]], [m [c], J_C - m [c][c]]], the mass of each body about O (42), by that of J_C: v_C = v_O - [c] w."""
     bodies = model.bodies.rows
-    m, C = bodies.mass[:, None, None], skew(bodies.com)
-    I = jnp.eye(3, dtype=C.dtype)
-    inertia = (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2
-    top = jnp.concatenate([m * I, -m * C], -1)
-    return jnp.concatenate([top, jnp.concatenate([m * C, inertia - m * product(C, C)], -1)], -2)
+    C = skew(bodies.com)
+    G = inverse_of_three((bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2)
+    CG, GC = product(C, G), product(G, C)
+    top = jnp.concatenate([jnp.eye(3, dtype=C.dtype) / bodies.mass[:, None, None] - product(CG, C), CG], -1)
+    return jnp.concatenate([top, jnp.concatenate([-GC, G], -1)], -2)
 
 
 def _cut(y: Array, n: int):

@@ -215,8 +215,7 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
         h = lax.stop_gradient(jnp.where(course.h > 0.9999 * left, left, course.h))
         trial = i == 0
         y1, f1, k = _step(problem, arguments, t0 + tau, y, f, h, trial)
-        error = jnp.abs(_sum(E, k)) / (problem.atol + problem.rtol * jnp.maximum(jnp.abs(y), jnp.abs(y1)))
-        error = lax.stop_gradient(jnp.max(error, initial=0.0))
+        error = _error(problem, *lax.stop_gradient((y, y1, k)))
         good = error <= 1
         factor = SAFETY / _eighth_root(jnp.maximum(error, jnp.minimum(ROUNDED * jnp.finfo(y.dtype).eps / problem.rtol, LEAST_ERROR)))
         longer = h * jnp.where(jnp.isfinite(error), jnp.clip(factor, SHRINK, jnp.where(good, GROW, 1.0)), SHRINK)
@@ -229,7 +228,7 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
         code = jnp.where(good & (tau1 >= end), Status.OK.value, jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, code))
         after = Course(longer, course.accepted + good, course.rejected + ~good, code)
         f0 = k[1] / h  # where it is a trial
-        begin = course._replace(h=_first(problem, y, f0, f1, EULER * h, end))
+        begin = course._replace(h=_first(problem, *lax.stop_gradient((y, f0, f1)), EULER * h, end))
         after = jax.tree.map(lambda new, old: jnp.where(trial, new, old), begin, after)
         step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), _polynomial(y, k))
         steps = jax.tree.map(lambda all, new: lax.dynamic_update_index_in_dim(all, new, i, 0), steps, step)
@@ -281,6 +280,11 @@ def _step(problem: Problem, arguments, t, y, f, h, trial: Bool[Array, ""] | None
     return y, f, k
 
 
+def _error(problem: Problem, y, y1, k) -> Float[Array, ""]:
+    """The largest error of a step, in units of what is allowed."""
+    return jnp.max(jnp.abs(_sum(E, k)) / (problem.atol + problem.rtol * jnp.maximum(jnp.abs(y), jnp.abs(y1))), initial=0.0)
+
+
 def _sum(a, k: Float[Array, "n ny"]) -> Float[Array, "ny"]:
     """sum of a_i k_i, term by term: loops over ny are fast, a reduction over n is not."""
     terms = [a[i] * k[i] for i in range(len(k)) if isinstance(a, jax.Array) or a[i] != 0]
@@ -322,7 +326,7 @@ def _first(problem: Problem, y0, f0, f1, dt, end) -> Float[Array, ""]:
     most = jnp.maximum(d1, d2)
     h1 = jnp.where(most <= 1e-15, jnp.maximum(1e-6, 1e-3 * h0), _eighth_root(0.01 / jnp.where(most > 0, most, 1.0)))
     h = jnp.minimum(jnp.minimum(100 * h0, h1), end)
-    return lax.stop_gradient(jnp.where(jnp.isfinite(h), h, problem.shortest))
+    return jnp.where(jnp.isfinite(h), h, problem.shortest)
 
 
 def _eighth_root(x: Array) -> Array:

@@ -86,7 +86,7 @@ class Harmonic(Motion):
         problems.raise_if_any()
         self.frequency = device_array(f)
         for name, array in arrays.items():
-            setattr(self, name, jnp.broadcast_to(device_array(array), (3,)))
+            setattr(self, name, device_array(array * np.ones(3)))
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         amplitude = jnp.concatenate([self.translation, self.rotation])

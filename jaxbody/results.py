@@ -63,6 +63,5 @@ class Result(eqx.Module):
 
 def warn_if_failed(result: Result) -> None:
     """The last act of a public function: tell, where values can be looked at, that something failed."""
-    if is_concrete(result.status) and np.any(result.status):
-        codes = np.asarray(result.status)
+    if is_concrete(result.status) and (codes := np.asarray(result.status)).any():
         warn(Status(int(codes.flat[np.flatnonzero(codes)[0]])).name, f"{type(result).__name__}: {result.report()}")

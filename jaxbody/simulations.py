@@ -14,9 +14,9 @@ from equinox import combine, is_array, partition
 from jaxtyping import Array, Float, Int
 
 from jaxbody import integrators, tables
-from jaxbody.arrays import concrete, device_array
+from jaxbody.arrays import concrete, device_array, float_array
 from jaxbody.checks import check_precision, check_state, unattached
-from jaxbody.dynamics import Dynamics
+from jaxbody.dynamics import Dynamics, table_of_free
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.frames import Frame, Pose
 from jaxbody.kinematics import Coordinates, Motions, supports_moving
@@ -24,8 +24,8 @@ from jaxbody.lanes import in_lanes
 from jaxbody.laws import has_range
 from jaxbody.linearizations import linearize
 from jaxbody.loads import Load, loads_of
-from jaxbody.mechanics import beyond_laws, each_element, frames_of, kinetic, lost_power, potential
-from jaxbody.models import Model, State, unknown
+from jaxbody.mechanics import beyond_laws, each_element, kinetic, lost_power, potential
+from jaxbody.models import Model, State, reference_poses, unknown
 from jaxbody.motions import AtRest, Motion, as_motion, check_times, kinks_of
 from jaxbody.naming import by_name
 from jaxbody.options import jit_quickly
@@ -211,7 +211,7 @@ def simulate(
     if loose:
         warn("UNATTACHED", f"nothing ties {', '.join(loose)} to world or a support")
     meter = diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter()
-    tolerance, step = (None if x is None else jnp.asarray(x, float) for x in (rtol, dt0))  # Python numbers would be compiled in
+    tolerance, step = (None if x is None else device_array(float_array(x)) for x in (rtol, dt0))  # Python numbers would be compiled in
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(model, initial, step):
         _warn_of_long_steps(model, model.reference if initial is None else initial, float(step), solver)  # pyright: ignore[reportArgumentType]
     result = integrate(model, times, motions, loads_on, initial, tolerance, solver, stepsize_controller, adjoint, step, max_steps, meter)
@@ -305,15 +305,15 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     return Trajectory(times, state, code, statistics, (t_end, dynamics.unpack(y_end)), model, motions, loads)
 
 
-def _tolerances(dynamics: Dynamics, span, rtol):
-    """rtol and atol of the local error, and the least step."""
-    local = SAFETY * rtol
-    return local, local / 100 * _scales(dynamics, span), 1e-13 * span
+def _tolerances(model: Model, span, rtol):
+    """rtol and atol of the local error, and the least step: constants to both modes."""
+    model, span, local = jax.lax.stop_gradient((model, span, SAFETY * rtol))
+    return local, local / 100 * _scales(model, span), 1e-13 * span
 
 
 def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
     """By the steps of `integrators`."""
-    limits = jax.lax.stop_gradient(_tolerances(dynamics, times[-1] - times[0], rtol))
+    limits = _tolerances(dynamics.model, times[-1] - times[0], rtol)
     signals = [signal for load in dynamics.loads for signal in load.signals()]
     fixed = jax.lax.stop_gradient((dt0, kinks_of((*dynamics.motions, *signals))))
     problem = integrators.Problem(Dynamics.drive, Dynamics.driven, *limits, fixed[0], max_steps, fixed[1])
@@ -327,7 +327,7 @@ def _by_diffrax(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint
     """By the objects that the user gave, with defaults for what is missing."""
     adjoint = adjoint or (diffrax.DirectAdjoint() if isinstance(controller, CONSTANT) else diffrax.RecursiveCheckpointAdjoint())
     if controller is None:
-        local, atol, shortest = _tolerances(dynamics, times[-1] - times[0], rtol)
+        local, atol, shortest = _tolerances(dynamics.model, times[-1] - times[0], rtol)
         controller = diffrax.PIDController(rtol=local, atol=atol, norm=optimistix.max_norm, dtmin=shortest, force_dtmin=False)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, dynamics: dynamics.rate(t, y)),
@@ -355,9 +355,8 @@ def _by_diffrax(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint
     return solution.ys[0].at[0].set(y0), t_end, y_end, jnp.where(stuck, Status.NONFINITE.value, code), *steps
 
 
-def _scales(dynamics: Dynamics, span) -> Float[Array, "ny"]:
+def _scales(model: Model, span) -> Float[Array, "ny"]:
     """What is small for each component of y: the size of the model, 1 for angles; for velocities these times a fast frequency."""
-    model = dynamics.model
     layout = model.layout
     size = size_of(model)
     rate = jnp.sqrt(_stiffness_sum(model) / jnp.sum(model.bodies.rows.mass) + jnp.linalg.norm(model.gravity) / size) + 1 / span
@@ -378,7 +377,8 @@ def _stiffness_sum(model: Model) -> Float[Array, ""]:
         e = element.deformation(*(f.pose() for f in frames))
         return jnp.max(jnp.abs(jax.hessian(element.energy)(e)))
 
-    found = each_element(model, frames_of(model, model.reference), stiffest)
+    at_rest = (Frame(pose.p, pose.R, jnp.zeros_like(pose.p), jnp.zeros_like(pose.p)) for pose in reference_poses(model))
+    found = each_element(model, table_of_free(*at_rest), stiffest)
     return sum((jnp.sum(k) for k in found), jnp.zeros((), model.gravity.dtype))
 
 
