@@ -13,7 +13,7 @@ from jaxbody import tables
 from jaxbody.checks import check_precision
 from jaxbody.eigenproblems import pole_clusters, poles, refused_if_shared
 from jaxbody.errors import Status, is_concrete
-from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.kinematics import Coordinates, supports_at_rest
 from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import Layout
 from jaxbody.results import Result, warn_if_failed
@@ -184,10 +184,9 @@ def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
 def _whirl(lin: SpinLinearization, shapes: Complex[Array, "nv n"]) -> Float[Array, "n"]:
     model, layout = lin.model, lin.model.layout
     bodies = model.bodies.rows
-    zero = jnp.zeros((len(layout.supports), 6), lin.M.dtype)
 
     def velocities(v):
-        frames = Coordinates(model).frames(lin.state.q, v, supports_at(model, zero, zero))[layout.first_body :]
+        frames = Coordinates(model).frames(lin.state.q, v, supports_at_rest(model))[layout.first_body :]
         return frames.velocity(bodies.com), frames.w
 
     spin = velocities(lin.state.v)[1]

@@ -25,7 +25,7 @@ from jaxtyping import Array, Float
 from jaxbody import rotations
 from jaxbody.elements import Bushing, Element, LineElement
 from jaxbody.frames import Frame
-from jaxbody.kinematics import Coordinates, supports_at, take
+from jaxbody.kinematics import Coordinates, supports_at_rest, take
 from jaxbody.mechanics import each_element, potential, sums, wrenches
 from jaxbody.models import Layout, Model
 from jaxbody.rotations import cross, dot, product, rotate, rotate_back, skew
@@ -259,9 +259,8 @@ def _places(layout: Layout, base: bool) -> dict[str, int | None]:
 def _at_rest(model: Model, q, v=None, base: bool = True):
     """Frames (moving at speeds v, if given), and the axes of all columns: (n, 3) of displacements and of turns."""
     layout = model.layout
-    zero = jnp.zeros((len(layout.supports), 6), q.dtype)
     v = jnp.zeros(layout.nv, q.dtype) if v is None else v
-    frames, (linear, angular) = Coordinates(model).frames_and_axes(q, v, supports_at(model, zero, zero))
+    frames, (linear, angular) = Coordinates(model).frames_and_axes(q, v, supports_at_rest(model))
     if base:
         own = np.tile(np.eye(6), (len(layout.supports), 1))
         linear, angular = jnp.concatenate([linear, own[:, :3]]), jnp.concatenate([angular, own[:, 3:]])

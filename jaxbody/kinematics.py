@@ -33,11 +33,16 @@ def supports_at(model: Model, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns
     return Frame(pose.p, pose.R, xi_dot[:, :3], rotate(rotations.left_jacobian(xi[:, 3:]), xi_dot[:, 3:]))
 
 
+def supports_at_rest(model: Model) -> Frame:
+    """Frames of the supports at rest in their reference poses."""
+    pose, _ = reference_poses(model)
+    return Frame(pose.p, pose.R, jnp.zeros_like(pose.p), jnp.zeros_like(pose.p))
+
+
 def supports_moving(model: Model, motions: Motions, t: Float[Array, ""]) -> Frame:
     """Frames of the supports at time t."""
     if not motions:
-        none = jnp.zeros((0, 6), jnp.result_type(t))
-        return supports_at(model, none, none)
+        return supports_at_rest(model)
     xi, xi_dot = jax.jvp(lambda t: jnp.stack([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),))
     return supports_at(model, xi, xi_dot)
 

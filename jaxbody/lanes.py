@@ -114,7 +114,9 @@ _lanes_p.multiple_results = True
 _lanes_p.is_high = lambda *_, **__: False  # pyright: ignore  # newer JAX asks; what its function holds is lowered with it
 _lanes_p.def_impl(lambda *args, jaxpr, reversible: jaxpr_as_fun(jaxpr)(*args))
 _lanes_p.def_abstract_eval(lambda *args, jaxpr, reversible: jaxpr.out_avals)
-mlir.register_lowering(_lanes_p, mlir.lower_fun(lambda *args, jaxpr, reversible: jaxpr_as_fun(jaxpr)(*args), multiple_results=True))
+mlir.register_lowering(
+    _lanes_p, lambda context, *args, jaxpr, reversible: mlir.core_call_lowering(context, *args, name="in_lanes", call_jaxpr=jaxpr)
+)
 
 
 def _jvp(primals, tangents, *, jaxpr, reversible):

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbody.derivatives import expansion, slope
 from jaxbody.frames import Frame, Pose
-from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.kinematics import Coordinates, supports_at_rest
 from jaxbody.loads import Load
 from jaxbody.models import Model
 from jaxbody.rotations import product, skew
@@ -53,11 +53,10 @@ def generalized(model: Model, q, loads: tuple[Load, ...], weights: Float[Array, 
     layout = model.layout
     if not loads:
         return jnp.zeros_like(delta)
-    zero = jnp.zeros((len(layout.supports), 6), q.dtype)
 
     def poses(delta):
         coordinates = Coordinates(model)
-        return coordinates.frames(coordinates.retract(q, delta), jnp.zeros_like(delta), supports_at(model, zero, zero)).pose()
+        return coordinates.frames(coordinates.retract(q, delta), jnp.zeros_like(delta), supports_at_rest(model)).pose()
 
     at, pull = jax.vjp(poses, delta)
     p, R = jnp.zeros_like(at.p), jnp.zeros_like(at.R)

@@ -35,10 +35,10 @@ from jaxbody.checks import check_precision
 from jaxbody.eigenproblems import ZERO
 from jaxbody.errors import MESSAGES, Status, is_concrete
 from jaxbody.frames import Frame
-from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.kinematics import Coordinates, supports_at_rest
 from jaxbody.linearizations import Linearization
 from jaxbody.mechanics import kinetic, potential
-from jaxbody.models import Layout, Model
+from jaxbody.models import Layout
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import rotate, rotate_back
 from jaxbody.statics import scale_of, size_of
@@ -215,7 +215,7 @@ def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, 
     """grad V, V3, V4 and g, its components the third derivatives along phi, phi and unit vectors e, by polarization (steps: alike numbers):
 
     6 V3(u, u, e) = V3(u + e) - V3(u - e) - 2 V3(e)"""
-    coordinates, still, q = Coordinates(lin.model), _still(lin.model), lin.state.q
+    coordinates, still, q = Coordinates(lin.model), supports_at_rest(lin.model), lin.state.q
     e = jnp.diag(step)
 
     def derivatives(u):
@@ -228,7 +228,7 @@ def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, 
 
 def _inertia(lin: Linearization, phi: Float[Array, "nv"]):
     """T2, t = grad T1, and b, by Newton and Euler: the rates of momentum and moment of momentum of each body on its virtual velocities."""
-    model, coordinates, still, q = lin.model, Coordinates(lin.model), _still(lin.model), lin.state.q
+    model, coordinates, still, q = lin.model, Coordinates(lin.model), supports_at_rest(lin.model), lin.state.q
     bodies = model.bodies.rows
 
     def moving(q, v) -> Frame:
@@ -257,8 +257,3 @@ def _along(function, coordinates: Coordinates, q: Float[Array, "nq"], u: Float[A
         return (function(q),)
     found, rates = jax.jvp(lambda q: _along(function, coordinates, q, u, order - 1), (q,), (coordinates.rate(q, u),))
     return (*found, rates[-1])
-
-
-def _still(model: Model) -> Frame:
-    none = jnp.zeros((len(model.layout.supports), 6), model.gravity.dtype)
-    return supports_at(model, none, none)

@@ -23,7 +23,7 @@ from jaxbody import tables
 from jaxbody.checks import check_attached, check_precision, check_state
 from jaxbody.derivatives import expansion
 from jaxbody.errors import Status, is_concrete
-from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.kinematics import Coordinates, supports_at_rest
 from jaxbody.lanes import any_of_batch, in_lanes
 from jaxbody.laws import has_range
 from jaxbody.linear_solves import solve_if_definite
@@ -177,7 +177,7 @@ def judged_at(model: Model, q, K, status, steps, raised: Raised, path: Path | No
     failed = status != Status.OK
     q = _implicit((model, raised), q, ~failed & ~singular)
     zero = jnp.zeros(model.layout.nv, q.dtype)
-    frames = Coordinates(model).frames(q, zero, _still(model, q.dtype))
+    frames = Coordinates(model).frames(q, zero, supports_at_rest(model))
     beyond = jnp.any(beyond_laws(model, frames)) if has_range(model.elements) else jnp.array(False)
     status = jnp.select(
         [failed, negative > 0, singular, beyond], [status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
@@ -210,14 +210,14 @@ def unloaded(dtype) -> Raised:
 def apart(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> Float[Array, ""]:
     """The farthest that a body is between two configurations [m], turns times the size of the model."""
     zero = jnp.zeros(model.layout.nv, one.dtype)
-    a, b = (Coordinates(model).frames(q, zero, _still(model, one.dtype)) for q in (one, other))
+    a, b = (Coordinates(model).frames(q, zero, supports_at_rest(model)) for q in (one, other))
     turned = size_of(model) * jnp.sqrt(jnp.sum((a.R - b.R) ** 2, (-2, -1)))
     return jnp.max(jnp.maximum(jnp.linalg.norm(a.p - b.p, axis=-1), turned))
 
 
 @filter_jit
 def _beyond(model: Model, state: State) -> Bool[Array, "ne"]:
-    return beyond_laws(model, Coordinates(model).frames(state.q, state.v, _still(model, state.q.dtype)))
+    return beyond_laws(model, Coordinates(model).frames(state.q, state.v, supports_at_rest(model)))
 
 
 def size_of(model: Model) -> Float[Array, ""]:
@@ -238,11 +238,6 @@ def size_of(model: Model) -> Float[Array, ""]:
 def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
     """Delta per nondimensional increment: 1 for translations, 1/size for rotations (both in meters then)."""
     return jnp.where(model.layout.turns, 1 / size, 1.0)
-
-
-def _still(model: Model, dtype):
-    zero = jnp.zeros((len(model.layout.supports), 6), dtype)
-    return supports_at(model, zero, zero)
 
 
 def descend(model, q, scale, size, max_steps):
