@@ -275,8 +275,8 @@ def _step(problem: Problem, arguments, t, y, f, h, trial: Bool[Array, ""] | None
     if trial is None:
         (k, y, f), _ = lax.scan(stage, (k, y, f), rows)
     else:
-        stages = jnp.where(trial, 2, STAGES - 1)
-        k, y, f = lax.fori_loop(0, stages, lambda i, carry: stage(carry, jax.tree.map(lambda x: _at(x, i), rows))[0], (k, y, f))
+        stages = jnp.where(trial, np.uint32(2), np.uint32(STAGES - 1))  # unsigned: else each row asks whether i is negative
+        k, y, f = lax.fori_loop(np.uint32(0), stages, lambda i, carry: stage(carry, jax.tree.map(lambda x: _at(x, i), rows))[0], (k, y, f))
     return y, f, k
 
 
