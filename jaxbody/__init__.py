@@ -11,7 +11,6 @@ if TYPE_CHECKING:  # by editors and type checkers; a program imports each at its
     from jaxbody.cases import LoadCase, load_cases
     from jaxbody.collocations import Gauss
     from jaxbody.compilations import compile_times
-    from jaxbody.complex_modes import complex_modes, whirl
     from jaxbody.confidence_bands import bands
     from jaxbody.contacts import Contact, Tyre
     from jaxbody.designs import tune
@@ -43,6 +42,7 @@ if TYPE_CHECKING:  # by editors and type checkers; a program imports each at its
     from jaxbody.nonlinearities import backbones
     from jaxbody.options import fast_loops
     from jaxbody.plausibilities import plausibility
+    from jaxbody.poles import complex_modes, whirl
     from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
     from jaxbody.preloads import preload
     from jaxbody.profiles import profile

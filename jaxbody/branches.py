@@ -16,11 +16,11 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.arrays import concrete, float_array
-from jaxbody.complex_modes import ComplexModes, complex_modes
 from jaxbody.eigenproblems import together
 from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.linearizations import Linearization
 from jaxbody.models import Layout
+from jaxbody.poles import ComplexModes, complex_modes
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.spins import SpinLinearization
 from jaxbody.vibrations import Modes, modes

@@ -13,7 +13,6 @@ import numpy as np
 from equinox import filter_jit
 
 from jaxbody.canvases import COLORS, GRAY, INK, LIGHT, axes_below, axes_or_new, legend
-from jaxbody.complex_modes import ComplexModes
 from jaxbody.design_plots import plot_front as plot_front
 from jaxbody.design_plots import plot_tolerances as plot_tolerances
 from jaxbody.design_plots import plot_tornado as plot_tornado
@@ -32,6 +31,7 @@ from jaxbody.measured_plots import plot_fit as plot_fit
 from jaxbody.mode_plots import plot_branches as plot_branches
 from jaxbody.mode_plots import plot_mode_energies as plot_mode_energies
 from jaxbody.models import WORLD, Model, State, unknown
+from jaxbody.poles import ComplexModes
 from jaxbody.response_plots import plot_frequency_response as plot_frequency_response
 from jaxbody.response_plots import plot_psd as plot_psd
 from jaxbody.response_plots import plot_transmissibility as plot_transmissibility
