@@ -30,7 +30,7 @@ record = jb.read_record(
     shared / "gliders" / "real_linear_h_1.txt", time=(1, "s"), channels={"x": (2, "1"), "v": (3, "1/s")}
 )  # velocities are the authors' numerical ones, good for a start
 HALF, span = 14.5, 1000.0
-steps = {"solver": diffrax.Dopri8(), "stepsize_controller": diffrax.ConstantStepSize(), "dt0": 0.1}
+steps = {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 0.1}
 along = {"axis": [1, 0, 0]}
 
 

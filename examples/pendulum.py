@@ -37,7 +37,7 @@ record = jb.read_record(
     shared / "gliders" / "real_pend_h_1.txt", time=(1, "s"), channels={"angle": (2, "rad"), "rate": (3, "rad/s")}, irregular=True
 )
 HALF = 52.0
-steps = {"solver": diffrax.Dopri8(), "stepsize_controller": diffrax.ConstantStepSize(), "dt0": 1 / 6}
+steps = {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 1 / 6}
 
 
 shape = ["hinge.spring.moment", "swing.angle.bias", "swing.initial.*"]

@@ -40,7 +40,6 @@ velocity = CubicSpline(times, V2).derivative()  # the box is in motion where eit
 ESTIMATION, ARROW_HEAD = slice(40700, 127000), slice(0, 40576)
 along = {"axis": [1, 0, 0]}
 steps = {
-    "solver": diffrax.Dopri8(),
     "stepsize_controller": diffrax.ConstantStepSize(),
     "dt0": 1 / rate,
 }  # no kink of the input within a step
