@@ -27,10 +27,10 @@ def fast_loops() -> bool:
 
     It holds for the whole process and for everything that JAX compiles in it, so it is never done by itself. It must come before the first
     computation; `XLA_FLAGS` keeps what it has, and child processes inherit it. Only loops are compiled otherwise, no result changes but by
-    rounding. Of other programs, timed with and without (float32, two cores, jaxlib 0.10 and 0.12), most stayed within the scatter of 20
-    percent: matrix products of 256 x 512 x 512 in a loop, elementwise loops over vectors of 1e3 and 1e6, a training step of a small network, a hundred in a
-    scan, a recurrent network, sorting; a thousand random steps of 32 numbers took 1.0 to 0.2 times as long. A loop body that holds
-    LAPACK calls, sorts or scatters gains nothing. To be sure of yours, time it both ways.
+    rounding. A loop over long vectors loses, as it then runs on one core: 100 steps on a vector of 1e6 took twice the time on two cores, and would lose more on
+    more. Of other programs, timed with and without (float32, two cores, jaxlib 0.10), a thousand random steps of 32 numbers took a quarter of the time; matrix products of 256 x 512 x 512
+    in a loop, a loop over vectors of 1e3, a training step of a small network, a hundred in a loop, a recurrent network, sorting, a convolution
+    stayed within the scatter. A loop body that holds LAPACK calls, sorts or scatters gains nothing. To be sure of yours, time it both ways.
 
     Errors: TOO_LATE where JAX has already looked for devices, unless the option is set. Warns UNTESTED_JAXLIB, and changes nothing, for a
     version of jaxlib with which it was not tried: XLA ends the process on options that it does not know.
