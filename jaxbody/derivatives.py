@@ -372,8 +372,10 @@ def _hessian(model: Model, bodies: Float[Array, "nb 6 6"], elements: list[Blocks
             found.append((block, cells(table, one, other)))
             if one != other:
                 found.append((block.T, cells(table, other, one)))
-    parts = [
-        [(part, to) for part, to in zip(parts, (to for _, to in found), strict=True) if part is not None]
-        for parts in zip(*(block for block, _ in found), strict=True)
-    ]
-    return Block(*(_collected(part, n * n) if part else None for part in parts)).whole().reshape(n, n, 6, 6).swapaxes(1, 2)
+    each, their_cells = zip(*found, strict=True)
+
+    def summed(parts):
+        known = [(part, to) for part, to in zip(parts, their_cells, strict=True) if part is not None]
+        return _collected(known, n * n) if known else None
+
+    return Block(*map(summed, zip(*each, strict=True))).whole().reshape(n, n, 6, 6).swapaxes(1, 2)

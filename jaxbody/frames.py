@@ -27,6 +27,10 @@ class Pose(eqx.Module):
     def inverse(self) -> Pose:
         return Pose(-rotate_back(self.R, self.p), jnp.swapaxes(self.R, -1, -2))
 
+    def at_rest(self) -> Frame:
+        """The frame that stays here."""
+        return Frame(self.p, self.R, jnp.zeros_like(self.p), jnp.zeros_like(self.p))
+
     def displaced(self, xi: Float[Array, "*n 6"]) -> Pose:
         """The chart of a free frame: xi = (displacement of the origin, rotation vector), world axes; R -> exp([theta]) R."""
         return Pose(self.p + xi[..., :3], product(rotations.exp(xi[..., 3:]), self.R))

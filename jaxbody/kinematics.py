@@ -35,8 +35,7 @@ def supports_at(model: Model, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns
 
 def supports_at_rest(model: Model) -> Frame:
     """Frames of the supports at rest in their reference poses."""
-    pose, _ = reference_poses(model)
-    return Frame(pose.p, pose.R, jnp.zeros_like(pose.p), jnp.zeros_like(pose.p))
+    return reference_poses(model)[0].at_rest()
 
 
 def supports_moving(model: Model, motions: Motions, t: Float[Array, ""]) -> Frame:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxbody.derivatives import expansion, slope
-from jaxbody.frames import Frame, Pose
+from jaxbody.frames import Pose
 from jaxbody.kinematics import Coordinates, supports_at_rest
 from jaxbody.loads import Load
 from jaxbody.models import Model
@@ -60,10 +60,10 @@ def generalized(model: Model, q, loads: tuple[Load, ...], weights: Float[Array, 
 
     at, pull = jax.vjp(poses, delta)
     p, R = jnp.zeros_like(at.p), jnp.zeros_like(at.R)
-    t, still = jnp.zeros((), q.dtype), jnp.zeros(3, q.dtype)
+    t = jnp.zeros((), q.dtype)
     for load, weight in zip(loads, weights, strict=True):
         i = layout.frame(load.on)
-        F, M = load.wrench(t, Frame(at.p[i], at.R[i], still, still))
+        F, M = load.wrench(t, Pose(at.p[i], at.R[i]).at_rest())
         p = p.at[i].add(weight * F)
         R = R.at[i].add(weight * product(skew(M), at.R[i]) / 2)  # as <[M] R, [w] R>/2 = M . w
     return pull(Pose(p, R))[0]

@@ -20,7 +20,7 @@ from jaxbody.collocations import Gauss
 from jaxbody.dynamics import Dynamics, table_of_free
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.frames import Frame, Pose
-from jaxbody.kinematics import Coordinates, Motions, supports_at_rest, supports_moving
+from jaxbody.kinematics import Coordinates, Motions, supports_moving
 from jaxbody.lanes import in_lanes
 from jaxbody.laws import has_range
 from jaxbody.linearizations import linearize
@@ -385,9 +385,8 @@ def _stiffness_sum(model: Model) -> Float[Array, ""]:
         e = element.deformation(*(f.pose() for f in frames))
         return jnp.max(jnp.abs(jax.hessian(element.energy)(e)))
 
-    _, pose = reference_poses(model)
-    bodies = Frame(pose.p, pose.R, jnp.zeros_like(pose.p), jnp.zeros_like(pose.p))
-    found = each_element(model, table_of_free(supports_at_rest(model), bodies), stiffest)
+    supports, bodies = reference_poses(model)
+    found = each_element(model, table_of_free(supports.at_rest(), bodies.at_rest()), stiffest)
     return sum((jnp.sum(k) for k in found), jnp.zeros((), model.gravity.dtype))
 
 

@@ -27,7 +27,6 @@ from pathlib import Path
 import measured
 from measured import LIMITS, MEASURED_AGAINST
 
-OPTION = "--xla_cpu_prefer_vector_width=512 --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=100000000"  # as fast_loops
 JOBS = {"plate": "a plate on 5 springs", "three": "three bodies on 14 springs"}
 TARGETS = {("T1", False): 8, ("T1", True): 1.8, ("T2", True): 3, ("T3", True): 3, ("T4", True): 1.5, ("T4", False): 1.5}  # ratios to C
 STARTS = {"simulate": 1.5, "modes": 1.5, "gradient": 4.0}  # seconds to a first result
@@ -39,9 +38,7 @@ MARKS = "<!-- benchmarks: written by tests/benchmarks/run.py --write -->", "<!--
 
 def child(*arguments: str, option: bool) -> dict:
     """What this program prints when it is run with these arguments."""
-    flags = [os.environ.get("XLA_FLAGS", "")] + ([OPTION] if option else [])
-    environment = {**os.environ, "XLA_FLAGS": " ".join(flags)}
-    done = subprocess.run([sys.executable, __file__, *arguments], env=environment, stdout=subprocess.PIPE, check=True)
+    done = subprocess.run([sys.executable, __file__, *arguments, *["--fast"] * option], stdout=subprocess.PIPE, check=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
@@ -144,10 +141,14 @@ if __name__ == "__main__":
     parser.add_argument("--with", action="store_true", dest="with_")
     parser.add_argument("--no-peers", action="store_true")
     parser.add_argument("--write", action="store_true")
-    for name in ("measure", "compilation"):
+    for name in ("measure", "compilation", "fast"):
         parser.add_argument(f"--{name}", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--start", choices=STARTS, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
+    if chosen.fast:
+        import jaxbody
+
+        jaxbody.fast_loops()
     if chosen.measure:
         print(json.dumps(measured.measure(measured.job_of(chosen.job), chosen.rounds, chosen.only, not chosen.no_peers)))
     elif chosen.start:

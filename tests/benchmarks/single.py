@@ -1,10 +1,10 @@
 """Float32 beside float64, task by task: what is gained in time, what is lost in accuracy. `python single.py`, each precision in a process of its own."""
 
 import argparse
+import functools
 import json
 import subprocess
 import sys
-import time
 import warnings
 from pathlib import Path
 
@@ -14,10 +14,11 @@ SETS = {"T3": 1000, "T4": 10000}
 TOLERANCES = {"T1": (1e-3, 1e-4, 1e-5), "T3": (1e-3, 1e-4, 1e-5), "T4": (0.0,)}
 
 
-def measured(precision: int, folder: Path) -> None:
+def measure(precision: int, folder: Path) -> None:
     """Results of all tasks into a file, their milliseconds printed."""
     import jax
     import jax.numpy as jnp
+    from measured import medians
     from plate import JOB
 
     jax.config.update("jax_enable_x64", precision == 64)
@@ -38,20 +39,15 @@ def measured(precision: int, folder: Path) -> None:
         "T3": lambda rtol: jax.jit(jax.vmap(lambda k: path(k, np.array([0.0, 1.0]), rtol)[-1])),
         "T4": lambda _: jax.jit(jax.vmap(frequencies)),
     }
-    found, spent = {}, {}
+    found, functions = {}, {}
     for task, tolerances in TOLERANCES.items():
         for rtol in tolerances if precision == 32 else tolerances[-1:]:
             k = jnp.asarray(JOB.several_stiffnesses(SETS[task]) if task in SETS else JOB.stiffness, number)
             function = tasks[task](rtol if precision == 32 else 1e-10)
             found[f"{task} {rtol:g}"] = np.asarray(jax.block_until_ready(function(k)), float)
-            times = []
-            for _ in range(7):
-                begun = time.perf_counter()
-                jax.block_until_ready(function(k))
-                times.append(time.perf_counter() - begun)
-            spent[f"{task} {rtol:g}"] = 1e3 * float(np.median(times))
+            functions[f"{task} {rtol:g}"] = functools.partial(function, k)
     np.savez(folder / f"{precision}.npz", **found)
-    print(json.dumps(spent))
+    print(json.dumps(medians(functions, 7)))
 
 
 def main() -> None:
@@ -77,4 +73,4 @@ if __name__ == "__main__":
     parser.add_argument("--precision", type=int)
     parser.add_argument("--folder", type=Path)
     chosen = parser.parse_args()
-    measured(chosen.precision, chosen.folder) if chosen.precision else main()
+    measure(chosen.precision, chosen.folder) if chosen.precision else main()
