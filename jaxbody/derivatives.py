@@ -40,7 +40,7 @@ Slopes = tuple[Float[Array, "6"], ...]  # of each frame of an element
 class Block(NamedTuple):
     """A block of a Hessian in the displacements of two frames, P + [[h I, -[y]], [[x], Q]]: sums of many are worked out part by part."""
 
-    P: Float[Array, "*n 6 6"]
+    P: Float[Array, "*n 6 6"] | None = None
     h: Float[Array, "*n"] | None = None
     x: Float[Array, "*n 3"] | None = None
     y: Float[Array, "*n 3"] | None = None
@@ -54,11 +54,23 @@ class Block(NamedTuple):
         P, Q = (None if part is None else jnp.swapaxes(part, -1, -2) for part in (self.P, self.Q))
         return Block(P, self.h, self.y, self.x, Q)
 
-    def whole(self) -> Float[Array, "*n 6 6"]:
-        if self.h is None:
-            return self.P
-        return self.P + _square(self.h[..., None, None] * jnp.eye(3, dtype=self.P.dtype), -skew(self.y), skew(self.x), self.Q)
+    def whole(self) -> Float[Array, "*n 6 6"] | float:
+        """By products with ones and zeros: parts joined in place of them are copied one number after another."""
+        parts = [] if self.P is None else [self.P]
+        if self.h is not None:
+            parts.append(self.h[..., None, None] * UPPER_LEFT)
+        for vector, places in ((self.x, LOWER_LEFT), (self.y, UPPER_RIGHT)):
+            parts += [] if vector is None else [vector[..., k, None, None] * places[k] for k in range(3)]
+        if self.Q is not None:
+            everywhere = jnp.broadcast_to(self.Q[..., None, :, None, :], (*self.Q.shape[:-2], 2, 3, 2, 3))
+            parts.append(everywhere.reshape(*self.Q.shape[:-2], 6, 6) * LOWER_RIGHT)
+        return sum(parts, 0.0)
 
+
+# Where in a block h is, where Q, and where the components of x and of y are, and with which sign
+SKEW = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)  # [e_x], [e_y], [e_z]
+UPPER_LEFT, LOWER_RIGHT = np.kron(np.diag([1.0, 0.0]), np.eye(3)), np.kron(np.diag([0.0, 1.0]), np.ones((3, 3)))
+LOWER_LEFT, UPPER_RIGHT = np.kron([[0.0, 0.0], [1.0, 0.0]], SKEW), np.kron([[0.0, 1.0], [0.0, 0.0]], -SKEW)
 
 Blocks = dict[tuple[int, int], Block]  # of each two of an element's frames, the first not after the second
 
@@ -82,10 +94,9 @@ def expansion(model: Model, q: Float[Array, "nq"], *, base: bool = True) -> tupl
     arms = rotate(frames.R[layout.first_body :], model.bodies.rows.com)
     weights = -model.bodies.rows.mass[:, None] * model.gravity
     G_bodies = jnp.concatenate([weights, cross(arms, weights)], -1)
-    H_bodies = jnp.pad(turning(arms, weights), ((0, 0), (3, 0), (3, 0)))
     elements = each_element(model, frames, second_order)
     G = _gradient(model, G_bodies, [slopes for slopes, _ in elements], base)
-    H = _hessian(model, H_bodies, [blocks for _, blocks in elements], base)
+    H = _hessian(model, Block(Q=turning(arms, weights)), [blocks for _, blocks in elements], base)
     J = _jacobian(layout, frames, axes, base=base)
     K = _projected(J, H)
     if J is not None:
@@ -101,9 +112,9 @@ def mass(model: Model, q: Float[Array, "nq"]) -> Square:
     layout, bodies = model.layout, model.bodies.rows
     frames, axes = _at_rest(model, q)
     R = frames.R[layout.first_body :]
-    m, c = bodies.mass[:, None, None], skew(rotate(R, bodies.com))
+    m, c = bodies.mass[:, None], rotate(R, bodies.com)
     turned = product(product(R, (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2), jnp.swapaxes(R, -1, -2))
-    inertia = _square(m * jnp.eye(3, dtype=c.dtype), -m * c, m * c, turned - m * product(c, c))
+    inertia = Block(h=bodies.mass, x=m * c, y=m * c, Q=turned - m[..., None] * product(skew(c), skew(c)))
     return _projected(_jacobian(layout, frames, axes), _hessian(model, inertia, []))
 
 
@@ -111,8 +122,7 @@ def damping(model: Model, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Squar
     """C | -C~ | C_bb as one matrix, at the speeds v."""
     layout = model.layout
     frames, axes = _at_rest(model, q, v)
-    none = jnp.zeros((len(layout.bodies), 6, 6), q.dtype)
-    return _projected(_jacobian(layout, frames, axes), _hessian(model, none, each_element(model, frames, dissipation_hessian)))
+    return _projected(_jacobian(layout, frames, axes), _hessian(model, Block(), each_element(model, frames, dissipation_hessian)))
 
 
 # Elements: second derivatives in the displacements of their two frames
@@ -358,7 +368,7 @@ def _gradient(model: Model, bodies: Float[Array, "nb 6"], elements: list[Slopes]
     return _collected([(bodies, list(range(len(bodies)))), *ends], len(_rows(model.layout, base)))
 
 
-def _hessian(model: Model, bodies: Float[Array, "nb 6 6"], elements: list[Blocks], base: bool = True) -> Float[Array, "frames 6 frames 6"]:
+def _hessian(model: Model, bodies: Block, elements: list[Blocks], base: bool = True) -> Float[Array, "frames 6 frames 6"]:
     """The sum over bodies and elements of what each has of each two frames."""
     places, n = _places(model.layout, base), len(_rows(model.layout, base))
 
@@ -366,7 +376,7 @@ def _hessian(model: Model, bodies: Float[Array, "nb 6 6"], elements: list[Blocks
         pairs = [(places[link[one]], places[link[other]]) for link in table.links]
         return [None if i is None or j is None else i * n + j for i, j in pairs]
 
-    found = [(Block(bodies), [i * n + i for i in range(len(bodies))])]
+    found = [(bodies, [i * n + i for i in range(len(model.layout.bodies))])]
     for table, blocks in zip(model.elements, elements, strict=False):
         for (one, other), block in blocks.items():
             found.append((block, cells(table, one, other)))
@@ -378,4 +388,5 @@ def _hessian(model: Model, bodies: Float[Array, "nb 6 6"], elements: list[Blocks
         known = [(part, to) for part, to in zip(parts, their_cells, strict=True) if part is not None]
         return _collected(known, n * n) if known else None
 
-    return Block(*map(summed, zip(*each, strict=True))).whole().reshape(n, n, 6, 6).swapaxes(1, 2)
+    H = Block(*map(summed, zip(*each, strict=True))).whole()
+    return jnp.broadcast_to(jnp.asarray(H, model.gravity.dtype), (n * n, 6, 6)).reshape(n, n, 6, 6).swapaxes(1, 2)

@@ -21,6 +21,8 @@ from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxbody.lanes import in_lanes
+
 CLUSTERED = 1e-6  # relative distance of eigenvalues below which branches cannot be told apart
 ALIKE = (
     1e-5  # relative difference of cotangents within a cluster that counts as none: functions of its frequencies alone differ by CLUSTERED
@@ -168,20 +170,32 @@ def _refused_jvp(primals, tangents):
 
 @jax.custom_jvp
 def natural(K: Float[Array, "n n"], M: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
-    """w^2, ascending, and phi (columns) of K phi = w^2 M phi; phi' M phi = 1, the largest component positive. Symmetric K and M."""
-    L = jnp.linalg.cholesky(M)
-    half = jax.scipy.linalg.solve_triangular(L, K, lower=True)
-    A = jax.scipy.linalg.solve_triangular(L, half.T, lower=True)
-    values, vectors = jnp.linalg.eigh((A + A.T) / 2)
+    """w^2, ascending, and phi (columns) of K phi = w^2 M phi; phi' M phi = 1, the largest component positive. Of K and M the symmetric parts count."""
+    values, A, L = in_lanes(_standard)(K, M)
+    _, vectors = jnp.linalg.eigh(
+        A, symmetrize_input=False
+    )  # apart: in a batch LAPACK takes long, and for nothing where no shapes are asked for
     shapes = jax.scipy.linalg.solve_triangular(L, vectors, lower=True, trans=1)
     largest = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=0)[None], 0)
     return values, shapes * jnp.where(largest < 0, -1.0, 1.0)
 
 
+def _standard(K, M):
+    """w^2, A and L of A y = w^2 y, y = L' phi, L L' = M."""
+    L = jnp.linalg.cholesky(_symmetric(M), symmetrize_input=False)
+    half = jax.scipy.linalg.solve_triangular(L, K, lower=True)
+    A = _symmetric(jax.scipy.linalg.solve_triangular(L, half.T, lower=True))
+    return jnp.linalg.eigvalsh(A, symmetrize_input=False), A, L
+
+
+def _symmetric(A):
+    return (A + A.T) / 2
+
+
 @natural.defjvp
 def _natural_jvp(primals, tangents):
     values, shapes = natural(*primals)
-    dK, dM = tangents
+    dK, dM = map(_symmetric, tangents)
     cluster = clusters(values)
     same = together(cluster)
     N = shapes.T @ (dM @ shapes)

@@ -19,7 +19,7 @@ from jaxbody.arrays import checked, concrete
 from jaxbody.bodies import IDENTITY, as_quaternion, scalar, vector
 from jaxbody.errors import Problems, warn
 from jaxbody.frames import Frame, Pose
-from jaxbody.lanes import kept
+from jaxbody.lane_marks import kept
 from jaxbody.rotations import cross, dot, product, rotate, rotate_back
 from jaxbody.trigonometry import inverse_root
 

@@ -17,7 +17,7 @@ from jaxbody.errors import Status
 from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model, reference_coordinates
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.statics import SINGULAR, Equilibrium, apart, descend, judged_at, scale_of, size_of, unloaded
+from jaxbody.statics import SINGULAR, Equilibrium, apart, descend, judged_at, scale_of, signs, size_of, unloaded
 
 SAME = 1e-9  # of the spread of energies, within which two may be one
 DESCENT, ROOTED = 200, 60  # steps of a search
@@ -111,8 +111,7 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
     q = jax.vmap(lambda move: coordinates.retract(q0, move))(moves.at[0].set(0.0))
 
     def descended(q):
-        found, K, converged, steps = descend(model, q, scale, size, DESCENT)
-        return found, K, converged, steps
+        return descend(model, q, scale, size, DESCENT)
 
     def rooted(q):
         """Newton's method on dV/dDelta, which stops at saddles and maxima as well."""
@@ -129,11 +128,11 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
             return (coordinates.retract(q, scale * y), done), None
 
         (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=ROOTED)
-        return q, expansion(model, q, base=False)[2] * scale * scale[:, None], done, jnp.array(ROOTED)
+        return q, signs(expansion(model, q, base=False)[2] * scale * scale[:, None]), done, jnp.array(ROOTED)
 
-    def judged(q, K, converged, steps):
+    def judged(q, signs, converged, steps):
         status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)
-        return judged_at(model, q, K, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
+        return judged_at(model, q, signs, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
 
     both = [jax.vmap(search)(q) for search in (descended, rooted)]
-    return jax.vmap(judged)(*(jnp.concatenate(x) for x in zip(*both, strict=True)))
+    return jax.vmap(judged)(*jax.tree.map(lambda *x: jnp.concatenate(x), *both))

@@ -24,7 +24,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody.errors import Status
-from jaxbody.lanes import any_of_batch, in_lanes, vmap_last
+from jaxbody.lane_marks import any_of_batch
+from jaxbody.lanes import in_lanes, vmap_last
 
 TABLEAU = diffrax.Dopri8.tableau
 STAGES = len(TABLEAU.c) + 1

@@ -11,12 +11,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
-from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
-from jaxtyping import Array, Bool
+from jaxtyping import Array
+
+from jaxbody.lane_marks import as_kept, plain_max, sum_p
+from jaxbody.symmetric_eigenvalues import eigenvalues
 
 LANES = 32
 ELEMENTWISE = {
@@ -65,54 +66,6 @@ def vmap_last(function: Callable) -> Callable[[Array], Any]:
     return over
 
 
-# Whether it is so for any member of a batch, the same for all: a loop that asks this needs no masks over what it carries.
-_any_p = Primitive("any_of_batch")
-any_of_batch: Callable[[Bool[Array, ""]], Bool[Array, ""]] = _any_p.bind
-_any_p.def_impl(lambda x: x)
-_any_p.def_abstract_eval(lambda x: x)
-mlir.register_lowering(_any_p, lambda context, x: [x])
-batching.primitive_batchers[_any_p] = lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None)
-
-# The same numbers, which a batch in lanes works out once; else XLA works them out again in each fusion, and for each element, that uses them.
-_kept_p = Primitive("kept_in_lanes")
-kept: Callable[[Array], Array] = _kept_p.bind
-_kept_p.def_impl(lambda x: x)
-_kept_p.def_abstract_eval(lambda x: x)
-mlir.register_lowering(_kept_p, lambda context, x: [x])
-ad.deflinear2(_kept_p, lambda cotangent, x: [cotangent])
-batching.defvectorized(_kept_p)
-
-
-def _as_kept(x: Array) -> Array:
-    """x / 1, as XLA fuses no division into several users; it must not know that it is 1."""
-    return x / jnp.where(x == x, 1.0, jnp.nan)
-
-
-# Sums and maxima by reducers that XLA does not recognize: else it gives large ones to a library, whose calls keep a loop from being compiled
-# whole. They must be what they are all the same, as XLA merges sums of sums.
-def _plain_sum(x: Array, axes: tuple[int, ...]) -> Array:
-    return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
-
-
-def _plain_max(x: Array, axes: tuple[int, ...]) -> Array:
-    return lax.reduce(x, np.array(-np.inf, x.dtype), lambda a, b: -lax.min(-a, -b), axes)
-
-
-def _spread_back(cotangent, x, axes):
-    return [lax.broadcast_in_dim(cotangent, x.aval.shape, [i for i in range(x.aval.ndim) if i not in axes])]
-
-
-def _batched_sum(args, batched, axes):
-    return _sum_p.bind(jnp.moveaxis(args[0], batched[0], -1), axes=axes), args[0].ndim - 1 - len(axes)
-
-
-_sum_p = Primitive("sum_in_lanes")
-_sum_p.def_impl(_plain_sum)
-_sum_p.def_abstract_eval(lambda x, axes: ShapedArray(tuple(n for i, n in enumerate(x.shape) if i not in axes), x.dtype))
-mlir.register_lowering(_sum_p, mlir.lower_fun(_plain_sum, multiple_results=False))
-batching.primitive_batchers[_sum_p] = _batched_sum
-ad.deflinear2(_sum_p, _spread_back)
-
 _lanes_p = Primitive("in_lanes")
 _lanes_p.multiple_results = True
 _lanes_p.is_high = lambda *_, **__: False  # pyright: ignore  # newer JAX asks; what its function holds is lowered with it
@@ -151,18 +104,19 @@ def _batch(args, axes, *, jaxpr, reversible, lanes):
     if n <= lanes:
         out = Lanes(n).run(jaxpr, on, args)
         return out, [x.ndim - 1 if o else None for x, o in zip(out, reached, strict=True)]
-    chunks = -(-n // lanes)
 
-    def cut(x):
-        x = jnp.concatenate([x, jnp.broadcast_to(x[..., -1:], (*x.shape[:-1], chunks * lanes - n))], -1)
-        return jnp.moveaxis(x.reshape(*x.shape[:-1], chunks, lanes), -2, 0)
+    def chunk(i, joined):
+        """The last chunk begins where a whole one is left: some members are then worked out twice, and no array is padded."""
+        begin = jnp.minimum(i * lanes, n - lanes)
+        given = [lax.dynamic_slice_in_dim(x, begin, lanes, -1) if o else x for x, o in zip(args, on, strict=True)]
+        out = Lanes(lanes).run(jaxpr, on, given)
+        return [
+            lax.dynamic_update_slice_in_dim(whole, part, begin, -1) if o else part
+            for whole, part, o in zip(joined, out, reached, strict=True)
+        ]
 
-    def chunk(cuts):
-        cuts = iter(cuts)
-        return Lanes(lanes).run(jaxpr, on, [next(cuts) if o else x for x, o in zip(args, on, strict=True)])
-
-    out = lax.map(chunk, [cut(x) for x, o in zip(args, on, strict=True) if o])
-    joined = [jnp.moveaxis(x, 0, -2).reshape(*x.shape[1:-1], -1)[..., :n] if o else x[0] for x, o in zip(out, reached, strict=True)]
+    empty = [jnp.zeros((*a.shape, n) if o else a.shape, a.dtype) for a, o in zip(jaxpr.out_avals, reached, strict=True)]
+    joined = lax.fori_loop(0, -(-n // lanes), chunk, empty)
     return joined, [x.ndim - 1 if o else None for x, o in zip(joined, reached, strict=True)]
 
 
@@ -259,11 +213,11 @@ class Lanes:
             shape = eqn.outvars[0].aval.shape
             return [eqn.primitive.bind(*(self._spread(a, o, shape) for a, o in zip(x, on, strict=True)), **p)]
         if name == "kept_in_lanes":
-            return [_as_kept(x[0])]
+            return [as_kept(x[0])]
         if name == "reduce_sum" and jnp.issubdtype(x[0].dtype, jnp.floating):
-            return [_sum_p.bind(x[0], axes=tuple(p["axes"]))]
+            return [sum_p.bind(x[0], axes=tuple(p["axes"]))]
         if name == "reduce_max" and jnp.issubdtype(x[0].dtype, jnp.floating):
-            return [_plain_max(x[0], tuple(p["axes"]))]
+            return [plain_max(x[0], tuple(p["axes"]))]
         if name in SAME_AXES:
             return _bind(eqn, x)
         if name in ("concatenate", "stack"):
@@ -289,14 +243,20 @@ class Lanes:
             axes = p["dimension_numbers"]
             axes = axes._replace(offset_dims=(*axes.offset_dims, eqn.outvars[0].aval.ndim))
             return [lax.gather_p.bind(*x, **p | {"dimension_numbers": axes, "slice_sizes": (*p["slice_sizes"], n)})]
+        if name == "eigh":  # vectors, where they are used, by LAPACK
+            traced = jax.make_jaxpr(eigenvalues)(jax.ShapeDtypeStruct(x[0].shape[:-1], x[0].dtype))
+            return [self._by_vmap(eqn, on, x)[0], *self.run(traced, on, x)]
         if name == "any_of_batch":
-            return [jnp.any(x[0])]
+            return [jnp.any(x[0], -1)]
         if name == "while" and not _reach_of_while(p, on)[0]:
             return self._while(p, on, x)
         if name == "scan":
             return self._scan(eqn, on, x)
+        return self._by_vmap(eqn, on, x)
+
+    def _by_vmap(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
         axes = [-1 if o else None for o in on]
-        out = jax.vmap(lambda *x: _bind(eqn, x), in_axes=axes, out_axes=-1, axis_size=n)(*x)
+        out = jax.vmap(lambda *x: _bind(eqn, x), in_axes=axes, out_axes=-1, axis_size=self.n)(*x)
         return [a if r else a[..., 0] for a, r in zip(out, _reach_of(eqn, on), strict=True)]
 
     def _while(self, p, on, x):

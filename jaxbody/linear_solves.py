@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 from jaxtyping import Array, Bool, Float
 
+from jaxbody.lane_marks import kept
 from jaxbody.rotations import cross, dot
 
 LARGEST_UNROLLED = 30
@@ -35,4 +36,4 @@ def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Flo
         pivots.append(Ab[i, 0])
         row = Ab[i, 1:] / Ab[i, 0]
         Ab = jnp.where((jnp.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row)
-    return Ab[:, 0], jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)
+    return kept(Ab[:, 0]), jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)

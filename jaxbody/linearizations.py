@@ -199,11 +199,20 @@ def _linearize(model: Model, state: State, status: Int[Array, ""], loads: tuple[
     def of(function, *at):
         return in_lanes(lambda numbers, *at: function(eqx.combine(numbers, rest), *at), reversible=True)(numbers, *at)
 
-    M, C, base = of(mass, state.q), of(damping, state.q, state.v), of(stiffness, state.q)
-    K = of(lambda model, q: expansion(model, q, base=False)[2], state.q)  # apart from `base`: who needs K alone computes no more
+    def blocks(function):
+        def split(*given):
+            H = function(*given)
+            return H[:n, :n], -H[:n, n:], H[n:, n:]
+
+        return split
+
+    M, M_tilde, M_bb = of(blocks(mass), state.q)
+    C, C_tilde, C_bb = of(blocks(damping), state.q, state.v)
+    _, K_tilde, K_bb = of(blocks(stiffness), state.q)
+    K = of(lambda model, q: expansion(model, q, base=False)[2], state.q)  # apart: who needs K alone computes no more
     return Linearization(
-        M[:n, :n], C[:n, :n], K - _load_stiffness(model, state, loads), -M[:n, n:], -C[:n, n:], -base[:n, n:], M[n:, n:], C[n:, n:], base[n:, n:], status, state, model, loads
-    )  # fmt: skip
+        M, C, K - _load_stiffness(model, state, loads), M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, status, state, model, loads
+    )
 
 
 @filter_jit

@@ -11,7 +11,7 @@ from math import factorial
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbody.lanes import kept
+from jaxbody.lane_marks import kept
 from jaxbody.trigonometry import polynomial, sincos
 
 TERMS = 12  # of the power series in theta^2 < 1: 1e-16 up to the fourth derivative

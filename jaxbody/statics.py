@@ -24,7 +24,8 @@ from jaxbody.checks import check_attached, check_precision, check_state
 from jaxbody.derivatives import expansion
 from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates, supports_at_rest
-from jaxbody.lanes import any_of_batch, in_lanes
+from jaxbody.lane_marks import any_of_batch
+from jaxbody.lanes import in_lanes
 from jaxbody.laws import has_range
 from jaxbody.linear_solves import solve_if_definite
 from jaxbody.load_paths import Path, Raised, follow, residual, tangent, with_gravity
@@ -152,11 +153,11 @@ def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, loads: tuple[
     frozen = jax.lax.stop_gradient(model)
     start = reference_coordinates(frozen) if start is None else jax.lax.stop_gradient(start)
     size = size_of(frozen)
-    q, K, converged, steps = descend(frozen, start, scale_of(frozen, size), size, max_steps)
+    q, found, converged, steps = descend(frozen, start, scale_of(frozen, size), size, max_steps)
     runaway = ~converged & (apart(frozen, start, q) > RUNAWAY * size)
     status = jnp.select([runaway, ~converged], [Status.NO_EQUILIBRIUM.value, Status.NOT_CONVERGED.value], Status.OK.value)
-    found = judged_at(model, q, K, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
-    return found if not loads else under_loads(model, found, Raised(loads, jnp.ones(len(loads), q.dtype), jnp.zeros(3, q.dtype)))
+    eq = judged_at(model, q, found, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
+    return eq if not loads else under_loads(model, eq, Raised(loads, jnp.ones(len(loads), q.dtype), jnp.zeros(3, q.dtype)))
 
 
 @jit_quickly
@@ -168,12 +169,12 @@ def under_loads(model: Model, start: Equilibrium, raised: Raised) -> Equilibrium
     q, K, factor, path, ahead = follow(frozen, jax.lax.stop_gradient(start.state.q), still, scale, size)
     borne = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
     fit = jnp.isin(start.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
-    return judged_at(model, q, (K + K.T) / 2, jnp.where(fit, borne, start.status), start.steps, raised, path, factor)
+    return judged_at(model, q, signs((K + K.T) / 2), jnp.where(fit, borne, start.status), start.steps, raised, path, factor)
 
 
-def judged_at(model: Model, q, K, status, steps, raised: Raised, path: Path | None, factor) -> Equilibrium:
-    """What stands at q, where the nondimensional K is: its stability, its derivative, what the springs do."""
-    negative, singular = signs(K)
+def judged_at(model: Model, q, signs, status, steps, raised: Raised, path: Path | None, factor) -> Equilibrium:
+    """What stands at q, where the nondimensional K has these signs: its stability, its derivative, what the springs do."""
+    negative, singular = signs
     failed = status != Status.OK
     q = _implicit((model, raised), q, ~failed & ~singular)
     zero = jnp.zeros(model.layout.nv, q.dtype)
@@ -241,7 +242,7 @@ def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
 
 
 def descend(model, q, scale, size, max_steps):
-    """(q, K, converged, steps) by Newton's method with a shift that makes every step go down."""
+    """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step go down."""
     numbers, rest = eqx.partition(model, eqx.is_array)
     return in_lanes(lambda numbers, *given: _descend(eqx.combine(numbers, rest), *given))(numbers, q, scale, size, max_steps)
 
@@ -281,7 +282,7 @@ def _descend(model, q, scale, size, max_steps):
         return jax.tree.map(lambda new, old: jnp.where(active(carry), new, old), step(carry), carry)
 
     best, tried, _, _, _, done, steps = jax.lax.while_loop(lambda carry: any_of_batch(active(carry)), masked, start)
-    return jnp.where(done, tried, best[0]), best[3], done, steps
+    return jnp.where(done, tried, best[0]), signs(best[3]), done, steps
 
 
 @jax.custom_jvp

@@ -12,6 +12,7 @@ from jaxbody import tables
 from jaxbody.checks import check_precision
 from jaxbody.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.errors import Status, is_concrete
+from jaxbody.lanes import in_lanes
 from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import Layout
 from jaxbody.options import jit_quickly
@@ -91,7 +92,7 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
 
 @jit_quickly
 def _modes(lin: Linearization) -> Modes:
-    values, shapes = natural((lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2)
+    values, shapes = natural(lin.K, lin.M)
     cluster = clusters(values)
     top = jnp.max(jnp.abs(values), initial=0.0)
     positive, negative = values > ZERO * top, values < -ZERO * top
@@ -99,7 +100,7 @@ def _modes(lin: Linearization) -> Modes:
     frequency = jnp.where(positive, w / (2 * jnp.pi), jnp.where(negative, jnp.nan, 0.0))
     damping = jnp.where(positive, averaged(jnp.sum(shapes * (lin.C @ shapes), 0), cluster) / (2 * w), jnp.nan)
     here = jnp.select([negative.any(), (~positive).any()], [Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value)
-    skew = jnp.max(jnp.abs(lin.K - lin.K.T), initial=0.0) > SYMMETRIC * jnp.max(jnp.abs(lin.K), initial=0.0)
+    skew = in_lanes(lambda K: jnp.max(jnp.abs(K - K.T), initial=0.0) > SYMMETRIC * jnp.max(jnp.abs(K), initial=0.0))(lin.K)
     frequency = jnp.where(skew, jnp.nan, frequency)
     here = jnp.where(skew, Status.NOT_SYMMETRIC.value, here)
     failed = jnp.isin(lin.status, jnp.array([Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT]))

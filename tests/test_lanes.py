@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxbody.lanes import LANES, any_of_batch, in_lanes, kept, vmap_last
+from jaxbody.lane_marks import any_of_batch, kept
+from jaxbody.lanes import LANES, in_lanes, vmap_last
 
 
 def vectors(x, a):
