@@ -1,4 +1,4 @@
-"""What a function tells a batch in lanes: what to ask of all members together, what to work out once, sums and maxima that XLA compiles well."""
+"""What a function tells a batch in lanes: what to ask of all members, what to work out once, sums and maxima that XLA compiles well."""
 
 from __future__ import annotations
 
