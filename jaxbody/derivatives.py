@@ -158,7 +158,7 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
     g_a, g_b = (jnp.concatenate([d, cross(arm, d)]) for arm in (a, b))
 
     def block(x, y, g_x, g_y, turned=0.0):
-        Q = dot(x, y) * jnp.eye(3, dtype=d.dtype) - y[:, None] * x
+        Q = dot(x, y) * np.eye(3, dtype=d.dtype) - y[:, None] * x
         return Block(c * g_x[:, None] * g_y, h, h * x, h * y, h * Q + turned)
 
     return (-h * g_a, h * g_b), {
@@ -181,9 +181,9 @@ def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
     P = (B.p - A.p) + b
     theta = rotations.log_below_half_turn(product(R_A.T, R_B))
     g, H = _in_relative_motion(bushing, theta, rotate_back(R_A, P - a))
-    turn = jnp.kron(jnp.eye(2, dtype=P.dtype), R_A)
+    turn = jnp.kron(np.eye(2, dtype=P.dtype), R_A)
     H, f, m = turn @ H @ turn.T, rotate(R_A, g[:3]), rotate(R_A, g[3:])
-    I, O = jnp.eye(3, dtype=P.dtype), jnp.zeros((3, 3), P.dtype)
+    I, O = np.eye(3, dtype=P.dtype), jnp.zeros((3, 3), P.dtype)
     Z_a, Z_b = _square(-I, skew(P), O, -I), _square(I, -skew(b), O, I)
     slopes = tuple(jnp.concatenate([f, m]) @ Z for Z in (Z_a, Z_b))
     return slopes, {
@@ -200,7 +200,7 @@ def _in_relative_motion(bushing: Bushing, theta: Float[Array, "3"], t: Float[Arr
     where N(y) eta is the derivative of J y along eta; P(g) is the matrix of eta . P(g) y = g . N(y) eta, S that of f . D2J(t)[eta, eta]."""
     c, c1, c2 = _with_derivatives(rotations.cotc, dot(theta, theta))
     T = skew(theta)
-    J = jnp.eye(3, dtype=t.dtype) - T / 2 + c * product(T, T)
+    J = np.eye(3, dtype=t.dtype) - T / 2 + c * product(T, T)
 
     def squared(y):
         return cross(theta, cross(theta, y))
@@ -220,7 +220,7 @@ def _in_relative_motion(bushing: Bushing, theta: Float[Array, "3"], t: Float[Arr
     f_u, N_t = f[:3], N(t)
     p = f[3:] + rotate_back(N_t, f_u)
     w = cross(cross(theta, t), f_u) + cross(t, cross(f_u, theta))
-    I = jnp.eye(3, dtype=t.dtype)
+    I = np.eye(3, dtype=t.dtype)
     S = (
         dot(f_u, squared(t)) * (4 * c2 * along(theta, theta) + 2 * c1 * I)
         + 4 * c1 * along(theta, w)
@@ -246,7 +246,7 @@ def _with_derivatives(function, x: Array) -> tuple[Array, Array, Array]:
 def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     """The Hessian of force . exp([phi]) arm: (f a' + a f')/2 - (f . a) I."""
     outer = force[..., :, None] * arm[..., None, :]
-    return (outer + jnp.swapaxes(outer, -1, -2)) / 2 - dot(force, arm)[..., None, None] * jnp.eye(3, dtype=arm.dtype)
+    return (outer + jnp.swapaxes(outer, -1, -2)) / 2 - dot(force, arm)[..., None, None] * np.eye(3, dtype=arm.dtype)
 
 
 def dissipation_hessian(element: Element, *frames: Frame) -> Blocks:
@@ -258,7 +258,7 @@ def dissipation_hessian(element: Element, *frames: Frame) -> Blocks:
         at = (Frame(f.p, f.R, part[:3], part[3:]) for f, part in zip(frames, jnp.split(x, len(frames)), strict=True))
         return element.rates(*at)[1]
 
-    J = jax.vmap(rates, out_axes=-1)(jnp.eye(n, dtype=frames[0].p.dtype)).reshape(-1, n)
+    J = jax.vmap(rates, out_axes=-1)(np.eye(n, dtype=frames[0].p.dtype)).reshape(-1, n)
     second = jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot).reshape(len(J), len(J))
     return _blocks(J.T @ second @ J)
 

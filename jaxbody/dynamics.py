@@ -222,7 +222,7 @@ class Dynamics(eqx.Module):
 def table_of_free(supports: Frame, bodies: Frame) -> Frame:
     """The table of frames of supports and of bodies that are free on the world."""
     zero = jnp.zeros((1, 3), bodies.p.dtype)
-    return stack([Frame(zero, jnp.eye(3, dtype=zero.dtype)[None], zero, zero), supports, bodies])
+    return stack([Frame(zero, np.eye(3, dtype=zero.dtype)[None], zero, zero), supports, bodies])
 
 
 def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
@@ -231,7 +231,7 @@ def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
     C = skew(bodies.com)
     G = inverse_of_three((bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2)
     CG, GC = product(C, G), product(G, C)
-    top = jnp.concatenate([jnp.eye(3, dtype=C.dtype) / bodies.mass[:, None, None] - product(CG, C), CG], -1)
+    top = jnp.concatenate([np.eye(3, dtype=C.dtype) / bodies.mass[:, None, None] - product(CG, C), CG], -1)
     return jnp.concatenate([top, jnp.concatenate([-GC, G], -1)], -2)
 
 

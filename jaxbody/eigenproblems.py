@@ -16,6 +16,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
@@ -95,7 +96,7 @@ def _one_sided(W: Array, cluster: Array) -> Array:
     """Of each cluster the eigenvalues of its block of W, ascending; clusters are kept apart by a shift."""
     B = jnp.where(together(cluster), (W + jnp.swapaxes(W, -1, -2)) / 2, 0.0)
     shift = 4 * jnp.max(jnp.sum(jnp.abs(B), -1), -1, initial=0.0)[..., None] * cluster
-    split = jnp.linalg.eigvalsh(B + shift[..., None] * jnp.eye(W.shape[-1], dtype=W.dtype)) - shift
+    split = jnp.linalg.eigvalsh(B + shift[..., None] * np.eye(W.shape[-1], dtype=W.dtype)) - shift
     return jnp.where(_alone(cluster), jnp.diagonal(W, axis1=-2, axis2=-1), split)
 
 
@@ -109,7 +110,7 @@ def _if_alike(cotangent: Array, cluster: Array) -> Array:
 
 
 def _diagonal(x: Array) -> Array:
-    return x[..., None] * jnp.eye(x.shape[-1], dtype=x.dtype)
+    return x[..., None] * np.eye(x.shape[-1], dtype=x.dtype)
 
 
 def _nan_if_shared(x: Array, cluster: Array) -> Array:
@@ -260,7 +261,7 @@ def _poles_jvp(primals, tangents):
     left, Y = poles(A.T)
     cluster = pole_clusters(s)
     same = together(cluster)
-    overlap = jnp.abs(jnp.conj(X).T @ X) - 2 * jnp.eye(len(s), dtype=A.dtype)
+    overlap = jnp.abs(jnp.conj(X).T @ X) - 2 * np.eye(len(s), dtype=A.dtype)
     defective = jnp.any(same & (overlap > 1 - PARALLEL), axis=0)  # its derivatives are infinite
     match = coincide(left, s)
     broken = jnp.any(match & defective, axis=1)

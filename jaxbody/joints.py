@@ -221,7 +221,7 @@ class Series(Joint):
         self.parent = parent
 
     def pose(self, q, parent, rest):
-        e = jnp.eye(3, dtype=parent.R.dtype)
+        e = np.eye(3, dtype=parent.R.dtype)
         p, R = rest.p, e
         for axis, turn, x in zip(self.steps, self.turns, q, strict=True):
             if turn:
@@ -231,7 +231,7 @@ class Series(Joint):
         return parent @ Pose(p, rotations.product(R, rest.R))
 
     def axes(self, q, parent, body):
-        R, e, directions = parent.R, jnp.eye(3, dtype=parent.R.dtype), []
+        R, e, directions = parent.R, np.eye(3, dtype=parent.R.dtype), []
         for axis, turn, x in zip(self.steps, self.turns, q, strict=True):
             directions.append(R[:, axis])
             if turn:

@@ -93,7 +93,7 @@ class Coordinates(eqx.Module):
         angular (nv, 3), world axes."""
         layout, dtype = self.model.layout, q.dtype
         zero = jnp.zeros((1, 3), dtype)
-        done = stack([Frame(zero, jnp.eye(3, dtype=dtype)[None], zero, zero), supports])
+        done = stack([Frame(zero, np.eye(3, dtype=dtype)[None], zero, zero), supports])
         order = list(layout.frames[: layout.first_body])
         linear, angular = [], []
         for table, (q_rows, v_rows) in self._each(lambda joint, q, v: (q, v), (q, "q"), (v, "v")):

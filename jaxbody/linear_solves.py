@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import jax.scipy.linalg
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxbody.lane_marks import kept
@@ -35,5 +36,5 @@ def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Flo
     for i in range(n):  # Gauss-Jordan: clear the first column from all rows but i, and let it go
         pivots.append(Ab[i, 0])
         row = Ab[i, 1:] / Ab[i, 0]
-        Ab = jnp.where((jnp.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row)
+        Ab = jnp.where((np.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row)
     return kept(Ab[:, 0]), jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_precision, check_state
-from jaxbody.derivatives import damping, expansion, mass, stiffness
+from jaxbody.derivatives import damping, mass, stiffness
 from jaxbody.errors import JaxbodyError, Problem, Status
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, supports_at
@@ -208,8 +208,7 @@ def _linearize(model: Model, state: State, status: Int[Array, ""], loads: tuple[
 
     M, M_tilde, M_bb = of(blocks(mass), state.q)
     C, C_tilde, C_bb = of(blocks(damping), state.q, state.v)
-    _, K_tilde, K_bb = of(blocks(stiffness), state.q)
-    K = of(lambda model, q: expansion(model, q, base=False)[2], state.q)  # apart: who needs K alone computes no more
+    K, K_tilde, K_bb = of(blocks(stiffness), state.q)
     return Linearization(
         M, C, K - _load_stiffness(model, state, loads), M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, status, state, model, loads
     )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxbody.derivatives import expansion, slope
@@ -111,7 +112,7 @@ def follow(model: Model, q, raised: Raised, scale: Float[Array, "nv"], size: Flo
         at, q, target, length, iteration, steps, top, path = carry
         r, K = nondimensional(q, target)
         unit = jnp.max(jnp.abs(K), initial=0.0)
-        y = -jnp.linalg.solve(K + SHIFT * jnp.where(unit > 0, unit, 1.0) * jnp.eye(n, dtype=dtype), r)
+        y = -jnp.linalg.solve(K + SHIFT * jnp.where(unit > 0, unit, 1.0) * np.eye(n, dtype=dtype), r)
         longest = jnp.max(jnp.abs(y), initial=0.0)
         moved = Coordinates(model).retract(q, scale * y)
         values = jnp.linalg.eigvalsh((K + K.T) / 2)

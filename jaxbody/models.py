@@ -420,7 +420,7 @@ def _places(names: tuple[str, ...], order: tuple[str, ...]) -> np.ndarray:
 def rest_poses(model: Model) -> Pose:
     """Pose of each body on its parent in the reference pose, rows in the order of the bodies."""
     supports, bodies = reference_poses(model)
-    world = Pose(jnp.zeros((1, 3), bodies.p.dtype), jnp.eye(3, dtype=bodies.R.dtype)[None])
+    world = Pose(jnp.zeros((1, 3), bodies.p.dtype), np.eye(3, dtype=bodies.R.dtype)[None])
     p, R = (jnp.concatenate([getattr(x, name) for x in (world, supports, bodies)]) for name in ("p", "R"))
     rows = _places(model.layout.parents, model.layout.frames)
     return Pose(p[rows], R[rows]).inverse() @ bodies

@@ -199,7 +199,7 @@ def signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
         return jnp.sum(values < -tolerance), jnp.any(jnp.abs(values) <= tolerance)
 
     largest = jnp.sqrt(jnp.sum(K * K))  # or more
-    _, definite = solve_if_definite(K - SINGULAR * largest * jnp.eye(len(K), dtype=K.dtype), jnp.zeros(len(K), K.dtype))
+    _, definite = solve_if_definite(K - SINGULAR * largest * np.eye(len(K), dtype=K.dtype), jnp.zeros(len(K), K.dtype))
     return jax.lax.cond(any_of_batch(~definite), by_eigenvalues, lambda: (jnp.zeros((), int), jnp.array(False)))
 
 
@@ -261,7 +261,7 @@ def _descend(model, q, scale, size, max_steps):
         _, _, slope, K = best
         unit = jnp.max(jnp.abs(K), initial=0.0)
         unit = jnp.where(unit > 0, unit, 1.0)
-        y, definite = solve_if_definite(K + (shift + LEAST_SHIFT) * unit * jnp.eye(len(scale), dtype=K.dtype), -slope)
+        y, definite = solve_if_definite(K + (shift + LEAST_SHIFT) * unit * np.eye(len(scale), dtype=K.dtype), -slope)
         longest = jnp.max(jnp.abs(y), initial=0.0)
         y = jnp.where(definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0)  # else no step, and a larger shift next
         expected = -jnp.sum(y * slope) - 0.5 * jnp.sum(y * jnp.sum(K * y, -1))

@@ -9,6 +9,7 @@ Source: B. N. Parlett, The Symmetric Eigenvalue Problem (1998), 7.4, 8.14 and 8.
 from __future__ import annotations
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -26,7 +27,7 @@ def eigenvalues(A: Float[Array, "n n"]) -> Float[Array, "n"]:
 
 def _tridiagonal(A: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
     """d, and e with a zero at its end."""
-    row = jnp.arange(len(A))
+    row = np.arange(len(A))
 
     def reflect(k, A):
         x = jnp.where(row > k, _at(A, k), 0.0)
@@ -82,7 +83,7 @@ def _diagonalized(d: Float[Array, "n"], e: Float[Array, "n"]) -> Float[Array, "n
 
 def _ascending(d: Float[Array, "n"]) -> Float[Array, "n"]:
     """Each number goes where as many lie before it as are less; one that is NaN makes all so."""
-    i = jnp.arange(len(d))
+    i = np.arange(len(d))
     before = (d[:, None] < d) | ((d[:, None] == d) & (i[:, None] < i))
     rank = jnp.sum(before.astype(d.dtype), 0)
     return jnp.sum(jnp.where(rank == i[:, None], d, 0 * d), 1)
