@@ -40,7 +40,7 @@ if TYPE_CHECKING:  # by editors and type checkers; a program imports each at its
     from jaxbody.multistarts import Multistart, multistart
     from jaxbody.naming import paths, replace
     from jaxbody.nonlinearities import backbones
-    from jaxbody.options import fast_loops
+    from jaxbody.options import fast_loops, quick_options
     from jaxbody.plausibilities import plausibility
     from jaxbody.poles import complex_modes, whirl
     from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction

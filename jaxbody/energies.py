@@ -16,7 +16,7 @@ from jaxbody.checks import check_precision
 from jaxbody.eigenproblems import ZERO, averaged, clusters, natural
 from jaxbody.errors import Problems, is_concrete
 from jaxbody.frames import Frame
-from jaxbody.kinematics import Coordinates, supports_at_rest
+from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.mechanics import each_element
 from jaxbody.models import Model
@@ -201,7 +201,7 @@ def _curvatures(lin: Linearization) -> list[tuple[Array, Array]]:
         second = jax.hessian(element.energy)(e), jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot)
         return tuple(x.reshape(n, n) for x in second)
 
-    return each_element(lin.model, Coordinates(lin.model).frames(lin.state.q, lin.state.v, supports_at_rest(lin.model)), of)
+    return each_element(lin.model, Coordinates(lin.model).at_rest(lin.state.q, lin.state.v), of)
 
 
 def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
@@ -215,7 +215,7 @@ def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
 
 
 def _moving(lin: Linearization, phi: Float[Array, "nv"]) -> Frame:
-    return Coordinates(lin.model).frames(lin.state.q, phi, supports_at_rest(lin.model))
+    return Coordinates(lin.model).at_rest(lin.state.q, phi)
 
 
 def _kinetic(model: Model, frames: Frame) -> Float[Array, "nb 6"]:

@@ -14,7 +14,7 @@ from jaxbody import tables
 from jaxbody.checks import check_attached, check_precision
 from jaxbody.derivatives import expansion
 from jaxbody.errors import Status
-from jaxbody.kinematics import Coordinates
+from jaxbody.kinematics import Chart
 from jaxbody.models import Model, reference_coordinates
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import SINGULAR, Equilibrium, apart, descend, judged_at, scale_of, signs, size_of, unloaded
@@ -104,11 +104,11 @@ def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
 
 @eqx.filter_jit
 def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium:
-    size, coordinates = size_of(model), Coordinates(model)
+    size, chart = size_of(model), Chart(model)
     scale = scale_of(model, size)
     moves = spread * size * scale * jnp.where(model.layout.turns, 2.0, 1.0) * jax.random.normal(key, (starts, len(scale)), size.dtype)
     q0 = reference_coordinates(model)
-    q = jax.vmap(lambda move: coordinates.retract(q0, move))(moves.at[0].set(0.0))
+    q = jax.vmap(lambda move: chart.retract(q0, move))(moves.at[0].set(0.0))
 
     def descended(q):
         return descend(model, q, scale, size, DESCENT)
@@ -125,7 +125,7 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
             y = y * jnp.where(longest > size / 4, size / 4 / longest, 1.0)
             unit = jnp.max(jnp.abs(K), initial=0.0)
             done = (longest <= 1e-9 * size) & (jnp.max(jnp.abs(g), initial=0.0) <= 1e-9 * unit * size)
-            return (coordinates.retract(q, scale * y), done), None
+            return (chart.retract(q, scale * y), done), None
 
         (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=ROOTED)
         return q, signs(expansion(model, q, base=False)[2] * scale * scale[:, None]), done, jnp.array(ROOTED)

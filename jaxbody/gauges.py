@@ -14,7 +14,7 @@ from jaxbody.elements import ends
 from jaxbody.errors import Problem, Problems
 from jaxbody.frames import Frame, Pose
 from jaxbody.joints import unit_vector
-from jaxbody.models import WORLD, Model, reference_poses
+from jaxbody.models import WORLD, Model, body_poses, support_poses
 from jaxbody.rotations import cross, dot, rotate, rotate_back
 from jaxbody.sensors import Chain, Sensor
 
@@ -138,8 +138,8 @@ def _at_reference(model: Model, name: str, point) -> tuple[Array, Array]:
     """The place of a point and the orientation of its frame in the reference pose."""
     if name == WORLD:
         return jnp.asarray(point), jnp.eye(3)
-    layout, (supports, bodies) = model.layout, reference_poses(model)
-    poses, names = (supports, layout.supports) if name in layout.supports else (bodies, layout.bodies)
+    layout = model.layout
+    poses, names = (support_poses(model), layout.supports) if name in layout.supports else (body_poses(model), layout.bodies)
     i = names.index(name)
     return poses.p[i] + rotate(poses.R[i], point), poses.R[i]
 

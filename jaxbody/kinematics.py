@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.frames import Frame, Pose, stack
-from jaxbody.models import Model, reference_poses, rest_poses
+from jaxbody.models import Model, rest_poses, support_poses
 from jaxbody.motions import Motion
 from jaxbody.rotations import cross, rotate
 from jaxbody.storage import Table
@@ -21,6 +21,8 @@ Motions = tuple[Motion, ...]  # one per support, in their order
 def take(x: Array, rows: np.ndarray) -> Array:
     """x[rows] for rows known beforehand; slices where they follow one another or are all the same, which a compiled loop can fuse."""
     if len(rows) and (np.diff(rows) == 1).all():
+        if len(rows) == len(x):
+            return x
         return x[int(rows[0]) : int(rows[-1]) + 1]
     if len(rows) and (rows == rows[0]).all():
         return jnp.broadcast_to(x[int(rows[0])], (len(rows), *x.shape[1:]))
@@ -29,13 +31,13 @@ def take(x: Array, rows: np.ndarray) -> Array:
 
 def supports_at(model: Model, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
     """Frames of the supports displaced by Xi from their reference poses, Xi changing at the rate Xi'."""
-    pose = reference_poses(model)[0].displaced(xi)
+    pose = support_poses(model).displaced(xi)
     return Frame(pose.p, pose.R, xi_dot[:, :3], rotate(rotations.left_jacobian(xi[:, 3:]), xi_dot[:, 3:]))
 
 
 def supports_at_rest(model: Model) -> Frame:
     """Frames of the supports at rest in their reference poses."""
-    return reference_poses(model)[0].at_rest()
+    return support_poses(model).at_rest()
 
 
 def supports_moving(model: Model, motions: Motions, t: Float[Array, ""]) -> Frame:
@@ -46,15 +48,10 @@ def supports_moving(model: Model, motions: Motions, t: Float[Array, ""]) -> Fram
     return supports_at(model, xi, xi_dot)
 
 
-class Coordinates(eqx.Module):
-    """The joints of a model with what stays the same while it moves: `rest`, the reference poses of the bodies on their parents."""
+class Chart(eqx.Module):
+    """The coordinates q of the joints of a model, their increments Delta and the speeds v."""
 
     model: Model
-    rest: Pose
-
-    def __init__(self, model: Model):
-        self.model = model
-        self.rest = rest_poses(model)
 
     def _each(self, function, *tables: tuple[Array, str]):
         """Apply function(joint, row, ...) to each body; tables are ("q" or "v")-vectors cut into the parts of the bodies."""
@@ -83,6 +80,20 @@ class Coordinates(eqx.Module):
     def rate(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nq"]:
         """dq/dt for the speeds v."""
         return self._assemble(list(self._each(lambda joint, q, v: joint.rate(q, v), (q, "q"), (v, "v"))))
+
+
+class Coordinates(Chart):
+    """A chart with what stays the same while bodies move: `rest`, the reference poses of the bodies on their parents."""
+
+    rest: Pose
+
+    def __init__(self, model: Model):
+        self.model = model
+        self.rest = rest_poses(model)
+
+    def at_rest(self, q: Float[Array, "nq"], v: Float[Array, "nv"] | None = None) -> Frame:
+        """The table of frames with all at rest, supports in their reference poses, or bodies with speeds v."""
+        return self.frames(q, jnp.zeros(self.model.layout.nv, q.dtype) if v is None else v, supports_at_rest(self.model))
 
     def frames(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame) -> Frame:
         """The table of frames: world, supports, bodies."""
@@ -129,4 +140,4 @@ def retract(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> F
     >>> retract(model, model.reference.q, jnp.array([0.1, 0, 0, 0, 0, 0])).tolist()
     [0.1, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     """
-    return Coordinates(model).retract(q, delta)
+    return Chart(model).retract(q, delta)

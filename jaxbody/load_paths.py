@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbody.derivatives import expansion, slope
 from jaxbody.frames import Pose
-from jaxbody.kinematics import Coordinates, supports_at_rest
+from jaxbody.kinematics import Chart, Coordinates
 from jaxbody.loads import Load
 from jaxbody.models import Model
 from jaxbody.rotations import product, skew
@@ -57,7 +57,7 @@ def generalized(model: Model, q, loads: tuple[Load, ...], weights: Float[Array, 
 
     def poses(delta):
         coordinates = Coordinates(model)
-        return coordinates.frames(coordinates.retract(q, delta), jnp.zeros_like(delta), supports_at_rest(model)).pose()
+        return coordinates.at_rest(coordinates.retract(q, delta)).pose()
 
     at, pull = jax.vjp(poses, delta)
     p, R = jnp.zeros_like(at.p), jnp.zeros_like(at.R)
@@ -114,7 +114,7 @@ def follow(model: Model, q, raised: Raised, scale: Float[Array, "nv"], size: Flo
         unit = jnp.max(jnp.abs(K), initial=0.0)
         y = -jnp.linalg.solve(K + SHIFT * jnp.where(unit > 0, unit, 1.0) * np.eye(n, dtype=dtype), r)
         longest = jnp.max(jnp.abs(y), initial=0.0)
-        moved = Coordinates(model).retract(q, scale * y)
+        moved = Chart(model).retract(q, scale * y)
         values = jnp.linalg.eigvalsh((K + K.T) / 2)
         top = jnp.where(steps == 0, jnp.max(jnp.abs(values), initial=0.0), top)
         smallest = jnp.min(values, initial=jnp.inf) / jnp.where(top > 0, top, 1.0)
@@ -150,7 +150,7 @@ def _negative_ahead(nondimensional, model: Model, at: _At, scale, size) -> Bool[
     moves = size * jnp.concatenate([s := jnp.logspace(-4, 0, 9, dtype=at.q.dtype), -s])
 
     def smallest(s):
-        K = nondimensional(Coordinates(model).retract(at.q, scale * s * softest), at.factor)[1]
+        K = nondimensional(Chart(model).retract(at.q, scale * s * softest), at.factor)[1]
         values = jnp.linalg.eigvalsh((K + K.T) / 2)
         return jnp.min(values, initial=jnp.inf) / jnp.max(jnp.abs(values), initial=1e-300)
 

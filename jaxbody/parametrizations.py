@@ -21,7 +21,7 @@ from jaxbody import rotations
 from jaxbody.arrays import concrete
 from jaxbody.errors import Problem, Problems
 from jaxbody.experiments import Experiment
-from jaxbody.kinematics import Coordinates
+from jaxbody.kinematics import Chart
 from jaxbody.models import Model
 
 POSITIVE = ("stiffness", "damping", "mass")
@@ -154,7 +154,7 @@ class Configuration(Parametrization):
         return self.model.layout.nv
 
     def value(self, u):
-        return Coordinates(self.model).retract(self.start, u)
+        return Chart(self.model).retract(self.start, u)
 
     def labels(self):
         return [f"[{name}]" for name in self.model.layout.coordinates]
@@ -168,7 +168,7 @@ class Configurations(Configuration):
         return len(self.start) * self.model.layout.nv
 
     def value(self, u):
-        return jax.vmap(Coordinates(self.model).retract)(self.start, u.reshape(len(self.start), -1))
+        return jax.vmap(Chart(self.model).retract)(self.start, u.reshape(len(self.start), -1))
 
     def labels(self):
         return [f"[{row}, {name}]" for row in range(len(self.start)) for name in self.model.layout.coordinates]

@@ -13,7 +13,7 @@ from jaxbody import tables
 from jaxbody.checks import check_precision
 from jaxbody.eigenproblems import pole_clusters, poles, refused_if_shared
 from jaxbody.errors import Status, is_concrete
-from jaxbody.kinematics import Coordinates, supports_at_rest
+from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import Layout
 from jaxbody.results import Result, warn_if_failed
@@ -186,7 +186,7 @@ def _whirl(lin: SpinLinearization, shapes: Complex[Array, "nv n"]) -> Float[Arra
     bodies = model.bodies.rows
 
     def velocities(v):
-        frames = Coordinates(model).frames(lin.state.q, v, supports_at_rest(model))[layout.first_body :]
+        frames = Coordinates(model).at_rest(lin.state.q, v)[layout.first_body :]
         return frames.velocity(bodies.com), frames.w
 
     spin = velocities(lin.state.v)[1]

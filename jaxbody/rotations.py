@@ -178,17 +178,13 @@ def normalize(q: Float[Array, "*n 4"]) -> Float[Array, "*n 4"]:
 
 
 def matrix(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3 3"]:
-    """Rotation matrix of a quaternion of any length."""
-    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
+    """Rotation matrix of a quaternion (w, u) of any length, I + 2 (w [u] + [u]^2)/|q|^2."""
+    w, x, y, z = (q[..., i] for i in range(4))
     s = 2.0 / jnp.sum(q * q, -1)
-    return jnp.stack(
-        [
-            jnp.stack([1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)], -1),
-            jnp.stack([s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)], -1),
-            jnp.stack([s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)], -1),
-        ],
-        -2,
-    )
+    x2, y2, z2 = s * x, s * y, s * z
+    xx, yy, zz, xy, xz, yz, wx, wy, wz = x2 * x, y2 * y, z2 * z, x2 * y, x2 * z, y2 * z, x2 * w, y2 * w, z2 * w
+    rows = (1 - (yy + zz), xy - wz, xz + wy), (xy + wz, 1 - (xx + zz), yz - wx), (xz - wy, yz + wx, 1 - (xx + yy))
+    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
 
 
 def from_matrix(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:

@@ -26,7 +26,7 @@ from jaxbody.laws import has_range
 from jaxbody.linearizations import linearize
 from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, kinetic, lost_power, potential
-from jaxbody.models import Model, State, reference_poses, unknown
+from jaxbody.models import Model, State, body_poses, support_poses, unknown
 from jaxbody.momenta import Canonical
 from jaxbody.motions import AtRest, Motion, as_motion, check_times, kinks_of
 from jaxbody.naming import by_name
@@ -385,8 +385,7 @@ def _stiffness_sum(model: Model) -> Float[Array, ""]:
         e = element.deformation(*(f.pose() for f in frames))
         return jnp.max(jnp.abs(jax.hessian(element.energy)(e)))
 
-    supports, bodies = reference_poses(model)
-    found = each_element(model, table_of_free(supports.at_rest(), bodies.at_rest()), stiffest)
+    found = each_element(model, table_of_free(support_poses(model).at_rest(), body_poses(model).at_rest()), stiffest)
     return sum((jnp.sum(k) for k in found), jnp.zeros((), model.gravity.dtype))
 
 

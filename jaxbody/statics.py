@@ -23,7 +23,7 @@ from jaxbody import tables
 from jaxbody.checks import check_attached, check_precision, check_state
 from jaxbody.derivatives import expansion
 from jaxbody.errors import Status, is_concrete
-from jaxbody.kinematics import Coordinates, supports_at_rest
+from jaxbody.kinematics import Chart, Coordinates
 from jaxbody.lane_marks import any_of_batch
 from jaxbody.lanes import in_lanes
 from jaxbody.laws import has_range
@@ -178,7 +178,7 @@ def judged_at(model: Model, q, signs, status, steps, raised: Raised, path: Path 
     failed = status != Status.OK
     q = _implicit((model, raised), q, ~failed & ~singular)
     zero = jnp.zeros(model.layout.nv, q.dtype)
-    frames = Coordinates(model).frames(q, zero, supports_at_rest(model))
+    frames = Coordinates(model).at_rest(q)
     beyond = jnp.any(beyond_laws(model, frames)) if has_range(model.elements) else jnp.array(False)
     status = jnp.select(
         [failed, negative > 0, singular, beyond], [status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
@@ -210,15 +210,15 @@ def unloaded(dtype) -> Raised:
 
 def apart(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> Float[Array, ""]:
     """The farthest that a body is between two configurations [m], turns times the size of the model."""
-    zero = jnp.zeros(model.layout.nv, one.dtype)
-    a, b = (Coordinates(model).frames(q, zero, supports_at_rest(model)) for q in (one, other))
+    coordinates = Coordinates(model)
+    a, b = coordinates.at_rest(one), coordinates.at_rest(other)
     turned = size_of(model) * jnp.sqrt(jnp.sum((a.R - b.R) ** 2, (-2, -1)))
     return jnp.max(jnp.maximum(jnp.linalg.norm(a.p - b.p, axis=-1), turned))
 
 
 @filter_jit
 def _beyond(model: Model, state: State) -> Bool[Array, "ne"]:
-    return beyond_laws(model, Coordinates(model).frames(state.q, state.v, supports_at_rest(model)))
+    return beyond_laws(model, Coordinates(model).at_rest(state.q, state.v))
 
 
 def size_of(model: Model) -> Float[Array, ""]:
@@ -268,7 +268,7 @@ def _descend(model, q, scale, size, max_steps):
         at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= 1e-14 * unit * size  # on a saddle too, where no step is worth anything
         near = accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= TOLERANCE * size)
         done = definite & (near | at_rest)
-        tried = Coordinates(model).retract(best[0], scale * y)
+        tried = Chart(model).retract(best[0], scale * y)
         return best, tried, shift, expected, definite & (longest < 1e-6 * size), done, n + 1
 
     n = len(scale)
@@ -297,7 +297,7 @@ def _implicit_jvp(primals, tangents):
     q = _implicit(*primals)
     _, change = jax.jvp(lambda given: residual(given[0], q, given[1]), ((model, raised),), (tangents[0],))
     delta = -jnp.linalg.solve(jnp.where(valid, tangent(model, q, raised), jnp.nan), change)
-    return q, Coordinates(model).rate(q, delta)
+    return q, Chart(model).rate(q, delta)
 
 
 def zero_modes(model: Model, state: State) -> list[str]:

@@ -1,12 +1,18 @@
 """The tests compute in float64, each draws its own random numbers, the same in every run, and programs compiled for a file go with it."""
 
+import os
 from pathlib import Path
 
 import jax
+import jaxlib.version
 import numpy as np
 import pytest
 
 jax.config.update("jax_enable_x64", True)
+if jaxlib.version.__version__.startswith(
+    "0.10."
+):  # `jaxbody.quick_options` for all programs, else a third of the time of the tests is compiling
+    os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_use_fusion_emitters=false"
 
 MAPS = Path("/proc/self/maps")
 MANY = 20_000  # pieces of mapped memory; Linux ends a process that asks for more than 65530

@@ -20,8 +20,10 @@ def job_of(name: str) -> Job:
     return {"plate": plate.JOB, "three": three.JOB}[name]
 
 
-def user_functions(job: Job, copies: int = 1) -> dict[str, Callable]:
-    """What a user writes, each a function of the stiffnesses."""
+def user_functions(job: Job, copies: int = 1, **options) -> dict[str, Callable]:
+    """What a user writes, each a function of the stiffnesses; with options of `jax.jit`."""
+    import functools
+
     import diffrax
     import jax
     import jax.numpy as jnp
@@ -47,12 +49,13 @@ def user_functions(job: Job, copies: int = 1) -> dict[str, Callable]:
         found = jb.modes(jb.linearize(changed, eq))
         return found.frequency, found.status, eq.status, eq.stable
 
+    jit = functools.partial(jax.jit, **options)
     return {
-        "T1": jax.jit(lambda k: path(k, rtol=rtol["T1"])),
-        "T2": jax.jit(jax.jacfwd(loss)),
-        "T3": jax.jit(jax.vmap(lambda k: path(k, jnp.array([0.0, 1.0]), **steps)[-1])),
-        "T4": jax.jit(jax.vmap(modes)),
-        "slope": jax.jit(jax.grad(lambda k: modes(k)[0][0])),
+        "T1": jit(lambda k: path(k, rtol=rtol["T1"])),
+        "T2": jit(jax.jacfwd(loss)),
+        "T3": jit(jax.vmap(lambda k: path(k, jnp.array([0.0, 1.0]), **steps)[-1])),
+        "T4": jit(jax.vmap(modes)),
+        "slope": jit(jax.grad(lambda k: modes(k)[0][0])),
     }
 
 
@@ -140,8 +143,8 @@ def medians(functions: dict[str, Callable], rounds: int) -> dict[str, float]:
     return {name: float(np.median(times)) for name, times in spent.items()}
 
 
-def start(job: Job, what: str) -> dict:
-    """Seconds to a first result in this process, after the bare imports of jax and diffrax."""
+def start(job: Job, what: str, quick: bool) -> dict:
+    """Seconds to a first result in this process, after the bare imports of jax and diffrax, maybe by a `jit` with quick_options()."""
     import diffrax  # noqa: F401
     import jax
 
@@ -149,14 +152,15 @@ def start(job: Job, what: str) -> dict:
     begun = time.perf_counter()
     import jaxbody as jb
 
+    options = {"compiler_options": jb.quick_options()} if quick else {}
     if what == "simulate":
-        jax.block_until_ready(user_functions(job)["T1"](job.stiffness))
+        jax.block_until_ready(user_functions(job, **options)["T1"](job.stiffness))
     elif what == "modes":
         model = job.model()
         jax.block_until_ready(jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency)
     else:
         target = np.zeros((len(TIMES), 7 * len(job.mass)))
-        jax.block_until_ready(user_functions(job)["T2"](job.stiffness, target))
+        jax.block_until_ready(user_functions(job, **options)["T2"](job.stiffness, target))
     return {"seconds": time.perf_counter() - begun}
 
 

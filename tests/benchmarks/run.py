@@ -76,14 +76,17 @@ def starts_of(job: str) -> dict[str, float]:
     """First results and compile times of fresh processes, printed."""
     print(f"\n{JOBS[job]}: first result in a fresh process, seconds after the imports of jax and diffrax (T5)")
     starts = {what: child("--start", what, "--job", job, option=False)["seconds"] for what in STARTS}
-    for what, seconds in starts.items():
-        print(f"  {what:22s} {seconds:9.2f}   target {STARTS[what]}")
+    quick = {
+        f"{what}, quick": child("--start", what, "--job", job, "--quick", option=False)["seconds"] for what in ("simulate", "gradient")
+    }
+    for what, seconds in (starts | quick).items():
+        print(f"  {what:22s} {seconds:9.2f}   target {STARTS[what.split(',')[0]]}")
     print("tracing and compiling, seconds")
     spent = child("--compilation", "--job", job, option=False)
     for name in ("T1", "T4", "slope"):
         few, many = spent[f"{name} 1"], spent[f"{name} 20"]
         print(f"  {name:8s} {few:6.2f}   20 times the springs {many:6.2f}   ratio {many / few:5.2f}   target {COMPILATION}")
-    return starts
+    return starts | quick
 
 
 def markdown(results: dict[str, dict[bool, dict]], starts: dict[str, dict[str, float]]) -> str:
@@ -107,7 +110,7 @@ def markdown(results: dict[str, dict[bool, dict]], starts: dict[str, dict[str, f
                 cells.append(f"{ms:.3g} ({ratio:.2g}; {found['errors'][name]:.0e})")
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
         first = starts[job]
-        lines += ["", f"First result of a fresh process, after the imports of jax and diffrax: motion {first['simulate']:.1f} s, frequencies {first['modes']:.1f} s, gradient {first['gradient']:.1f} s.", ""]  # fmt: skip
+        lines += ["", f"First result of a fresh process, after the imports of jax and diffrax: motion {first['simulate']:.1f} s, frequencies {first['modes']:.1f} s, gradient {first['gradient']:.1f} s; with `quick_options` motion {first['simulate, quick']:.1f} s, gradient {first['gradient, quick']:.1f} s.", ""]  # fmt: skip
     return "\n".join(lines).rstrip()
 
 
@@ -141,7 +144,7 @@ if __name__ == "__main__":
     parser.add_argument("--with", action="store_true", dest="with_")
     parser.add_argument("--no-peers", action="store_true")
     parser.add_argument("--write", action="store_true")
-    for name in ("measure", "compilation", "fast"):
+    for name in ("measure", "compilation", "fast", "quick"):
         parser.add_argument(f"--{name}", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--start", choices=STARTS, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
@@ -152,7 +155,7 @@ if __name__ == "__main__":
     if chosen.measure:
         print(json.dumps(measured.measure(measured.job_of(chosen.job), chosen.rounds, chosen.only, not chosen.no_peers)))
     elif chosen.start:
-        print(json.dumps(measured.start(measured.job_of(chosen.job), chosen.start)))
+        print(json.dumps(measured.start(measured.job_of(chosen.job), chosen.start, chosen.quick)))
     elif chosen.compilation:
         print(json.dumps(measured.compilation(measured.job_of(chosen.job))))
     else:
