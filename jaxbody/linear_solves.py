@@ -5,6 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxbody.lane_marks import kept
@@ -23,6 +24,18 @@ def inverse_of_three(A: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3 3"]:
     a, b, c = A[..., 0, :], A[..., 1, :], A[..., 2, :]
     rows = cross(b, c), cross(c, a), cross(a, b)
     return jnp.stack(rows, -2) / dot(a, rows[0])[..., None, None]
+
+
+def is_definite(A: Float[Array, "n n"]) -> Bool[Array, ""]:
+    """Whether the symmetric A is positive definite: all pivots of the elimination are positive."""
+
+    def clear(k, carry):
+        A, definite = carry
+        row = lax.dynamic_index_in_dim(A, k, keepdims=False)
+        pivot = lax.dynamic_index_in_dim(row, k, keepdims=False)
+        return A - kept(row)[:, None] * kept(row / pivot), definite & (pivot > 0)
+
+    return lax.fori_loop(0, len(A), clear, (A, jnp.array(True)))[1]
 
 
 def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Float[Array, "n"], Bool[Array, ""]]:

@@ -27,7 +27,7 @@ from jaxbody.kinematics import Chart, Coordinates
 from jaxbody.lane_marks import any_of_batch
 from jaxbody.lanes import in_lanes
 from jaxbody.laws import has_range
-from jaxbody.linear_solves import solve_if_definite
+from jaxbody.linear_solves import is_definite, solve_if_definite
 from jaxbody.load_paths import Path, Raised, follow, residual, tangent, with_gravity
 from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, potential
@@ -199,7 +199,7 @@ def signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
         return jnp.sum(values < -tolerance), jnp.any(jnp.abs(values) <= tolerance)
 
     largest = jnp.sqrt(jnp.sum(K * K))  # or more
-    _, definite = solve_if_definite(K - SINGULAR * largest * np.eye(len(K), dtype=K.dtype), jnp.zeros(len(K), K.dtype))
+    definite = is_definite(K - SINGULAR * largest * np.eye(len(K), dtype=K.dtype))
     return jax.lax.cond(any_of_batch(~definite), by_eigenvalues, lambda: (jnp.zeros((), int), jnp.array(False)))
 
 
@@ -210,10 +210,9 @@ def unloaded(dtype) -> Raised:
 
 def apart(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> Float[Array, ""]:
     """The farthest that a body is between two configurations [m], turns times the size of the model."""
-    coordinates = Coordinates(model)
-    a, b = coordinates.at_rest(one), coordinates.at_rest(other)
-    turned = size_of(model) * jnp.sqrt(jnp.sum((a.R - b.R) ** 2, (-2, -1)))
-    return jnp.max(jnp.maximum(jnp.linalg.norm(a.p - b.p, axis=-1), turned))
+    both = jax.vmap(Coordinates(model).at_rest)(jnp.stack([one, other]))
+    moved, turned = (jnp.sqrt(jnp.sum((x[0] - x[1]) ** 2, axes)) for x, axes in ((both.p, -1), (both.R, (-2, -1))))
+    return jnp.max(jnp.maximum(moved, size_of(model) * turned))
 
 
 @filter_jit
