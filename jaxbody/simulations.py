@@ -210,6 +210,16 @@ def simulate(
                 hint="Use diffrax.DirectAdjoint() or ForwardMode().",
             )
         )
+    if isinstance(solver, Gauss) and not isinstance(stepsize_controller, CONSTANT):
+        raise JaxbodyError(
+            Problem(
+                "NO_ERROR_ESTIMATE",
+                "simulate.solver",
+                "Gauss has no estimate of its error, by which a controller could choose steps",
+                solver,
+                hint="Give stepsize_controller=diffrax.ConstantStepSize() and dt0= a tenth of the shortest period.",
+            )
+        )
     check_steps(stepsize_controller, dt0, rtol, max_steps, "simulate")
     loose = unattached(model)
     if loose:

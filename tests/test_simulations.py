@@ -380,6 +380,9 @@ def test_reverse_mode_by_checkpoints_is_refused_with_constant_steps():
     with pytest.raises(jb.JaxbodyError, match="dt0") as error:
         jb.simulate(slider(), SHORT, stepsize_controller=diffrax.ConstantStepSize())
     assert error.value.code == "NO_STEP"
+    with pytest.raises(jb.JaxbodyError, match="ConstantStepSize") as error:
+        jb.simulate(slider(), SHORT, solver=jb.Gauss())
+    assert error.value.code == "NO_ERROR_ESTIMATE"
 
 
 @pytest.mark.parametrize(
