@@ -79,6 +79,9 @@ mlir.register_lowering(
 def _jvp(primals, tangents, *, jaxpr, reversible, lanes):
     moved = [not isinstance(t, ad.Zero) for t in tangents]
     smooth = [jnp.issubdtype(aval.dtype, jnp.inexact) for aval in jaxpr.out_avals]
+    if not any(smooth):
+        out = _lanes_p.bind(*primals, jaxpr=jaxpr, reversible=reversible, lanes=lanes)
+        return out, [ad.Zero(aval.to_tangent_aval()) for aval in jaxpr.out_avals]
 
     def pushed(primals, tangents):
         def of_moved(*x):

@@ -97,3 +97,13 @@ def test_a_loop_of_all_lanes_keeps_them_last():
     x = jnp.zeros((5, 3))
     text = str(jax.make_jaxpr(jax.vmap(in_lanes(while_carrying_lanes_alone), in_axes=(0, None)))(x, x[0]))
     assert "while" in text and "f64[3,5]" in text.split("while", 1)[1]
+
+
+def test_a_yes_or_no_takes_no_part_in_derivatives():
+    def of_positive(x):
+        return jnp.where(in_lanes(lambda x: jnp.sum(x) > 0)(x), jnp.sum(x**2), 0.0)
+
+    x = jnp.array([[1.0, 2.0, 3.0], [-1.0, -2.0, -3.0]])
+    for function in (of_positive, jax.jit(of_positive)):
+        np.testing.assert_allclose(jax.vmap(jax.grad(function))(x), [2 * x[0], 0 * x[0]], rtol=1e-15)
+        np.testing.assert_allclose(jax.grad(function)(x[0]), 2 * x[0], rtol=1e-15)
