@@ -246,7 +246,7 @@ class Lanes:
             axes = p["dimension_numbers"]
             axes = axes._replace(offset_dims=(*axes.offset_dims, eqn.outvars[0].aval.ndim))
             return [lax.gather_p.bind(*x, **p | {"dimension_numbers": axes, "slice_sizes": (*p["slice_sizes"], n)})]
-        if name == "eigh":  # vectors, where they are used, by LAPACK
+        if name == "eigh" and x[0].ndim == 3 and jnp.issubdtype(x[0].dtype, jnp.floating):  # vectors, where they are used, by LAPACK
             traced = jax.make_jaxpr(eigenvalues)(jax.ShapeDtypeStruct(x[0].shape[:-1], x[0].dtype))
             return [self._by_vmap(eqn, on, x)[0], *self.run(traced, on, x)]
         if name == "any_of_batch":

@@ -42,6 +42,13 @@ def test_a_matrix_without_eigenvalues_has_none_and_disturbs_no_other():
         assert np.isnan(ours[3]).all() and np.isfinite(np.delete(ours, 3, 0)).all()
 
 
+def test_stacks_and_hermitian_matrices_are_left_to_lapack():
+    A = symmetric_matrices(3, 24)[8:]
+    H = A + 1j * np.cross(np.eye(3)[:, None], np.eye(3))[0]
+    for stack in (A.reshape(4, 4, 3, 3), H):
+        np.testing.assert_allclose(jax.jit(jax.vmap(in_lanes(jnp.linalg.eigvalsh)))(stack), np.linalg.eigvalsh(stack), atol=1e-14)
+
+
 def test_a_batch_of_frequencies_calls_lapack_for_no_eigenvectors():
     K = symmetric_matrices(5, 8) + 10 * np.eye(5)
     M = np.broadcast_to(np.diag([1.0, 2.0, 3.0, 4.0, 5.0]), K.shape)
