@@ -171,7 +171,7 @@ def _against_gravity(model: Model) -> str | None:
 @filter_jit
 def _energies(lin: Linearization) -> tuple[Array, ...]:
     found = _modes(lin)
-    values, shapes = natural((lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2)
+    values, shapes = natural(lin.K, lin.M)
     cluster = clusters(values)
 
     def share(part, whole, least):
@@ -207,9 +207,8 @@ def _curvatures(lin: Linearization) -> list[tuple[Array, Array]]:
 def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
     """Shares, summing to 1, of bodies and directions (6 for each body) in the kinetic energy of each mode. Where frequencies coincide the modes are taken along the
     coordinates as far as that can be: those of a K whose diagonal is raised by up to UNTIED, differently for each coordinate."""
-    K, M = (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2
-    untied = UNTIED * jnp.linspace(0.0, 1.0, len(K)) * jax.lax.stop_gradient(jnp.diagonal(K))
-    _, shapes = natural(K + jnp.diag(untied), M)
+    untied = UNTIED * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))
+    _, shapes = natural(lin.K + jnp.diag(untied), lin.M)
     kinetic = jax.vmap(lambda phi: _kinetic(lin.model, _moving(lin, phi)), in_axes=1, out_axes=-1)(shapes)
     return kinetic.reshape(-1, kinetic.shape[-1])  # phi' M phi = 1
 

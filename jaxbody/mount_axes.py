@@ -170,7 +170,7 @@ def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     points = cross(n.T, about_p.T) / stiffness[:, None]
     pitch = jnp.sum(n * about_p, 0) / stiffness
     left = D - P @ jnp.linalg.solve(A, P.T)
-    torsional, turns = natural((left + left.T) / 2, jnp.eye(3, dtype=A.dtype))
+    torsional, turns = natural(left, jnp.eye(3, dtype=A.dtype))
     origin = _origin(lin, body)[0]
     least = jnp.min(stiffness) > 1e-10 * jnp.max(jnp.abs(stiffness))
     status = jnp.where(least, Status.OK.value, Status.SINGULAR_K.value)
