@@ -173,9 +173,8 @@ def _refused_jvp(primals, tangents):
 def natural(K: Float[Array, "n n"], M: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
     """w^2, ascending, and phi (columns) of K phi = w^2 M phi; phi' M phi = 1, the largest component positive. Of K and M the symmetric parts count."""
     values, A, L = in_lanes(_standard)(K, M)
-    _, vectors = jnp.linalg.eigh(
-        A, symmetrize_input=False
-    )  # apart: in a batch LAPACK takes long, and for nothing where no shapes are asked for
+    # apart: in a batch LAPACK takes long, and for nothing where no shapes are asked for
+    _, vectors = jnp.linalg.eigh(A, symmetrize_input=False)
     shapes = jax.scipy.linalg.solve_triangular(L, vectors, lower=True, trans=1)
     largest = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=0)[None], 0)
     return values, shapes * jnp.where(largest < 0, -1.0, 1.0)

@@ -130,9 +130,9 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
         (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=ROOTED)
         return q, signs(expansion(model, q, base=False)[2] * scale * scale[:, None]), done, jnp.array(ROOTED)
 
-    def judged(q, signs, converged, steps):
+    def judged(q, signs_of_K, converged, steps):
         status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)
-        return judged_at(model, q, signs, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
+        return judged_at(model, q, signs_of_K, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
 
     both = [jax.vmap(search)(q) for search in (descended, rooted)]
     return jax.vmap(judged)(*jax.tree.map(lambda *x: jnp.concatenate(x), *both))

@@ -90,7 +90,7 @@ def fit(
     39.47842
     """
     check_precision("fit", model, needs_float64=not allow_float32)
-    check_steps(stepsize_controller, dt0, rtol, max_steps, "fit")
+    check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit")
     check_loss(loss, "fit.loss")
     if isinstance(max_evaluations, bool) or not isinstance(max_evaluations, int | np.integer) or max_evaluations < 1:
         told, hint = f"is {max_evaluations!r:.40}", "1 is the start alone."

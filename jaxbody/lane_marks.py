@@ -35,13 +35,15 @@ def as_kept(x: Array) -> Array:
     return x / jnp.where(x == x, 1.0, jnp.nan)
 
 
-# Sums and maxima by reducers that XLA does not recognize: else it gives large ones to a library, whose calls keep a loop from being compiled
-# whole. They must be what they are all the same, as XLA merges sums of sums.
+# Reducers that XLA does not recognize: else it gives large reductions to a library, whose calls keep a loop from being compiled
+# whole. They must be sums and maxima all the same, as XLA merges sums of sums.
 def plain_sum(x: Array, axes: tuple[int, ...]) -> Array:
+    """The sum over axes, never by a library."""
     return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
 
 
 def plain_max(x: Array, axes: tuple[int, ...]) -> Array:
+    """The largest over axes, never by a library."""
     return lax.reduce(x, np.array(-np.inf, x.dtype), lambda a, b: -lax.min(-a, -b), axes)
 
 

@@ -210,17 +210,7 @@ def simulate(
                 hint="Use diffrax.DirectAdjoint() or ForwardMode().",
             )
         )
-    if isinstance(solver, Gauss) and not isinstance(stepsize_controller, CONSTANT):
-        raise JaxbodyError(
-            Problem(
-                "NO_ERROR_ESTIMATE",
-                "simulate.solver",
-                "Gauss has no estimate of its error, by which a controller could choose steps",
-                solver,
-                hint="Give stepsize_controller=diffrax.ConstantStepSize() and dt0= a tenth of the shortest period.",
-            )
-        )
-    check_steps(stepsize_controller, dt0, rtol, max_steps, "simulate")
+    check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "simulate")
     loose = unattached(model)
     if loose:
         warn("UNATTACHED", f"nothing ties {', '.join(loose)} to world or a support")
@@ -233,9 +223,20 @@ def simulate(
     return result
 
 
-def check_steps(stepsize_controller: diffrax.AbstractStepSizeController | None, dt0: Any, rtol: Any, max_steps: int, where: str) -> None:
-    """Constant steps have a length, tolerances and numbers of steps are positive."""
+def check_steps(
+    solver: diffrax.AbstractSolver | None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None,
+    dt0: Any,
+    rtol: Any,
+    max_steps: int,
+    where: str,
+) -> None:
+    """Gauss has constant steps, these have a length, tolerances and numbers of steps are positive."""
     problems = Problems()
+    if isinstance(solver, Gauss) and not isinstance(stepsize_controller, CONSTANT):
+        told = "is Gauss, which has no estimate of its error, by which a controller could choose steps"
+        hint = "Give stepsize_controller=diffrax.ConstantStepSize() and dt0= a tenth of the shortest period."
+        problems.add("NO_ERROR_ESTIMATE", f"{where}.solver", told, value=solver, hint=hint)
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
         problems.add("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds.")
     for name, value in (("dt0", dt0), ("rtol", rtol), ("max_steps", max_steps)):

@@ -153,10 +153,10 @@ def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, loads: tuple[
     frozen = jax.lax.stop_gradient(model)
     start = reference_coordinates(frozen) if start is None else jax.lax.stop_gradient(start)
     size = size_of(frozen)
-    q, found, converged, steps = descend(frozen, start, scale_of(frozen, size), size, max_steps)
+    q, signs_of_K, converged, steps = descend(frozen, start, scale_of(frozen, size), size, max_steps)
     runaway = ~converged & (apart(frozen, start, q) > RUNAWAY * size)
     status = jnp.select([runaway, ~converged], [Status.NO_EQUILIBRIUM.value, Status.NOT_CONVERGED.value], Status.OK.value)
-    eq = judged_at(model, q, found, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
+    eq = judged_at(model, q, signs_of_K, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
     return eq if not loads else under_loads(model, eq, Raised(loads, jnp.ones(len(loads), q.dtype), jnp.zeros(3, q.dtype)))
 
 
@@ -172,9 +172,9 @@ def under_loads(model: Model, start: Equilibrium, raised: Raised) -> Equilibrium
     return judged_at(model, q, signs((K + K.T) / 2), jnp.where(fit, borne, start.status), start.steps, raised, path, factor)
 
 
-def judged_at(model: Model, q, signs, status, steps, raised: Raised, path: Path | None, factor) -> Equilibrium:
+def judged_at(model: Model, q, signs_of_K, status, steps, raised: Raised, path: Path | None, factor) -> Equilibrium:
     """What stands at q, where the nondimensional K has these signs: its stability, its derivative, what the springs do."""
-    negative, singular = signs
+    negative, singular = signs_of_K
     failed = status != Status.OK
     q = _implicit((model, raised), q, ~failed & ~singular)
     zero = jnp.zeros(model.layout.nv, q.dtype)

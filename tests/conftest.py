@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 jax.config.update("jax_enable_x64", True)
-if jaxlib.version.__version__.startswith(
-    "0.10."
-):  # `jaxbody.quick_options` for all programs, else a third of the time of the tests is compiling
+# `jaxbody.quick_options` for all programs, else a third of the time of the tests is compiling
+if jaxlib.version.__version__.startswith("0.10."):
     os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_use_fusion_emitters=false"
 
 MAPS = Path("/proc/self/maps")

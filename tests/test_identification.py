@@ -499,6 +499,7 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         ({"free": []}, ["NOTHING_FREE"], [""]),
         ({"free": ["*.damping"]}, ["START_ON_BOUND"] * 2, ["t.damping", "hold.damping"]),
         ({"stepsize_controller": diffrax.ConstantStepSize()}, ["NO_STEP"], ["fit.dt0"]),
+        ({"solver": jb.Gauss()}, ["NO_ERROR_ESTIMATE"], ["fit.solver"]),
         ({"rtol": -1.0, "dt0": 0.0}, ["BAD_NUMBER"] * 2, ["fit.dt0: is 0.0", "fit.rtol: is -1.0"]),
         ({"method": "simplex"}, ["UNKNOWN_METHOD"], ["simplex"]),
         ({"max_evaluations": 0}, ["BAD_NUMBER"], ["fit.max_evaluations: is 0 (limit: a whole number >= 1)"]),
@@ -520,7 +521,7 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
             ["lower 2 >= upper 2", "does not hold the start 104.0, by 102", "is (nan, 90), which has a NaN"],
         ),
     ],
-    ids=["unknown", "twice", "nothing", "start", "steps", "tolerance", "method", "evaluations", "none", "bias", "lag", "tie", "priors", "bounds", "list", "list of priors", "optax", "optimistix", "elsewhere", "shapes", "several"],
+    ids=["unknown", "twice", "nothing", "start", "steps", "solver", "tolerance", "method", "evaluations", "none", "bias", "lag", "tie", "priors", "bounds", "list", "list of priors", "optax", "optimistix", "elsewhere", "shapes", "several"],
 )  # fmt: skip
 def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, told):
     found = problems_of(cart(), tracked(record), **options)
