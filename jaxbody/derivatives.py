@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 from jaxbody import rotations
 from jaxbody.elements import Bushing, Element, LineElement
 from jaxbody.frames import Frame
-from jaxbody.kinematics import Coordinates, supports_at_rest, take
+from jaxbody.kinematics import Coordinates, take
 from jaxbody.mechanics import each_element, potential, sums, wrenches
 from jaxbody.models import Layout, Model
 from jaxbody.rotations import cross, dot, product, rotate, rotate_back, skew
@@ -75,54 +75,72 @@ LOWER_LEFT, UPPER_RIGHT = np.kron([[0.0, 0.0], [1.0, 0.0]], SKEW), np.kron([[0.0
 Blocks = dict[tuple[int, int], Block]  # of each two of an element's frames, the first not after the second
 
 
-def slope(model: Model, q: Float[Array, "nq"]) -> Vector:
-    """dV/d(Delta, Xi) at rest, supports at their reference poses."""
-    frames, axes = _at_rest(model, q)
-    G = -jnp.concatenate(wrenches(model, frames), -1)[_rows(model.layout)]
-    return _pulled(_jacobian(model.layout, frames, axes), G)
+class Placed(NamedTuple):
+    """A model with its bodies somewhere, supports at rest in their reference poses: the table of frames; for each column, of (Delta, Xi) or without
+    `base` of Delta alone, the displacement of the origin and the turn that a unit of it gives to its own frame; the motion of each frame per unit of
+    each column, None for the identity."""
+
+    model: Model
+    frames: Frame
+    linear: Float[Array, "n 3"]
+    angular: Float[Array, "n 3"]
+    J: Float[Array, "frames n 6"] | None
+    base: bool
 
 
-def stiffness(model: Model, q: Float[Array, "nq"]) -> Square:
-    """K | -K~ | K_bb as one matrix, supports at their reference poses."""
-    return expansion(model, q)[2]
+def placed(coordinates: Coordinates, q: Float[Array, "nq"], v: Float[Array, "nv"] | None = None, *, base: bool = True) -> Placed:
+    """The bodies at q, at rest or at the speeds v."""
+    model, layout = coordinates.model, coordinates.model.layout
+    v = jnp.zeros(layout.nv, q.dtype) if v is None else v
+    frames, (linear, angular) = coordinates.frames_and_axes(q, v, coordinates.supports.at_rest())
+    if base:
+        own = np.tile(np.eye(6), (len(layout.supports), 1))
+        linear, angular = jnp.concatenate([linear, own[:, :3]]), jnp.concatenate([angular, own[:, 3:]])
+    return Placed(model, frames, linear, angular, _jacobian(layout, frames, linear, angular, base), base)
 
 
-def expansion(model: Model, q: Float[Array, "nq"], *, base: bool = True) -> tuple[Float[Array, ""], Vector, Square]:
-    """V, dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix, supports at their reference poses; without `base`, in Delta alone."""
+def slope(at: Placed) -> Vector:
+    """dV/d(Delta, Xi) at rest."""
+    G = -jnp.concatenate(wrenches(at.model, at.frames), -1)[_rows(at.model.layout, at.base)]
+    return _pulled(at.J, G)
+
+
+def stiffness(at: Placed) -> Square:
+    """K | -K~ | K_bb as one matrix."""
+    return expansion(at)[2]
+
+
+def expansion(at: Placed) -> tuple[Float[Array, ""], Vector, Square]:
+    """V, dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix."""
+    model, frames, J, base = at.model, at.frames, at.J, at.base
     layout = model.layout
-    frames, axes = _at_rest(model, q, base=base)
     arms = rotate(frames.R[layout.first_body :], model.bodies.rows.com)
     weights = -model.bodies.rows.mass[:, None] * model.gravity
     G_bodies = jnp.concatenate([weights, cross(arms, weights)], -1)
     elements = each_element(model, frames, second_order)
     G = _gradient(model, G_bodies, [slopes for slopes, _ in elements], base)
     H = _hessian(model, Block(Q=turning(arms, weights)), [blocks for _, blocks in elements], base)
-    J = _jacobian(layout, frames, axes, base=base)
     K = _projected(J, H)
     if J is not None:
-        n = axes[1]
+        n = at.angular
         T = jnp.sum(cross(J[..., :3], G[:, None, :3]) + cross(J[..., 3:], G[:, None, 3:]) / 2, 0)
         W = jnp.asarray(_precedence(layout)[: len(n), : len(n)], K.dtype) * jnp.sum(n[:, None] * T, -1)
         K = K + W + W.T
     return potential(model, frames), _pulled(J, G), K
 
 
-def mass(model: Model, q: Float[Array, "nq"]) -> Square:
+def mass(at: Placed) -> Square:
     """M | -M~ | M_bb as one matrix."""
-    layout, bodies = model.layout, model.bodies.rows
-    frames, axes = _at_rest(model, q)
-    R = frames.R[layout.first_body :]
+    bodies, R = at.model.bodies.rows, at.frames.R[at.model.layout.first_body :]
     m, c = bodies.mass[:, None], rotate(R, bodies.com)
     turned = product(product(R, (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2), jnp.swapaxes(R, -1, -2))
     inertia = Block(h=bodies.mass, x=m * c, y=m * c, Q=turned - m[..., None] * product(skew(c), skew(c)))
-    return _projected(_jacobian(layout, frames, axes), _hessian(model, inertia, []))
+    return _projected(at.J, _hessian(at.model, inertia, [], at.base))
 
 
-def damping(model: Model, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Square:
-    """C | -C~ | C_bb as one matrix, at the speeds v."""
-    layout = model.layout
-    frames, axes = _at_rest(model, q, v)
-    return _projected(_jacobian(layout, frames, axes), _hessian(model, Block(), each_element(model, frames, dissipation_hessian)))
+def damping(at: Placed) -> Square:
+    """C | -C~ | C_bb as one matrix."""
+    return _projected(at.J, _hessian(at.model, Block(), each_element(at.model, at.frames, dissipation_hessian), at.base))
 
 
 # Elements: second derivatives in the displacements of their two frames
@@ -249,6 +267,7 @@ def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Arr
     return (outer + jnp.swapaxes(outer, -1, -2)) / 2 - dot(force, arm)[..., None, None] * np.eye(3, dtype=arm.dtype)
 
 
+@singledispatch
 def dissipation_hessian(element: Element, *frames: Frame) -> Blocks:
     """Of R, in the velocities of the frames: J' R'' J, J the rates of the deformation per unit of each."""
     e, e_dot = element.rates(*frames)
@@ -261,6 +280,18 @@ def dissipation_hessian(element: Element, *frames: Frame) -> Blocks:
     J = jax.vmap(rates, out_axes=-1)(np.eye(n, dtype=frames[0].p.dtype)).reshape(-1, n)
     second = jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot).reshape(len(J), len(J))
     return _blocks(J.T @ second @ J)
+
+
+@dissipation_hessian.register
+def _(line: LineElement, A: Frame, B: Frame) -> Blocks:
+    """c g g', c the slope of the damper's tension, g = (u, arm x u) along the unit vector u from a to b."""
+    e, e_dot = line.rates(A, B)
+    a, b = rotate(A.R, line.a), rotate(B.R, line.b)
+    d = (B.p - A.p) + (b - a)
+    u = d * inverse_root(dot(d, d))
+    c = jax.jvp(lambda rate: line.damper_tension(e, rate), (e_dot,), (jnp.ones_like(e_dot),))[1]
+    g_a, g_b = (jnp.concatenate([u, cross(arm, u)]) for arm in (a, b))
+    return {(0, 0): Block(c * g_a[:, None] * g_a), (0, 1): Block(-c * g_a[:, None] * g_b), (1, 1): Block(c * g_b[:, None] * g_b)}
 
 
 def _blocks(H: Float[Array, "m m"]) -> Blocks:
@@ -277,7 +308,7 @@ def _square(a: Array, b: Array, c: Array, d: Array) -> Array:
 # From frames to coordinates. The frames that move are in the order of the columns: bodies, then, with `base`, supports
 
 
-def _rows(layout: Layout, base: bool = True) -> np.ndarray:
+def _rows(layout: Layout, base: bool) -> np.ndarray:
     """The rows of these in the table of frames."""
     return np.concatenate([np.arange(layout.first_body, len(layout.frames)), np.arange(1, layout.first_body if base else 1)])
 
@@ -286,17 +317,6 @@ def _places(layout: Layout, base: bool) -> dict[str, int | None]:
     """Name of a frame -> its place among these."""
     rows = list(_rows(layout, base))
     return {name: rows.index(row) if row in rows else None for row, name in enumerate(layout.frames)}
-
-
-def _at_rest(model: Model, q, v=None, base: bool = True):
-    """Frames (moving at speeds v, if given), and the axes of all columns: (n, 3) of displacements and of turns."""
-    layout = model.layout
-    v = jnp.zeros(layout.nv, q.dtype) if v is None else v
-    frames, (linear, angular) = Coordinates(model).frames_and_axes(q, v, supports_at_rest(model))
-    if base:
-        own = np.tile(np.eye(6), (len(layout.supports), 1))
-        linear, angular = jnp.concatenate([linear, own[:, :3]]), jnp.concatenate([angular, own[:, 3:]])
-    return frames, (linear, angular)
 
 
 def _owners(layout: Layout) -> np.ndarray:
@@ -323,11 +343,10 @@ def _precedence(layout: Layout) -> np.ndarray:
     return np.where(of_one_joint, turns[:, None] * turns * np.where(in_series, earlier, 0.5), _carried(layout)[owners].T)
 
 
-def _jacobian(layout: Layout, frames: Frame, axes, base: bool = True) -> Float[Array, "frames n 6"] | None:
+def _jacobian(layout: Layout, frames: Frame, linear, angular, base: bool) -> Float[Array, "frames n 6"] | None:
     """The motion of each frame per unit of each column; None for the identity."""
     if layout.floating:
         return None
-    linear, angular = axes
     rows, n = _rows(layout, base), len(linear)
     p = frames.p[rows]
     mask = jnp.asarray(_carried(layout)[: len(rows), :n], p.dtype)[..., None]
@@ -357,7 +376,7 @@ def _collected(parts: list[tuple[Array, list[int | None]]], n: int) -> Array:
     return sums(rows.reshape(len(rows), -1), groups).reshape(n, *rows.shape[1:])
 
 
-def _gradient(model: Model, bodies: Float[Array, "nb 6"], elements: list[Slopes], base: bool = True) -> Float[Array, "frames 6"]:
+def _gradient(model: Model, bodies: Float[Array, "nb 6"], elements: list[Slopes], base: bool) -> Float[Array, "frames 6"]:
     """The sum over bodies and elements of what each has of each frame."""
     places = _places(model.layout, base)
     ends = [
@@ -368,7 +387,7 @@ def _gradient(model: Model, bodies: Float[Array, "nb 6"], elements: list[Slopes]
     return _collected([(bodies, list(range(len(bodies)))), *ends], len(_rows(model.layout, base)))
 
 
-def _hessian(model: Model, bodies: Block, elements: list[Blocks], base: bool = True) -> Float[Array, "frames 6 frames 6"]:
+def _hessian(model: Model, bodies: Block, elements: list[Blocks], base: bool) -> Float[Array, "frames 6 frames 6"]:
     """The sum over bodies and elements of what each has of each two frames."""
     places, n = _places(model.layout, base), len(_rows(model.layout, base))
 

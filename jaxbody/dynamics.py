@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.frames import Frame, stack
-from jaxbody.kinematics import Coordinates, Motions, supports_moving
+from jaxbody.kinematics import Coordinates, Motions
 from jaxbody.linear_solves import inverse_of_three, solve_spd
 from jaxbody.loads import Load
 from jaxbody.mechanics import wrenches
@@ -82,7 +82,7 @@ class Dynamics(eqx.Module):
 
     def drive(self, t: Float[Array, ""]) -> Any:
         """What depends on time alone: of free bodies t and the supports, else t."""
-        return (t, supports_moving(self.model, self.motions, t)) if self.model.layout.floating else t
+        return (t, self.coordinates.supports_moving(self.motions, t)) if self.model.layout.floating else t
 
     def driven(self, u: Any, y: Float[Array, "ny"]) -> Float[Array, "ny"]:
         """dy/dt with u = drive(t)."""
@@ -144,7 +144,7 @@ class Dynamics(eqx.Module):
         along the motion."""
 
         def moving(t, q):
-            frames, axes = self.coordinates.frames_and_axes(q, v, supports_moving(self.model, self.motions, t))
+            frames, axes = self.coordinates.frames_and_axes(q, v, self.coordinates.supports_moving(self.motions, t))
             return (frames.v, frames.w), (frames, axes)
 
         (_, (a, alpha), (frames, axes)) = jax.jvp(moving, (t, q), (jnp.ones_like(t), self.coordinates.rate(q, v)), has_aux=True)
@@ -199,7 +199,7 @@ class Dynamics(eqx.Module):
         """a = R (v_B' + w_B x v_B), alpha = R w_B'."""
 
         def moving(t):
-            supports = supports_moving(self.model, self.motions, t)
+            supports = self.coordinates.supports_moving(self.motions, t)
             return (supports.v, supports.w), supports
 
         (_, (a, alpha), supports) = jax.jvp(moving, (t,), (jnp.ones_like(t),), has_aux=True)

@@ -12,10 +12,10 @@ from jaxtyping import Array
 
 from jaxbody import tables
 from jaxbody.checks import check_attached, check_precision
-from jaxbody.derivatives import expansion
+from jaxbody.derivatives import expansion, placed, stiffness
 from jaxbody.errors import Status
-from jaxbody.kinematics import Chart
-from jaxbody.models import Model, reference_coordinates
+from jaxbody.kinematics import Coordinates
+from jaxbody.models import Model
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import SINGULAR, Equilibrium, apart, descend, judged_at, scale_of, signs, size_of, unloaded
 
@@ -104,35 +104,36 @@ def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
 
 @eqx.filter_jit
 def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium:
-    size, chart = size_of(model), Chart(model)
+    size, coordinates = size_of(model), Coordinates(model)
     scale = scale_of(model, size)
     moves = spread * size * scale * jnp.where(model.layout.turns, 2.0, 1.0) * jax.random.normal(key, (starts, len(scale)), size.dtype)
-    q0 = reference_coordinates(model)
-    q = jax.vmap(lambda move: chart.retract(q0, move))(moves.at[0].set(0.0))
+    q0 = coordinates.reference
+    q = jax.vmap(lambda move: coordinates.retract(q0, move))(moves.at[0].set(0.0))
 
     def descended(q):
-        return descend(model, q, scale, size, DESCENT)
+        return descend(coordinates, q, scale, size, DESCENT)
 
     def rooted(q):
         """Newton's method on dV/dDelta, which stops at saddles and maxima as well."""
 
         def step(carry, _):
             q, _ = carry
-            _, g, K = expansion(model, q, base=False)
+            _, g, K = expansion(placed(coordinates, q, base=False))
             K, g = K * scale * scale[:, None], g * scale
             y = -jnp.linalg.pinv(K, rtol=SINGULAR, hermitian=True) @ g
             longest = jnp.max(jnp.abs(y), initial=0.0)
             y = y * jnp.where(longest > size / 4, size / 4 / longest, 1.0)
             unit = jnp.max(jnp.abs(K), initial=0.0)
             done = (longest <= 1e-9 * size) & (jnp.max(jnp.abs(g), initial=0.0) <= 1e-9 * unit * size)
-            return (chart.retract(q, scale * y), done), None
+            return (coordinates.retract(q, scale * y), done), None
 
         (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=ROOTED)
-        return q, signs(expansion(model, q, base=False)[2] * scale * scale[:, None]), done, jnp.array(ROOTED)
+        K = stiffness(placed(coordinates, q, base=False))
+        return q, signs(K * scale * scale[:, None]), done, jnp.array(ROOTED)
 
     def judged(q, signs_of_K, converged, steps):
         status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)
-        return judged_at(model, q, signs_of_K, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
+        return judged_at(coordinates, q, signs_of_K, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
 
     both = [jax.vmap(search)(q) for search in (descended, rooted)]
     return jax.vmap(judged)(*jax.tree.map(lambda *x: jnp.concatenate(x), *both))

@@ -21,7 +21,7 @@ from jaxbody import tables
 from jaxbody.arrays import checked, concrete, device_array, float_array
 from jaxbody.checks import check_precision
 from jaxbody.errors import JaxbodyError, Problems, Status, is_concrete
-from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization
 from jaxbody.mechanics import each_element
 from jaxbody.models import Model, unknown
@@ -304,7 +304,7 @@ def _elastic(lin: Linearization):
 
     def deformations(x):
         coordinates, delta, xi = Coordinates(model), x[: layout.nv], x[layout.nv :].reshape(-1, 6)
-        frames = coordinates.frames(coordinates.retract(q, delta), jnp.zeros_like(delta), supports_at(model, xi, jnp.zeros_like(xi)))
+        frames = coordinates.frames(coordinates.retract(q, delta), jnp.zeros_like(delta), coordinates.supports_at(xi, jnp.zeros_like(xi)))
         return tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F))))
 
     zero = jnp.zeros(layout.nv + layout.nxi, q.dtype)

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.frames import Frame, Pose, stack
-from jaxbody.models import Model, rest_poses, support_poses
+from jaxbody.models import Model, coordinates_at, rest_poses, support_poses
 from jaxbody.motions import Motion
 from jaxbody.rotations import cross, rotate
 from jaxbody.storage import Table
@@ -27,25 +27,6 @@ def take(x: Array, rows: np.ndarray) -> Array:
     if len(rows) and (rows == rows[0]).all():
         return jnp.broadcast_to(x[int(rows[0])], (len(rows), *x.shape[1:]))
     return x[rows]
-
-
-def supports_at(model: Model, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
-    """Frames of the supports displaced by Xi from their reference poses, Xi changing at the rate Xi'."""
-    pose = support_poses(model).displaced(xi)
-    return Frame(pose.p, pose.R, xi_dot[:, :3], rotate(rotations.left_jacobian(xi[:, 3:]), xi_dot[:, 3:]))
-
-
-def supports_at_rest(model: Model) -> Frame:
-    """Frames of the supports at rest in their reference poses."""
-    return support_poses(model).at_rest()
-
-
-def supports_moving(model: Model, motions: Motions, t: Float[Array, ""]) -> Frame:
-    """Frames of the supports at time t."""
-    if not motions:
-        return supports_at_rest(model)
-    xi, xi_dot = jax.jvp(lambda t: jnp.stack([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),))
-    return supports_at(model, xi, xi_dot)
 
 
 class Chart(eqx.Module):
@@ -83,17 +64,36 @@ class Chart(eqx.Module):
 
 
 class Coordinates(Chart):
-    """A chart with what stays the same while bodies move: `rest`, the reference poses of the bodies on their parents."""
+    """A chart with what stays the same while bodies move: the reference poses of the supports, and `rest`, those of the bodies on their parents."""
 
+    supports: Pose
     rest: Pose
 
     def __init__(self, model: Model):
         self.model = model
-        self.rest = rest_poses(model)
+        self.supports = support_poses(model)
+        self.rest = rest_poses(model, self.supports)
+
+    @property
+    def reference(self) -> Float[Array, "nq"]:
+        """The coordinates of the reference pose."""
+        return coordinates_at(self.model, self.rest)
+
+    def supports_at(self, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
+        """Frames of the supports displaced by Xi from their reference poses, Xi changing at the rate Xi'."""
+        pose = self.supports.displaced(xi)
+        return Frame(pose.p, pose.R, xi_dot[:, :3], rotate(rotations.left_jacobian(xi[:, 3:]), xi_dot[:, 3:]))
+
+    def supports_moving(self, motions: Motions, t: Float[Array, ""]) -> Frame:
+        """Frames of the supports at time t."""
+        if not motions:
+            return self.supports.at_rest()
+        xi, xi_dot = jax.jvp(lambda t: jnp.stack([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),))
+        return self.supports_at(xi, xi_dot)
 
     def at_rest(self, q: Float[Array, "nq"], v: Float[Array, "nv"] | None = None) -> Frame:
         """The table of frames with all at rest, supports in their reference poses, or bodies with speeds v."""
-        return self.frames(q, jnp.zeros(self.model.layout.nv, q.dtype) if v is None else v, supports_at_rest(self.model))
+        return self.frames(q, jnp.zeros(self.model.layout.nv, q.dtype) if v is None else v, self.supports.at_rest())
 
     def frames(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame) -> Frame:
         """The table of frames: world, supports, bodies."""

@@ -18,17 +18,17 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_precision, check_state
-from jaxbody.derivatives import damping, mass, stiffness
+from jaxbody.derivatives import damping, mass, placed, stiffness
 from jaxbody.errors import JaxbodyError, Problem, Status
 from jaxbody.frames import Frame
-from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.kinematics import Coordinates
 from jaxbody.lanes import in_lanes
 from jaxbody.load_paths import stiffness_of_loads
 from jaxbody.loads import Load
 from jaxbody.mechanics import each_element, gravity_energy, potential
 from jaxbody.models import Model, State, unknown
 from jaxbody.naming import by_name
-from jaxbody.options import jit_quickly
+from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result
 from jaxbody.state_spaces import StateSpace, state_space
 from jaxbody.statics import Equilibrium, zero_modes
@@ -188,27 +188,19 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
 
 def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
     coordinates = Coordinates(model)
-    return coordinates.frames(coordinates.retract(state.q, delta), v, supports_at(model, xi.reshape(-1, 6), xi_dot.reshape(-1, 6)))
+    return coordinates.frames(coordinates.retract(state.q, delta), v, coordinates.supports_at(xi.reshape(-1, 6), xi_dot.reshape(-1, 6)))
 
 
-@jit_quickly
+@jit_as_it_is
 def _linearize(model: Model, state: State, status: Int[Array, ""], loads: tuple[Load, ...]) -> Linearization:
     n = model.layout.nv
     numbers, rest = eqx.partition(model, eqx.is_array)
 
-    def of(function, *at):
-        return in_lanes(lambda numbers, *at: function(eqx.combine(numbers, rest), *at), reversible=True)(numbers, *at)
+    def matrices(numbers, q, v):
+        at = placed(Coordinates(eqx.combine(numbers, rest)), q, v)
+        return [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in (mass(at), damping(at), stiffness(at))]
 
-    def blocks(function):
-        def split(*given):
-            H = function(*given)
-            return H[:n, :n], -H[:n, n:], H[n:, n:]
-
-        return split
-
-    M, M_tilde, M_bb = of(blocks(mass), state.q)
-    C, C_tilde, C_bb = of(blocks(damping), state.q, state.v)
-    K, K_tilde, K_bb = of(blocks(stiffness), state.q)
+    (M, M_tilde, M_bb), (C, C_tilde, C_bb), (K, K_tilde, K_bb) = in_lanes(matrices, reversible=True)(numbers, state.q, state.v)
     return Linearization(
         M, C, K - _load_stiffness(model, state, loads), M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, status, state, model, loads
     )

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.derivatives import expansion, slope
+from jaxbody.derivatives import Placed, expansion, placed, slope
 from jaxbody.frames import Pose
-from jaxbody.kinematics import Chart, Coordinates
+from jaxbody.kinematics import Coordinates
 from jaxbody.loads import Load
 from jaxbody.models import Model
 from jaxbody.rotations import product, skew
@@ -49,6 +49,11 @@ def with_gravity(model: Model, change: Float[Array, "3"]) -> Model:
     return eqx.tree_at(lambda m: m.gravity, model, model.gravity + change)
 
 
+def under(at: Placed, raised: Raised, factor=1.0) -> Placed:
+    """The model placed as it is, with as much of the change of gravity."""
+    return at._replace(model=with_gravity(at.model, factor * raised.gravity))
+
+
 def generalized(model: Model, q, loads: tuple[Load, ...], weights: Float[Array, "n"], delta: Float[Array, "nv"]) -> Float[Array, "nv"]:
     """Q at q (+) Delta, in the rates of Delta: the virtual power sum of F . v* + M . w*, supports at their reference poses."""
     layout = model.layout
@@ -78,17 +83,15 @@ def stiffness_of_loads(model: Model, q, loads: tuple[Load, ...], weights: Float[
     return jax.jacfwd(lambda delta: generalized(model, q, loads, weights, delta))(zero)
 
 
-def residual(model: Model, q, raised: Raised, factor=1.0) -> Float[Array, "nv"]:
-    """dV/dDelta - lambda Q."""
-    nv = model.layout.nv
-    Q = generalized(model, q, raised.loads, raised.weights, jnp.zeros(nv, q.dtype))
-    return slope(with_gravity(model, factor * raised.gravity), q)[:nv] - factor * Q
+def residual(at: Placed, q, raised: Raised, factor=1.0) -> Float[Array, "nv"]:
+    """dV/dDelta - lambda Q of a model placed at q, without its base."""
+    Q = generalized(at.model, q, raised.loads, raised.weights, jnp.zeros(at.model.layout.nv, q.dtype))
+    return slope(under(at, raised, factor)) - factor * Q
 
 
-def tangent(model: Model, q, raised: Raised, factor=1.0) -> Float[Array, "nv nv"]:
-    """K = d2V/dDelta2 - lambda dQ/dDelta."""
-    K = expansion(with_gravity(model, factor * raised.gravity), q, base=False)[2]
-    return K - factor * stiffness_of_loads(model, q, raised.loads, raised.weights)
+def tangent(at: Placed, q, raised: Raised, factor=1.0) -> Float[Array, "nv nv"]:
+    """K = d2V/dDelta2 - lambda dQ/dDelta of a model placed at q, without its base."""
+    return expansion(under(at, raised, factor))[2] - factor * stiffness_of_loads(at.model, q, raised.loads, raised.weights)
 
 
 class _At(eqx.Module):
@@ -99,14 +102,15 @@ class _At(eqx.Module):
     K: Float[Array, "nv nv"]
 
 
-def follow(model: Model, q, raised: Raised, scale: Float[Array, "nv"], size: Float[Array, ""]):
+def follow(coordinates: Coordinates, q, raised: Raised, scale: Float[Array, "nv"], size: Float[Array, ""]):
     """(q, K, lambda, path, whether K turns negative ahead): as far along the path from the unloaded equilibrium q as it goes.
 
     One loop, whose body is one iteration of Newton's method, so that K is compiled once."""
     n, dtype = len(scale), q.dtype
 
     def nondimensional(q, factor):
-        return residual(model, q, raised, factor) * scale, tangent(model, q, raised, factor) * scale * scale[:, None]
+        at = placed(coordinates, q, base=False)
+        return residual(at, q, raised, factor) * scale, tangent(at, q, raised, factor) * scale * scale[:, None]
 
     def iterate(carry):
         at, q, target, length, iteration, steps, top, path = carry
@@ -114,7 +118,7 @@ def follow(model: Model, q, raised: Raised, scale: Float[Array, "nv"], size: Flo
         unit = jnp.max(jnp.abs(K), initial=0.0)
         y = -jnp.linalg.solve(K + SHIFT * jnp.where(unit > 0, unit, 1.0) * np.eye(n, dtype=dtype), r)
         longest = jnp.max(jnp.abs(y), initial=0.0)
-        moved = Chart(model).retract(q, scale * y)
+        moved = coordinates.retract(q, scale * y)
         values = jnp.linalg.eigvalsh((K + K.T) / 2)
         top = jnp.where(steps == 0, jnp.max(jnp.abs(values), initial=0.0), top)
         smallest = jnp.min(values, initial=jnp.inf) / jnp.where(top > 0, top, 1.0)
@@ -139,10 +143,10 @@ def follow(model: Model, q, raised: Raised, scale: Float[Array, "nv"], size: Flo
     at, *_, path = jax.lax.while_loop(
         unfinished, iterate, (start, q, zero, jnp.asarray(FIRST / 2, dtype), 0, jnp.array(0), zero, Path(empty, empty))
     )
-    return at.q, at.K, at.factor, path, _negative_ahead(nondimensional, model, at, scale, size)
+    return at.q, at.K, at.factor, path, _negative_ahead(nondimensional, coordinates, at, scale, size)
 
 
-def _negative_ahead(nondimensional, model: Model, at: _At, scale, size) -> Bool[Array, ""]:
+def _negative_ahead(nondimensional, coordinates: Coordinates, at: _At, scale, size) -> Bool[Array, ""]:
     """Whether K turns negative within a size of the model along its softest motion: behind a limit point it does, under a force
     that is too large for any displacement it does not."""
     vectors = jnp.linalg.eigh(at.K + at.K.T)[1]
@@ -150,7 +154,7 @@ def _negative_ahead(nondimensional, model: Model, at: _At, scale, size) -> Bool[
     moves = size * jnp.concatenate([s := jnp.logspace(-4, 0, 9, dtype=at.q.dtype), -s])
 
     def smallest(s):
-        K = nondimensional(Chart(model).retract(at.q, scale * s * softest), at.factor)[1]
+        K = nondimensional(coordinates.retract(at.q, scale * s * softest), at.factor)[1]
         values = jnp.linalg.eigvalsh((K + K.T) / 2)
         return jnp.min(values, initial=jnp.inf) / jnp.max(jnp.abs(values), initial=1e-300)
 

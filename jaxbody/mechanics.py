@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxbody.frames import Frame
-from jaxbody.kinematics import Coordinates, supports_at, take
+from jaxbody.kinematics import Coordinates, take
 from jaxbody.loads import Load
 from jaxbody.models import Model, State
 from jaxbody.rotations import cross, dot, rotate, rotate_back
@@ -22,11 +22,9 @@ FEW_RUNS = 64  # slices that a sum may take; more would cost more to compile tha
 
 def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Frame:
     """The table of frames in a state, supports displaced by Xi."""
-    zero = jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
-    supports = supports_at(
-        model, zero if xi is None else jnp.reshape(xi, zero.shape), zero if xi_dot is None else jnp.reshape(xi_dot, zero.shape)
-    )
-    return Coordinates(model).frames(state.q, state.v, supports)
+    coordinates, zero = Coordinates(model), jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
+    xi, xi_dot = (zero if x is None else jnp.reshape(x, zero.shape) for x in (xi, xi_dot))
+    return coordinates.frames(state.q, state.v, coordinates.supports_at(xi, xi_dot))
 
 
 def kinetic_energy(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:

@@ -127,6 +127,11 @@ class Layout:
         """(nv,): True for speeds in rad/s."""
         return np.array([turn for kind in self.kinds for turn in kind.turns], dtype=bool)
 
+    @cached_property
+    def angular(self) -> np.ndarray:
+        """(nq,): True for angles and for the four numbers of a quaternion, which stand for three turns."""
+        return np.array([turn for kind in self.kinds for turn in (*kind.turns, *[True] * (kind.nq - kind.nv))], dtype=bool)
+
 
 class State(eqx.Module):
     """Where everything is and how it moves: q the coordinates and v the speeds of the joints, in the order of the bodies; z the states
@@ -417,9 +422,9 @@ def _places(names: tuple[str, ...], order: tuple[str, ...]) -> np.ndarray:
     return np.array([order.index(name) for name in names], dtype=int)
 
 
-def rest_poses(model: Model) -> Pose:
-    """Pose of each body on its parent in the reference pose, rows in the order of the bodies."""
-    supports, bodies = support_poses(model), body_poses(model)
+def rest_poses(model: Model, supports: Pose) -> Pose:
+    """Pose of each body on its parent in the reference pose, rows in the order of the bodies; `supports` are theirs."""
+    bodies = body_poses(model)
     world = Pose(jnp.zeros((1, 3), bodies.p.dtype), np.eye(3, dtype=bodies.R.dtype)[None])
     p, R = (jnp.concatenate([getattr(x, name) for x in (world, supports, bodies)]) for name in ("p", "R"))
     rows = _places(model.layout.parents, model.layout.frames)
@@ -429,7 +434,11 @@ def rest_poses(model: Model) -> Pose:
 @eqx.filter_jit
 def reference_coordinates(model: Model) -> Float[Array, "nq"]:
     """The coordinates of the reference pose."""
-    rest = rest_poses(model)
+    return coordinates_at(model, rest_poses(model, support_poses(model)))
+
+
+def coordinates_at(model: Model, rest: Pose) -> Float[Array, "nq"]:
+    """The coordinates at which each body is at rest on its parent."""
     parts: dict[str, Array] = {}
     for table in model.joints:
         rows = _places(table.names, model.layout.bodies)

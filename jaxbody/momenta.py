@@ -20,7 +20,6 @@ from jaxtyping import Array, Float
 from jaxbody import rotations
 from jaxbody.dynamics import Dynamics, normalized, table_of_free
 from jaxbody.frames import Frame
-from jaxbody.kinematics import supports_moving
 from jaxbody.linear_solves import solve_spd
 from jaxbody.mechanics import kinetic, wrenches
 from jaxbody.models import Model, State
@@ -57,7 +56,7 @@ class Canonical(eqx.Module):
         return jnp.concatenate([B(v), _lift(B, B_transposed, forces(F, M)) - turned])
 
     def _supports(self, t) -> Frame:
-        return supports_moving(self.model, self.dynamics.motions, t)
+        return self.dynamics.coordinates.supports_moving(self.dynamics.motions, t)
 
     def _tangent(self, q: Float[Array, "nq"]) -> tuple[Callable, Callable]:
         """v -> B v and p -> B' p."""

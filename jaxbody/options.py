@@ -1,4 +1,4 @@
-"""Options of XLA: one for fast simulations of small models on a CPU, when a user asks for it, and one to compile quickly."""
+"""Options of XLA: one for fast simulations of small models on a CPU, when a user asks for it, and those to compile quickly."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ HOLDER = "--xla_backend_extra_options="
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
 WIDTH = "--xla_cpu_prefer_vector_width="  # in bits: all that the processor has; XLA's own choice is half of 512
 QUICKLY = {"xla_cpu_use_fusion_emitters": False}  # two thirds of the time of compiling or less, and programs run as fast
+AS_IT_IS = {"xla_backend_optimization_level": 0}  # half of what then remains, and programs take up to three times as long
 
 
 def fast_loops() -> bool:
@@ -66,11 +67,20 @@ def _in_use() -> bool:
 
 def jit_quickly(function: Callable[..., Any]) -> Callable[..., Any]:
     """filter_jit, which compiles in two thirds of the time on a CPU where it is not part of another program."""
+    return _jit_by_itself(function, {})
+
+
+def jit_as_it_is(function: Callable[..., Any]) -> Callable[..., Any]:
+    """filter_jit for what runs in a millisecond: where it is not part of another program it compiles in a third of the time, not optimized."""
+    return _jit_by_itself(function, AS_IT_IS)
+
+
+def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
     part = eqx.filter_jit(function)
 
     @functools.cache
     def whole():
-        return eqx.filter_jit(function, compiler_options=quick_options())  # pyright: ignore  # goes on to jax.jit
+        return eqx.filter_jit(function, compiler_options=quick_options() | options)  # pyright: ignore  # goes on to jax.jit
 
     @functools.wraps(function)
     def call(*args):

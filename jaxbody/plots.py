@@ -25,7 +25,7 @@ from jaxbody.fit_plots import plot_history as plot_history
 from jaxbody.fit_plots import plot_profile as plot_profile
 from jaxbody.frames import Pose
 from jaxbody.joints import Guide
-from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization
 from jaxbody.measured_plots import plot_fit as plot_fit
 from jaxbody.mode_plots import plot_branches as plot_branches
@@ -353,7 +353,7 @@ def _finish(ax, look, view, model: Model) -> None:
 def _poses(model: Model, q, delta, xi) -> Pose:
     coordinates = Coordinates(model)
     zero = jnp.zeros_like(delta)
-    return coordinates.frames(coordinates.retract(q, delta), zero, supports_at(model, xi, jnp.zeros_like(xi))).pose()
+    return coordinates.frames(coordinates.retract(q, delta), zero, coordinates.supports_at(xi, jnp.zeros_like(xi))).pose()
 
 
 def _poses_at(model: Model, q, delta, xi) -> tuple[np.ndarray, np.ndarray]:

@@ -18,13 +18,13 @@ from jaxtyping import Array, Float
 from jaxbody import rotations
 from jaxbody.arrays import float_array
 from jaxbody.bodies import vector
-from jaxbody.derivatives import _at_rest, _jacobian, slope
+from jaxbody.derivatives import placed, slope
 from jaxbody.dynamics import Instant
 from jaxbody.elements import Element
 from jaxbody.errors import Problem, Problems
 from jaxbody.frames import Frame, Pose
 from jaxbody.joints import unit_vector
-from jaxbody.kinematics import Coordinates, supports_at
+from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model, State, unknown
 from jaxbody.torsions import Torsion
 
@@ -222,7 +222,7 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
         slopes, deformed[name] = _bending(model[name], [frames[end].pose() for end in ends])
         bending[name] = sum(slope @ twists[end].T for slope, end in zip(slopes, ends, strict=True))
     turned = any(isinstance(port, SupportReaction) and len(port.direction) == 2 for port in outputs)
-    held = slope(model, q)[layout.nv :] if turned else zero
+    held = slope(placed(Coordinates(model), q))[layout.nv :] if turned else zero
     readings = iter(_readings(model, q, [port for port in outputs if hasattr(port, "reading")]))
     whole = whole_matrices(lin)
     forces = [next(points) if isinstance(port, PointForce) else zero for port in inputs]
@@ -305,14 +305,13 @@ def _direction(direction: Any, where: str, problems: Problems) -> tuple[Any, boo
 
 def frame_twists(model: Model, q) -> tuple[Frame, Float[Array, "nf n 6"]]:
     """The table of frames at rest, and what a unit of each of (Delta, Xi) moves them by: displacement of the origin and turn."""
-    layout = model.layout
-    frames, axes = _at_rest(model, q)
-    J = _jacobian(layout, frames, axes)
+    layout, at = model.layout, placed(Coordinates(model), q)
+    J = at.J
     n = layout.nv + layout.nxi
     if J is None:
         J = jnp.swapaxes(jnp.eye(n, dtype=q.dtype).reshape(-1, 6, n), 1, 2)
     bodies, world = len(layout.bodies), jnp.zeros((1, n, 6), q.dtype)
-    return frames, jnp.concatenate([world, J[bodies:], J[:bodies]])
+    return at.frames, jnp.concatenate([world, J[bodies:], J[:bodies]])
 
 
 def _point_row(port: PointForce | PointMotion, frames: Frame, twists, row_of) -> Float[Array, "n"]:
@@ -346,7 +345,7 @@ def _readings(model: Model, q, sensors: list[Any]):
 
     def readings(x, rate):
         coordinates, (delta, xi), (v, xi_dot) = Coordinates(model), *(jnp.split(y, [layout.nv]) for y in (x, rate))
-        supports = supports_at(model, xi.reshape(-1, 6), xi_dot.reshape(-1, 6))
+        supports = coordinates.supports_at(xi.reshape(-1, 6), xi_dot.reshape(-1, 6))
         state = State(coordinates.retract(q, delta), v)
         frames = coordinates.frames(state.q, v, supports)
         now = Instant(frames.p, frames.R, frames.v, frames.w, state)

@@ -16,8 +16,9 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_precision, check_state
-from jaxbody.derivatives import slope
+from jaxbody.derivatives import placed, slope
 from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete
+from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model, State
 from jaxbody.naming import Leaf, leaves_of, matching, write
 from jaxbody.results import Result, warn_if_failed
@@ -97,7 +98,7 @@ def _preload(model: Model, state: State, leaves: tuple[Leaf, ...]) -> Preload:
 
     def unbalanced(l):
         changed = write(model, dict(zip(leaves, l, strict=True)))
-        return slope(changed, state.q)[: len(scale)] * scale
+        return slope(placed(Coordinates(changed), state.q, base=False)) * scale
 
     def step(l, _):
         A = jax.jacfwd(unbalanced)(l)

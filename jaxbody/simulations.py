@@ -20,7 +20,7 @@ from jaxbody.collocations import Gauss
 from jaxbody.dynamics import Dynamics, table_of_free
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.frames import Frame, Pose
-from jaxbody.kinematics import Coordinates, Motions, supports_moving
+from jaxbody.kinematics import Coordinates, Motions
 from jaxbody.lanes import in_lanes
 from jaxbody.laws import has_range
 from jaxbody.linearizations import linearize
@@ -402,7 +402,8 @@ def _stiffness_sum(model: Model) -> Float[Array, ""]:
 
 def table_of(model: Model, motions: Motions, t, state: State) -> Frame:
     """The table of frames at a time."""
-    return Coordinates(model).frames(state.q, state.v, supports_moving(model, motions, t))
+    coordinates = Coordinates(model)
+    return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t))
 
 
 def _frames(model, motions, t, state) -> Pose:
@@ -443,7 +444,7 @@ def _load_power(model, motions, t, state, loads):
 
 def _support_power(model, motions, t, state, loads):
     force, moment = _reactions(model, motions, t, state, loads)
-    supports = supports_moving(model, motions, t)
+    supports = Coordinates(model).supports_moving(motions, t)
     return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
 
 

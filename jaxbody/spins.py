@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_precision, check_state
-from jaxbody.derivatives import damping, expansion, mass
+from jaxbody.derivatives import damping, mass, placed, stiffness
 from jaxbody.dynamics import Dynamics
 from jaxbody.errors import Status
 from jaxbody.models import Model, State
@@ -101,11 +101,12 @@ def linearize_spin(model: Model, at: State) -> SpinLinearization:
 
 
 @filter_jit
-def _linearize_spin(model: Model, at: State) -> SpinLinearization:
-    n, q, v = model.layout.nv, at.q, at.v
+def _linearize_spin(model: Model, state: State) -> SpinLinearization:
+    q, v = state.q, state.v
     dynamics = Dynamics(model, tuple(AtRest() for _ in model.layout.supports))
     M, D, K, v_dot = _second_order(dynamics, q, v)
-    C, K_rest = damping(model, q, v)[:n, :n], expansion(model, q, base=False)[2]
+    at = placed(dynamics.coordinates, q, v, base=False)
+    C, K_rest = damping(at), stiffness(at)
     size = size_of(model)
     scale = scale_of(model, size)
     fastest = jnp.max(jnp.abs(v / scale) / size, initial=0.0)  # rad/s, or what a translation is to the size of the model
@@ -123,7 +124,7 @@ def _linearize_spin(model: Model, at: State) -> SpinLinearization:
     changes = (largest(later_D - D) > STEADY * (largest(D) + inertia * fastest)) | (largest(later_K - K) > STEADY * stiff)
     slows = jnp.max(jnp.abs(M @ v_dot * scale), initial=0.0) > STEADY * stiff * size
     status = jnp.where(slows | changes.any(), Status.NOT_STEADY.value, Status.OK.value)
-    return SpinLinearization(M, C, D - C, K, K - K_rest, v_dot, status, at, model)
+    return SpinLinearization(M, C, D - C, K, K - K_rest, v_dot, status, state, model)
 
 
 def _second_order(dynamics: Dynamics, q: Float[Array, "nq"], v: Float[Array, "nv"]):
@@ -141,5 +142,5 @@ def _second_order(dynamics: Dynamics, q: Float[Array, "nq"], v: Float[Array, "nv
     turns = jax.jacfwd(lambda delta: coordinates.retract(q, delta))(zero)
     E = jnp.linalg.solve(turns.T @ turns, turns.T @ chart[:, :n])
     A, B = J[:, :n], J[:, n:]
-    M = mass(dynamics.model, q)[:n, :n]
+    M = mass(placed(coordinates, q, base=False))
     return M, -M @ (E + B), -M @ (A - B @ E), v_dot

@@ -21,19 +21,19 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_attached, check_precision, check_state
-from jaxbody.derivatives import expansion
+from jaxbody.derivatives import expansion, placed, stiffness
 from jaxbody.errors import Status, is_concrete
-from jaxbody.kinematics import Chart, Coordinates
+from jaxbody.kinematics import Coordinates
 from jaxbody.lane_marks import any_of_batch
 from jaxbody.lanes import in_lanes
 from jaxbody.laws import has_range
 from jaxbody.linear_solves import is_definite, solve_if_definite
-from jaxbody.load_paths import Path, Raised, follow, residual, tangent, with_gravity
+from jaxbody.load_paths import Path, Raised, follow, residual, tangent, under, with_gravity
 from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, potential
-from jaxbody.models import Layout, Model, State, reference_coordinates
+from jaxbody.models import Layout, Model, State
 from jaxbody.naming import by_name
-from jaxbody.options import jit_quickly
+from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 
 TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the error left is its square
@@ -147,44 +147,47 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     return result
 
 
-@jit_quickly
+@jit_as_it_is
 def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, loads: tuple[Load, ...], max_steps: int) -> Equilibrium:
     """The jitted core of `equilibrium`."""
-    frozen = jax.lax.stop_gradient(model)
-    start = reference_coordinates(frozen) if start is None else jax.lax.stop_gradient(start)
-    size = size_of(frozen)
-    q, signs_of_K, converged, steps = descend(frozen, start, scale_of(frozen, size), size, max_steps)
-    runaway = ~converged & (apart(frozen, start, q) > RUNAWAY * size)
+    coordinates = Coordinates(model)
+    frozen = jax.lax.stop_gradient(coordinates)
+    start = frozen.reference if start is None else jax.lax.stop_gradient(start)
+    size = size_of(frozen.model)
+    q, signs_of_K, converged, steps = descend(frozen, start, scale_of(frozen.model, size), size, max_steps)
+    moved = jnp.max(jnp.abs(q - start) * jnp.where(model.layout.angular, size, 1.0), initial=0.0)
+    runaway = ~converged & (moved > RUNAWAY * size)
     status = jnp.select([runaway, ~converged], [Status.NO_EQUILIBRIUM.value, Status.NOT_CONVERGED.value], Status.OK.value)
-    eq = judged_at(model, q, signs_of_K, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
+    eq = judged_at(coordinates, q, signs_of_K, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
     return eq if not loads else under_loads(model, eq, Raised(loads, jnp.ones(len(loads), q.dtype), jnp.zeros(3, q.dtype)))
 
 
-@jit_quickly
+@jit_as_it_is
 def under_loads(model: Model, start: Equilibrium, raised: Raised) -> Equilibrium:
     """The equilibrium that the path of the loads from an unloaded one leads to."""
-    frozen, still = jax.lax.stop_gradient((model, raised))
-    size = size_of(frozen)
-    scale = scale_of(frozen, size)
+    coordinates = Coordinates(model)
+    frozen, still = jax.lax.stop_gradient((coordinates, raised))
+    size = size_of(frozen.model)
+    scale = scale_of(frozen.model, size)
     q, K, factor, path, ahead = follow(frozen, jax.lax.stop_gradient(start.state.q), still, scale, size)
     borne = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
     fit = jnp.isin(start.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
-    return judged_at(model, q, signs((K + K.T) / 2), jnp.where(fit, borne, start.status), start.steps, raised, path, factor)
+    return judged_at(coordinates, q, signs((K + K.T) / 2), jnp.where(fit, borne, start.status), start.steps, raised, path, factor)
 
 
-def judged_at(model: Model, q, signs_of_K, status, steps, raised: Raised, path: Path | None, factor) -> Equilibrium:
+def judged_at(coordinates: Coordinates, q, signs_of_K, status, steps, raised: Raised, path: Path | None, factor) -> Equilibrium:
     """What stands at q, where the nondimensional K has these signs: its stability, its derivative, what the springs do."""
     negative, singular = signs_of_K
     failed = status != Status.OK
-    q = _implicit((model, raised), q, ~failed & ~singular)
-    zero = jnp.zeros(model.layout.nv, q.dtype)
-    frames = Coordinates(model).at_rest(q)
+    q = _implicit((coordinates, raised), q, ~failed & ~singular)
+    model, at = coordinates.model, placed(coordinates, q, base=False)
+    zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
     beyond = jnp.any(beyond_laws(model, frames)) if has_range(model.elements) else jnp.array(False)
     status = jnp.select(
         [failed, negative > 0, singular, beyond], [status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
     return Equilibrium(
-        State(q, zero), residual(model, q, raised, factor), potential(with_gravity(model, factor * raised.gravity), frames), negative,
+        State(q, zero), residual(at, q, raised, factor), potential(under(at, raised, factor).model, frames), negative,
         ~failed & (negative == 0), status, steps, tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), model,
         raised.loads, factor, path,
     )  # fmt: skip
@@ -240,18 +243,18 @@ def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
     return jnp.where(model.layout.turns, 1 / size, 1.0)
 
 
-def descend(model, q, scale, size, max_steps):
+def descend(coordinates: Coordinates, q, scale, size, max_steps):
     """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step go down."""
-    numbers, rest = eqx.partition(model, eqx.is_array)
+    numbers, rest = eqx.partition(coordinates, eqx.is_array)
     return in_lanes(lambda numbers, *given: _descend(eqx.combine(numbers, rest), *given))(numbers, q, scale, size, max_steps)
 
 
-def _descend(model, q, scale, size, max_steps):
+def _descend(coordinates, q, scale, size, max_steps):
 
     def step(carry):
         """Judge the configuration tried, keep the better one, try the next."""
         best, tried, shift, expected, tiny, _, n = carry
-        value, slope, K = expansion(model, tried, base=False)
+        value, slope, K = expansion(placed(coordinates, tried, base=False))
         # below `tiny` the energy's rounding hides its fall
         falls = (expected > 0) & (best[1] - value >= 1e-4 * expected)
         accept = jnp.isfinite(value) & (falls | tiny | (n == 0))
@@ -267,7 +270,7 @@ def _descend(model, q, scale, size, max_steps):
         at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= 1e-14 * unit * size  # on a saddle too, where no step is worth anything
         near = accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= TOLERANCE * size)
         done = definite & (near | at_rest)
-        tried = Chart(model).retract(best[0], scale * y)
+        tried = coordinates.retract(best[0], scale * y)
         return best, tried, shift, expected, definite & (longest < 1e-6 * size), done, n + 1
 
     n = len(scale)
@@ -285,25 +288,35 @@ def _descend(model, q, scale, size, max_steps):
 
 
 @jax.custom_jvp
-def _implicit(given: tuple[Model, Raised], q: Float[Array, "nq"], valid: Bool[Array, ""]) -> Float[Array, "nq"]:
+def _implicit(given: tuple[Coordinates, Raised], q: Float[Array, "nq"], valid: Bool[Array, ""]) -> Float[Array, "nq"]:
     """q, with the derivative that an equilibrium has; NaN where there is none."""
     return q
 
 
 @_implicit.defjvp
 def _implicit_jvp(primals, tangents):
-    (model, raised), _, valid = primals
+    (coordinates, raised), _, valid = primals
     q = _implicit(*primals)
-    _, change = jax.jvp(lambda given: residual(given[0], q, given[1]), ((model, raised),), (tangents[0],))
-    delta = -jnp.linalg.solve(jnp.where(valid, tangent(model, q, raised), jnp.nan), change)
-    return q, Chart(model).rate(q, delta)
+
+    def unbalanced(given):
+        return residual(placed(given[0], q, base=False), q, given[1])
+
+    _, change = jax.jvp(unbalanced, (primals[0],), (tangents[0],))
+    K = tangent(placed(coordinates, q, base=False), q, raised)
+    delta = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), change)
+    return q, coordinates.rate(q, delta)
+
+
+@filter_jit
+def _stiffness(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nv nv"]:
+    return stiffness(placed(Coordinates(model), q, base=False))
 
 
 def zero_modes(model: Model, state: State) -> list[str]:
     """The motions that K does not resist at a state, in words: "'plate' free to turn about z"; those of single coordinates first."""
     layout = model.layout
     scale = np.asarray(scale_of(model, size_of(model)))
-    K = np.asarray(filter_jit(expansion)(model, state.q, base=False)[2])
+    K = np.asarray(_stiffness(model, state.q))
     values, vectors = np.linalg.eigh(K * scale * scale[:, None])
     null = vectors[:, np.abs(values) <= SINGULAR * max(np.abs(values).max(initial=0.0), 1e-300)]
     words, left = [], null

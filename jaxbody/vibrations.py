@@ -15,7 +15,7 @@ from jaxbody.errors import Status, is_concrete
 from jaxbody.lanes import in_lanes
 from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import Layout
-from jaxbody.options import jit_quickly
+from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
@@ -90,7 +90,7 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     return result
 
 
-@jit_quickly
+@jit_as_it_is
 def _modes(lin: Linearization) -> Modes:
     values, shapes = natural(lin.K, lin.M)
     cluster = clusters(values)

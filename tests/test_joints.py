@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody.kinematics import Coordinates, supports_at, supports_moving
+from jaxbody.kinematics import Coordinates
 
 RNG = np.random.default_rng(7)
 AXIS, AT = np.array([0.6, -0.5, 1.1]), np.array([0.3, -0.8, 0.4])
@@ -58,7 +58,8 @@ def retract(q, delta):
 
 @jax.jit
 def frames_and_axes(q, v, xi, xi_dot):
-    return Coordinates(MODEL).frames_and_axes(q, v, supports_at(MODEL, xi, xi_dot))
+    coordinates = Coordinates(MODEL)
+    return coordinates.frames_and_axes(q, v, coordinates.supports_at(xi, xi_dot))
 
 
 @jax.jit
@@ -199,7 +200,7 @@ def test_velocities_of_all_frames_are_the_derivatives_of_their_poses_in_time(q, 
 
 def test_velocities_of_supports_are_the_derivatives_of_their_imposed_motions():
     """Shaking by metres and turning by radians, the axis of the turn changing."""
-    moving = jax.jit(lambda t: jax.jvp(lambda t: supports_moving(MODEL, MOTIONS, t), (t,), (jnp.ones_like(t),)))
+    moving = jax.jit(lambda t: jax.jvp(lambda t: Coordinates(MODEL).supports_moving(MOTIONS, t), (t,), (jnp.ones_like(t),)))
     frames, d = moving(jnp.array(0.4))
     assert np.abs(frames.w).max() > 1
     assert np.abs(d.p - frames.v).max() <= 1e-14

@@ -144,7 +144,7 @@ def medians(functions: dict[str, Callable], rounds: int) -> dict[str, float]:
 
 
 def start(job: Job, what: str, quick: bool) -> dict:
-    """Seconds to a first result in this process, after the bare imports of jax and diffrax, maybe by a `jit` with quick_options()."""
+    """Seconds to a first result in this process, after the bare imports of jax and diffrax; in a user's `jit`, maybe with quick_options()."""
     import diffrax  # noqa: F401
     import jax
 
@@ -153,11 +153,13 @@ def start(job: Job, what: str, quick: bool) -> dict:
     import jaxbody as jb
 
     options = {"compiler_options": jb.quick_options()} if quick else {}
-    if what == "simulate":
-        jax.block_until_ready(user_functions(job, **options)["T1"](job.stiffness))
-    elif what == "modes":
+    if what == "motion":
+        jax.block_until_ready(jb.simulate(job.model(), TIMES, motion=job.motion(), rtol=RTOL[job.name]["T1"]).state.q)
+    elif what == "frequencies":
         model = job.model()
         jax.block_until_ready(jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency)
+    elif what == "motion in jit":
+        jax.block_until_ready(user_functions(job, **options)["T1"](job.stiffness))
     else:
         target = np.zeros((len(TIMES), 7 * len(job.mass)))
         jax.block_until_ready(user_functions(job, **options)["T2"](job.stiffness, target))
