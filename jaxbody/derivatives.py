@@ -285,11 +285,12 @@ def dissipation_hessian(element: Element, *frames: Frame) -> Blocks:
 @dissipation_hessian.register
 def _(line: LineElement, A: Frame, B: Frame) -> Blocks:
     """c g g', c the slope of the damper's tension, g = (u, arm x u) along the unit vector u from a to b."""
-    e, e_dot = line.rates(A, B)
     a, b = rotate(A.R, line.a), rotate(B.R, line.b)
-    d = (B.p - A.p) + (b - a)
-    u = d * inverse_root(dot(d, d))
-    c = jax.jvp(lambda rate: line.damper_tension(e, rate), (e_dot,), (jnp.ones_like(e_dot),))[1]
+    d, rate = (B.p - A.p) + (b - a), (B.v - A.v) + (cross(B.w, b) - cross(A.w, a))
+    inverse = inverse_root(dot(d, d))
+    u, e = d * inverse, dot(d, d) * inverse - line.free_length
+    e_dot = dot(u, rate)
+    c = jax.grad(lambda e_dot: line.damper_tension(e, e_dot))(e_dot)
     g_a, g_b = (jnp.concatenate([u, cross(arm, u)]) for arm in (a, b))
     return {(0, 0): Block(c * g_a[:, None] * g_a), (0, 1): Block(-c * g_a[:, None] * g_b), (1, 1): Block(c * g_b[:, None] * g_b)}
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.frames import Frame, Pose, stack
-from jaxbody.models import Model, coordinates_at, rest_poses, support_poses
+from jaxbody.models import Model, State, at_rest_in, rest_poses, support_poses
 from jaxbody.motions import Motion
 from jaxbody.rotations import cross, rotate
 from jaxbody.storage import Table
@@ -75,9 +75,9 @@ class Coordinates(Chart):
         self.rest = rest_poses(model, self.supports)
 
     @property
-    def reference(self) -> Float[Array, "nq"]:
-        """The coordinates of the reference pose."""
-        return coordinates_at(self.model, self.rest)
+    def reference(self) -> State:
+        """At rest in the reference pose."""
+        return at_rest_in(self.model, self.rest)
 
     def supports_at(self, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
         """Frames of the supports displaced by Xi from their reference poses, Xi changing at the rate Xi'."""

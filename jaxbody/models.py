@@ -227,8 +227,7 @@ class Model(eqx.Module):
     @property
     def reference(self) -> State:
         """The state at rest in the reference pose."""
-        q = reference_coordinates(self)
-        return State(q, jnp.zeros((*q.shape[:-1], self.layout.nv), q.dtype))
+        return _reference(self)
 
     def __repr__(self) -> str:
         return tables.text(*self._tables())
@@ -432,19 +431,19 @@ def rest_poses(model: Model, supports: Pose) -> Pose:
 
 
 @eqx.filter_jit
-def reference_coordinates(model: Model) -> Float[Array, "nq"]:
-    """The coordinates of the reference pose."""
-    return coordinates_at(model, rest_poses(model, support_poses(model)))
+def _reference(model: Model) -> State:
+    return at_rest_in(model, rest_poses(model, support_poses(model)))
 
 
-def coordinates_at(model: Model, rest: Pose) -> Float[Array, "nq"]:
-    """The coordinates at which each body is at rest on its parent."""
+def at_rest_in(model: Model, rest: Pose) -> State:
+    """The state in which bodies are at rest in these poses on their parents."""
     parts: dict[str, Array] = {}
     for table in model.joints:
         rows = _places(table.names, model.layout.bodies)
         q = jax.vmap(lambda joint, pose: joint.rest(pose))(table.rows, Pose(rest.p[rows], rest.R[rows]))
         parts |= {name: q[i] for i, name in enumerate(table.names)}
-    return jnp.concatenate([parts[name] for name in model.layout.bodies])
+    q = jnp.concatenate([parts[name] for name in model.layout.bodies])
+    return State(q, jnp.zeros(model.layout.nv, q.dtype))
 
 
 def support_poses(model: Model) -> Pose:

@@ -300,8 +300,8 @@ def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], ini
 @jit_quickly
 def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
     """The jitted core of `simulate`: it knows arrays only, and never raises."""
-    initial = model.reference if initial is None else initial
     dynamics = Dynamics(model, motions, loads)
+    initial = dynamics.coordinates.reference if initial is None else initial
     own = solver is None and isinstance(stepsize_controller, OWN_STEPS) and isinstance(adjoint, diffrax.ForwardMode | None) and isinstance(meter, diffrax.NoProgressMeter)  # fmt: skip
     by = _by_blocks if own else _by_diffrax
     form = Canonical(dynamics) if isinstance(solver, Gauss) else dynamics

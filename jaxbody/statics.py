@@ -152,7 +152,7 @@ def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, loads: tuple[
     """The jitted core of `equilibrium`."""
     coordinates = Coordinates(model)
     frozen = jax.lax.stop_gradient(coordinates)
-    start = frozen.reference if start is None else jax.lax.stop_gradient(start)
+    start = frozen.reference.q if start is None else jax.lax.stop_gradient(start)
     size = size_of(frozen.model)
     q, signs_of_K, converged, steps = descend(frozen, start, scale_of(frozen.model, size), size, max_steps)
     moved = jnp.max(jnp.abs(q - start) * jnp.where(model.layout.angular, size, 1.0), initial=0.0)
