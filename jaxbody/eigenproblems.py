@@ -29,6 +29,7 @@ ALIKE = (
     1e-5  # relative difference of cotangents within a cluster that counts as none: functions of its frequencies alone differ by CLUSTERED
 )
 ZERO = 1e-10  # eigenvalues, relative to the largest, that count as zero
+SWEPT = 128  # lanes for eigenvalues, whose many short loops cost more to call than to run
 
 
 def linear_one_way(name: str, forward: Callable[..., Array], backward: Callable[..., Array], again: Any = None) -> Callable[..., Array]:
@@ -172,7 +173,8 @@ def _refused_jvp(primals, tangents):
 @jax.custom_jvp
 def natural(K: Float[Array, "n n"], M: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
     """w^2, ascending, and phi (columns) of K phi = w^2 M phi; phi' M phi = 1, the largest component positive. Of K and M the symmetric parts count."""
-    values, A, L = in_lanes(_standard)(K, M)
+    A, L = in_lanes(_standard)(K, M)
+    values = in_lanes(lambda A: jnp.linalg.eigvalsh(A, symmetrize_input=False), lanes=SWEPT)(A)
     # apart: in a batch LAPACK takes long, and for nothing where no shapes are asked for
     _, vectors = jnp.linalg.eigh(A, symmetrize_input=False)
     shapes = jax.scipy.linalg.solve_triangular(L, vectors, lower=True, trans=1)
@@ -181,11 +183,10 @@ def natural(K: Float[Array, "n n"], M: Float[Array, "n n"]) -> tuple[Float[Array
 
 
 def _standard(K, M):
-    """w^2, A and L of A y = w^2 y, y = L' phi, L L' = M."""
+    """A and L of A y = w^2 y, y = L' phi, L L' = M."""
     L = jnp.linalg.cholesky(_symmetric(M), symmetrize_input=False)
     half = jax.scipy.linalg.solve_triangular(L, K, lower=True)
-    A = _symmetric(jax.scipy.linalg.solve_triangular(L, half.T, lower=True))
-    return jnp.linalg.eigvalsh(A, symmetrize_input=False), A, L
+    return _symmetric(jax.scipy.linalg.solve_triangular(L, half.T, lower=True)), L
 
 
 def _symmetric(A):

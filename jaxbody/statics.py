@@ -25,7 +25,7 @@ from jaxbody.derivatives import expansion, placed, stiffness
 from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates
 from jaxbody.lane_marks import any_of_batch
-from jaxbody.lanes import in_lanes
+from jaxbody.lanes import LANES, in_lanes
 from jaxbody.laws import has_range
 from jaxbody.linear_solves import is_definite, solve_if_definite
 from jaxbody.load_paths import Path, Raised, follow, residual, tangent, under, with_gravity
@@ -246,7 +246,8 @@ def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
 def descend(coordinates: Coordinates, q, scale, size, max_steps):
     """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step go down."""
     numbers, rest = eqx.partition(coordinates, eqx.is_array)
-    return in_lanes(lambda numbers, *given: _descend(eqx.combine(numbers, rest), *given))(numbers, q, scale, size, max_steps)
+    lanes = 2 * LANES if len(scale) <= 6 else LANES  # more share the calls of a loop, fewer keep all of K near the processor
+    return in_lanes(lambda numbers, *given: _descend(eqx.combine(numbers, rest), *given), lanes=lanes)(numbers, q, scale, size, max_steps)
 
 
 def _descend(coordinates, q, scale, size, max_steps):

@@ -278,10 +278,10 @@ def test_derivatives_of_load_cases():
 # Where there is none
 
 
-def hanging(law, mass=1.0, free_length=1.0):
+def hanging(law, mass=1.0, free_length=1.0, joints=None):
     return jb.Model(
         bodies={"mass": jb.Body(mass=mass, inertia=[1, 1, 1])},
-        joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
+        joints={"mass": jb.Guide("world", axis=[0, 0, 1])} if joints is None else joints,
         elements={"spring": jb.SpringDamper(("mass", [0, 0, 0]), ("world", [0, 0, 1]), free_length=free_length, spring=law)},
         gravity=[0, 0, -G],
     )
@@ -300,8 +300,9 @@ def test_no_equilibrium_says_how_much_is_borne():
         eq = jb.equilibrium(hanging(SOFT), loads={"pull": jb.Force("mass", force=[0, 0, -60.0])})
     assert int(eq.status) == Status.NO_EQUILIBRIUM and not bool(eq.stable)
     assert 0.98 * (50 - G) / 60 < float(eq.load_factor) < (50 - G) / 60
-    with pytest.warns(jb.JaxbodyWarning, match=r"50\.\d* % of the weights is borne \[NO_EQUILIBRIUM\]"):
-        jb.equilibrium(hanging(SOFT, mass=10.0))
+    for joints in (None, {}):  # a guide's coordinate, a free body's seven
+        with pytest.warns(jb.JaxbodyWarning, match=r"50\.\d* % of the weights is borne \[NO_EQUILIBRIUM\]"):
+            jb.equilibrium(hanging(SOFT, mass=10.0, joints=joints))
 
 
 def truss():
