@@ -22,6 +22,27 @@ def run(program, **environment):
     return done.stdout.splitlines()
 
 
+def by_themselves(model, amplitude, times):
+    """What users call outside of any jit: motion, equilibrium, matrices, frequencies, a response."""
+    motion = {"base": jb.Harmonic(frequency=2.0, translation=[0, 0, amplitude])}
+    jb.simulate(model, times, motion=motion)
+    lin = jb.linearize(model, jb.equilibrium(model))
+    jb.modes(lin)
+    inputs, outputs = {"floor": jb.BaseMotion("base", "z")}, {"plate": jb.PointMotion("plate", direction="z")}
+    jb.frequency_response(lin, 1 + times, inputs, outputs)
+
+
+def test_each_is_one_program_whatever_the_values():
+    model, times = rigs.plate(damping=2.0), np.linspace(0, 0.1, 13)
+    with jb.compile_times() as first:
+        by_themselves(model, 1e-3, times)
+    assert first.programs["integrate"][3] == 1  # the others may have been compiled for another test
+    assert all(count <= 1 for *_, count in first.programs.values()), first
+    with jb.compile_times() as then:
+        by_themselves(jb.replace(model, {"*.stiffness": 77.0, "plate.mass": 3.0, "plate.com": [0.01, 0, 0.02]}), 2e-3, 2 * times)
+    assert then.count == 0, then
+
+
 @pytest.mark.long
 def test_another_shape_or_option_is_another_program():
     model, options = rigs.plate(), dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.01)
