@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
-from jaxbody.elements import Bushing, Element, LineElement
+from jaxbody.elements import Bushing, Element, LineElement, length_and_direction
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, take
 from jaxbody.mechanics import each_element, potential, sums, wrenches
@@ -76,14 +76,13 @@ Blocks = dict[tuple[int, int], Block]  # of each two of an element's frames, the
 
 
 class Placed(NamedTuple):
-    """A model with its bodies somewhere, supports at rest in their reference poses: the table of frames; for each column, of (Delta, Xi) or without
-    `base` of Delta alone, the displacement of the origin and the turn that a unit of it gives to its own frame; the motion of each frame per unit of
-    each column, None for the identity."""
+    """A model with its bodies at q, supports at rest in their reference poses: the table of frames; for each column, of (Delta, Xi) or without
+    `base` of Delta alone, the turn that a unit of it gives to its own frame, and J, the motion of each frame, None for the identity."""
 
     model: Model
+    q: Float[Array, "nq"]
     frames: Frame
-    linear: Float[Array, "n 3"]
-    angular: Float[Array, "n 3"]
+    turns: Float[Array, "n 3"]
     J: Float[Array, "frames n 6"] | None
     base: bool
 
@@ -96,7 +95,7 @@ def placed(coordinates: Coordinates, q: Float[Array, "nq"], v: Float[Array, "nv"
     if base:
         own = np.tile(np.eye(6), (len(layout.supports), 1))
         linear, angular = jnp.concatenate([linear, own[:, :3]]), jnp.concatenate([angular, own[:, 3:]])
-    return Placed(model, frames, linear, angular, _jacobian(layout, frames, linear, angular, base), base)
+    return Placed(model, q, frames, angular, _jacobian(layout, frames, linear, angular, base), base)
 
 
 def slope(at: Placed) -> Vector:
@@ -122,7 +121,7 @@ def expansion(at: Placed) -> tuple[Float[Array, ""], Vector, Square]:
     H = _hessian(model, Block(Q=turning(arms, weights)), [blocks for _, blocks in elements], base)
     K = _projected(J, H)
     if J is not None:
-        n = at.angular
+        n = at.turns
         T = jnp.sum(cross(J[..., :3], G[:, None, :3]) + cross(J[..., 3:], G[:, None, 3:]) / 2, 0)
         W = jnp.asarray(_precedence(layout)[: len(n), : len(n)], K.dtype) * jnp.sum(n[:, None] * T, -1)
         K = K + W + W.T
@@ -286,11 +285,9 @@ def dissipation_hessian(element: Element, *frames: Frame) -> Blocks:
 def _(line: LineElement, A: Frame, B: Frame) -> Blocks:
     """c g g', c the slope of the damper's tension, g = (u, arm x u) along the unit vector u from a to b."""
     a, b = rotate(A.R, line.a), rotate(B.R, line.b)
-    d, rate = (B.p - A.p) + (b - a), (B.v - A.v) + (cross(B.w, b) - cross(A.w, a))
-    inverse = inverse_root(dot(d, d))
-    u, e = d * inverse, dot(d, d) * inverse - line.free_length
-    e_dot = dot(u, rate)
-    c = jax.grad(lambda e_dot: line.damper_tension(e, e_dot))(e_dot)
+    L, u = length_and_direction((B.p - A.p) + (b - a))
+    e_dot = dot(u, (B.v - A.v) + (cross(B.w, b) - cross(A.w, a)))
+    c = jax.grad(lambda e_dot: line.damper_tension(L - line.free_length, e_dot))(e_dot)
     g_a, g_b = (jnp.concatenate([u, cross(arm, u)]) for arm in (a, b))
     return {(0, 0): Block(c * g_a[:, None] * g_a), (0, 1): Block(-c * g_a[:, None] * g_b), (1, 1): Block(c * g_b[:, None] * g_b)}
 

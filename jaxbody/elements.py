@@ -118,7 +118,7 @@ class LineElement(Element):
 
     def length(self, A: Pose, B: Pose) -> Float[Array, ""]:
         """|AB|, its derivatives zero at zero length."""
-        return _length(B.point(self.b) - A.point(self.a))[0]
+        return length_and_direction(B.point(self.b) - A.point(self.a))[0]
 
     def deformation(self, A, B):
         """The elongation s = |AB| - l0 (31)."""
@@ -129,7 +129,7 @@ class LineElement(Element):
 
     def potential(self, A, B):
         d = B.point(self.b) - A.point(self.a)
-        L, _ = _length(d)
+        L, _ = length_and_direction(d)
         k0, _, _ = self.split(L)
         without_norm = 0.5 * k0 * dot(d, d) + (self.energy(L - self.free_length) - 0.5 * k0 * L**2)  # exact at d = 0 where l0 = 0
         return jnp.where(self.free_length == 0, without_norm, self.energy(L - self.free_length))
@@ -139,7 +139,7 @@ class LineElement(Element):
         arm_a, arm_b = rotate(A.R, self.a), rotate(B.R, self.b)
         d = kept((B.p - A.p) + (arm_b - arm_a))
         rate = kept((B.v - A.v) + (cross(B.w, arm_b) - cross(A.w, arm_a)))
-        L, u = _length(d)
+        L, u = length_and_direction(d)
         k0, rest, _ = self.split(L)
         force = kept(k0 * d + (self.damper_tension(L - self.free_length, dot(u, rate)) + rest) * u)
         return (force, cross(arm_a, force)), (-force, cross(force, arm_b))
@@ -234,7 +234,7 @@ class SpringDamper(LineElement):
         return self.damper is None and bool(laws.force(self.spring, jnp.zeros(())) == 0)
 
 
-def _length(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
+def length_and_direction(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """|d| and d/|d|, both zero with zero derivatives at d = 0."""
     square = dot(d, d)
     inverse = inverse_root(square)

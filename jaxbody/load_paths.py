@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.derivatives import Placed, expansion, placed, slope
+from jaxbody.derivatives import Placed, placed, slope, stiffness
 from jaxbody.frames import Pose
 from jaxbody.kinematics import Coordinates
 from jaxbody.loads import Load
@@ -83,15 +83,15 @@ def stiffness_of_loads(model: Model, q, loads: tuple[Load, ...], weights: Float[
     return jax.jacfwd(lambda delta: generalized(model, q, loads, weights, delta))(zero)
 
 
-def residual(at: Placed, q, raised: Raised, factor=1.0) -> Float[Array, "nv"]:
-    """dV/dDelta - lambda Q of a model placed at q, without its base."""
-    Q = generalized(at.model, q, raised.loads, raised.weights, jnp.zeros(at.model.layout.nv, q.dtype))
+def residual(at: Placed, raised: Raised, factor=1.0) -> Float[Array, "nv"]:
+    """dV/dDelta - lambda Q of a model placed without its base."""
+    Q = generalized(at.model, at.q, raised.loads, raised.weights, jnp.zeros(at.model.layout.nv, at.q.dtype))
     return slope(under(at, raised, factor)) - factor * Q
 
 
-def tangent(at: Placed, q, raised: Raised, factor=1.0) -> Float[Array, "nv nv"]:
-    """K = d2V/dDelta2 - lambda dQ/dDelta of a model placed at q, without its base."""
-    return expansion(under(at, raised, factor))[2] - factor * stiffness_of_loads(at.model, q, raised.loads, raised.weights)
+def tangent(at: Placed, raised: Raised, factor=1.0) -> Float[Array, "nv nv"]:
+    """K = d2V/dDelta2 - lambda dQ/dDelta of a model placed without its base."""
+    return stiffness(under(at, raised, factor)) - factor * stiffness_of_loads(at.model, at.q, raised.loads, raised.weights)
 
 
 class _At(eqx.Module):
@@ -110,7 +110,7 @@ def follow(coordinates: Coordinates, q, raised: Raised, scale: Float[Array, "nv"
 
     def nondimensional(q, factor):
         at = placed(coordinates, q, base=False)
-        return residual(at, q, raised, factor) * scale, tangent(at, q, raised, factor) * scale * scale[:, None]
+        return residual(at, raised, factor) * scale, tangent(at, raised, factor) * scale * scale[:, None]
 
     def iterate(carry):
         at, q, target, length, iteration, steps, top, path = carry

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from jaxbody import rotations
 from jaxbody.arrays import float_array
 from jaxbody.bodies import vector
-from jaxbody.derivatives import placed, slope
+from jaxbody.derivatives import Placed, placed, slope
 from jaxbody.dynamics import Instant
 from jaxbody.elements import Element
 from jaxbody.errors import Problem, Problems
@@ -212,7 +212,8 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
     model, layout, q = lin.model, lin.model.layout, lin.state.q
     n, dtype = layout.nv + layout.nxi, q.dtype
     zero = jnp.zeros(n, dtype)
-    frames, twists = frame_twists(model, q)
+    at = placed(Coordinates(model), q)
+    frames, twists = at.frames, frame_twists(at)
     points = iter(
         [_point_row(port, frames, twists, layout.frame) for port in (*inputs, *outputs) if isinstance(port, PointForce | PointMotion)]
     )
@@ -222,7 +223,7 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
         slopes, deformed[name] = _bending(model[name], [frames[end].pose() for end in ends])
         bending[name] = sum(slope @ twists[end].T for slope, end in zip(slopes, ends, strict=True))
     turned = any(isinstance(port, SupportReaction) and len(port.direction) == 2 for port in outputs)
-    held = slope(placed(Coordinates(model), q))[layout.nv :] if turned else zero
+    held = slope(at)[layout.nv :] if turned else zero
     readings = iter(_readings(model, q, [port for port in outputs if hasattr(port, "reading")]))
     whole = whole_matrices(lin)
     forces = [next(points) if isinstance(port, PointForce) else zero for port in inputs]
@@ -303,15 +304,11 @@ def _direction(direction: Any, where: str, problems: Problems) -> tuple[Any, boo
     return np.eye(3)["xyz".find(direction[-1:])], len(direction) == 2
 
 
-def frame_twists(model: Model, q) -> tuple[Frame, Float[Array, "nf n 6"]]:
-    """The table of frames at rest, and what a unit of each of (Delta, Xi) moves them by: displacement of the origin and turn."""
-    layout, at = model.layout, placed(Coordinates(model), q)
-    J = at.J
-    n = layout.nv + layout.nxi
-    if J is None:
-        J = jnp.swapaxes(jnp.eye(n, dtype=q.dtype).reshape(-1, 6, n), 1, 2)
-    bodies, world = len(layout.bodies), jnp.zeros((1, n, 6), q.dtype)
-    return at.frames, jnp.concatenate([world, J[bodies:], J[:bodies]])
+def frame_twists(at: Placed) -> Float[Array, "nf n 6"]:
+    """What a unit of each of (Delta, Xi) moves every frame by: displacement of the origin and turn."""
+    bodies, n, dtype = len(at.model.layout.bodies), len(at.turns), at.q.dtype
+    J = jnp.swapaxes(jnp.eye(n, dtype=dtype).reshape(-1, 6, n), 1, 2) if at.J is None else at.J
+    return jnp.concatenate([jnp.zeros((1, n, 6), dtype), J[bodies:], J[:bodies]])
 
 
 def _point_row(port: PointForce | PointMotion, frames: Frame, twists, row_of) -> Float[Array, "n"]:

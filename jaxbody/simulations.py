@@ -379,12 +379,8 @@ def _scales(model: Model, span) -> Float[Array, "ny"]:
     layout = model.layout
     size = size_of(model)
     rate = jnp.sqrt(_stiffness_sum(model) / jnp.sum(model.bodies.rows.mass) + jnp.linalg.norm(model.gravity) / size) + 1 / span
-    length = {False: size, True: jnp.ones_like(size)}
-    q = [1.0 if kind.nq - kind.nv == 1 and i >= kind.nq - 4 else length[bool(kind.nq == kind.nv and kind.turns[i])] for kind in layout.kinds for i in range(kind.nq)]  # fmt: skip
-    v = [rate * length[bool(turn)] for turn in layout.turns]
-    scales = jnp.asarray(q + v, size.dtype).reshape(len(q + v))
     if not layout.floating:
-        return scales
+        return jnp.concatenate([jnp.where(layout.angular, 1.0, size), rate * jnp.where(layout.turns, 1.0, size)])
     n = len(layout.bodies)
     return jnp.concatenate([jnp.full(3 * n, size), jnp.ones(4 * n, size.dtype), jnp.full(3 * n, rate * size), jnp.full(3 * n, rate)])
 
@@ -443,8 +439,9 @@ def _load_power(model, motions, t, state, loads):
 
 
 def _support_power(model, motions, t, state, loads):
-    force, moment = _reactions(model, motions, t, state, loads)
-    supports = Coordinates(model).supports_moving(motions, t)
+    dynamics = Dynamics(model, motions, loads)
+    force, moment = dynamics.reactions(t, state.q, state.v)
+    supports = dynamics.coordinates.supports_moving(motions, t)
     return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
 
 

@@ -187,7 +187,7 @@ def judged_at(coordinates: Coordinates, q, signs_of_K, status, steps, raised: Ra
         [failed, negative > 0, singular, beyond], [status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
     return Equilibrium(
-        State(q, zero), residual(at, q, raised, factor), potential(under(at, raised, factor).model, frames), negative,
+        State(q, zero), residual(at, raised, factor), potential(under(at, raised, factor).model, frames), negative,
         ~failed & (negative == 0), status, steps, tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), model,
         raised.loads, factor, path,
     )  # fmt: skip
@@ -300,10 +300,10 @@ def _implicit_jvp(primals, tangents):
     q = _implicit(*primals)
 
     def unbalanced(given):
-        return residual(placed(given[0], q, base=False), q, given[1])
+        return residual(placed(given[0], q, base=False), given[1])
 
     _, change = jax.jvp(unbalanced, (primals[0],), (tangents[0],))
-    K = tangent(placed(coordinates, q, base=False), q, raised)
+    K = tangent(placed(coordinates, q, base=False), raised)
     delta = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), change)
     return q, coordinates.rate(q, delta)
 
