@@ -367,9 +367,11 @@ def _projected(J: Array | None, H: Float[Array, "frames 6 frames 6"]) -> Square:
 
 def _collected(parts: list[tuple[Array, list[int | None]]], n: int) -> Array:
     """The sums of all rows that belong to each of n places; rows without a place are left out."""
-    kept = [(part, [i for i, place in enumerate(places) if place is not None], places) for part, places in parts]
-    found = [place for _, rows, places in kept for place in (places[i] for i in rows)]
-    rows = jnp.concatenate([take(part, np.array(rows, dtype=int)) for part, rows, _ in kept])
+    kept = [(part, [i for i, place in enumerate(places) if place is not None]) for part, places in parts]
+    found = [place for _, places in parts for place in places if place is not None]
+    if not found:
+        return jnp.zeros((n, *parts[0][0].shape[1:]), parts[0][0].dtype)
+    rows = jnp.concatenate([take(part, np.array(rows)) for part, rows in kept if rows])
     groups = [[i for i, place in enumerate(found) if place == wanted] for wanted in range(n)]
     return sums(rows.reshape(len(rows), -1), groups).reshape(n, *rows.shape[1:])
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.frames import Frame, Pose, stack
-from jaxbody.models import Model, State, at_rest_in, rest_poses, support_poses
+from jaxbody.models import Model, State, at_rest_in, body_poses, rest_poses, support_poses
 from jaxbody.motions import Motion
 from jaxbody.rotations import cross, rotate
 from jaxbody.storage import Table
@@ -25,7 +25,7 @@ def take(x: Array, rows: np.ndarray) -> Array:
             return x
         return x[int(rows[0]) : int(rows[-1]) + 1]
     if len(rows) and (rows == rows[0]).all():
-        return jnp.broadcast_to(x[int(rows[0])], (len(rows), *x.shape[1:]))
+        return jnp.broadcast_to(x[int(rows[0]) : int(rows[0]) + 1], (len(rows), *x.shape[1:]))
     return x[rows]
 
 
@@ -64,15 +64,16 @@ class Chart(eqx.Module):
 
 
 class Coordinates(Chart):
-    """A chart with what stays the same while bodies move: the reference poses of the supports, and `rest`, those of the bodies on their parents."""
+    """A chart with what stays the same while bodies move: the reference poses of supports and bodies, and `rest`, those of the bodies on their parents."""
 
     supports: Pose
+    bodies: Pose
     rest: Pose
 
     def __init__(self, model: Model):
         self.model = model
-        self.supports = support_poses(model)
-        self.rest = rest_poses(model, self.supports)
+        self.supports, self.bodies = support_poses(model), body_poses(model)
+        self.rest = rest_poses(model, self.supports, self.bodies)
 
     @property
     def reference(self) -> State:

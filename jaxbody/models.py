@@ -421,9 +421,8 @@ def _places(names: tuple[str, ...], order: tuple[str, ...]) -> np.ndarray:
     return np.array([order.index(name) for name in names], dtype=int)
 
 
-def rest_poses(model: Model, supports: Pose) -> Pose:
-    """Pose of each body on its parent in the reference pose, rows in the order of the bodies; `supports` are theirs."""
-    bodies = body_poses(model)
+def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
+    """Pose of each body on its parent in the reference pose, rows in the order of the bodies, from those in the world."""
     world = Pose(jnp.zeros((1, 3), bodies.p.dtype), np.eye(3, dtype=bodies.R.dtype)[None])
     p, R = (jnp.concatenate([getattr(x, name) for x in (world, supports, bodies)]) for name in ("p", "R"))
     rows = _places(model.layout.parents, model.layout.frames)
@@ -432,7 +431,7 @@ def rest_poses(model: Model, supports: Pose) -> Pose:
 
 @eqx.filter_jit
 def _reference(model: Model) -> State:
-    return at_rest_in(model, rest_poses(model, support_poses(model)))
+    return at_rest_in(model, rest_poses(model, support_poses(model), body_poses(model)))
 
 
 def at_rest_in(model: Model, rest: Pose) -> State:

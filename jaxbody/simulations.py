@@ -26,7 +26,7 @@ from jaxbody.laws import has_range
 from jaxbody.linearizations import linearize
 from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, kinetic, lost_power, potential
-from jaxbody.models import Model, State, body_poses, support_poses, unknown
+from jaxbody.models import Model, State, unknown
 from jaxbody.momenta import Canonical
 from jaxbody.motions import AtRest, Motion, as_motion, check_times, kinks_of
 from jaxbody.naming import by_name
@@ -313,23 +313,25 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     t_end, y_end = jnp.where(blown, times[last], t_end), jnp.where(blown, samples[last], y_end)
     code = jnp.where(blown, Status.NONFINITE.value, code)
     good = (finite & (times <= t_end))[:, None]
-    state = jax.vmap(form.unpack)(jnp.where(good, samples, jnp.nan), times)
+    y = jnp.concatenate([jnp.where(good, samples, jnp.nan), y_end[None]])
+    unpacked = jax.vmap(form.unpack)(y, jnp.append(times, t_end))
+    state, ended = jax.tree.map(lambda x: x[:-1], unpacked), jax.tree.map(lambda x: x[-1], unpacked)
     if has_range(model.elements):
         beyond = jax.vmap(lambda t, state: jnp.any(beyond_laws(model, table_of(model, motions, t, state))))(times, state)
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
     statistics = {"num_accepted_steps": accepted, "num_rejected_steps": rejected}
-    return Trajectory(times, state, code, statistics, (t_end, form.unpack(y_end, t_end)), model, motions, loads)
+    return Trajectory(times, state, code, statistics, (t_end, ended), model, motions, loads)
 
 
-def _tolerances(model: Model, span, rtol):
+def _tolerances(coordinates: Coordinates, span, rtol):
     """rtol and atol of the local error, and the least step: constants to both modes."""
-    model, span, local = jax.lax.stop_gradient((model, span, SAFETY * rtol))
-    return local, local / 100 * _scales(model, span), 1e-13 * span
+    coordinates, span, local = jax.lax.stop_gradient((coordinates, span, SAFETY * rtol))
+    return local, local / 100 * _scales(coordinates, span), 1e-13 * span
 
 
 def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
     """By the steps of `integrators`."""
-    limits = _tolerances(dynamics.model, times[-1] - times[0], rtol)
+    limits = _tolerances(dynamics.coordinates, times[-1] - times[0], rtol)
     signals = [signal for load in dynamics.loads for signal in load.signals()]
     constant = isinstance(controller, diffrax.ConstantStepSize)
     kinks = None if constant else kinks_of((*dynamics.motions, *signals))
@@ -346,7 +348,7 @@ def _by_diffrax(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint
     """By the objects that the user gave, with defaults for what is missing."""
     adjoint = adjoint or (diffrax.DirectAdjoint() if isinstance(controller, CONSTANT) else diffrax.RecursiveCheckpointAdjoint())
     if controller is None:
-        local, atol, shortest = _tolerances(dynamics.model, times[-1] - times[0], rtol)
+        local, atol, shortest = _tolerances(dynamics.coordinates, times[-1] - times[0], rtol)
         controller = diffrax.PIDController(rtol=local, atol=atol, norm=optimistix.max_norm, dtmin=shortest, force_dtmin=False)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, dynamics: dynamics.rate(t, y)),
@@ -374,26 +376,28 @@ def _by_diffrax(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint
     return solution.ys[0].at[0].set(y0), t_end, y_end, jnp.where(stuck, Status.NONFINITE.value, code), *steps
 
 
-def _scales(model: Model, span) -> Float[Array, "ny"]:
+def _scales(coordinates: Coordinates, span) -> Float[Array, "ny"]:
     """What is small for each component of y: the size of the model, 1 for angles; for velocities these times a fast frequency."""
+    model = coordinates.model
     layout = model.layout
     size = size_of(model)
-    rate = jnp.sqrt(_stiffness_sum(model) / jnp.sum(model.bodies.rows.mass) + jnp.linalg.norm(model.gravity) / size) + 1 / span
+    rate = jnp.sqrt(_stiffness_sum(coordinates) / jnp.sum(model.bodies.rows.mass) + jnp.linalg.norm(model.gravity) / size) + 1 / span
     if not layout.floating:
         return jnp.concatenate([jnp.where(layout.angular, 1.0, size), rate * jnp.where(layout.turns, 1.0, size)])
     n = len(layout.bodies)
     return jnp.concatenate([jnp.full(3 * n, size), jnp.ones(4 * n, size.dtype), jnp.full(3 * n, rate * size), jnp.full(3 * n, rate)])
 
 
-def _stiffness_sum(model: Model) -> Float[Array, ""]:
+def _stiffness_sum(coordinates: Coordinates) -> Float[Array, ""]:
     """The sum over the elements of the largest second derivative of V(e) in the reference pose."""
 
     def stiffest(element, *frames):
         e = element.deformation(*(f.pose() for f in frames))
         return jnp.max(jnp.abs(jax.hessian(element.energy)(e)))
 
-    found = each_element(model, table_of_free(support_poses(model).at_rest(), body_poses(model).at_rest()), stiffest)
-    return sum((jnp.sum(k) for k in found), jnp.zeros((), model.gravity.dtype))
+    reference = table_of_free(coordinates.supports.at_rest(), coordinates.bodies.at_rest())
+    found = each_element(coordinates.model, reference, stiffest)
+    return sum((jnp.sum(k) for k in found), jnp.zeros((), coordinates.model.gravity.dtype))
 
 
 def table_of(model: Model, motions: Motions, t, state: State) -> Frame:

@@ -226,15 +226,13 @@ def _beyond(model: Model, state: State) -> Bool[Array, "ne"]:
 def size_of(model: Model) -> Float[Array, ""]:
     """A length of the model: the farthest that an element is attached, or a centre of mass lies, from a body's origin; else the longest
     distance from the world's origin; else 1 m."""
-    on_bodies = [jnp.zeros(1, model.gravity.dtype), jnp.linalg.norm(model.bodies.rows.com, axis=-1)]
-    anywhere = [jnp.linalg.norm(model.bodies.rows.position, axis=-1)]
+    on_bodies, anywhere = [jnp.zeros((1, 3), model.gravity.dtype), model.bodies.rows.com], [model.bodies.rows.position]
     for table in model.elements:
         for end, points in enumerate(table.rows.points):
             on_body = np.array([link[end] in model.layout.bodies for link in table.links])
-            lengths = jnp.linalg.norm(points, axis=-1)
-            on_bodies.append(jnp.where(on_body, lengths, 0.0))
-            anywhere.append(lengths)
-    near, far = jnp.max(jnp.concatenate(on_bodies)), jnp.max(jnp.concatenate(anywhere))
+            on_bodies.append(jnp.where(on_body[:, None], points, 0.0))
+            anywhere.append(points)
+    near, far = (jnp.max(jnp.linalg.norm(jnp.concatenate(points), axis=-1)) for points in (on_bodies, anywhere))
     return jnp.where(near > 0, near, jnp.where(far > 0, far, 1.0))
 
 
