@@ -7,6 +7,7 @@ aboard, within the strokes that the wheels have and with all tyres on the road; 
 import sys
 import time
 from fnmatch import fnmatch
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -109,7 +110,7 @@ scaled = np.where(factors[:, None], np.log(np.maximum(ends, 1.0) / start[:, None
 names = {path: [path, path.replace("l.", "r.")] if path.startswith("tyre") else [path] for path in found.values}
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=jb.quick_options())
 def numbers(u):
     x = jnp.where(factors, start * jnp.exp(u), start + size * u)
     values = evaluate(jb.replace(car, {path: x[i] for i, paths in enumerate(names.values()) for path in paths}))

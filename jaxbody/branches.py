@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import field, filter_jit
+from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
@@ -20,6 +20,7 @@ from jaxbody.eigenproblems import together
 from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.linearizations import Linearization
 from jaxbody.models import Layout
+from jaxbody.options import jit_as_it_is
 from jaxbody.poles import ComplexModes, complex_modes
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.spins import SpinLinearization
@@ -80,7 +81,7 @@ def mac(one: Modes | ComplexModes | Any, other: Modes | ComplexModes | Any, *, m
     return _mac(X, Y, W)
 
 
-@filter_jit
+@jit_as_it_is
 def _mac(X: Array, Y: Array, W: Float[Array, "nv nv"]) -> Float[Array, "n m"]:
     def norm(Z):
         return jnp.sum(jnp.conj(Z) * (W @ Z), 0).real
@@ -120,7 +121,7 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
     return result
 
 
-@filter_jit
+@jit_as_it_is
 def _track(values: Float[Array, "k"], found: Modes | ComplexModes, M: Float[Array, "k nv nv"]) -> Branches:
     n = found.frequency.shape[1]
     frozen = jax.lax.stop_gradient((found.shapes, M))

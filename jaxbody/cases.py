@@ -21,6 +21,7 @@ from jaxbody.loads import STANDARD_GRAVITY, Load, loads_of
 from jaxbody.mechanics import each_element, frames_of
 from jaxbody.models import Model, State
 from jaxbody.naming import by_name
+from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import product
 from jaxbody.statics import Equilibrium, equilibrium_of, under_loads
@@ -161,7 +162,7 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     return result
 
 
-@eqx.filter_jit
+@jit_as_it_is
 def _load_cases(model: Model, unloaded: Equilibrium, loads, weights, accelerations, names: tuple[str, ...]) -> LoadCases:
     def one(weights, acceleration):
         found = under_loads(model, unloaded, Raised(loads, weights, -STANDARD_GRAVITY * acceleration))

@@ -11,7 +11,6 @@ import inspect
 from collections.abc import Iterable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +24,7 @@ from jaxbody.interior_points import check_ipopt
 from jaxbody.models import Model
 from jaxbody.naming import matching
 from jaxbody.optimizers import MET, METHODS, Rows, Search, hand_in_hand, one_thread, scales, search_with
+from jaxbody.options import jit_quickly
 from jaxbody.results import warn_if_failed
 from jaxbody.tunings import Tuning, tuning_of
 
@@ -169,7 +169,7 @@ def _descend_all(program: Program, searches: list[Search], method: optax.Gradien
         search.size = abs(float(history[i, 0])) or 1.0
 
 
-@eqx.filter_jit
+@jit_quickly
 def _descend(space: Space, evaluate: Evaluate, minimize: str, method, steps: int, stochastic: bool, U, low, high, key):
     optimizer = optax.with_extra_args_support(method)
 

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import field, filter_jit
+from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
@@ -20,6 +20,7 @@ from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.mechanics import each_element
 from jaxbody.models import Model
+from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import rotate, rotate_back
 from jaxbody.vibrations import _modes
@@ -168,7 +169,7 @@ def _against_gravity(model: Model) -> str | None:
     return AXES[int(np.argmax(np.abs(g)))]
 
 
-@filter_jit
+@jit_as_it_is
 def _energies(lin: Linearization) -> tuple[Array, ...]:
     found = _modes(lin)
     values, shapes = natural(lin.K, lin.M)

@@ -16,6 +16,7 @@ from jaxbody.derivatives import expansion, placed, stiffness
 from jaxbody.errors import Status
 from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model
+from jaxbody.options import jit_quickly
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import SINGULAR, Equilibrium, apart, descend, judged_at, scale_of, signs, size_of, unloaded
 
@@ -102,7 +103,7 @@ def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
     return near or int(one.status) == int(other.status) == Status.SINGULAR_K
 
 
-@eqx.filter_jit
+@jit_quickly
 def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium:
     size, coordinates = size_of(model), Coordinates(model)
     scale = scale_of(model, size)

@@ -13,7 +13,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import filter_jit
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
@@ -206,7 +205,7 @@ def _linearize(model: Model, state: State, status: Int[Array, ""], loads: tuple[
     )
 
 
-@filter_jit
+@jit_as_it_is
 def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nv"]:
     still = jnp.zeros(model.layout.nv, xi.dtype)
 
@@ -224,13 +223,13 @@ def _names(model: Model) -> tuple[tuple[str, ...], ...]:
     return tuple(table.names for table in model.elements)
 
 
-@filter_jit
+@jit_as_it_is
 def _gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
     still, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
     return jax.hessian(lambda d: gravity_energy(model, _frames(model, state, d, still, rest, rest)))(still)
 
 
-@filter_jit
+@jit_as_it_is
 def _split(model: Model, state: State):
     """Elastic and geometric stiffness of every element, table by table: V'' de de, and what of the Hessian remains, V' d2e."""
     still, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)

@@ -22,6 +22,7 @@ from jaxbody.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.frames import Pose
 from jaxbody.joints import Free, Joint
 from jaxbody.laws import Law, Sum
+from jaxbody.options import jit_as_it_is
 from jaxbody.storage import Table, tabulate, tabulate_by_structure
 from jaxbody.torsions import Torsion
 
@@ -429,7 +430,7 @@ def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
     return Pose(p[rows], R[rows]).inverse() @ bodies
 
 
-@eqx.filter_jit
+@jit_as_it_is
 def _reference(model: Model) -> State:
     return at_rest_in(model, rest_poses(model, support_poses(model), body_poses(model)))
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from equinox import field, filter_jit
+from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
@@ -18,6 +18,7 @@ from jaxbody.joints import Free
 from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import unknown
+from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import cross, dot, rotate, rotate_back, skew
 
@@ -158,7 +159,7 @@ def _free(lin: Linearization, body: str, where: str) -> str:
     return body
 
 
-@filter_jit
+@jit_as_it_is
 def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     rows = lin.model.layout.v_slices[body]
     K = (lin.K[rows, rows] + lin.K[rows, rows].T) / 2
@@ -178,7 +179,7 @@ def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     return ElasticAxes(center, n, stiffness, points, pitch, turns, torsional, status, body)
 
 
-@filter_jit
+@jit_as_it_is
 def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) -> TorqueRollAxis:
     rows, row = lin.model.layout.v_slices[body], lin.model.bodies.rows
     i = lin.model.layout.bodies.index(body)

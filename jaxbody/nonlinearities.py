@@ -27,7 +27,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import field, filter_jit
+from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
@@ -38,6 +38,7 @@ from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization
 from jaxbody.mechanics import kinetic, potential
 from jaxbody.models import Layout
+from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import rotate, rotate_back
 from jaxbody.statics import scale_of, size_of
@@ -139,7 +140,7 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
     return result
 
 
-@filter_jit
+@jit_as_it_is
 def _backbones(lin: Linearization) -> Backbones:
     model, K, M = lin.model, (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2
     frozen = jax.lax.stop_gradient(lin)

@@ -17,6 +17,7 @@ from jaxbody.kinematics import retract
 from jaxbody.linearizations import linearize
 from jaxbody.mechanics import potential_energy
 from jaxbody.models import Model, State
+from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result
 from jaxbody.statics import size_of
 
@@ -102,7 +103,7 @@ def _stiff(model: Model) -> tuple[Array, Array]:
     return lin.M, lin.K
 
 
-@eqx.filter_jit
+@jit_as_it_is
 def _scales(model: Model, M: Float[Array, "n n"], K: Float[Array, "n n"]) -> tuple[Array, Array]:
     """The first natural frequency that is not zero [Hz], of |eigenvalues|, and the largest static displacement under gravity of the modes that resist
     it, over the size; NaN where nothing resists."""

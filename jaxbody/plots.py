@@ -10,7 +10,6 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from equinox import filter_jit
 
 from jaxbody.canvases import COLORS, GRAY, INK, LIGHT, axes_below, axes_or_new, legend
 from jaxbody.design_plots import plot_front as plot_front
@@ -31,6 +30,7 @@ from jaxbody.measured_plots import plot_fit as plot_fit
 from jaxbody.mode_plots import plot_branches as plot_branches
 from jaxbody.mode_plots import plot_mode_energies as plot_mode_energies
 from jaxbody.models import WORLD, Model, State, unknown
+from jaxbody.options import jit_as_it_is
 from jaxbody.poles import ComplexModes
 from jaxbody.response_plots import plot_frequency_response as plot_frequency_response
 from jaxbody.response_plots import plot_psd as plot_psd
@@ -349,7 +349,7 @@ def _finish(ax, look, view, model: Model) -> None:
     ax.set(xlabel=f"{AXES[right]} [m]", ylabel=f"{AXES[up]} [m]")
 
 
-@filter_jit
+@jit_as_it_is
 def _poses(model: Model, q, delta, xi) -> Pose:
     coordinates = Coordinates(model)
     zero = jnp.zeros_like(delta)

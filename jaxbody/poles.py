@@ -6,7 +6,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from equinox import field, filter_jit
+from equinox import field
 from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody import tables
@@ -16,6 +16,7 @@ from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import Layout
+from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import cross
 from jaxbody.spins import SpinLinearization
@@ -100,7 +101,7 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     return result
 
 
-@filter_jit
+@jit_as_it_is
 def _complex_modes(M, D, K, unit, before, layout: Layout, spins: bool) -> ComplexModes:
     n = layout.nv
     M, D, K = (X * unit * unit[:, None] for X in (M, D, K))
@@ -180,7 +181,7 @@ def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
     return _whirl(lin, modes.shapes)
 
 
-@filter_jit
+@jit_as_it_is
 def _whirl(lin: SpinLinearization, shapes: Complex[Array, "nv n"]) -> Float[Array, "n"]:
     model, layout = lin.model, lin.model.layout
     bodies = model.bodies.rows

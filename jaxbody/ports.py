@@ -26,6 +26,7 @@ from jaxbody.frames import Frame, Pose
 from jaxbody.joints import unit_vector
 from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model, State, unknown
+from jaxbody.options import jit_as_it_is
 from jaxbody.torsions import Torsion
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  # along and about world axes
@@ -206,7 +207,7 @@ class Wiring(eqx.Module):
     reactions: tuple[int, ...] = eqx.field(static=True)
 
 
-@eqx.filter_jit
+@jit_as_it_is
 def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiring:
     """The matrices of these ports on a linearization."""
     model, layout, q = lin.model, lin.model.layout, lin.state.q

@@ -21,6 +21,7 @@ from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model, State
 from jaxbody.naming import Leaf, leaves_of, matching, write
+from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import scale_of, size_of
 
@@ -89,7 +90,7 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",))
     return result
 
 
-@eqx.filter_jit
+@jit_as_it_is
 def _preload(model: Model, state: State, leaves: tuple[Leaf, ...]) -> Preload:
     arrays = jax.tree.leaves(model)
     start = jnp.stack([leaf.read(arrays) for leaf in leaves])

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +14,7 @@ from jaxbody.frames import Frame
 from jaxbody.kinematics import Motions
 from jaxbody.loads import Load
 from jaxbody.models import Model, State
+from jaxbody.options import jit_quickly
 from jaxbody.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations import Trajectory, table_of
 
@@ -43,7 +43,7 @@ def _read(model, motions, t, state, loads, sensors):
     return read(model, motions, t, state, sensors, loads)
 
 
-@eqx.filter_jit
+@jit_quickly
 def _transduced(sensors: dict[str, Sensor], times: Array, measured: dict[str, Array]) -> dict[str, Array]:
     def over_batch(times, measured):
         return {name: sensor.transduced(times, measured[name]) for name, sensor in sensors.items()}

@@ -14,7 +14,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from equinox import filter_jit
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
@@ -24,6 +23,7 @@ from jaxbody.dynamics import Dynamics
 from jaxbody.errors import Status
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest
+from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import scale_of, size_of
 
@@ -100,7 +100,7 @@ def linearize_spin(model: Model, at: State) -> SpinLinearization:
     return result
 
 
-@filter_jit
+@jit_as_it_is
 def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     q, v = state.q, state.v
     dynamics = Dynamics(model, tuple(AtRest() for _ in model.layout.supports))

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import jax.numpy as jnp
-from equinox import field, filter_jit
+from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.errors import Status
+from jaxbody.options import jit_as_it_is
 from jaxbody.ports import Wiring, check_ports, wired
 from jaxbody.results import Result, warn_if_failed
 
@@ -65,7 +66,7 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
     return result
 
 
-@filter_jit
+@jit_as_it_is
 def _state_space(lin: Any, wiring: Wiring):
     """The states are p = Delta - g u and r = Delta' - g u' - h u, so that no derivative of u is needed, then Xi and Xi' of inputs that are
     velocities (Xi) and accelerations (both):

@@ -16,7 +16,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import filter_jit
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import tables
@@ -218,7 +217,7 @@ def apart(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> F
     return jnp.max(jnp.maximum(moved, size_of(model) * turned))
 
 
-@filter_jit
+@jit_as_it_is
 def _beyond(model: Model, state: State) -> Bool[Array, "ne"]:
     return beyond_laws(model, Coordinates(model).at_rest(state.q, state.v))
 
@@ -306,7 +305,7 @@ def _implicit_jvp(primals, tangents):
     return q, coordinates.rate(q, delta)
 
 
-@filter_jit
+@jit_as_it_is
 def _stiffness(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nv nv"]:
     return stiffness(placed(Coordinates(model), q, base=False))
 

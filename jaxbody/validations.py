@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -19,6 +18,7 @@ from jaxbody.errors import Status
 from jaxbody.experiments import check_measurements
 from jaxbody.fits import Fit
 from jaxbody.noises import records_of
+from jaxbody.options import jit_quickly
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.tasks import Task
 
@@ -102,7 +102,7 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     return found
 
 
-@eqx.filter_jit
+@jit_quickly
 def _runs(task: Task):
     return task.runs(jnp.zeros(0))
 
