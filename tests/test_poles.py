@@ -206,6 +206,18 @@ def test_a_rotor_whirls_forward_and_backward_as_in_closed_form():
         assert apart(a, b) < 1e-9
 
 
+def test_a_spin_that_no_element_reaches():
+    """A damper between two supports: what is left of a free disk is P W across its axis."""
+    damper = jb.Spring(("base", [0, 0, 0]), ("stand", [0, 0, 0]), stiffness=STIFF, damping=9.0)
+    supports = {"base": jb.Support(), "stand": jb.Support(position=[1, 0, 0])}
+    with pytest.warns(jb.JaxbodyWarning, match="USELESS_SPRING"):
+        model = jb.Model(bodies={"disk": jb.Body(**DISK)}, supports=supports, elements={"damper": damper}, gravity=[0, 0, 0])
+    lin = jb.linearize_spin(model, spinning(model, 30.0))
+    G = np.zeros((6, 6))
+    G[3, 4], G[4, 3] = 0.2 * 30.0, -0.2 * 30.0
+    assert lin.ok and not lin.C.any() and not lin.K.any() and apart(lin.G, G) < 1e-12
+
+
 def test_what_is_no_steady_spin_is_told():
     """Unequal moments, springs off the axis, a speed that is braked: time stands in the equations."""
     for model in (rotor(inertia=(0.1, 0.14, 0.2)), rotor(at=0.05)):

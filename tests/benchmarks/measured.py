@@ -144,7 +144,9 @@ def medians(functions: dict[str, Callable], rounds: int) -> dict[str, float]:
 
 
 def start(job: Job, what: str, quick: bool) -> dict:
-    """Seconds to a first result in this process, after the bare imports of jax and diffrax; in a user's `jit`, maybe with quick_options()."""
+    """Seconds to a first result in this process, after the bare imports of jax and diffrax, and of these; in a user's `jit`, maybe with
+    quick_options()."""
+    importing = time.perf_counter()
     import diffrax  # noqa: F401
     import jax
 
@@ -163,7 +165,7 @@ def start(job: Job, what: str, quick: bool) -> dict:
     else:
         target = np.zeros((len(TIMES), 7 * len(job.mass)))
         jax.block_until_ready(user_functions(job, **options)["T2"](job.stiffness, target))
-    return {"seconds": time.perf_counter() - begun}
+    return {"imports": begun - importing, "seconds": time.perf_counter() - begun}
 
 
 def compilation(job: Job, rounds: int = 3) -> dict:
