@@ -71,7 +71,7 @@ def jit_quickly(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def jit_as_it_is(function: Callable[..., Any]) -> Callable[..., Any]:
-    """filter_jit for what runs in a millisecond: where it is not part of another program it compiles in a third of the time, not optimized."""
+    """filter_jit for what runs in milliseconds: where it is not part of another program it compiles in a third of the time, not optimized."""
     return _jit_by_itself(function, AS_IT_IS)
 
 
