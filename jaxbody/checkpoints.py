@@ -5,14 +5,16 @@ from __future__ import annotations
 import contextlib
 import os
 import tempfile
-import zipfile
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.tasks import Levels, Task
+
+ANEW = "Leave resume out to start anew."
 
 
 def _names(task: Task) -> list[str]:
@@ -48,18 +50,33 @@ def save(path: str | os.PathLike, task: Task, u: np.ndarray) -> None:
 
 def load(path: str | os.PathLike, task: Task) -> tuple[np.ndarray, Levels]:
     """u and the noise levels, of a checkpoint of the same task."""
+    where = str(path)
+    if not Path(path).is_file():
+        raise JaxbodyError(Problem("NO_CHECKPOINT", where, "is no file", hint=ANEW))
     try:
-        with np.load(path) as file:
-            names, arrays = file["names"].tolist(), {key: file[key] for key in file.files if key != "names"}
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        hint = "Leave resume out to start anew."
-        raise JaxbodyError(Problem("NO_CHECKPOINT", str(path), f"is no checkpoint that can be read: {error}", hint=hint)) from None
-    check_same(names, task, str(path))
-    places = [(run, name) for run, levels in task.noise.items() for name in levels]
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+    except Exception:  # what damaged bytes raise has many names, and NumPy's advice is to trust them
+        raise JaxbodyError(Problem("NO_CHECKPOINT", where, "cannot be read: it is damaged, or no checkpoint", hint=ANEW)) from None
+    if missing := [name for name in ("names", "u") if name not in arrays]:
+        raise JaxbodyError(Problem("NO_CHECKPOINT", where, f"is no checkpoint: it has no {', '.join(missing)}", hint=ANEW))
+    check_same(np.ravel(arrays["names"]).tolist(), task, where)
     noise: Levels = {run: {} for run in task.noise}
-    for i, (run, name) in enumerate(places):
-        noise[run][name] = jnp.asarray(arrays[f"noise{i}"])
-    return arrays["u"], noise
+    for i, (run, name) in enumerate((run, name) for run, levels in task.noise.items() for name in levels):
+        level = _numbers(arrays.get(f"noise{i}"), np.shape(task.noise[run][name]), f"{where}: noise of {run}.{name}", positive=True)
+        noise[run][name] = jnp.asarray(level)
+    return _numbers(arrays["u"], (task.size,), f"{where}: u"), noise
+
+
+def _numbers(value: Any, shape: tuple[int, ...], where: str, *, positive: bool = False) -> np.ndarray:
+    """The array, of finite numbers and of this shape. Error: NO_CHECKPOINT."""
+    limit = f"{'positive' if positive else 'finite'} numbers of shape {shape}"
+    if value is None or value.dtype.kind != "f" or value.shape != shape:
+        told = "is missing" if value is None else f"has shape {value.shape} of {value.dtype.name}"
+        raise JaxbodyError(Problem("NO_CHECKPOINT", where, told, value, limit, ANEW))
+    if not np.isfinite(value).all() or (positive and not (value > 0).all()):
+        raise JaxbodyError(Problem("NO_CHECKPOINT", where, f"is {value.tolist()!r:.60}", value, limit, ANEW))
+    return value
 
 
 def check_same(names: list[str], task: Task, where: str) -> None:
@@ -75,5 +92,8 @@ def resumed(earlier, task: Task) -> tuple[np.ndarray, Levels]:
     """u and the noise levels of an earlier fit, or of a file."""
     if isinstance(earlier, str | os.PathLike):
         return load(earlier, task)
+    if not isinstance(getattr(earlier, "task", None), Task):
+        limit, hint = "a fit, or the path of its checkpoint", "Give what fit(...) returned, or the path of checkpoint=."
+        raise JaxbodyError(Problem("WRONG_KIND", "fit.resume", f"is a {type(earlier).__name__}", earlier, limit, hint))
     check_same(_names(earlier.task), task, "fit.resume")
-    return np.asarray(earlier.u), earlier.task.noise
+    return _numbers(np.asarray(earlier.u), (task.size,), "fit.resume: u"), earlier.task.noise

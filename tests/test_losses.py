@@ -245,6 +245,46 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_a_wrong_one_is_told(record, t
     assert other.code == "OTHER_FIT" and "damper.damping" in other.message
 
 
+DAMAGED = {
+    "an array": (lambda path, good: np.save(path.open("wb"), good["u"]), "NO_CHECKPOINT", "it is damaged, or no checkpoint"),
+    "pickled": (lambda path, good: np.savez(path, **good | {"u": np.array([{}], dtype=object)}), "NO_CHECKPOINT", "it is damaged"),
+    "u of another length": (lambda path, good: np.savez(path, **good | {"u": np.zeros(3)}), "NO_CHECKPOINT", "shape (3,) of float64 (limit: finite numbers of shape (2,))"),
+    "u of text": (lambda path, good: np.savez(path, **good | {"u": np.array(["a", "b"])}), "NO_CHECKPOINT", "of str32"),
+    "u not finite": (lambda path, good: np.savez(path, **good | {"u": np.array([0.0, np.nan])}), "NO_CHECKPOINT", "is [0.0, nan]"),
+    "no u": (lambda path, good: np.savez(path, names=good["names"]), "NO_CHECKPOINT", "it has no u"),
+    "no noise": (lambda path, good: np.savez(path, names=good["names"], u=good["u"]), "NO_CHECKPOINT", "noise of run.x: is missing"),
+    "negative noise": (lambda path, good: np.savez(path, **good | {"noise0": np.array(-1.0)}), "NO_CHECKPOINT", "is -1.0 (limit: positive numbers"),
+    "noise of another shape": (lambda path, good: np.savez(path, **good | {"noise0": np.ones(2)}), "NO_CHECKPOINT", "shape (2,)"),
+    "of another fit": (lambda path, good: np.savez(path, **good | {"names": good["names"][1:]}), "OTHER_FIT", "'left.stiffness'"),
+    "empty": (lambda path, good: path.write_bytes(b""), "NO_CHECKPOINT", "it is damaged"),
+    "a pipe": (lambda path, good: os.mkfifo(path), "NO_CHECKPOINT", "is no file"),
+    "bytes turned": (lambda path, good: turned(path, good), "NO_CHECKPOINT", "it is damaged"),
+}  # fmt: skip
+
+
+def turned(path, good):
+    np.savez_compressed(path, **good)
+    whole = bytearray(path.read_bytes())
+    at = whole.index(b"u.npy") + 30
+    whole[at : at + 20] = bytes(255 - x for x in whole[at : at + 20])
+    path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_a_damaged_checkpoint_is_one_message_without_advice_to_trust_it(case, tmp_path):
+    good = {"names": np.array([*FREE, "noise of run.x"]), "u": np.zeros(2), "noise0": np.array(0.02)}
+    write, code, told = DAMAGED[case]
+    write(tmp_path / "fit.npz", good)
+    problem = problem_of(oscillator(), run(np.zeros(len(TIMES))), resume=tmp_path / "fit.npz")
+    assert problem.code == code and told in str(problem) and "pickle" not in str(problem) and problem.hint
+
+
+@pytest.mark.parametrize("earlier", [{"u": [0.0]}, np.zeros(2), 3])
+def test_what_is_resumed_is_a_fit_or_a_file(earlier):
+    problem = problem_of(oscillator(), run(np.zeros(len(TIMES))), resume=earlier)
+    assert problem.code == "WRONG_KIND" and f"is a {type(earlier).__name__} (limit: a fit, or the path of its checkpoint)" in str(problem)
+
+
 @pytest.mark.long
 def test_many_starts_find_the_optima_that_scipy_finds():
     """A stiffness too far off settles where the record's and the model's oscillations agree but for a period."""
