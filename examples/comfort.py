@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxbody as jb
-from jaxbody import response_plots
+from jaxbody import plots
 
 jax.config.update("jax_enable_x64", True)
 speed = 20.0  # m/s
@@ -87,13 +87,13 @@ assert abs(float(recorded.rms) / expected - 1) < 0.25  # one road of 360 m
 figure, axes = plt.subplots(3, 1, figsize=(9, 10), layout="constrained")
 for values, name in ((felt, "weighted acceleration"), (rides.rms[:, 1], "travel"), (rides.rms[:, 2], "tyre deflection")):
     axes[0].plot(dampings, values / values.min(), label=name)
-axes[0].axvline(float(best), color=response_plots.GRAY, lw=0.8)
+axes[0].axvline(float(best), color="gray", lw=0.8)
 axes[0].set(xlabel="damping [N s/m]", ylabel="rms over its least", ylim=(0.95, 2.5), title="A quarter car on a class C road at 72 km/h")
 axes[0].legend(frameon=False, fontsize=8, loc="upper right")
-response_plots.plot_psd(passengers, ax=axes[1])
+plots.plot_psd(passengers, ax=axes[1])
 axes[1].set(title="Half a car: weighted acceleration, by seat", ylim=(1e-7, None))
 axes[1].legend(frameon=False, fontsize=8, loc="lower left")
-axes[2].plot(times, recorded.values, lw=0.7, color=response_plots.COLORS[0])
+axes[2].plot(times, recorded.values, lw=0.7)
 axes[2].set(xlabel="time [s]", ylabel="weighted acceleration [m/s2]", title=f"One drive, crest factor {float(recorded.crest_factor):.2f}")
 if len(sys.argv) == 2 and sys.argv[1].endswith(".png"):
     figure.savefig(sys.argv[1], dpi=110)

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxbody as jb
-from jaxbody import response_plots
+from jaxbody import plots
 
 jax.config.update("jax_enable_x64", True)
 
@@ -66,11 +66,11 @@ print(f"transmissibility at sqrt(2) times the natural frequency: {crossing:.5f}"
 assert abs(crossing - 1) < 1e-3  # where isolation begins, whatever the damping
 
 figure, (upper, lower) = plt.subplots(2, 1, figsize=(9, 7), layout="constrained")
-response_plots.plot_transmissibility(response, ax=upper)
-upper.plot(f, rubber.magnitude[1, 1], color=response_plots.GRAY, lw=1.2, label="instrument z of floor z, rubber")
+plots.plot_transmissibility(response, ax=upper)
+upper.plot(f, rubber.magnitude[1, 1], color="gray", lw=1.2, label="instrument z of floor z, rubber")
 upper.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 upper.set_title("What arrives of the floor's motion")
-response_plots.plot_psd(found, outputs=tuple(felt), ax=lower)
+plots.plot_psd(found, outputs=tuple(felt), ax=lower)
 lower.set_title("Under a floor that shakes at random")
 if len(sys.argv) == 2 and sys.argv[1].endswith(".png"):
     figure.savefig(sys.argv[1], dpi=110)

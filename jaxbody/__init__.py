@@ -2,6 +2,8 @@
 
 from typing import TYPE_CHECKING
 
+__version__ = "0.1.0"
+
 if TYPE_CHECKING:  # by editors and type checkers; a program imports each at its first use, see below
     from jaxbody import laws, objectives, plots, presets, signals, units
     from jaxbody.attitudes import BodyPose, Orientation

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from jaxbody.errors import JaxbodyError
+from jaxbody.models import unknown
+
 COLORS = ("#1f6fb4", "#d9661f", "#2f8f4e", "#8a4fbf", "#b8344a", "#7a6a4f", "#1c9a9a", "#c79a1a")
 GRAY, LIGHT, INK = "#8a8f98", "#dfe4ea", "#2b2f36"
 MOST_LINES = 8  # with names in a legend
@@ -51,3 +54,9 @@ def legend(ax: Any, count: int, **options: Any) -> None:
     """Names beside the axes, unless they are too many."""
     if 0 < count <= MOST_LINES:
         ax.legend(**options, frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+
+
+def check_known(names: tuple[str, ...], known: tuple[str, ...], where: str) -> None:
+    problems = [unknown(name, where, known) for name in names if name not in known]
+    if problems:
+        raise JaxbodyError(*problems)

@@ -17,6 +17,14 @@ import numpy as np
 NOISE = 2e-3  # m, of the simulated camera
 LIKELY = 4.0  # standard errors within which the truth must lie
 START = time.perf_counter()
+DESCRIPTION = "Rigid bodies on springs from a base whose motion is imposed: models, motions, vibrations and fits, differentiable."
+EPILOG = """in Python:
+  import jaxbody as jb
+  model = jb.presets.full_car()   # ready models; your own: help(jb.Model)
+  print(jb.equilibrium(model))
+  jb.plots.draw_model(model)      # pictures: dir(jb.plots); force laws: dir(jb.laws)
+  help(jb.simulate)               # each public name has its example; all names: dir(jb)
+"""
 
 # (77) of the paper, entries in k/4: row, column, as printed, as a function of kt/k and l; all others are zero
 PRINTED = (
@@ -34,13 +42,21 @@ PRINTED = (
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """`jaxbody demo`; the exit code is 0 when the fitted stiffnesses agree with the true ones."""
-    parser = argparse.ArgumentParser(prog="jaxbody", description="Rigid bodies on springs from a base whose motion is imposed.")
-    commands = parser.add_subparsers(dest="command", required=True)
+    """`jaxbody` prints what there is; `jaxbody demo` ends with exit code 0 when the fitted stiffnesses agree with the true ones."""
+    from jaxbody import __version__
+
+    parser = argparse.ArgumentParser(
+        prog="jaxbody", description=DESCRIPTION, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--version", action="version", version=f"jaxbody {__version__}")
+    commands = parser.add_subparsers(dest="command", title="commands")
     demo = commands.add_parser("demo", help="a plate on three springs under a shaken base, from the drawing to fitted stiffnesses")
     demo.add_argument("--out", type=Path, default=Path("jaxbody-demo"), help="folder for the figures (default: ./jaxbody-demo)")
     demo.add_argument("--seed", type=int, default=0, help="of the measurement noise (default: 0)")
     given = parser.parse_args(arguments)
+    if given.command is None:
+        parser.print_help()
+        return 0
     with ThreadPoolExecutor(max_workers=1) as ahead:
         return run(given.out, given.seed, ahead)
 

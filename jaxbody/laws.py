@@ -25,6 +25,26 @@ from jaxbody.bodies import scalar
 from jaxbody.curves import read_columns
 from jaxbody.errors import Problems
 
+__all__ = [
+    "AirSpring",
+    "Digressive",
+    "Friction",
+    "Function",
+    "Law",
+    "Linear",
+    "Polynomial",
+    "Stop",
+    "Sum",
+    "Table",
+    "TensionOnly",
+    "TwoSided",
+]
+
+
+def __dir__():
+    return __all__
+
+
 Number = Float[Array, ""]
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
 ATMOSPHERE = 101325.0  # Pa

@@ -20,6 +20,25 @@ from jaxbody.mount_axes import torque_roll_axis
 from jaxbody.random_responses import RandomResponse
 from jaxbody.weightings import weighted
 
+__all__ = [
+    "band_intrusion",
+    "comfort",
+    "coupling_of_modes",
+    "dominant_shares",
+    "peak",
+    "road_holding",
+    "smooth_max",
+    "smooth_min",
+    "stroke",
+    "torque_roll_coupling",
+    "transmitted",
+]
+
+
+def __dir__():
+    return __all__
+
+
 LEAST_SHARE = 1e-6  # below, a share of energy counts as its square, so that there is no kink
 SIGMAS = 3.0
 

@@ -13,6 +13,23 @@ from jaxbody.joints import Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
 from jaxbody.models import Model
 from jaxbody.torsions import AntiRollBar
 
+__all__ = [
+    "coupled_gliders",
+    "double_pendulum",
+    "elastic_pendulum",
+    "engine_on_mounts",
+    "full_car",
+    "half_car",
+    "isolated_table",
+    "quarter_car",
+    "stewart_table",
+]
+
+
+def __dir__():
+    return __all__
+
+
 G = 9.81
 UP = (0, 0, 1)
 POINT = np.full(3, 1e-3)  # kg m2, of bodies that do not turn

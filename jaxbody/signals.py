@@ -15,6 +15,19 @@ from jaxbody.arrays import checked, concrete, device_array, float_array
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.motions import cell, check_times, curvatures, is_uniform
 
+__all__ = [
+    "Constant",
+    "Function",
+    "Samples",
+    "Signal",
+    "Sine",
+]
+
+
+def __dir__():
+    return __all__
+
+
 KINDS = ("hold", "linear", "cubic")
 
 
@@ -120,7 +133,11 @@ class Samples(Signal):
 
 
 class Function(Signal):
-    """Any JAX function of time; one that is made anew is compiled anew (make it a Signal with array leaves to avoid that)."""
+    """Any JAX function of time; one that is made anew is compiled anew (make it a Signal with array leaves to avoid that).
+
+    >>> Function(lambda t: 3.0 * t)(0.5).item()
+    1.5
+    """
 
     function: Callable[[Array], Array] = eqx.field(static=True)
 

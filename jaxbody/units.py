@@ -15,6 +15,17 @@ from dataclasses import dataclass
 
 from jaxbody.errors import JaxbodyError, Problem
 
+__all__ = [
+    "Unit",
+    "is_unit",
+    "parse",
+]
+
+
+def __dir__():
+    return __all__
+
+
 Dimension = tuple[int, int, int, int, int]
 GRAVITY = 9.80665  # m/s2, the standard one
 POUND = 4.4482216152605  # N
@@ -82,7 +93,11 @@ TOKEN = re.compile(r"\s*(?:(?P<power>\*\*|\^)|(?P<sign>[*/.()])|(?P<number>[+-]?
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit: how it was written, its factor to SI, its dimension."""
+    """A unit: how it was written, its factor to SI, its dimension.
+
+    >>> parse("km/h", "speed").si
+    'm/s'
+    """
 
     text: str
     factor: float
@@ -105,7 +120,11 @@ def si_words(dimension: Dimension) -> str:
 
 
 def parse(text: str, where: str) -> Unit:
-    """The unit of this name. Errors: UNKNOWN_UNIT, with the nearest names; NO_UNIT of an empty one."""
+    """The unit of this name; `where` is what messages call it. Errors: UNKNOWN_UNIT, with the nearest names; NO_UNIT of an empty one.
+
+    >>> parse("mm", "stroke").factor
+    0.001
+    """
     written = str(text).strip()
     if not written:
         raise JaxbodyError(Problem("NO_UNIT", where, "has an empty unit", text, 'such as "m/s2"', 'Say "1" for a number without one.'))
@@ -119,7 +138,11 @@ def parse(text: str, where: str) -> Unit:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is the name of a unit."""
+    """Whether a text is the name of a unit.
+
+    >>> is_unit("N/mm"), is_unit("left")
+    (True, False)
+    """
     try:
         parse(text, "")
     except JaxbodyError:

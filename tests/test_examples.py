@@ -2,8 +2,10 @@
 
 import contextlib
 import io
+import operator
 import re
 import runpy
+import tomllib
 from pathlib import Path
 
 import jax
@@ -126,6 +128,22 @@ def test_the_demo_says_what_it_finds_and_draws_it(contract, tmp_path, capsys, mo
     monkeypatch.setattr(demos, "LIKELY", 1e-9)
     assert demos.main(["demo", "--out", str(tmp_path)]) == 1
     assert "not where they should be" in capsys.readouterr().out
+
+
+def test_the_command_alone_prints_what_there_is(capsys):
+    assert demos.main([]) == 0
+    shown = capsys.readouterr().out
+    assert "usage: jaxbody" in shown and "demo" in shown and "--version" in shown
+    for name in re.findall(r"jb\.([a-zA-Z_.]+)", shown):
+        assert operator.attrgetter(name)(jb), name
+
+
+def test_the_version_is_that_of_the_package(capsys):
+    with pytest.raises(SystemExit) as stopped:
+        demos.main(["--version"])
+    assert stopped.value.code == 0 and capsys.readouterr().out == f"jaxbody {jb.__version__}\n"
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert project["project"]["dynamic"] == ["version"] and project["tool"]["hatch"]["version"]["path"] == "jaxbody/__init__.py"
 
 
 def test_an_unknown_command_is_refused(capsys):

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull
 
 import jaxbody as jb
-from jaxbody import plots
+from jaxbody import model_plots, motion_plots, plots
 
 
 @pytest.fixture(autouse=True)
@@ -90,7 +90,7 @@ def test_turns_are_drawn_through_whole_turns():
     angles = np.linspace(0, 20, 101)
     c, s, o = np.cos(angles), np.sin(angles), np.zeros(101)
     R = np.stack([np.stack([c, -s, o], -1), np.stack([s, c, o], -1), np.stack([o, o, o + 1], -1)], -2)
-    np.testing.assert_allclose(plots._turns(R, np.array([1.0, 0, 0, 0]))[:, 2], angles, atol=1e-9)
+    np.testing.assert_allclose(motion_plots._turns(R, np.array([1.0, 0, 0, 0]))[:, 2], angles, atol=1e-9)
 
 
 def test_forces_of_springs_are_drawn(trajectory, ax):
@@ -226,7 +226,7 @@ def test_a_mode_is_drawn_in_both_extremes(model, ax):
     shape[1, 0] = 2.0  # the plate along y
     modes = SimpleNamespace(shapes=shape, frequency=np.array([3.0]), damping_ratio=np.array([0.02]))
     plots.draw_mode(lin, modes, 1, ax=ax)
-    swing = 5.0 * plots.SWING  # everything attached lies within 5 m along x and 4 m along y
+    swing = 5.0 * model_plots.SWING  # everything attached lies within 5 m along x and 4 m along y
     for dy in (-swing, 0, swing):
         assert drawn(ax, (-1, 1 + dy), (-1, 2)), dy
     assert ax.get_title() == "mode 1: 3 Hz, damping ratio 0.02"
@@ -237,18 +237,18 @@ def test_a_mode_is_drawn_in_both_extremes(model, ax):
 @pytest.mark.parametrize("count", [3, 5, 30])
 def test_outlines_are_convex_hulls(rng, count):
     points = np.round(rng.normal(size=(count, 2)), 2)
-    mine = plots._hull(np.concatenate([points, points[:2]]), 1e-9)
+    mine = model_plots._hull(np.concatenate([points, points[:2]]), 1e-9)
     theirs = points[ConvexHull(points).vertices]
     assert {tuple(p) for p in mine} == {tuple(p) for p in theirs}
-    turns = [plots._area(mine[i - 2], mine[i - 1], mine[i]) for i in range(len(mine))]
+    turns = [model_plots._area(mine[i - 2], mine[i - 1], mine[i]) for i in range(len(mine))]
     assert min(turns) > 0
 
 
 def test_a_zigzag_ends_where_the_spring_ends(rng):
     A, B = rng.normal(size=(2, 2))
-    path = plots._zigzag(A, B, 0.1)
+    path = model_plots._zigzag(A, B, 0.1)
     np.testing.assert_allclose(path[[0, -1]], [A, B])
     along = (B - A) / np.linalg.norm(B - A)
     across = (path - A) @ np.array([-along[1], along[0]])
     assert abs(np.abs(across).max() - min(0.1, np.linalg.norm(B - A) / 4)) < 1e-12
-    assert np.array_equal(plots._zigzag(A, A, 0.1), [A, A])
+    assert np.array_equal(model_plots._zigzag(A, A, 0.1), [A, A])

@@ -29,7 +29,7 @@ ROWS = (
     "experiments diagnoses plausibilities measured_responses measured_modes parametrizations ties free_parameters field_units losses colorings tasks checkpoints",
     "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts shootings profiles validations confidence_bands",
     "design_spaces interior_points optimizers design_programs tunings objectives designs fronts sweeps sensitivity_analyses tolerance_analyses",
-    "canvases mode_plots response_plots fit_plots measured_plots design_plots plots demos",
+    "canvases model_plots motion_plots mode_plots response_plots fit_plots measured_plots design_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
 
@@ -142,6 +142,23 @@ def test_public_names_are_there_however_they_are_asked_for():
     assert not hasattr(jb, "Sprung")
     with pytest.raises(ImportError, match="Sprung"):
         exec("from jaxbody import Sprung")
+
+
+@pytest.mark.parametrize("module", sorted(OPEN))
+def test_a_public_module_lists_what_it_offers_and_nothing_else(module):
+    """What has an example in its docstring, and of pictures whatever any module of pictures draws: no imports, no helpers."""
+    sources = [name for name in MODULES if name.endswith("_plots")] if module == "plots" else [module]
+    offered = set()
+    for source in sources:
+        imported = importlib.import_module(f"jaxbody.{source}")
+        own = {name: x for name, x in vars(imported).items() if getattr(x, "__module__", None) == imported.__name__ and name[0] != "_"}
+        draws = {
+            name
+            for name, x in own.items()
+            if inspect.isfunction(x) and "ax" in inspect.signature(x).parameters and inspect.signature(x).parameters["ax"].default is None
+        }
+        offered |= draws if module == "plots" else {name for name, x in own.items() if ">>>" in (x.__doc__ or "")}
+    assert dir(importlib.import_module(f"jaxbody.{module}")) == sorted(offered)
 
 
 @pytest.mark.parametrize("name", EXPORTED)

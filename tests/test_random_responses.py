@@ -275,29 +275,29 @@ def test_pictures_show_what_they_are_given(lin, ride, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     import matplotlib.pyplot as plt
 
-    from jaxbody import response_plots
+    from jaxbody import plots
 
     outputs = {"body": jb.PointMotion("body"), "wheel": jb.PointMotion("wheel"), "stroke": OUTPUTS["stroke"]}
     response = jb.frequency_response(lin, np.geomspace(0.1, 50, 200), ROAD, outputs)
     _, axes = plt.subplots(3, 1)
-    ax = response_plots.plot_frequency_response(response, ax=axes[0])
+    ax = plots.plot_frequency_response(response, ax=axes[0])
     assert ax is axes[0] and [line.get_label() for line in ax.lines] == ["body", "wheel", "stroke"]
     np.testing.assert_allclose(ax.lines[1].get_ydata(), np.abs(response["wheel", "road"]), rtol=1e-14)
     phases = ax.figure.axes[-1].lines
     assert abs(phases[0].get_ydata()[0]) < 5 and phases[0].get_ydata()[-1] < -150
-    assert response_plots.plot_transmissibility(response, ax=axes[1]).get_ylabel() == "transmissibility"
-    ax = response_plots.plot_psd(ride, outputs=("stroke", "tyre"), ax=axes[2])
+    assert plots.plot_transmissibility(response, ax=axes[1]).get_ylabel() == "transmissibility"
+    ax = plots.plot_psd(ride, outputs=("stroke", "tyre"), ax=axes[2])
     assert f"{float(ride['stroke']):.3g} m" in ax.lines[0].get_label()
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), ride.psd[2])
     for call in (
-        lambda: response_plots.plot_psd(ride, outputs=("stroke", "acceleration")),
-        lambda: response_plots.plot_psd(ride, outputs=("seat",)),
+        lambda: plots.plot_psd(ride, outputs=("stroke", "acceleration")),
+        lambda: plots.plot_psd(ride, outputs=("seat",)),
     ):
         with pytest.raises(jb.JaxbodyError):
             call()
     forces = jb.frequency_response(lin, [1.0, 2.0], ROAD, {"tyre": jb.ElementForce("tyre")})
     with pytest.raises(jb.JaxbodyError, match="BAD_UNIT"):
-        response_plots.plot_transmissibility(forces)
+        plots.plot_transmissibility(forces)
     plt.close("all")
 
 
