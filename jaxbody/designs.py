@@ -142,7 +142,7 @@ def _check_options(method: Any, starts: Any, limits: dict[str, Any], shelves: di
 def _neighbors(space: Space, best: Search, shelves: dict[int, np.ndarray]) -> list[Search]:
     """Starts at all combinations of neighbors in the catalogues; beyond a few parameters the nearer neighbor of the clearest is taken at once."""
     places = [space.ends[i].start for i in shelves]
-    pairs = [shelf[np.argsort(np.abs(shelf - best.u[at]))[:2]] for at, shelf in zip(places, shelves.values(), strict=True)]
+    pairs = [_beside(shelf, best.u[at]) for at, shelf in zip(places, shelves.values(), strict=True)]
     clear = [abs(np.diff(np.abs(pair - best.u[at])).sum()) if len(pair) > 1 else np.inf for at, pair in zip(places, pairs, strict=True)]
     tried = np.argsort(clear)[:MOST_NEIGHBORS]
     choices = [pair if i in tried else pair[:1] for i, pair in enumerate(pairs)]
@@ -153,6 +153,13 @@ def _neighbors(space: Space, best: Search, shelves: dict[int, np.ndarray]) -> li
             x[places] = chosen
         searches.append(Search(u, low, high))
     return searches
+
+
+def _beside(shelf: np.ndarray, u: float) -> np.ndarray:
+    """The neighbors of u, one below and one above, the nearer first."""
+    above = int(np.searchsorted(shelf, u))
+    pair = shelf[max(above - 1, 0) : above + 1]
+    return pair[np.argsort(np.abs(pair - u), kind="stable")]
 
 
 def _descend_all(program: Program, searches: list[Search], method: optax.GradientTransformation, steps: int, key: Any) -> None:

@@ -205,7 +205,8 @@ def search_with(method: str, rows: Rows, iterations: int, tolerance: float) -> C
 
     def run(search: Search) -> None:
         problem = Scaled(search, rows)
-        for attempt in range(MOST_RESTARTS if search.finite else 0):
+        free = (search.low < search.high).any()  # else all of it is chosen from catalogues
+        for attempt in range(MOST_RESTARTS if search.finite and free else 0):
             if search.iterations >= iterations:
                 return
             before = search.values[rows.objective]

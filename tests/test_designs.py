@@ -269,6 +269,23 @@ def test_equal_left_and_right_and_from_a_list():
     np.testing.assert_allclose(found.values["rear.stiffness"], 0.6 * y, rtol=1e-5)
 
 
+@pytest.mark.parametrize("shelf", [[60.0, 150.0], [60.0, 150.0, 160.0, 170.0]])
+def test_of_a_catalogue_the_neighbor_on_either_side_is_tried(weight, shelf):
+    """f = e^3u - 3u, u = log(k/k_0), is least at k_0 and much steeper above it: 0.6 k_0 is better than 1.5 k_0, which is nearer to it."""
+
+    def f(k):
+        return (k / 100) ** 3 - 3 * np.log(k / 100)
+
+    def steep(model):
+        k = model["spring"].stiffness / 100
+        return {"f": k**3 - 3 * jnp.log(k)}
+
+    bounds = {"spring.stiffness": (10.0, 1000.0)}
+    found = jb.tune(weight, steep, free="spring.stiffness", minimize="f", bounds=bounds, catalogues={"spring.stiffness": shelf})
+    assert abs(np.log(1.5)) < abs(np.log(0.6)) and f(60) < f(150)
+    np.testing.assert_allclose([found.values["spring.stiffness"], found.after["f"]], [60.0, f(60)], rtol=1e-9)
+
+
 def test_mirrored_left_and_right_and_one_twice_the_other():
     """Positions mirrored in y, and a spring twice as stiff as another: as tied they stay, within the bounds of both."""
     springs = {

@@ -57,6 +57,15 @@ PLANE = dict(
 )
 
 
+def test_points_of_a_front_lie_about_equally_far_apart(car):
+    """sqrt(f1) + sqrt(f2) = 1, as steep as can be at either end: along the tangent steps are equal to a factor of three; without its slope the first alone is half the front."""
+    front = jb.pareto(car, distances, minimize=["one", "two"], points=12, **PLANE)
+    one, two = front.objectives["one"], front.objectives["two"]
+    np.testing.assert_allclose(np.sqrt(np.abs(one)) + np.sqrt(np.abs(two)), 1, rtol=1e-3)
+    apart = np.hypot(np.diff(one), np.diff(two))
+    assert len(one) == 12 and (apart > 0.05).all() and (apart < 0.25).all(), apart
+
+
 def test_three_objectives_have_the_triangle_between_their_corners(car):
     front = jb.pareto(car, distances, minimize=["one", "two", "three"], points=25, **PLANE)
     x, y = np.log(front.values["suspension.stiffness"] / 35000.0), np.log(front.values["suspension.damping"] / 1500.0)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
+from scipy.optimize import root
 from scipy.signal import lfilter
 from scipy.stats import chi2, kstest
 
@@ -91,6 +92,29 @@ def test_of_known_correlation_the_covariance_is_that_of_its_matrix():
     ratio = np.diag(worth.covariance) / np.diag(expected)
     print(ratio)  # above one: what the fit took is put back
     assert (ratio > 1).all() and (ratio < 1.35).all()
+
+
+def test_autocovariances_are_those_whose_residuals_have_the_products_that_are_there():
+    """By SciPy's root of E sum r_t r_(t+k) = trace_k[(I - QQ') Omega (I - QQ')], k = 0, 1, with all matrices written out: one record, of which
+    the fit takes so much that variances would be a third too small. Left out are products over the ends of the record, of the order of 1/n."""
+    n = 80
+    J, e = jacobian(n)[::CHANNELS], noise(0.8, n, seed=12)[0][::CHANNELS]
+    A = np.linalg.pinv(J)
+    P = np.eye(n) - J @ A
+    r = P @ e
+    products = np.array([r @ r, r[1:] @ r[:-1]])
+    worth = assess(r, J, [], [], LABELS, [Record("y", "y", "run", np.arange(n), np.arange(n))])
+    assert worth.orders == {"y": 1}
+
+    def omega(gamma):
+        return gamma[0] * toeplitz((gamma[1] / gamma[0]) ** np.arange(n))
+
+    found = root(lambda gamma: [np.trace(P @ omega(gamma) @ P, k) / products[k] - 1 for k in (0, 1)], products / n)
+    assert found.success
+    ratio, plain = (np.diag(C) / np.diag(A @ omega(found.x) @ A.T) for C in (worth.covariance, A @ omega(products / n) @ A.T))
+    print(ratio, plain)
+    np.testing.assert_allclose(ratio, 1, atol=2 / n)
+    assert (plain < 0.75).all()
 
 
 def test_units_of_parameters_and_the_order_of_samples_do_not_matter():

@@ -63,18 +63,19 @@ class Study:
 
     def replicates(self, count: int, modelled: bool) -> dict:
         """Errors over true values, whether intervals hold them, and the residual test of each replicate."""
-        errors, held, flagged, least, factor = [], [], [], [], []
+        errors, stated, held, flagged, least, factor = [], [], [], [], [], []
         for seed in range(count):
             found = self.fit(seed, modelled)
             ends = found.intervals()
             errors.append([float(x) - TRUTH[path] for path, x in found.estimates.items()])
+            stated.append([float(found.standard_errors[path]) for path in found.estimates])
             held.append([float(ends[path][0]) <= TRUTH[path] <= float(ends[path][1]) for path in found.estimates])
             tests = [test.p for test in found.uncertainty.whiteness.values() if test is not None]
             flagged.append(found.uncertainty.correlated)
             least.append(min(1.0, len(tests) * min(tests)))
             factor.append(max(float(rms) / self.noise[name] for name, rms in found.noise["run"].items()))
         return {
-            "paths": list(found.estimates), "errors": np.array(errors), "held": np.array(held), "flagged": np.array(flagged),
+            "paths": list(found.estimates), "errors": np.array(errors), "stated": np.array(stated), "held": np.array(held), "flagged": np.array(flagged),
             "white": np.array(least), "rms": np.array(factor),
         }  # fmt: skip
 
