@@ -16,6 +16,7 @@ from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
 
+from jaxbody.jax_internals import without_high_operations
 from jaxbody.lane_marks import as_kept, plain_max, sum_p
 from jaxbody.symmetric_eigenvalues import eigenvalues
 
@@ -60,6 +61,7 @@ def vmap_last(function: Callable) -> Callable[[Array], Any]:
 
     def over(x: Array):
         traced, out = jax.make_jaxpr(function, return_shape=True)(x[..., 0])
+        traced = without_high_operations(traced)
         results = Lanes(x.shape[-1]).run(traced, [True], [x], [True] * len(traced.out_avals))
         return jax.tree.unflatten(jax.tree.structure(out), results)
 
@@ -68,7 +70,8 @@ def vmap_last(function: Callable) -> Callable[[Array], Any]:
 
 _lanes_p = Primitive("in_lanes")
 _lanes_p.multiple_results = True
-_lanes_p.is_high = lambda *_, **__: False  # pyright: ignore  # newer JAX asks; what its function holds is lowered with it
+_lanes_p.is_high = lambda *_, jaxpr, **__: getattr(jaxpr, "is_high", False)  # pyright: ignore
+_lanes_p.to_lojax = lambda *args, jaxpr, **params: _lanes_p.bind(*args, jaxpr=without_high_operations(jaxpr), **params)
 _lanes_p.def_impl(lambda *args, jaxpr, **_: jaxpr_as_fun(jaxpr)(*args))
 _lanes_p.def_abstract_eval(lambda *args, jaxpr, **_: jaxpr.out_avals)
 mlir.register_lowering(
@@ -100,6 +103,7 @@ def _jvp(primals, tangents, *, jaxpr, reversible, lanes):
 
 def _batch(args, axes, *, jaxpr, reversible, lanes):
     """In chunks, so that memory does not grow with the batch."""
+    jaxpr = without_high_operations(jaxpr)
     on = [axis is not None for axis in axes]
     args = [jnp.moveaxis(x, axis, -1) if o else x for x, axis, o in zip(args, axes, on, strict=True)]
     n = next(x.shape[-1] for x, o in zip(args, on, strict=True) if o)

@@ -208,3 +208,33 @@ def test_steps_end_where_measured_accelerations_and_forces_have_their_samples(rn
     exact = np.array([exact[t] for t in times])
     np.testing.assert_allclose(found.state.q[:, 0], exact, atol=1e-10 * np.abs(exact).max())
     assert int(found.statistics["num_accepted_steps"]) <= len(every) + 10 and int(found.statistics["num_rejected_steps"]) < 10
+
+
+class Interpolated(jb.laws.Law):
+    """A law of the user's own by an operation of JAX that newer versions replace before they compile."""
+
+    forces: jax.Array
+
+    def force(self, x):
+        return jnp.interp(x, jnp.linspace(-1.0, 1.0, 5), self.forces)
+
+
+def test_simulate_works_on_every_jax_also_with_laws_that_interpolate():
+    """A mass on a spring by a table that is a straight line, k = 40 N/m: x = cos wt, alone and in a batch, and dx/dk = -t sin(wt)/(2 w)."""
+    times, ks = jnp.linspace(0.0, 1.0, 4), jnp.array([40.0, 30.0])
+
+    def path(k):
+        law = Interpolated(k * jnp.linspace(-1.0, 1.0, 5))
+        model = jb.Model(
+            bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
+            joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+            elements={"spring": jb.SpringDamper(("mass", [0, 0, 0]), ("world", [-2.0, 0, 0]), spring=law, free_length=2.0)},
+        )
+        start = jb.State(jnp.array([0.3]), jnp.zeros(1))
+        return jb.simulate(model, times, initial=start, rtol=1e-10).state.q[:, 0]
+
+    q, slopes = jax.jit(jax.vmap(lambda k: (path(k), jax.grad(lambda k: path(k)[-1])(k))))(ks)
+    w = np.sqrt(np.asarray(ks))
+    np.testing.assert_allclose(q, 0.3 * np.cos(w[:, None] * times), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(slopes, -0.15 * np.sin(w) / w, rtol=1e-7)
+    np.testing.assert_allclose(path(40.0), q[0], rtol=0, atol=1e-11)

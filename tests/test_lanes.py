@@ -51,7 +51,13 @@ def while_carrying_lanes_alone(x, a):
     return jax.lax.while_loop(lambda c: any_of_batch(c[0] < 4.0), go, x)
 
 
-@pytest.mark.parametrize("function", [vectors, loops, until_all_have, sums_of_what_is_kept, while_carrying_lanes_alone])
+def tables(x, a):
+    """Operations that JAX replaces by others before it compiles: from version 0.12 on, searchsorted, alone and in a loop."""
+    between = jnp.interp(x, jnp.sort(a), jnp.array([1.0, -2.0, 0.5]))
+    return jax.lax.fori_loop(0, 2, lambda i, y: y + jnp.searchsorted(jnp.cumsum(jnp.abs(x)), y), between)
+
+
+@pytest.mark.parametrize("function", [vectors, loops, until_all_have, sums_of_what_is_kept, while_carrying_lanes_alone, tables])
 def test_lanes_are_vmap(function):
     x = jax.random.normal(jax.random.key(0), (LANES + 5, 3))
     a = jnp.array([0.3, -1.0, 2.0])
@@ -69,7 +75,7 @@ def test_derivatives_forward_and_batches_of_batches():
     def energy(function):
         return lambda x: sum(jnp.sum(y**2) for y in jax.tree.leaves(function(x, a)) if jnp.issubdtype(y.dtype, jnp.inexact))
 
-    for function in (vectors, loops, sums_of_what_is_kept):
+    for function in (vectors, loops, sums_of_what_is_kept, tables):
         ours, theirs = (jax.jit(jax.vmap(jax.vmap(jax.jacfwd(energy(f)))))(x) for f in (in_lanes(function), function))
         np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
