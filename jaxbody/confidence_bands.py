@@ -19,13 +19,14 @@ from jaxtyping import Array, Float, PRNGKeyArray
 from jaxbody import tables
 from jaxbody.errors import JaxbodyError, Problem, Status
 from jaxbody.fits import Fit
-from jaxbody.intervals import check_level, quantile
+from jaxbody.intervals import check_level, quantile, widening
 from jaxbody.models import Model
 from jaxbody.results import Result, warn_if_failed
 
 
 class Bands(Result):
-    """`value` of a function of the fitted model, `standard_error`, `lower` and `upper` at `level`: arrays of one shape, infinite where the data cannot tell.
+    """`value` of a function of the fitted model, `standard_error`, `lower` and `upper` at `level` and the `degrees_of_freedom` of their Student's t (infinite of draws): arrays of one
+    shape, bounds infinite where the data cannot tell.
     `status` NONFINITE where the value or its derivatives are not finite.
     """
 
@@ -33,6 +34,7 @@ class Bands(Result):
     standard_error: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
+    degrees_of_freedom: np.ndarray
     level: float
     status: np.ndarray
 
@@ -40,7 +42,9 @@ class Bands(Result):
         columns = (np.ravel(x) for x in (self.value, self.standard_error, self.lower, self.upper))
         rows = [tuple(map(float, row)) for row in zip(*columns, strict=True)]
         heads = ("value", "standard error", "lower", "upper")
-        return [tables.Table(f"Bands, {100 * self.level:g} %", heads, rows, self.report())]
+        known = self.degrees_of_freedom[np.isfinite(self.standard_error)]
+        notes = [self.report(), *filter(None, [widening(known, self.level)])]
+        return [tables.Table(f"Bands, {100 * self.level:g} %", heads, rows, "\n".join(notes))]
 
 
 def bands(
@@ -73,6 +77,7 @@ def bands(
     value = np.asarray(value, float)
     if samples is not None:
         error, low, high, finite = _drawn(fit, f, level, samples, key)
+        freedom = np.full(value.shape, np.inf)
     else:
         G = np.asarray(jax.jacfwd(f)(fit.u)).reshape(value.size, len(fit.u))
         finite = np.isfinite(G).all(1).reshape(value.shape)
@@ -81,7 +86,7 @@ def bands(
         far = quantile(level, freedom) * error
         low, high = value - far, value + far
     ok = finite.all() and np.isfinite(value).all()
-    found = Bands(value, error, low, high, level, np.asarray(Status.OK if ok else Status.NONFINITE))
+    found = Bands(value, error, low, high, freedom, level, np.asarray(Status.OK if ok else Status.NONFINITE))
     warn_if_failed(found)
     return found
 

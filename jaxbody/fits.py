@@ -13,7 +13,7 @@ from jaxbody import tables
 from jaxbody.channels import Measurement
 from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.field_units import units_of
-from jaxbody.intervals import Interval, check_level, intervals_of
+from jaxbody.intervals import FEW, Interval, check_level, freedoms_of, intervals_of, widening
 from jaxbody.models import Model
 from jaxbody.parametrizations import Direction, Rotation
 from jaxbody.results import Result
@@ -25,7 +25,7 @@ STILL = 1e-9  # slope of a number, relative to the largest of its leaf, that is 
 
 
 class Fit(Result):
-    """A fit: `model` and `experiments` with the estimates in them, `estimates` and `standard_errors` by path (infinite where the data cannot tell), `intervals(level)`,
+    """A fit: `model` and `experiments` with the estimates in them, `estimates` and `standard_errors` by path (infinite where the data cannot tell), `intervals(level)` with `degrees_of_freedom` by path,
     `covariance` of u, `singular_values` of the Jacobian with relative columns, `unidentified` in words, `predicted` {run: {sensor: array}},
     `noise` {run: {sensor: rms residual}} (of a pose two, in meters and radians), `correlation` (lag one) of the residuals, `cost` 1/2 r'r,
     `history` of costs, `rounds`, where in it the noise was estimated anew, `failed` trials that could not be simulated, `at_bound` in words,
@@ -94,10 +94,17 @@ class Fit(Result):
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """{path: (lower, upper)}, confidence intervals of this level: of what is positive by its logarithm, at a bound with one side. Error: BAD_LEVEL."""
         check_level(level, "fit.intervals.level")
-        slopes = [np.asarray(G) for G in jax.jacfwd(self.task.values)(self.u)]
-        found = intervals_of(self.task.free, np.asarray(self.u), slopes, self._assessed(), level)
+        found = intervals_of(self.task.free, np.asarray(self.u), self._slopes(), self._assessed(), level)
         lost = self._lost()
         return {path: (np.where(lost[path], -np.inf, low), np.where(lost[path], np.inf, high)) for path, (low, high) in found.items()}
+
+    def _slopes(self) -> list[np.ndarray]:
+        return [np.asarray(G) for G in jax.jacfwd(self.task.values)(self.u)]
+
+    @property
+    def degrees_of_freedom(self) -> dict[str, np.ndarray]:
+        """{path: degrees of freedom} of Student's t in its interval: few where samples are few, or noise is correlated for long."""
+        return freedoms_of(self.task.free, self._slopes(), self._assessed())
 
     @property
     def covariance(self) -> np.ndarray:
@@ -138,24 +145,32 @@ class Fit(Result):
     def _tables(self) -> list[tables.Table]:
         if self.uncertainty is None or not is_concrete(self.u):
             return [tables.Table("Fit", ("", ""), [(path, value) for path, value in self.estimates.items()])]
-        rows, ends, errors = [], self.intervals(LEVEL), self.standard_errors
+        rows, few = [], []
+        ends, errors, freedoms = self.intervals(LEVEL), self.standard_errors, self.degrees_of_freedom
         for f, (path, value) in zip(self.task.free, self.estimates.items(), strict=True):
             value = np.asarray(value)
             units = units_of(f.places[0][1], f.places[0][0], self.model, self.experiments, value)
-            columns = (np.asarray(x).ravel() for x in (value, errors[path], *ends[path]))
-            for label, unit, x, e, low, high in zip(_labels(f.name, value), units, *columns, strict=True):
-                known = "not determined" if not np.isfinite(high - low) else "at its bound" if not np.isfinite(e) else float(e)
+            columns = (np.asarray(x).ravel() for x in (value, errors[path], freedoms[path], *ends[path]))
+            for label, unit, x, e, freedom, low, high in zip(_labels(f.name, value), units, *columns, strict=True):
+                bounded = bool(np.isfinite(high - low))
+                few.append(float(freedom) if bounded else np.inf)
+                known = "not determined" if not bounded else "at its bound" if not np.isfinite(e) else float(e)
                 relative = tables.percent(e / abs(x)) if x else ""
-                rows.append((label, float(x), unit, known, relative, f"{low:.6g} to {high:.6g}" if np.isfinite(high - low) else ""))
+                rows.append((label, float(x), unit, known, relative, f"{low:.6g} to {high:.6g}" if bounded else ""))
         fits = [row for run, sensors in self.noise.items() for name, levels in sensors.items() for row in self._met(run, name, levels)]
         u = self.uncertainty
         counts = tables.counted(u.samples, "sample"), tables.counted(int(self.evaluations), "evaluation")
         notes = [f"{', '.join(counts)}, {u.noise}; {self.report()}"]
         notes += u.about_noise()
+        heads = ("parameter", "estimate", "unit", "standard error", "relative", f"{100 * LEVEL:g} % interval")
+        if told := widening(few, LEVEL):
+            notes.append(told)
+            heads = (*heads, "degrees of freedom")
+            rows = [(*row, f"{freedom:.3g}" if freedom < FEW else "") for row, freedom in zip(rows, few, strict=True)]
         if status_words := ([] if int(self.status) in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED) else u.words):
             notes += status_words
         return [
-            tables.Table("Fit", ("parameter", "estimate", "unit", "standard error", "relative", f"{100 * LEVEL:g} % interval"), rows),
+            tables.Table("Fit", heads, rows),
             tables.Table("", ("sensor", "rms residual", "unit"), fits, "\n".join(notes)),
         ]
 

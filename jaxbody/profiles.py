@@ -16,7 +16,7 @@ import numpy as np
 from jaxbody import tables
 from jaxbody.errors import JaxbodyError, Problem, Status
 from jaxbody.fits import Fit
-from jaxbody.intervals import check_level, quantile
+from jaxbody.intervals import check_level, quantile, widening
 from jaxbody.models import unknown
 from jaxbody.parametrizations import Positive, Shifted
 from jaxbody.results import Result, warn_if_failed
@@ -32,8 +32,8 @@ LOWER = 1e-6  # share of kappa by which a cost below that of the fit is more tha
 
 
 class Profile(Result):
-    """A profile of `path`: at its `values` the signed root of the rise of the cost `tau`, the least `cost`, and `u`, all parameters; `interval` at `level`,
-    infinite on a side where the cost never rises enough, one-sided at a bound. `status` NOT_CONVERGED where a point was not found, or one better
+    """A profile of `path`: at its `values` the signed root of the rise of the cost `tau`, the least `cost`, and `u`, all parameters; `interval` at `level`, where |tau| is `limit`,
+    Student's t of so many `degrees_of_freedom`, infinite on a side where the cost never rises enough, one-sided at a bound. `status` NOT_CONVERGED where a point was not found, or one better
     than the fit was.
     """
 
@@ -41,6 +41,7 @@ class Profile(Result):
     estimate: float
     level: float
     limit: float
+    degrees_of_freedom: float
     values: np.ndarray
     tau: np.ndarray
     cost: np.ndarray
@@ -55,6 +56,7 @@ class Profile(Result):
         rows = [(float(x), float(t), float(c)) for x, t, c in zip(self.values, self.tau, self.cost, strict=True)]
         low, high = self.interval
         note = f"{100 * self.level:g} % interval {low:.6g} to {high:.6g}, estimate {self.estimate:.6g}; {self.report()}"
+        note = "\n".join([note, *filter(None, [widening(self.degrees_of_freedom, self.level)])])
         return [tables.Table(f"Profile of {self.path}", ("value", "tau", "cost"), rows, note)]
 
 
@@ -84,7 +86,7 @@ def profile(fit: Fit, path: str, *, level: float = 0.95) -> Profile:
     with np.errstate(over="ignore"):
         low, high = (value(end) for end in ends)
         values = np.array([value(x) for x in u[:, i]])
-    found = Profile(path, value(fit.u[i]), level, walk.t, values, tau, cost, u, (low, high), status)
+    found = Profile(path, value(fit.u[i]), level, walk.t, walk.freedom, values, tau, cost, u, (low, high), status)
     warn_if_failed(found)
     return found
 
@@ -124,6 +126,7 @@ class _Walk:
             self.curvature = self._curvature()
         else:
             _, self.curvature, self.error, freedom = pressed
+        self.freedom = float(freedom)
         self.t = float(quantile(level, freedom, sides=2 if pressed is None else 1))
         self.kappa = self.curvature * self.error**2 if np.isfinite(self.error) else 1.0
         self.arrived = True

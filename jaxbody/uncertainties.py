@@ -70,20 +70,31 @@ class Uncertainty(eqx.Module):
     @property
     def noise(self) -> str:
         """What standard errors take the noise for."""
-        orders = list(self.orders.values())
-        if not orders:
+        if not self.orders:
             return "noise as stated"
-        return "noise white" if not any(orders) else f"noise autoregressive of order {_range(orders)}"
+        return f"noise autoregressive of order {self._order}" if any(self.orders.values()) else "noise white"
+
+    @property
+    def _order(self) -> str:
+        """Of the autoregressions of records that are not white."""
+        low, high = min(self.orders.values()), max(self.orders.values())
+        return f"{low}" if low == high else f"{low} to {high}" if low else f"up to {high}"
+
+    def _what_of_it(self) -> str:
+        """What standard errors make of correlated residuals."""
+        if not any(self.orders.values()):
+            return ", but no autoregression describes them better than white noise, which standard errors are of"
+        size = max(self.factor, 1 / self.factor)
+        if f"{size:.2g}" == "1":
+            return f"; standard errors, which take autoregressions of order {self._order}, are those of white noise"
+        way = "small" if self.factor > 1 else "large"
+        return f": standard errors for white noise would be up to {size:.2g} times too {way}; these take autoregressions of order {self._order}"
 
     def about_noise(self) -> list[str]:
         """What residuals show that white noise would not, in words."""
         said = []
         if self.correlated:
-            size = f"{self.factor:.2g} times too small" if self.factor > 1 else f"{1 / self.factor:.2g} times too large"
-            said.append(
-                f"residuals are correlated (lag one {self.correlation:.2f}): standard errors for white noise would be up to {size}; "
-                f"these take autoregressions of order {_range(list(self.orders.values()))}"
-            )
+            said.append(f"residuals are correlated (lag one {self.correlation:.2f}){self._what_of_it()}")
         if max((abs(x) for x in self.pairs.values()), default=0.0) > TOGETHER:
             (one, other), most = max(self.pairs.items(), key=lambda pair: abs(pair[1]))
             said.append(f"residuals of channels go together, most {one} with {other} ({most:.2f}); standard errors take it into account")
@@ -99,11 +110,6 @@ def _spread(G: np.ndarray, covariance: np.ndarray, parts: np.ndarray) -> tuple[n
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = np.where(v > 0, 2 * v**2 / (changes**2).sum(0), np.inf)
     return np.sqrt(np.maximum(v, 0.0)), np.maximum(freedom, 1.0)
-
-
-def _range(orders: list[int]) -> str:
-    low, high = min(orders), max(orders)
-    return f"{low}" if low == high else f"{low} to {high}"
 
 
 def known_directions(S: np.ndarray) -> np.ndarray:

@@ -191,3 +191,23 @@ def test_pictures_of_a_fit_show_its_numbers(found, record, profile):
     np.testing.assert_array_equal(line.get_xdata(), profile.values)
     with pytest.raises(jb.JaxbodyError, match="UNKNOWN_NAME"):
         plots.plot_autocorrelation(found, sensor="y")
+
+
+def test_few_degrees_of_freedom_are_printed_where_they_widen_intervals(found, record):
+    """Of white noise they are samples less parameters, 8 - 2: t is 25 % more than the normal distribution's 1.96; of 61 samples nothing is said."""
+    few = fit(run(record[::8], TIMES[::8]))
+    assert len(TIMES[::8]) == 8 and not any(few.uncertainty.orders.values())
+    k, error = float(few.estimates["spring.stiffness"]), float(few.standard_errors["spring.stiffness"])
+    far = student.ppf(0.975, 6) * error / k
+    np.testing.assert_allclose(few.intervals()["spring.stiffness"], [k * np.exp(-far), k * np.exp(far)], rtol=1e-6)
+    for freedom in few.degrees_of_freedom.values():
+        np.testing.assert_allclose(freedom, 6, rtol=1e-9)
+    said = f"intervals are of Student's t: 6 degrees of freedom, which widen them {student.ppf(0.975, 6) / 1.959964:.2g} times"
+    assert said in str(few) and "degrees of freedom" in str(few).splitlines()[1]
+    with np.errstate(all="ignore"):
+        side = jb.profile(few, "spring.stiffness")
+    assert side.degrees_of_freedom == pytest.approx(6) and side.limit == pytest.approx(student.ppf(0.975, 6)) and said in str(side)
+    band = jb.bands(few, lambda model: model["spring"].stiffness)
+    assert band.degrees_of_freedom == pytest.approx(6) and said in str(band)
+    np.testing.assert_allclose(found.degrees_of_freedom["spring.damping"], 59, rtol=1e-9)
+    assert "freedom" not in str(found) + str(jb.bands(found, lambda model: model["spring"].stiffness))

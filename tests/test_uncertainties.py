@@ -1,5 +1,7 @@
 """What estimates are worth, on Jacobians of random structure: rank and null directions, coverage, chi-squared, units, more samples, gaps."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
@@ -206,3 +208,22 @@ def test_whiteness_is_told_by_ljung_and_box():
     colored = whiteness(noise(0.5, seed=8)[0].reshape(N, CHANNELS)[:, 0])
     assert colored.p < 1e-6 and colored.d == pytest.approx(2 * (1 - colored.r1), abs=0.02)
     assert whiteness(np.ones(5)) is None and whiteness(np.zeros(100)) is None
+
+
+@pytest.mark.parametrize(
+    ("orders", "times", "noise", "said"),
+    [
+        ([0, 0], 1.0, "noise white", ", but no autoregression describes them better than white noise, which standard errors are of"),
+        ([1, 1], 1.04, "noise autoregressive of order 1", "; standard errors, which take autoregressions of order 1, are those of white noise"),
+        ([0, 3], 2.5, "noise autoregressive of order up to 3", ": standard errors for white noise would be up to 2.5 times too small; these take autoregressions of order up to 3"),
+        ([2, 3], 0.5, "noise autoregressive of order 2 to 3", ": standard errors for white noise would be up to 2 times too large; these take autoregressions of order 2 to 3"),
+    ],
+)  # fmt: skip
+def test_correlated_residuals_are_said_without_empty_figures(orders, times, noise, said):
+    """No "up to 1 times too large", no "autoregressions of order 0"."""
+    J = jacobian()
+    ((_, worth),) = worths(J, [np.random.default_rng(5).normal(size=len(J))])
+    worth = dataclasses.replace(
+        worth, covariance=times**2 * worth.white_covariance, orders=dict(zip("ab", orders, strict=True)), correlated=True
+    )
+    assert worth.noise == noise and worth.about_noise() == [f"residuals are correlated (lag one {worth.correlation:.2f}){said}"]
