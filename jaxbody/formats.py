@@ -9,7 +9,8 @@
     .mf4 .mdf                              asammdf      unit and times in the file
     .at2 .vt2 .dt2                         PEER ground motions
 
-Readers are imported where they are used, and said by name where they are missing. Nothing is unpickled and no network is used.
+Readers are imported where they are used, and said by name where they are missing. Nothing is unpickled, no network is used, and nothing is read but the
+file itself. How many numbers a file holds is looked up, and compared with the limit, before they are read: a little can hold a lot.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ import numpy as np
 
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.mat_files import read_matlab
-from jaxbody.sources import Asked, Pick, find_name, kind_of, needed, numeric, told_of, too_large
+from jaxbody.sources import Asked, Pick, check_numbers, check_size, find_name, kind_of, needed, numeric, told_of
 from jaxbody.texts import Column, Contents, read_text, split_unit
 from jaxbody.universal_files import read_uff
 
@@ -33,8 +34,8 @@ from jaxbody.universal_files import read_uff
 def read_columns(path: Any, wanted: list[Asked], *, format: str | None = None, largest: float = 1e9, **text: Any) -> Contents:
     """The columns that are wanted of a file, under the names that they were asked for.
 
-    Errors: NO_FILE, IS_DIRECTORY, EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA, UNREADABLE, UNKNOWN_CHANNEL, NOT_A_NUMBER and
-    those of text tables.
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA, UNREADABLE, UNKNOWN_CHANNEL,
+    NOT_A_NUMBER, EXTERNAL_DATA and those of text tables.
     """
     path = Path(path)
     kind = kind_of(path, format, largest)
@@ -46,26 +47,29 @@ def read_columns(path: Any, wanted: list[Asked], *, format: str | None = None, l
         return found
 
     with told_of(path, kind):
-        options = {"text": {"largest": largest, **text}, "mat": {"largest": largest}}.get(kind, {})
-        return READERS[kind](path, pick, **options)
+        return READERS[kind](path, pick, largest, **(text if kind == "text" else {}))
 
 
-def _text(path: Path, pick: Pick, *, largest: float, **how: Any) -> Contents:
+def _text(path: Path, pick: Pick, largest: float, **how: Any) -> Contents:
     data = path.read_bytes()
     if data[:2] == b"\x1f\x8b":
-        with gzip.open(path) as file:  # a little can hold a lot
+        with gzip.open(path) as file:
             data = file.read(int(largest) + 1)
-        if len(data) > largest:
-            raise JaxbodyError(too_large(path.name, len(data), largest))
+        check_size(path.name, len(data), largest)
     found = read_text(data, path.name, **how)
     return Contents({asked: found.columns[name] for asked, name in pick(list(found.columns)).items()}, found.notes)
 
 
-def _parquet(path: Path, pick: Pick) -> Contents:
+def _parquet(path: Path, pick: Pick, largest: float) -> Contents:
     parquet = needed("pyarrow.parquet", "pyarrow", "files", path.name)
-    schema = parquet.read_schema(path)
+    file = parquet.ParquetFile(path)
+    schema = file.schema_arrow
     names = pick(list(schema.names))
-    table = parquet.read_table(path, columns=list(dict.fromkeys(names.values())))
+    for name in names.values():
+        if re.match(r"(dictionary<values=)?(u?int|half|float|double|bool|timestamp|date)", str(schema.field(name).type)) is None:
+            raise _no_number(path, name, schema.field(name).type)
+    check_numbers(path.name, len(set(names.values())) * file.metadata.num_rows, largest)
+    table = file.read(columns=list(dict.fromkeys(names.values())))
     columns = {}
     for asked, name in names.items():
         values, meta = table.column(name).to_numpy(), schema.field(name).metadata or {}
@@ -76,25 +80,38 @@ def _parquet(path: Path, pick: Pick) -> Contents:
     return Contents(columns)
 
 
-def _mat(path: Path, pick: Pick, *, largest: float) -> Contents:
-    if path.read_bytes()[:1024].find(b"\x89HDF") >= 0:
-        return _hdf5(path, pick, transposed=True)
+def _mat(path: Path, pick: Pick, largest: float) -> Contents:
+    with path.open("rb") as file:
+        start = file.read(1024)
+    if b"\x89HDF" in start:
+        return _hdf5(path, pick, largest, transposed=True)
     found = read_matlab(path, largest)
     return Contents({asked: Column(numeric(found[name], name, path.name)) for asked, name in pick(list(found)).items()})
 
 
-def _hdf5(path: Path, pick: Pick, transposed: bool = False) -> Contents:
+def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> Contents:
     h5py = needed("h5py", "h5py", "files", path.name)
     names: list[str] = []
+    elsewhere: list[str] = []
 
     def note(name: str, item: Any) -> None:
         if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and item.ndim in (1, 2) and not name.startswith("#"):
-            names.append(name)
+            (elsewhere if item.external or item.is_virtual else names).append(name)
 
     columns = {}
     with h5py.File(path, "r") as file:
         file.visititems(note)
-        for asked, name in pick(names).items():
+        file.visititems_links(lambda name, link: elsewhere.append(name) if isinstance(link, h5py.ExternalLink) else None)
+        found = pick([*names, *elsewhere])
+        for name in elsewhere:
+            if name in found.values():
+                hint = "Read that file, or copy the numbers into one: h5repack does."
+                raise JaxbodyError(
+                    Problem("EXTERNAL_DATA", path.name, f"has '{name}' in another file", name, "data in the file itself", hint)
+                )
+        sizes = [(file[name].size, np.prod(file[name].chunks or (0,), dtype=float)) for name in set(found.values())]
+        check_numbers(path.name, sum(size for size, _ in sizes) + max((chunk for _, chunk in sizes), default=0.0), largest)
+        for asked, name in found.items():
             data = file[name]
             unit = next((data.attrs[key] for key in ("unit", "units", "Unit", "Units") if key in data.attrs), None)
             values = numeric(data[()], name, path.name)
@@ -105,12 +122,16 @@ def _hdf5(path: Path, pick: Pick, transposed: bool = False) -> Contents:
     return Contents(columns)
 
 
-def _tdms(path: Path, pick: Pick) -> Contents:
+def _tdms(path: Path, pick: Pick, largest: float) -> Contents:
     nptdms = needed("nptdms", "npTDMS", "files", path.name)
     with nptdms.TdmsFile.open(path) as file:
         channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
-        columns = {}
-        for asked, name in pick(list(channels)).items():
+        columns, found = {}, pick(list(channels))
+        for name in set(found.values()):
+            if channels[name].dtype.kind not in "biuf":
+                raise _no_number(path, name, channels[name].dtype)
+        check_numbers(path.name, sum(len(channels[name]) for name in set(found.values())), largest)
+        for asked, name in found.items():
             channel = channels[name]
             unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
             times = np.asarray(channel.time_track(), float) if "wf_increment" in channel.properties else None
@@ -118,22 +139,27 @@ def _tdms(path: Path, pick: Pick) -> Contents:
     return Contents(columns)
 
 
-def _mdf(path: Path, pick: Pick) -> Contents:
+def _mdf(path: Path, pick: Pick, largest: float) -> Contents:
     asammdf = needed("asammdf", "asammdf", "mdf", path.name)
     with asammdf.MDF(path) as file:
         places = {}
         for name, found in file.channels_db.items():
             found = [place for place in found if file.masters_db.get(place[0]) != place[1]]
             places |= {name if len(found) == 1 else f"{name}#{place[0]}": place for place in found}
-        columns = {}
-        for asked, name in pick(list(places)).items():
+        columns, wanted = {}, pick(list(places))
+        groups = [file.groups[places[name][0]].channel_group for name in set(wanted.values())]
+        check_numbers(path.name, sum(2 * group.cycles_nr for group in groups), largest)
+        check_size(
+            path.name, max((group.samples_byte_nr * group.cycles_nr for group in groups), default=0), largest, "bytes of samples in a group"
+        )
+        for asked, name in wanted.items():
             group, index = places[name]
             signal = file.get(group=group, index=index)
             columns[asked] = Column(numeric(signal.samples, name, path.name), signal.unit or None, np.asarray(signal.timestamps, float))
     return Contents(columns)
 
 
-def _peer(path: Path, pick: Pick) -> Contents:
+def _peer(path: Path, pick: Pick, largest: float) -> Contents:
     """Four lines of heading, of which the third states the unit and the fourth number and step; then the samples, row by row."""
     lines = path.read_text(encoding="latin-1").splitlines()
     heading = " ".join(lines[2:4]).upper()
@@ -161,6 +187,10 @@ def _peer(path: Path, pick: Pick) -> Contents:
     times = float(step[1]) * np.arange(count)
     column = Column(np.array(values), unit[1].lower(), times)
     return Contents({asked: column for asked in pick(["motion"])})
+
+
+def _no_number(path: Path, name: str, kind: Any) -> JaxbodyError:
+    return JaxbodyError(Problem("NOT_A_NUMBER", path.name, f"'{name}' holds {kind}", kind, "numbers", "Read another channel."))
 
 
 READERS: dict[str, Callable[..., Contents]] = {

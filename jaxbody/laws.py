@@ -168,11 +168,25 @@ class Table(Law):
         problems.raise_if_any()
 
     @classmethod
-    def read(cls, path) -> Table:
-        """From a file of two columns, separated by commas, whose first line names them with units, as `elongation [mm], force [kN]`;
-        lines that start with # are comments. Units of length or angle or their rates, then of force or moment. Errors name the line: NO_FILE, NO_UNIT,
-        UNKNOWN_UNIT, WRONG_DIMENSION, BAD_LINE and those of the table."""
-        return cls(*read_columns(Path(path)))
+    def read(
+        cls,
+        path,
+        *,
+        separator: str | None = None,
+        decimal: str = ".",
+        encoding: str = "utf-8",
+        skip: int = 0,
+        footer: int = 0,
+        largest: float = 1e8,
+    ) -> Table:
+        """From a file of two columns with their names and units above them, `elongation [mm], force [kN]`; lines that start with # are comments.
+
+        Units of length or angle or their rates, then of force or moment. `separator`, as the first line of numbers has it unless stated; `decimal`, "," of
+        decimal commas; `encoding`, `skip` and `footer`, lines left out at the start and at the end; `largest`, of the file [bytes]: as of `read_record`.
+        Errors: those of a table of text in `read_record`, NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, BAD_SHAPE of other than two columns, and those of the table.
+        """
+        text = {"separator": separator, "decimal": decimal, "encoding": encoding, "skip": skip, "footer": footer}
+        return cls(*read_columns(Path(path), largest=largest, **text))
 
     def force(self, x):
         u, h, (F0, F1, m0, m1), before, after = self._cell(x)

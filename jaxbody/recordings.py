@@ -33,11 +33,11 @@ def read_record(
     channels {name: columns} or {name: (columns, unit)}: columns is a column's name or number (counted from 0), or a list of them; "X[2]" is a column of an
     array, "1+Z" in a UFF file what node 1 did along Z, which may also be named by its id line where that is like no other. time, the same: a name, or (name, unit). Units come from the file, "acc [g]" or its own fields, or from you; where both state one they
     must agree. UFF, TDMS, MDF and AT2 files state times themselves; without any, give rate=. Text: encoding, separator, decimal, and how many lines
-    to skip at the start and, of a footer, at the end. largest, of a file [bytes]. Further options as of `Record`. The one channel of an
-    AT2 file is called "motion".
+    to skip at the start and, of a footer, at the end. largest [bytes], of a file and of the numbers read from it, 8 bytes each. Further options as of
+    `Record`. The one channel of an AT2 file is called "motion".
 
-    Errors: NO_FILE, IS_DIRECTORY, EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA, UNREADABLE, UNKNOWN_CHANNEL, NOT_A_NUMBER, of
-    text with the line ENCODING, NO_NUMBERS, BAD_LINE, RAGGED_LINE, DECIMAL_COMMA, TRUNCATED; UNIT_CONFLICT, DIFFERENT_TIMES and those of `Record`.
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE (a pipe, a device), EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA, UNREADABLE,
+    UNKNOWN_CHANNEL, NOT_A_NUMBER, EXTERNAL_DATA (HDF5 that points to other files), of text with the line ENCODING, NO_NUMBERS, BAD_LINE, RAGGED_LINE, DECIMAL_COMMA, TRUNCATED; UNIT_CONFLICT, DIFFERENT_TIMES and those of `Record`.
 
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.csv"

@@ -6,6 +6,7 @@ import contextlib
 import difflib
 import importlib
 import re
+import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -28,21 +29,9 @@ def kind_of(path: Path, format: str | None, largest: float) -> str:
     """The format of a file that is there, by its suffix or as stated, and not against its first bytes."""
     if format is not None and format not in SUFFIXES:
         raise JaxbodyError(Problem("UNKNOWN_FORMAT", "format", f"is {format!r}", format, " ".join(SUFFIXES), "Give one of these."))
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            start = file.read(8)
-    except IsADirectoryError:
-        raise JaxbodyError(
-            Problem("IS_DIRECTORY", str(path), "is a directory", path, "a file", "Give the path of one file in it.")
-        ) from None
-    except (OSError, ValueError) as error:
-        told = f"cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise JaxbodyError(Problem("NO_FILE", str(path)[-200:], told, path, hint="Give the path of a file.")) from None
-    if size == 0:
-        raise JaxbodyError(Problem("EMPTY_FILE", path.name, "has no bytes", 0, "> 0", "Was it copied before it was written?"))
-    if size > largest:
-        raise JaxbodyError(too_large(path.name, size, largest))
+    check_file(path, largest)
+    with path.open("rb") as file:
+        start = file.read(8)
     suffixes = [suffix.lower() for suffix in path.suffixes]
     suffix = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else suffixes[-1] if suffixes else ""
     kind = format or next((kind for kind, known in SUFFIXES.items() if suffix in known.split()), None)
@@ -57,10 +46,36 @@ def kind_of(path: Path, format: str | None, largest: float) -> str:
     return kind
 
 
-def too_large(name: str, size: float, largest: float) -> Problem:
-    """What is told of a file beyond the largest size."""
-    hint = f"Say largest={max(1, round(size * 1.1 / 1e9))}e9 if there is memory for about five times that, or cut the file."
-    return Problem("TOO_LARGE", name, f"has {size:.4g} bytes", size, f"{largest:.4g} bytes", hint)
+def check_file(path: Path, largest: float = np.inf) -> None:
+    """That a path is a regular file, not empty, of at most `largest` bytes, and may be read. A pipe or a device is refused before it is opened: it may
+    block for ever, or never end. Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
+    try:
+        found = path.stat()
+        if stat.S_ISREG(found.st_mode):
+            path.open("rb").close()
+    except (OSError, ValueError) as error:
+        message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise JaxbodyError(Problem("NO_FILE", str(path)[-200:], message, path, hint="Give the path of a file.")) from None
+    if stat.S_ISDIR(found.st_mode):
+        raise JaxbodyError(Problem("IS_DIRECTORY", str(path), "is a directory", path, "a file", "Give the path of one file in it."))
+    if not stat.S_ISREG(found.st_mode):
+        hint = "Write what comes out of it into a file first."
+        raise JaxbodyError(Problem("NOT_A_FILE", str(path), "is a pipe, a socket or a device", path, "a regular file", hint))
+    if found.st_size == 0:
+        raise JaxbodyError(Problem("EMPTY_FILE", path.name, "has no bytes", 0, "> 0", "Was it copied before it was written?"))
+    check_size(path.name, found.st_size, largest)
+
+
+def check_size(name: str, size: float, largest: float, what: str = "bytes") -> None:
+    """That a file, or the numbers in it, 8 bytes each, take at most `largest` bytes. Error: TOO_LARGE."""
+    if size > largest:
+        hint = f"Say largest={max(1, round(size * 1.1 / 1e9))}e9 if there is memory for about five times that, or cut the file."
+        raise JaxbodyError(Problem("TOO_LARGE", name, f"has {size:.4g} {what}", size, f"{largest:.4g} bytes", hint))
+
+
+def check_numbers(name: str, count: float, largest: float) -> None:
+    """The same of so many numbers that are to be read."""
+    check_size(name, 8.0 * count, largest, f"bytes of numbers ({count:.4g})")
 
 
 def find_name(asked: str | int, names: list[str], where: str, aliases: list[str] | None = None) -> str:

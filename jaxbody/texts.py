@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import re
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +18,7 @@ from jaxbody.errors import MOST_PROBLEMS, JaxbodyError, Problem, Problems
 from jaxbody.tables import counted
 from jaxbody.units import is_unit
 
-NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?|nan|NaN|NAN|NA|")  # nothing, or no number, is a missing sample
+NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?|nan|NaN|NAN|NA|")  # nothing, or no number, is a missing sample
 COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 THOUSANDS = re.compile(r"[+-]?\d{1,3}([,' ]\d{3})+(\.\d*)?|[+-]?\d{1,3}(\.\d{3})+(,\d*)?")
 COMMENTS = ("#", "%", "!")
@@ -35,10 +36,11 @@ class Column:
 
 @dataclass
 class Contents:
-    """Columns by name, and what was done to read them."""
+    """Columns by name, what was done to read them, and of text the line of their names, or of the first numbers where there are none."""
 
     columns: dict[Any, Column]
     notes: list[str] = field(default_factory=list)
+    head: int = 1
 
 
 def decoded(data: bytes, name: str, encoding: str) -> str:
@@ -88,12 +90,13 @@ def read_text(
         i, line = lines[first - used]
         hint = _thousands(_cells(line, separator)) or f"If it is neither names nor numbers, say skip={i}."
         raise JaxbodyError(Problem("BAD_LINE", f"{name}:{i}", f"is {line!r:.60}", line, "names or numbers", hint))
-    names = [head if head and names.count(head) == 1 else f"{head}#{k}" if head else str(k) for k, head in enumerate(names)]
+    often = Counter(names)
+    names = [head if head and often[head] == 1 else f"{head}#{k}" if head else str(k) for k, head in enumerate(names)]
     columns = {head: Column(values[:, k], unit) for k, (head, unit) in enumerate(zip(names, units, strict=True))}
     notes = [f"left out {counted(count, 'line')} {where}" for count, where in ((skip, "at the start"), (footer, "at the end")) if count]
     if first - used > 0:
         notes.append(f"passed over {counted(first - used, 'line')} before the table")
-    return Contents(columns, notes)
+    return Contents(columns, notes, lines[first - used][0])
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -239,9 +242,19 @@ def split_unit(head: str) -> tuple[str, str | None]:
     (('acc', 'g'), ('speed', 'm/s'), ('x (left)', None))
     """
     head = head.strip()
-    match = re.fullmatch(r"(.*?)\s*\[([^\[\]]*)\]", head) or re.fullmatch(r"(.*?)\s*\(([^()]*(?:\([^()]*\))?[^()]*)\)", head)
-    if match is None or not match[1]:
+    start = _opening(head)
+    name, unit = head[:start].rstrip(), head[start + 1 : -1].strip()
+    if start <= 0 or not name or unit.isdigit() or not (head.endswith("]") or is_unit(unit)):
         return head, None
-    if head.endswith("]") and not match[2].strip().isdigit():
-        return match[1], match[2].strip() or None
-    return (match[1], match[2].strip()) if is_unit(match[2]) and not match[2].strip().isdigit() else (head, None)
+    return name, unit or None
+
+
+def _opening(head: str) -> int:
+    """Where the bracket opens that closes at the end; -1 where none does."""
+    opens = {"]": "[", ")": "("}.get(head[-1:])
+    depth = 0
+    for at in range(len(head) - 1, -1, -1) if opens else ():
+        depth += (head[at] == head[-1]) - (head[at] == opens)
+        if depth == 0:
+            return at
+    return -1

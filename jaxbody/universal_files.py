@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,15 +43,17 @@ def _uff_unit(s: dict[str, Any], axis: str) -> str | None:
 
 
 def _distinct(names: list[str]) -> list[str]:
-    return [name if names.count(name) == 1 else f"{name}#{i}" for i, name in enumerate(names)]
+    often = Counter(names)
+    return [name if often[name] == 1 else f"{name}#{i}" for i, name in enumerate(names)]
 
 
-def read_uff(path: Path, pick: Pick) -> Contents:
+def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
     """Functions of time, by node and direction or by an id line that no other has. Errors: WRONG_FORMAT, UNKNOWN_CHANNEL, NOT_A_RECORD."""
     sets = sets_of(path)
     names = _distinct([_uff_place(s, "rsp") for s in sets])
     lines = [str(s.get("id1") or "").strip() for s in sets]
-    places = {line: i for i, line in enumerate(lines) if line not in ("", "NONE", *names) and lines.count(line) == 1}
+    known, often = {"", "NONE", *names}, Counter(lines)
+    places = {line: i for i, line in enumerate(lines) if line not in known and often[line] == 1}
     columns = {}
     for asked, name in pick(names, list(places)).items():
         s = sets[names.index(name) if name in names else places[name]]
