@@ -158,11 +158,9 @@ def _real_sum(x, w):
 
 def _order(spectrum: Spectrum, port: Any) -> int:
     """The power of 2 pi f between the spectrum of a motion and that of the port: 2 for each derivative."""
-    quantity = "m/s2" if spectrum.quantity == "g" else spectrum.quantity
-    if quantity == port.unit:
+    if spectrum.quantity == port.unit:
         return 0
-    kinds = UNITS[len(port.direction) - 1]
-    return 2 * (KINDS.index(port.kind) - kinds.index(quantity))
+    return 2 * (KINDS.index(port.kind) - UNITS[len(port.direction) - 1].index(spectrum.quantity))
 
 
 def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
@@ -180,8 +178,7 @@ def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
             problems.add("NO_SPECTRUM", f"spectra[{name!r}]", "is missing", limit="one for each input", hint="Give a PSD or a PowerLaw.")
         elif name in known:
             family = (port.unit,) if not hasattr(port, "kind") else UNITS[len(port.direction) - 1]
-            quantity = "m/s2" if known[name].quantity == "g" else known[name].quantity
-            if quantity not in family:
+            if known[name].quantity not in family:
                 told, limit = f"is of {known[name].quantity}, the input is in {port.unit}", " or ".join(family)
                 problems.add(
                     "BAD_UNIT", f"spectra[{name!r}]", told, value=known[name].quantity, limit=limit, hint="Say the unit of what is given."

@@ -16,13 +16,19 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from jaxbody.arrays import checked, concrete, device_array, float_array, shaped
 from jaxbody.bodies import scalar
-from jaxbody.errors import Problems
+from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.models import unknown
+from jaxbody.units import ANGULAR_RATE, RATE, parse
 
-STANDARD_GRAVITY = 9.80665  # m/s2
-QUANTITIES = ("m", "m/s", "m/s2", "rad", "rad/s", "rad/s2", "N", "N m", "g")
-PER = ("Hz", "(rad/s)", "(cycle/m)")
-UNIT = re.compile(r"\(?(?P<quantity>.+?)\)?2/(?P<per>Hz|\(rad/s\)|\(cycle/m\))")
+QUANTITIES = ("m", "m/s", "m/s2", "rad", "rad/s", "rad/s2", "N", "N m")
+MEASURES = {"Hz": RATE, "rad/s": ANGULAR_RATE, "cycle/m": (-1, 0, 0, 0, 0), "rad/m": (-1, 0, 0, 1, 0)}
+DENSITIES = {  # dimension -> of what, per what
+    tuple(2 * a - b for a, b in zip(parse(quantity, "").dimension, measure, strict=True)): (quantity, per)
+    for quantity in QUANTITIES
+    for per, measure in MEASURES.items()
+}
+CYCLES = re.compile(r"\bcycles?\b")
+LAST = re.compile(r".*[^/]/\s*(\([^()]*\)|[^/()\s*.]+)\s*")  # what a unit is divided by at its end
 BARELY = 1e-9  # smallest eigenvalue of a matrix of coherences that is rounding
 LOWEST = -700.0  # logarithm of nothing
 
@@ -43,9 +49,9 @@ class Spectrum(eqx.Module):
 class PowerLaw(Spectrum):
     """S(x) = level (x/reference)^-exponent, x the frequency in the unit's own measure: white noise with exponent 0, a road with 2.
 
-    `unit`: "m2/Hz", "(m/s)2/Hz", "(m/s2)2/Hz", "g2/Hz", rad or N in place of m, "(rad/s)" or "(cycle/m)" in place of Hz; a spectrum over distance
-    needs the `speed` [m/s]. `sides`: 1, or 2 where half of the power is at negative frequencies. Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE,
-    BAD_SHAPE, NON_FINITE.
+    `unit`: as in "m2/Hz", "(m/s2)^2/Hz", "m2/s4/Hz", "g2/Hz", "m2/(rad/s)", "m3" or "m2/(cycle/m)": of any length, angle, force or moment, their rates
+    and accelerations, over Hz, rad/s, cycle/m or rad/m; a spectrum over distance needs the `speed` [m/s]. `sides`: 1, or 2 where half of the power is
+    at negative frequencies. Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY of a reference of 0 or less, BAD_SHAPE, NON_FINITE.
 
     >>> road = PowerLaw(64e-6, exponent=2.0, reference=0.1, unit="m2/(cycle/m)", speed=20.0)
     >>> round(float(road(jnp.array([2.0]))[0]) * 1e6, 9)
@@ -57,28 +63,33 @@ class PowerLaw(Spectrum):
     reference: Float[Array, ""]
     speed: Float[Array, ""]
     quantity: str = eqx.field(static=True)
+    factor: float = eqx.field(static=True)  # to the square of the quantity
     per: str = eqx.field(static=True)
     sides: int = eqx.field(static=True)
 
     def __init__(self, level, *, unit: str, exponent=0.0, reference=1.0, sides: int = 1, speed=None):
         problems = Problems()
-        self.quantity, self.per, self.sides, self.speed = _measure(unit, sides, speed, "PowerLaw", problems)
+        self.quantity, self.per, self.factor = _unit(unit, "PowerLaw.unit", problems)
+        self.sides, self.speed = _measure(self.per, sides, speed, "PowerLaw", problems)
         self.level = scalar(level, "PowerLaw.level", problems)
         self.exponent = scalar(exponent, "PowerLaw.exponent", problems)
         self.reference = scalar(reference, "PowerLaw.reference", problems)
         _check_not_negative(self.level, "PowerLaw.level", problems)
+        known = concrete(self.reference)
+        if known is not None and known <= 0:
+            hint = "Give the frequency at which the density is `level`."
+            problems.add("BAD_FREQUENCY", "PowerLaw.reference", f"is {known:g}", value=float(known), limit="> 0", hint=hint)
         problems.raise_if_any()
 
     def __call__(self, f):
         x, density = _in_hertz(f, self.per, self.speed)
-        size = STANDARD_GRAVITY**2 if self.quantity == "g" else 1.0
-        return size * self.sides * density * self.level * (x / self.reference) ** -self.exponent
+        return self.factor * self.sides * density * self.level * (x / self.reference) ** -self.exponent
 
 
 class PSD(Spectrum):
     """A power spectral density through points, straight lines in a log-log plot, as test specifications are; zero outside the points.
 
-    `frequencies`, in the unit's own measure (Hz, rad/s or cycle/m), and `values` at these; `unit`, `sides`, `speed` as of a PowerLaw.
+    `frequencies`, in the unit's own measure (Hz, rad/s, cycle/m or rad/m), and `values` at these; `unit`, `sides`, `speed` as of a PowerLaw.
     `PSD.from_record` estimates one. Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, BAD_FREQUENCY, NEGATIVE, BAD_SHAPE, NON_FINITE.
 
     >>> psd = PSD([10.0, 100.0], [0.01, 0.1], unit="g2/Hz")
@@ -90,12 +101,14 @@ class PSD(Spectrum):
     values: Float[Array, "n"]
     speed: Float[Array, ""]
     quantity: str = eqx.field(static=True)
+    factor: float = eqx.field(static=True)  # to the square of the quantity
     per: str = eqx.field(static=True)
     sides: int = eqx.field(static=True)
 
     def __init__(self, frequencies, values, *, unit: str, sides: int = 1, speed=None):
         problems = Problems()
-        self.quantity, self.per, self.sides, self.speed = _measure(unit, sides, speed, "PSD", problems)
+        self.quantity, self.per, self.factor = _unit(unit, "PSD.unit", problems)
+        self.sides, self.speed = _measure(self.per, sides, speed, "PSD", problems)
         count = max(2, np.size(frequencies))
         x = checked(frequencies, ((count,),), "PSD.frequencies", problems, "Give two points or more.")
         y = checked(values, ((count,),), "PSD.values", problems, "One value for each frequency.")
@@ -123,13 +136,12 @@ class PSD(Spectrum):
 
     def __call__(self, f):
         x, density = _in_hertz(f, self.per, self.speed)
-        size = STANDARD_GRAVITY**2 if self.quantity == "g" else 1.0
         some = self.values > 0
         logarithms = jnp.where(some, jnp.log(jnp.where(some, self.values, 1.0)), LOWEST)
         inside = jnp.exp(jnp.interp(jnp.log(x), jnp.log(self.frequencies), logarithms))
         margin = 1e-12 * x
         known = (x >= self.frequencies[0] - margin) & (x <= self.frequencies[-1] + margin)
-        return size * self.sides * density * jnp.where(known, inside, 0.0)
+        return self.factor * self.sides * density * jnp.where(known, inside, 0.0)
 
 
 class CrossPSD(eqx.Module):
@@ -137,7 +149,8 @@ class CrossPSD(eqx.Module):
 
     `spectra`: {input: Spectrum}; `delays` d: {input: seconds}, such as what a rear wheel lags behind a front wheel; `coherence`: {(input, input): a
     number from 0 to 1, or a function of the frequencies [Hz]}, the ratio |S_ij|/sqrt(S_i S_j), whose square coherence estimators give. Pairs not named
-    are not correlated. The matrix must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, NOT_POSITIVE, BAD_SHAPE, NON_FINITE.
+    are not correlated. The matrix must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, BAD_PAIR of an input with itself or of two given
+    twice, NOT_POSITIVE, BAD_SHAPE, NON_FINITE.
 
     >>> road = PowerLaw(1e-6, unit="m2/Hz", exponent=2.0)
     >>> axles = CrossPSD({"front": road, "rear": road}, delays={"rear": 0.125}, coherence={("front", "rear"): 1.0})
@@ -161,6 +174,10 @@ class CrossPSD(eqx.Module):
         problems.raise_if_any()
         levels, pairs = [], []
         for (one, other), value in (coherence or {}).items():
+            if one == other or (self.names.index(other), self.names.index(one)) in [pair[:2] for pair in pairs]:
+                told = "is of an input with itself, which is 1" if one == other else "is given in both orders"
+                limit, hint = "two inputs, each pair once", "Leave it out."
+                problems.add("BAD_PAIR", f"CrossPSD.coherence[{(one, other)}]", told, value=(one, other), limit=limit, hint=hint)
             place = value if callable(value) else len(levels)
             if not callable(value):
                 levels.append(device_array(shaped(value, (), f"CrossPSD.coherence[{(one, other)}]", problems)))
@@ -268,30 +285,42 @@ def sampling_step(times: Any, where: str, problems: Problems) -> Any:
     return steps.mean()
 
 
-def _measure(unit: Any, sides: Any, speed: Any, where: str, problems: Problems) -> tuple[str, str, int, Any]:
-    """Quantity, measure of frequency, sides and speed."""
-    found = UNIT.fullmatch({"m3": "m2/(cycle/m)"}.get(unit, unit)) if isinstance(unit, str) else None
-    quantity, per = (found["quantity"], found["per"]) if found else ("", "Hz")
-    if quantity not in QUANTITIES:
-        limit = f"(quantity)2/measure, of {', '.join(QUANTITIES)} and {', '.join(PER)}"
-        problems.add("BAD_UNIT", f"{where}.unit", f"is {unit!r}", value=unit, limit=limit, hint='Such as "(m/s2)2/Hz" or "m2/(cycle/m)".')
+def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
+    """Of what, per what, and the factor to the square of that in SI per measure."""
+    try:
+        text = CYCLES.sub("1", str(unit))
+        whole, last = parse(text, where), LAST.fullmatch(text)
+        measure = whole if last is None else parse(last[1], where)
+        if whole.dimension in DENSITIES and (measure if measure.dimension in MEASURES.values() else whole).factor == 1:
+            return *DENSITIES[whole.dimension], whole.factor
+        hint = 'Such as "(m/s2)2/Hz", "m2/s4/Hz", "g2/Hz" or "m2/(cycle/m)"; square what is per root of Hz.'
+        problem = Problem(
+            "BAD_UNIT", where, f"is {unit!r}", unit, f"the square of {', '.join(QUANTITIES)} over {', '.join(MEASURES)}", hint
+        )
+    except JaxbodyError as error:
+        problem = Problem("BAD_UNIT", where, f"is {unit!r}", unit, error.limit, error.hint)
+    problems.found.append(problem)
+    return "", "Hz", 1.0
+
+
+def _measure(per: str, sides: Any, speed: Any, where: str, problems: Problems) -> tuple[int, Any]:
+    """Sides and speed."""
     if sides not in (1, 2):
         problems.add("BAD_SIDES", f"{where}.sides", f"is {sides!r}", value=sides, limit="1 or 2", hint="Say 2 for a two-sided density.")
-    if (per == "(cycle/m)") != (speed is not None):
+    if per.endswith("/m") != (speed is not None):
         told = "is missing" if speed is None else "is given, but the spectrum is over time"
-        problems.add("NO_SPEED", f"{where}.speed", told, value=speed, limit="for (cycle/m) only", hint="Give the speed in m/s.")
+        problems.add("NO_SPEED", f"{where}.speed", told, value=speed, limit="for cycle/m and rad/m only", hint="Give the speed in m/s.")
     U = scalar(1.0 if speed is None else speed, f"{where}.speed", problems)
     known = concrete(U)
     if known is not None and known <= 0:
         problems.add("NO_SPEED", f"{where}.speed", f"is {known:g} m/s", value=float(known), limit="> 0", hint="Give the speed in m/s.")
-    return quantity, per, sides, U
+    return sides, U
 
 
 def _in_hertz(f: Array, per: str, speed: Array) -> tuple[Array, Any]:
     """The frequency in its own measure, and the density per hertz of one per that measure."""
-    if per == "Hz":
-        return f, 1.0
-    return (2 * jnp.pi * f, 2 * jnp.pi) if per == "(rad/s)" else (f / speed, 1 / speed)
+    rate = (2 * jnp.pi if per.startswith("rad") else 1.0) / (speed if per.endswith("/m") else 1.0)
+    return f * rate, rate
 
 
 def _check_not_negative(value: Any, where: str, problems: Problems) -> None:

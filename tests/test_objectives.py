@@ -11,6 +11,7 @@ from rigs import POWERTRAIN_ENERGIES
 
 import jaxbody as jb
 from jaxbody import objectives
+from jaxbody.random_responses import RandomResponse
 
 MS, MU, KS, C, KT, G = 375.0, 75.0, 35000.0, 1500.0, 193000.0, 9.81
 W = 2 * np.pi**2 * 0.1**2 * 256e-6 * 20.0
@@ -102,6 +103,21 @@ def test_what_a_random_road_does_is_the_closed_form(ride):
         objectives.road_holding(ride, {"travel": 1.0})
     with pytest.raises(jb.JaxbodyError, match="Did you mean 'travel'"):
         objectives.stroke(ride, "travl")
+
+
+def test_several_seats_are_summed_and_several_tyres_averaged():
+    """ISO 2631-1, 6.5: the root of the sum of squares over directions; of tyres the root of the mean of squares, as a road under all alike gives that of one."""
+    f, S, F = np.linspace(1.0, 20.0, 1001), np.array([0.3, 0.04, 0.5]), np.array([900.0, 400.0])
+    psd = np.concatenate([S, F])[:, None] * np.ones(1001)
+    weights = np.gradient(f) * np.where((f == f[0]) | (f == f[-1]), 0.5, 1.0)
+    rms = np.sqrt(np.sum(psd * weights, 1))
+    names, units = ("z", "x", "y", "left", "right"), ("m/s2",) * 3 + ("N",) * 2
+    ride = RandomResponse(*map(jnp.asarray, (f, psd, rms, weights, weights, 0)), names, units)
+    gains = [np.abs(np.asarray(jb.weighting(name, f))) ** 2 for name in ("Wk", "Wd", "Wd")]
+    felt = np.sum([np.trapezoid(s * gain, f) for s, gain in zip(S, gains, strict=True)])
+    np.testing.assert_allclose(objectives.comfort(ride, {"z": "Wk", "x": "Wd", "y": "Wd"}), np.sqrt(felt), rtol=1e-12)
+    shares = 19.0 * F / np.array([4000.0, 2000.0]) ** 2
+    np.testing.assert_allclose(objectives.road_holding(ride, {"left": 4000.0, "right": 2000.0}), np.sqrt(shares.mean()), rtol=1e-12)
 
 
 @pytest.mark.long
