@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from jax.core import Tracer
 
 MOST_PROBLEMS = 20
 MOST_LINES = 10  # of a message; `problems` holds them all
+PASSED_OVER = {"jaxbody", "equinox", "jax", "contextlib", "functools"}  # packages whose lines say nothing to a user
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class Problem:
     hint: str = ""
 
     def __str__(self) -> str:
-        limit = f" (limit: {self.limit})" if self.limit else ""
+        limit = f" (allowed: {self.limit})" if self.limit else ""
         hint = f" {self.hint}" if self.hint else ""
         return f"{self.where}: {self.message.rstrip('.')}{limit}.{hint} [{self.code}]"
 
@@ -65,13 +67,21 @@ class JaxbodyWarning(UserWarning):
 
 
 def warn(code: str, message: str) -> None:
-    """A JaxbodyWarning of this code, told at the line of the user."""
-    warnings.warn(JaxbodyWarning(code, message), stacklevel=4)
+    """A JaxbodyWarning of this code, at the line of the user."""
+    warn_of(JaxbodyWarning(code, message))
+
+
+def warn_of(warning: Warning) -> None:
+    """A warning at the line outside of this package, and of what calls it or is called by it, that led here."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in PASSED_OVER:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(warning, stacklevel=level)
 
 
 @dataclass
 class Problems:
-    """Collects problems, so that all of them are told at once."""
+    """Collects problems, so that one error holds all of them."""
 
     found: list[Problem] = field(default_factory=list)
 

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
 from jaxbody.channels import Measurement
-from jaxbody.errors import JaxbodyError, Problem, Status, warn
+from jaxbody.errors import JaxbodyError, Problem, Status, warn, warn_of
 from jaxbody.fits import Fit
 from jaxbody.free_parameters import limits_of
 from jaxbody.identification import fit
@@ -115,7 +115,7 @@ def multistart(
     best = first
     if lowest == 0:
         for each in told:
-            warnings.warn(each.message, stacklevel=2)
+            warn_of(each.message)  # pyright: ignore
     else:
         best = fit(model, experiments, free=free, bounds=bounds, progress=progress, resume=dataclasses.replace(first, u=jnp.asarray(ends[lowest])), **options)  # fmt: skip
     cost = np.array([costs[group[0]] for group in groups])

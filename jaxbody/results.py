@@ -3,7 +3,9 @@
 from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
+from jax.core import Tracer
 
 from jaxbody import tables
 from jaxbody.errors import MESSAGES, MOST_PROBLEMS, JaxbodyError, Problem, Status, is_concrete, warn
@@ -24,13 +26,16 @@ class Result(eqx.Module):
         return ""
 
     def report(self) -> str:
-        """The status in words; for a batch, how many samples ended how."""
+        """The status in words; for a batch, how many samples ended how; "traced" inside jit or vmap."""
+        if not is_concrete(self.status):
+            return "traced"
         codes = np.asarray(self.status)
         if codes.ndim == 0:
             if not codes:
                 return "ok"
             message = MESSAGES[Status(int(codes))]
-            more = self.explain()
+            known = without_derivatives(self)
+            more = known.explain() if is_concrete(known) else ""
             return f"{Status(int(codes)).name}: {message}" + (f"; {more}" if more else "")
         values, counts = np.unique(codes, return_counts=True)
         return ", ".join(f"{count} {Status(int(value)).name}" for value, count in zip(values, counts, strict=True))
@@ -49,11 +54,14 @@ class Result(eqx.Module):
         return tables.html(*self._tables())
 
     def raise_if_failed(self) -> None:
-        """Raise a JaxbodyError unless every sample is ok; a batch lists the indices that are not."""
+        """Raise a JaxbodyError unless every sample is ok; a batch lists the indices that are not. Error inside jit or vmap: TRACED."""
+        where = type(self).__name__.lower()
+        if not is_concrete(self.status):
+            hint = "Call raise_if_failed() on what the compiled or batched function returns."
+            raise JaxbodyError(Problem("TRACED", where, "has no status yet inside jit or vmap", hint=hint))
         codes = np.asarray(self.status)
         if not codes.any():
             return
-        where = type(self).__name__.lower()
         worst = Status(int(codes.flat[np.flatnonzero(codes)[0]]))
         message = self.report()
         if codes.ndim:
@@ -61,7 +69,12 @@ class Result(eqx.Module):
         raise JaxbodyError(Problem(worst.name, where, message, value=self.status))
 
 
+def without_derivatives(tree: Any) -> Any:
+    """The values behind what jax.grad, jax.jvp or jax.vjp follow; what jit or vmap traces stays traced."""
+    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, Tracer) else x, tree)
+
+
 def warn_if_failed(result: Result) -> None:
-    """The last act of a public function: tell, where values can be looked at, that something failed."""
+    """The last act of a public function: warn, where the status has a value, that something failed."""
     if is_concrete(result.status) and (codes := np.asarray(result.status)).any():
         warn(Status(int(codes.flat[np.flatnonzero(codes)[0]])).name, f"{type(result).__name__}: {result.report()}")

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 from equinox import combine, is_array, partition
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import integrators, tables
 from jaxbody.arrays import concrete, device_array, float_array
@@ -313,7 +313,7 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     t_end, y_end = jnp.where(blown, times[last], t_end), jnp.where(blown, samples[last], y_end)
     code = jnp.where(blown, Status.NONFINITE.value, code)
     good = (finite & (times <= t_end))[:, None]
-    y = jnp.concatenate([jnp.where(good, samples, jnp.nan), y_end[None]])
+    y = jnp.concatenate([_nan_unless(good, jnp.where(good, samples, y_end)), y_end[None]])
     unpacked = jax.vmap(form.unpack)(y, jnp.append(times, t_end))
     state, ended = jax.tree.map(lambda x: x[:-1], unpacked), jax.tree.map(lambda x: x[-1], unpacked)
     if has_range(model.elements):
@@ -321,6 +321,23 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
     statistics = {"num_accepted_steps": accepted, "num_rejected_steps": rejected}
     return Trajectory(times, state, code, statistics, (t_end, ended), model, motions, loads)
+
+
+@jax.custom_jvp
+def _nan_unless(good: Bool[Array, "nt 1"], y: Float[Array, "nt ny"]) -> Float[Array, "nt ny"]:
+    """y where it is good, else NaN; the derivatives too, of which `jnp.where` alone makes zeros in reverse mode."""
+    return jnp.where(good, y, jnp.nan)
+
+
+@_nan_unless.defjvp
+def _nan_unless_jvp(primals, tangents):
+    good, y = primals
+
+    def backward(_, slope):
+        return jnp.where(good | (slope == 0), slope, jnp.nan)
+
+    change = jax.lax.custom_linear_solve(lambda x: x, tangents[1], lambda _, x: jnp.where(good, x, jnp.nan), backward)
+    return _nan_unless(good, y), change
 
 
 def _tolerances(coordinates: Coordinates, span, rtol):

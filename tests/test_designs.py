@@ -399,21 +399,24 @@ BAD = {
         dict(free="spring.stiffness = spring.damping"),
         "1.0, but spring.stiffness = spring.damping, and spring.stiffness starts at 50.0",
     ),
-    "BAD_TIE": (dict(free="spring.a = spring.b * [1, 0, 1]"), r"has the factor \[1, 0, 1\] .limit: a number or a list of numbers, none 0"),
-    "START_OUTSIDE": (dict(bounds={"spring.stiffness": (60.0, 90.0)}), r"does not hold the start 50.0, by 10 \(limit: 60.0 to 90.0\)"),
+    "BAD_TIE": (
+        dict(free="spring.a = spring.b * [1, 0, 1]"),
+        r"has the factor \[1, 0, 1\] .allowed: a number or a list of numbers, none 0",
+    ),
+    "START_OUTSIDE": (dict(bounds={"spring.stiffness": (60.0, 90.0)}), r"does not hold the start 50.0, by 10 \(allowed: 60.0 to 90.0\)"),
     "BAD_BOUNDS": (dict(bounds={"spring.stiffness": (90.0, 60.0)}), "lower 90.0 >= upper 60.0"),
     "BAD_LIMITS": (dict(limits={"k": (3.0, 2.0)}), r"tune.limits\['k'\]: has lower 3 > upper 2"),
     "UNKNOWN_NAME": (dict(limits={"kk": 3.0}), "'kk' is unknown. Did you mean 'k'"),
     "NO_BOUNDS": (dict(starts=4), r"tune.bounds\['spring.stiffness'\]: is missing"),
     "BAD_CATALOGUE": (dict(catalogues={"spring.stiffness": [-1.0]}), "positive numbers"),
-    "BAD_METHOD": (dict(method="simplex"), "'simplex' .limit: slsqp trust-constr ipopt or an optax optimizer"),
+    "BAD_METHOD": (dict(method="simplex"), "'simplex' .allowed: slsqp trust-constr ipopt or an optax optimizer"),
     "BAD_STARTS": (dict(starts=0), "is 0"),
 }
 
 
 BAD |= {
     "BAD_LIMITS ": (dict(limits={"k": (None, None)}), "a number at one end or both"),
-    "BAD_LIMITS  ": (dict(limits=["k"]), r"tune.limits: is \['k'\] .limit: {name: .lower, upper.}"),
+    "BAD_LIMITS  ": (dict(limits=["k"]), r"tune.limits: is \['k'\] .allowed: {name: .lower, upper.}"),
 }
 
 

@@ -502,14 +502,14 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         ({"solver": jb.Gauss()}, ["NO_ERROR_ESTIMATE"], ["fit.solver"]),
         ({"rtol": -1.0, "dt0": 0.0}, ["BAD_NUMBER"] * 2, ["fit.dt0: is 0.0", "fit.rtol: is -1.0"]),
         ({"method": "simplex"}, ["UNKNOWN_METHOD"], ["simplex"]),
-        ({"max_evaluations": 0}, ["BAD_NUMBER"], ["fit.max_evaluations: is 0 (limit: a whole number >= 1)"]),
-        ({"free": None}, ["WRONG_KIND"], ['fit.free: is None (limit: paths or patterns). Say free=["*.stiffness"']),
+        ({"max_evaluations": 0}, ["BAD_NUMBER"], ["fit.max_evaluations: is 0 (allowed: a whole number >= 1)"]),
+        ({"free": None}, ["WRONG_KIND"], ['fit.free: is None (allowed: paths or patterns). Say free=["*.stiffness"']),
         ({"free": ["run.x.bias"]}, ["UNKNOWN_PATH"], ["Sensor 'x' has no bias: give it bias=0.0 to have one."]),
         ({"free": ["run.*.lag", "run.x.start"]}, ["UNKNOWN_PATH"] * 2, ["give it lag=1e-3 to", "give it lag=1e-3, start=0.0 to"]),
         ({"free": ["s.stiffness =", "run.x.biass"]}, ["UNKNOWN_PATH"] * 2, ["'s.stiffness =' ties nothing on one side", "matches nothing. Did you"]),
         ({"priors": {"s.stiffness": (400, -1), "s.x": (1, 1)}}, ["UNKNOWN_PATH", "BAD_PRIOR"], ["'s.x' matches", "(400, -1)"]),
         ({"bounds": {"s.stiffness": (2, 1), "s.x": (1, 1)}}, ["UNKNOWN_PATH", "BAD_BOUNDS"], ["'s.x' matches", "lower 2"]),
-        ({"bounds": [(300.0, 600.0)]}, ["BAD_BOUNDS"], ['is [(300.0, 600.0)] (limit: a dict of pairs by path). Write {"s.stiffness": (lower']),
+        ({"bounds": [(300.0, 600.0)]}, ["BAD_BOUNDS"], ['is [(300.0, 600.0)] (allowed: a dict of pairs by path). Write {"s.stiffness": (lower']),
         ({"priors": [(300.0, 6.0)]}, ["BAD_PRIOR"], ['Write {"s.stiffness": (mean, standard deviation)}']),
         ({"bounds": {"cart.mass": (1, 3)}, "method": optax.adam(0.1)}, ["BAD_BOUNDS"], ["least_squares"]),
         ({"bounds": {"cart.mass": (1, 3)}, "method": GAUSS_NEWTON}, ["BAD_BOUNDS"], ["least_squares"]),
@@ -559,10 +559,10 @@ def test_what_is_wrong_with_the_experiments_is_told_at_once(record):
 def test_what_is_of_another_kind_is_told_and_no_traceback(record):
     (run,) = tracked(record).values()
     cases = [
-        (lambda: fit(cart(), run), "fit.experiments: is one Experiment without a name (limit: a dict of experiments by name). Write {\"run\": experiment}"),
+        (lambda: fit(cart(), run), "fit.experiments: is one Experiment without a name (allowed: a dict of experiments by name). Write {\"run\": experiment}"),
         (lambda: jb.validate(None, run), "validate.experiments: is one Experiment"),
         (lambda: jb.multiple_shooting(cart(), run, free=FREE, segments=2), "multiple_shooting.experiments: is one Experiment"),
-        (lambda: fit("osc", {"run": run}), "fit.model: is a str (limit: jb.Model)"),
+        (lambda: fit("osc", {"run": run}), "fit.model: is a str (allowed: jb.Model)"),
     ]  # fmt: skip
     for call, told in cases:
         with pytest.raises(jb.JaxbodyError) as caught:

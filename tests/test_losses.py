@@ -248,12 +248,12 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_a_wrong_one_is_told(record, t
 DAMAGED = {
     "an array": (lambda path, good: np.save(path.open("wb"), good["u"]), "NO_CHECKPOINT", "it is damaged, or no checkpoint"),
     "pickled": (lambda path, good: np.savez(path, **good | {"u": np.array([{}], dtype=object)}), "NO_CHECKPOINT", "it is damaged"),
-    "u of another length": (lambda path, good: np.savez(path, **good | {"u": np.zeros(3)}), "NO_CHECKPOINT", "shape (3,) of float64 (limit: finite numbers of shape (2,))"),
+    "u of another length": (lambda path, good: np.savez(path, **good | {"u": np.zeros(3)}), "NO_CHECKPOINT", "shape (3,) of float64 (allowed: finite numbers of shape (2,))"),
     "u of text": (lambda path, good: np.savez(path, **good | {"u": np.array(["a", "b"])}), "NO_CHECKPOINT", "of str32"),
     "u not finite": (lambda path, good: np.savez(path, **good | {"u": np.array([0.0, np.nan])}), "NO_CHECKPOINT", "is [0.0, nan]"),
     "no u": (lambda path, good: np.savez(path, names=good["names"]), "NO_CHECKPOINT", "it has no u"),
     "no noise": (lambda path, good: np.savez(path, names=good["names"], u=good["u"]), "NO_CHECKPOINT", "noise of run.x: is missing"),
-    "negative noise": (lambda path, good: np.savez(path, **good | {"noise0": np.array(-1.0)}), "NO_CHECKPOINT", "is -1.0 (limit: positive numbers"),
+    "negative noise": (lambda path, good: np.savez(path, **good | {"noise0": np.array(-1.0)}), "NO_CHECKPOINT", "is -1.0 (allowed: positive numbers"),
     "noise of another shape": (lambda path, good: np.savez(path, **good | {"noise0": np.ones(2)}), "NO_CHECKPOINT", "shape (2,)"),
     "of another fit": (lambda path, good: np.savez(path, **good | {"names": good["names"][1:]}), "OTHER_FIT", "'left.stiffness'"),
     "empty": (lambda path, good: path.write_bytes(b""), "NO_CHECKPOINT", "it is damaged"),
@@ -282,7 +282,7 @@ def test_a_damaged_checkpoint_is_one_message_without_advice_to_trust_it(case, tm
 @pytest.mark.parametrize("earlier", [{"u": [0.0]}, np.zeros(2), 3])
 def test_what_is_resumed_is_a_fit_or_a_file(earlier):
     problem = problem_of(oscillator(), run(np.zeros(len(TIMES))), resume=earlier)
-    assert problem.code == "WRONG_KIND" and f"is a {type(earlier).__name__} (limit: a fit, or the path of its checkpoint)" in str(problem)
+    assert problem.code == "WRONG_KIND" and f"is a {type(earlier).__name__} (allowed: a fit, or the path of its checkpoint)" in str(problem)
 
 
 @pytest.mark.long

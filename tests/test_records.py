@@ -335,7 +335,7 @@ FILES = {  # content, file, options, code, place and words
     "text called h5": (GOOD, "run.h5", {}, "WRONG_FORMAT", "hdf5 something else"),
     "broken mat": (b"MATLAB 5.0 MAT-file" + bytes(60), "run.mat", {}, "UNREADABLE", "run.mat mat whole"),
     "no heading": (GOOD, "run.at2", {}, "WRONG_FORMAT", 'UNITS OF G format="text"'),
-    "too large": (GOOD, "run.csv", {"largest": 10}, "TOO_LARGE", "22 bytes limit: 10 bytes largest="),
+    "too large": (GOOD, "run.csv", {"largest": 10}, "TOO_LARGE", "22 bytes allowed: 10 bytes largest="),
     "packed tightly": (gzip.compress(bytes(10_000_000)), "run.csv.gz", {"largest": 1e6}, "TOO_LARGE", "1e+06 bytes largest="),
     "channel not there": ("t,acc_x\n0,1\n1,2\n", "run.csv", {}, "UNKNOWN_CHANNEL", "'a' It has: t, acc_x"),
     "unit stated nowhere": (GOOD, "run.csv", {"channels": {"a": "a"}}, "NO_UNIT", "run.csv['a'] no unit in the file m/s2"),
@@ -391,10 +391,10 @@ def test_the_whole_message_reads_so(tmp_path):
     path = written(tmp_path, "t;a\n0;1,5\n")
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.read_record(path, time=("t", "s"), channels={"a": ("a", "g")})
-    assert str(refused.value) == 'run.csv:2: has \'1,5\' (limit: a decimal point). It may be a decimal comma: say decimal=",", separator=";". [DECIMAL_COMMA]'  # fmt: skip
+    assert str(refused.value) == 'run.csv:2: has \'1,5\' (allowed: a decimal point). It may be a decimal comma: say decimal=",", separator=";". [DECIMAL_COMMA]'  # fmt: skip
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.Record(TIMES, {"a": (X, "m/s2")}, rate=198.0)
-    assert str(refused.value) == "Record.times: says 200 Hz, not the 198 Hz stated (limit: 0.1 %). Leave rate= out to take the times as they are, or time= to take the rate. [RATE_MISMATCH]"  # fmt: skip
+    assert str(refused.value) == "Record.times: says 200 Hz, not the 198 Hz stated (allowed: 0.1 %). Leave rate= out to take the times as they are, or time= to take the rate. [RATE_MISMATCH]"  # fmt: skip
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.Record(TIMES, {"a": (X, "m/s9"), "b": (X[:0], "m")}, fill="magic")
     assert [problem.code for problem in refused.value.problems] == ["BAD_OPTION", "UNKNOWN_UNIT", "NO_DATA"]

@@ -83,9 +83,9 @@ BAD = {
     "UNKNOWN_PATH": (dict(over={"body.mas": [1.0]}), "Did you mean body.mass"),
     "BAD_MASS": (dict(over={"body.mass": [1.0, -1.0, 2.0]}), "is -1 kg"),
     "NON_FINITE": (dict(over={"body.mass": [1.0, np.nan, 2.0]}), r"sweep\['body.mass'\]: is nan"),
-    "BAD_RANGE": (dict(over={"body.mass": (2.0, 1.0)}, samples=4), r"limit: \(low, high\)"),
+    "BAD_RANGE": (dict(over={"body.mass": (2.0, 1.0)}, samples=4), r"allowed: \(low, high\)"),
     "BAD_SAMPLER": (dict(over={"body.mass": (1.0, 2.0)}, samples=4, sampler="dice"), "sobol latin"),
-    "BAD_CHUNK": (dict(over={"body.mass": [1.0]}, chunk=0), "limit: >= 1"),
+    "BAD_CHUNK": (dict(over={"body.mass": [1.0]}, chunk=0), "allowed: >= 1"),
 }
 
 
