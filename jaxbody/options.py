@@ -12,6 +12,7 @@ import jax
 import jaxlib.version
 
 from jaxbody.errors import JaxbodyError, Problem, warn
+from jaxbody.jax_internals import without_manual_axes
 
 TESTED = ((0, 10), (0, 12))  # of jaxlib: XLA ends the process on an option that it does not know
 HOLDER = "--xla_backend_extra_options="
@@ -76,7 +77,7 @@ def jit_as_it_is(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
-    part = eqx.filter_jit(function)
+    part = eqx.filter_jit(without_manual_axes(function))
 
     @functools.cache
     def whole():
