@@ -97,7 +97,7 @@ def tune(
             best = _best(program.rows, searches)
     if not best.finite:
         check_slopes(program, best)
-    result = tuning_of(program, searches, best)
+    result = tuning_of(program, searches, best, max_iterations)
     warn_if_failed(result)
     return result
 
@@ -171,6 +171,7 @@ def _descend_all(program: Program, searches: list[Search], method: optax.Gradien
     values, slopes = program(np.asarray(ends))
     for i, search in enumerate(searches):
         search.found(np.asarray(ends[i]), values[i], slopes[i])
+        search.iterations = steps
         search.finite = bool(np.isfinite(values[i, program.rows.objective]))
         search.history = [(float(f), 0.0) for f in history[i]]
         search.size = abs(float(history[i, 0])) or 1.0

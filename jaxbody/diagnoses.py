@@ -19,6 +19,7 @@ from jaxtyping import Array, Int
 from jaxbody import tables
 from jaxbody.errors import Status, warn
 from jaxbody.experiments import Experiment
+from jaxbody.instruments import Accelerometer
 from jaxbody.models import Model
 from jaxbody.records import measure
 from jaxbody.results import Result
@@ -38,6 +39,9 @@ CLOSE = 0.05  # in the logarithm of a gain
 ALIKE = 0.8  # correlation from which on a gain means something
 LATE = 0.05  # samples
 SURE = 4.0  # standard errors
+HEAVY = 0.3  # part of gravity in the mean of an accelerometer, from which on it is looked for
+NONE = 0.2  # part of that mean which is none
+EARTH = (9.7, 9.9)  # m/s2
 BETTER = 0.7  # of the cost, below which another arrangement is worth telling
 
 
@@ -71,7 +75,8 @@ def diagnose(model: Model, experiments: dict[str, Experiment], **options: Any) -
     """What may be wrong with measured channels, from what the model reads with its parameters as they are; `options` go to `simulate`.
 
     Warns GAIN_FACTOR (a gain near 1000, 57.3, 9.81, 39.4 or their inverses, or negative), DELAY (above 0.05 samples and 4 standard errors of white noise),
-    SWAPPED (two channels that would fit 30 % better exchanged), LEFT_HANDED (three axes that only a reflection brings in line). Errors: those of `simulate`.
+    SWAPPED (two channels that would fit 30 % better exchanged), LEFT_HANDED (three axes that only a reflection brings in line), GRAVITY (an accelerometer's record without
+    the gravity that it reads, or with one that the model lacks). Errors: those of `simulate`.
 
     >>> times = jnp.linspace(0, 1, 50)
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
@@ -90,7 +95,7 @@ def diagnose(model: Model, experiments: dict[str, Experiment], **options: Any) -
         for key, (y, p, _) in channels.items():
             compared.append(_compared(key, np.asarray(experiment.times), y, p, step))
             words += _remarks(compared[-1])
-        words += _swapped(channels) + _mirrored(name, experiment, readings)
+        words += _swapped(channels) + _mirrored(name, experiment, readings) + _weighed(name, model, experiment, readings)
     for code, told in words:
         warn(code, told)
     return Diagnosis(jnp.asarray(Status.OK), tuple(compared), tuple(told for _, told in words))
@@ -182,4 +187,22 @@ def _mirrored(run: str, experiment: Experiment, readings: dict[str, np.ndarray])
         turned, mirrored = power - 2 * (S[0] + S[1] + S[2] * np.sign(np.linalg.det(U @ Vt))), power - 2 * S.sum()
         if np.linalg.det(U @ Vt) < 0 and mirrored < BETTER * turned:
             found.append(("LEFT_HANDED", f"{run}.{name} is in line with the model only when mirrored: are its axes left-handed?"))
+    return found
+
+
+def _weighed(run: str, model: Model, experiment: Experiment, readings: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+    """Accelerometers whose mean is that of a reading without gravity, or with one where the model has none."""
+    found, g = [], float(np.linalg.norm(model.gravity))
+    for name, sensor in experiment.sensors.items():
+        if not isinstance(sensor, Accelerometer):
+            continue
+        y, p = np.asarray(experiment.measured[name]), readings[name]
+        mean, expected = (float(np.linalg.norm(np.mean(x[np.isfinite(y) & np.isfinite(p)].reshape(-1, *y.shape[1:]), 0))) for x in (y, p))
+        if expected > HEAVY * g > 0 and mean < NONE * expected:
+            hint = "was gravity taken out already? Put it back, or leave gravity out of the model with the sag that it makes"
+            found.append(("GRAVITY", f"{run}.{name} is {mean:.3g} m/s2 on average, where an accelerometer reads {expected:.4g}: {hint}"))
+        if not g and EARTH[0] <= mean <= EARTH[1]:
+            found.append(
+                ("GRAVITY", f"{run}.{name} is {mean:.4g} m/s2 on average: it reads gravity, which the model lacks; give it gravity=")
+            )
     return found

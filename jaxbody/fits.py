@@ -29,7 +29,7 @@ class Fit(Result):
     `covariance` of u, `singular_values` of the Jacobian with relative columns, `unidentified` in words, `predicted` {run: {sensor: array}},
     `noise` {run: {sensor: rms residual}} (of a pose two, in meters and radians), `correlation` (lag one) of the residuals, `cost` 1/2 r'r,
     `history` of costs, `rounds`, where in it the noise was estimated anew, `failed` trials that could not be simulated, `at_bound` in words,
-    `limits` of u. `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED
+    `limits` of u, `remarks` on why it did not succeed. `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED
     or AT_BOUND where it is not good. Leading axes of a batch stay; standard errors are not there inside jit or vmap.
 
     >>> import inspect
@@ -52,6 +52,7 @@ class Fit(Result):
     at_bound: list[str]
     limits: tuple[np.ndarray, np.ndarray] | None = None
     rounds: tuple[int, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def paths(self) -> tuple[str, ...]:
@@ -124,17 +125,19 @@ class Fit(Result):
         return self._assessed().correlation
 
     def explain(self) -> str:
+        return "; ".join([*filter(None, [self._how_it_ended()]), *self.remarks])
+
+    def _how_it_ended(self) -> str:
         status = Status(int(self.status))
         if status in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED):
             u = self._assessed()
             return f"rank {u.rank} of {len(u.singular_values)}: " + "; ".join(u.words)
         if status == Status.AT_BOUND:
             return ", ".join(self.at_bound) + "; its interval has one side, the others are estimated with it there"
+        after = f"after {tables.counted(int(self.evaluations), 'evaluation')}; the best so far is kept"
         if status == Status.INTERRUPTED:
-            return f"after {tables.counted(int(self.evaluations), 'evaluation')}; the best so far is kept; go on with fit(..., resume=this)"
-        if status == Status.NOT_CONVERGED:
-            return f"after {tables.counted(int(self.evaluations), 'evaluation')}; the best so far is kept; start nearer, or give more max_evaluations"
-        return ""
+            return f"{after}; go on with fit(..., resume=this)"
+        return after if status == Status.NOT_CONVERGED else ""
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset of estimates and standard errors by path."""

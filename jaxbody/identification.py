@@ -22,13 +22,14 @@ from jaxbody.checkpoints import resumed, save
 from jaxbody.checks import check_precision
 from jaxbody.colorings import PRIORS
 from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete, warn
-from jaxbody.experiments import Integration, check_measurements
+from jaxbody.experiments import Experiment, Integration, check_measurements
 from jaxbody.fits import Fit
 from jaxbody.free_parameters import choose, limits_of, priors_of
 from jaxbody.implicit_fits import solve
 from jaxbody.losses import check_loss
 from jaxbody.models import Model
 from jaxbody.noises import records_of
+from jaxbody.plausibilities import first_frequency
 from jaxbody.results import warn_if_failed
 from jaxbody.searches import AT_BOUND, Evaluations, Limits, by_optax, by_scipy
 from jaxbody.simulations import check_steps
@@ -37,6 +38,7 @@ from jaxbody.tasks import Task, first_noise, noise_found, renoised, residual_and
 from jaxbody.uncertainties import assess
 
 EXACT = 100  # times the tolerance of the integration: residuals that are no noise
+SHORT = 0.25  # of the first natural period, that a record must last at least
 ROUNDS = 5  # of estimating the noise of each channel and fitting with it
 
 
@@ -207,9 +209,25 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Limits
     if status == Status.OK:
         conditions = ((uncertainty.still, Status.NEVER_MOVED), (uncertainty.rank < task.size, Status.NOT_IDENTIFIABLE), (at_bound, Status.AT_BOUND))  # fmt: skip
         status = next((found for true, found in conditions if true), Status.OK)
+    remarks = () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
     model, experiments = task.scatter(jnp.asarray(u))
     predicted = {run: runs[run][0] for run in task.experiments}
-    return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds))  # fmt: skip
+    return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds), remarks)  # fmt: skip
+
+
+def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, ...]:
+    """Records too short for anything else, or what else may help a search that has not arrived."""
+    runs = {name: run for name, run in task.experiments.items() if isinstance(run, Experiment)}
+    period = 1 / first_frequency(task.model) if runs else np.nan
+    lasts = {name: float(np.ptp(run.times)) for name, run in runs.items()}
+    short = [f"'{name}' lasts {time:.3g} s" for name, time in lasts.items() if time < SHORT * period]
+    if short:
+        return (
+            f"{', '.join(short)}, a small part of the first natural period of {period:.3g} s: record longer, or leave fewer parameters free",
+        )
+    if status != Status.NOT_CONVERGED:
+        return ()
+    return ("start nearer, or give more max_evaluations" if evaluate.spent else "start nearer, or try another method",)
 
 
 def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:

@@ -18,7 +18,7 @@ from jaxbody.parametrizations import Positive, Shifted
 from jaxbody.uncertainties import Uncertainty
 
 Interval = tuple[np.ndarray, np.ndarray]
-FEW = 30  # degrees of freedom, below which Student's t widens intervals of 95 % by more than 4 %
+FEW = 13  # degrees of freedom, below which Student's t widens intervals of 95 % by more than a tenth
 
 
 def quantile(level: float, freedom: Any, *, sides: int = 2) -> np.ndarray:

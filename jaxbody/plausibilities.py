@@ -98,6 +98,11 @@ def _gyrations(model: Model) -> dict[str, float]:
     return found
 
 
+def first_frequency(model: Model) -> float:
+    """The first natural frequency [Hz] at the reference pose; NaN where nothing resists."""
+    return float(_scales(model, *_stiff(model))[0])
+
+
 def _stiff(model: Model) -> tuple[Array, Array]:
     lin = linearize(model, model.reference)
     return lin.M, lin.K

@@ -15,6 +15,7 @@ from jaxbody import tables
 from jaxbody.design_programs import Limits, Program, Quantities
 from jaxbody.design_spaces import Space
 from jaxbody.errors import Status
+from jaxbody.kinks import jumping, setting_in
 from jaxbody.models import Model
 from jaxbody.optimizers import ACTIVE, ARRIVED, MET, Multipliers, Rows, Search, multipliers, scales
 from jaxbody.options import jit_quickly
@@ -40,7 +41,7 @@ class Tuning(Result):
     """A tuned design: `model`, `values` {path: value}, quantities `before` and `after` {name: value}, `active` limits and bounds in words,
     `multipliers` {name of a limited quantity or of a parameter at its bound: what one unit more of the limit adds to the objective}, `words` what one percent more of each buys, `history`
     (evaluations, 2) of the objective and the violation of limits, `evaluations`, and all starts in `runs`. `places` {parameter: "at its bound", "of its catalogue" or "held by nothing"}. `status` INFEASIBLE where limits are not met, `unmet` says which,
-    and NOT_CONVERGED.
+    and NOT_CONVERGED, with the `remedy`.
 
     >>> import inspect
     >>> inspect.signature(tune).return_annotation  # tune returns one
@@ -63,6 +64,7 @@ class Tuning(Result):
     space: Space
     minimize: str = eqx.field(static=True)
     limits: Limits = eqx.field(static=True)
+    remedy: str = eqx.field(static=True)
 
     def explain(self) -> str:
         if int(self.status) == Status.INFEASIBLE:
@@ -71,7 +73,7 @@ class Tuning(Result):
             gone = [name for name, where in self.places.items() if where == GONE]
             if gone:
                 return f"{', '.join(gone)} went farther than a factor of {np.exp(FAR):.0f} and nothing holds it; give bounds or limits"
-            return f"after {self.evaluations} evaluations; the best so far is kept; give more max_iterations"
+            return f"after {self.evaluations} evaluations; the best so far is kept; {self.remedy}"
         return ""
 
     def to_xarray(self) -> Any:
@@ -137,8 +139,24 @@ def _judged(search: Search, rows: Rows, space: Space) -> tuple[int, Multipliers 
     return (Status.OK.value if arrived else Status.NOT_CONVERGED.value), found
 
 
-def tuning_of(program: Program, searches: list[Search], best: Search) -> Tuning:
-    """What searches from all starts came to, told of the best."""
+def _remedy(program: Program, best: Search, iterations: int) -> str:
+    """What to do about a search that has not arrived: more iterations only if it has used all, and where a derivative jumps, none help."""
+    rows, labels = program.rows, program.labels()
+    asked = np.r_[rows.objective, rows.limited].astype(int)
+    along = np.where(best.low < best.high, best.slopes[rows.objective], 0.0)
+    jumps = jumping(lambda U: program(np.clip(U, best.low, best.high))[1][:, asked], best.u, along)
+    if jumps.any():
+        names = ", ".join(dict.fromkeys(labels[i] for i, jump in zip(asked, jumps, strict=True) if jump))
+        stops = [f"'{name}'" for name in setting_in(_placed(program.space, jnp.asarray(best.u))[0])]
+        why = f", as a law sets in just where {', '.join(stops)} is at rest: a stop that touches" if stops else ""
+        return f"derivatives of {names} jump there, a kink{why}; it may be the optimum: bounds that keep to one side of it show that"
+    if best.iterations >= iterations:
+        return "give more max_iterations"
+    return f"no step from there was better, after {best.iterations} of {iterations} iterations; try more starts, or another method"
+
+
+def tuning_of(program: Program, searches: list[Search], best: Search, iterations: int) -> Tuning:
+    """What searches from all starts came to, each of so many iterations at most, told of the best."""
     rows, space, quantities = program.rows, program.space, program.quantities
     U, values = (np.stack([getattr(search, name) for search in searches]) for name in ("u", "values"))
     codes = np.array([_judged(search, rows, space)[0] for search in searches])
@@ -147,10 +165,11 @@ def tuning_of(program: Program, searches: list[Search], best: Search) -> Tuning:
     status, prices = _judged(best, rows, space)
     told = [] if prices is None or status == Status.INFEASIBLE else _held(program, best, prices)
     model, values_of = _placed(space, jnp.asarray(best.u))
+    remedy = _remedy(program, best, iterations) if status == Status.NOT_CONVERGED else ""
     return Tuning(
         model, values_of, quantities(program.origin), quantities(best.values), {held.name: held.price for held in told},
         tuple(map(str, told)), tuple(held.worth(program.minimize, best.values[rows.objective]) for held in told), _places(space, best), _unmet(program, best.values),
-        np.array(best.history).reshape(-1, 2), program.count, runs, np.asarray(status), space, program.minimize, program.limits,
+        np.array(best.history).reshape(-1, 2), program.count, runs, np.asarray(status), space, program.minimize, program.limits, remedy,
     )  # fmt: skip
 
 

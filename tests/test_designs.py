@@ -454,6 +454,43 @@ def test_what_nothing_holds_is_no_optimum(weight, capsys):
     assert "evaluation 1, f 7.07107\n" in capsys.readouterr().err
 
 
+def test_a_search_says_to_go_on_only_where_it_was_cut_off(weight):
+    """Of three variables of a valley two iterations are too few; of a kink none are enough, and no more are asked for."""
+
+    def valley(model):
+        x, y = jnp.log(model["spring"].stiffness / 100), jnp.log(model["spring"].damping)
+        return {"f": 1 + 100 * (y - x**2) ** 2 + (1 - x) ** 2, "kink": 2 + x + 3 * jnp.abs(x - 0.3) + (y - x) ** 2}
+
+    options = dict(free=["spring.stiffness", "spring.damping"], bounds={"spring.stiffness": (10, 1e3), "spring.damping": (0.01, 100)})
+    start = jb.replace(weight, {"spring.stiffness": 60.0, "spring.damping": 3.0})
+    with pytest.warns(jb.JaxbodyWarning, match="kept; give more max_iterations"):
+        assert not jb.tune(start, valley, minimize="f", max_iterations=2, **options).ok
+    with pytest.warns(jb.JaxbodyWarning, match="derivatives of kink jump there, a kink; it may be the optimum") as told:
+        found = jb.tune(start, valley, minimize="kink", **options)
+    assert "max_iterations" not in str(told[0].message)
+    np.testing.assert_allclose(found.values["spring.stiffness"], 100 * np.exp(0.3), rtol=1e-3)
+
+
+def test_a_stop_that_just_touches_at_rest_is_named():
+    """f = sqrt(k/m)/2 pi falls with k until the sag m g/k is the gap; with less the stop is met, and f rises: the least is where it touches, k = m g/gap."""
+    struts = {"strut": jb.SpringDamper(("body", [0, 0, 0]), ("world", [0, 0, -0.5]), free_length=0.5, spring=jb.laws.Linear(3000.0) + jb.laws.Stop(gap=0.02, stiffness=2e4, engagement=5e-3))}  # fmt: skip
+    model = jb.Model(
+        bodies={"body": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+        joints={"body": jb.Guide("world", axis=[0, 0, 1])},
+        elements=struts,
+        gravity=[0, 0, -G],
+    )
+
+    def frequency(model):
+        return {"frequency": jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]}
+
+    spring = "strut.spring.terms.0.coefficient"
+    with pytest.warns(jb.JaxbodyWarning, match="just where 'strut' is at rest: a stop that touches") as told:
+        found = jb.tune(model, frequency, free=spring, minimize="frequency", bounds={spring: (100.0, 1e4)})
+    assert "derivatives of frequency jump there, a kink" in str(told[0].message) and "max_iterations" not in str(told[0].message)
+    np.testing.assert_allclose(found.values[spring], 2 * G / 0.02, rtol=1e-4)
+
+
 # The powertrain of REFERENCES, section 1
 
 

@@ -76,6 +76,27 @@ def test_sound_records_pass(swing):
     assert all(abs(c.gain - 1) < 0.05 and abs(c.delay) < 0.1 for c in result.channels)
 
 
+def test_gravity_that_was_taken_out_of_a_record_is_named(swing):
+    """An accelerometer at rest reads +9.81 upwards; a record without it is that of the motion alone. The other way round, a model in which nothing weighs anything."""
+    model, initial, _ = swing
+    sensors = {"acc": jb.Accelerometer("plate", [0.4, 0.3, 0.0]), "up": jb.Accelerometer("plate", axis=[0, 0, 1]), "along": jb.Accelerometer("plate", axis=[1, 0, 0])}  # fmt: skip
+    whole = {name: np.asarray(x) for name, x in jb.measure(jb.simulate(model, TIMES, initial=initial), sensors).items()}
+    bare = {"acc": whole["acc"] - [0, 0, 9.81], "up": whole["up"] - 9.81, "along": whole["along"]}
+
+    def codes_and_words(model, measured):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always", jb.JaxbodyWarning)
+            found = jb.diagnose(model, {"run": jb.Experiment(TIMES, initial=initial, sensors=sensors, measured=measured)})
+        return [w.message.code for w in told], found.words
+
+    assert codes_and_words(model, whole) == ([], ())
+    codes, words = codes_and_words(model, bare)
+    assert codes == ["GRAVITY"] * 2 and words[0].startswith("run.acc is ") and words[1].startswith("run.up is ")
+    assert all("was gravity taken out already?" in word for word in words)
+    codes, words = codes_and_words(jb.replace(model, {"gravity": np.zeros(3)}), whole)
+    assert codes.count("GRAVITY") == 2 and any("it reads gravity, which the model lacks" in word for word in words)
+
+
 def test_gaps_are_left_out(swing):
     def holed(m):
         x = m["edge"].copy()

@@ -302,3 +302,19 @@ def test_many_starts_find_the_optima_that_scipy_finds():
     assert several.best.ok and float(several.best.cost) == pytest.approx(several.cost[0], rel=1e-9)
     for cost in several.cost:
         assert np.abs(np.array(list(ends)) / cost - 1).min() < 1e-5, cost
+
+
+def test_a_record_much_shorter_than_the_first_period_is_said_to_be_short():
+    """0.03 s of a period of 2 pi sqrt(m/k) = 1.14 s: neither stiffness against mass, nor a search cut off, is a matter of the start."""
+    short = TIMES[:16] / 10
+    k = START[0] + 20.0 + 1e-9
+    x = X0 * np.cos(5 * short) + 1e-3 * np.random.default_rng(0).normal(size=16)
+    initial = jb.State(jnp.array([X0]), jnp.array([0.0]))
+    brief = {"brief": jb.Experiment(short, initial=initial, sensors={"x": jb.Position("mass", axis=[1, 0, 0])}, measured={"x": x})}
+    said = f"'brief' lasts 0.03 s, a small part of the first natural period of {2 * np.pi * np.sqrt(2.0 / k):.3g} s: record longer"
+    with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE") as told:
+        found = fit(oscillator(), brief, ("left.stiffness", "mass.mass"))
+    assert said in found.report() and said in str(found) and said in str(told[0].message)
+    with pytest.warns(jb.JaxbodyWarning, match="NOT_CONVERGED") as told:
+        found = fit(oscillator(), brief, ("left.stiffness", "mass.mass"), max_evaluations=3)
+    assert said in found.report() and "start nearer" not in found.report()
