@@ -1,5 +1,6 @@
 """The tests compute in float64, each draws its own random numbers, the same in every run, and programs compiled for a file go with it."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -28,3 +29,9 @@ def room_for_programs():
     yield
     if MAPS.exists() and MAPS.read_text().count("\n") > MANY:
         jax.clear_caches()
+
+
+def pytest_sessionfinish():
+    """What is alive stays out of the collections at the end: with millions of objects they take longer than the five seconds after which a
+    worker is sent SIGINT, whose KeyboardInterrupt JAX's hook of the collector printed."""
+    gc.freeze()

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 
 import diffrax
 import jax
@@ -46,12 +47,14 @@ def test_each_is_one_program_whatever_the_values():
 @pytest.mark.long
 def test_another_shape_or_option_is_another_program():
     model, options = rigs.plate(), dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.01)
+    begin = time.perf_counter()
     with jb.compile_times() as spent:
         jb.simulate(model, np.linspace(0, 0.1, 6), solver=diffrax.Euler(), **options)
+    elapsed = time.perf_counter() - begin
     assert spent.programs["integrate"][3] == 1
     assert all(seconds > 0 for seconds in spent.programs["integrate"][:3])
     assert spent.count >= 1
-    assert spent.seconds < 60
+    assert spent.seconds <= elapsed  # seconds they are, none of them counted twice
     assert "integrate" in repr(spent)
     before = spent.count
     jax.jit(lambda x: x * 3.25)(jnp.ones(7))
