@@ -186,6 +186,17 @@ def simulate(
     default; forward mode with adjoint=diffrax.ForwardMode(), which is faster for few parameters. A batch by jax.vmap runs in chunks of 40, each member with steps of its own;
     with constant steps it takes half the time, but nothing controls the error: compare with a shorter dt0.
 
+    What rtol leaves after 10 s on a shaking base, of a plate on 5 springs and of three boxes on 14: the largest error [m, rad], the relative error of a derivative by
+    reverse mode, and the time (tests/benchmarks/tolerances.py):
+
+        rtol                  1e-3   1e-4   1e-5   1e-6   1e-7   1e-8   1e-9   1e-10
+        error, plate          2e-6   2e-7   3e-8   5e-9   8e-10  1e-10  3e-11  4e-12
+        error, boxes          2e-5   3e-6   6e-7   9e-8   1e-8   2e-9   4e-10  7e-11
+        derivative            2e-3   1e-4   1e-5   2e-6   2e-7   3e-8   4e-9   6e-10
+        time                  0.3    0.35   0.45   0.6    0.8    1      1.3    1.7
+
+    For motions to look at, 1e-5 is plenty. The default is for derivatives, whose errors are a hundred times as large, and for what compares runs: fits, tunings, differences.
+
     Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME of a support, UNKNOWN_BODY of a load. An integration that ends early
     warns, and returns what it has with a status.
 

@@ -1,9 +1,11 @@
 """The exact motion: energy and work, what samples and shifts of time do to it, and what is said when it can't go on."""
 
+import inspect
 import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import diffrax
 import jax
@@ -84,6 +86,25 @@ def test_energy_stays_within_a_hundred_tolerances_for_ten_seconds(name, rtol, st
         "drift", name, rtol, np.abs(energy - energy[0]).max() / energy[0] / rtol, "rtol, steps", trajectory.statistics["num_accepted_steps"]
     )
     assert np.abs(energy - energy[0]).max() <= 100 * rtol * energy[0]
+
+
+def test_the_errors_by_rtol_are_those_of_the_docstring(monkeypatch):
+    """Of the plate of the benchmarks against SciPy's DOP853 at 1e-13; the table has one digit, and is not to be wrong by more than a factor of two."""
+    monkeypatch.syspath_prepend(Path(__file__).parent / "benchmarks")
+    from plate import JOB
+
+    rows = [line.split() for line in inspect.getdoc(jb.simulate).splitlines()]
+    tolerances, errors = (
+        [float(number) for number in row[len(head) :]]
+        for head in (["rtol"], ["error,", "plate"])
+        for row in rows
+        if row[: len(head)] == head
+    )
+    times = np.linspace(0, 10, 101)
+    exact = JOB.solution(JOB.stiffness, times, rtol=1e-13)
+    for rtol, stated in list(zip(tolerances, errors, strict=True))[::2]:
+        found = JOB.error(jb.simulate(JOB.model(), times, motion=JOB.motion(), rtol=rtol).state.q, exact)
+        assert stated / 10 < found < 2 * stated, (rtol, found)
 
 
 def base_velocity(times):
