@@ -269,8 +269,8 @@ def test_a_curve_may_have_another_separator_and_decimal_commas(tmp_path):
     [
         ("a [mm];b [kN]\n0;1,5\n1;2,5\n2;3,5\n3;4,5\n", {}, "DECIMAL_COMMA", ["curve.csv:2", 'decimal=","']),
         ("a [mm]|b [kN]\n0|1\n1|2\n", {}, "NO_NUMBERS", ["separated by"]),
-        ("a [mm],b [kN]\n" + "0,1\n" * 40, {"largest": 100}, "TOO_LARGE", ["174 bytes", "limit: 100 bytes"]),
-        ("a [mm],b [kN],c [N]\n0,1,2\n1,2,3\n", {}, "BAD_SHAPE", ["3 columns", "limit: two"]),
+        ("a [mm],b [kN]\n" + "0,1\n" * 40, {"largest": 100}, "TOO_LARGE", ["174 bytes", "allowed: 100 bytes"]),
+        ("a [mm],b [kN],c [N]\n0,1,2\n1,2,3\n", {}, "BAD_SHAPE", ["3 columns", "allowed: two"]),
         ("a [kN],b [mm]\n0,1\n1,2\n", {}, "WRONG_DIMENSION", ["'a' in 'kN'", "'b' in 'mm'", "First elongation"]),
         ("a,b [kN]\n0,1\n1,2\n", {}, "NO_UNIT", ["column 'a'"]),
     ],
