@@ -8,15 +8,17 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import rotations, tables
-from jaxbody.arrays import device_array
+from jaxbody.arrays import device_array, stack
 from jaxbody.bodies import vector
 from jaxbody.checks import check_attached, check_precision, check_state
+from jaxbody.derivatives import placed
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
 from jaxbody.frames import Pose
-from jaxbody.load_paths import Raised
+from jaxbody.kinematics import Coordinates
+from jaxbody.load_paths import Raised, residual
 from jaxbody.loads import STANDARD_GRAVITY, Load, loads_of
 from jaxbody.mechanics import each_element, frames_of
 from jaxbody.models import Model, State
@@ -24,7 +26,14 @@ from jaxbody.naming import by_name
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import product
-from jaxbody.statics import Equilibrium, equilibrium_of, under_loads
+from jaxbody.statics import DESCENDED, Ended, Equilibrium, ended_under, equilibrium_of, scale_of, size_of, standing
+
+MAX_STEPS = 200  # of a search
+UNFELT = 1e-9  # of what is applied: less than this in every coordinate is round-off
+BY_JOINTS = (
+    "carried by the joints alone, so nothing moves and no spring feels it; if it should tilt a body, put the point O, "
+    "about which that body turns, and its centre of mass (com) at their own heights"
+)
 
 
 class LoadCase(eqx.Module):
@@ -48,7 +57,7 @@ class LoadCase(eqx.Module):
 class LoadCases(Result):
     """What every case does, beside the equilibrium without it, `unloaded`: by body `displacements` of its origin [m] and `rotations` (vector
     [rad]), both world axes, (cases, 3); by element `strokes`, the changes of its deformation, and `forces`, in all [m, N; of a bushing six each], (cases, ...);
-    `state`, and for each case `status` and `load_factor`."""
+    `state`, and for each case `status`, `load_factor`, `descended` (as of an Equilibrium) and `by_joints`, whether joints carry the whole of it, so that nothing moves."""
 
     status: Int[Array, "nc"]
     load_factor: Float[Array, "nc"]
@@ -58,6 +67,8 @@ class LoadCases(Result):
     turned: Float[Array, "nc nb 3"]
     stroked: tuple[Array, ...]
     loaded: tuple[Array, ...]
+    descended: Bool[Array, "nc"]
+    by_joints: Bool[Array, "nc"]
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property
@@ -86,7 +97,12 @@ class LoadCases(Result):
             for name, code, factor in zip(self.names, codes, np.asarray(self.load_factor), strict=True)
             if code
         ]
-        return "; ".join(failed) or "ok"
+        notes = [
+            f"{', '.join(repr(name) for name, yes in zip(self.names, np.asarray(marks), strict=True) if yes)} {words}"
+            for marks, words in ((self.descended, DESCENDED), (self.by_joints, BY_JOINTS))
+            if np.any(marks)
+        ]
+        return "; ".join([*(failed or ["ok"]), *notes])
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset by `case`: displacement and rotation by `body`, stroke and force by element."""
@@ -126,8 +142,8 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
 
         dV/dDelta = Q - m a,   raised from nothing along the stable branch of each case
 
-    `at`: where the search for the equilibrium without the cases starts. A case that is not borne keeps the last load factor that is, and says NO_EQUILIBRIUM or
-    LIMIT_POINT. Differentiable. Errors: NO_CASE, UNKNOWN_BODY, UNATTACHED, WRONG_KIND.
+    `at`: where the search for the equilibrium without the cases starts. A case that is not carried in full keeps the last load factor that is, and says NO_EQUILIBRIUM or
+    LIMIT_POINT; the report names cases that joints carry alone. Differentiable. Errors: NO_CASE, UNKNOWN_BODY, UNATTACHED, WRONG_KIND.
 
     >>> model = Model(bodies={"engine": Body(mass=150.0, inertia=[8, 4, 7])}, gravity=[0, 0, -9.81], joints={"engine": Guide("world", axis=[0, 0, 1])},
     ...               elements={"mount": Spring(("engine", [0, 0, 0]), ("world", [0, 0, -1]), stiffness=8e5, free_length=1.0)})
@@ -154,25 +170,41 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     loads = tuple(load for group in each for load in group)
     owner = np.repeat(np.arange(len(each)), [len(group) for group in each])
     weights = (np.arange(len(each))[:, None] == owner).astype(float)
-    accelerations = jnp.stack([device_array(case.acceleration) for case in cases.values()])
-    unloaded = equilibrium_of(model, None if start is None else start.q, (), 200)
+    changes = stack([-STANDARD_GRAVITY * case.acceleration for case in cases.values()])
+    q = None if start is None else start.q
+    unloaded = equilibrium_of(model, q, MAX_STEPS)
     warn_if_failed(unloaded)
-    result = _load_cases(model, unloaded, loads, device_array(weights), accelerations, tuple(cases))
+    raised = Raised(loads, device_array(weights), changes)
+    result = _load_cases(model, unloaded, ended_under(model, unloaded, q, raised, MAX_STEPS, many=True), raised, tuple(cases))
     warn_if_failed(result)
     return result
 
 
 @jit_as_it_is
-def _load_cases(model: Model, unloaded: Equilibrium, loads, weights, accelerations, names: tuple[str, ...]) -> LoadCases:
-    def one(weights, acceleration):
-        found = under_loads(model, unloaded, Raised(loads, weights, -STANDARD_GRAVITY * acceleration))
-        return found.status, found.load_factor, found.state, _placed(model, found.state)
+def _load_cases(model: Model, unloaded: Equilibrium, ended: Ended, raised: Raised, names: tuple[str, ...]) -> LoadCases:
+    coordinates = Coordinates(model)
+    rest = placed(coordinates, unloaded.state.q, base=False)
+    scale = scale_of(model, size_of(model))
 
-    status, factor, state, (pose, deformations, forces) = jax.vmap(one)(weights, accelerations)
+    def one(raised, ended):
+        found = standing(coordinates, ended, raised)
+        felt = jnp.max(jnp.abs(residual(rest, raised) - residual(rest, raised, 0.0)) * scale, initial=0.0)
+        applied = jnp.sum(model.bodies.rows.mass) * jnp.max(jnp.abs(raised.gravity))
+        for load, weight in zip(raised.loads, raised.weights, strict=True):
+            force, moment = load.wrench(jnp.zeros((), scale.dtype), rest.frames[model.layout.frame(load.on)])
+            applied = applied + weight * jnp.maximum(jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment)) / size_of(model))
+        by_joints = (felt <= UNFELT * applied) & (applied > 0)
+        return found.status, found.load_factor, found.state, _placed(model, found.state), found.descended, by_joints
+
+    status, factor, state, (pose, deformations, forces), descended, by_joints = jax.vmap(one, in_axes=(Raised(None, 0, 0), 0))(
+        raised, ended
+    )
+    failed = unloaded.status * ~(unloaded.ok | (unloaded.status == Status.SINGULAR_K) | (unloaded.status == Status.TABLE_RANGE))
+    status = jnp.where(failed > 0, failed, status)
     still, relaxed, _ = _placed(model, unloaded.state)
     turned = rotations.log(product(pose.R, jnp.swapaxes(still.R, -1, -2)))
     strokes = tuple(e - e0 for e, e0 in zip(deformations, relaxed, strict=True))
-    return LoadCases(status, factor, state, unloaded, pose.p - still.p, turned, strokes, forces, names)
+    return LoadCases(status, factor, state, unloaded, pose.p - still.p, turned, strokes, forces, descended, by_joints, names)
 
 
 def _placed(model: Model, state: State) -> tuple[Pose, tuple[Array, ...], tuple[Array, ...]]:

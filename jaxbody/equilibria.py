@@ -13,12 +13,13 @@ from jaxtyping import Array
 from jaxbody import tables
 from jaxbody.checks import check_attached, check_precision
 from jaxbody.derivatives import expansion, placed, stiffness
+from jaxbody.descents import SINGULAR, descend, signs
 from jaxbody.errors import Status
 from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model
 from jaxbody.options import jit_quickly
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.statics import SINGULAR, Equilibrium, apart, descend, judged_at, scale_of, signs, size_of, unloaded
+from jaxbody.statics import Ended, Equilibrium, apart, nothing, scale_of, size_of, standing
 
 SAME = 1e-9  # of the spread of energies, within which two may be one
 DESCENT, ROOTED = 200, 60  # steps of a search
@@ -134,7 +135,8 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
 
     def judged(q, signs_of_K, converged, steps):
         status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)
-        return judged_at(coordinates, q, signs_of_K, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
+        negative, singular = signs_of_K
+        return standing(coordinates, Ended(q, negative, singular, status, steps, jnp.ones((), q.dtype)), nothing(q.dtype))
 
     both = [jax.vmap(search)(q) for search in (descended, rooted)]
     return jax.vmap(judged)(*jax.tree.map(lambda *x: jnp.concatenate(x), *both))

@@ -147,7 +147,7 @@ MESSAGES = {
     Status.NEVER_MOVED: "a free parameter has no effect on the data",
     Status.AT_BOUND: "a parameter ended at its bound",
     Status.TABLE_RANGE: "a law was used beyond the points of its table",
-    Status.NO_EQUILIBRIUM: "no equilibrium bears the full load",
+    Status.NO_EQUILIBRIUM: "no equilibrium was found",
     Status.LIMIT_POINT: "the load cannot be raised further: the stiffness vanishes there",
     Status.NOT_SYMMETRIC: "K is not symmetric, as a load has no potential: there are no real modes",
     Status.UNBALANCED: "the free lengths cannot balance the pose",

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.derivatives import Placed, placed, slope, stiffness
+from jaxbody.derivatives import Placed, expansion, placed, slope, stiffness
 from jaxbody.frames import Pose
 from jaxbody.kinematics import Coordinates
 from jaxbody.loads import Load
@@ -92,6 +92,21 @@ def residual(at: Placed, raised: Raised, factor=1.0) -> Float[Array, "nv"]:
 def tangent(at: Placed, raised: Raised, factor=1.0) -> Float[Array, "nv nv"]:
     """K = d2V/dDelta2 - lambda dQ/dDelta of a model placed without its base."""
     return stiffness(under(at, raised, factor)) - factor * stiffness_of_loads(at.model, at.q, raised.loads, raised.weights)
+
+
+def energy_of_loads(at: Placed, raised: Raised) -> Float[Array, ""]:
+    """Potential energy of the loads at time 0; NaN where one of them has none."""
+    layout, t, total = at.model.layout, jnp.zeros((), at.q.dtype), jnp.zeros((), at.q.dtype)
+    for load, weight in zip(raised.loads, raised.weights, strict=True):
+        total = total + jnp.where(weight == 0, 0.0, weight * load.potential(t, at.frames[layout.frame(load.on)]))
+    return total
+
+
+def expansion_under(at: Placed, raised: Raised) -> tuple[Float[Array, ""], Float[Array, "nv"], Float[Array, "nv nv"]]:
+    """Potential energy of model and loads, its gradient and Hessian, of a model placed without its base."""
+    V, g, K = expansion(under(at, raised))
+    Q = generalized(at.model, at.q, raised.loads, raised.weights, jnp.zeros_like(g))
+    return V + energy_of_loads(at, raised), g - Q, K - stiffness_of_loads(at.model, at.q, raised.loads, raised.weights)
 
 
 class _At(eqx.Module):

@@ -47,6 +47,10 @@ class Load(eqx.Module):
         """What of it varies with time."""
         return ()
 
+    def potential(self, t: Float[Array, ""], frame: Frame) -> Float[Array, ""]:
+        """Potential energy [J] at a time, whose gradient is minus the load; NaN where it has none."""
+        return jnp.full_like(t, jnp.nan)
+
     def wrench(self, t: Float[Array, ""], frame: Frame) -> Wrench:
         """Force, and moment about the origin of the body, world axes."""
         F, M = self.at_point(t, frame)
@@ -79,6 +83,11 @@ class Force(Load):
 
     def signals(self):
         return self.force, self.moment
+
+    def potential(self, t, frame):
+        """-F . P of a dead force without a moment."""
+        dead = (self.axes == "world") & ~jnp.any(self.moment(t) != 0)
+        return jnp.where(dead, -dot(self.force(t), frame.p + rotate(frame.R, self.point)), jnp.nan)
 
     def at_point(self, t, frame):
         F, M = self.force(t), self.moment(t)

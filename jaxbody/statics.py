@@ -3,9 +3,8 @@ function theorem.
 
     dV/dDelta = 0,    dq/dp = -K^-1 d2V/dDelta dp
 
-The search is Newton's method made to descend: K + lambda I with lambda raised until it is positive definite and the energy falls, so it does
-not stop at maxima. It works on nondimensional increments, rotations times the length `size_of(model)`. Loads, which may have no
-potential, are then raised step by step (load_paths).
+The search descends (descents). Loads, which may have no potential, are then raised step by step (load_paths); where that cannot begin, as K is
+singular without them, the potential of dead loads and weights is descended.
 """
 
 from __future__ import annotations
@@ -19,15 +18,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import tables
+from jaxbody.arrays import device_array
 from jaxbody.checks import check_attached, check_precision, check_state
-from jaxbody.derivatives import expansion, placed, stiffness
+from jaxbody.derivatives import placed, stiffness
+from jaxbody.descents import SINGULAR, descend, signs
 from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates
 from jaxbody.lane_marks import any_of_batch
-from jaxbody.lanes import LANES, in_lanes
 from jaxbody.laws import has_range
-from jaxbody.linear_solves import is_definite, solve_if_definite
-from jaxbody.load_paths import Path, Raised, follow, residual, tangent, under, with_gravity
+from jaxbody.load_paths import Path, Raised, energy_of_loads, follow, residual, tangent, under, with_gravity
 from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, potential
 from jaxbody.models import Layout, Model, State
@@ -35,16 +34,16 @@ from jaxbody.naming import by_name
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 
-TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the error left is its square
-SINGULAR = 1e-10  # eigenvalues of the nondimensional K, relative to the largest, that count as zero
 RUNAWAY = 20  # sizes of the model from the start, beyond which a search is falling
-LEAST_SHIFT = 1e-11  # keeps a free motion from making the system singular
+SOFTEST = 1e-7  # smallest eigenvalue of K over the largest, from which a path may begin; where springs resist by their cube alone, a search ends at 1e-9
+DESCENDED = "by descent of the potential of the loads, whose path cannot begin: K is singular without them"
 
 
 class Equilibrium(Result):
     """A configuration of rest: `state`, `residual` dV/dDelta - Q [N, N m], `energy` V [J], `stable`, `negative` (how many eigenvalues
     of K are), `steps`, `elongations` by name; `status` NOT_CONVERGED, UNSTABLE, SINGULAR_K, TABLE_RANGE, NO_EQUILIBRIUM or LIMIT_POINT where it is not
-    good. Under loads, `load_factor` is how much of them is borne, and `path` how K changed on the way."""
+    good. Under loads, `load_factor` is how much of them is carried, `path` how K changed on the way; `descended`, whether the path could not begin and the
+    potential of the loads was descended instead."""
 
     state: State
     residual: Float[Array, "nv"]
@@ -58,6 +57,7 @@ class Equilibrium(Result):
     loads: tuple[Load, ...]
     load_factor: Float[Array, ""]
     path: Path | None
+    descended: Bool[Array, ""]
 
     @property
     def elongations(self) -> dict[str, Array]:
@@ -90,18 +90,25 @@ class Equilibrium(Result):
         return ""
 
     def _how_much(self) -> str:
-        """How much of the loads, or of the weights, is borne."""
+        """How much of the loads, or of the weights, is carried."""
+        if self.descended:
+            return (
+                "none was found by raising the loads, as K is singular without them, nor by descent of their potential from the start, "
+                "which a moment or a load that turns with its body has not"
+            )
         if self.path is not None:
             smallest = np.asarray(self.path.smallest)
             last = smallest[np.isfinite(smallest)][-1]
-            borne = f"load factor {float(self.load_factor):.4g} of 1, where the state is; the smallest eigenvalue of K, relative to the largest without loads, went "
-            return borne + f"from {smallest[0]:.3g} to {last:.3g} (plots.load_path draws it)"
+            return (
+                f"none was found by raising the loads beyond load factor {float(self.load_factor):.4g} of 1, where the state is; "
+                f"the smallest eigenvalue of K, relative to the largest without loads, went from {smallest[0]:.3g} to {last:.3g} (plots.load_path draws it)"
+            )
         weightless = with_gravity(self.model, -self.model.gravity)
-        start = equilibrium_of(weightless, None, (), 200)
+        start = equilibrium_of(weightless, None, 200)
         if int(start.status) not in (Status.OK, Status.SINGULAR_K):
-            return "nor is there one without the weights"
-        found = under_loads(weightless, start, Raised((), jnp.zeros(0), self.model.gravity))
-        return f"{100 * float(found.load_factor):.4g} % of the weights is borne"
+            return "none was found by descent, nor without the weights"
+        raised = Raised((), np.zeros(0), self.model.gravity)
+        return f"none was found by descent; {100 * float(_along_path(weightless, start, raised, False)[0].factor):.4g} % of the weights is carried"
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: q by part, residual by coordinate, elongation by spring, energy, status."""
@@ -116,6 +123,8 @@ class Equilibrium(Result):
         ]
         note = self.report() if is_concrete(self.status) else ""
         note += ", a local one" if note == "ok" else ""
+        if is_concrete(self.descended) and np.any(self.descended):
+            note += f"; {DESCENDED}"
         elements = [(name, tables.without_dust(e)) for name, e in self.elongations.items()]
         largest = np.abs(self.residual).max() if is_concrete(self.residual) and self.residual.size else None
         return [
@@ -128,7 +137,8 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     """The stable configuration of rest that descent from `start` (without it, the reference pose) leads to, supports at their reference poses.
 
     dV/dDelta = 0 with positive definite K = d2V/dDelta2. `loads` {name: load}, as at time 0, are then raised from nothing along the stable
-    branch: dV/dDelta = Q. Differentiable with respect to the model in forward and reverse mode, to
+    branch: dV/dDelta = Q; where that path cannot begin, as K is singular without loads (an unstressed string pushed sideways), V less the work of dead
+    forces is descended from `start`, and the result is `descended`. Differentiable with respect to the model in forward and reverse mode, to
     any order; the derivative of a search that failed, or through a singular K, is NaN. Errors: UNATTACHED, BAD_SHAPE, UNKNOWN_BODY of a load; warns by status.
     Source: (63) of the paper.
 
@@ -141,71 +151,130 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     check_attached(model)
     if start is not None:
         check_state(model, start, "start")
-    result = equilibrium_of(model, None if start is None else start.q, loads_of(loads, model.layout.bodies), max_steps)
+    q = None if start is None else start.q
+    result, acting = equilibrium_of(model, q, max_steps), loads_of(loads, model.layout.bodies)
+    if acting:
+        result = under_loads(model, result, q, Raised(acting, device_array(np.ones(len(acting))), device_array(np.zeros(3))), max_steps)
     warn_if_failed(result)
     return result
 
 
+class Ended(eqx.Module):
+    """Where a search ended: the configuration, how many eigenvalues of K are negative there and whether one is zero, the status but for stability."""
+
+    q: Float[Array, "nq"]
+    negative: Int[Array, ""]
+    singular: Bool[Array, ""]
+    status: Int[Array, ""]
+    steps: Int[Array, ""]
+    factor: Float[Array, ""]
+    path: Path | None = None
+    descended: Any = False
+
+
 @jit_as_it_is
-def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, loads: tuple[Load, ...], max_steps: int) -> Equilibrium:
-    """The jitted core of `equilibrium`."""
+def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, max_steps: int) -> Equilibrium:
+    """The jitted core of `equilibrium` without loads."""
     coordinates = Coordinates(model)
-    frozen = jax.lax.stop_gradient(coordinates)
+    return standing(coordinates, _downhill(coordinates, start, max_steps), nothing(model.gravity.dtype))
+
+
+def _downhill(coordinates: Coordinates, start: Float[Array, "nq"] | None, max_steps, raised: Raised | None = None) -> Ended:
+    """By descent from the start, or from the reference pose."""
+    frozen, raised = jax.lax.stop_gradient((coordinates, raised))
     start = frozen.reference.q if start is None else jax.lax.stop_gradient(start)
     size = size_of(frozen.model)
-    q, signs_of_K, converged, steps = descend(frozen, start, scale_of(frozen.model, size), size, max_steps)
-    moved = jnp.max(jnp.abs(q - start) * jnp.where(model.layout.angular, size, 1.0), initial=0.0)
+    q, (negative, singular), converged, steps = descend(frozen, start, scale_of(frozen.model, size), size, max_steps, raised)
+    moved = jnp.max(jnp.abs(q - start) * jnp.where(frozen.model.layout.angular, size, 1.0), initial=0.0)
     runaway = ~converged & (moved > RUNAWAY * size)
     status = jnp.select([runaway, ~converged], [Status.NO_EQUILIBRIUM.value, Status.NOT_CONVERGED.value], Status.OK.value)
-    eq = judged_at(coordinates, q, signs_of_K, status, steps, unloaded(q.dtype), None, jnp.ones((), q.dtype))
-    return eq if not loads else under_loads(model, eq, Raised(loads, jnp.ones(len(loads), q.dtype), jnp.zeros(3, q.dtype)))
+    return Ended(q, negative, singular, status, steps, jnp.ones((), q.dtype))
+
+
+def under_loads(model: Model, unloaded: Equilibrium, start: Float[Array, "nq"] | None, raised: Raised, max_steps: int) -> Equilibrium:
+    """The equilibrium under loads."""
+    return _standing(model, ended_under(model, unloaded, start, raised, max_steps), raised)
+
+
+def ended_under(model: Model, unloaded: Equilibrium, start, raised: Raised, max_steps: int, *, many: bool = False) -> Ended:
+    """The search under loads, by their path or by descent; `many`: of each row of the weights and changes of gravity.
+
+    Two programs, as few models need the second; where the first is being traced, both."""
+    ended, settled = _along_path(model, unloaded, raised, many)
+
+    def descended():
+        return _by_descent(model, start, raised, max_steps, many, ended, settled)
+
+    if is_concrete(settled):
+        return ended if np.asarray(settled).all() else descended()
+    return jax.lax.cond(any_of_batch(~jnp.all(settled)), descended, lambda: ended)
+
+
+def _each(function, many: bool):
+    """Over rows of weights and changes of gravity."""
+    return jax.vmap(function, in_axes=(Raised(None, 0, 0), 0)) if many else function
 
 
 @jit_as_it_is
-def under_loads(model: Model, start: Equilibrium, raised: Raised) -> Equilibrium:
-    """The equilibrium that the path of the loads from an unloaded one leads to."""
-    coordinates = Coordinates(model)
-    frozen, still = jax.lax.stop_gradient((coordinates, raised))
+def _along_path(model: Model, unloaded: Equilibrium, raised: Raised, many: bool) -> tuple[Ended, Bool[Array, "*n"]]:
+    """By the path of the loads from the unloaded equilibrium, and whether that settles it: it does not where K is singular at its beginning, unless
+    the path came to its end or to a limit point."""
+    frozen, still, q0 = jax.lax.stop_gradient((Coordinates(model), raised, unloaded.state.q))
     size = size_of(frozen.model)
-    scale = scale_of(frozen.model, size)
-    q, K, factor, path, ahead = follow(frozen, jax.lax.stop_gradient(start.state.q), still, scale, size)
-    borne = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
-    fit = jnp.isin(start.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
-    return judged_at(coordinates, q, signs((K + K.T) / 2), jnp.where(fit, borne, start.status), start.steps, raised, path, factor)
+    fit = jnp.isin(unloaded.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
+
+    def one(raised, _):
+        q, K, factor, path, ahead = follow(frozen, q0, raised, scale_of(frozen.model, size), size)
+        carried = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
+        negative, singular = signs((K + K.T) / 2)
+        ended = Ended(q, negative, singular, carried, unloaded.steps, factor, path, jnp.array(False))
+        return ended, fit & ((factor >= 1) | (ahead & (factor > 0)) | (path.smallest[0] > SOFTEST))
+
+    return _each(one, many)(still, jnp.zeros(len(raised.gravity)))
 
 
-def judged_at(coordinates: Coordinates, q, signs_of_K, status, steps, raised: Raised, path: Path | None, factor) -> Equilibrium:
-    """What stands at q, where the nondimensional K has these signs: its stability, its derivative, what the springs do."""
-    negative, singular = signs_of_K
-    failed = status != Status.OK
-    q = _implicit((coordinates, raised), q, ~failed & ~singular)
+@jit_as_it_is
+def _by_descent(model: Model, start, raised: Raised, max_steps: int, many: bool, ended: Ended, settled: Bool[Array, "*n"]) -> Ended:
+    """By descent of the potential of model and loads, where the path settles nothing."""
+    coordinates = Coordinates(model)
+
+    def one(raised, others):
+        ended, settled = others
+        found = _downhill(coordinates, start, max_steps, raised)
+        has_energy = jnp.isfinite(energy_of_loads(placed(coordinates, found.q, base=False), raised))
+        status = jnp.where(has_energy, found.status, Status.NO_EQUILIBRIUM.value)
+        ok = status == Status.OK
+        factor = jnp.where(ok, found.factor, 0.0)
+        found = Ended(found.q, found.negative, found.singular, status, found.steps, factor, ended.path, jnp.array(True))
+        return jax.tree.map(lambda a, b: jnp.where(settled | (~ok & (ended.factor > 0)), a, b), ended, found)
+
+    return _each(one, many)(jax.lax.stop_gradient(raised), (ended, settled))
+
+
+@jit_as_it_is
+def _standing(model: Model, ended: Ended, raised: Raised) -> Equilibrium:
+    return standing(Coordinates(model), ended, raised)
+
+
+def standing(coordinates: Coordinates, ended: Ended, raised: Raised) -> Equilibrium:
+    """What stands where a search ended: its stability, its derivative, what the springs do."""
+    failed = ended.status != Status.OK
+    q = _implicit((coordinates, raised), ended.q, ~failed & ~ended.singular)
     model, at = coordinates.model, placed(coordinates, q, base=False)
     zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
     beyond = jnp.any(beyond_laws(model, frames)) if has_range(model.elements) else jnp.array(False)
     status = jnp.select(
-        [failed, negative > 0, singular, beyond], [status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
+        [failed, ended.negative > 0, ended.singular, beyond], [ended.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
     return Equilibrium(
-        State(q, zero), residual(at, raised, factor), potential(under(at, raised, factor).model, frames), negative,
-        ~failed & (negative == 0), status, steps, tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), model,
-        raised.loads, factor, path,
+        State(q, zero), residual(at, raised, ended.factor), potential(under(at, raised).model, frames), ended.negative,
+        ~failed & (ended.negative == 0), status, ended.steps,
+        tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), model, raised.loads, ended.factor, ended.path,
+        jnp.asarray(ended.descended),
     )  # fmt: skip
 
 
-def signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
-    """How many eigenvalues of K are negative, and whether one is zero; eigenvalues are asked for only where elimination finds K not definite."""
-
-    def by_eigenvalues():
-        values = jnp.linalg.eigvalsh(K)
-        tolerance = SINGULAR * jnp.max(jnp.abs(values), initial=0.0)
-        return jnp.sum(values < -tolerance), jnp.any(jnp.abs(values) <= tolerance)
-
-    largest = jnp.sqrt(jnp.sum(K * K))  # or more
-    definite = is_definite(K - SINGULAR * largest * np.eye(len(K), dtype=K.dtype))
-    return jax.lax.cond(any_of_batch(~definite), by_eigenvalues, lambda: (jnp.zeros((), int), jnp.array(False)))
-
-
-def unloaded(dtype) -> Raised:
+def nothing(dtype) -> Raised:
     """Nothing to raise."""
     return Raised((), jnp.zeros(0, dtype), jnp.zeros(3, dtype))
 
@@ -238,51 +307,6 @@ def size_of(model: Model) -> Float[Array, ""]:
 def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
     """Delta per nondimensional increment: 1 for translations, 1/size for rotations (both in meters then)."""
     return jnp.where(model.layout.turns, 1 / size, 1.0)
-
-
-def descend(coordinates: Coordinates, q, scale, size, max_steps):
-    """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step go down."""
-    numbers, rest = eqx.partition(coordinates, eqx.is_array)
-    lanes = 2 * LANES if len(scale) <= 6 else LANES  # more share the calls of a loop, fewer keep all of K near the processor
-    return in_lanes(lambda numbers, *given: _descend(eqx.combine(numbers, rest), *given), lanes=lanes)(numbers, q, scale, size, max_steps)
-
-
-def _descend(coordinates, q, scale, size, max_steps):
-
-    def step(carry):
-        """Judge the configuration tried, keep the better one, try the next."""
-        best, tried, shift, expected, tiny, _, n = carry
-        value, slope, K = expansion(placed(coordinates, tried, base=False))
-        # below `tiny` the energy's rounding hides its fall
-        falls = (expected > 0) & (best[1] - value >= 1e-4 * expected)
-        accept = jnp.isfinite(value) & (falls | tiny | (n == 0))
-        best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (tried, value, slope * scale, K * scale * scale[:, None]), best)
-        shift = jnp.where(accept, jnp.where(shift > 1e-3, shift / 10, 0.0), jnp.maximum(4 * shift, 0.1))
-        _, _, slope, K = best
-        unit = jnp.max(jnp.abs(K), initial=0.0)
-        unit = jnp.where(unit > 0, unit, 1.0)
-        y, definite = solve_if_definite(K + (shift + LEAST_SHIFT) * unit * np.eye(len(scale), dtype=K.dtype), -slope)
-        longest = jnp.max(jnp.abs(y), initial=0.0)
-        y = jnp.where(definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0)  # else no step, and a larger shift next
-        expected = -jnp.sum(y * slope) - 0.5 * jnp.sum(y * jnp.sum(K * y, -1))
-        at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= 1e-14 * unit * size  # on a saddle too, where no step is worth anything
-        near = accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= TOLERANCE * size)
-        done = definite & (near | at_rest)
-        tried = coordinates.retract(best[0], scale * y)
-        return best, tried, shift, expected, definite & (longest < 1e-6 * size), done, n + 1
-
-    n = len(scale)
-    zero = jnp.zeros((), q.dtype)
-    start = ((q, zero, jnp.zeros(n, q.dtype), jnp.zeros((n, n), q.dtype)), q, zero, zero, jnp.array(False), jnp.array(n == 0), jnp.array(0))
-
-    def active(carry):
-        return ~carry[5] & (carry[6] < max_steps)
-
-    def masked(carry):
-        return jax.tree.map(lambda new, old: jnp.where(active(carry), new, old), step(carry), carry)
-
-    best, tried, _, _, _, done, steps = jax.lax.while_loop(lambda carry: any_of_batch(active(carry)), masked, start)
-    return jnp.where(done, tried, best[0]), signs(best[3]), done, steps
 
 
 @jax.custom_jvp

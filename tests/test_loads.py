@@ -295,13 +295,13 @@ def test_a_soft_spring_bears_what_it_can():
     assert abs(eq.state.q[0] + brentq(lambda x: 1000 * x / np.sqrt(1 + (x / 0.05) ** 2) - (G + 30), 0, 10, xtol=1e-15)) <= 1e-12
 
 
-def test_no_equilibrium_says_how_much_is_borne():
+def test_no_equilibrium_says_how_much_is_carried():
     with pytest.warns(jb.JaxbodyWarning, match=r"load factor 0\.6.* \[NO_EQUILIBRIUM\]"):
         eq = jb.equilibrium(hanging(SOFT), loads={"pull": jb.Force("mass", force=[0, 0, -60.0])})
     assert int(eq.status) == Status.NO_EQUILIBRIUM and not bool(eq.stable)
     assert 0.98 * (50 - G) / 60 < float(eq.load_factor) < (50 - G) / 60
     for joints in (None, {}):  # a guide's coordinate, a free body's seven
-        with pytest.warns(jb.JaxbodyWarning, match=r"50\.\d* % of the weights is borne \[NO_EQUILIBRIUM\]"):
+        with pytest.warns(jb.JaxbodyWarning, match=r"50\.\d* % of the weights is carried \[NO_EQUILIBRIUM\]"):
             jb.equilibrium(hanging(SOFT, mass=10.0, joints=joints))
 
 
