@@ -43,6 +43,7 @@ if TYPE_CHECKING:  # by editors and type checkers; a program imports each at its
     from jaxbody.naming import paths, replace
     from jaxbody.nonlinearities import backbones
     from jaxbody.options import fast_loops, quick_options
+    from jaxbody.orientations import Euler
     from jaxbody.plausibilities import plausibility
     from jaxbody.poles import complex_modes, whirl
     from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
-from jaxbody.bodies import IDENTITY, as_quaternion
 from jaxbody.errors import Problem, Problems
+from jaxbody.orientations import IDENTITY, as_quaternion
 from jaxbody.sensors import Chain, Sensor
 
 BACK = np.array([1.0, -1, -1, -1])  # conjugates a quaternion

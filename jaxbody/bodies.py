@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody import rotations
 from jaxbody.arrays import checked, concrete, shaped
-from jaxbody.errors import Problems, warn
+from jaxbody.errors import JaxbodyError, Problem, Problems, warn
+from jaxbody.orientations import IDENTITY, as_quaternion, matrix
 
-IDENTITY = (1.0, 0.0, 0.0, 0.0)
 EPS = np.finfo(np.float64).eps
 
 
@@ -20,9 +20,9 @@ class Body(eqx.Module):
     """A rigid body.
 
     mass [kg]; inertia about the centre of mass in body axes [kg m2]: three principal moments, six numbers
-    (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries of the matrix, signs included) or the 3 x 3 matrix; `com`, the centre of mass in body
-    coordinates [m]; `position` of the reference point O [m] and `orientation` (unit quaternion w, x, y, z or rotation matrix, body to
-    world) in the reference pose, where the search for equilibrium starts.
+    (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries of the matrix, signs included) or the 3 x 3 matrix, without it none, as of a point mass; `com`, the centre of
+    mass in body coordinates [m]; `position` of the reference point O [m] and `orientation` (unit quaternion w, x, y, z, rotation matrix or `jb.Euler`, body to
+    world) in the reference pose, where the search for equilibrium starts. Of several parts: `Body.of_parts`.
 
     Errors, all found at once: BAD_MASS, NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE, BAD_ROTATION, BAD_QUATERNION, BAD_SHAPE, NON_FINITE,
     COMPLEX, NOT_A_NUMBER.
@@ -37,7 +37,7 @@ class Body(eqx.Module):
     position: Float[Array, "3"]
     orientation: Float[Array, "4"]
 
-    def __init__(self, mass, inertia, *, com=(0, 0, 0), position=(0, 0, 0), orientation=IDENTITY):
+    def __init__(self, mass, inertia=(0, 0, 0), *, com=(0, 0, 0), position=(0, 0, 0), orientation=IDENTITY):
         problems = Problems()
         self.mass = _mass(mass, problems)
         self.com = vector(com, "Body.com", problems)
@@ -45,6 +45,30 @@ class Body(eqx.Module):
         self.position = vector(position, "Body.position", problems)
         self.orientation = as_quaternion(orientation, "Body.orientation", problems)
         problems.raise_if_any()
+
+    @classmethod
+    def of_parts(cls, parts: Sequence[Body], *, position=(0, 0, 0), orientation=IDENTITY) -> Body:
+        """The one rigid body that bodies make together; of each part `position` and `orientation` are those in the whole, and no inertia is a point mass.
+
+            m = sum m_i,   c = sum m_i c_i/m,   I = sum R_i I_i R_i' + m_i (|d_i|^2 - d_i d_i'),   d_i = c_i - c
+
+        `position` and `orientation`: of the whole, as of a Body. Error: NO_PARTS.
+
+        >>> hammer = Body.of_parts([Body(mass=0.2, inertia=[0, 2e-3, 2e-3]), Body(mass=0.5, position=[0.15, 0, 0])])
+        >>> round(float(hammer.com[0]), 6), round(float(hammer.inertia[2, 2]), 6)
+        (0.107143, 0.005214)
+        """
+        if not parts or not all(isinstance(part, Body) for part in parts):
+            hint = "Give [jb.Body(...), ...], each with its position and orientation in the whole."
+            raise JaxbodyError(Problem("NO_PARTS", "Body.of_parts", f"has {parts!r:.60}", parts, "one body or more", hint))
+        turns = [matrix(part.orientation) for part in parts]
+        places = [part.position + R @ part.com for part, R in zip(parts, turns, strict=True)]
+        mass = sum(part.mass for part in parts)
+        com = sum(part.mass * place for part, place in zip(parts, places, strict=True)) / mass
+        inertia = 0.0
+        for part, R, d in zip(parts, turns, [place - com for place in places], strict=True):
+            inertia = inertia + R @ part.inertia @ R.T + part.mass * (d @ d * np.eye(3) - d[:, None] * d)
+        return cls(mass, inertia, com=com, position=position, orientation=orientation)
 
 
 class Support(eqx.Module):
@@ -72,44 +96,6 @@ def scalar(value: Any, where: str, problems: Problems) -> Any:
 def vector(value: Any, where: str, problems: Problems) -> Any:
     """Three numbers. Error: BAD_SHAPE."""
     return shaped(value, (3,), where, problems)
-
-
-def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
-    """A unit quaternion of a quaternion (length 1 within 1e-3) or of a rotation matrix (orthogonal within 1e-12)."""
-    array = checked(value, ((4,), (3, 3)), where, problems, "Give a quaternion w, x, y, z or a rotation matrix.")
-    if array is None:
-        return np.array(IDENTITY)
-    known = concrete(array)
-    if known is None:
-        return array if array.shape == (4,) else rotations.from_matrix(array)
-    if known.shape == (4,):
-        length = np.linalg.norm(known)
-        if abs(length - 1) > 1e-3:
-            hint = "All four numbers are zero." if length == 0 else "Divide it by its length; the order is w, x, y, z."
-            problems.add("BAD_QUATERNION", where, f"has length {length:.6g}", value=known, limit="1 within 1e-3", hint=hint)
-            return np.array(IDENTITY)
-        return known / length
-    error, det = np.linalg.norm(known.T @ known - np.eye(3)), np.linalg.det(known)
-    if error > 1e-12 or det < 0:
-        problems.add(
-            "BAD_ROTATION",
-            where,
-            f"is no rotation: |R'R - I| = {error:.2g}, det R = {det:.6g}",
-            value=known,
-            limit="|R'R - I| <= 1e-12, det R = 1",
-            hint="Make its axes right-handed." if det < 0 else "If it is rounded, orthonormalize it: U V' of its SVD U S V'.",
-        )
-        return np.array(IDENTITY)
-    return _quaternion(known)
-
-
-def _quaternion(R: np.ndarray) -> np.ndarray:
-    """The unit quaternion of a rotation matrix, as the dominant eigenvector of 4 q q' - I; in NumPy, as checks run before any compiler."""
-    x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
-    S = R + R.T
-    K = np.block([[np.array([[np.trace(R)]]), np.array([[x, y, z]])], [np.array([[x], [y], [z]]), S - np.trace(R) * np.eye(3)]])
-    q = np.linalg.eigh(K)[1][:, -1]
-    return q if q[0] >= 0 else -q
 
 
 def _mass(value: Any, problems: Problems) -> Any:
@@ -148,13 +134,13 @@ def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
             limit=f"{1e-9 * abs(trace):.3g}",
             hint="Give (I + I')/2 if that is meant.",
         )
-    elif moments[0] < -round_off or trace <= 0:
+    elif moments[0] < -round_off:
         problems.add(
             "NOT_POSITIVE",
             where,
             f"has principal moments {told} kg m2",
             value=moments,
-            limit=">= 0, not all 0",
+            limit=">= 0",
             hint="Is it about the centre of mass? Are the signs of the products right?",
         )
     elif moments[0] + moments[1] - moments[2] < -round_off:
@@ -183,5 +169,21 @@ def _matrix_of(array):
 def warn_of_tiny(names: tuple[str, ...], sizes: np.ndarray, what: str = "mass", unit: str = "kg") -> None:
     """TINY_MASS: a mass, or an inertia, below 1e-12 of the largest makes the motion stiff."""
     for name, size in zip(names, sizes, strict=True):
-        if size < 1e-12 * sizes.max():
+        if 0 < size < 1e-12 * sizes.max():
             warn("TINY_MASS", f"{what} of '{name}' is {size:.3g} {unit}, {size / sizes.max():.1g} of the largest: its motion will be stiff")
+
+
+def warn_of_points(bodies: dict[str, Body]) -> None:
+    """ZERO_MOMENT: of these bodies, which are free to turn, those without inertia about an axis."""
+    for name, body in bodies.items():
+        known = concrete(body.inertia)
+        if known is None:
+            continue
+        moments, axes = np.linalg.eigh(known)
+        lost = [
+            np.round(axis + 0.0, 3).tolist() for moment, axis in zip(moments, axes.T, strict=True) if moment <= 64 * EPS * np.trace(known)
+        ]
+        if lost:
+            told = "any axis" if len(lost) == 3 else f"{lost[0]} of its axes"
+            remedy = "statics is right, modes and simulations need an inertia, or a joint that keeps it from turning there"
+            warn("ZERO_MOMENT", f"'{name}' is free to turn and has no inertia about {told}: {remedy}")

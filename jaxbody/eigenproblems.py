@@ -29,6 +29,7 @@ ALIKE = (
     1e-5  # relative difference of cotangents within a cluster that counts as none: functions of its frequencies alone differ by CLUSTERED
 )
 ZERO = 1e-10  # eigenvalues, relative to the largest, that count as zero
+MASSLESS = 1e-13  # pivots of M, relative to its diagonal, that count as zero
 SWEPT = 128  # lanes for eigenvalues, whose many short loops cost more to call than to run
 
 
@@ -184,9 +185,16 @@ def natural(K: Float[Array, "n n"], M: Float[Array, "n n"]) -> tuple[Float[Array
 
 def _standard(K, M):
     """A and L of A y = w^2 y, y = L' phi, L L' = M."""
-    L = jnp.linalg.cholesky(_symmetric(M), symmetrize_input=False)
+    L = cholesky_of_mass(M)
     half = jax.scipy.linalg.solve_triangular(L, K, lower=True)
     return _symmetric(jax.scipy.linalg.solve_triangular(L, half.T, lower=True)), L
+
+
+def cholesky_of_mass(M: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """L of M = L L'; NaN where M is singular, which round-off hides."""
+    L = jnp.linalg.cholesky(_symmetric(M), symmetrize_input=False)
+    pivots = jnp.diagonal(L) ** 2
+    return jnp.where(jnp.min(pivots - MASSLESS * jnp.diagonal(M), initial=jnp.inf) > 0, L, jnp.nan)
 
 
 def _symmetric(A):

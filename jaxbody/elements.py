@@ -16,10 +16,11 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbody import laws, rotations
 from jaxbody.arrays import checked, concrete
-from jaxbody.bodies import IDENTITY, as_quaternion, scalar, vector
+from jaxbody.bodies import scalar, vector
 from jaxbody.errors import Problems, warn
 from jaxbody.frames import Frame, Pose
 from jaxbody.lane_marks import kept
+from jaxbody.orientations import IDENTITY, as_quaternion
 from jaxbody.rotations import cross, dot, product, rotate, rotate_back
 from jaxbody.trigonometry import inverse_root
 

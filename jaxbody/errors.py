@@ -133,6 +133,7 @@ class Status(enum.IntEnum):
     NOT_POSITIVE = 23
     INTERRUPTED = 24
     INFEASIBLE = 25
+    SINGULAR_M = 26
 
 
 MESSAGES = {
@@ -161,6 +162,7 @@ MESSAGES = {
     Status.NOT_POSITIVE: "the matrix of power spectral densities is not positive semidefinite",
     Status.INTERRUPTED: "it was interrupted",
     Status.INFEASIBLE: "not all limits can be met",
+    Status.SINGULAR_M: "the mass matrix is singular: something moves without inertia",
 }
 
 

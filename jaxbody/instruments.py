@@ -8,10 +8,11 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.arrays import concrete
-from jaxbody.bodies import IDENTITY, as_quaternion, vector
+from jaxbody.bodies import vector
 from jaxbody.errors import Problem, Problems
 from jaxbody.joints import unit_vector
 from jaxbody.models import unknown
+from jaxbody.orientations import IDENTITY, as_quaternion
 from jaxbody.rotations import cross, dot, rotate_back
 from jaxbody.sensors import Chain, Sensor
 

@@ -16,13 +16,14 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations, tables
 from jaxbody.arrays import concrete, device_array
-from jaxbody.bodies import Body, Support, vector, warn_of_tiny
+from jaxbody.bodies import Body, Support, vector, warn_of_points, warn_of_tiny
 from jaxbody.elements import Bushing, Element, LineElement
 from jaxbody.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.frames import Pose
 from jaxbody.joints import Free, Joint
 from jaxbody.laws import Law, Sum
 from jaxbody.options import jit_as_it_is
+from jaxbody.orientations import matrix
 from jaxbody.storage import Table, tabulate, tabulate_by_structure
 from jaxbody.torsions import Torsion
 
@@ -202,6 +203,8 @@ class Model(eqx.Module):
         self.elements = tabulate_by_structure(elements)
         self.gravity = device_array(gravity)
         _warn_of_oddities(bodies, supports, elements)
+        carrying = {joint.parent for joint in every_joint.values()}
+        warn_of_points({name: body for name, body in bodies.items() if isinstance(every_joint[name], Free) and name not in carrying})
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -352,7 +355,7 @@ def _check_links(problems: Problems, bodies, supports, elements, joints) -> None
                 f"hangs on itself: {' on '.join(chain[: chain.index(name, 1) + 1] if name in chain[1:] else chain[:4])}",
                 value=name,
                 limit="a tree that ends at world or a support",
-                hint="Give one of the bodies another parent.",
+                hint="Give one of them another parent, and close the loop by a stiff Bushing in place of that joint.",
             )
 
 
@@ -366,7 +369,7 @@ def _check_reference(problems: Problems, bodies, supports, elements) -> None:
             continue
         numbers = [concrete(x) for x in jax.tree.leaves((element, [places[end] for end in element.between]))]
         if all(x is not None for x in numbers):
-            check(problems, f"elements[{name!r}]", element, *((p, _matrix(o)) for p, o in (places[end] for end in element.between)))
+            check(problems, f"elements[{name!r}]", element, *((p, matrix(o)) for p, o in (places[end] for end in element.between)))
 
 
 def _check_length(problems: Problems, where: str, line: LineElement, A, B) -> None:
@@ -385,7 +388,7 @@ def _check_length(problems: Problems, where: str, line: LineElement, A, B) -> No
 
 
 def _check_turn(problems: Problems, where: str, element: Bushing | Torsion, A, B) -> None:
-    R_A, R_B = A[1] @ _matrix(element.orientation), B[1] @ _matrix(element.orientation_b)
+    R_A, R_B = A[1] @ matrix(element.orientation), B[1] @ matrix(element.orientation_b)
     angle = np.rad2deg(np.arccos(np.clip((np.sum(R_A * R_B) - 1) / 2, -1, 1)))
     if angle > LARGEST_TURN:
         problems.add(
@@ -399,13 +402,6 @@ def _check_turn(problems: Problems, where: str, element: Bushing | Torsion, A, B
 
 
 CHECKS = ((LineElement, _check_length), (Bushing, _check_turn), (Torsion, _check_turn))
-
-
-def _matrix(q: Any) -> np.ndarray:
-    """Rotation matrix of a unit quaternion, in NumPy: a check must not wait for a compiler."""
-    w, v = q[0], q[1:]
-    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross
 
 
 def _warn_of_oddities(bodies, supports, elements) -> None:

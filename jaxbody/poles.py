@@ -6,12 +6,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from equinox import field
 from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody import tables
 from jaxbody.checks import check_precision
-from jaxbody.eigenproblems import pole_clusters, poles, refused_if_shared
+from jaxbody.descents import SINGULAR
+from jaxbody.eigenproblems import cholesky_of_mass, pole_clusters, poles, refused_if_shared
 from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization, check_linearization
@@ -20,7 +22,7 @@ from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import cross
 from jaxbody.spins import SpinLinearization
-from jaxbody.statics import SINGULAR, scale_of, size_of
+from jaxbody.statics import scale_of, size_of, without_inertia
 
 REST = 1e-7  # of the largest pole: the root of rounding, by which a double pole at zero is found off it
 GROWS = 1e-9  # of the largest pole: real parts above are not rounding
@@ -32,7 +34,8 @@ class ComplexModes(Result):
     A mode that swings has conjugate `poles`, s = -zeta w +- i w sqrt(1 - zeta^2); an overdamped one two real ones, the slower first.
     `frequency` [Hz], damped, |Im s|/(2 pi); `natural_frequency` [Hz], |s1 s2|^(1/2)/(2 pi); `damping_ratio` zeta = -(s1 + s2)/(2 |s1 s2|^(1/2)), above 1 where overdamped;
     `decay_rate` -Re s [1/s] of the slower pole; `shapes` (columns, complex) of the first pole, u* M u = 1, the component of largest modulus real and positive. `cluster`: equal
-    numbers for modes whose poles coincide (derivatives as in `modes`). UNSTABLE: a mode grows; SINGULAR_K: one has a pole at zero."""
+    numbers for modes whose poles coincide (derivatives as in `modes`). UNSTABLE: a mode grows; SINGULAR_K: one has a pole at zero;
+    SINGULAR_M, NONFINITE: as of `modes`."""
 
     frequency: Float[Array, "n"]
     natural_frequency: Float[Array, "n"]
@@ -41,6 +44,7 @@ class ComplexModes(Result):
     poles: Complex[Array, "n 2"]
     shapes: Complex[Array, "nv n"]
     cluster: Int[Array, "n"]
+    M: Float[Array, "nv nv"]
     status: Int[Array, ""]
     layout: Layout = field(static=True)
 
@@ -50,6 +54,8 @@ class ComplexModes(Result):
             return f"{int(jnp.sum(self.decay_rate < 0))} mode(s) grow"
         if status == Status.SINGULAR_K:
             return f"{int(jnp.sum(self.natural_frequency == 0))} mode(s) of zero frequency"
+        if status == Status.SINGULAR_M:
+            return "; ".join(without_inertia(self.layout, self.M))
         return ""
 
     def to_xarray(self) -> Any:
@@ -105,6 +111,9 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
 def _complex_modes(M, D, K, unit, before, layout: Layout, spins: bool) -> ComplexModes:
     n = layout.nv
     M, D, K = (X * unit * unit[:, None] for X in (M, D, K))
+    given = M
+    finite, massless = jnp.isfinite(jnp.stack([M, D, K])).all(), jnp.isnan(cholesky_of_mass(M)).any()
+    M, D, K = (jnp.where(finite & ~massless, X, np.eye(n)) for X in (M, D, K))  # LAPACK may not end on NaN
     inverse = jnp.linalg.inv((M + M.T) / 2)
     A = jnp.block([[jnp.zeros((n, n), M.dtype), jnp.eye(n, dtype=M.dtype)], [-inverse @ K, -inverse @ D]])
     s, X = poles(A)
@@ -122,19 +131,19 @@ def _complex_modes(M, D, K, unit, before, layout: Layout, spins: bool) -> Comple
     ratio = jnp.where(product > 0, -(one + other).real / (2 * w), jnp.nan)
     failed = jnp.isin(before, jnp.array([Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, Status.NOT_STEADY]))
     here = jnp.select(
-        [jnp.any(jnp.maximum(one.real, other.real) > GROWS * top), jnp.sum(rigid) > spins],  # a change of the spin is a motion that nothing resists
-        [Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,
+        [~finite, massless, jnp.any(jnp.maximum(one.real, other.real) > GROWS * top), jnp.sum(rigid) > spins],  # a change of the spin is a motion that nothing resists
+        [Status.NONFINITE.value, Status.SINGULAR_M.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,
     )  # fmt: skip
     shapes = refused_if_shared(X[:n] * unit[:, None], pole_clusters(found))[:, pairs[:, 0]]
     shapes = _normalized(shapes, M / unit / unit[:, None])
     status = jnp.where(failed, before, here)
-    good = status != Status.NOT_STEADY
+    good = jnp.where(finite & ~massless, 1.0, jnp.nan)
+    steady = jnp.where(status == Status.NOT_STEADY, jnp.nan, good)
     frequency, natural, ratio, decay = (
-        jnp.where(good, x, jnp.nan) for x in (jnp.abs(one.imag) / (2 * jnp.pi), natural, ratio, -jnp.maximum(one.real, other.real))
+        x * steady for x in (jnp.abs(one.imag) / (2 * jnp.pi), natural, ratio, -jnp.maximum(one.real, other.real))
     )
-    return ComplexModes(
-        frequency, natural, ratio, decay, jnp.stack([one, other], -1), shapes, pole_clusters(found[pairs[:, 0]]), status, layout
-    )
+    cluster, both = pole_clusters(found[pairs[:, 0]]), jnp.stack([one, other], -1) * good
+    return ComplexModes(frequency, natural, ratio, decay, both, shapes * good, cluster, given / unit / unit[:, None], status, layout)
 
 
 def _paired(s: Complex[Array, "2n"], U: Complex[Array, "n 2n"], M, K) -> Int[Array, "n 2"]:

@@ -32,7 +32,7 @@ from jaxbody.motions import AtRest, Motion, as_motion, check_times, kinks_of
 from jaxbody.naming import by_name
 from jaxbody.options import jit_quickly
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.statics import size_of
+from jaxbody.statics import size_of, without_inertia
 
 MAX_STEPS = 100_000
 STABLE = 2.8  # longest step times rate at which the classical Runge-Kutta method is stable; explicit ones of diffrax are near
@@ -510,4 +510,6 @@ def _culprit(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
     for name in model.layout.bodies:
         if not np.isfinite(np.asarray(state.q[model.layout.q_slices[name]])).all():
             return f"the coordinates of body '{name}'"
+    if massless := without_inertia(model.layout, linearize(model, State(state.q, np.zeros(model.layout.nv))).M):
+        return "the accelerations: " + "; ".join(massless)
     return "the state of '" + model.layout.bodies[0] + "'"

@@ -22,6 +22,7 @@ from jaxbody.arrays import device_array
 from jaxbody.checks import check_attached, check_precision, check_state
 from jaxbody.derivatives import placed, stiffness
 from jaxbody.descents import SINGULAR, descend, signs
+from jaxbody.eigenproblems import MASSLESS
 from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates
 from jaxbody.lane_marks import any_of_batch
@@ -339,17 +340,29 @@ def zero_modes(model: Model, state: State) -> list[str]:
     layout = model.layout
     scale = np.asarray(scale_of(model, size_of(model)))
     K = np.asarray(_stiffness(model, state.q))
-    values, vectors = np.linalg.eigh(K * scale * scale[:, None])
-    null = vectors[:, np.abs(values) <= SINGULAR * max(np.abs(values).max(initial=0.0), 1e-300)]
+    return in_words(layout, K * scale * scale[:, None], SINGULAR, "free to")
+
+
+def without_inertia(layout: Layout, M: Any) -> list[str]:
+    """The motions that a mass matrix does not resist, in words."""
+    M = np.asarray(M)
+    size = np.sqrt(np.where(np.diagonal(M) > 0, np.diagonal(M), 1.0))
+    return in_words(layout, M / size / size[:, None], MASSLESS, "has no inertia to")
+
+
+def in_words(layout: Layout, matrix: np.ndarray, tolerance: float, what: str) -> list[str]:
+    """The motions whose eigenvalues are zero, relative to the largest; those of single coordinates first."""
+    values, vectors = np.linalg.eigh(matrix)
+    null = vectors[:, np.abs(values) <= tolerance * max(np.abs(values).max(initial=0.0), 1e-300)]
     words, left = [], null
     for i, (body, motion) in enumerate(layout.motions):
         unit = np.eye(layout.nv)[i]
         if np.linalg.norm(unit - null @ (null.T @ unit)) < 1e-5:
-            words.append(f"'{body}' free to {motion}")
+            words.append(f"'{body}' {what} {motion}")
             left = left - np.outer(unit, unit @ left)
     u, s, _ = np.linalg.svd(left, full_matrices=False)
     for vector in u.T[s > 1e-3]:
         largest = [int(i) for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.1][:4]
         parts = [f"{np.sign(vector[largest[0]]) * vector[i]:+.2f} ('{layout.motions[i][0]}' {layout.motions[i][1]})" for i in largest]
-        words.append("free to move together: " + " ".join(parts))
+        words.append(f"{what} move together: " + " ".join(parts))
     return words

@@ -6,10 +6,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbody import laws, rotations
-from jaxbody.bodies import IDENTITY, as_quaternion, scalar
+from jaxbody.bodies import scalar
 from jaxbody.elements import Element, ends
 from jaxbody.errors import Problems
 from jaxbody.joints import unit_vector
+from jaxbody.orientations import IDENTITY, as_quaternion
 from jaxbody.rotations import dot, product, rotate
 
 

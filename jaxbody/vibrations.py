@@ -17,6 +17,7 @@ from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import Layout
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
+from jaxbody.statics import without_inertia
 
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
 
@@ -24,6 +25,7 @@ SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is 
 class Modes(Result):
     """Natural modes, ascending: `frequency` [Hz], `shapes` (columns, phi' M phi = 1, largest component positive), `damping_ratio`, `eigenvalues` w^2
     [rad2/s2], and `cluster`, equal numbers for frequencies that coincide. A negative eigenvalue has frequency NaN and status UNSTABLE, a zero one 0 and SINGULAR_K.
+    All are NaN where something moves without inertia (SINGULAR_M; `M` is the mass matrix) or a matrix is not finite (NONFINITE).
 
     Modes that coincide have no shapes of their own, only a space: `shapes` are some basis of it, and each has the mean of their damping ratios. The frequency
     of one has a derivative to each side: `jax.jvp` and `jacfwd` give the one along the direction, while `jax.grad` gives NaN for it, as for what is made of one shape.
@@ -34,6 +36,7 @@ class Modes(Result):
     damping_ratio: Float[Array, "nv"]
     eigenvalues: Float[Array, "nv"]
     cluster: Int[Array, "nv"]
+    M: Float[Array, "nv nv"]
     status: Int[Array, ""]
     layout: Layout = field(static=True)
 
@@ -43,6 +46,8 @@ class Modes(Result):
             return f"{int(jnp.sum(jnp.isnan(self.frequency)))} mode(s) grow instead of oscillating"
         if status == Status.SINGULAR_K:
             return f"{int(jnp.sum(self.frequency == 0))} mode(s) of zero frequency"
+        if status == Status.SINGULAR_M:
+            return "; ".join(without_inertia(self.layout, self.M))
         return ""
 
     def to_xarray(self) -> Any:
@@ -75,7 +80,8 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
 
         K phi = w^2 M phi,   frequency = w/(2 pi),   damping ratio = phi' C phi/(2 w)
 
-    The damping ratio is exact where C is diagonal in the modes and right to first order in C otherwise. Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE, SINGULAR_K.
+    The damping ratio is exact where C is diagonal in the modes and right to first order in C otherwise. Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE, SINGULAR_K, SINGULAR_M,
+    NONFINITE.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0)})
@@ -97,12 +103,16 @@ def _modes(lin: Linearization) -> Modes:
     top = jnp.max(jnp.abs(values), initial=0.0)
     positive, negative = values > ZERO * top, values < -ZERO * top
     w = jnp.sqrt(jnp.where(positive, values, 1.0))
-    frequency = jnp.where(positive, w / (2 * jnp.pi), jnp.where(negative, jnp.nan, 0.0))
+    finite, lost = jnp.isfinite(lin.M).all() & jnp.isfinite(lin.K).all(), jnp.isnan(values)
+    frequency = jnp.where(positive, w / (2 * jnp.pi), jnp.where(negative | lost, jnp.nan, 0.0))
     damping = jnp.where(positive, averaged(jnp.sum(shapes * (lin.C @ shapes), 0), cluster) / (2 * w), jnp.nan)
-    here = jnp.select([negative.any(), (~positive).any()], [Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value)
+    here = jnp.select(
+        [~finite, lost.any(), negative.any(), (~positive).any()],
+        [Status.NONFINITE.value, Status.SINGULAR_M.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,
+    )  # fmt: skip
     skew = in_lanes(lambda K: jnp.max(jnp.abs(K - K.T), initial=0.0) > SYMMETRIC * jnp.max(jnp.abs(K), initial=0.0))(lin.K)
     frequency = jnp.where(skew, jnp.nan, frequency)
     here = jnp.where(skew, Status.NOT_SYMMETRIC.value, here)
     failed = jnp.isin(lin.status, jnp.array([Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT]))
     status = jnp.where(failed, lin.status, here)
-    return Modes(frequency, refused_in_clusters(shapes, cluster), damping, values, cluster, status, lin.model.layout)
+    return Modes(frequency, refused_in_clusters(shapes, cluster), damping, values, cluster, lin.M, status, lin.model.layout)

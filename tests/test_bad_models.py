@@ -78,7 +78,12 @@ BAD = {
     "7 small matrix": (lambda: body(inertia=np.eye(2)), "BAD_SHAPE", "Body.inertia", (2, 2), "(2, 2) (3, 3)"),
     "8 asymmetric": (lambda: body(inertia=changed(np.eye(3), 0, 1, to=2e-8)), "NOT_SYMMETRIC", "Body.inertia", None, "2e-08 3e-09 I'"),
     "9 indefinite": (lambda: body(inertia=TURN @ np.diag([3, 3, -1]) @ TURN.T), "NOT_POSITIVE", "Body.inertia", None, "-1, 3, 3 signs"),
-    "9 none": (lambda: body(inertia=[0, 0, 0]), "NOT_POSITIVE", "Body.inertia", None, "0, 0, 0"),
+    "18 no sequence": (lambda: jb.Euler("", []), "BAD_SEQUENCE", "Euler.sequence", "", "ZYX yaw"),
+    "18 mixed sequence": (lambda: jb.Euler("Zyx", [0, 0, 0]), "BAD_SEQUENCE", "Euler.sequence", "Zyx", "Capitals small"),
+    "18 axis twice": (lambda: jb.Euler("ZZX", [0, 0, 0]), "BAD_SEQUENCE", "Euler.sequence", "ZZX", "twice"),
+    "18 two angles": (lambda: jb.Euler("ZYX", [0.1, 0.2]), "BAD_SHAPE", "Euler.angles", (2,), "(2,) (3,) letter"),
+    "61 degrees": (lambda: jb.Euler("ZYX", [30.0, 0, 0]), "DEGREES", "Euler.angles", None, "30 deg2rad"),
+    "no parts": (lambda: jb.Body.of_parts([]), "NO_PARTS", "Body.of_parts", None, "position orientation"),
     "10 triangle": (
         lambda: body(inertia=TURN @ np.diag([1, 4, 2]) @ TURN.T),
         "TRIANGLE",
