@@ -39,10 +39,11 @@ class Program:
         width: int,
         reverse: bool | None = None,
         key: Any = None,
-        progress: bool = False,
+        progress: bool | None = False,
+        line: Callable[[str], None] = lambda words: None,
     ):
         self.space, self.evaluate, self.minimize, self.limits = space, evaluate, minimize, limits
-        self.width, self.reverse, self.key, self.progress = width, reverse, key, progress
+        self.width, self.reverse, self.key, self.progress, self.line = width, reverse, key, progress, line
         self.count = 0
         self.shapes: tuple[tuple[str, tuple[int, ...]], ...] = ()
         self.origin = np.zeros(0)
@@ -52,15 +53,17 @@ class Program:
         self.count += 1
         parts = [self._of(U[i : i + self.width]) for i in range(0, len(U), self.width)]
         values, slopes = np.concatenate([v for v, _ in parts]), np.concatenate([J for _, J in parts])
+        words = f"evaluation {self.count}{self._least(values)}"
+        self.line(words)
         if self.progress:
-            self._tell(values)
+            print(words, file=sys.stderr, flush=True)
         return values, slopes
 
-    def _tell(self, values: np.ndarray) -> None:
+    def _least(self, values: np.ndarray) -> str:
+        """Of all starts, in words."""
         shown = values[:, self.rows.objective] if self.minimize in dict(self.shapes) else np.zeros(0)
         finite = shown[np.isfinite(shown)]
-        least = f", {self.minimize} {finite.min():.6g}" + (f" at least of {len(shown)}" if len(shown) > 1 else "") if len(finite) else ""
-        print(f"evaluation {self.count}{least}", file=sys.stderr, flush=True)
+        return f", {self.minimize} {finite.min():.6g}" + (f" at least of {len(shown)}" if len(shown) > 1 else "") if len(finite) else ""
 
     def _of(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         filled = np.concatenate([U, np.repeat(U[-1:], self.width - len(U), 0)])

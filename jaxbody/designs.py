@@ -25,6 +25,7 @@ from jaxbody.models import Model
 from jaxbody.naming import matching
 from jaxbody.optimizers import MET, METHODS, Rows, Search, hand_in_hand, one_thread, scales, search_with
 from jaxbody.options import jit_quickly
+from jaxbody.progress_lines import working
 from jaxbody.results import warn_if_failed
 from jaxbody.tunings import Tuning, tuning_of
 
@@ -46,7 +47,7 @@ def tune(
     max_iterations: int = 200,
     tolerance: float = 1e-10,
     reverse: bool | None = None,
-    progress: bool = False,
+    progress: bool | None = None,
 ) -> Tuning:
     """The design of least f within limits, by exact gradients.
 
@@ -60,7 +61,7 @@ def tune(
     (restarted while that gains; where limits are not met, the least violation is sought first), or an optax optimizer for large or stochastic
     objectives without limits: there `evaluate` may take a key besides the model, a new one each time, and max_iterations steps are made. reverse: derivatives by reverse mode; without it,
     forward mode for up to thirty free numbers. A trial that is not finite is a step rejected; where derivatives do not exist, at modes that
-    coincide, they are taken a little aside: smooth quantities (`objectives`) don't need that. progress: tell every evaluation on stderr.
+    coincide, they are taken a little aside: smooth quantities (`objectives`) don't need that. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True tells every evaluation on stderr.
 
     Errors: UNKNOWN_PATH, UNKNOWN_NAME, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE,
     NONFINITE_START, NO_CASADI, TRACED, FLOAT32. Warns INFEASIBLE, with what is not met, and NOT_CONVERGED.
@@ -83,7 +84,8 @@ def tune(
     U = drawn(space, low, high, starts, key, "tune.bounds")
     stochastic = not isinstance(method, str) and len(inspect.signature(evaluate).parameters) > 1
     program = Program(space, evaluate, minimize, limited, width=starts, reverse=reverse, key=key if stochastic else None, progress=progress)
-    with one_thread():
+    with one_thread(), working("tune", progress) as program.line:
+        program.line("the first evaluation, which compiles")
         check_start(program, U)
         searches = [Search(u, low, high) for u in U]
         if isinstance(method, str):

@@ -21,6 +21,7 @@ from jaxbody.errors import Status, warn
 from jaxbody.experiments import Experiment
 from jaxbody.instruments import Accelerometer
 from jaxbody.models import Model
+from jaxbody.progress_lines import working
 from jaxbody.records import measure
 from jaxbody.results import Result
 from jaxbody.simulations import simulate
@@ -71,8 +72,9 @@ class Diagnosis(Result):
         return [tables.Table("Diagnosis", heads, rows, "\n".join(self.words) or "nothing to remark")]
 
 
-def diagnose(model: Model, experiments: dict[str, Experiment], **options: Any) -> Diagnosis:
-    """What may be wrong with measured channels, from what the model reads with its parameters as they are; `options` go to `simulate`.
+def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool | None = None, **options: Any) -> Diagnosis:
+    """What may be wrong with measured channels, from what the model reads with its parameters as they are; `options` go to `simulate`. progress: a line after
+    five seconds on a terminal or in a notebook; False is silent.
 
     Warns GAIN_FACTOR (a gain near 1000, 57.3, 9.81, 39.4 or their inverses, or negative), DELAY (above 0.05 samples and 4 standard errors of white noise),
     SWAPPED (two channels that would fit 30 % better exchanged), LEFT_HANDED (three axes that only a reflection brings in line), GRAVITY (an accelerometer's record without
@@ -86,16 +88,18 @@ def diagnose(model: Model, experiments: dict[str, Experiment], **options: Any) -
     ()
     """
     compared, words = [], []
-    for name, experiment in experiments.items():
-        initial = experiment.initial
-        run = simulate(model, experiment.times, motion=experiment.motion, loads=experiment.loads, initial=initial, **options)
-        readings = {key: np.asarray(x) for key, x in measure(run, experiment.sensors).items()}
-        channels = _numbers(name, experiment, readings)
-        step = np.median(np.diff(experiment.times))
-        for key, (y, p, _) in channels.items():
-            compared.append(_compared(key, np.asarray(experiment.times), y, p, step))
-            words += _remarks(compared[-1])
-        words += _swapped(channels) + _mirrored(name, experiment, readings) + _weighed(name, model, experiment, readings)
+    with working("diagnose", progress) as line:
+        for name, experiment in experiments.items():
+            line(f"'{name}'")
+            initial = experiment.initial
+            run = simulate(model, experiment.times, motion=experiment.motion, loads=experiment.loads, initial=initial, **options)
+            readings = {key: np.asarray(x) for key, x in measure(run, experiment.sensors).items()}
+            channels = _numbers(name, experiment, readings)
+            step = np.median(np.diff(experiment.times))
+            for key, (y, p, _) in channels.items():
+                compared.append(_compared(key, np.asarray(experiment.times), y, p, step))
+                words += _remarks(compared[-1])
+            words += _swapped(channels) + _mirrored(name, experiment, readings) + _weighed(name, model, experiment, readings)
     for code, told in words:
         warn(code, told)
     return Diagnosis(jnp.asarray(Status.OK), tuple(compared), tuple(told for _, told in words))

@@ -12,6 +12,8 @@ from typing import Any
 import jax
 from jax.core import Tracer
 
+from jaxbody.progress_lines import clear
+
 MOST_PROBLEMS = 20
 MOST_LINES = 10  # of a message; `problems` holds them all
 PASSED_OVER = {"jaxbody", "equinox", "jax", "contextlib", "functools"}  # packages whose lines say nothing to a user
@@ -76,6 +78,7 @@ def warn_of(warning: Warning) -> None:
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in PASSED_OVER:
         frame, level = frame.f_back, level + 1
+    clear()
     warnings.warn(warning, stacklevel=level)
 
 

@@ -7,6 +7,7 @@ Each point starts from the one before it; the multiplier of b, the slope of the 
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Iterable
 from typing import Any
@@ -21,6 +22,7 @@ from jaxbody.designs import tune
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.models import Model
 from jaxbody.optimizers import MET
+from jaxbody.progress_lines import working
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.tunings import Tuning
 
@@ -86,7 +88,10 @@ def pareto(
         told, hint = f"has objectives {', '.join(names)}, {points} points", "Give two or three different names, and three points or more."
         raise JaxbodyError(Problem("BAD_FRONT", "pareto.minimize", told, names, "two or three, points >= 3", hint))
 
+    counts = itertools.count(1)
+
     def least(start: Model, name: str, bounds: dict[str, float]) -> Tuning:
+        line(f"design {next(counts)} of about {points + len(names)}")
         both = dict(limits or {})
         for other, bound in bounds.items():
             lower, upper = both.get(other, (None, None))
@@ -95,8 +100,9 @@ def pareto(
             warnings.simplefilter("ignore")  # the front tells
             return tune(start, evaluate, minimize=name, free=free, limits=both, **(options if start is model else {**options, "starts": 1}))
 
-    ends = [least(model, name, {}) for name in names]
-    found = _along(names, ends, least, points) if len(names) == 2 else _over(names, ends, least, points)
+    with working("pareto", options.get("progress")) as line:
+        ends = [least(model, name, {}) for name in names]
+        found = _along(names, ends, least, points) if len(names) == 2 else _over(names, ends, least, points)
     result = _front(names, found)
     warn_if_failed(result)
     return result

@@ -30,6 +30,7 @@ from jaxbody.losses import check_loss
 from jaxbody.models import Model
 from jaxbody.noises import records_of
 from jaxbody.plausibilities import first_frequency
+from jaxbody.progress_lines import working
 from jaxbody.results import warn_if_failed
 from jaxbody.searches import AT_BOUND, Evaluations, Limits, by_optax, by_scipy
 from jaxbody.simulations import check_steps
@@ -57,7 +58,7 @@ def fit(
     dt0: float | None = None,
     max_steps: int = 10_000,
     max_evaluations: int = 2000,
-    progress: bool = False,
+    progress: bool | None = None,
     resume: Fit | str | os.PathLike | None = None,
     checkpoint: str | os.PathLike | None = None,
     allow_float32: bool = False,
@@ -75,7 +76,7 @@ def fit(
     Stiffness, damping and mass stay positive, orientations unit, inertia that of positive masses. What the data cannot tell is said in words
     instead of numbers. Noise that an experiment does not state is estimated for each channel from the residuals, and the fit repeated with it. A trial that
     cannot be simulated is a step rejected. Ctrl-C ends a fit with the best so far and status INTERRUPTED; resume= goes on from such a fit, or
-    from the file that checkpoint= names, which is written at every better trial.
+    from the file that checkpoint= names, which is written at every better trial. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True prints every evaluation.
 
     rtol, solver, stepsize_controller, dt0: as in `simulate`. Constant steps are several times faster where many experiments run side by side or where
     an input has kinks at samples on which the steps lie; that they are short enough is then yours to see to.
@@ -119,21 +120,26 @@ def fit(
     if not is_concrete(model, experiments):
         return _fit_traced(task, u, method, max_evaluations, estimated)
     keep = (lambda u: None) if checkpoint is None else lambda u: save(checkpoint, task, u)
-    evaluate = Evaluations(partial(residual_and_jacobian, task), max_evaluations, floor=_floor(task), progress=progress, better=keep)
-    arrived, interrupted = False, False
-    try:
-        _check_start(task, *evaluate(u))
-        for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
-            u, arrived = search(evaluate, task, u)
-            if not estimated:
-                break
-            task, changed = renoised(task, evaluate.more(u))
-            if not changed:
-                break
-            evaluate.renew(partial(residual_and_jacobian, task), _floor(task))
-    except KeyboardInterrupt:
-        u, interrupted = u if evaluate.best is None else evaluate.best, True
-    result = _finish(evaluate, task, u, Status.INTERRUPTED if interrupted else Status.OK if arrived else Status.NOT_CONVERGED, limits)
+    ended = Status.NOT_CONVERGED
+    with working("fit", progress) as line:
+        line("the first evaluation, which compiles")
+        evaluate = Evaluations(
+            partial(residual_and_jacobian, task), max_evaluations, floor=_floor(task), progress=progress, better=keep, line=line
+        )
+        try:
+            _check_start(task, *evaluate(u))
+            for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
+                u, arrived = search(evaluate, task, u)
+                ended = Status.OK if arrived else Status.NOT_CONVERGED
+                if not estimated:
+                    break
+                task, changed = renoised(task, evaluate.more(u))
+                if not changed:
+                    break
+                evaluate.renew(partial(residual_and_jacobian, task), _floor(task))
+        except KeyboardInterrupt:
+            u, ended = u if evaluate.best is None else evaluate.best, Status.INTERRUPTED
+        result = _finish(evaluate, task, u, ended, limits)
     warn_if_failed(result)
     if result.ok and result.uncertainty is not None and result.uncertainty.correlated:
         warn("CORRELATED_RESIDUALS", result.uncertainty.about_noise()[0])

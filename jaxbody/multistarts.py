@@ -23,6 +23,7 @@ from jaxbody.identification import fit
 from jaxbody.implicit_fits import solve
 from jaxbody.models import Model
 from jaxbody.options import jit_quickly
+from jaxbody.progress_lines import working
 from jaxbody.results import Result
 from jaxbody.tasks import Task
 
@@ -69,14 +70,14 @@ def multistart(
     seed: int = 0,
     bounds: dict[str, tuple[Any, Any]] | None = None,
     max_evaluations: int = 200,
-    progress: bool = False,
+    progress: bool | None = None,
     **options: Any,
 ) -> Multistart:
     """`fit` from the model's own values, then Levenberg-Marquardt from `starts` others side by side, with the noise that it found; then `fit` from the best.
 
     Starts are Sobol points: between finite `bounds`, elsewhere within `spread` of the model's own values in the coordinates u that a fit moves (0.5: a
     factor of 1.65 to both sides for what is positive). Only the fits at both ends keep the bounds. options: those of `fit`. Every AT_ONCE
-    starts are one program: Ctrl-C between them keeps what there is.
+    starts are one program: Ctrl-C between them keeps what there is. progress: as of `fit`.
 
     Errors: those of `fit`, BAD_NUMBER. Warns SEVERAL_OPTIMA where another optimum is within two units of the logarithm of likelihood.
 
@@ -92,32 +93,34 @@ def multistart(
         raise JaxbodyError(
             Problem("BAD_NUMBER", "multistart", f"has {starts} starts, spread {spread}", (starts, spread), "starts >= 1, spread > 0")
         )
-    with warnings.catch_warnings(record=True) as told:  # of an optimum that may not be the best
-        warnings.simplefilter("always")
-        first = fit(model, experiments, free=free, bounds=bounds, progress=progress, **options)
-    task = first.task
-    points = _points(limits_of(task.free, bounds or {}, "least_squares"), starts, spread, seed)
-    ends, costs = [np.asarray(first.u)], [float(first.cost)]
-    lost = 0
-    try:
-        for i in range(0, starts, AT_ONCE):
-            u, status, cost = (np.asarray(x) for x in _searched(task, jnp.asarray(points[i : i + AT_ONCE]), max_evaluations))
-            good = (status == Status.OK) & np.isfinite(cost)
-            ends += list(u[good])
-            costs += list(cost[good])
-            lost += int((~good).sum())
-            if progress:
-                print(f"starts {min(i + AT_ONCE, starts)} of {starts}: least cost {min(costs):.9g}", flush=True)
-    except KeyboardInterrupt:
-        starts = i  # pyright: ignore[reportPossiblyUnboundVariable]
-    groups = _grouped(np.array(ends), np.array(costs))
-    lowest = groups[0][0]
-    best = first
-    if lowest == 0:
-        for each in told:
-            warn_of(each.message)  # pyright: ignore
-    else:
-        best = fit(model, experiments, free=free, bounds=bounds, progress=progress, resume=dataclasses.replace(first, u=jnp.asarray(ends[lowest])), **options)  # fmt: skip
+    with working("multistart", progress) as line:
+        with warnings.catch_warnings(record=True) as told:  # of an optimum that may not be the best
+            warnings.simplefilter("always")
+            first = fit(model, experiments, free=free, bounds=bounds, progress=progress, **options)
+        task = first.task
+        points = _points(limits_of(task.free, bounds or {}, "least_squares"), starts, spread, seed)
+        ends, costs = [np.asarray(first.u)], [float(first.cost)]
+        lost = 0
+        try:
+            for i in range(0, starts, AT_ONCE):
+                u, status, cost = (np.asarray(x) for x in _searched(task, jnp.asarray(points[i : i + AT_ONCE]), max_evaluations))
+                good = (status == Status.OK) & np.isfinite(cost)
+                ends += list(u[good])
+                costs += list(cost[good])
+                lost += int((~good).sum())
+                line(words := f"starts {min(i + AT_ONCE, starts)} of {starts}: least cost {min(costs):.9g}")
+                if progress:
+                    print(words, flush=True)
+        except KeyboardInterrupt:
+            starts = i  # pyright: ignore[reportPossiblyUnboundVariable]
+        groups = _grouped(np.array(ends), np.array(costs))
+        lowest = groups[0][0]
+        best = first
+        if lowest == 0:
+            for each in told:
+                warn_of(each.message)  # pyright: ignore
+        else:
+            best = fit(model, experiments, free=free, bounds=bounds, progress=progress, resume=dataclasses.replace(first, u=jnp.asarray(ends[lowest])), **options)  # fmt: skip
     cost = np.array([costs[group[0]] for group in groups])
     if len(cost) > 1 and cost[1] - cost[0] < CLOSE:
         warn("SEVERAL_OPTIMA", f"another optimum explains the data about as well: costs {cost[0]:.6g} and {cost[1]:.6g}")

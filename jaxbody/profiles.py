@@ -19,6 +19,7 @@ from jaxbody.fits import Fit
 from jaxbody.intervals import check_level, quantile, widening
 from jaxbody.models import unknown
 from jaxbody.parametrizations import Positive, Shifted
+from jaxbody.progress_lines import Line, working
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.searches import AT_BOUND, Evaluations, by_scipy
 from jaxbody.tasks import residual_and_jacobian
@@ -60,10 +61,10 @@ class Profile(Result):
         return [tables.Table(f"Profile of {self.path}", ("value", "tau", "cost"), rows, note)]
 
 
-def profile(fit: Fit, path: str, *, level: float = 0.95) -> Profile:
+def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None = None) -> Profile:
     """The profile of one number among the free parameters, "AB.stiffness" or "AB.a[0]", from the optimum to both ends of its interval.
 
-    At a bound it goes to the one side that there is. Errors: UNKNOWN_PATH, WRONG_KIND of what has no scale of its own, BAD_LEVEL, TRACED. Warns by status.
+    At a bound it goes to the one side that there is. progress: a line after five seconds on a terminal or in a notebook; False is silent. Errors: UNKNOWN_PATH, WRONG_KIND of what has no scale of its own, BAD_LEVEL, TRACED. Warns by status.
 
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
     ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
@@ -75,9 +76,10 @@ def profile(fit: Fit, path: str, *, level: float = 0.95) -> Profile:
     """
     check_level(level, "profile.level")
     i, value = _place(fit, path)
-    walk = _Walk(fit, i, level)
     optimum = (np.asarray(fit.u), 0.0, float(fit.cost))
-    sides = [walk.to(sign) for sign in (-1, 1)]
+    with working("profile", progress) as line:
+        walk = _Walk(fit, i, level)
+        sides = [walk.to(sign, line) for sign in (-1, 1)]
     points = [*sides[0][::-1], optimum, *sides[1]]
     u, tau, cost = (np.array(x) for x in zip(*points, strict=True))
     ends = [walk.end(side, sign) for side, sign in zip(sides, (-1, 1), strict=True)]
@@ -146,7 +148,7 @@ class _Walk:
         slopes = [along @ (np.asarray(J).T @ np.asarray(r)) for r, J, _ in (self.evaluate(fit.u + step), self.evaluate(fit.u - step))]
         return float(slopes[0] - slopes[1]) / (2 * ROBUST_STEP * self.error)
 
-    def to(self, sign: int) -> list[tuple[np.ndarray, float, float]]:
+    def to(self, sign: int, line: Line) -> list[tuple[np.ndarray, float, float]]:
         """Points on one side, outwards, to a little beyond the end of the interval or to a bound."""
         points = [(np.asarray(self.fit.u), 0.0, float(self.fit.cost))]
         step = self.t / STEPS * (self.error if np.isfinite(self.error) else 1.0)
@@ -163,6 +165,7 @@ class _Walk:
             rise = abs(tau) - abs(points[-1][1])
             step *= min(FARTHEST, self.t / STEPS / rise) if rise > 0 else FARTHEST
             points.append((u, tau, cost))
+            line(f"point {len(points) - 1} {'below' if sign < 0 else 'above'} the estimate, tau {tau:.3g} of {sign * self.t:.3g}")
         return points[1:]
 
     def _at(self, x: float, points) -> tuple[np.ndarray | None, float]:

@@ -37,10 +37,19 @@ Limits = tuple[np.ndarray, np.ndarray]
 class Evaluations:
     """Residual and Jacobian of `function(u)` -> (r, J, more), counted, and never raising: a trial that fails has a residual of NaN.
 
-    `floor`: the norm of a column of J that is round-off. `best`: the u of the least cost so far, also given to `better`."""
+    `floor`: the norm of a column of J that is round-off. `best`: the u of the least cost so far, also given to `better`; `line` is told each in words."""
 
-    def __init__(self, function: Callable, most: int, *, floor: float = 0.0, progress: bool = False, better: Callable = lambda u: None):
-        self.function, self.most, self.floor, self.progress, self.better = function, most, floor, progress, better
+    def __init__(
+        self,
+        function: Callable,
+        most: int,
+        *,
+        floor: float = 0.0,
+        progress: bool | None = False,
+        better: Callable = lambda u: None,
+        line: Callable[[str], None] = lambda words: None,
+    ):
+        self.function, self.most, self.floor, self.progress, self.better, self.line = function, most, floor, progress, better, line
         self.count, self.failed, self.history, self.best, self._least, self._last, self._turned = 0, 0, [], None, np.inf, None, None
         self.rounds: list[int] = []  # counts at which another function began
 
@@ -79,8 +88,10 @@ class Evaluations:
         if cost < self._least:
             self.best, self._least = np.asarray(u), cost
             self.better(self.best)
+        words = f"evaluation {self.count}: " + ("failed" if bad else f"cost {cost:.9g}")
         if self.progress:
-            print(f"evaluation {self.count}: " + ("failed" if bad else f"cost {cost:.9g}"), flush=True)
+            print(words, flush=True)
+        self.line(words)
         self._last = (key, (r, J, more))
         return r, J, more
 

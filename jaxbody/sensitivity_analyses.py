@@ -15,6 +15,7 @@ from jaxbody.errors import JaxbodyError, Problem, Status
 from jaxbody.models import Model, unknown
 from jaxbody.optimizers import one_thread
 from jaxbody.parametrizations import Positive
+from jaxbody.progress_lines import working
 from jaxbody.results import Result, warn_if_failed
 
 SHOWN = 5  # of each quantity
@@ -56,13 +57,13 @@ class Sensitivities(Result):
 
 
 def sensitivities(
-    model: Model, evaluate: Evaluate, *, free: str | Iterable[str], change: float = 0.1, progress: bool = False
+    model: Model, evaluate: Evaluate, *, free: str | Iterable[str], change: float = 0.1, progress: bool | None = None
 ) -> Sensitivities:
     """How quantities depend on parameters, one at a time, about the model as it is.
 
         d q/d x exactly;   q(x (1 - change)),   q(x (1 + change))
 
-    evaluate, free: as of `tune`. What has no size of its own, such as a coordinate that is 0, changes by that share of the model's size, orientations by `change` radians. progress: tell every evaluation on stderr. Errors: those of `tune`
+    evaluate, free: as of `tune`. What has no size of its own, such as a coordinate that is 0, changes by that share of the model's size, orientations by `change` radians. progress: as of `tune`. Errors: those of `tune`
     about these, BAD_CHANGE; warns NONFINITE.
 
     >>> def sag(model):
@@ -81,7 +82,7 @@ def sensitivities(
             up[at], down[at] = np.log1p(change), np.log1p(-change)
     U = np.concatenate([np.zeros((1, space.size)), np.diag(down), np.diag(up)])
     program = Program(space, evaluate, "", {}, width=1, progress=progress)  # the program of `tune` from one start
-    with one_thread():
+    with one_thread(), working("sensitivities", progress) as program.line:
         values, slopes = program(U)
     low, high = np.split(values[1:].T, 2, axis=1)
     bad = not (np.isfinite(values).all() and np.isfinite(slopes[0]).all())

@@ -26,6 +26,7 @@ from jaxbody.experiments import Experiment, Integration, check_measurements
 from jaxbody.fits import Fit
 from jaxbody.identification import fit
 from jaxbody.models import Model, State
+from jaxbody.progress_lines import working
 from jaxbody.records import readings
 from jaxbody.simulations import Trajectory, integrate, motions_of
 from jaxbody.tasks import first_noise
@@ -151,13 +152,15 @@ def multiple_shooting(
         raise JaxbodyError(Problem("BAD_NUMBER", "multiple_shooting.segments", f"is {segments}", segments, f"2 to {least - 1}"))
     patterns = [free] if isinstance(free, str) else list(free)
     loose: Fit | None = None
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), working("multiple shooting", options.get("progress")) as line:
         warnings.simplefilter("ignore", JaxbodyWarning)  # of steps on the way
+        line("segments one by one")
         cut = {name: _cut(model, name, experiment, segments, options) for name, experiment in experiments.items()}
         for slack in SLACKS:
             if loose is not None:
                 model, cut = loose.model, loose.experiments  # pyright: ignore[reportAssignmentType]
             cut = {name: dataclasses.replace(each, slack=jnp.asarray(slack)) for name, each in cut.items()}
+            line(f"segments together, slack {slack:g}")
             loose = fit(model, cut, free=[*patterns, *(f"{name}.nodes.*" for name in cut)], **options)  # pyright: ignore[reportArgumentType]
     assert loose is not None
     wholes = {name: each.whole for name, each in loose.experiments.items()}  # pyright: ignore[reportAttributeAccessIssue]

@@ -31,6 +31,7 @@ from jaxbody.momenta import Canonical
 from jaxbody.motions import AtRest, Motion, as_motion, check_times, kinks_of
 from jaxbody.naming import by_name
 from jaxbody.options import jit_quickly
+from jaxbody.progress_lines import working
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import size_of, without_inertia
 
@@ -175,7 +176,7 @@ def simulate(
     adjoint: diffrax.AbstractAdjoint | None = None,
     dt0: float | None = None,
     max_steps: int = MAX_STEPS,
-    progress: bool = False,
+    progress: bool | None = None,
 ) -> Trajectory:
     """The motion from `initial` (without it, the reference pose at rest) at times[0], sampled at `times` [s].
 
@@ -229,7 +230,12 @@ def simulate(
     tolerance, step = (None if x is None else device_array(float_array(x)) for x in (rtol, dt0))  # Python numbers would be compiled in
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(model, initial, step):
         _warn_of_long_steps(model, model.reference if initial is None else initial, float(step), solver)  # pyright: ignore[reportArgumentType]
-    result = integrate(model, times, motions, loads_on, initial, tolerance, solver, stepsize_controller, adjoint, step, max_steps, meter)
+    with working("simulate", progress):
+        result = integrate(
+            model, times, motions, loads_on, initial, tolerance, solver, stepsize_controller, adjoint, step, max_steps, meter
+        )
+        if is_concrete(result.status):
+            jax.block_until_ready(result.status)
     warn_if_failed(result)
     return result
 

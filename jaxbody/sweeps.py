@@ -19,6 +19,7 @@ from jaxbody.exports import sweep_dataset
 from jaxbody.models import Model
 from jaxbody.naming import replace
 from jaxbody.options import quick_options
+from jaxbody.progress_lines import Line, working
 
 LARGEST_CHUNK = 1024
 MEMORY = 2**30  # bytes that a chunk may take besides its results
@@ -36,14 +37,14 @@ def sweep(
     sampler: str = "sobol",
     key: Any = None,
     chunk: int | None = None,
-    progress: bool = False,
+    progress: bool | None = None,
 ) -> Any:
     """An xarray.Dataset of quantities of the model with other values of parameters.
 
     evaluate: model -> {name: number or array} or one number, then called "objective", in JAX. over: {path or pattern: values}, the grid of all their combinations, an axis
     for each; or, with `samples`, {path or pattern: (low, high)}, so many points between these, spread evenly by scipy.stats.qmc: sampler "sobol" (best with a power of two) or "latin"
     (hypercube), scrambled by `key`. A value that a pattern means serves all its matches. chunk: how many models at a time; without it as many, up to 1024, as
-    take less than 1 GiB. The same `evaluate` is compiled once. progress: tell on stderr.
+    take less than 1 GiB. The same `evaluate` is compiled once. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True tells on stderr at once.
 
     Errors: those of `replace`, NON_FINITE, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, NO_XARRAY.
 
@@ -77,7 +78,8 @@ def sweep(
         points = {path: values[i] for (path, values), i in zip(columns.items(), index, strict=True)}
     for ends in (np.argmin, np.argmax):  # what any number is checked for, the least or the largest shows
         replace(model, {path: _end(values, ends) for path, values in points.items()})
-    found = _evaluated(model, evaluate, points, chunk, progress)
+    with working("sweep", progress) as line:
+        found = _evaluated(model, evaluate, points, chunk, line, progress)
     return sweep_dataset(columns, found, on_grid=samples is None)
 
 
@@ -107,7 +109,9 @@ def _sampled(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> di
     }
 
 
-def _evaluated(model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], chunk: int | None, progress: bool) -> dict[str, np.ndarray]:
+def _evaluated(
+    model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], chunk: int | None, line: Line, progress: bool | None
+) -> dict[str, np.ndarray]:
     """Of all points, chunk by chunk."""
     count = len(next(iter(points.values())))
     program, width = _program(model, evaluate, points, min(count, chunk or LARGEST_CHUNK), chunk is None)
@@ -117,8 +121,9 @@ def _evaluated(model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], 
         rows = np.minimum(np.arange(first, first + width), count - 1)  # the last chunk is filled with its last point
         found = program(numbers, {path: jnp.asarray(values[rows]) for path, values in points.items()})
         parts.append(jax.tree.map(lambda x, first=first: np.asarray(x)[: count - first], found))
+        done = min(first + width, count)
+        line(f"{done} of {count} models")
         if progress:
-            done = min(first + width, count)
             print(f"\rsweep {done} of {count}", end="\n" if done == count else "", file=sys.stderr, flush=True)
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 

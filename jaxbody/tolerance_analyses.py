@@ -22,6 +22,7 @@ from jaxbody.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.models import Model, unknown
 from jaxbody.naming import Leaf, leaves_of, matching, write
 from jaxbody.options import jit_quickly
+from jaxbody.progress_lines import working
 from jaxbody.results import Result, warn_if_failed
 
 CHUNK = 256  # samples side by side
@@ -81,11 +82,13 @@ class Tolerances(Result):
         return [tables.Table("Tolerances", heads, rows, f"{len(self.samples)} samples; {self.report()}")]
 
 
-def tolerances(model: Model, evaluate: Evaluate, scatter: Scatter, *, samples: int = 1000, key: Any = None) -> Tolerances:
+def tolerances(
+    model: Model, evaluate: Evaluate, scatter: Scatter, *, samples: int = 1000, key: Any = None, progress: bool | None = None
+) -> Tolerances:
     """The spread of quantities when parameters scatter.
 
     evaluate: as of `tune`. scatter: {path or pattern: standard deviation, in the parameter's unit, one number or one for each of the leaf's}, each number of each parameter by itself, normal. samples:
-    of the Monte Carlo method, drawn with `key`. Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER; warns NONFINITE where samples have no numbers.
+    of the Monte Carlo method, drawn with `key`. progress: a line after five seconds on a terminal or in a notebook; False is silent. Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER; warns NONFINITE where samples have no numbers.
 
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
@@ -98,7 +101,9 @@ def tolerances(model: Model, evaluate: Evaluate, scatter: Scatter, *, samples: i
     if samples < 2:
         raise JaxbodyError(Problem("BAD_SCATTER", "tolerances.samples", f"is {samples}", samples, ">= 2", "Give more samples."))
     key = jax.random.key(0) if key is None else key
-    found, labels = _tolerances(model, evaluate, leaves, deviations, samples, key)
+    with working("tolerances", progress) as line:
+        line(f"derivatives and {samples} samples, as one program")
+        found, labels = jax.block_until_ready(_tolerances(model, evaluate, leaves, deviations, samples, key))
     parameters = [
         leaf.path + (str(list(i)).replace(" ", "") if s.ndim else "")
         for leaf, s in zip(leaves, deviations, strict=True)
