@@ -65,6 +65,11 @@ def device_array(value: np.ndarray | jax.Array) -> jax.Array:
     return jnp.asarray(value, dtype=float)
 
 
+def functions_as_nodes(tree: Any) -> Any:
+    """The tree with arrays alone as leaves where else functions are too, as the activations of a network: each is a node that is called as before."""
+    return jax.tree.map(lambda leaf: jax.tree_util.Partial(leaf) if callable(leaf) else leaf, tree)
+
+
 def stack(rows: list[Any]) -> jax.Array:
     """Rows of equal shape as one JAX array."""
     if any(isinstance(row, jax.Array) for row in rows):

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.arrays import checked, concrete
+from jaxbody.arrays import checked, concrete, functions_as_nodes
 from jaxbody.bodies import scalar
 from jaxbody.curves import read_columns
 from jaxbody.errors import Problems
@@ -63,7 +63,7 @@ class Law(eqx.Module):
 
     def potential(self, x: Number) -> Number:
         """U(x), the integral of the force from 0."""
-        return _integral(self, x)
+        return _integral(functions_as_nodes(self), x)
 
     def force(self, x: Number) -> Number:
         """F(x) = dU/dx."""
@@ -542,6 +542,11 @@ def slope(law: Law | None, x: Number) -> Number:
 def beyond(law: Law | None, x: Number) -> Bool[Array, ""]:
     """Whether a law is continued beyond what it is known for."""
     return jnp.zeros(jnp.shape(x), bool) if law is None else law.beyond(x)
+
+
+def parts(law: Law) -> list[Any]:
+    """The laws that a law is made of."""
+    return jax.tree.leaves(law, is_leaf=lambda part: isinstance(part, Law) and not isinstance(part, Sum | TwoSided))
 
 
 def has_range(tree: Any) -> bool:

@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations, tables
-from jaxbody.arrays import concrete, device_array
+from jaxbody.arrays import concrete, device_array, functions_as_nodes
 from jaxbody.bodies import Body, Support, vector, warn_of_points, warn_of_tiny
+from jaxbody.element_checks import check_laws, check_leaves
 from jaxbody.elements import Bushing, Element, LineElement
 from jaxbody.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.frames import Pose
@@ -190,6 +191,9 @@ class Model(eqx.Module):
         elements, joints = _of_kind(problems, "elements", elements, Element), _of_kind(problems, "joints", joints, Joint)
         _check_links(problems, bodies, supports, elements, joints)
         gravity = vector(gravity, "gravity", problems)
+        elements = {name: functions_as_nodes(element) for name, element in elements.items()}
+        check_leaves(problems, elements)
+        check_laws(problems, elements)
         _check_reference(problems, bodies, supports, elements)
         problems.raise_if_any()
         every_joint = {name: joints.get(name, Free()) for name in bodies}

@@ -5,7 +5,9 @@ Velocity and acceleration are derivatives of that function, so they cannot disag
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -15,8 +17,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
-from jaxbody.arrays import checked, concrete, device_array, float_array, shaped
+from jaxbody.arrays import checked, concrete, device_array, float_array, functions_as_nodes, shaped
 from jaxbody.errors import JaxbodyError, Problem, Problems
+from jaxbody.tracings import check_returned, is_own
 from jaxbody.trigonometry import sincos
 
 LARGEST_TURN = np.deg2rad(30)  # between samples
@@ -236,6 +239,22 @@ def as_motion(motion: Motion | Callable[[Array], Array]) -> Motion:
         told, hint = f"is a {type(motion).__name__}", "Give a Motion or a function t -> Xi, 6 numbers."
         raise JaxbodyError(Problem("WRONG_KIND", "motion", told, motion, "Motion", hint))
     return motion if isinstance(motion, Motion) else Function(motion)
+
+
+def check_motion(motion: Motion, where: str, problems: Problems) -> None:
+    """A motion of the user's can be traced and returns six numbers; those of one structure are traced once."""
+    parts = jax.tree.leaves(motion, is_leaf=lambda part: isinstance(part, Motion) and not isinstance(part, Sum | Delayed))
+    if any(is_own(part) for part in parts if isinstance(part, Motion)):
+        leaves, structure = jax.tree.flatten(functions_as_nodes(motion))
+        kinds = tuple(jax.ShapeDtypeStruct(np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+        problems.found += [replace(problem, where=where) for problem in _faults(structure, kinds)]
+
+
+@functools.lru_cache(maxsize=64)
+def _faults(structure: Any, kinds: tuple[Any, ...]) -> list[Problem]:
+    problems = Problems()
+    check_returned(lambda motion, t: motion(t), structure.unflatten(kinds), (6,), "motion", problems)
+    return problems.found
 
 
 def check_times(times, problems: Problems, where: str = "times", minimum: int = 1) -> np.ndarray | jax.Array | None:

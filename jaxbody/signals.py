@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -14,6 +13,7 @@ from jaxtyping import Array, Float
 from jaxbody.arrays import checked, concrete, device_array, float_array
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.motions import cell, check_times, curvatures, is_uniform
+from jaxbody.tracings import check_returned
 
 __all__ = [
     "Constant",
@@ -154,11 +154,7 @@ def as_signal(value: Any, where: str, problems: Problems, size: tuple[int, ...])
     else:
         array = checked(value, (size,), where, problems)
         return Constant(np.zeros(size) if array is None else array)
-    shape = jax.eval_shape(signal, jnp.zeros(())).shape
-    if shape != size:
-        problems.add(
-            "BAD_SHAPE", where, f"gives shape {shape}", value=shape, limit=str(size), hint="Give a function of time of that shape."
-        )
+    check_returned(lambda signal, t: signal(t), signal, size, where, problems)
     return signal
 
 

@@ -28,7 +28,7 @@ from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, kinetic, lost_power, potential
 from jaxbody.models import Model, State, unknown
 from jaxbody.momenta import Canonical
-from jaxbody.motions import AtRest, Motion, as_motion, check_times, kinks_of
+from jaxbody.motions import AtRest, Motion, as_motion, check_motion, check_times, kinks_of
 from jaxbody.naming import by_name
 from jaxbody.options import jit_quickly
 from jaxbody.progress_lines import working
@@ -278,10 +278,13 @@ def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax
 
 def motions_of(model: Model, motion: dict[str, Any]) -> Motions:
     """One motion for each support, in their order."""
-    problems = [unknown(name, "motion", model.layout.supports) for name in motion if name not in model.layout.supports]
-    if problems:
-        raise JaxbodyError(*problems)
-    return tuple(as_motion(motion.get(name, AtRest())) for name in model.layout.supports)
+    problems = Problems([unknown(name, "motion", model.layout.supports) for name in motion if name not in model.layout.supports])
+    problems.raise_if_any()
+    motions = {name: as_motion(motion.get(name, AtRest())) for name in model.layout.supports}
+    for name, one in motions.items():
+        check_motion(one, f"motion['{name}']", problems)
+    problems.raise_if_any()
+    return tuple(motions.values())
 
 
 def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], initial: State | None) -> Float[Array, "nt"]:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
@@ -13,6 +12,7 @@ import jax
 import numpy as np
 
 from jaxbody import arrays
+from jaxbody.errors import JaxbodyError, Problem
 
 
 class Table(eqx.Module):
@@ -30,8 +30,18 @@ class Table(eqx.Module):
         """One thing by name; leading batch axes stay."""
         i = self.names.index(name)
         leaves, treedef = jax.tree.flatten(self.rows)
+        if not all(leaf is None or hasattr(leaf, "__getitem__") for leaf in leaves):
+            raise JaxbodyError(self._no_node(name))
         picked = [leaf if leaf is None else leaf[(..., i, *[slice(None)] * rank)] for leaf, rank in zip(leaves, self.ranks, strict=True)]
         return with_link(jax.tree.unflatten(treedef, picked), self.links[i])
+
+    def _no_node(self, name: str) -> Problem:
+        """What is wrong where leaves stand for arrays, as those that equinox.tree_at shows to its function."""
+        paths = [jax.tree_util.keystr(keys, simple=True, separator=".") for keys, _ in jax.tree_util.tree_leaves_with_path(self.rows)]
+        path = next((path for path in paths if path in ("stiffness", "mass")), paths[-1])
+        told = "is a row of arrays and no node of the tree, so equinox.tree_at cannot replace it"
+        hint = f'Use jb.replace(model, {{"{name}.{path}": value}}); it has {", ".join(paths[:8])}{", ..." if len(paths) > 8 else ""}.'
+        return Problem("NO_NODE", f"model['{name}']", told, name, "whole arrays, as model.elements[0].rows.stiffness", hint)
 
 
 def tabulate(things: dict[str, Any], template: Any = None) -> Table:
@@ -65,10 +75,6 @@ def link_of(module: Any) -> Any:
 def with_link(module: Any, link: Any) -> Any:
     """A copy with another link, which is static and so beyond `eqx.tree_at`."""
     copy = object.__new__(type(module))
-    for name, value in _fields(module):
+    for name, value in vars(module).items():  # no more than it has: an attribute of the class on the copy would make another tree structure
         object.__setattr__(copy, name, link if name in ("between", "parent") else value)
     return copy
-
-
-def _fields(module: Any) -> Iterable[tuple[str, Any]]:
-    return ((name, getattr(module, name)) for name in module.__dataclass_fields__ if hasattr(module, name))

@@ -22,7 +22,7 @@ PACKAGE = Path(jb.__file__).parent
 ROWS = (
     "jax_internals progress_lines errors tables results arrays exports options compilations units texts sources mat_files universal_files formats",
     "lane_marks symmetric_eigenvalues lanes trigonometry rotations frames linear_solves eigenproblems integrators",
-    "motions samplings repairs measurements recordings response_files base_motions splines signals roads orientations bodies joints curves laws elements torsions contacts loads storage models presets naming checks",
+    "tracings motions samplings repairs measurements recordings response_files base_motions splines signals roads orientations bodies joints curves laws elements torsions contacts loads element_checks storage models presets naming checks",
     "kinematics mechanics dynamics momenta derivatives",
     "load_paths descents statics cases preloads equilibria ports state_spaces linearizations",
     "vibrations energies mount_axes spins poles branches nonlinearities",
