@@ -27,8 +27,8 @@ class Body(eqx.Module):
     Errors, all found at once: BAD_MASS, NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE, BAD_ROTATION, BAD_QUATERNION, BAD_SHAPE, NON_FINITE,
     COMPLEX, NOT_A_NUMBER.
 
-    >>> Body(mass=3.0, inertia=[0.3, 0.9, 1.2]).inertia[1, 1]
-    np.float64(0.9)
+    >>> float(Body(mass=3.0, inertia=[0.3, 0.9, 1.2]).inertia[1, 1])
+    0.9
     """
 
     mass: Float[Array, ""]

@@ -35,3 +35,16 @@ def pytest_sessionfinish():
     """What is alive stays out of the collections at the end: with millions of objects they take longer than the five seconds after which a
     worker is sent SIGINT, whose KeyboardInterrupt JAX's hook of the collector printed."""
     gc.freeze()
+
+
+def pytest_addoption(parser):
+    parser.addoption("--third", type=int, choices=(1, 2, 3), help="of the files, those whose number among all leaves this rest")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Whole files, which share what they compile."""
+    if third := config.getoption("third"):
+        files = sorted({item.path for item in items})
+        left_out = [item for item in items if files.index(item.path) % 3 != third - 1]
+        items[:] = [item for item in items if item not in left_out]
+        config.hook.pytest_deselected(items=left_out)

@@ -14,6 +14,8 @@ import rigs
 
 import jaxbody as jb
 
+pytestmark = pytest.mark.everywhere
+
 
 def run(program, **environment):
     """What a fresh process prints."""

@@ -12,6 +12,8 @@ from jaxbody import integrators
 from jaxbody.dynamics import Dynamics
 from jaxbody.simulations import motions_of
 
+pytestmark = pytest.mark.everywhere
+
 TIMES = jnp.linspace(0.0, 0.8, 33)
 MOTION = {"base": jb.Harmonic(frequency=0.8, translation=[0.01, 0, 0], rotation=[0, 0, 0.02])}
 

@@ -8,6 +8,8 @@ import pytest
 from jaxbody.lane_marks import any_of_batch, kept
 from jaxbody.lanes import LANES, in_lanes, vmap_last
 
+pytestmark = pytest.mark.everywhere
+
 
 def vectors(x, a):
     """Shapes, sums, slices, gathers, products."""

@@ -105,6 +105,7 @@ print(*sorted({"matplotlib", "scipy.optimize", "xarray", "pandas"} & set(sys.mod
 """
 
 
+@pytest.mark.everywhere
 def test_import_has_no_side_effects():
     """Precision stays as it was, no array is made (JAX has not even looked for devices), nothing slow is imported that may not be needed."""
     done = subprocess.run([sys.executable, "-c", IMPORT_ALONE], capture_output=True, text=True, timeout=300)
@@ -187,6 +188,7 @@ SLOW = [
 ]
 
 
+@pytest.mark.everywhere  # each public function has an example
 @pytest.mark.parametrize("module", [pytest.param(m, marks=[pytest.mark.long] * (m in SLOW)) for m in MODULES])
 def test_examples_in_docstrings_run(module):
     """With jb, jax, jnp and the public names at hand."""

@@ -9,6 +9,8 @@ from jaxbody.eigenproblems import natural
 from jaxbody.lanes import LANES, in_lanes
 from jaxbody.symmetric_eigenvalues import eigenvalues
 
+pytestmark = pytest.mark.everywhere
+
 
 def symmetric_matrices(n: int, count: int) -> np.ndarray:
     """Random ones; zero, one, all ones, graded over 16 decades, with repeated eigenvalues, diagonal, very small and very large."""
