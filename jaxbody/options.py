@@ -14,7 +14,7 @@ import jaxlib.version
 from jaxbody.errors import JaxbodyError, Problem, warn
 from jaxbody.jax_internals import without_manual_axes
 
-TESTED = ((0, 10), (0, 12))  # of jaxlib: XLA ends the process on an option that it does not know
+TESTED = tuple((0, minor) for minor in range(7, 13))  # of jaxlib: XLA ends the process on an option that it does not know
 HOLDER = "--xla_backend_extra_options="
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
 WIDTH = "--xla_cpu_prefer_vector_width="  # in bits: all that the processor has; XLA's own choice is half of 512
