@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
@@ -19,6 +19,7 @@ from jaxbody.arrays import concrete, float_array
 from jaxbody.eigenproblems import together
 from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.linearizations import Linearization
+from jaxbody.mode_names import meaning
 from jaxbody.models import Layout
 from jaxbody.options import jit_as_it_is
 from jaxbody.poles import ComplexModes, complex_modes
@@ -33,7 +34,7 @@ class Branches(Result):
     """Modes along a parameter, each column one mode followed from the first value, where they ascend.
 
     `frequency` [Hz] (damped ones about a spin), `damping_ratio`, `shapes` (value, coordinate, mode), `order`: which of the ascending modes each is, `mac` of each with
-    itself at the value before. `status` of each value: LOST_BRANCH where one is below 0.8: give values in between; else that of its modes."""
+    itself at the value before. `names`: of the modes at the first value. `status` of each value: LOST_BRANCH where one is below 0.8: give values in between; else that of its modes."""
 
     values: Float[Array, "k"]
     frequency: Float[Array, "k n"]
@@ -42,7 +43,16 @@ class Branches(Result):
     order: Int[Array, "k n"]
     mac: Float[Array, "k n"]
     status: Int[Array, "k"]
-    layout: Layout = field(static=True)
+    first: Modes | ComplexModes
+
+    @property
+    def layout(self) -> Layout:
+        return self.first.layout
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the modes at the first value, by what has most of their kinetic energy there."""
+        return self.first.names
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: frequency, damping ratio, MAC and shape by value and mode."""
@@ -54,8 +64,9 @@ class Branches(Result):
         if self.frequency.ndim > 2 or not is_concrete(self.frequency) or self.frequency.shape[1] > 12:
             return [tables.Table("Branches", ("", ""), [("frequency [Hz]", self.frequency)])]
         heads = ("value", *(f"{i + 1} [Hz]" for i in range(self.frequency.shape[1])), "least MAC")
-        rows = [(tables.number(x), *f, jnp.min(m)) for x, f, m in zip(self.values, self.frequency, self.mac, strict=True)]
-        return [tables.Table("Branches", heads, rows, self.report())]
+        rows = [(tables.number(x), *f, m.min()) for x, f, m in zip(*map(np.asarray, (self.values, self.frequency, self.mac)), strict=True)]
+        named = f"at the first value {'; '.join(f'{i + 1}: {name}' for i, name in enumerate(self.names))}"
+        return [tables.Table("Branches", heads, rows, "; ".join(filter(None, [self.report(), named, meaning(self.names)])))]
 
 
 def mac(one: Modes | ComplexModes | Any, other: Modes | ComplexModes | Any, *, mass: Any = None) -> Float[Array, "n m"]:
@@ -115,7 +126,7 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
         found = complex_modes(lin) if isinstance(lin, SpinLinearization) else modes(lin)
         return found, lin.M
 
-    found, M = jax.vmap(one)(jnp.asarray(given))
+    found, M = eqx.filter_vmap(one)(jnp.asarray(given))
     result = _track(jnp.asarray(given), found, M)
     warn_if_failed(result)
     return result
@@ -152,7 +163,8 @@ def _track(values: Float[Array, "k"], found: Modes | ComplexModes, M: Float[Arra
     lost = jnp.any(quality < LEAST_MAC, axis=1)
     status = jnp.where((found.status == Status.OK) & lost, Status.LOST_BRANCH.value, found.status)
     shapes = jnp.take_along_axis(found.shapes, order[:, None], axis=2)
-    return Branches(values, along(found.frequency), along(found.damping_ratio), shapes, order, quality, status, found.layout)
+    first = jax.tree.map(lambda x: x[0] if eqx.is_array(x) else x, found)
+    return Branches(values, along(found.frequency), along(found.damping_ratio), shapes, order, quality, status, first)
 
 
 def _matched(score: Float[Array, "n n"]) -> Int[Array, "n"]:

@@ -6,26 +6,24 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
-from jaxbody.arrays import concrete
 from jaxbody.checks import check_precision
-from jaxbody.eigenproblems import ZERO, averaged, clusters, natural
+from jaxbody.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.errors import Problems, is_concrete
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.mechanics import each_element
+from jaxbody.mode_names import AXES, against_gravity, direction_words, meaning, mode_names
 from jaxbody.models import Model
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import rotate, rotate_back
 from jaxbody.vibrations import _modes
 
-AXES = "xyz"
 LEAST_LOSS = 1e-12  # of the largest decay of a mode, below which a mode dissipates nothing
 UNTIED = 1e-8  # far above rounding, far below what counts as coinciding
 MOST_MODES = 12  # that a table has room for
@@ -36,13 +34,15 @@ class ModeEnergies(Result):
 
     `kinetic` {body: (6, n)}: translation of the centre of mass and rotation, world axes; all sum to 100. `strain` {element: (n,)}: V''(e) de de; with `other_strain`,
     {"tension", "gravity", "loads"}: what tension, weights and loads add to K, the sum is 100 (NaN for a mode of zero frequency). `dissipation` {element: (n,)}:
-    sums to 100, or to 0 where nothing is dissipated. `names`: each mode by what moves most."""
+    sums to 100, or to 0 where nothing is dissipated. `velocities` (bodies, 6, n), whose they are: of centers of mass and of turning, along the shape. `names`: each mode by
+    what has most of its kinetic energy."""
 
     frequency: Float[Array, "n"]
     kinetic_shares: Float[Array, "nb 6 n"]
     strain_shares: Float[Array, "ne n"]
     other_shares: Float[Array, "3 n"]
     dissipation_shares: Float[Array, "ne n"]
+    velocities: Float[Array, "nb 6 n"]
     cluster: Int[Array, "n"]
     status: Int[Array, ""]
     model: Model
@@ -71,14 +71,9 @@ class ModeEnergies(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Each mode by the body and direction with most of its kinetic energy, and how much that is."""
-        shares = np.asarray(self.kinetic_shares).reshape(-1, self.frequency.shape[-1])
-        largest = np.argmax(shares, axis=0)
-        shared = (np.asarray(self.cluster)[:, None] == np.asarray(self.cluster)).sum(0)
-        return tuple(
-            f"{self.rows[i]} {shares[i, mode]:.0f} %" + (f" (one of {shared[mode]})" if shared[mode] > 1 else "")
-            for mode, i in enumerate(largest)
-        )
+        """Each mode by the body and direction with most of its kinetic energy, and how much that is; several bodies where they share it, with whether they
+        move in phase or against each other. "~" marks frequencies that nearly coincide."""
+        return mode_names(self.model.layout.bodies, self.directions, self.kinetic_shares, self.velocities, self.cluster, self.frequency)
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: shares [%] by mode, body and direction, element."""
@@ -109,7 +104,8 @@ class ModeEnergies(Result):
             for title, rows in parts.items()
             if rows
         ]
-        shown[-1].note = "; ".join(f"{i + 1}: {name}" for i, name in enumerate(self.names)) + (f"; {self.report()}" if self.status else "")
+        notes = [*(f"{i + 1}: {name}" for i, name in enumerate(self.names)), self.report() if self.status else "", meaning(self.names)]
+        shown[-1].note = "; ".join(filter(None, notes))
         return shown
 
 
@@ -148,30 +144,18 @@ def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str,
             problems.add(
                 "BAD_DIRECTION", f"mode_energies.{name}", f"is {axis!r}", value=axis, limit="x, y or z", hint="Give one axis of the world."
             )
-    up = up or _against_gravity(model)
+    up = up or against_gravity(model)
     if forward is not None and up is None:
         problems.add("BAD_DIRECTION", "mode_energies.up", "is missing, and gravity is along no axis", hint="Give up='z', say.")
     if forward is not None and forward == up:
         problems.add("BAD_DIRECTION", "mode_energies.forward", "is upwards", value=forward, limit="another axis than `up`")
     problems.raise_if_any()
-    words = {up: ("bounce", "yaw")} if up else {}
-    if forward:
-        words |= {forward: ("fore-aft", "roll"), next(iter(set(AXES) - {forward, up})): ("lateral", "pitch")}
-    named = [words.get(axis, (f"along {axis}", f"about {axis}")) for axis in AXES]
-    return tuple(word for word, _ in named) + tuple(word for _, word in named)
-
-
-def _against_gravity(model: Model) -> str | None:
-    """The axis upwards, where gravity is known and along one."""
-    g = concrete(model.gravity)
-    if g is None or g.ndim > 1 or np.sum(np.abs(g) > 1e-9 * np.abs(g).max(initial=0.0)) != 1:
-        return None
-    return AXES[int(np.argmax(np.abs(g)))]
+    return direction_words(model, forward, up)
 
 
 @jit_as_it_is
 def _energies(lin: Linearization) -> tuple[Array, ...]:
-    found = _modes(lin)
+    frequency, *_, status = _modes(lin)
     values, shapes = natural(lin.K, lin.M)
     cluster = clusters(values)
 
@@ -181,15 +165,16 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
         return 100 * averaged(part, cluster) / jnp.where(good, averaged(whole, cluster), 1.0) * good
 
     second = _curvatures(lin)
-    kinetic, elastic, loss = (jnp.moveaxis(x, 0, -1) for x in jax.vmap(lambda phi: _of_motion(lin, second, phi), in_axes=1)(shapes))
+    kinetic, moving, elastic, loss = (jnp.moveaxis(x, 0, -1) for x in jax.vmap(lambda phi: _of_motion(lin, second, phi), in_axes=1)(shapes))
     gravity, loads = (jnp.sum(shapes * (K @ shapes), 0) for K in (lin.K_gravity, lin.K_loads))
     strain, lost = jnp.sum(shapes * (lin.K @ shapes), 0), jnp.sum(loss, 0)
     others = jnp.stack([strain - jnp.sum(elastic, 0) - gravity - loads, gravity, loads])
+    velocities = refused_in_clusters(moving.reshape(-1, len(values)), cluster).reshape(moving.shape)
     top = jnp.max(jnp.abs(values), initial=0.0)
     stiff = jnp.where(jnp.abs(values) > ZERO * top, 1.0, jnp.nan)
     return (
-        found.frequency, share(kinetic, jnp.sum(kinetic, (0, 1)), 0.0), stiff * share(elastic, strain, 0.0), stiff * share(others, strain, 0.0),
-        share(loss, lost, LEAST_LOSS * jnp.max(jnp.abs(lost), initial=0.0)), cluster, found.status,
+        frequency, share(kinetic, jnp.sum(kinetic, (0, 1)), 0.0), stiff * share(elastic, strain, 0.0), stiff * share(others, strain, 0.0),
+        share(loss, lost, LEAST_LOSS * jnp.max(jnp.abs(lost), initial=0.0)), velocities, cluster, status,
     )  # fmt: skip
 
 
@@ -210,7 +195,7 @@ def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
     coordinates as far as that can be: those of a K whose diagonal is raised by up to UNTIED, differently for each coordinate."""
     untied = UNTIED * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))
     _, shapes = natural(lin.K + jnp.diag(untied), lin.M)
-    kinetic = jax.vmap(lambda phi: _kinetic(lin.model, _moving(lin, phi)), in_axes=1, out_axes=-1)(shapes)
+    kinetic = jax.vmap(lambda phi: _kinetic(lin.model, _moving(lin, phi))[0], in_axes=1, out_axes=-1)(shapes)
     return kinetic.reshape(-1, kinetic.shape[-1])  # phi' M phi = 1
 
 
@@ -218,17 +203,19 @@ def _moving(lin: Linearization, phi: Float[Array, "nv"]) -> Frame:
     return Coordinates(lin.model).at_rest(lin.state.q, phi)
 
 
-def _kinetic(model: Model, frames: Frame) -> Float[Array, "nb 6"]:
-    """Twice the kinetic energy by body and direction."""
+def _kinetic(model: Model, frames: Frame) -> tuple[Float[Array, "nb 6"], Float[Array, "nb 6"]]:
+    """Twice the kinetic energy by body and direction, and the velocities of centers of mass and of turning that have it."""
     bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
     v_C = moving.velocity(bodies.com)
     w_B = rotate_back(moving.R, moving.w)
     inertia = (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2
-    return jnp.concatenate([bodies.mass[:, None] * v_C**2, moving.w * rotate(moving.R, rotate(inertia, w_B))], -1)
+    momenta = jnp.concatenate([bodies.mass[:, None] * v_C, rotate(moving.R, rotate(inertia, w_B))], -1)
+    velocities = jnp.concatenate([v_C, moving.w], -1)
+    return velocities * momenta, velocities
 
 
 def _of_motion(lin: Linearization, curvatures: list[tuple[Array, Array]], phi: Float[Array, "nv"]):
-    """Twice the kinetic energy by body and direction, twice the elastic energy and the power lost by element, of a motion along phi."""
+    """Twice the kinetic energy by body and direction, velocities, twice the elastic energy and the power lost by element, of a motion along phi."""
     frames = _moving(lin, phi)
     changes = [e_dot.reshape(len(e_dot), -1) for _, e_dot in each_element(lin.model, frames, lambda element, *F: element.rates(*F))]
     none = jnp.zeros(0, phi.dtype)
@@ -237,4 +224,4 @@ def _of_motion(lin: Linearization, curvatures: list[tuple[Array, Array]], phi: F
         pairs = zip(changes, curvatures, strict=True)
         return jnp.concatenate([none, *(jnp.einsum("ni,nij,nj->n", change, both[i], change) for change, both in pairs)])
 
-    return _kinetic(lin.model, frames), quadratic(0), quadratic(1)
+    return *_kinetic(lin.model, frames), quadratic(0), quadratic(1)

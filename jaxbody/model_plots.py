@@ -19,6 +19,7 @@ from jaxbody.models import WORLD, Model, State
 from jaxbody.options import jit_as_it_is
 from jaxbody.poles import ComplexModes
 from jaxbody.spins import SpinLinearization
+from jaxbody.tables import without_dust
 from jaxbody.vibrations import Modes
 
 AXES = "xyz"
@@ -61,7 +62,7 @@ def draw_model(
 def draw_mode(
     lin: Linearization | SpinLinearization, modes: Modes | ComplexModes, number: int = 1, *, view: str | None = None, ax: Any = None
 ) -> Any:
-    """Mode `number` (from 1, ascending) in both extremes over the state at rest; the amplitude is an eighth of the model's size.
+    """Mode `number` (from 1, ascending) in both extremes over the state at rest, with its name; the amplitude is an eighth of the model's size.
 
     A complex mode is drawn where its largest component is extreme."""
     model, count = lin.model, modes.frequency.shape[0]
@@ -84,8 +85,9 @@ def draw_mode(
     _draw(ax, rest, look, size, names=False, color=LIGHT, edge=GRAY, springs=GRAY, alpha=0.5)
     for scene, color in zip(extremes, COLORS, strict=False):
         _draw(ax, scene, look, size, names=False, color=color, edge=color, springs=color, alpha=0.3, ground=False)
-    frequency, ratio = float(modes.frequency[number - 1]), float(modes.damping_ratio[number - 1])
-    ax.set_title(f"mode {number}: {frequency:.4g} Hz" + (f", damping ratio {ratio:.2g}" if ratio > 0 else ""), fontsize=9)
+    frequency, ratio = (float(x[number - 1]) for x in (np.asarray(modes.frequency), without_dust(modes.damping_ratio, 1.0)))
+    title = f"mode {number}: {frequency:.4g} Hz" + (f", damping ratio {ratio:.2g}" if ratio > 0 else "")
+    ax.set_title(f"{title}\n{modes.names[number - 1]}", fontsize=9)
     _finish(ax, look, view, model)
     return ax
 

@@ -144,11 +144,11 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
 def _backbones(lin: Linearization) -> Backbones:
     model, K, M = lin.model, (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2
     frozen = jax.lax.stop_gradient(lin)
-    linear, size = _modes(frozen), size_of(frozen.model)
+    (of_modes, shapes, _, values, cluster, _), size = _modes(frozen), size_of(frozen.model)
     scale = scale_of(frozen.model, size)
-    values, shapes, MS = linear.eigenvalues, linear.shapes, frozen.M @ linear.shapes
+    MS = frozen.M @ shapes
     top = jnp.max(jnp.abs(values))
-    alone = jnp.sum(linear.cluster[:, None] == linear.cluster, 0) == 1
+    alone = jnp.sum(cluster[:, None] == cluster, 0) == 1
     oscillates = values > ZERO * top
     valid, still = alone & oscillates, jnp.abs(values) <= ZERO * top
     largest = jnp.argmax(jnp.abs(shapes) / scale[:, None], axis=0)
@@ -186,7 +186,7 @@ def _backbones(lin: Linearization) -> Backbones:
     status = jnp.select(list(failures.values()), [code.value for code in failures], Status.OK.value)
     ok = status == Status.OK
     gamma, c0, c2, V2, V3, V4 = (jnp.where(ok if x.ndim == 1 else ok[:, None], x, jnp.nan) for x in (gamma, c0, c2, V2, V3, V4))
-    frequency = jnp.where(valid, jnp.sqrt(jnp.where(valid, value, 1.0)) / (2 * jnp.pi), linear.frequency)
+    frequency = jnp.where(valid, jnp.sqrt(jnp.where(valid, value, 1.0)) / (2 * jnp.pi), of_modes)
     return Backbones(frequency, phi.T, largest, gamma, c0.T, c2.T, V2, V3, V4, status, model.layout)
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import field
 from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody import tables
@@ -17,7 +16,8 @@ from jaxbody.eigenproblems import cholesky_of_mass, pole_clusters, poles, refuse
 from jaxbody.errors import Status, is_concrete
 from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization, check_linearization
-from jaxbody.models import Layout
+from jaxbody.mode_names import meaning, names_of_shapes
+from jaxbody.models import Layout, Model
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import cross
@@ -44,16 +44,26 @@ class ComplexModes(Result):
     poles: Complex[Array, "n 2"]
     shapes: Complex[Array, "nv n"]
     cluster: Int[Array, "n"]
-    M: Float[Array, "nv nv"]
     status: Int[Array, ""]
-    layout: Layout = field(static=True)
+    M: Float[Array, "nv nv"]
+    model: Model
+    q: Float[Array, "nq"]
+
+    @property
+    def layout(self) -> Layout:
+        return self.model.layout
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Each mode by the body and direction with most of its kinetic energy (the mean over a period), several where they share it."""
+        return names_of_shapes(self.model, self.q, self.shapes, self.cluster, np.asarray(self.poles)[:, 0])
 
     def explain(self) -> str:
         status = Status(int(self.status))
         if status == Status.UNSTABLE:
-            return f"{int(jnp.sum(self.decay_rate < 0))} mode(s) grow"
+            return f"{tables.counted(int((np.asarray(self.decay_rate) < 0).sum()), 'mode')} of growing motion"
         if status == Status.SINGULAR_K:
-            return f"{int(jnp.sum(self.natural_frequency == 0))} mode(s) of zero frequency"
+            return f"{tables.counted(int((np.asarray(self.natural_frequency) == 0).sum()), 'mode')} of zero frequency"
         if status == Status.SINGULAR_M:
             return "; ".join(without_inertia(self.layout, self.M))
         return ""
@@ -67,18 +77,12 @@ class ComplexModes(Result):
     def _tables(self) -> list[tables.Table]:
         if self.frequency.ndim > 1 or not is_concrete(self.frequency):
             return [tables.Table("Complex modes", ("", ""), [("frequency [Hz]", self.frequency), ("damping ratio", self.damping_ratio)])]
-        heads = ("mode", "frequency [Hz]", "natural frequency [Hz]", "damping ratio", "decay rate [1/s]", "largest component")
-        largest = [self.layout.coordinates[int(i)] for i in jnp.argmax(jnp.abs(self.shapes), axis=0)]
-        shared = [" (coincides)" if int(jnp.sum(self.cluster == c)) > 1 else "" for c in self.cluster]
-        ratio, decay = (x + 0.0 for x in (_undusted(self.damping_ratio, 1.0), _undusted(self.decay_rate, jnp.max(self.natural_frequency))))
-        columns = (self.frequency, self.natural_frequency, ratio, decay)
-        rows = [(str(i + 1), *numbers, name + more) for i, (*numbers, name, more) in enumerate(zip(*columns, largest, shared, strict=True))]
-        return [tables.Table("Complex modes", heads, rows, "" if int(self.status) == 0 else self.report())]
-
-
-def _undusted(x: Array, unit: Any) -> Array:
-    """Zeros for what is rounding."""
-    return jnp.where(jnp.abs(x) <= 1e-12 * unit, 0.0, x)
+        heads = ("mode", "frequency [Hz]", "natural frequency [Hz]", "damping ratio", "decay rate [1/s]", "most energy in")
+        natural, names = np.asarray(self.natural_frequency), self.names
+        ratio, decay = tables.without_dust(self.damping_ratio, 1.0), tables.without_dust(self.decay_rate, natural.max(initial=0.0)) + 0.0
+        rows = [(str(i + 1), *row) for i, row in enumerate(zip(np.asarray(self.frequency), natural, ratio, decay, names, strict=True))]
+        notes = [self.report() if int(self.status) else "", meaning(names)]
+        return [tables.Table("Complex modes", heads, rows, "; ".join(filter(None, notes)))]
 
 
 def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool = False) -> ComplexModes:
@@ -102,16 +106,15 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     spins = isinstance(lin, SpinLinearization)
     D = lin.C + lin.G if isinstance(lin, SpinLinearization) else lin.C
     unit = scale_of(lin.model, size_of(lin.model))
-    result = _complex_modes(lin.M, D, lin.K, unit, lin.status, lin.model.layout, spins)
+    result = ComplexModes(*_complex_modes(lin.M, D, lin.K, unit, lin.status, spins), M=lin.M, model=lin.model, q=lin.state.q)
     warn_if_failed(result)
     return result
 
 
 @jit_as_it_is
-def _complex_modes(M, D, K, unit, before, layout: Layout, spins: bool) -> ComplexModes:
-    n = layout.nv
+def _complex_modes(M, D, K, unit, before, spins: bool) -> tuple[Array, ...]:
+    n = len(M)
     M, D, K = (X * unit * unit[:, None] for X in (M, D, K))
-    given = M
     finite, massless = jnp.isfinite(jnp.stack([M, D, K])).all(), jnp.isnan(cholesky_of_mass(M)).any()
     M, D, K = (jnp.where(finite & ~massless, X, np.eye(n)) for X in (M, D, K))  # LAPACK may not end on NaN
     inverse = jnp.linalg.inv((M + M.T) / 2)
@@ -143,7 +146,7 @@ def _complex_modes(M, D, K, unit, before, layout: Layout, spins: bool) -> Comple
         x * steady for x in (jnp.abs(one.imag) / (2 * jnp.pi), natural, ratio, -jnp.maximum(one.real, other.real))
     )
     cluster, both = pole_clusters(found[pairs[:, 0]]), jnp.stack([one, other], -1) * good
-    return ComplexModes(frequency, natural, ratio, decay, both, shapes * good, cluster, given / unit / unit[:, None], status, layout)
+    return frequency, natural, ratio, decay, both, shapes * good, cluster, status
 
 
 def _paired(s: Complex[Array, "2n"], U: Complex[Array, "n 2n"], M, K) -> Int[Array, "n 2"]:

@@ -53,12 +53,12 @@ def counted(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
-def without_dust(values: Any) -> Any:
-    """The numbers with those below 1e-12 of the largest as zeros, which is what they are but for rounding."""
+def without_dust(values: Any, unit: Any = None) -> Any:
+    """The numbers with those below 1e-12 of a unit, or of the largest, as zeros, which is what they are but for rounding."""
     if isinstance(values, Tracer):
         return values
     array = np.asarray(values)
-    return np.where(np.abs(array) <= 1e-12 * np.abs(array).max(initial=0.0), 0.0, array)
+    return np.where(np.abs(array) <= 1e-12 * (np.abs(array).max(initial=0.0) if unit is None else unit), 0.0, array)
 
 
 def text(*shown: Table) -> str:

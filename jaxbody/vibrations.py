@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import jax.numpy as jnp
-from equinox import field
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
@@ -14,7 +14,8 @@ from jaxbody.eigenproblems import ZERO, averaged, clusters, natural, refused_in_
 from jaxbody.errors import Status, is_concrete
 from jaxbody.lanes import in_lanes
 from jaxbody.linearizations import Linearization, check_linearization
-from jaxbody.models import Layout
+from jaxbody.mode_names import meaning, names_of_shapes
+from jaxbody.models import Layout, Model
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import without_inertia
@@ -24,8 +25,9 @@ SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is 
 
 class Modes(Result):
     """Natural modes, ascending: `frequency` [Hz], `shapes` (columns, phi' M phi = 1, largest component positive), `damping_ratio`, `eigenvalues` w^2
-    [rad2/s2], and `cluster`, equal numbers for frequencies that coincide. A negative eigenvalue has frequency NaN and status UNSTABLE, a zero one 0 and SINGULAR_K.
-    All are NaN where something moves without inertia (SINGULAR_M; `M` is the mass matrix) or a matrix is not finite (NONFINITE).
+    [rad2/s2], and `cluster`, equal numbers for frequencies that coincide; `names`: each mode by what has most of its kinetic energy. A negative eigenvalue has
+    frequency NaN and status UNSTABLE, a zero one 0 and SINGULAR_K. All are NaN where something moves without inertia (SINGULAR_M; `M` is the mass matrix) or a
+    matrix is not finite (NONFINITE).
 
     Modes that coincide have no shapes of their own, only a space: `shapes` are some basis of it, and each has the mean of their damping ratios. The frequency
     of one has a derivative to each side: `jax.jvp` and `jacfwd` give the one along the direction, while `jax.grad` gives NaN for it, as for what is made of one shape.
@@ -36,16 +38,26 @@ class Modes(Result):
     damping_ratio: Float[Array, "nv"]
     eigenvalues: Float[Array, "nv"]
     cluster: Int[Array, "nv"]
-    M: Float[Array, "nv nv"]
     status: Int[Array, ""]
-    layout: Layout = field(static=True)
+    M: Float[Array, "nv nv"]
+    model: Model
+    q: Float[Array, "nq"]
+
+    @property
+    def layout(self) -> Layout:
+        return self.model.layout
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Each mode by the body and direction with most of its kinetic energy, several where they share it, as in `mode_energies`."""
+        return names_of_shapes(self.model, self.q, self.shapes, self.cluster, self.frequency)
 
     def explain(self) -> str:
         status = Status(int(self.status))
         if status == Status.UNSTABLE:
-            return f"{int(jnp.sum(jnp.isnan(self.frequency)))} mode(s) grow instead of oscillating"
+            return f"{tables.counted(int(np.isnan(self.frequency).sum()), 'mode')} of growing motion"
         if status == Status.SINGULAR_K:
-            return f"{int(jnp.sum(self.frequency == 0))} mode(s) of zero frequency"
+            return f"{tables.counted(int((np.asarray(self.frequency) == 0).sum()), 'mode')} of zero frequency"
         if status == Status.SINGULAR_M:
             return "; ".join(without_inertia(self.layout, self.M))
         return ""
@@ -59,20 +71,10 @@ class Modes(Result):
     def _tables(self) -> list[tables.Table]:
         if self.frequency.ndim > 1 or not is_concrete(self.frequency):
             return [tables.Table("Modes", ("", ""), [("frequency [Hz]", self.frequency)])]
-        largest = [self.layout.coordinates[int(i)] for i in jnp.argmax(jnp.abs(self.shapes), axis=0)]
-        shared = [int(jnp.sum(self.cluster == c)) > 1 for c in self.cluster]
-        rows = [
-            (str(i + 1), f, z, name + (" (coincides)" if together else ""))
-            for i, (f, z, name, together) in enumerate(zip(self.frequency, self.damping_ratio, largest, shared, strict=True))
-        ]
-        return [
-            tables.Table(
-                "Modes",
-                ("mode", "frequency [Hz]", "damping ratio", "largest component"),
-                rows,
-                "" if int(self.status) == 0 else self.report(),
-            )
-        ]
+        names, ratio = self.names, tables.without_dust(self.damping_ratio, 1.0)
+        rows = [(str(i + 1), *row) for i, row in enumerate(zip(np.asarray(self.frequency), ratio, names, strict=True))]
+        notes = [self.report() if int(self.status) else "", meaning(names)]
+        return [tables.Table("Modes", ("mode", "frequency [Hz]", "damping ratio", "most energy in"), rows, "; ".join(filter(None, notes)))]
 
 
 def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
@@ -91,13 +93,14 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     """
     check_linearization(lin, "modes")
     check_precision("modes", lin.model, needs_float64=not allow_float32)
-    result = _modes(lin)
+    result = Modes(*_modes(lin), M=lin.M, model=lin.model, q=lin.state.q)
     warn_if_failed(result)
     return result
 
 
 @jit_as_it_is
-def _modes(lin: Linearization) -> Modes:
+def _modes(lin: Linearization) -> tuple[Array, ...]:
+    """Frequency, shapes, damping ratio, eigenvalues, cluster and status."""
     values, shapes = natural(lin.K, lin.M)
     cluster = clusters(values)
     top = jnp.max(jnp.abs(values), initial=0.0)
@@ -115,4 +118,4 @@ def _modes(lin: Linearization) -> Modes:
     here = jnp.where(skew, Status.NOT_SYMMETRIC.value, here)
     failed = jnp.isin(lin.status, jnp.array([Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT]))
     status = jnp.where(failed, lin.status, here)
-    return Modes(frequency, refused_in_clusters(shapes, cluster), damping, values, cluster, lin.M, status, lin.model.layout)
+    return frequency, refused_in_clusters(shapes, cluster), damping, values, cluster, status

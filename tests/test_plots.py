@@ -224,12 +224,12 @@ def test_a_mode_is_drawn_in_both_extremes(model, ax):
     lin = SimpleNamespace(model=model, state=model.reference)
     shape = np.zeros((8, 1))
     shape[1, 0] = 2.0  # the plate along y
-    modes = SimpleNamespace(shapes=shape, frequency=np.array([3.0]), damping_ratio=np.array([0.02]))
+    modes = SimpleNamespace(shapes=shape, frequency=np.array([3.0]), damping_ratio=np.array([0.02]), names=("plate along y 100 %",))
     plots.draw_mode(lin, modes, 1, ax=ax)
     swing = 5.0 * model_plots.SWING  # everything attached lies within 5 m along x and 4 m along y
     for dy in (-swing, 0, swing):
         assert drawn(ax, (-1, 1 + dy), (-1, 2)), dy
-    assert ax.get_title() == "mode 1: 3 Hz, damping ratio 0.02"
+    assert ax.get_title() == "mode 1: 3 Hz, damping ratio 0.02\nplate along y 100 %"
     with pytest.raises(jb.JaxbodyError, match="1 to 1"):
         plots.draw_mode(lin, modes, 2, ax=ax)
 

@@ -25,7 +25,7 @@ ROWS = (
     "tracings motions samplings repairs measurements recordings response_files base_motions splines signals roads orientations bodies joints curves laws elements torsions contacts loads element_checks storage models presets naming checks",
     "kinematics mechanics dynamics momenta derivatives",
     "load_paths descents statics cases preloads equilibria ports state_spaces linearizations",
-    "vibrations energies mount_axes spins poles branches nonlinearities",
+    "mode_names vibrations energies mount_axes spins poles branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
     "channels transducers sensors records attitudes instruments gauges",
     "experiments diagnoses plausibilities measured_responses measured_modes parametrizations ties free_parameters field_units losses colorings tasks checkpoints",
