@@ -50,7 +50,7 @@ def setting_in(model: Model) -> list[str]:
 @jit_as_it_is
 def _near_rest(model: Model):
     """Status of the equilibrium, and of elements with one deformation V'' and V''' near it."""
-    eq = equilibrium_of(model, None, (), 200)
+    eq = equilibrium_of(model, None, 200)
     steps = CLOSE * size_of(model) * ASIDE
 
     def slopes(element, e):
