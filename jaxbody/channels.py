@@ -1,5 +1,6 @@
 """What is measured, channel by channel: how far a reading is from a measured one, which samples are missing, how noise is on it."""
 
+from abc import abstractmethod
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -13,8 +14,8 @@ class Channel(eqx.Module):
 
     `shape` of a reading and `noise_shape` of a residual; `unit` of either, where there are several by commas: noise has a number for each."""
 
-    shape: ClassVar[tuple[int, ...]]
-    unit: ClassVar[str]
+    shape: eqx.AbstractClassVar[tuple[int, ...]]
+    unit: eqx.AbstractClassVar[str]
     series: ClassVar[bool] = True  # samples follow one another: neighbors may be correlated, and there are enough to tell their noise
     parts: ClassVar[tuple[str, ...]] = ()  # what the components of each unit are called, where there are several units
 
@@ -52,12 +53,12 @@ class Measurement(eqx.Module):
     noise: eqx.AbstractVar[dict[str, Array] | None]
 
     @property
-    def channels(self) -> dict[str, Channel]:
-        raise TypeError  # pragma: no cover
+    @abstractmethod
+    def channels(self) -> dict[str, Channel]: ...
 
+    @abstractmethod
     def readings(self, model: Any, integration: Any) -> dict[str, Array]:
         """{channel: array like `measured`}; NaN where the model cannot tell."""
-        raise TypeError  # pragma: no cover
 
     def residual(self, name: str, reading: Array) -> Array:
         """Reading less measured of a channel, zero where a sample is missing."""
@@ -84,11 +85,11 @@ class Measurement(eqx.Module):
 
     def axis(self, channel: str) -> tuple[str, Array | np.ndarray, str]:
         """What the rows of a channel's record are over: its name, values, unit."""
-        raise TypeError  # pragma: no cover
+        raise NotImplementedError  # pragma: no cover
 
     def place(self, row: int) -> tuple[str, float]:
         """Where a row of `measured` is, in words and as a number."""
-        raise TypeError  # pragma: no cover
+        raise NotImplementedError  # pragma: no cover
 
     def present(self, name: str) -> np.ndarray:
         """Which components of the residuals of a channel have their samples."""

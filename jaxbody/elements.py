@@ -6,6 +6,7 @@ Points and orientations of an element are in the frame of the body or support th
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -28,10 +29,23 @@ Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about t
 
 
 class Element(eqx.Module):
-    """The base of all elements between frames A and B, or more; `between` names them.
+    """The base of all elements between frames A and B, or more; `between` names them, `a` and `b` are the points where it is attached.
 
-    >>> issubclass(Spring, Element) and issubclass(Bushing, Element)
-    True
+    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness are their derivatives. Two equal charges, one
+    of them hovering over the other where strength / e^2 = m g:
+
+    >>> class Charges(Element):
+    ...     strength: jax.Array  # N m2
+    ...     def deformation(self, A, B):
+    ...         return jnp.linalg.norm(B.point(self.b) - A.point(self.a))
+    ...     def energy(self, e):
+    ...         return self.strength / e
+    ...     def dissipation(self, e, e_dot):
+    ...         return jnp.zeros_like(e)
+    >>> model = Model(bodies={"ball": Body(mass=0.2, inertia=[1, 1, 1], position=[0, 0, 0.6])}, joints={"ball": Guide("world", axis=[0, 0, 1])},
+    ...               elements={"pair": Charges(("ball", "world"), jnp.zeros(3), jnp.zeros(3), jnp.array(0.5))}, gravity=[0, 0, -10])
+    >>> round(float(equilibrium(model).elongations["pair"]), 9)
+    0.5
     """
 
     between: tuple[str, ...] = eqx.field(static=True)
@@ -44,17 +58,17 @@ class Element(eqx.Module):
         """Where it is attached, a point in each frame."""
         return self.a, self.b
 
+    @abstractmethod
     def deformation(self, *poses: Pose) -> Float[Array, "*m"]:
         """The geometric function e."""
-        raise TypeError  # pragma: no cover
 
+    @abstractmethod
     def energy(self, e: Float[Array, "*m"]) -> Float[Array, ""]:
         """V(e) [J]."""
-        raise TypeError  # pragma: no cover
 
+    @abstractmethod
     def dissipation(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, ""]:
         """R(e, e_dot) [W], half the dissipated power where damping is linear."""
-        raise TypeError  # pragma: no cover
 
     def beyond(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Bool[Array, ""]:
         """True where a law is used beyond what it is known for."""
@@ -98,20 +112,17 @@ class LineElement(Element):
 
     A tension T(L) along it is split, T = k0 L + rest, so that the force k0 d + rest d/L has the right derivatives at d = 0 where the rest
     vanishes with L.
-
-    >>> issubclass(Spring, LineElement) and issubclass(SpringDamper, LineElement)
-    True
     """
 
     free_length: Float[Array, ""]
 
+    @abstractmethod
     def split(self, L: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
         """k0, the rest of the tension and its derivative in L."""
-        raise TypeError  # pragma: no cover
 
+    @abstractmethod
     def damper_tension(self, e: Float[Array, ""], e_dot: Float[Array, ""]) -> Float[Array, ""]:
         """dR/de_dot."""
-        raise TypeError  # pragma: no cover
 
     def has_no_direction(self) -> bool:
         """True when it neither pulls nor damps at zero length, and so needs no direction there (of numbers that can be seen)."""

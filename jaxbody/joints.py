@@ -5,8 +5,7 @@ of the body on a posed parent (`pose`) and the velocity of the body per unit of 
 The reference pose of the body on its parent, `rest`, belongs to q at rest. Axes and points are in the parent's frame.
 """
 
-from __future__ import annotations
-
+from abc import abstractmethod
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -30,15 +29,30 @@ class Joint(eqx.Module):
     """The base of all joints: nq coordinates, nv speeds; `motions` says in words what each speed does, `turns` which are turns [rad/s];
     `in_series`, whether an earlier turn turns the axes of the later ones (else the turns of a joint act together).
 
-    >>> Hinge.nq, Hinge.nv, Ball.motions[0]
-    (1, 1, 'turn about x')
+    A joint of your own states these, `pose` and `axes`; where q is not added up, also `rest`, `retract` and `rate`. A nut on a screw, which
+    falls by g / (1 + I / (m lead^2)):
+
+    >>> from jaxbody.frames import Pose
+    >>> class Screw(Joint):
+    ...     lead: jax.Array  # m/rad
+    ...     nq, nv, motions, turns = 1, 1, ("turn of the screw",), (True,)
+    ...     def pose(self, q, parent, rest):
+    ...         c, s = jnp.cos(q[0]), jnp.sin(q[0])
+    ...         R = jnp.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    ...         return parent @ Pose(rest.p + jnp.array([0, 0, self.lead * q[0]]), R @ rest.R)
+    ...     def axes(self, q, parent, body):
+    ...         n = parent.R[:, 2]
+    ...         return self.lead * n[None], n[None]
+    >>> model = Model(bodies={"nut": Body(mass=0.3, inertia=[2e-5, 2e-5, 2e-5])}, joints={"nut": Screw("world", jnp.array(0.01))}, gravity=[0, 0, -9])
+    >>> round(float(simulate(model, [0.0, 1.0]).poses["nut"].p[-1, 2]), 9)  # 9 / (1 + 2/3) / 2
+    -2.7
     """
 
     parent: str = eqx.field(static=True)
-    nq: ClassVar[int]
-    nv: ClassVar[int]
-    motions: ClassVar[tuple[str, ...]]
-    turns: ClassVar[tuple[bool, ...]]
+    nq: eqx.AbstractClassVar[int]
+    nv: eqx.AbstractClassVar[int]
+    motions: eqx.AbstractClassVar[tuple[str, ...]]
+    turns: eqx.AbstractClassVar[tuple[bool, ...]]
     in_series: ClassVar[bool] = False
 
     def rest(self, rest: Pose) -> Float[Array, "nq"]:
@@ -53,13 +67,13 @@ class Joint(eqx.Module):
         """dq/dt, the derivative of retract(q, t v) at t = 0."""
         return v
 
+    @abstractmethod
     def pose(self, q: Float[Array, "nq"], parent: Pose, rest: Pose) -> Pose:
         """World pose of the body."""
-        raise TypeError  # pragma: no cover
 
+    @abstractmethod
     def axes(self, q: Float[Array, "nq"], parent: Pose, body: Pose) -> Axes:
         """Velocity of the body's origin, and angular velocity, per unit of each speed, relative to the parent, world axes."""
-        raise TypeError  # pragma: no cover
 
 
 class Free(Joint):
@@ -214,7 +228,7 @@ class Series(Joint):
     A kind states `steps`: the axis of each, 0, 1, 2 for x, y, z.
     """
 
-    steps: ClassVar[tuple[int, ...]]
+    steps: eqx.AbstractClassVar[tuple[int, ...]]
     in_series = True
 
     def __init__(self, parent: str):

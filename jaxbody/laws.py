@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float
 from jaxbody.arrays import checked, concrete, functions_as_nodes
 from jaxbody.bodies import scalar
 from jaxbody.curves import read_columns
-from jaxbody.errors import Problems
+from jaxbody.errors import JaxbodyError, Problem, Problems
 
 __all__ = [
     "AirSpring",
@@ -60,6 +60,12 @@ class Law(eqx.Module):
     >>> round(float(Cubic(jnp.array(8.0)).potential(jnp.array(0.5))), 12)
     0.125
     """
+
+    def __check_init__(self):
+        kind = type(self)
+        if kind.force is Law.force and kind.potential is Law.potential:
+            hint = "Give one of them: def force(self, x): ..."
+            raise JaxbodyError(Problem("NO_FORCE", kind.__name__, "states neither force nor potential", limit="one of them", hint=hint))
 
     def potential(self, x: Number) -> Number:
         """U(x), the integral of the force from 0."""

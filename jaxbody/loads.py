@@ -5,6 +5,7 @@ A load F, M at a point P of a body enters by its virtual power F . v*_P + M . w*
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
@@ -39,9 +40,9 @@ class Load(eqx.Module):
     on: str = eqx.field(static=True)
     point: Float[Array, "3"]
 
+    @abstractmethod
     def at_point(self, t: Float[Array, ""], frame: Frame) -> Wrench:
         """Force [N] and moment [N m] at the point, world axes."""
-        raise TypeError  # pragma: no cover
 
     def signals(self) -> tuple[Signal, ...]:
         """What of it varies with time."""

@@ -6,6 +6,7 @@ Velocity and acceleration are derivatives of that function, so they cannot disag
 from __future__ import annotations
 
 import functools
+from abc import abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
@@ -33,8 +34,8 @@ class Motion(eqx.Module):
     [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
     """
 
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
-        raise TypeError("a motion says what it is by __call__(t)")  # pragma: no cover
+    @abstractmethod
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]: ...
 
     def covers(self) -> tuple[Any, Any]:
         """First and last time [s] at which the motion is known."""

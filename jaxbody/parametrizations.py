@@ -11,6 +11,8 @@ anything else   x = x0 + s u                          s the largest of |x0|, or 
 
 from __future__ import annotations
 
+from abc import abstractmethod
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -38,8 +40,8 @@ class Parametrization(eqx.Module):
         """How many numbers u has."""
         return self.start.size
 
-    def value(self, u: Float[Array, "n"]) -> Float[Array, "*x"]:
-        raise TypeError  # pragma: no cover
+    @abstractmethod
+    def value(self, u: Float[Array, "n"]) -> Float[Array, "*x"]: ...
 
     def labels(self) -> list[str]:
         """The suffix of each u: "", or its index."""

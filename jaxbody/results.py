@@ -1,5 +1,6 @@
 """What every result shares: a status in words, and printing as small tables."""
 
+from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
@@ -40,9 +41,9 @@ class Result(eqx.Module):
         values, counts = np.unique(codes, return_counts=True)
         return ", ".join(f"{count} {Status(int(value)).name}" for value, count in zip(values, counts, strict=True))
 
+    @abstractmethod
     def _tables(self) -> list[tables.Table]:
         """What prints."""
-        raise TypeError  # pragma: no cover
 
     def __repr__(self) -> str:
         return tables.text(*self._tables())

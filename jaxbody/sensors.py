@@ -1,5 +1,6 @@
 """What an instrument on a body reads, with what lies between that and its record: gain, bias, delay and lag."""
 
+from abc import abstractmethod
 from typing import Any, ClassVar, TypedDict, Unpack
 
 import equinox as eqx
@@ -41,10 +42,21 @@ class Sensor(Channel):
     has NaN there, and in a fit they count as missing, fading over one sample.
 
     `shape` of a reading and `noise_shape` of a residual; `unit` of either, where there are several by commas: noise has a number for each.
-    `accelerations`, `reactions`: whether a reading needs those of the frames, and what supports bear. A sensor of one's own derives from it and states `on`, `shape`, `unit`, `reading`.
+    `accelerations`, `reactions`: whether a reading needs those of the frames, and what supports bear.
 
-    >>> Position("plate", gain=1.02, delay=1e-3).delay.item()
-    0.001
+    A sensor of your own states `on`, `shape`, `unit` and `reading`; it has the chain too. The speed of a falling body, read 2 % too high:
+
+    >>> import equinox as eqx
+    >>> class Speed(Sensor):
+    ...     on: str = eqx.field(static=True)
+    ...     shape, unit = (), "m/s"
+    ...     def reading(self, model, frames):
+    ...         return jnp.linalg.norm(frames.v[model.layout.frame(self.on)])
+    >>> guide = Guide("world", axis=[0, 0, 1])
+    >>> model = Model(bodies={"stone": Body(mass=1, inertia=[1, 1, 1])}, joints={"stone": guide}, gravity=[0, 0, -10])
+    >>> run = simulate(model, [0.0, 0.5])
+    >>> round(float(measure(run, {"speed": Speed("stone", gain=1.02)})["speed"][-1]), 9)
+    5.1
     """
 
     on: eqx.AbstractVar[str]
@@ -88,9 +100,9 @@ class Sensor(Channel):
                 "BAD_CHAIN", f"{kind}.start", "is where the lag sets out, and there is none", value=self.start, hint="Give lag=..."
             )
 
+    @abstractmethod
     def reading(self, model: Model, frames: Instant) -> Reading:
         """What it measures at one time, before its chain."""
-        raise TypeError  # pragma: no cover
 
     def transduced(self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
         """The record that its chain makes of what it measures."""

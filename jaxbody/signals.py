@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
 
@@ -38,8 +39,8 @@ class Signal(eqx.Module):
     -5.0
     """
 
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, "*k"]:
-        raise TypeError("a signal says what it is by __call__(t)")  # pragma: no cover
+    @abstractmethod
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "*k"]: ...
 
     def covers(self) -> tuple[Any, Any]:
         """First and last time [s] at which it is known."""

@@ -15,11 +15,7 @@ from jaxbody.rotations import dot, product, rotate
 
 
 class LawElement(Element):
-    """The base of elements whose deformation is one number, with a law for it and one for its rate.
-
-    >>> issubclass(Torsion, LawElement) and issubclass(AntiRollBar, LawElement)
-    True
-    """
+    """The base of elements whose deformation is one number, with a law for it and one for its rate."""
 
     spring: laws.Law | None
     damper: laws.Law | None

@@ -1,0 +1,58 @@
+"""Elements, joints, sensors, loads, motions and laws of the user's own: one example each that runs, and a clear error for what was left out."""
+
+import doctest
+
+import jax.numpy as jnp
+import pytest
+
+import jaxbody as jb
+
+MISSING = {  # what each kind of its own has to state
+    jb.Element: (lambda kind: kind(("a", "b"), 0, 0), {"deformation", "energy", "dissipation"}),
+    jb.Joint: (lambda kind: kind("world"), {"pose", "axes"}),
+    jb.Sensor: (lambda kind: kind("a"), {"reading"}),
+    jb.Load: (lambda kind: kind("a", 0), {"at_point"}),
+    jb.Motion: (lambda kind: kind(), {"__call__"}),
+    jb.signals.Signal: (lambda kind: kind(), {"__call__"}),
+}
+
+
+@pytest.mark.parametrize("base", MISSING, ids=lambda base: base.__name__)
+def test_a_method_left_out_is_named(base):
+    make, names = MISSING[base]
+    with pytest.raises(TypeError, match="Can't instantiate abstract class Mine") as raised:
+        make(type("Mine", (base,), {"shape": (), "unit": "m", "nq": 1, "nv": 1, "motions": ("turn",), "turns": (True,)}))
+    for name in names:
+        assert name in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    "base, given, name", [(jb.Joint, {"nq": 1, "nv": 1, "motions": ("turn",)}, "turns"), (jb.Sensor, {"shape": (), "on": ""}, "unit")]
+)
+def test_a_number_or_word_left_out_is_named(base, given, name):
+    methods = dict.fromkeys(MISSING[base][1], lambda self, *_: None)
+    with pytest.raises(TypeError, match=f"class attributes {{'{name}'}}"):
+        type("Mine", (base,), methods | given)("a")
+
+
+def test_a_law_without_force_and_potential_is_refused():
+    class Mine(jb.laws.Law):
+        pass
+
+    with pytest.raises(jb.JaxbodyError, match="Mine: states neither force nor potential"):
+        Mine()
+
+    class Softening(Mine):
+        def potential(self, x):
+            return jnp.log(jnp.cosh(x))
+
+    assert float(Softening().force(jnp.array(0.5))) == pytest.approx(float(jnp.tanh(0.5)), rel=1e-12)
+
+
+@pytest.mark.parametrize("base, uses", [(jb.Element, "equilibrium("), (jb.Joint, "simulate("), (jb.Sensor, "measure(")])
+def test_the_docstring_shows_a_whole_class_that_is_used(base, uses):
+    """Under twenty lines; that it runs is for the doctests."""
+    sources = [example.source for example in doctest.DocTestParser().get_examples(base.__doc__)]
+    assert any(f"({base.__name__}):" in source for source in sources) and any(uses in source for source in sources)
+    assert sum(source.count("\n") for source in sources) < 20
+    assert not any("issubclass" in source for source in sources)
