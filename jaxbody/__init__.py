@@ -27,7 +27,7 @@ if TYPE_CHECKING:  # by editors and type checkers; a program imports each at its
     from jaxbody.fronts import Front, pareto
     from jaxbody.gauges import Displacement, LaserDistance, LaserVibrometer, StringPotentiometer, Velocity
     from jaxbody.identification import fit
-    from jaxbody.instruments import Accelerometer, ForcePlate, Gyro, JointAngle, LoadCell, Tilt
+    from jaxbody.instruments import Accelerometer, ForcePlate, Gyro, JointAngle, LoadCell, Reaction, Tilt
     from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Joint, Translation
     from jaxbody.kinematics import retract
     from jaxbody.linearizations import excitation, linearize

@@ -23,13 +23,14 @@ from jaxbody.kinematics import Coordinates, Motions
 from jaxbody.linear_solves import inverse_of_three, solve_spd
 from jaxbody.loads import Load
 from jaxbody.mechanics import wrenches
-from jaxbody.models import Model, State
+from jaxbody.models import Layout, Model, State
 from jaxbody.rotations import cross, product, rotate, rotate_back, skew
 
 
 class Instant(Frame):
     """The table of frames at one time with the state that it comes from; where instruments ask for them, the accelerations a of origins and
-    alpha of the frames, and the force F and moment M about its origin that world and supports bear (zero for bodies), world axes."""
+    alpha of the frames, and the force F and moment M about its origin, world axes, that a frame passes on: what bodies and elements exert on world and
+    supports, and what a body, with all that it carries, exerts on its joint."""
 
     state: State
     a: Float[Array, "n 3"] | None = None
@@ -173,21 +174,22 @@ class Dynamics(eqx.Module):
         return mask * (linear + cross(angular[None], p[:, None] - p[own][None])), mask * angular
 
     def instant(self, t: Float[Array, ""], state: State, *, reactions: bool) -> Instant:
-        """Frames with accelerations and, if asked for, what world and supports bear."""
+        """Frames with accelerations and, if asked for, what they pass on to joints, supports and world."""
         frames, a, alpha = self._accelerated_floating(t, state) if self.model.layout.floating else self._accelerated(t, state)
-        borne = self._borne(t, frames, a, alpha) if reactions else (None, None)
-        return Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *borne)
+        passed = self.passed_on(t, frames, a, alpha) if reactions else (None, None)
+        return Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *passed)
 
-    def _borne(self, t, frames: Frame, a, alpha):
-        """Force and moment about its origin that the bodies and elements exert on world and supports; zero for bodies."""
-        layout, first = self.model.layout, self.model.layout.first_body
+    def passed_on(self, t, frames: Frame, a, alpha, pushed: tuple[Array, Array] | None = None):
+        """F and M of an Instant for given accelerations: the sum, over all bodies that hang on a frame by joints, of what is applied to them less the
+        rates of their momenta. `pushed`: force and moment about its origin that act on each body besides the loads."""
+        first = self.model.layout.first_body
         F, M = self._net(t, frames, a, alpha)
-        on_frames = wrenches(self.model, frames)
-        jointed = jnp.asarray(layout.roots == np.arange(first)[:, None], F.dtype)[..., None]
-        moment = M + cross(frames.p[first:] - frames.p[:first, None], F)
-        bodies = jnp.zeros_like(F)
-        F = jnp.concatenate([on_frames[0][:first] + jnp.sum(jointed * F, 1), bodies])
-        return F, jnp.concatenate([on_frames[1][:first] + jnp.sum(jointed * moment, 1), bodies])
+        if pushed is not None:
+            F, M = F + pushed[0], M + pushed[1]
+        outboard = jnp.asarray(outboard_of(self.model.layout), F.dtype)[..., None]
+        moment = M + cross(frames.p[first:] - frames.p[:, None], F)
+        direct = (jnp.concatenate([x[:first], jnp.zeros_like(F)]) for x in wrenches(self.model, frames))  # elements on world and supports
+        return tuple(x + jnp.sum(outboard * of_bodies, 1) for x, of_bodies in zip(direct, (F[None], moment), strict=True))
 
     def _accelerated(self, t, state: State):
         v_dot, frames, a, alpha, lin, ang = self._solved(t, state.q, state.v)
@@ -233,6 +235,18 @@ def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
     CG, GC = product(C, G), product(G, C)
     top = jnp.concatenate([np.eye(3, dtype=C.dtype) / bodies.mass[:, None, None] - product(CG, C), CG], -1)
     return jnp.concatenate([top, jnp.concatenate([-GC, G], -1)], -2)
+
+
+def outboard_of(layout: Layout) -> np.ndarray:
+    """(n, nb): 1 where a body hangs on a frame by joints, or is that frame."""
+    parent = dict(zip(layout.bodies, layout.parents, strict=True))
+    mask = np.zeros((len(layout.frames), len(layout.bodies)))
+    for i, name in enumerate(layout.bodies):
+        mask[layout.frame(name), i] = 1
+        while name in parent:
+            name = parent[name]
+            mask[layout.frame(name), i] = 1
+    return mask
 
 
 def _cut(y: Array, n: int):

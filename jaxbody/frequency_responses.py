@@ -104,7 +104,7 @@ def frequency_response(
 
         D(w) Delta = (K~ + i w C~ - w^2 M~) Xi + F f,   D(w) = K + i w C - w^2 M
 
-    inputs: BaseMotion, PointForce; outputs: PointMotion, ElementForce, ElementDeformation, SupportReaction, or a sensor that reads one number.
+    inputs: BaseMotion, PointForce; outputs: PointMotion, ElementForce, ElementDeformation, SupportReaction, or a sensor that reads one number, with no chain.
     loss_factor: hysteretic damping, i eta times the stiffness V''(e) of elements, one number for all or {element: eta}. It exists for
     harmonic motion only, so it is an option here and no property of a model: nothing that simulates can meet it. method: "direct", by elimination
     at each frequency, or "modal", the sum over all complex modes, the same to rounding. Differentiable either way, coinciding
@@ -123,7 +123,7 @@ def frequency_response(
     check_precision("frequency_response", lin.model)
     f = check_frequencies(frequencies, "frequency_response.frequencies")
     (u, ins, u_units), (y, outs, y_units) = check_ports(lin, inputs, outputs, "frequency_response")
-    eta = check_loss_factors(loss_factor, lin.model, "frequency_response.loss_factor")
+    eta = check_loss_factors(loss_factor, lin.model, "frequency_response.loss_factor", outs)
     if method not in METHODS:
         problems = Problems()
         problems.add("BAD_METHOD", "frequency_response.method", f"is {method!r}", value=method, limit=" ".join(METHODS))
@@ -148,11 +148,16 @@ def check_frequencies(given: Any, where: str) -> Float[Array, "nf"]:
     return device_array(array)
 
 
-def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne"] | None:
-    """One loss factor for each element, from one for all or {element: factor}. Errors: UNKNOWN_NAME, BAD_SHAPE, NEGATIVE."""
+def check_loss_factors(given: Any, model: Model, where: str, outputs: tuple[Any, ...] = ()) -> Float[Array, "ne"] | None:
+    """One loss factor for each element, from one for all or {element: factor}. Errors: UNKNOWN_NAME, BAD_SHAPE, NEGATIVE, BAD_OPTION with sensors of forces."""
     if given is None:
         return None
     problems, names = Problems(), model.element_names
+    for port in outputs:
+        if hasattr(port, "reading") and port.unit in ("N", "N m"):
+            hint = "Take ElementForce or SupportReaction, or dampers in place of loss factors."
+            what = f"is not part of what a {type(port).__name__} on '{port.on}' reads"
+            problems.add("BAD_OPTION", where, what, value=given, limit="sensors of motion", hint=hint)
     for name in given if isinstance(given, dict) else ():
         if name not in names:
             problems.found.append(unknown(name, where, names))

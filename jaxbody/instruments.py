@@ -10,7 +10,7 @@ from jaxbody import rotations
 from jaxbody.arrays import concrete
 from jaxbody.bodies import vector
 from jaxbody.errors import Problem, Problems
-from jaxbody.joints import unit_vector
+from jaxbody.joints import Free, unit_vector
 from jaxbody.models import unknown
 from jaxbody.orientations import IDENTITY, as_quaternion
 from jaxbody.rotations import cross, dot, rotate_back
@@ -193,6 +193,66 @@ class ForcePlate(Sensor):
     def problem(self, model, where):
         known = model.layout.frames[: model.layout.first_body]
         return None if self.on in known else unknown(self.on, where, known)
+
+
+class Reaction(Sensor):
+    """Force [N] and moment [N m] that a joint exerts on the body that it carries, in the axes of its parent: six numbers, or `component` 0 to 5 of them.
+
+        F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;  M likewise, about the joint
+
+    `on`: the body, whose name its joint has. The moment is about the point `at` of a hinge or ball, for other joints about the body's reference point O; with
+    `point` (body axes) about that. Along what a joint leaves free it is zero. What a support or `world` carries in all, elements included: ForcePlate. As an output of
+    responses it needs a component. Noise is one number for both, or two. The chain: see Sensor.
+
+    Errors: UNKNOWN_NAME, NO_JOINT of a free body, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> model = Model(bodies={"box": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"box": Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81])
+    >>> measure(simulate(model, [0.0, 0.1]), {"up": Reaction("box", component=2)})["up"].tolist()
+    [19.62, 19.62]
+    """
+
+    on: str = eqx.field(static=True)
+    point: Float[Array, "3"] | None
+    component: int | None = eqx.field(static=True)
+    accelerations = reactions = True
+
+    def __init__(self, on: str, point=None, *, component: int | None = None, **chain: Unpack[Chain]):
+        problems = Problems()
+        self.on, self.component = on, component
+        self.point = None if point is None else vector(point, "Reaction.point", problems)
+        self.chained(problems, **chain)
+        problems.raise_if_any()
+
+    @property
+    def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return (6,) if self.component is None else ()
+
+    @property
+    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return "N, N m" if self.component is None else "N" if self.component < 3 else "N m"
+
+    @property
+    def parts(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return ("force", "moment") if self.component is None else ()
+
+    def reading(self, model, frames):
+        row, joint = model.layout.frame(self.on), model.joint(self.on)
+        parent, at, point = model.layout.frame(joint.parent), getattr(joint, "at", None), self.point
+        body = frames[row]
+        place = body.point(point) if point is not None else body.p if at is None else frames[parent].point(at)
+        F, M = (-jnp.asarray(x)[row] for x in (frames.F, frames.M))
+        wrench = jnp.concatenate([rotate_back(frames.R[parent], x) for x in (F, M + cross(body.p - place, F))])
+        return wrench if self.component is None else wrench[self.component]
+
+    def problem(self, model, where):
+        layout = model.layout
+        if self.on not in layout.bodies:
+            return unknown(self.on, where, layout.bodies)
+        if layout.kinds[layout.bodies.index(self.on)] is Free:
+            return Problem("NO_JOINT", where, f"is of '{self.on}', which is free", self.on, "a body on a joint", "LoadCell reads elements.")
+        if self.component is None:
+            return None
+        return _component_problem(self.component, 6, f"the joint of '{self.on}'", where)
 
 
 class JointAngle(Sensor):

@@ -192,6 +192,7 @@ def _pairs(pieces: list[_Piece]) -> list[tuple[_Piece, _Piece, float]]:
         if one.record.series and one.n >= FEWEST and one.process.variance > 0:
             together.setdefault((one.record.run, one.record.times.tobytes()), []).append(one)
     for members in together.values():
+        members = [one for one in members if np.ptp(one.r) > 0]  # one that is constant goes with none
         if len(members) < 2:
             continue
         E = np.array([innovations(one.process, one.r) for one in members])

@@ -19,13 +19,13 @@ from jaxbody import rotations
 from jaxbody.arrays import float_array
 from jaxbody.bodies import vector
 from jaxbody.derivatives import Placed, placed, slope
-from jaxbody.dynamics import Instant
 from jaxbody.elements import Element
 from jaxbody.errors import Problem, Problems
 from jaxbody.frames import Frame, Pose
 from jaxbody.joints import unit_vector
 from jaxbody.kinematics import Coordinates
-from jaxbody.models import Model, State, unknown
+from jaxbody.linear_readings import reading_rows
+from jaxbody.models import Model, unknown
 from jaxbody.options import jit_as_it_is
 from jaxbody.torsions import Torsion
 
@@ -225,7 +225,8 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
         bending[name] = sum(slope @ twists[end].T for slope, end in zip(slopes, ends, strict=True))
     turned = any(isinstance(port, SupportReaction) and len(port.direction) == 2 for port in outputs)
     held = slope(at)[layout.nv :] if turned else zero
-    readings = iter(_readings(model, q, [port for port in outputs if hasattr(port, "reading")]))
+    sensors = [port for port in outputs if hasattr(port, "reading")]
+    readings = iter(zip(*reading_rows(lin, sensors, _pushes(inputs, frames, layout)), strict=True) if sensors else ())
     whole = whole_matrices(lin)
     forces = [next(points) if isinstance(port, PointForce) else zero for port in inputs]
     moved = [_unit(layout, port, dtype) if isinstance(port, BaseMotion) else jnp.zeros(layout.nxi, dtype) for port in inputs]
@@ -246,7 +247,7 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
         elif isinstance(port, ElementDeformation):
             row = jnp.stack([bending[port.on][port.component or 0], zero, zero])
         else:
-            row = jnp.stack([*next(readings), zero])
+            row, G = next(readings)
         rows.append(row)
         direct.append(G)
     names = model.element_names
@@ -282,7 +283,7 @@ def ports_of(
                 f"is a {type(port).__name__}",
                 value=port,
                 limit=limit,
-                hint="A sensor must read one number, with no chain and of no accelerations.",
+                hint="A sensor must read one number, with no chain.",
             )
         elif (found := port.problem(model, there)) is not None:
             problems.found.append(found)
@@ -336,20 +337,16 @@ def _bending(element: Element, poses: list[Pose]):
     return jax.jacfwd(deformation, has_aux=True)([jnp.zeros(6, poses[0].p.dtype)] * len(poses))
 
 
-def _readings(model: Model, q, sensors: list[Any]):
-    """The derivatives of sensors' readings in (Delta, Xi) and its rate."""
-    layout = model.layout
-    zero = jnp.zeros(layout.nv + layout.nxi, q.dtype)
-
-    def readings(x, rate):
-        coordinates, (delta, xi), (v, xi_dot) = Coordinates(model), *(jnp.split(y, [layout.nv]) for y in (x, rate))
-        supports = coordinates.supports_at(xi.reshape(-1, 6), xi_dot.reshape(-1, 6))
-        state = State(coordinates.retract(q, delta), v)
-        frames = coordinates.frames(state.q, v, supports)
-        now = Instant(frames.p, frames.R, frames.v, frames.w, state)
-        return [sensor.reading(model, now) for sensor in sensors]
-
-    return jax.jacfwd(readings, (0, 1))(zero, zero) if sensors else []
+def _pushes(inputs: tuple[Input, ...], frames: Frame, layout) -> Float[Array, "nu nb 6"]:
+    """Force and moment about the origin of each body that a unit of each input is."""
+    pushes = jnp.zeros((len(inputs), len(layout.bodies), 6), frames.p.dtype)
+    for i, port in enumerate(inputs):
+        if isinstance(port, PointForce):
+            row, axis = layout.frame(port.on), jnp.asarray(port.axis)
+            F = jnp.zeros(3) if port.turns else axis
+            M = axis if port.turns else rotations.cross(frames[row].point(port.point) - frames.p[row], axis)
+            pushes = pushes.at[i, row - layout.first_body].set(jnp.concatenate([F, M]))
+    return pushes
 
 
 def _place(layout, port: Any) -> int:

@@ -97,7 +97,7 @@ def random_response(
         f = check_frequencies(frequencies, "random_response.frequencies")
         _check_band(f)
         weights, coarse = trapezoids(f)
-    eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor")
+    eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor", outs)
     psd, rms, status = _random_response(lin, f, weights, coarse, wired(lin, ins, outs), ins, names, spectra, eta)
     result = RandomResponse(f, psd, rms, weights, coarse, status, y, y_units)
     warn_if_failed(result)

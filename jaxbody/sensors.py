@@ -42,7 +42,7 @@ class Sensor(Channel):
     has NaN there, and in a fit they count as missing, fading over one sample.
 
     `shape` of a reading and `noise_shape` of a residual; `unit` of either, where there are several by commas: noise has a number for each.
-    `accelerations`, `reactions`: whether a reading needs those of the frames, and what supports bear.
+    `accelerations`, `reactions`: whether a reading needs those of the frames, and what they pass on to joints and supports.
 
     A sensor of your own states `on`, `shape`, `unit` and `reading`; it has the chain too. The speed of a falling body, read 2 % too high:
 
@@ -136,8 +136,8 @@ class Sensor(Channel):
 
     @property
     def plain(self) -> bool:
-        """True of one without a chain that needs no accelerations."""
-        return not self.accelerations and all(getattr(self, stage) is None for stage in Chain.__annotations__)
+        """True of one without a chain."""
+        return all(getattr(self, stage) is None for stage in Chain.__annotations__)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ ROWS = (
     "lane_marks symmetric_eigenvalues lanes trigonometry rotations frames linear_solves eigenproblems integrators",
     "tracings motions samplings repairs measurements recordings response_files base_motions splines signals roads orientations bodies joints curves laws elements torsions contacts loads element_checks storage models presets naming checks",
     "kinematics mechanics dynamics momenta derivatives",
-    "load_paths descents statics cases preloads equilibria ports state_spaces linearizations",
+    "load_paths descents statics cases preloads equilibria linear_readings ports state_spaces linearizations",
     "mode_names vibrations energies mount_axes spins poles branches nonlinearities",
     "spectra road_spectra frequency_responses random_responses weightings collocations simulations",
     "channels transducers sensors records attitudes instruments gauges",
