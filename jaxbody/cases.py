@@ -123,13 +123,13 @@ class LoadCases(Result):
                 s, f = np.atleast_1d(stroke[i]), np.atleast_1d(self.forces[name][i])
                 turn, moment = (s[3:], f[3:]) if len(s) == 6 and np.any(f[3:]) else ("", "")
                 rows.append(("", name, _scaled(s[:3]), _scaled(turn), _rounded(f[:3]), _rounded(moment)))
-        columns = ("case", "", "displacement or stroke [mm]", "rotation [mrad]", "force [N]", "moment [N m]")
+        columns = ("case", "", "displacement or stroke [m]", "rotation [rad]", "force [N]", "moment [N m]")
         return [tables.Table("Load cases", columns, rows, self.report())]
 
 
 def _scaled(values: Any) -> str:
-    """To three decimals in thousandths."""
-    return "" if isinstance(values, str) else " ".join(f"{1000 * float(x):.3f}" for x in values)
+    """To thousandths of millimeters."""
+    return "" if isinstance(values, str) else " ".join(f"{float(x):.6f}" for x in values)
 
 
 def _rounded(values: Any) -> str:

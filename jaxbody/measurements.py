@@ -115,6 +115,9 @@ class Record:
     def __repr__(self) -> str:
         return tables.text(*self._tables())
 
+    def __str__(self) -> str:
+        return tables.printed(*self._tables())
+
     def _repr_html_(self) -> str:
         return tables.html(*self._tables())
 

@@ -240,6 +240,9 @@ class Model(eqx.Module):
     def __repr__(self) -> str:
         return tables.text(*self._tables())
 
+    def __str__(self) -> str:
+        return tables.printed(*self._tables())
+
     def _repr_html_(self) -> str:
         return tables.html(*self._tables())
 

@@ -112,7 +112,7 @@ class Backbones(Result):
 def _amplitude(value: Any, unit: str) -> str:
     if not np.isfinite(value):
         return "at any"
-    return f"up to {value:.3g} {unit}" if value >= 1 else f"up to {1000 * value:.3g} m{unit}"
+    return f"up to {value:.3g} {unit}"
 
 
 def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:

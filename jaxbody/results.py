@@ -49,7 +49,7 @@ class Result(eqx.Module):
         return tables.text(*self._tables())
 
     def __str__(self) -> str:
-        return tables.text(*self._tables())
+        return tables.printed(*self._tables())
 
     def _repr_html_(self) -> str:
         return tables.html(*self._tables())

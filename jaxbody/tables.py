@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jax.core import Tracer
 
-MOST_ROWS = 40
+MOST_ROWS = 400  # that print
 ROUND_OFF = 1e-8  # shares below which nothing is said
 
 
@@ -62,7 +62,7 @@ def without_dust(values: Any, unit: Any = None) -> Any:
 
 
 def text(*shown: Table) -> str:
-    """Aligned columns."""
+    """Aligned columns; a blank line before every title but the first."""
     blocks = []
     for table in shown:
         cells = [table.columns, *([number(cell) for cell in row] for row in table.rows[:MOST_ROWS])]
@@ -76,11 +76,21 @@ def text(*shown: Table) -> str:
             for row in cells
         ]
         if len(table.rows) > MOST_ROWS:
-            lines.append(f"... {len(table.rows) - MOST_ROWS} more")
+            lines.append(_rest(table))
         blocks.append(
-            "\n".join([line for line in (table.title,) if line] + ["  " + line for line in lines] + ([table.note] if table.note else []))
+            ("\n" if blocks and table.title else "")
+            + "\n".join([line for line in (table.title,) if line] + ["  " + line for line in lines] + ([table.note] if table.note else []))
         )
     return "\n".join(blocks)
+
+
+def _rest(table: Table) -> str:
+    return f"... {len(table.rows) - MOST_ROWS} more of {len(table.rows)} rows; the result's attributes have all of them"
+
+
+def printed(*shown: Table) -> str:
+    """What `print` shows, a blank line before and after: results printed one after another, or together, stay apart."""
+    return f"\n{text(*shown)}\n"
 
 
 def html(*shown: Table) -> str:
@@ -89,6 +99,6 @@ def html(*shown: Table) -> str:
     for table in shown:
         head = "".join(f"<th>{escape(c)}</th>" for c in table.columns)
         body = "".join("<tr>" + "".join(f"<td>{escape(number(cell))}</td>" for cell in row) + "</tr>" for row in table.rows[:MOST_ROWS])
-        more = f"<p>... {len(table.rows) - MOST_ROWS} more</p>" if len(table.rows) > MOST_ROWS else ""
+        more = f"<p>{_rest(table)}</p>" if len(table.rows) > MOST_ROWS else ""
         blocks.append(f"<p><b>{escape(table.title)}</b></p><table><tr>{head}</tr>{body}</table>{more}<p>{escape(table.note)}</p>")
     return "".join(blocks)

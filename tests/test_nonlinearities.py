@@ -394,15 +394,15 @@ def test_a_mode_alone_has_derivatives_where_others_coincide():
 
 
 @pytest.mark.long
-def test_it_prints_amplitudes_in_millimeters_and_milliradians_and_is_exported(hanging):
+def test_it_prints_amplitudes_in_meters_and_radians_and_is_exported(hanging):
     found = jb.backbones(jb.linearize(hanging.model, hanging))
-    rows = str(found).splitlines()[2:8]
+    rows = repr(found).splitlines()[2:8]
     print(found)
     for mode, (name, unit) in {0: ("plate move along x", "m"), 4: ("plate turn about x", "rad")}.items():
         assert name in rows[mode]
         assert f"{found.curvature[mode]:+.4g} /{unit}2" in rows[mode]
-        assert f"up to {1000 * found.force_within(5.0)[mode]:.3g} m{unit}" in rows[mode]
-        assert f"up to {1000 * found.frequency_within(5.0)[mode]:.3g} m{unit}" in rows[mode]
+        assert f"up to {found.force_within(5.0)[mode]:.3g} {unit}" in rows[mode]
+        assert f"up to {found.frequency_within(5.0)[mode]:.3g} {unit}" in rows[mode]
     made = found.to_xarray()
     np.testing.assert_array_equal(made["curvature"].sel(mode=1), found.curvature[0])
     np.testing.assert_array_equal(made["shape"].sel(coordinate="plate turn about z"), found.shapes[5])

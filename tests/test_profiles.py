@@ -203,7 +203,7 @@ def test_few_degrees_of_freedom_are_printed_where_they_widen_intervals(found, re
     for freedom in few.degrees_of_freedom.values():
         np.testing.assert_allclose(freedom, 6, rtol=1e-9)
     said = f"intervals are of Student's t: 6 degrees of freedom, which widen them {student.ppf(0.975, 6) / 1.959964:.2g} times"
-    assert said in str(few) and "degrees of freedom" in str(few).splitlines()[1]
+    assert said in str(few) and "degrees of freedom" in repr(few).splitlines()[1]
     with np.errstate(all="ignore"):
         side = jb.profile(few, "spring.stiffness")
     assert side.degrees_of_freedom == pytest.approx(6) and side.limit == pytest.approx(student.ppf(0.975, 6)) and said in str(side)
