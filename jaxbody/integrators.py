@@ -19,11 +19,12 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import combine, filter_custom_vjp, is_array, is_inexact_array, partition
+from equinox import combine, filter_custom_jvp, is_array, is_inexact_array, partition
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody.errors import Status
+from jaxbody.jax_internals import linear_with_transpose
 from jaxbody.lane_marks import any_of_batch
 from jaxbody.lanes import in_lanes, vmap_last
 
@@ -98,29 +99,51 @@ class Ended(NamedTuple):
 
 
 def solve(problem: Problem, arguments: Any, y0: Float[Array, "ny"], times: Float[Array, "nt"]) -> Ended:
-    """From y0 at times[0]; differentiable in forward mode."""
+    """From y0 at times[0]; differentiable in forward mode, with least work."""
     return _march(problem, arguments, y0, times, keep=False)[0]
 
 
-@filter_custom_vjp
-def solve_reversible(given: tuple[Any, Float[Array, "ny"], Float[Array, "nt"]], problem: Problem) -> Ended:
-    """`solve` of given = (arguments, y0, times); differentiable in reverse mode."""
+@filter_custom_jvp
+def solve_both_ways(given: tuple[Any, Float[Array, "ny"], Float[Array, "nt"]], *, problem: Problem) -> Ended:
+    """`solve` of given = (arguments, y0, times); differentiable in forward mode, which then solves it twice, in reverse mode, and in forward
+    mode over either."""
     return _march(problem, *given, keep=False)[0]
 
 
-@solve_reversible.def_fwd
-def _forward(perturbed, given, problem):
-    return _march(problem, *given, keep=True)
+@solve_both_ways.def_jvp
+def _tangents(primals, tangents, *, problem):
+    (given,), (changes,) = primals, tangents
+    ended, kept = _march(problem, *given, keep=True)
+    numbers, rest = partition((problem, given), is_array)
+    tree = jax.tree.structure(given)
+    moves = [change is not None for change in tree.flatten_up_to(changes)]
+
+    def forward(known, changes):
+        problem, given = combine(known[0], rest)
+        leaves = jax.tree.leaves(given)
+
+        def of_moved(moved):
+            moved = iter(moved)
+            ended = solve(problem, *tree.unflatten([next(moved) if m else x for x, m in zip(leaves, moves, strict=True)]))
+            return ended.samples, ended.y
+
+        return jax.jvp(of_moved, ([x for x, m in zip(leaves, moves, strict=True) if m],), (changes,))[1]
+
+    def backward(known, cotangents):
+        numbers, kept = known
+        problem, given = combine(numbers, rest)
+        slopes = _backward(kept, *cotangents, given, problem)
+        return [x for x, m in zip(tree.flatten_up_to(slopes), moves, strict=True) if m]
+
+    of_samples, of_y = linear_with_transpose(forward, backward, (numbers, kept), jax.tree.leaves(changes), (ended.samples, ended.y))
+    return ended, Ended(of_samples, None, of_y, Course(None, None, None, None))  # pyright: ignore
 
 
-@solve_reversible.def_bwd
-def _backward(kept, cotangent: Ended, perturbed, given, problem: Problem):
+def _backward(kept, of_samples: Float[Array, "nt ny"], of_y: Float[Array, "ny"], given, problem: Problem):
     """The chain rule, block by block from the last to the first."""
     arguments, y0, times = given
     begun, lengths, n = kept
     varied, fixed = partition(arguments, is_inexact_array)
-    of_samples = jnp.zeros((len(times), len(y0)), y0.dtype) if cotangent.samples is None else cotangent.samples
-    of_y = jnp.zeros_like(y0) if cotangent.y is None else cotangent.y
     of_windows = _windows(of_samples.at[0].set(0.0), jnp.zeros((1, len(y0)), y0.dtype))  # the first sample is y0
 
     def back(carry):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import diffrax
@@ -183,8 +184,8 @@ def simulate(
     motion: {support: motion}; a support without one is at rest. loads: {name: load} on bodies. rtol: ten times the relative local error that
     the step control allows in any component, so that samples between steps hold it too; absolute errors a hundredth of it times the size of the model (velocities: size times its fastest frequency, roughly). Without
     solver the method is Dopri8 in loops of our own (`integrators`), with steps of its own choice or, with stepsize_controller=diffrax.ConstantStepSize(), of dt0 [s];
-    with other solvers, stepsize_controllers and adjoints, which are diffrax's objects, diffrax integrates. dt0 is else the first step. Reverse mode works by
-    default; forward mode with adjoint=diffrax.ForwardMode(), which is faster for few parameters. A batch by jax.vmap runs in chunks of 40, each member with steps of its own;
+    with other solvers, stepsize_controllers and adjoints, which are diffrax's objects, diffrax integrates. dt0 is else the first step. Both modes
+    work by default, and forward over reverse; for few parameters adjoint=diffrax.ForwardMode() is faster, and with other solvers forward mode needs it. A batch by jax.vmap runs in chunks of 40, each member with steps of its own;
     with constant steps it takes half the time, but nothing controls the error: compare with a shorter dt0.
 
     What rtol leaves after 10 s on a shaking base, of a plate on 5 springs and of three boxes on 14: the largest error [m, rad], the relative error of a derivative by
@@ -230,7 +231,7 @@ def simulate(
     tolerance, step = (None if x is None else device_array(float_array(x)) for x in (rtol, dt0))  # Python numbers would be compiled in
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(model, initial, step):
         _warn_of_long_steps(model, model.reference if initial is None else initial, float(step), solver)  # pyright: ignore[reportArgumentType]
-    with working("simulate", progress):
+    with working("simulate", progress), _forward_mode_explained(adjoint):
         result = integrate(
             model, times, motions, loads_on, initial, tolerance, solver, stepsize_controller, adjoint, step, max_steps, meter
         )
@@ -238,6 +239,19 @@ def simulate(
             jax.block_until_ready(result.status)
     warn_if_failed(result)
     return result
+
+
+@contextmanager
+def _forward_mode_explained(adjoint: Any) -> Iterator[None]:
+    """What is wrong, where JAX says that one of diffrax's functions has derivatives in reverse mode only."""
+    try:
+        yield
+    except TypeError as error:
+        if "forward-mode" not in str(error):
+            raise
+        message = "has derivatives in reverse mode only with this solver; jax.jvp, jacfwd or hessian asks for forward mode"
+        hint = "Give adjoint=diffrax.ForwardMode(), or leave solver= and stepsize_controller= out: both modes then work."
+        raise JaxbodyError(Problem("NO_FORWARD_MODE", "simulate.adjoint", message, adjoint, hint=hint)) from None
 
 
 def check_steps(
@@ -376,7 +390,9 @@ def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint,
     first, kinks = jax.lax.stop_gradient((dt0, kinks))
     problem = integrators.Problem(Dynamics.drive, Dynamics.driven, *limits, first, most, kinks, constant)
     forward = isinstance(adjoint, diffrax.ForwardMode)
-    ended = integrators.solve(problem, dynamics, y0, times) if forward else integrators.solve_reversible((dynamics, y0, times), problem)
+    ended = (
+        integrators.solve(problem, dynamics, y0, times) if forward else integrators.solve_both_ways((dynamics, y0, times), problem=problem)
+    )
     course = ended.course
     return ended.samples, times[0] + ended.tau, ended.y, course.code, course.accepted, course.rejected
 

@@ -1,5 +1,7 @@
 """Steps of our own against diffrax's of the same method, gradients by every mode, batches against loops."""
 
+import functools
+
 import diffrax
 import jax
 import jax.numpy as jnp
@@ -221,22 +223,61 @@ class Interpolated(jb.laws.Law):
         return jnp.interp(x, jnp.linspace(-1.0, 1.0, 5), self.forces)
 
 
+def oscillation(law, times, **options):
+    """A mass of 1 kg let go 0.3 m from where its spring is free."""
+    model = jb.Model(
+        bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
+        joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+        elements={"spring": jb.SpringDamper(("mass", [0, 0, 0]), ("world", [-2.0, 0, 0]), spring=law, free_length=2.0)},
+    )
+    return jb.simulate(model, times, initial=jb.State(jnp.array([0.3]), jnp.zeros(1)), rtol=1e-10, **options).state.q[:, 0]
+
+
 def test_simulate_works_on_every_jax_also_with_laws_that_interpolate():
     """A mass on a spring by a table that is a straight line, k = 40 N/m: x = cos wt, alone and in a batch, and dx/dk = -t sin(wt)/(2 w)."""
     times, ks = jnp.linspace(0.0, 1.0, 4), jnp.array([40.0, 30.0])
 
     def path(k):
-        law = Interpolated(k * jnp.linspace(-1.0, 1.0, 5))
-        model = jb.Model(
-            bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
-            joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
-            elements={"spring": jb.SpringDamper(("mass", [0, 0, 0]), ("world", [-2.0, 0, 0]), spring=law, free_length=2.0)},
-        )
-        start = jb.State(jnp.array([0.3]), jnp.zeros(1))
-        return jb.simulate(model, times, initial=start, rtol=1e-10).state.q[:, 0]
+        return oscillation(Interpolated(k * jnp.linspace(-1.0, 1.0, 5)), times)
 
     q, slopes = jax.jit(jax.vmap(lambda k: (path(k), jax.grad(lambda k: path(k)[-1])(k))))(ks)
     w = np.sqrt(np.asarray(ks))
     np.testing.assert_allclose(q, 0.3 * np.cos(w[:, None] * times), rtol=0, atol=1e-9)
     np.testing.assert_allclose(slopes, -0.15 * np.sin(w) / w, rtol=1e-7)
     np.testing.assert_allclose(path(40.0), q[0], rtol=0, atol=1e-11)
+
+
+quick_jit = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # these run once: compile in half the time
+
+
+def end(k):
+    """x = 0.3 cos wt after t = 1 s, w = sqrt k."""
+    return oscillation(jb.laws.Linear(k), jnp.array([0.0, 0.4, 1.0]))[-1]
+
+
+def test_both_modes_by_default():
+    """dx/dk = -0.15 t sin(wt)/w."""
+    w = np.sqrt(40.0)
+    reverse, forward = quick_jit(lambda k: (jax.grad(end)(k), jax.jacfwd(end)(k)))(40.0)
+    assert float(forward) == pytest.approx(-0.15 * np.sin(w) / w, rel=1e-7)
+    assert float(reverse) == pytest.approx(float(forward), rel=1e-10)
+
+
+@pytest.mark.long
+def test_both_modes_in_batches_and_second_derivatives():
+    """d2x/dk2 = -0.075 t (t cos(wt)/w2 - sin(wt)/w3)."""
+    ks = jnp.array([40.0, 30.0])
+    w = np.sqrt(np.asarray(ks))
+    reverse, forward, second = quick_jit(jax.vmap(lambda k: (jax.grad(end)(k), jax.jacfwd(end)(k), jax.hessian(end)(k))))(ks)
+    over_batch = quick_jit(jax.grad(lambda ks: jnp.sum(jax.vmap(end)(ks))))(ks)
+    np.testing.assert_allclose(forward, -0.15 * np.sin(w) / w, rtol=1e-7)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-10)
+    np.testing.assert_allclose(over_batch, forward, rtol=1e-10)
+    np.testing.assert_allclose(second, -0.075 * (np.cos(w) / w**2 - np.sin(w) / w**3), rtol=1e-6)
+    value, slope = jax.jvp(end, (40.0,), (2.0,))
+    np.testing.assert_allclose([value, slope], [0.3 * np.cos(w[0]), 2 * forward[0]], rtol=1e-8)
+
+
+def test_forward_mode_through_another_solver_says_which_argument_allows_it():
+    with pytest.raises(jb.JaxbodyError, match=r"adjoint=diffrax.ForwardMode\(\)"):
+        jax.jacfwd(lambda k: oscillation(jb.laws.Linear(k), jnp.array([0.0, 0.1]), solver=diffrax.Tsit5()))(40.0)
