@@ -130,9 +130,9 @@ def _tangents(primals, tangents, *, problem):
         return jax.jvp(of_moved, ([x for x, m in zip(leaves, moves, strict=True) if m],), (changes,))[1]
 
     def backward(known, cotangents):
-        numbers, kept = known
+        (numbers, kept), (of_samples, of_y) = known, cotangents
         problem, given = combine(numbers, rest)
-        slopes = _backward(kept, *cotangents, given, problem)
+        slopes = _backward(kept, of_samples, of_y, given, problem)
         return [x for x, m in zip(tree.flatten_up_to(slopes), moves, strict=True) if m]
 
     of_samples, of_y = linear_with_transpose(forward, backward, (numbers, kept), jax.tree.leaves(changes), (ended.samples, ended.y))
