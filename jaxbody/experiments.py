@@ -12,10 +12,12 @@ from jaxtyping import Array, Float
 from jaxbody.arrays import device_array, float_array
 from jaxbody.channels import Measurement
 from jaxbody.errors import JaxbodyError, Problem, Problems, is_concrete, warn
+from jaxbody.kinematics import Motions
 from jaxbody.loads import Load, loads_of
 from jaxbody.models import Model, State
 from jaxbody.motions import Motion, as_motion, check_times
 from jaxbody.records import readings
+from jaxbody.rests import Rest, as_initial, beginning, rest_at
 from jaxbody.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations import Trajectory, check_run, integrate, motions_of
 
@@ -42,7 +44,9 @@ class Integration(eqx.Module):
 class Experiment(Measurement):
     """What was done and what was measured.
 
-    times [s] (nt,); motion {support: motion}; loads {name: load}; initial, the state at times[0] (the reference pose at rest without one);
+    times [s] (nt,); motion {support: motion}; loads {name: load}; initial, the state at times[0] (the reference pose at rest
+    without one), or "rest", in equilibrium on supports as they stand and move at times[0], which follows the model in a fit; leave_out [s], how much of the
+    beginning counts as missing (NaN in `measured`);
     sensors {name: sensor}; measured {name: (nt, ...)}, NaN where a sample is missing; noise, standard deviations, one number or one for
     each sensor (of a pose two, in meters and radians), estimated from the residuals where they are not given.
 
@@ -56,7 +60,7 @@ class Experiment(Measurement):
     times: Float[Array, "nt"]
     motion: dict[str, Motion]
     loads: dict[str, Load]
-    initial: State | None
+    initial: State | Rest | None
     sensors: dict[str, Sensor]
     measured: dict[str, Float[Array, "nt *r"]]
     noise: dict[str, Float[Array, "*units"]] | None
@@ -69,8 +73,9 @@ class Experiment(Measurement):
         measured: dict[str, Any],
         motion: dict[str, Any] | None = None,
         loads: dict[str, Load] | None = None,
-        initial: State | None = None,
+        initial: State | str | None = None,
         noise: float | dict[str, Any] | None = None,
+        leave_out: float = 0.0,
     ):
         problems = Problems()
         checked = check_times(times, problems, "Experiment.times", minimum=2)
@@ -85,7 +90,10 @@ class Experiment(Measurement):
                 value=name,
                 hint="Every sensor needs its measured array, under the same name.",
             )
-        arrays = {name: _samples(name, sensor, measured[name], checked, problems) for name, sensor in sensors.items() if name in measured}
+        late = _begun(leave_out, checked, problems)
+        arrays = {
+            name: _samples(name, sensor, measured[name], checked, late, problems) for name, sensor in sensors.items() if name in measured
+        }
         known = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
         levels = None if noise is None else noise_levels(known, noise, "Experiment.noise", problems, zero=False)
         taken = {"initial": "is reserved"} | dict.fromkeys(motion or {}, "is the name of a support too")
@@ -101,7 +109,7 @@ class Experiment(Measurement):
         self.times = device_array(checked)  # pyright: ignore[reportArgumentType]
         self.motion = {name: as_motion(m) for name, m in (motion or {}).items()}
         self.loads = {name: jax.tree.map(device_array, load) for name, load in (loads or {}).items()}
-        self.initial = initial
+        self.initial = as_initial(initial)
         self.sensors = {name: jax.tree.map(device_array, sensor) for name, sensor in sensors.items()}
         self.measured = {name: device_array(a) for name, a in arrays.items()}
         self.noise = None if levels is None else {name: device_array(level) for name, level in levels.items()}
@@ -110,10 +118,14 @@ class Experiment(Measurement):
     def channels(self):
         return self.sensors
 
+    def start(self, model: Model, motions: Motions) -> State | None:
+        """The state at times[0]; None for the reference pose."""
+        return rest_at(model, motions, self.times[0])[0] if isinstance(self.initial, Rest) else self.initial
+
     def trajectory(self, model: Model, integration: Integration) -> Trajectory:
         """The run, simulated."""
         how, motions = integration, motions_of(model, self.motion)
-        return integrate(model, self.times, motions, tuple(self.loads.values()), self.initial, how.rtol, how.solver, how.stepsize_controller, diffrax.ForwardMode(), how.dt0, how.max_steps, diffrax.NoProgressMeter())  # fmt: skip
+        return integrate(model, self.times, motions, tuple(self.loads.values()), self.start(model, motions), how.rtol, how.solver, how.stepsize_controller, diffrax.ForwardMode(), how.dt0, how.max_steps, diffrax.NoProgressMeter())  # fmt: skip
 
     def readings(self, model, integration):
         return readings(self.trajectory(model, integration), self.sensors)
@@ -122,6 +134,11 @@ class Experiment(Measurement):
         return self.sensors[name].misfit(self.times, reading, self.measured[name])
 
     def explain(self, model, integration):
+        if isinstance(self.initial, Rest):
+            try:
+                beginning(model, motions_of(model, self.motion), self.times[0], self.initial, "initial")
+            except JaxbodyError as error:
+                return str(error)
         return self.trajectory(model, integration).report()
 
     def axis(self, channel):
@@ -133,7 +150,7 @@ class Experiment(Measurement):
     def named(self):
         """What of it has a name in paths: the initial state, the motions, the loads, the sensors."""
         return {
-            **({} if self.initial is None else {"initial": {"q": self.initial.q, "v": self.initial.v}}),
+            **({} if not isinstance(self.initial, State) else {"initial": {"q": self.initial.q, "v": self.initial.v}}),
             **self.motion,
             **self.loads,
             **self.sensors,
@@ -141,7 +158,9 @@ class Experiment(Measurement):
 
     def absent(self):
         hint = "The experiment has no initial state: give it initial=State(q, v), or the .state of an equilibrium, to have one."
-        missing = {} if self.initial is not None else {"initial.q": hint, "initial.v": hint}
+        if isinstance(self.initial, Rest):
+            hint = "The experiment begins at rest, which follows from the model: give it initial=State(q, v) to have one that is free."
+        missing = {} if isinstance(self.initial, State) else {"initial.q": hint, "initial.v": hint}
         for name, sensor in self.sensors.items():
             for stage in sensor.stages:
                 if getattr(sensor, stage) is None:
@@ -195,7 +214,19 @@ def _under(where: str, problem):
     return type(problem)(problem.code, f"{where}.{problem.where}", problem.message, problem.value, problem.limit, problem.hint)
 
 
-def _samples(name: str, sensor: Sensor, value: Any, times, problems: Problems):
+def _begun(leave_out: Any, times, problems: Problems):
+    """Which samples are after the beginning that is left out; None for all."""
+    lasts = None if times is None or not is_concrete(times) else float(times[-1] - times[0])
+    good = isinstance(leave_out, int | float | np.number) and not isinstance(leave_out, bool) and leave_out >= 0
+    if not good or (lasts is not None and not leave_out < lasts):
+        limit = "0 s or more" + ("" if lasts is None else f", less than the {lasts:.6g} s of the record")
+        hint = "Give the seconds after which the beginning no longer matters."
+        problems.add("BAD_NUMBER", "Experiment.leave_out", f"is {leave_out!r:.40}", value=leave_out, limit=limit, hint=hint)
+        return None
+    return None if times is None or not leave_out else times - times[0] >= leave_out * (1 - 1e-9)
+
+
+def _samples(name: str, sensor: Sensor, value: Any, times, late, problems: Problems):
     where = f"Experiment.measured['{name}']"
     if not isinstance(sensor, Sensor):
         problems.add(
@@ -225,7 +256,8 @@ def _samples(name: str, sensor: Sensor, value: Any, times, problems: Problems):
             problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN where a sample is missing")
         if (wrong := sensor.misread(array, where)) is not None:
             problems.found.append(wrong)
-        for channel in np.flatnonzero(missing.all(0)):
+        kept = missing | ~late[:, None] if isinstance(late, np.ndarray) else missing
+        for channel in np.flatnonzero(kept.all(0)):
             problems.add(
                 "ALL_NAN",
                 where,
@@ -236,4 +268,7 @@ def _samples(name: str, sensor: Sensor, value: Any, times, problems: Problems):
         share = missing.mean()
         if MANY_MISSING < share < 1:
             warn("MISSING", f"{where} lacks {100 * share:.0f} % of its samples")
-    return array
+    if late is None or array.shape[:1] != late.shape:
+        return array
+    xp = np if isinstance(array, np.ndarray) and isinstance(late, np.ndarray) else jnp
+    return xp.where(late.reshape(-1, *(1,) * (array.ndim - 1)), array, xp.nan)

@@ -29,7 +29,7 @@ class Fit(Result):
     `covariance` of u, `singular_values` of the Jacobian with relative columns, `unidentified` in words, `predicted` {run: {sensor: array}},
     `noise` {run: {sensor: rms residual}} (of a pose two, in meters and radians), `correlation` (lag one) of the residuals, `cost` 1/2 r'r,
     `history` of costs, `rounds`, where in it the noise was estimated anew, `failed` trials that could not be simulated, `at_bound` in words,
-    `limits` of u, `remarks` on why it did not succeed. `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED
+    `limits` of u, `remarks` on what would help it. `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED
     or AT_BOUND where it is not good. Leading axes of a batch stay; standard errors are not there inside jit or vmap.
 
     >>> import inspect
@@ -164,7 +164,7 @@ class Fit(Result):
         u = self.uncertainty
         counts = tables.counted(u.samples, "sample"), tables.counted(int(self.evaluations), "evaluation")
         notes = [f"{', '.join(counts)}, {u.noise}; {self.report()}"]
-        notes += u.about_noise()
+        notes += u.about_noise() + (list(self.remarks) if self.ok else [])
         heads = ("parameter", "estimate", "unit", "standard error", "relative", f"{100 * LEVEL:g} % interval")
         if told := widening(few, LEVEL):
             notes.append(told)

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 
+from jaxbody.beginnings import far_off
 from jaxbody.channels import Measurement
 from jaxbody.checkpoints import resumed, save
 from jaxbody.checks import check_precision
@@ -83,7 +84,7 @@ def fit(
 
     Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, BAD_DELAY, NONFINITE_START,
     NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of `simulate`; inside jit and vmap NO_NOISE, where noise would have to be estimated. Warns by
-    status, of CORRELATED_RESIDUALS and of FAILED_TRIALS.
+    status, of CORRELATED_RESIDUALS, of FAILED_TRIALS, and FAR_OFF of runs that begin far off their own first samples.
 
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
     ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
@@ -143,6 +144,8 @@ def fit(
     warn_if_failed(result)
     if result.ok and result.uncertainty is not None and result.uncertainty.correlated:
         warn("CORRELATED_RESIDUALS", result.uncertainty.about_noise()[0])
+    if result.ok and result.remarks:
+        warn("FAR_OFF", "; ".join(result.remarks))
     if evaluate.failed > evaluate.count / 2:
         warn("FAILED_TRIALS", f"{evaluate.failed} of {evaluate.count} trials of the fit could not be simulated")
     return result
@@ -218,6 +221,8 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Limits
     remarks = () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
     model, experiments = task.scatter(jnp.asarray(u))
     predicted = {run: runs[run][0] for run in task.experiments}
+    if np.linalg.norm(r) > exact:
+        remarks += tuple(far_off(task, model, experiments, predicted))
     return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds), remarks)  # fmt: skip
 
 

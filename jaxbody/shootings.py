@@ -28,6 +28,7 @@ from jaxbody.identification import fit
 from jaxbody.models import Model, State
 from jaxbody.progress_lines import working
 from jaxbody.records import readings
+from jaxbody.rests import Rest
 from jaxbody.simulations import Trajectory, integrate, motions_of
 from jaxbody.tasks import first_noise
 
@@ -98,7 +99,7 @@ class Segments(Measurement):
     def readings(self, model, integration: Integration):
         starts, rows = cuts(len(self.whole.times), self.count)
         how, motions, loads = integration, motions_of(model, self.whole.motion), tuple(self.whole.loads.values())
-        first = model.reference if self.whole.initial is None else self.whole.initial
+        first = first_state(self.whole, model)
         beginnings = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), State(first.q, first.v), State(self.nodes.q, self.nodes.v))
 
         def segment(times, initial):
@@ -170,6 +171,11 @@ def multiple_shooting(
     return whole if np.isfinite(_cost(whole, noise)) and _cost(whole, noise) <= limit else loose
 
 
+def first_state(experiment: Experiment, model: Model) -> State:
+    given = experiment.start(model, motions_of(model, experiment.motion))
+    return model.reference if given is None else given
+
+
 def _cost(found: Fit, noise: dict[str, dict[str, Array]]) -> float:
     """1/2 r'r of the measured channels, with this noise."""
     total = 0.0
@@ -185,9 +191,9 @@ def _cut(model: Model, name: str, experiment: Experiment, count: int, options: d
     """An experiment in segments, each of which starts from where the one before ended, moved to what the record says of it."""
     starts, rows = cuts(len(experiment.times), count)
     how = {field.name: options[field.name] for field in dataclasses.fields(Integration) if field.name in options}
-    state = model.reference if experiment.initial is None else experiment.initial
+    state = first_state(experiment, model)
     known = first_noise({name: experiment}, absolute=False)[0][name], state
-    whole = eqx.tree_at(lambda e: (e.noise, e.initial), experiment, known, is_leaf=lambda x: x is None)
+    whole = eqx.tree_at(lambda e: (e.noise, e.initial), experiment, known, is_leaf=lambda x: x is None or isinstance(x, Rest))
     motions: list[State] = []
     for i, following in zip(starts, [*starts[1:], starts[-1]], strict=True):
         record = {channel: x[i : i + rows] for channel, x in whole.measured.items()}

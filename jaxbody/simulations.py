@@ -33,6 +33,7 @@ from jaxbody.motions import AtRest, Motion, as_motion, check_motion, check_times
 from jaxbody.naming import by_name
 from jaxbody.options import jit_quickly
 from jaxbody.progress_lines import working
+from jaxbody.rests import Rest, as_initial, beginning
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import size_of, without_inertia
 
@@ -170,7 +171,7 @@ def simulate(
     *,
     motion: dict[str, Motion | Callable] | None = None,
     loads: dict[str, Load] | None = None,
-    initial: State | None = None,
+    initial: State | str | None = None,
     rtol: float = 1e-8,
     solver: diffrax.AbstractSolver | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
@@ -181,6 +182,7 @@ def simulate(
 ) -> Trajectory:
     """The motion from `initial` (without it, the reference pose at rest) at times[0], sampled at `times` [s].
 
+    initial: a State, or "rest", in equilibrium on supports as they stand and move at times[0], loads left out.
     motion: {support: motion}; a support without one is at rest. loads: {name: load} on bodies. rtol: ten times the relative local error that
     the step control allows in any component, so that samples between steps hold it too; absolute errors a hundredth of it times the size of the model (velocities: size times its fastest frequency, roughly). Without
     solver the method is Dopri8 in loops of our own (`integrators`), with steps of its own choice or, with stepsize_controller=diffrax.ConstantStepSize(), of dt0 [s];
@@ -212,7 +214,9 @@ def simulate(
     check_precision("simulate", model)
     motions = motions_of(model, motion or {})
     loads_on = loads_of(loads, model.layout.bodies)
+    initial = as_initial(initial)
     times = check_run(model, times, motions, loads or {}, initial)
+    initial = beginning(model, motions, times[0], initial, "simulate.initial")
     if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(stepsize_controller, CONSTANT):
         raise JaxbodyError(
             Problem(
@@ -326,7 +330,7 @@ def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], ini
                 hint="Ask for less, or sample for longer.",
             )
     problems.raise_if_any()
-    if initial is not None:
+    if initial is not None and not isinstance(initial, Rest):
         check_state(model, initial, "initial")
     return device_array(checked)
 

@@ -177,10 +177,10 @@ class Ended(eqx.Module):
 def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, max_steps: int) -> Equilibrium:
     """The jitted core of `equilibrium` without loads."""
     coordinates = Coordinates(model)
-    return standing(coordinates, _downhill(coordinates, start, max_steps), nothing(model.gravity.dtype))
+    return standing(coordinates, downhill(coordinates, start, max_steps), nothing(model.gravity.dtype))
 
 
-def _downhill(coordinates: Coordinates, start: Float[Array, "nq"] | None, max_steps, raised: Raised | None = None) -> Ended:
+def downhill(coordinates: Coordinates, start: Float[Array, "nq"] | None, max_steps, raised: Raised | None = None) -> Ended:
     """By descent from the start, or from the reference pose."""
     frozen, raised = jax.lax.stop_gradient((coordinates, raised))
     start = frozen.reference.q if start is None else jax.lax.stop_gradient(start)
@@ -241,7 +241,7 @@ def _by_descent(model: Model, start, raised: Raised, max_steps: int, many: bool,
 
     def one(raised, others):
         ended, settled = others
-        found = _downhill(coordinates, start, max_steps, raised)
+        found = downhill(coordinates, start, max_steps, raised)
         has_energy = jnp.isfinite(energy_of_loads(placed(coordinates, found.q, base=False), raised))
         status = jnp.where(has_energy, found.status, Status.NO_EQUILIBRIUM.value)
         ok = status == Status.OK
