@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
+from jaxbody.arguments import plain
 from jaxbody.errors import Problem, Problems
 from jaxbody.orientations import IDENTITY, as_quaternion
 from jaxbody.sensors import Chain, Sensor
@@ -76,7 +77,7 @@ class BodyPose(Attitude):
     ((7,), (6,))
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     places = 3
     unit = "m, rad"
     parts = ("position", "orientation")
@@ -97,7 +98,7 @@ class Orientation(Attitude):
     ((4,), (3,))
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     orientation: Float[Array, "4"]
     unit = "rad"
 

@@ -11,15 +11,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import rotations, tables
+from jaxbody.arguments import check_kind, named
 from jaxbody.arrays import device_array, stack
 from jaxbody.bodies import vector
 from jaxbody.checks import check_attached, check_precision, check_state
 from jaxbody.derivatives import placed
-from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
+from jaxbody.errors import Problems, Status, is_concrete
 from jaxbody.frames import Pose
 from jaxbody.kinematics import Coordinates
 from jaxbody.load_paths import Raised, residual
-from jaxbody.loads import STANDARD_GRAVITY, Load, loads_of
+from jaxbody.loads import STANDARD_GRAVITY, Load, loads_by_name, loads_of
 from jaxbody.mechanics import each_element, frames_of
 from jaxbody.models import Model, State
 from jaxbody.naming import by_name
@@ -50,7 +51,7 @@ class LoadCase(eqx.Module):
     def __init__(self, *, acceleration=(0, 0, 0), loads: dict[str, Load] | None = None):
         problems = Problems()
         self.acceleration = vector(acceleration, "LoadCase.acceleration", problems)
-        self.loads = dict(loads or {})
+        self.loads = loads_by_name(loads, "LoadCase.loads", problems)
         problems.raise_if_any()
 
 
@@ -153,20 +154,21 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     """
     check_precision("load_cases", model)
     check_attached(model)
-    problems = []
-    if not cases:
-        problems.append(Problem("NO_CASE", "load_cases", "has no case", cases, "at least one", "Give {name: jb.LoadCase(...)}."))
-    problems += [
-        Problem("WRONG_KIND", f"cases[{name!r}]", f"is a {type(case).__name__}", case, "LoadCase", "Give jb.LoadCase(acceleration=..., loads=...).")
-        for name, case in cases.items()
-        if not isinstance(case, LoadCase)
-    ]  # fmt: skip
-    if problems:
-        raise JaxbodyError(*problems)
+    problems = Problems()
+    cases = named(cases, "load_cases.cases", "name: jb.LoadCase(...)", problems)
+    if not cases and not problems.found:
+        problems.add("NO_CASE", "load_cases", "has no case", value=cases, limit="at least one", hint="Give {name: jb.LoadCase(...)}.")
+    for name, case in cases.items():
+        check_kind(case, LoadCase, f"cases[{name!r}]", "jb.LoadCase(acceleration=..., loads=...)", problems)
     start = at.state if isinstance(at, Equilibrium) else at
     if start is not None:
-        check_state(model, start, "at")
-    each = [loads_of(case.loads, model.layout.bodies) for case in cases.values()]
+        problems.gather(lambda: check_state(model, start, "at"))
+    each = [
+        problems.gather(lambda name=name, case=case: loads_of(case.loads, model.layout.bodies, f"cases[{name!r}].loads"))
+        for name, case in cases.items()
+        if isinstance(case, LoadCase)
+    ]
+    problems.raise_if_any()
     loads = tuple(load for group in each for load in group)
     owner = np.repeat(np.arange(len(each)), [len(group) for group in each])
     weights = (np.arange(len(each))[:, None] == owner).astype(float)

@@ -16,6 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from jaxbody.arguments import named, positive, whole
+from jaxbody.arrays import float_array
 from jaxbody.checks import check_precision
 from jaxbody.design_programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of
 from jaxbody.design_spaces import Space, at_value, drawn, space_of
@@ -77,10 +79,19 @@ def tune(
     if not is_concrete(model):
         raise JaxbodyError(Problem("TRACED", "tune.model", "is being traced", hint="Tune outside of jit, vmap and grad."))
     key = jax.random.key(0) if key is None else key
+    problems = Problems()
+    bounds, catalogues = (
+        named(bounds, "tune.bounds", "path: (lower, upper)", problems),
+        named(catalogues, "tune.catalogues", "path: [values]", problems),
+    )
+    whole(starts, "tune.starts", problems, code="BAD_STARTS")
+    max_iterations = whole(max_iterations, "tune.max_iterations", problems)
+    positive(tolerance, "tune.tolerance", problems)
+    problems.raise_if_any()
     limited = limits_of(limits or {})
-    space, low, high = space_of(model, free, dict(bounds or {}), "tune")
-    shelves = _shelves(space, catalogues or {}, low, high)
-    _check_options(method, starts, limited, shelves)
+    space, low, high = space_of(model, free, bounds, "tune")
+    shelves = _shelves(space, catalogues, low, high)
+    _check_options(method, limited, shelves)
     U = drawn(space, low, high, starts, key, "tune.bounds")
     stochastic = not isinstance(method, str) and len(inspect.signature(evaluate).parameters) > 1
     program = Program(space, evaluate, minimize, limited, width=starts, reverse=reverse, key=key if stochastic else None, progress=progress)
@@ -109,11 +120,13 @@ def _shelves(space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np
     problems, shelves = Problems(), {}
     owner = {leaf: i for i, group in enumerate(space.groups) for leaf in group.leaves}
     for pattern, leaves in matching(list(owner), catalogues, "tune.catalogues").items():
-        values = np.sort(np.asarray(list(catalogues[pattern]), float))
+        values = problems.gather(lambda path=pattern: _values(catalogues[path], f"tune.catalogues['{path}']"))
+        if values is None:
+            continue
         for i in dict.fromkeys(owner[leaf] for leaf in leaves):
             group, at = space.groups[i], space.ends[i]
             where = f"tune.catalogues['{group.path}']"
-            if group.form.start.ndim or not len(values) or not np.isfinite(values).all() or (values <= 0).any():
+            if group.form.start.ndim or values.ndim != 1 or not values.size or not np.isfinite(values).all() or (values <= 0).any():
                 problems.add("BAD_CATALOGUE", where, f"is {values.tolist()}", value=values, limit="positive numbers, for one number")
                 continue
             shelf = np.array([at_value(space, i, x)[0] for x in values])
@@ -127,7 +140,13 @@ def _shelves(space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np
     return shelves
 
 
-def _check_options(method: Any, starts: Any, limits: dict[str, Any], shelves: dict[int, Any]) -> None:
+def _values(given: Any, where: str) -> np.ndarray:
+    """What there is, sorted."""
+    values = float_array(list(given) if isinstance(given, Iterable) else given, where)
+    return np.sort(values) if values.ndim == 1 else values  # pyright: ignore
+
+
+def _check_options(method: Any, limits: dict[str, Any], shelves: dict[int, Any]) -> None:
     problems = Problems()
     if isinstance(method, optax.GradientTransformation):
         if limits or shelves:
@@ -136,8 +155,6 @@ def _check_options(method: Any, starts: Any, limits: dict[str, Any], shelves: di
         problems.add("BAD_METHOD", "tune.method", f"is {method!r:.60}", value=method, limit=" ".join(METHODS) + " or an optax optimizer")
     elif method == "ipopt":
         check_ipopt("tune.method")
-    if not isinstance(starts, int) or starts < 1:
-        problems.add("BAD_STARTS", "tune.starts", f"is {starts!r}", value=starts, limit="a whole number >= 1")
     problems.raise_if_any()
 
 

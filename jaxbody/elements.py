@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxbody import laws, rotations
+from jaxbody.arguments import plain
 from jaxbody.arrays import checked, concrete
 from jaxbody.bodies import scalar, vector
 from jaxbody.errors import Problems, warn
@@ -372,7 +373,7 @@ def ends(given, kind: str, problems: Problems, *, points: bool = True):
                 hint="Give the name of a body, a support or `world`, and a point in its frame.",
             )
             end = ("?", (0, 0, 0))
-        names.append(end[0])
+        names.append(plain(end[0]))
         found.append(vector(end[1], f"{where} ({end[0]})", problems))
     twice = [name for i, name in enumerate(names) if name in names[:i] and name != "?"]
     if twice:

@@ -11,10 +11,11 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxbody import tables
+from jaxbody.arguments import positive, whole
 from jaxbody.checks import check_attached, check_precision
 from jaxbody.derivatives import expansion, placed, stiffness
 from jaxbody.descents import SINGULAR, descend, signs
-from jaxbody.errors import Status
+from jaxbody.errors import Problems, Status
 from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model
 from jaxbody.options import jit_quickly
@@ -75,6 +76,10 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
     """
     check_precision("find_equilibria", model)
     check_attached(model)
+    problems = Problems()
+    starts = whole(starts, "find_equilibria.starts", problems)
+    positive(spread, "find_equilibria.spread", problems)
+    problems.raise_if_any()
     batch = _search(model, jax.random.key(0) if key is None else key, starts, float(spread))
     status, energies = np.asarray(batch.status), np.asarray(batch.energy)
     good = [int(i) for i in np.argsort(energies) if status[i] != Status.NOT_CONVERGED and status[i] != Status.NO_EQUILIBRIUM]

@@ -9,11 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxbody.arguments import named
 from jaxbody.arrays import device_array, float_array
 from jaxbody.channels import Measurement
 from jaxbody.errors import JaxbodyError, Problem, Problems, is_concrete, warn
 from jaxbody.kinematics import Motions
-from jaxbody.loads import Load, loads_of
+from jaxbody.loads import Load, loads_by_name, loads_of
 from jaxbody.models import Model, State
 from jaxbody.motions import Motion, as_motion, check_times
 from jaxbody.records import readings
@@ -79,6 +80,12 @@ class Experiment(Measurement):
     ):
         problems = Problems()
         checked = check_times(times, problems, "Experiment.times", minimum=2)
+        sensors = named(sensors, "Experiment.sensors", "name: jb.Position(...)", problems)
+        measured = named(measured, "Experiment.measured", "name: array", problems)
+        motion = named(motion, "Experiment.motion", "support: jb.Harmonic(...)", problems)
+        motions = {name: problems.gather(lambda m=m, name=name: as_motion(m, f"Experiment.motion['{name}']")) for name, m in motion.items()}
+        loads = loads_by_name(loads, "Experiment.loads", problems)
+        problems.raise_if_any()
         if not sensors:
             problems.add("NO_DATA", "Experiment.sensors", "is empty", limit="at least one sensor")
         for name in [n for n in (*sensors, *measured) if (n in sensors) != (n in measured)]:
@@ -96,8 +103,8 @@ class Experiment(Measurement):
         }
         known = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
         levels = None if noise is None else noise_levels(known, noise, "Experiment.noise", problems, zero=False)
-        taken = {"initial": "is reserved"} | dict.fromkeys(motion or {}, "is the name of a support too")
-        for kind, names in (("loads", loads or {}), ("sensors", sensors)):
+        taken = {"initial": "is reserved"} | dict.fromkeys(motion, "is the name of a support too")
+        for kind, names in (("loads", loads), ("sensors", sensors)):
             for name in [name for name in names if name in taken]:
                 where, hint = f"Experiment.{kind}['{name}']", "Paths need different names."
                 problems.add("DUPLICATE_NAME", where, taken[name], value=name, hint=hint)
@@ -107,8 +114,8 @@ class Experiment(Measurement):
                 problems.add("BAD_NAME", f"Experiment.sensors[{name!r}]", "is no name", value=name, hint="None of . * ? [ ], for paths.")
         problems.raise_if_any()
         self.times = device_array(checked)  # pyright: ignore[reportArgumentType]
-        self.motion = {name: as_motion(m) for name, m in (motion or {}).items()}
-        self.loads = {name: jax.tree.map(device_array, load) for name, load in (loads or {}).items()}
+        self.motion = motions
+        self.loads = {name: jax.tree.map(device_array, load) for name, load in loads.items()}
         self.initial = as_initial(initial)
         self.sensors = {name: jax.tree.map(device_array, sensor) for name, sensor in sensors.items()}
         self.measured = {name: device_array(a) for name, a in arrays.items()}

@@ -17,9 +17,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
+from jaxbody.arguments import whole
 from jaxbody.design_programs import Evaluate, Quantities
 from jaxbody.designs import tune
-from jaxbody.errors import JaxbodyError, Problem
+from jaxbody.errors import Problems
 from jaxbody.models import Model
 from jaxbody.optimizers import MET
 from jaxbody.progress_lines import working
@@ -84,9 +85,12 @@ def pareto(
     [0.3, 1.0]
     """
     names = [minimize] if isinstance(minimize, str) else list(minimize)
-    if len(set(names)) != len(names) or len(names) not in (2, 3) or points < 3:
-        told, hint = f"has objectives {', '.join(names)}, {points} points", "Give two or three different names, and three points or more."
-        raise JaxbodyError(Problem("BAD_FRONT", "pareto.minimize", told, names, "two or three, points >= 3", hint))
+    problems = Problems()
+    if len(set(names)) != len(names) or len(names) not in (2, 3):
+        words = f"has the objectives {', '.join(map(str, names))}"
+        problems.add("BAD_FRONT", "pareto.minimize", words, value=names, limit="two or three different names")
+    points = whole(points, "pareto.points", problems, least=3, code="BAD_FRONT")
+    problems.raise_if_any()
 
     counts = itertools.count(1)
 

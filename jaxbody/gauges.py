@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxbody.arguments import plain
 from jaxbody.arrays import concrete
 from jaxbody.bodies import vector
 from jaxbody.elements import ends
@@ -151,7 +152,7 @@ class LaserLine(Sensor):
         S = origin + d n,   d = (P - origin) . R N/(n . R N)
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     point: Float[Array, "3"]
     axis: Float[Array, "3"]
     origin: Float[Array, "3"] | None

@@ -17,12 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 
+from jaxbody.arguments import whole
 from jaxbody.beginnings import far_off
 from jaxbody.channels import Measurement
 from jaxbody.checkpoints import resumed, save
 from jaxbody.checks import check_precision
 from jaxbody.colorings import PRIORS
-from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete, warn
+from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.experiments import Experiment, Integration, check_measurements
 from jaxbody.fits import Fit
 from jaxbody.free_parameters import choose, limits_of, priors_of
@@ -94,11 +95,11 @@ def fit(
     39.47842
     """
     check_precision("fit", model, needs_float64=not allow_float32)
-    check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit")
     check_loss(loss, "fit.loss")
-    if isinstance(max_evaluations, bool) or not isinstance(max_evaluations, int | np.integer) or max_evaluations < 1:
-        told, hint = f"is {max_evaluations!r:.40}", "1 is the start alone."
-        raise JaxbodyError(Problem("BAD_NUMBER", "fit.max_evaluations", told, max_evaluations, "a whole number >= 1", hint))
+    problems = Problems()
+    max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit"))
+    max_evaluations = whole(max_evaluations, "fit.max_evaluations", problems)
+    problems.raise_if_any()
     _check_runs(model, experiments)
     parameters = choose(model, experiments, _patterns(free))
     limits = limits_of(parameters, {} if bounds is None else bounds, method)

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
+from jaxbody.arguments import plain
 from jaxbody.arrays import concrete
 from jaxbody.bodies import vector
 from jaxbody.errors import Problem, Problems
@@ -21,7 +22,7 @@ class Mounted(Sensor):
     """The base of instruments with axes of their own: `orientation`, quaternion or rotation matrix, of the instrument in its body, three components; or
     `axis`, the one sensitive direction in body axes, one number."""
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     point: Float[Array, "3"]
     axis: Float[Array, "3"] | None
     orientation: Float[Array, "4"] | None
@@ -144,7 +145,7 @@ class LoadCell(Sensor):
     ('N', 'N m')
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     component: int | None = eqx.field(static=True)
     shape = ()
 
@@ -180,7 +181,7 @@ class ForcePlate(Sensor):
     (6,)
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     shape = (6,)
     unit = "N, N m"
     parts = ("force", "moment")
@@ -265,7 +266,7 @@ class JointAngle(Sensor):
     'rad'
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     component: int | None = eqx.field(static=True)
     shape = ()
     unit = "rad"

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
+from jaxbody.arguments import plain
 from jaxbody.arrays import checked, concrete
 from jaxbody.bodies import vector
 from jaxbody.errors import Problems
@@ -48,7 +49,7 @@ class Joint(eqx.Module):
     -2.7
     """
 
-    parent: str = eqx.field(static=True)
+    parent: str = eqx.field(static=True, converter=plain)
     nq: eqx.AbstractClassVar[int]
     nv: eqx.AbstractClassVar[int]
     motions: eqx.AbstractClassVar[tuple[str, ...]]

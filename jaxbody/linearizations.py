@@ -16,9 +16,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
+from jaxbody.arguments import named
+from jaxbody.arrays import shaped, stack
 from jaxbody.checks import check_precision, check_state
 from jaxbody.derivatives import damping, mass, placed, stiffness
-from jaxbody.errors import JaxbodyError, Problem, Status
+from jaxbody.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates
 from jaxbody.lanes import in_lanes
@@ -172,17 +174,13 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
     check_precision("excitation", model)
     state = at.state if isinstance(at, Equilibrium) else at
     check_state(model, state, "state")
-    for name, xi in displaced.items():
-        if name not in model.layout.supports:
-            raise JaxbodyError(unknown(name, "excitation", model.layout.supports))
-        if np.shape(xi) != (6,):
-            raise JaxbodyError(
-                Problem(
-                    "BAD_SHAPE", f"excitation[{name!r}]", f"has shape {np.shape(xi)}", xi, "(6,)", "Give (translation, rotation vector)."
-                )
-            )
-    zero = jnp.zeros(6, state.q.dtype)
-    return _excitation(model, state, jnp.stack([jnp.asarray(displaced.get(name, zero), float) for name in model.layout.supports]))
+    problems = Problems()
+    given = named(displaced, "excitation.displaced", "support: 6 numbers", problems)
+    problems.found += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
+    known = [name for name in model.layout.supports if name in given]
+    xi = {name: shaped(given[name], (6,), f"excitation[{name!r}]", problems) for name in known}
+    problems.raise_if_any()
+    return _excitation(model, state, stack([xi.get(name, np.zeros(6)) for name in model.layout.supports]))
 
 
 def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:

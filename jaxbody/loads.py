@@ -14,10 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxbody.arguments import check_kind, named, plain
 from jaxbody.arrays import checked, concrete, device_array
 from jaxbody.bodies import scalar
 from jaxbody.elements import Wrench, ends
-from jaxbody.errors import JaxbodyError, Problem, Problems
+from jaxbody.errors import Problems
 from jaxbody.frames import Frame
 from jaxbody.joints import unit_vector
 from jaxbody.rotations import cross, dot, rotate
@@ -37,7 +38,7 @@ class Load(eqx.Module):
     'rocket'
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     point: Float[Array, "3"]
 
     @abstractmethod
@@ -71,7 +72,7 @@ class Force(Load):
 
     force: Signal
     moment: Signal
-    axes: str = eqx.field(static=True)
+    axes: str = eqx.field(static=True, converter=plain)
 
     def __init__(self, on, *, force=(0, 0, 0), moment=(0, 0, 0), axes: str = "world"):
         problems = Problems()
@@ -184,18 +185,21 @@ def _place(on: Any, kind: str, problems: Problems):
     return name, point
 
 
-def loads_of(loads: dict[str, Load] | None, bodies: tuple[str, ...]) -> tuple[Load, ...]:
+def loads_of(loads: dict[str, Load] | None, bodies: tuple[str, ...], where: str = "loads") -> tuple[Load, ...]:
     """The loads of a run, each on a body of the model."""
-    problems = []
-    for name, load in (loads or {}).items():
-        where = f"loads[{name!r}]"
-        if not isinstance(load, Load):
-            problems.append(
-                Problem("WRONG_KIND", where, f"is a {type(load).__name__}", load, "a Load", "Give jb.Force(...) or another Load.")
-            )
-        elif load.on not in bodies:
-            told = f"is on '{load.on}', which is no body"
-            problems.append(Problem("UNKNOWN_BODY", where, told, load.on, " ".join(bodies), "A load acts on a body."))
-    if problems:
-        raise JaxbodyError(*problems)
-    return tuple(jax.tree.map(device_array, load) for load in (loads or {}).values())
+    problems = Problems()
+    given = loads_by_name(loads, where, problems)
+    for name, load in given.items():
+        if load.on not in bodies:
+            words = f"is on '{load.on}', which is no body"
+            problems.add("UNKNOWN_BODY", f"{where}[{name!r}]", words, value=load.on, limit=" ".join(bodies), hint="A load acts on a body.")
+    problems.raise_if_any()
+    return tuple(jax.tree.map(device_array, load) for load in given.values())
+
+
+def loads_by_name(loads: Any, where: str, problems: Problems) -> dict[str, Load]:
+    """What of a dict are loads; what is not goes to `problems`."""
+    given = named(loads, where, "name: jb.Force(...)", problems)
+    for name, load in given.items():
+        check_kind(load, Load, f"{where}[{name!r}]", "jb.Force(...) or another Load", problems)
+    return {name: load for name, load in given.items() if isinstance(load, Load)}

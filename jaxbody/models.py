@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations, tables
+from jaxbody.arguments import check_kind, named
 from jaxbody.arrays import concrete, device_array, functions_as_nodes
 from jaxbody.bodies import Body, Support, vector, warn_of_points, warn_of_tiny
 from jaxbody.element_checks import check_laws, check_leaves
@@ -184,8 +185,16 @@ class Model(eqx.Module):
         joints: dict[str, Joint] | None = None,
         gravity=(0, 0, 0),
     ):
-        supports, elements, joints = supports or {}, elements or {}, joints or {}
         problems = Problems()
+        bodies, supports = (
+            named(bodies, "bodies", "name: jb.Body(...)", problems),
+            named(supports, "supports", "name: jb.Support(...)", problems),
+        )
+        elements, joints = (
+            named(elements, "elements", "name: jb.Spring(...)", problems),
+            named(joints, "joints", "name: jb.Hinge(...)", problems),
+        )
+        problems.raise_if_any()
         _check_names(problems, bodies=bodies, supports=supports, elements=elements)
         bodies, supports = _of_kind(problems, "bodies", bodies, Body), _of_kind(problems, "supports", supports, Support)
         elements, joints = _of_kind(problems, "elements", elements, Element), _of_kind(problems, "joints", joints, Joint)
@@ -327,9 +336,7 @@ def _check_names(problems: Problems, **groups: dict[str, Any]) -> None:
 def _of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) -> dict[str, Any]:
     """The things that are of their kind; those that are not go to `problems`."""
     for name, thing in things.items():
-        if not isinstance(thing, kind):
-            told, hint = f"is a {type(thing).__name__}", f"Build it with a class of jaxbody: a {kind.__name__}."
-            problems.add("WRONG_KIND", f"{group}[{name!r}]", told, value=thing, limit=kind.__name__, hint=hint)
+        check_kind(thing, kind, f"{group}[{name!r}]", f"a jb.{kind.__name__}", problems)
     if group == "bodies" and not things:
         problems.add("NO_BODY", "bodies", "is empty", value=things, limit="at least one body", hint="Give a body.")
     return {name: thing for name, thing in things.items() if isinstance(thing, kind)}

@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
+from jaxbody.arguments import kind_of
 from jaxbody.arrays import checked, concrete, device_array, float_array, functions_as_nodes, shaped
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.tracings import check_returned, is_own
@@ -234,11 +235,11 @@ def cell(times: Float[Array, "n"], uniform: bool, t: Float[Array, ""]):
     return i, h, (times[i + 1] - t) / h, (t - times[i]) / h
 
 
-def as_motion(motion: Motion | Callable[[Array], Array]) -> Motion:
+def as_motion(motion: Motion | Callable[[Array], Array], where: str = "motion") -> Motion:
     """A motion stays one; a bare Python function of time becomes one."""
-    if not callable(motion):
-        told, hint = f"is a {type(motion).__name__}", "Give a Motion or a function t -> Xi, 6 numbers."
-        raise JaxbodyError(Problem("WRONG_KIND", "motion", told, motion, "Motion", hint))
+    if not callable(motion) or isinstance(motion, type):
+        hint = "Give a Motion or a function t -> Xi, 6 numbers."
+        raise JaxbodyError(Problem("WRONG_KIND", where, f"is {kind_of(motion)}", motion, "a Motion, as jb.Harmonic(...)", hint))
     return motion if isinstance(motion, Motion) else Function(motion)
 
 

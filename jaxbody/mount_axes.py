@@ -10,6 +10,7 @@ from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
+from jaxbody.arguments import plain
 from jaxbody.arrays import shaped
 from jaxbody.checks import check_precision
 from jaxbody.eigenproblems import natural
@@ -38,7 +39,7 @@ class ElasticAxes(Result):
     torsional_directions: Float[Array, "3 3"]
     torsional_stiffness: Float[Array, "3"]
     status: Int[Array, ""]
-    body: str = field(static=True)
+    body: str = field(static=True, converter=plain)
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: direction, stiffness, point and pitch of each axis."""
@@ -75,7 +76,7 @@ class TorqueRollAxis(Result):
     frequency: Float[Array, ""]
     coupling: Float[Array, ""]
     status: Int[Array, ""]
-    body: str = field(static=True)
+    body: str = field(static=True, converter=plain)
 
     def _tables(self) -> list[tables.Table]:
         rows = [

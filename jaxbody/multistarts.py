@@ -15,8 +15,9 @@ import optimistix
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
+from jaxbody.arguments import positive, whole
 from jaxbody.channels import Measurement
-from jaxbody.errors import JaxbodyError, Problem, Status, warn, warn_of
+from jaxbody.errors import Problems, Status, warn, warn_of
 from jaxbody.fits import Fit
 from jaxbody.free_parameters import limits_of
 from jaxbody.identification import fit
@@ -89,10 +90,10 @@ def multistart(
     >>> several.estimates["spring.stiffness"].round(4).tolist()
     [39.4784]
     """
-    if starts < 1 or not spread > 0:
-        raise JaxbodyError(
-            Problem("BAD_NUMBER", "multistart", f"has {starts} starts, spread {spread}", (starts, spread), "starts >= 1, spread > 0")
-        )
+    problems = Problems()
+    starts = whole(starts, "multistart.starts", problems)
+    positive(spread, "multistart.spread", problems)
+    problems.raise_if_any()
     with working("multistart", progress) as line:
         with warnings.catch_warnings(record=True) as told:  # of an optimum that may not be the best
             warnings.simplefilter("always")

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxbody.arguments import named
 from jaxbody.arrays import checked, concrete, device_array
 from jaxbody.errors import Problems
 from jaxbody.models import Model
@@ -149,6 +150,8 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
     """
     arrays, treedef = jax.tree.flatten(tree)
     problems, taken = Problems(), set()
+    values = named(values, "replace.values", "path: value", problems)
+    problems.raise_if_any()
     new: dict[int, list[tuple[list[Leaf], Any]]] = {}
     for pattern, leaves in matching(leaves_of(tree), values, "replace").items():
         where = f"replace['{pattern}']"

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
+from jaxbody.arguments import plain
 from jaxbody.arrays import float_array
 from jaxbody.bodies import vector
 from jaxbody.derivatives import Placed, placed, slope
@@ -43,9 +44,9 @@ class BaseMotion(eqx.Module):
     'm/s2'
     """
 
-    on: str = eqx.field(static=True)
-    direction: str = eqx.field(static=True)
-    kind: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
+    direction: str = eqx.field(static=True, converter=plain)
+    kind: str = eqx.field(static=True, converter=plain)
 
     def __init__(self, on: str, direction: str, *, kind: str = "displacement"):
         problems = Problems()
@@ -72,7 +73,7 @@ class PointForce(eqx.Module):
     ('N', 'N m')
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     point: Float[Array, "3"]
     axis: Float[Array, "3"]
     turns: bool = eqx.field(static=True)
@@ -102,12 +103,12 @@ class PointMotion(eqx.Module):
     'm/s2'
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     point: Float[Array, "3"]
     axis: Float[Array, "3"]
     turns: bool = eqx.field(static=True)
-    kind: str = eqx.field(static=True)
-    relative_to: str | None = eqx.field(static=True)
+    kind: str = eqx.field(static=True, converter=plain)
+    relative_to: str | None = eqx.field(static=True, converter=plain)
 
     def __init__(self, on: str, point=(0, 0, 0), direction: Any = "z", *, kind: str = "displacement", relative_to: str | None = None):
         problems = Problems()
@@ -136,7 +137,7 @@ class ElementForce(eqx.Module):
     2
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     component: int | None = eqx.field(static=True, default=None)
 
     def unit_on(self, model: Model) -> str:
@@ -154,7 +155,7 @@ class ElementDeformation(eqx.Module):
     'AB'
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     component: int | None = eqx.field(static=True, default=None)
 
     def unit_on(self, model: Model) -> str:
@@ -172,8 +173,8 @@ class SupportReaction(eqx.Module):
     'N'
     """
 
-    on: str = eqx.field(static=True)
-    direction: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
+    direction: str = eqx.field(static=True, converter=plain)
 
     def __init__(self, on: str, direction: str):
         problems = Problems()

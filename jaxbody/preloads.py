@@ -15,9 +15,10 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
+from jaxbody.arguments import check_kind
 from jaxbody.checks import check_precision, check_state
 from jaxbody.derivatives import placed, slope
-from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete
+from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
 from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model, State
 from jaxbody.naming import Leaf, leaves_of, matching, write
@@ -78,6 +79,9 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",))
     check_precision("preload", model)
     state = model.reference if pose is None else pose
     check_state(model, state, "pose")
+    problems = Problems()
+    check_kind(free, (str, list, tuple), "preload.free", "paths or patterns", problems)
+    problems.raise_if_any()
     found = matching(leaves_of(model), [free] if isinstance(free, str) else free, "free")
     leaves = tuple(dict.fromkeys(leaf for group in found.values() for leaf in group))
     wrong = [leaf.path for leaf in leaves if leaf.field not in ("free_length", "free_angle")]

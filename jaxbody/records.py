@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
+from jaxbody.arguments import check_kind
 from jaxbody.arrays import concrete
 from jaxbody.dynamics import Dynamics, Instant
 from jaxbody.errors import Problems
@@ -67,8 +68,10 @@ def measure(
     >>> measured["place"].shape
     (5, 3)
     """
-    check_sensors(sensors, trajectory.model, "sensors")
     problems = Problems()
+    check_kind(trajectory, Trajectory, "measure.trajectory", "a Trajectory, as jb.simulate(...) returns", problems)
+    problems.raise_if_any()
+    check_sensors(sensors, trajectory.model, "sensors")
     levels = noise_levels(sensors, noise, "noise", problems, zero=True)
     noisy = any(concrete(level) is None or np.any(level) for level in levels.values())
     if noisy and key is None:

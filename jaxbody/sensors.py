@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations, transducers
+from jaxbody.arguments import check_kind, named, plain
 from jaxbody.arrays import checked, concrete
 from jaxbody.bodies import vector
 from jaxbody.channels import Channel
 from jaxbody.dynamics import Instant
 from jaxbody.elements import Element
-from jaxbody.errors import JaxbodyError, Problem, Problems
+from jaxbody.errors import Problem, Problems
 from jaxbody.joints import unit_vector
 from jaxbody.models import Model, unknown
 
@@ -161,7 +162,7 @@ class Position(Sensor):
     ((3,), ())
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     point: Float[Array, "3"]
     axis: Float[Array, "3"] | None
     unit = "m"
@@ -190,7 +191,7 @@ class Elongation(Sensor):
     'm'
     """
 
-    on: str = eqx.field(static=True)
+    on: str = eqx.field(static=True, converter=plain)
     shape = ()
     unit = "m"
 
@@ -205,15 +206,12 @@ class Elongation(Sensor):
 
 def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:
     """Every sensor is one, and on something that the model has."""
-    problems = [
-        Problem("WRONG_KIND", f"{where}['{name}']", f"is a {type(sensor).__name__}", sensor, "a sensor")
-        if not isinstance(sensor, Sensor)
-        else sensor.problem(model, f"{where}['{name}']")
-        for name, sensor in sensors.items()
-    ]
-    found = [problem for problem in problems if problem is not None]
-    if found:
-        raise JaxbodyError(*found)
+    problems = Problems()
+    for name, sensor in named(sensors, where, "name: jb.Position(...)", problems).items():
+        check_kind(sensor, Sensor, f"{where}['{name}']", "a sensor, as jb.Position(...)", problems)
+        problem = sensor.problem(model, f"{where}['{name}']") if isinstance(sensor, Sensor) else None
+        problems.found += [] if problem is None else [problem]
+    problems.raise_if_any()
 
 
 def noise_levels(sensors: dict[str, Sensor], noise: Any, where: str, problems: Problems, *, zero: bool) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxbody.arguments import plain
 from jaxbody.arrays import checked, concrete, device_array, float_array
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.motions import cell, check_times, curvatures, is_uniform
@@ -102,7 +103,7 @@ class Samples(Signal):
     times: Float[Array, "n"]
     values: Float[Array, "n *k"]
     curvatures: Float[Array, "n *k"] | None
-    kind: str = eqx.field(static=True)
+    kind: str = eqx.field(static=True, converter=plain)
     uniform: bool = eqx.field(static=True)
 
     def __init__(self, times, values, *, kind: str = "cubic"):

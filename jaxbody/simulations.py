@@ -15,11 +15,12 @@ from equinox import combine, is_array, partition
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import integrators, tables
+from jaxbody.arguments import check_kind, named, positive, whole
 from jaxbody.arrays import concrete, device_array, float_array
 from jaxbody.checks import check_precision, check_state, unattached
 from jaxbody.collocations import Gauss
 from jaxbody.dynamics import Dynamics, table_of_free
-from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
+from jaxbody.errors import Problems, Status, is_concrete, warn
 from jaxbody.frames import Frame, Pose
 from jaxbody.kinematics import Coordinates, Motions
 from jaxbody.lanes import in_lanes
@@ -41,6 +42,8 @@ MAX_STEPS = 100_000
 STABLE = 2.8  # longest step times rate at which the classical Runge-Kutta method is stable; explicit ones of diffrax are near
 SAFETY = 0.1  # local error over rtol, as solvers interpolate between steps to a lower order than they step
 CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
+KINDS = {"solver": diffrax.AbstractSolver, "stepsize_controller": diffrax.AbstractStepSizeController, "adjoint": diffrax.AbstractAdjoint}
+EXAMPLES = {"solver": "diffrax.Tsit5()", "stepsize_controller": "diffrax.ConstantStepSize()", "adjoint": "diffrax.ForwardMode()"}
 OWN_STEPS = diffrax.ConstantStepSize | None
 STATUSES = (
     (diffrax.RESULTS.successful, Status.OK),
@@ -212,22 +215,13 @@ def simulate(
     (11, 3)
     """
     check_precision("simulate", model)
-    motions = motions_of(model, motion or {})
-    loads_on = loads_of(loads, model.layout.bodies)
-    initial = as_initial(initial)
-    times = check_run(model, times, motions, loads or {}, initial)
+    problems, initial = Problems(), as_initial(initial)
+    motions = problems.gather(lambda: motions_of(model, motion))
+    loads_on = problems.gather(lambda: loads_of(loads, model.layout.bodies))
+    max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "simulate", adjoint))
+    times = problems.gather(lambda: check_run(model, times, motions or (), {} if loads_on is None else loads or {}, initial))
+    problems.raise_if_any()
     initial = beginning(model, motions, times[0], initial, "simulate.initial")
-    if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(stepsize_controller, CONSTANT):
-        raise JaxbodyError(
-            Problem(
-                "WRONG_GRADIENT",
-                "simulate.adjoint",
-                "RecursiveCheckpointAdjoint with constant steps gives wrong gradients where samples lie on steps",
-                adjoint,
-                hint="Use diffrax.DirectAdjoint() or ForwardMode().",
-            )
-        )
-    check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "simulate")
     loose = unattached(model)
     if loose:
         warn("UNATTACHED", f"nothing ties {', '.join(loose)} to world or a support")
@@ -263,22 +257,31 @@ def check_steps(
     stepsize_controller: diffrax.AbstractStepSizeController | None,
     dt0: Any,
     rtol: Any,
-    max_steps: int,
+    max_steps: Any,
     where: str,
-) -> None:
-    """Gauss has constant steps, these have a length, tolerances and numbers of steps are positive."""
+    adjoint: diffrax.AbstractAdjoint | None = None,
+) -> int:
+    """Objects of diffrax where such are meant; Gauss has constant steps, these have a length; rtol and dt0 are positive. Returns max_steps, a whole number."""
     problems = Problems()
+    given = {"solver": solver, "stepsize_controller": stepsize_controller, "adjoint": adjoint}
+    for name, value in given.items():
+        if value is not None:
+            check_kind(value, KINDS[name], f"{where}.{name}", f"an object of diffrax, as {EXAMPLES[name]}", problems)
+    if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(stepsize_controller, CONSTANT):
+        words = "is RecursiveCheckpointAdjoint, which with constant steps gives wrong gradients where samples lie on steps"
+        problems.add("WRONG_GRADIENT", f"{where}.adjoint", words, value=adjoint, hint="Use diffrax.DirectAdjoint() or ForwardMode().")
     if isinstance(solver, Gauss) and not isinstance(stepsize_controller, CONSTANT):
         told = "is Gauss, which has no estimate of its error, by which a controller could choose steps"
         hint = "Give stepsize_controller=diffrax.ConstantStepSize() and dt0= a tenth of the shortest period."
         problems.add("NO_ERROR_ESTIMATE", f"{where}.solver", told, value=solver, hint=hint)
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
         problems.add("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds.")
-    for name, value in (("dt0", dt0), ("rtol", rtol), ("max_steps", max_steps)):
-        known = None if value is None else concrete(value)
-        if known is not None and not (np.isfinite(known) and known > 0):
-            problems.add("BAD_NUMBER", f"{where}.{name}", f"is {value}", value=value, limit="> 0")
+    positive(rtol, f"{where}.rtol", problems)
+    if dt0 is not None:
+        positive(dt0, f"{where}.dt0", problems)
+    steps = whole(max_steps, f"{where}.max_steps", problems)
     problems.raise_if_any()
+    return steps
 
 
 def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None) -> None:
@@ -294,13 +297,15 @@ def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax
         )
 
 
-def motions_of(model: Model, motion: dict[str, Any]) -> Motions:
+def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion") -> Motions:
     """One motion for each support, in their order."""
-    problems = Problems([unknown(name, "motion", model.layout.supports) for name in motion if name not in model.layout.supports])
+    problems, supports = Problems(), model.layout.supports
+    given = named(motion, where, "support: jb.Harmonic(...)", problems)
+    problems.found += [unknown(name, where, supports) for name in given if name not in supports]
+    motions = {name: problems.gather(lambda name=name: as_motion(given.get(name, AtRest()), f"{where}['{name}']")) for name in supports}
     problems.raise_if_any()
-    motions = {name: as_motion(motion.get(name, AtRest())) for name in model.layout.supports}
     for name, one in motions.items():
-        check_motion(one, f"motion['{name}']", problems)
+        check_motion(one, f"{where}['{name}']", problems)
     problems.raise_if_any()
     return tuple(motions.values())
 
@@ -312,7 +317,7 @@ def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], ini
     problems.raise_if_any()
     assert checked is not None
     asked = concrete(checked)
-    timed = [(f"motion['{name}']", motion) for name, motion in zip(model.layout.supports, motions, strict=True)]
+    timed = [(f"motion['{name}']", motion) for name, motion in zip(model.layout.supports, motions, strict=False)]
     timed += [(f"loads['{name}']", signal) for name, load in loads.items() for signal in load.signals()]
     for where, function in timed:
         span = [concrete(t) for t in function.covers()]

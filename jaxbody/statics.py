@@ -18,12 +18,13 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import tables
+from jaxbody.arguments import whole
 from jaxbody.arrays import device_array
 from jaxbody.checks import check_attached, check_precision, check_state
 from jaxbody.derivatives import placed, stiffness
 from jaxbody.descents import SINGULAR, descend, signs
 from jaxbody.eigenproblems import MASSLESS
-from jaxbody.errors import Status, is_concrete
+from jaxbody.errors import Problems, Status, is_concrete
 from jaxbody.kinematics import Coordinates
 from jaxbody.lane_marks import any_of_batch
 from jaxbody.laws import has_range
@@ -150,10 +151,14 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     """
     check_precision("equilibrium", model)
     check_attached(model)
+    problems = Problems()
     if start is not None:
-        check_state(model, start, "start")
+        problems.gather(lambda: check_state(model, start, "start"))
+    acting = problems.gather(lambda: loads_of(loads, model.layout.bodies))
+    max_steps = whole(max_steps, "equilibrium.max_steps", problems, least=0)
+    problems.raise_if_any()
     q = None if start is None else start.q
-    result, acting = equilibrium_of(model, q, max_steps), loads_of(loads, model.layout.bodies)
+    result = equilibrium_of(model, q, max_steps)
     if acting:
         result = under_loads(model, result, q, Raised(acting, device_array(np.ones(len(acting))), device_array(np.zeros(3))), max_steps)
     warn_if_failed(result)

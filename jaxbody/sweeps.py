@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.arguments import named, whole
 from jaxbody.arrays import float_array
 from jaxbody.checks import check_precision
 from jaxbody.design_programs import Evaluate, evaluated
@@ -57,17 +58,19 @@ def sweep(
     """
     check_precision("sweep", model)
     problems = Problems()
-    columns = {path: float_array(values, f"sweep['{path}']") for path, values in over.items()}
+    given = named(over, "sweep.over", "path: [values]", problems)
+    samples = None if samples is None else whole(samples, "sweep.samples", problems)
+    chunk = None if chunk is None else whole(chunk, "sweep.chunk", problems, code="BAD_CHUNK")
+    columns = {path: problems.gather(lambda path=path: float_array(given[path], f"sweep['{path}']")) for path in given}
+    columns = {path: values for path, values in columns.items() if values is not None}
     empty = not columns or any(values.ndim < 1 or not len(values) for values in columns.values())
-    if empty or (samples is not None and samples < 1):
+    if empty and not problems.found:
         problems.add("EMPTY_SWEEP", "sweep.over", "has no values", value=over, limit="values for each path", hint="Give {path: [values]}.")
     for path, values in columns.items():
         if not np.isfinite(values).all():
             problems.add("NON_FINITE", f"sweep['{path}']", f"is {values[~np.isfinite(values)][0]}", value=values, limit="finite")
     if sampler not in SAMPLERS:
         problems.add("BAD_SAMPLER", "sweep.sampler", f"is {sampler!r}", value=sampler, limit=" ".join(SAMPLERS))
-    if chunk is not None and not chunk >= 1:
-        problems.add("BAD_CHUNK", "sweep.chunk", f"is {chunk}", value=chunk, limit=">= 1")
     problems.raise_if_any()
     if samples is not None:
         columns = _sampled(columns, samples, sampler, jax.random.key(0) if key is None else key)

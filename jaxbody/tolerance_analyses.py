@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
+from jaxbody.arguments import named, positive, whole
 from jaxbody.arrays import concrete, float_array
 from jaxbody.checks import check_precision
 from jaxbody.design_programs import Evaluate, Quantities, evaluated, value_and_forward_slopes
-from jaxbody.errors import JaxbodyError, Problem, Problems, Status
+from jaxbody.errors import Problems, Status
 from jaxbody.models import Model, unknown
 from jaxbody.naming import Leaf, leaves_of, matching, write
 from jaxbody.options import jit_quickly
@@ -97,9 +98,10 @@ def tolerances(
     (0.05, 1.0025)
     """
     check_precision("tolerances", model)
-    leaves, deviations = scattering(model, scatter, "tolerances.scatter")
-    if samples < 2:
-        raise JaxbodyError(Problem("BAD_SCATTER", "tolerances.samples", f"is {samples}", samples, ">= 2", "Give more samples."))
+    problems = Problems()
+    samples = whole(samples, "tolerances.samples", problems, least=2, code="BAD_SCATTER")
+    leaves, deviations = problems.gather(lambda: scattering(model, scatter, "tolerances.scatter")) or ((), ())
+    problems.raise_if_any()
     key = jax.random.key(0) if key is None else key
     with working("tolerances", progress) as line:
         line(f"derivatives and {samples} samples, as one program")
@@ -128,6 +130,10 @@ def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Eval
     [0.1051, 0.1212, 0.0896]
     """
 
+    problems = Problems()
+    positive(sigmas, "robust.sigmas", problems)
+    problems.raise_if_any()
+
     def with_scatter(model: Model) -> Quantities:
         leaves, deviations = scattering(model, scatter, "robust.scatter")
         moved = Moved(model, evaluate, leaves, deviations)
@@ -143,9 +149,13 @@ def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Eval
 def scattering(model: Model, scatter: Scatter, where: str) -> tuple[tuple[Leaf, ...], tuple[Array, ...]]:
     """The leaves that scatter and their standard deviations."""
     problems, leaves, deviations = Problems(), [], []
+    scatter = named(scatter, where, "path: standard deviation", problems)
+    problems.raise_if_any()
     arrays = jax.tree.leaves(model)
     for pattern, found in matching(leaves_of(model), scatter, where).items():
-        given = float_array(scatter[pattern], f"{where}[{pattern!r}]")
+        given = problems.gather(lambda pattern=pattern: float_array(scatter[pattern], f"{where}[{pattern!r}]"))
+        if given is None:
+            continue
         for leaf in found:
             shape = leaf.shape(arrays)
             known = concrete(given)

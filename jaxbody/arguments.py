@@ -1,0 +1,70 @@
+"""Arguments that are no arrays: things by name, names, whole and positive numbers, objects of other libraries."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping
+from typing import Any
+
+from jax.core import Tracer
+
+from jaxbody.arrays import checked, concrete
+from jaxbody.errors import Problems
+
+
+def plain(name: Any) -> Any:
+    """A name, or a tuple of them, as Python's text: NumPy's would be an array to JAX."""
+    if isinstance(name, tuple):
+        return tuple(map(plain, name))
+    return str(name) if isinstance(name, str) else name
+
+
+def kind_of(value: Any) -> str:
+    """ "a list", "an Equilibrium", "the class Tsit5"."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    name = type(value).__name__
+    return f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"
+
+
+def named(things: Any, where: str, kind: str, problems: Problems) -> dict[str, Any]:
+    """Things by name, their names as Python's text; none where they are no dict, and `problems` says so."""
+    if things is None:
+        return {}
+    if not isinstance(things, Mapping):
+        hint = f'Write {where.rpartition(".")[2]}={{"...": {kind.partition(": ")[2]}}}.'
+        problems.add("WRONG_KIND", where, f"is {kind_of(things)}", value=things, limit=f"a dict {{{kind}}}", hint=hint)
+        return {}
+    return {plain(name): thing for name, thing in things.items()}
+
+
+def whole(value: Any, where: str, problems: Problems, least: int = 1, code: str = "BAD_NUMBER") -> Any:
+    """A whole number, `least` or more; 1e5 is one. What jit traces stays as it is."""
+    if isinstance(value, Tracer):
+        return value
+    number = int(value) if isinstance(value, float) and value.is_integer() else value
+    try:
+        good = operator.index(number) >= least and not isinstance(value, bool)
+    except TypeError:
+        good = False
+    if not good:
+        problems.add(code, where, f"is {value!r:.60}", value=value, limit=f"a whole number >= {least}")
+        return least
+    return number
+
+
+def positive(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER") -> Any:
+    """One finite number above zero; None where it is not, and `problems` says so."""
+    number = checked(value, ((),), where, problems)
+    known = None if number is None else concrete(number)
+    if known is not None and not known > 0:
+        problems.add(code, where, f"is {known:g}", value=value, limit="> 0")
+        return None
+    return number
+
+
+def check_kind(value: Any, kinds: type | tuple[type, ...], where: str, wanted: str, problems: Problems) -> None:
+    """An object of one of these kinds; a class in place of its object is a common slip."""
+    if not isinstance(value, kinds):
+        hint = f"Write {value.__name__}(...)." if isinstance(value, type) else ""
+        problems.add("WRONG_KIND", where, f"is {kind_of(value)}", value=value, limit=wanted, hint=hint)
