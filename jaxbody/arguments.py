@@ -58,7 +58,7 @@ def positive(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER
     number = checked(value, ((),), where, problems)
     known = None if number is None else concrete(number)
     if known is not None and not known > 0:
-        problems.add(code, where, f"is {known:g}", value=value, limit="> 0")
+        problems.add(code, where, f"is {value}", value=value, limit="> 0")
         return None
     return number
 
@@ -66,5 +66,5 @@ def positive(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER
 def check_kind(value: Any, kinds: type | tuple[type, ...], where: str, wanted: str, problems: Problems) -> None:
     """An object of one of these kinds; a class in place of its object is a common slip."""
     if not isinstance(value, kinds):
-        hint = f"Write {value.__name__}(...)." if isinstance(value, type) else ""
+        hint = f"Write {value.__name__}(...)." if isinstance(value, type) else f"Give {wanted}."
         problems.add("WRONG_KIND", where, f"is {kind_of(value)}", value=value, limit=wanted, hint=hint)

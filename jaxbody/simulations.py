@@ -276,9 +276,9 @@ def check_steps(
         problems.add("NO_ERROR_ESTIMATE", f"{where}.solver", told, value=solver, hint=hint)
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
         problems.add("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds.")
-    positive(rtol, f"{where}.rtol", problems)
     if dt0 is not None:
         positive(dt0, f"{where}.dt0", problems)
+    positive(rtol, f"{where}.rtol", problems)
     steps = whole(max_steps, f"{where}.max_steps", problems)
     problems.raise_if_any()
     return steps

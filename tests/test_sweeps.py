@@ -85,7 +85,7 @@ BAD = {
     "NON_FINITE": (dict(over={"body.mass": [1.0, np.nan, 2.0]}), r"sweep\['body.mass'\]: is nan"),
     "BAD_RANGE": (dict(over={"body.mass": (2.0, 1.0)}, samples=4), r"allowed: \(low, high\)"),
     "BAD_SAMPLER": (dict(over={"body.mass": (1.0, 2.0)}, samples=4, sampler="dice"), "sobol latin"),
-    "BAD_CHUNK": (dict(over={"body.mass": [1.0]}, chunk=0), "allowed: >= 1"),
+    "BAD_CHUNK": (dict(over={"body.mass": [1.0]}, chunk=0), "allowed: a whole number >= 1"),
 }
 
 
