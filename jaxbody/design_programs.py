@@ -61,7 +61,7 @@ class Program:
 
     def _least(self, values: np.ndarray) -> str:
         """Of all starts, in words."""
-        shown = values[:, self.rows.objective] if self.minimize in dict(self.shapes) else np.zeros(0)
+        shown = values[:, self.rows.objective] if {self.minimize, *self.limits} <= set(dict(self.shapes)) else np.zeros(0)
         finite = shown[np.isfinite(shown)]
         return f", {self.minimize} {finite.min():.6g}" + (f" at least of {len(shown)}" if len(shown) > 1 else "") if len(finite) else ""
 
