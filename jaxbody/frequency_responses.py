@@ -20,10 +20,12 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from jaxbody import tables
 from jaxbody.arrays import checked, concrete, device_array, float_array
 from jaxbody.checks import check_precision
+from jaxbody.eigenproblems import ZERO, natural
 from jaxbody.errors import JaxbodyError, Problems, Status, is_concrete
 from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization
 from jaxbody.mechanics import each_element
+from jaxbody.modal_dampings import NO_MODES, with_modal_damping
 from jaxbody.models import Model, unknown
 from jaxbody.options import jit_quickly
 from jaxbody.ports import Wiring, check_ports, whole_matrices, wired
@@ -32,7 +34,7 @@ from jaxbody.results import Result, warn_if_failed
 LARGEST_UNROLLED = 16  # coordinates; beyond, LAPACK's elimination at each frequency costs less than it costs to compile this one
 GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, that is growth and not rounding
 INVERTED = 1e-7  # error of the modes' inverse, relative, above which their sum lacks digits
-FAILED = (Status.NOT_CONVERGED, Status.UNSTABLE, Status.NONFINITE, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT)
+FAILED = (Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, *NO_MODES)
 METHODS = ("direct", "modal")
 
 
@@ -40,8 +42,8 @@ class FrequencyResponse(Result):
     """`values` (outputs, inputs, frequencies), complex: what an output does per unit of an input that is exp(i 2 pi f t).
 
     `response["seat", "road"]` is one of them over `frequencies` [Hz]; `magnitude`, and `phase` [rad], continued over the frequencies.
-    From a displacement of a support to a displacement, the magnitude is the transmissibility. `status` UNSTABLE (values NaN), or that
-    of the equilibrium."""
+    From a displacement of a support to a displacement, the magnitude is the transmissibility. `status` UNSTABLE (values NaN), SINGULAR_K where
+    something free to move has no response at 0 Hz (NaN there), or that of the equilibrium."""
 
     frequencies: Float[Array, "nf"]
     values: Complex[Array, "ny nu nf"]
@@ -65,6 +67,9 @@ class FrequencyResponse(Result):
             if given not in known:
                 raise JaxbodyError(unknown(given, "response", known))
         return self.values[..., self.outputs.index(output), self.inputs.index(name), :]
+
+    def explain(self) -> str:
+        return "NaN at 0 Hz; jb.modes of the linearization names it" if Status(int(self.status)) == Status.SINGULAR_K else ""
 
     def unit(self, output: str, name: str) -> str:
         """Of one of them: "" for a ratio."""
@@ -98,20 +103,29 @@ def frequency_response(
     outputs: dict[str, Any],
     *,
     loss_factor: Any = None,
+    modal_damping: Any = None,
     method: str = "direct",
 ) -> FrequencyResponse:
     """The response at `frequencies` [Hz] from named inputs to named outputs, {name: port}, of small motions about an equilibrium.
 
         D(w) Delta = (K~ + i w C~ - w^2 M~) Xi + F f,   D(w) = K + i w C - w^2 M
 
-    inputs: BaseMotion, PointForce; outputs: PointMotion, ElementForce, ElementDeformation, SupportReaction, or a sensor that reads one number, with no chain.
-    loss_factor: hysteretic damping, i eta times the stiffness V''(e) of elements, one number for all or {element: eta}. It exists for
-    harmonic motion only, so it is an option here and no property of a model: nothing that simulates can meet it. method: "direct", by elimination
-    at each frequency, or "modal", the sum over all complex modes, the same to rounding. Differentiable either way, coinciding
-    modes included, with respect to the model, the points of ports, loss factors and frequencies.
+    At 0 Hz it is the static response, K^-1. Differentiable by either method, coinciding modes included, with respect to the model, the points
+    of ports, loss factors, modal damping and frequencies.
 
-    Errors: BAD_FREQUENCY at zero and below (the static response is that at a small frequency), UNKNOWN_NAME, WRONG_KIND, BAD_COMPONENT,
-    BAD_METHOD, BAD_SHAPE, NON_FINITE, NEGATIVE loss factors; warns UNSTABLE, DEFECTIVE (modes), NONFINITE (an undamped resonance).
+    Args:
+        frequencies: 0 or more, in one row [Hz].
+        inputs: {name: BaseMotion or PointForce}.
+        outputs: {name: PointMotion, ElementForce, ElementDeformation, SupportReaction, or a sensor that reads one number, with no chain}.
+        loss_factor: hysteretic damping, i eta times the stiffness V''(e) of elements, one number for all or {element: eta}. It exists for
+            harmonic motion only, so it is an option here and no property of a model: nothing that simulates can meet it.
+        modal_damping: damping ratios that are added to those of the dampers, one for all natural modes or one for each, ascending; of the
+            motion relative to what bodies do when supports move slowly. Those of modes that coincide are averaged.
+        method: "direct", by elimination at each frequency, or "modal", the sum over all complex modes, the same to rounding.
+
+    Errors: BAD_FREQUENCY below 0 Hz, and at 0 Hz of an input that is a velocity or an acceleration, UNKNOWN_NAME, WRONG_KIND, BAD_COMPONENT,
+    BAD_METHOD, BAD_SHAPE, NON_FINITE, NEGATIVE loss factors or damping ratios, BAD_OPTION of either with sensors of forces; warns UNSTABLE,
+    SINGULAR_K at 0 Hz, DEFECTIVE (modes), NONFINITE (an undamped resonance), and of modal damping NOT_SYMMETRIC, SINGULAR_M.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
@@ -121,43 +135,65 @@ def frequency_response(
     1.0
     """
     check_precision("frequency_response", lin.model)
-    f = check_frequencies(frequencies, "frequency_response.frequencies")
+    f = check_frequencies(frequencies, "frequency_response.frequencies", static=True)
     (u, ins, u_units), (y, outs, y_units) = check_ports(lin, inputs, outputs, "frequency_response")
-    eta = check_loss_factors(loss_factor, lin.model, "frequency_response.loss_factor", outs)
+    for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
+        check_without_force_sensors(option, f"frequency_response.{what}", outs)
+    eta = check_loss_factors(loss_factor, lin.model, "frequency_response.loss_factor")
     if method not in METHODS:
         problems = Problems()
         problems.add("BAD_METHOD", "frequency_response.method", f"is {method!r}", value=method, limit=" ".join(METHODS))
         problems.raise_if_any()
-    values, status = response_values(lin, f, wired(lin, ins, outs), eta, method)
+    static = is_concrete(f) and not np.asarray(f).all()
+    if static:
+        _check_bounded_at_rest(u, ins)
+    lin = with_modal_damping(lin, modal_damping, "frequency_response.modal_damping")
+    values, status = response_values(lin, f, wired(lin, ins, outs), eta, method, static)
     result = FrequencyResponse(f, values, status, u, y, u_units, y_units)
     warn_if_failed(result)
     return result
 
 
-def check_frequencies(given: Any, where: str) -> Float[Array, "nf"]:
-    """Positive frequencies in one row."""
+def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:
+    """Frequencies in one row, positive, or `static` too, which are 0."""
     problems = Problems()
     array = float_array(given, where)
     array = checked(array, ((max(array.size, 1),),), where, problems, "Give frequencies [Hz] in one row.")
     known = None if array is None else concrete(array)
-    if known is not None and (known <= 0).any():
-        i = int(np.flatnonzero(known <= 0)[0])
-        hint = "For the static response take a small frequency, such as 1e-6 Hz."
-        problems.add("BAD_FREQUENCY", where, f"is {known[i]:g} Hz at index {i}", value=float(known[i]), limit="> 0", hint=hint)
+    if known is not None and (wrong := known < 0 if static else known <= 0).any():
+        i, limit = int(np.flatnonzero(wrong)[0]), ">= 0" if static else "> 0"
+        hint = "Give their magnitudes." if known[i] < 0 else "Leave 0 out."
+        problems.add("BAD_FREQUENCY", where, f"is {known[i]:g} Hz at index {i}", value=float(known[i]), limit=limit, hint=hint)
     problems.raise_if_any()
     return device_array(array)
 
 
-def check_loss_factors(given: Any, model: Model, where: str, outputs: tuple[Any, ...] = ()) -> Float[Array, "ne"] | None:
-    """One loss factor for each element, from one for all or {element: factor}. Errors: UNKNOWN_NAME, BAD_SHAPE, NEGATIVE, BAD_OPTION with sensors of forces."""
+def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> None:
+    """At 0 Hz a velocity or an acceleration goes on for ever."""
+    problems = Problems()
+    for name, port in zip(names, inputs, strict=True):
+        if (kind := getattr(port, "kind", "displacement")) != "displacement":
+            told, hint = f"is given as {kind}, and there is a frequency of 0 Hz", 'Take kind="displacement", or leave 0 Hz out.'
+            problems.add("BAD_FREQUENCY", f"frequency_response.inputs[{name!r}]", told, value=kind, limit="displacement at 0 Hz", hint=hint)
+    problems.raise_if_any()
+
+
+def check_without_force_sensors(given: Any, where: str, outputs: tuple[Any, ...]) -> None:
+    """Damping that is no property of a model is not part of what its sensors of forces read. Error: BAD_OPTION."""
+    problems = Problems()
+    for port in outputs if given is not None else ():
+        if hasattr(port, "reading") and port.unit in ("N", "N m"):
+            hint = "Take ElementForce or SupportReaction, or dampers in place of it."
+            what = f"is not part of what a {type(port).__name__} on '{port.on}' reads"
+            problems.add("BAD_OPTION", where, what, value=given, limit="sensors of motion", hint=hint)
+    problems.raise_if_any()
+
+
+def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne"] | None:
+    """One loss factor for each element, from one for all or {element: factor}. Errors: UNKNOWN_NAME, BAD_SHAPE, NEGATIVE."""
     if given is None:
         return None
     problems, names = Problems(), model.element_names
-    for port in outputs:
-        if hasattr(port, "reading") and port.unit in ("N", "N m"):
-            hint = "Take ElementForce or SupportReaction, or dampers in place of loss factors."
-            what = f"is not part of what a {type(port).__name__} on '{port.on}' reads"
-            problems.add("BAD_OPTION", where, what, value=given, limit="sensors of motion", hint=hint)
     for name in given if isinstance(given, dict) else ():
         if name not in names:
             problems.found.append(unknown(name, where, names))
@@ -171,8 +207,10 @@ def check_loss_factors(given: Any, model: Model, where: str, outputs: tuple[Any,
 
 
 @jit_quickly
-def response_values(lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, eta: Float[Array, "ne"] | None, method: str = "direct"):
-    """(values (ny, nu, nf), status)."""
+def response_values(
+    lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, eta: Float[Array, "ne"] | None, method: str = "direct", static: bool = False
+):
+    """(values (ny, nu, nf), status); `static` where 0 Hz is among the frequencies."""
     nv, X = lin.M.shape[-1], wiring.X
     s = 2j * jnp.pi * f
     whole = _Matrices(*whole_matrices(lin), None if eta is None else hysteretic(lin, eta))
@@ -184,12 +222,17 @@ def response_values(lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, e
     rows = _Matrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, wiring, lin, eta))
     on_bodies, on_supports = jax.tree.map(lambda A: A[:, :nv], rows), jax.tree.map(lambda A: A[:, nv:] @ X, rows)
     values = on_bodies.times(s, Delta) + on_supports.at(s) * scale + wiring.G[:, :, None]
+    free = jnp.array(False)
+    if static:
+        squares = jnp.abs(jax.lax.stop_gradient(natural(lin.K, lin.M)[0]))
+        free = jnp.min(squares, initial=jnp.inf) <= ZERO * jnp.max(squares, initial=0.0)
+        values = jnp.where(free & (f == 0), jnp.nan, values)
     status = jnp.select(
-        [jnp.isin(lin.status, jnp.array(FAILED)), grows(own), ~complete, ~jnp.isfinite(values).all()],
-        [lin.status, Status.UNSTABLE.value, Status.DEFECTIVE.value, Status.NONFINITE.value],
+        [jnp.isin(lin.status, jnp.array(FAILED)), grows(own), ~complete, free, ~jnp.isfinite(values).all()],
+        [lin.status, Status.UNSTABLE.value, Status.DEFECTIVE.value, Status.SINGULAR_K.value, Status.NONFINITE.value],
         Status.OK.value,
     )
-    bad = (status != Status.OK) & (status != Status.NONFINITE)
+    bad = (status != Status.OK) & (status != Status.NONFINITE) & (status != Status.SINGULAR_K)
     return values * jnp.where(bad, jnp.nan, 1.0), status
 
 

@@ -16,8 +16,9 @@ from jaxtyping import Array, Complex, Float, Int
 from jaxbody import tables
 from jaxbody.checks import check_precision
 from jaxbody.errors import JaxbodyError, Problems, Status, is_concrete
-from jaxbody.frequency_responses import check_frequencies, check_loss_factors, response_values
+from jaxbody.frequency_responses import check_frequencies, check_loss_factors, check_without_force_sensors, response_values
 from jaxbody.linearizations import Linearization
+from jaxbody.modal_dampings import with_modal_damping
 from jaxbody.models import unknown
 from jaxbody.options import jit_quickly
 from jaxbody.ports import KINDS, UNITS, Wiring, check_ports, wired
@@ -69,13 +70,14 @@ def random_response(
     spectra: dict[str, Spectrum] | CrossPSD,
     *,
     loss_factor: Any = None,
+    modal_damping: Any = None,
 ) -> RandomResponse:
     """Power spectral densities and rms of outputs under stationary random inputs, of small motions about an equilibrium.
 
         S_y(f) = sum_ij H_i S_ij conj(H_j),   rms^2 = int S_y df
 
     frequencies: a Band, or frequencies [Hz], integrated by trapezoids: close enough together to show each resonance. inputs, outputs,
-    loss_factor: as of `frequency_response`. spectra: {input: PSD or PowerLaw}, not correlated, or a CrossPSD. The spectrum of a motion may be that of
+    loss_factor, modal_damping: as of `frequency_response`. spectra: {input: PSD or PowerLaw}, not correlated, or a CrossPSD. The spectrum of a motion may be that of
     its displacement, velocity or acceleration, whichever the port is: it is converted by powers of 2 pi f.
 
     Errors: those of `frequency_response`, UNKNOWN_NAME or missing (NO_SPECTRUM) of a spectrum, BAD_UNIT of one that does not go with its input;
@@ -97,7 +99,10 @@ def random_response(
         f = check_frequencies(frequencies, "random_response.frequencies")
         _check_band(f)
         weights, coarse = trapezoids(f)
-    eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor", outs)
+    for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
+        check_without_force_sensors(option, f"random_response.{what}", outs)
+    eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor")
+    lin = with_modal_damping(lin, modal_damping, "random_response.modal_damping")
     psd, rms, status = _random_response(lin, f, weights, coarse, wired(lin, ins, outs), ins, names, spectra, eta)
     result = RandomResponse(f, psd, rms, weights, coarse, status, y, y_units)
     warn_if_failed(result)

@@ -26,7 +26,7 @@ ROWS = (
     "kinematics mechanics dynamics momenta derivatives",
     "load_paths descents statics cases preloads equilibria linear_readings ports state_spaces linearizations",
     "mode_names vibrations energies mount_axes spins poles branches nonlinearities",
-    "spectra road_spectra frequency_responses random_responses weightings collocations rests simulations",
+    "modal_dampings spectra road_spectra frequency_responses random_responses weightings collocations rests simulations",
     "channels transducers sensors records attitudes instruments gauges",
     "experiments diagnoses plausibilities measured_responses measured_modes parametrizations ties free_parameters field_units losses colorings tasks checkpoints beginnings",
     "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts shootings profiles validations confidence_bands",

@@ -1,0 +1,191 @@
+"""Damping ratios given by mode, and the static response at 0 Hz, against sums over modes and matrix functions by NumPy and SciPy."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import rigs
+import scipy.linalg
+from rigs import apart
+from scipy.spatial.transform import Rotation
+
+import jaxbody as jb
+
+F = np.array([0.3, 1.1, 2.7, 9.0])
+POINT = [0.1, 0.2, -0.1]
+RATIOS = 0.02 + 0.01 * np.arange(7)
+FORCES = {a: jb.PointForce("box", POINT, a) for a in "xyz"}
+MOTIONS = {f"base {d}": jb.BaseMotion("base", d) for d in ("x", "y", "z", "ry")}
+OUTPUTS = {a: jb.PointMotion("box", POINT, a) for a in "xyz"}
+
+
+@pytest.fixture(scope="module")
+def rig():
+    """A free box and an arm on a hinge of the base, five springs, at equilibrium, without dampers; and how its point moves with each coordinate, by SciPy."""
+    model = rigs.rig()
+    model = jb.replace(model, {f"{name}.damping": 0.0 for name in model.element_names})
+    lin = jb.linearize(model, jb.equilibrium(model))
+    w, *xyz = np.asarray(lin.state.q)[model.layout.q_slices["box"]][3:]
+    r = Rotation.from_quat([*xyz, w]).apply(POINT)
+    Y = np.zeros((3, model.layout.nv))
+    Y[:, model.layout.v_slices["box"]] = np.hstack([np.eye(3), -np.cross(np.eye(3), r)])
+    return lin, Y
+
+
+def relative_sum(lin, Y, ratios, f):
+    """Y x of forces Y' f and motions of the base: with S = K^-1 K~ of relative motion x - S Xi the sum of phi phi' (Y' f + w^2 (M S - M~) Xi) over
+    w_i^2 - w^2 + 2 i zeta_i w_i w, by SciPy's modes."""
+    M, K, M_tilde, K_tilde = (np.asarray(x) for x in (lin.M, lin.K, lin.M_tilde, lin.K_tilde))
+    squares, phi = scipy.linalg.eigh(K, M)
+    S = np.linalg.solve(K, K_tilde)
+    columns, found = [0, 1, 2, 4], []
+    for w in 2 * np.pi * np.asarray(f):
+        gain = phi / (squares - w**2 + 2j * ratios * np.sqrt(squares) * w) @ phi.T
+        found.append(np.concatenate([Y @ gain @ Y.T, Y @ (S + w**2 * gain @ (M @ S - M_tilde))[:, columns]], 1))
+    return np.stack(found, -1)
+
+
+@pytest.mark.parametrize("method", ["direct", "modal"])
+def test_responses_with_modal_damping_are_sums_over_the_modes(rig, method):
+    """Of forces and of motions of the base, whose inertia couples to the arm's; 0 Hz with the rest."""
+    lin, Y = rig
+    f = np.append(0.0, F)
+    found = jb.frequency_response(lin, f, FORCES | MOTIONS, OUTPUTS, modal_damping=RATIOS, method=method)
+    expected = relative_sum(lin, Y, RATIOS, f)
+    assert found.ok and apart(found.values, expected) < 1e-9 * np.abs(expected).max()
+
+
+def test_random_responses_with_modal_damping_are_sums_over_the_modes(rig):
+    lin, Y = rig
+    f = np.linspace(0.5, 3.0, 301)
+    white = {"z": jb.PowerLaw(3.0, unit="N2/Hz"), "base x": jb.PowerLaw(0.2, unit="m2/Hz")}
+    inputs = {name: (FORCES | MOTIONS)[name] for name in white}
+    ride = jb.random_response(lin, f, inputs, OUTPUTS, white, modal_damping=RATIOS)
+    H = np.abs(relative_sum(lin, Y, RATIOS, f)[:, [2, 3]]) ** 2
+    np.testing.assert_allclose(ride.psd, 3.0 * H[:, 0] + 0.2 * H[:, 1], rtol=1e-8)
+
+
+def on_a_spring(damping):
+    spring = jb.Spring(("mass", [0, 0, 0]), ("base", [0, 0, -1]), stiffness=50.0, free_length=1.0, damping=damping)
+    model = jb.Model(
+        bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+        joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
+        supports={"base": jb.Support()},
+        elements={"s": spring},
+    )
+    return jb.linearize(model, model.reference)
+
+
+def test_a_ratio_acts_as_the_damper_of_one_spring_does_on_its_support_too():
+    """zeta = c/(2 m w): the same motion and the same reaction of forces and of the base in motion; what a damper has is added to."""
+    inputs = {"pull": jb.PointForce("mass"), "base": jb.BaseMotion("base", "z")}
+    outputs = {"mass": jb.PointMotion("mass"), "reaction": jb.SupportReaction("base", "z")}
+    damped = jb.frequency_response(on_a_spring(3.0), F, inputs, outputs)
+    for c in (0.0, 1.0):
+        found = jb.frequency_response(on_a_spring(c), F, inputs, outputs, modal_damping=(3.0 - c) / (2 * 2.0 * 5.0))
+        np.testing.assert_allclose(found.values, damped.values, rtol=1e-12, atol=1e-14)
+
+
+def equal_ways(k):
+    """A bob with equal stiffness along x and y and k more along a slant between them: its modes coincide at k = 0."""
+    spring = jb.Spring(("bob", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=1.0, free_length=0.0)
+    model = jb.Model(bodies={"bob": jb.Body(mass=2.0, inertia=[1, 1, 1])}, joints={"bob": jb.Translation("world")}, elements={"s": spring})
+    d = jnp.array([0.6, 0.8, 0.0])
+    return dataclasses.replace(jb.linearize(model, model.reference), K=jnp.diag(jnp.array([80.0, 80.0, 300.0])) + k * d[:, None] * d)
+
+
+def test_derivatives_where_modes_coincide_are_those_of_the_matrix_function():
+    """With one ratio for all C = 2 zeta M^(1/2) (M^(-1/2) K M^(-1/2))^(1/2) M^(1/2), smooth where modes meet: forward and reverse against differences of SciPy's."""
+    zeta, f = 0.1, np.array([0.7, 1.3])
+    inputs, outputs = {"x": jb.PointForce("bob", direction="x")}, {"y": jb.PointMotion("bob", direction="y")}
+
+    def response(k):
+        H = jb.frequency_response(equal_ways(k), f, inputs, outputs, modal_damping=zeta)["y", "x"]
+        return jnp.concatenate([H.real, H.imag])
+
+    def exact(k):
+        d, w = np.array([0.6, 0.8, 0.0]), 2 * np.pi * f[:, None, None]
+        K = np.diag([80.0, 80.0, 300.0]) + k * np.outer(d, d)
+        H = np.linalg.inv(K - 2.0 * w**2 * np.eye(3) + 2j * zeta * w * np.real(scipy.linalg.sqrtm(2.0 * K)))[:, 1, 0]
+        return np.concatenate([H.real, H.imag])
+
+    for k in (0.0, 3.0):
+        np.testing.assert_allclose(response(k), exact(k), atol=1e-15)
+        h = 0.05
+        slope = (8 * (exact(k + h) - exact(k - h)) - exact(k + 2 * h) + exact(k - 2 * h)) / (12 * h)
+        np.testing.assert_allclose(jax.jacfwd(response)(k), slope, rtol=1e-8, atol=1e-13)
+        np.testing.assert_allclose(jax.jacrev(response)(k), slope, rtol=1e-8, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("ratios", "code"), [(-0.1, "NEGATIVE"), ([0.1, 0.2], "BAD_SHAPE"), (np.nan, "NON_FINITE"), ([0.1] * 6 + [-0.2], "NEGATIVE")]
+)
+def test_ratios_that_make_no_sense_are_refused(rig, ratios, code):
+    for call in (
+        lambda: jb.frequency_response(rig[0], F, FORCES, OUTPUTS, modal_damping=ratios),
+        lambda: jb.random_response(rig[0], F, {"z": FORCES["z"]}, OUTPUTS, {"z": jb.PowerLaw(1.0, unit="N2/Hz")}, modal_damping=ratios),
+    ):
+        with pytest.raises(jb.JaxbodyError) as refused:
+            call()
+        assert refused.value.code == code and refused.value.where.endswith("modal_damping")
+
+
+def test_modal_damping_without_real_modes_says_so(rig):
+    lin = rig[0]
+    skew = dataclasses.replace(lin, K=lin.K.at[0, 1].add(5.0))
+    with pytest.warns(jb.JaxbodyWarning, match="NOT_SYMMETRIC"):
+        found = jb.frequency_response(skew, F, FORCES, OUTPUTS, modal_damping=0.1)
+    assert np.isnan(found.values).all()
+
+
+def test_modal_damping_with_sensors_of_forces_is_refused(rig):
+    """What they read is the model's, and these forces are not."""
+    sensors = {"arm": jb.Reaction("arm", direction="x")}
+    with pytest.raises(jb.JaxbodyError, match="modal_damping: is not part of what a Reaction on 'arm' reads") as refused:
+        jb.frequency_response(rig[0], F, FORCES, sensors, modal_damping=0.1)
+    assert refused.value.code == "BAD_OPTION"
+
+
+# 0 Hz
+
+
+@pytest.mark.parametrize("method", ["direct", "modal"])
+def test_at_0_hz_the_response_is_the_static_one(rig, method):
+    """K^-1 by NumPy, as the limit is; the base moves all with it."""
+    lin, Y = rig
+    found = jb.frequency_response(lin, [0.0, 1e-6], FORCES | MOTIONS, OUTPUTS, method=method)
+    compliance = Y @ np.linalg.solve(np.asarray(lin.K), Y.T)
+    assert found.ok and apart(found.values[:, :3, 0], compliance) < 1e-11 and apart(found.values[:, 3:6, 0], np.eye(3)) < 1e-9
+    assert apart(found.values[..., 0], found.values[..., 1]) < 1e-9  # of the inertia at 1e-6 Hz
+    hard = jb.frequency_response(
+        on_a_spring(3.0), [0.0], {"pull": jb.PointForce("mass")}, {"mass": jb.PointMotion("mass")}, loss_factor=0.2
+    )
+    np.testing.assert_allclose(hard.values[0, 0, 0], 1 / (50.0 * (1 + 0.2j)), rtol=1e-13)
+
+
+def test_what_is_free_to_move_has_no_static_response_and_says_so():
+    """Two masses on a spring between them, one dragged by a damper: NaN at 0 Hz, (K + i w C - w^2 M)^-1 elsewhere."""
+    model = jb.Model(
+        bodies={name: jb.Body(mass=2.0, inertia=[1, 1, 1]) for name in ("one", "two")},
+        joints={name: jb.Guide("world", axis=[0, 0, 1]) for name in ("one", "two")},
+        elements={"s": jb.Spring(("one", [0, 0, 0]), ("two", [0, 0, 1]), stiffness=50.0, free_length=1.0)},
+    )
+    lin = dataclasses.replace(jb.linearize(model, model.reference), C=jnp.diag(jnp.array([3.0, 0.0])))
+    w = 2 * np.pi
+    expected = np.linalg.inv(50.0 * np.array([[1, -1], [-1, 1]]) + 1j * w * np.diag([3.0, 0.0]) - 2.0 * w**2 * np.eye(2))[1, 0]
+    for method in ("direct", "modal"):
+        with pytest.warns(jb.JaxbodyWarning, match=r"singular: something is free to move; NaN at 0 Hz.*\[SINGULAR_K\]"):
+            found = jb.frequency_response(lin, [0.0, 1.0], {"pull": jb.PointForce("one")}, {"two": jb.PointMotion("two")}, method=method)
+        assert np.isnan(found.values[0, 0, 0]) and not found.ok
+        np.testing.assert_allclose(found.values[0, 0, 1], expected, rtol=1e-11)
+
+
+def test_at_0_hz_velocities_and_accelerations_are_no_inputs():
+    lin, outputs = on_a_spring(0.0), {"mass": jb.PointMotion("mass", kind="acceleration")}
+    for kind in ("velocity", "acceleration"):
+        with pytest.raises(jb.JaxbodyError, match=f'given as {kind}.*Take kind="displacement"') as refused:
+            jb.frequency_response(lin, [1.0, 0.0], {"base": jb.BaseMotion("base", "z", kind=kind)}, outputs)
+        assert refused.value.code == "BAD_FREQUENCY"
+    assert jb.frequency_response(lin, [0.0], {"base": jb.BaseMotion("base", "z")}, outputs).values[0, 0, 0] == 0
