@@ -16,7 +16,8 @@ from jaxbody.tasks import Task
 
 FEWEST = 40  # samples of a run that is looked at
 FIRST = 0.05  # part of a run that is its beginning
-FAR = 4.0  # times the residual of the second half that is far off
+NOTABLE = 2.0  # times the residual of the second half, from which on rest is tried
+FAR = 4.0  # times it, from which on a beginning is far off whatever rest does
 SIGNAL = 0.05  # part of what a channel measures, below which nothing is far off
 SETTLED = 2.0  # times the residual of the second half, from where on a run has settled
 BETTER = 0.5  # part of it that is left, with which a beginning is better
@@ -35,7 +36,7 @@ def far_off(task: Task, model: Model, experiments: dict[str, Any], predicted: di
             continue
         late, first = _rms(size[here[len(here) // 2 :]]), _rms(size[here[:count]])
         signal = _rms(_sizes(experiment, _means(experiment), task.noise[run]))
-        if first < max(FAR * late, SIGNAL * signal):
+        if first < max(NOTABLE * late, SIGNAL * signal):
             continue
         told = f"'{run}' begins {first / late:.2g} times as far off as it ends"
         if not isinstance(experiment.initial, Rest):
@@ -44,6 +45,8 @@ def far_off(task: Task, model: Model, experiments: dict[str, Any], predicted: di
             if other < BETTER * first:
                 words.append(f'{told}: initial="rest", in equilibrium on its base, would be {other / late:.2g} times; begin it so')
                 continue
+        if first < FAR * late:
+            continue
         times = np.asarray(experiment.times) - float(experiment.times[0])
         blocks = [i for i in range(0, len(here) // 2, count) if _rms(size[here[i : i + count]]) > SETTLED * late]
         settled = times[here[min(blocks[-1] + count, len(here) - 1)]]

@@ -191,7 +191,8 @@ def simulate(
     solver the method is Dopri8 in loops of our own (`integrators`), with steps of its own choice or, with stepsize_controller=diffrax.ConstantStepSize(), of dt0 [s];
     with other solvers, stepsize_controllers and adjoints, which are diffrax's objects, diffrax integrates. dt0 is else the first step. Both modes
     work by default, and forward over reverse; for few parameters adjoint=diffrax.ForwardMode() is faster, and with other solvers forward mode needs it. A batch by jax.vmap runs in chunks of 40, each member with steps of its own;
-    with constant steps it takes half the time, but nothing controls the error: compare with a shorter dt0.
+    with constant steps it takes half the time, but nothing controls the error: compare with a shorter dt0. progress: how long it has taken, on a terminal or in a
+    notebook after five seconds; False is silent, True shows diffrax's meter, and diffrax integrates.
 
     What rtol leaves after 10 s on a shaking base, of a plate on 5 springs and of three boxes on 14: the largest error [m, rad], the relative error of a derivative by
     reverse mode, and the time (tests/benchmarks/tolerances.py):

@@ -149,6 +149,27 @@ def test_a_fit_that_begins_far_off_says_that_rest_would_do_better():
     assert found.remarks[0] in str(found)
 
 
+def test_a_fit_to_a_recorded_base_motion_says_that_rest_would_do_better():
+    """A base recorded by its accelerometer begins a few millimeters off its reference pose; an accelerometer on the box, which stood there, shows a transient, and estimates take it up."""
+    times, rng = np.arange(0, 8, 0.02), np.random.default_rng(1)
+    shaking = sum(0.3 * rng.normal() * np.sin(2 * np.pi * (0.5 + 0.2 * i) * times + rng.uniform(0, 6)) for i in range(20))
+    motion = {"base": jb.base_motion(jb.Record(times, {"acc": (shaking, "m/s2")}), "acc", axis=[0, 0, 1]).motion}
+    assert 1e-3 < abs(float(motion["base"](jnp.array(0.0))[2])) < 0.02
+    sensors = {"acc": jb.Accelerometer("box", axis=[0, 0, 1])}
+    truth = box([80.0, 1.0])
+    read = jb.measure(jb.simulate(truth, times, motion=motion, initial="rest"), sensors, noise=0.02, key=jax.random.key(0))
+    relaxed = jb.replace(
+        truth, {"s.free_length": 1.0 + MASS * G / 80.0, "s.stiffness": 85.0}
+    )  # its reference pose is at rest, but for the base
+    with pytest.warns(jb.JaxbodyWarning) as told:
+        jb.fit(relaxed, {"run": jb.Experiment(times, motion=motion, sensors=sensors, measured=read)}, free=FREE)
+    assert any(w.message.code == "FAR_OFF" and 'initial="rest"' in str(w.message) for w in told)
+    found = jb.fit(relaxed, {"run": jb.Experiment(times, motion=motion, sensors=sensors, measured=read, initial="rest")}, free=FREE)
+    assert not found.remarks and not any(found.uncertainty.orders.values())
+    for path, value in zip(FREE, (80.0, 1.0), strict=True):
+        assert abs(float(found.estimates[path]) - value) < 4 * float(found.standard_errors[path])
+
+
 def test_a_fit_that_begins_far_off_at_rest_says_what_to_leave_out():
     """The box was knocked: neither rest nor the reference pose is where it begins, and the knock dies away with the damper."""
     z, speed = base(0.0)
