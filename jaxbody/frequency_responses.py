@@ -59,7 +59,8 @@ class FrequencyResponse(Result):
 
     @property
     def phase(self) -> Float[Array, "ny nu nf"]:
-        return jnp.unwrap(jnp.angle(self.values), axis=-1)
+        angle = jnp.angle(self.values)
+        return jnp.where(jnp.isnan(angle), jnp.nan, jnp.unwrap(jnp.nan_to_num(angle), axis=-1))
 
     def __getitem__(self, pair: tuple[str, str]) -> Complex[Array, "nf"]:
         output, name = pair
@@ -86,9 +87,10 @@ class FrequencyResponse(Result):
         heads = ("output", "input", "unit", "at first frequency", "largest", "at [Hz]")
         if self.values.ndim > 3 or not is_concrete(self.values):
             return [tables.Table("Frequency response", ("", ""), [("values", self.values)])]
-        f, size = np.asarray(self.frequencies), np.asarray(self.magnitude)
+        f, size = np.asarray(self.frequencies), np.abs(np.asarray(self.values))
+        largest = np.argmax(np.nan_to_num(size, nan=-1.0), -1)
         rows = [
-            (y, u, self.unit(y, u) or "-", *((x := size[i, j])[0], x.max(), f[np.argmax(x)]))
+            (y, u, self.unit(y, u) or "-", size[i, j, 0], size[i, j, largest[i, j]], f[largest[i, j]])
             for i, y in enumerate(self.outputs)
             for j, u in enumerate(self.inputs)
         ]

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbody.arrays import float_array
+from jaxbody.arrays import concrete, float_array
 from jaxbody.energies import kinetic_shares
 from jaxbody.errors import JaxbodyError, Problem, is_concrete
 from jaxbody.frequency_responses import FrequencyResponse
@@ -152,13 +152,17 @@ def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Ar
 
         sqrt(int |H|^2 d ln f/int d ln f);   the largest is peak(response[output, name])
 
-    Error: UNKNOWN_NAME.
+    Errors: UNKNOWN_NAME, BAD_FREQUENCY of 0 Hz.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> found = frequency_response(linearize(model, model.reference), jnp.geomspace(5, 50, 100), {"road": BaseMotion("road", "z")}, {"body": PointMotion("body")})
     >>> round(float(transmitted(found, "body", "road")), 3)
     0.106
     """
+    known = concrete(response.frequencies)
+    if known is not None and not known.all():
+        hint = "Its logarithm is infinite: leave it out."
+        raise JaxbodyError(Problem("BAD_FREQUENCY", "transmitted.response", "has a frequency of 0 Hz", 0.0, "> 0", hint))
     H, x = response[output, name], jnp.log(response.frequencies)
     return jnp.sqrt(jnp.trapezoid(H.real**2 + H.imag**2, x) / (x[-1] - x[0]))
 

@@ -24,7 +24,7 @@ def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> A
     'magnitude'
     """
     ax = axes_or_new(ax, 7.0, 4.4)
-    f, size, phase = (np.asarray(x) for x in (response.frequencies, response.magnitude, response.phase))
+    f, size, phase = _above_0_hz(response)
     below = axes_below(ax, 0.55)
     units = {response.unit(y, u) for y in response.outputs for u in response.inputs}
     for i, j, name in _pairs(response):
@@ -54,7 +54,7 @@ def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any
         told, hint = "has no output in the unit of an input", "Ask for displacements of displacements, or forces of forces."
         raise JaxbodyError(Problem("BAD_UNIT", "plot_transmissibility.response", told, response, "a ratio", hint))
     ax = axes_or_new(ax, 7.0, 3.4)
-    f, size = np.asarray(response.frequencies), np.asarray(response.magnitude)
+    f, size, _ = _above_0_hz(response)
     for i, j, name in ratios:
         ax.loglog(f, size[i, j], color=COLORS[i % len(COLORS)], ls=LINES[j % len(LINES)], lw=1.5, label=name)
     top = max(size[i, j].max() for i, j, _ in ratios)
@@ -90,6 +90,13 @@ def plot_psd(response: RandomResponse, *, outputs: tuple[str, ...] | None = None
     ax.set_ylim(bottom=max(ax.get_ylim()[0], top * 1e-8))
     legend(ax, len(names))
     return ax
+
+
+def _above_0_hz(response: FrequencyResponse) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequencies that a logarithmic scale has, magnitudes and phases."""
+    f = np.asarray(response.frequencies)
+    values = np.asarray(response.values)[..., f > 0]
+    return f[f > 0], np.abs(values), np.unwrap(np.angle(values))
 
 
 def _pairs(response: FrequencyResponse) -> list[tuple[int, int, str]]:

@@ -189,3 +189,20 @@ def test_at_0_hz_velocities_and_accelerations_are_no_inputs():
             jb.frequency_response(lin, [1.0, 0.0], {"base": jb.BaseMotion("base", "z", kind=kind)}, outputs)
         assert refused.value.code == "BAD_FREQUENCY"
     assert jb.frequency_response(lin, [0.0], {"base": jb.BaseMotion("base", "z")}, outputs).values[0, 0, 0] == 0
+
+
+def test_pictures_tables_and_objectives_of_a_response_with_0_hz():
+    """A logarithmic scale begins above it; a NaN there leaves the other phases and the largest magnitude as they are."""
+    from matplotlib.figure import Figure
+
+    f = np.array([0.0, 0.5, 1.0, 2.0])
+    inputs, outputs = {"base": jb.BaseMotion("base", "z")}, {"mass": jb.PointMotion("mass")}
+    found = jb.frequency_response(on_a_spring(3.0), f, inputs, outputs)
+    ax = jb.plots.plot_frequency_response(found, ax=Figure().subplots())
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), f[1:])
+    assert jb.plots.plot_transmissibility(found, ax=Figure().subplots()).lines[0].get_xdata()[0] == 0.5
+    lost = dataclasses.replace(found, values=found.values.at[..., 0].set(jnp.nan), status=jnp.array(3))
+    np.testing.assert_allclose(lost.phase[0, 0, 1:], np.angle(np.asarray(found.values))[0, 0, 1:], rtol=1e-12)
+    assert "nan" in str(lost) and f"{float(found.magnitude.max()):.6g}" in str(lost)
+    with pytest.raises(jb.JaxbodyError, match="BAD_FREQUENCY"):
+        jb.objectives.transmitted(found, "mass", "base")
