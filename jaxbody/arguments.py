@@ -6,10 +6,11 @@ import operator
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 from jax.core import Tracer
 
 from jaxbody.arrays import checked, concrete
-from jaxbody.errors import Problems
+from jaxbody.errors import Problems, warn
 
 
 def plain(name: Any) -> Any:
@@ -61,6 +62,13 @@ def positive(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER
         problems.add(code, where, f"is {value}", value=value, limit="> 0")
         return None
     return number
+
+
+def warn_of_degrees(angle: Any, where: str) -> None:
+    """UNIT: an angle of more than a turn where a part of one is usual."""
+    known = concrete(angle)
+    if known is not None and (largest := float(np.abs(known).max(initial=0.0))) > 2 * np.pi:
+        warn("UNIT", f"{where} is {largest:.4g} rad, more than a turn; if it is in degrees, write np.deg2rad({largest:.4g})")
 
 
 def check_kind(value: Any, kinds: type | tuple[type, ...], where: str, wanted: str, problems: Problems) -> None:

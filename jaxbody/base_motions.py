@@ -19,13 +19,12 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody import rotations, tables, units
 from jaxbody.arrays import checked, shaped
-from jaxbody.errors import JaxbodyError, Problems, Status, warn
+from jaxbody.errors import JaxbodyError, Problems, Status
 from jaxbody.measurements import Record
 from jaxbody.motions import Sampled
 from jaxbody.results import Result
 from jaxbody.tables import counted
 
-JUMP = 20  # standard deviations of the steps from sample to sample
 NAMES = ("x", "y", "z", "about x", "about y", "about z")
 
 
@@ -102,7 +101,6 @@ def base_motion(
         a = np.asarray(jax.vmap(lambda phi, f: rotations.exp(phi) @ f)(turn, a)) + (0 if g is None else g)
         if np.any(r):
             a = a - _swing(record.times, turn, r)
-    _check_jumps(a, record.times, acceleration)
     slow = _slow(t, degree, cutoff)
     x0, v0, gone[:, :3] = _drift(t, a, slow)
     motion = Sampled.from_accelerations(
@@ -251,15 +249,6 @@ def _swing(times: np.ndarray, turn: np.ndarray, r: np.ndarray) -> np.ndarray:
         return jax.jvp(place, (t,), (jnp.ones_like(t),))[1]
 
     return np.asarray(jax.jit(jax.vmap(lambda t: jax.jvp(speed, (t,), (jnp.ones_like(t),))[1]))(jnp.asarray(times)))
-
-
-def _check_jumps(a: np.ndarray, times: np.ndarray, name: str) -> None:
-    steps = np.abs(np.diff(a, axis=0))
-    spread = np.sqrt(np.mean(steps**2, 0))
-    if (steps > JUMP * spread).any():
-        i, k = np.argwhere(steps > JUMP * spread)[0]
-        told = f"'{name}' jumps by {steps[i, k]:.4g} m/s2 along {NAMES[k]} at {times[i]:.6g} s, {steps[i, k] / spread[k]:.3g} times the usual step"
-        warn("BASE_JUMP", told)
 
 
 def _words(t: np.ndarray, degree: int | None, cutoff: float | None, slow: np.ndarray, turns: bool) -> tuple[str, ...]:

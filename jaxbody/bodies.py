@@ -124,6 +124,11 @@ def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
     difference = known - known.T
     moments = np.linalg.eigvalsh((known + known.T) / 2)
     told = ", ".join(f"{m:.6g}" for m in moments)
+    signs = "Are the signs of the products right?" + (
+        " With the other signs it is valid: give entries of the matrix, as Ixy = -sum m x y."
+        if _is_valid(2 * np.diag(np.diag(known)) - known, round_off)
+        else ""
+    )
     if np.abs(difference).max() > 1e-9 * abs(trace):
         xy, xz, yz = difference[0, 1], difference[0, 2], difference[1, 2]
         problems.add(
@@ -141,7 +146,7 @@ def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
             f"has principal moments {told} kg m2",
             value=moments,
             limit=">= 0",
-            hint="Is it about the centre of mass? Are the signs of the products right?",
+            hint=f"Is it about the centre of mass? {signs}",
         )
     elif moments[0] + moments[1] - moments[2] < -round_off:
         deficit = moments[2] - moments[0] - moments[1]
@@ -151,9 +156,14 @@ def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
             f"has principal moments {told} kg m2: the largest exceeds the sum of the others by {deficit:.3g}",
             value=moments,
             limit="at most the sum of the two others",
-            hint="Is it about the centre of mass? Are the signs of the products right? Are the units one and the same?",
+            hint=f"Is it about the centre of mass? {signs} Are the units one and the same?",
         )
     return (I + I.T) / 2
+
+
+def _is_valid(I: np.ndarray, round_off: float) -> bool:
+    low, middle, high = np.linalg.eigvalsh(I)
+    return min(low, low + middle - high) >= -round_off
 
 
 def _matrix_of(array):

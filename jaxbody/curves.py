@@ -22,7 +22,7 @@ def read_columns(path: Path, *, largest: float, **text: Any) -> list[Any]:
     if width != 2:
         hint = "First elongation or its rate, then force or moment; separator= is what stands between them."
         raise JaxbodyError(Problem("BAD_SHAPE", where, f"has {width} column{'s' * (width > 1)}", width, "two", hint))
-    columns = []
+    columns, of = [], []
     for (name, column), dimensions in zip(found.columns.items(), (LENGTHS, FORCES), strict=True):
         if column.unit is None:
             hint = "Write a line of names with their units above the numbers."
@@ -34,5 +34,9 @@ def read_columns(path: Path, *, largest: float, **text: Any) -> list[Any]:
             hint = "First elongation or its rate, then force or moment."
             problems.add("WRONG_DIMENSION", where, f"has '{name}' in '{unit.text}'", value=unit.text, limit=limit, hint=hint)
         columns.append(column.values * (unit.factor if unit else 1.0))
+        of.append(unit and unit.dimension)
     problems.raise_if_any()
+    if (of[0] in (units.ANGLE, units.ANGULAR_RATE)) != (of[1] == units.MOMENT):
+        words, hint = "has an angle over a force, or a length over a moment", "A turn goes with a moment, an elongation with a force."
+        raise JaxbodyError(Problem("WRONG_DIMENSION", where, words, tuple(found.columns), "[m] and [N], or [rad] and [N m]", hint))
     return columns

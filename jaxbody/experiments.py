@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody.arguments import named
-from jaxbody.arrays import device_array, float_array
+from jaxbody.arrays import concrete, device_array, float_array
 from jaxbody.channels import Measurement
 from jaxbody.errors import JaxbodyError, Problem, Problems, is_concrete, warn
 from jaxbody.kinematics import Motions
@@ -19,6 +19,7 @@ from jaxbody.models import Model, State
 from jaxbody.motions import Motion, as_motion, check_times
 from jaxbody.records import readings
 from jaxbody.rests import Rest, as_initial, beginning, rest_at
+from jaxbody.samplings import warn_of_rails
 from jaxbody.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations import Trajectory, check_run, integrate, motions_of
 
@@ -52,7 +53,7 @@ class Experiment(Measurement):
     each sensor (of a pose two, in meters and radians), estimated from the residuals where they are not given.
 
     Errors, all at once: times as in `simulate`, BAD_SHAPE, NO_DATA, ALL_NAN of a channel, NON_FINITE, BAD_QUATERNION, BAD_NOISE,
-    UNKNOWN_NAME, BAD_NAME, DUPLICATE_NAME, WRONG_KIND; warns MISSING above 20 %.
+    UNKNOWN_NAME, BAD_NAME, DUPLICATE_NAME, WRONG_KIND; warns MISSING above 20 %, DEAD, SATURATED.
 
     >>> Experiment([0.0, 0.1, 0.2], sensors={"height": Position("mass", axis=[0, 1, 0])}, measured={"height": [0, -0.049, -0.196]}).measured["height"].shape
     (3,)
@@ -233,6 +234,12 @@ def _begun(leave_out: Any, times, problems: Problems):
     return None if times is None or not leave_out else times - times[0] >= leave_out * (1 - 1e-9)
 
 
+def _warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -> None:
+    """Single components may well stand still: of a plane motion, for one."""
+    still = (rows == rows[:1]).all(0)
+    warn_of_rails(rows if still.all() else rows[:, ~still], times, where, unit)
+
+
 def _samples(name: str, sensor: Sensor, value: Any, times, late, problems: Problems):
     where = f"Experiment.measured['{name}']"
     if not isinstance(sensor, Sensor):
@@ -272,6 +279,8 @@ def _samples(name: str, sensor: Sensor, value: Any, times, late, problems: Probl
                 value=int(channel),
                 hint="Leave the sensor out, or use one that reads what you have.",
             )
+        if (known := concrete(times)) is not None:
+            _warn_of_rails(array.reshape(len(known), -1), known, where, sensor.unit)
         share = missing.mean()
         if MANY_MISSING < share < 1:
             warn("MISSING", f"{where} lacks {100 * share:.0f} % of its samples")

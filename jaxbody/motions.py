@@ -18,12 +18,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
-from jaxbody.arguments import kind_of
+from jaxbody.arguments import kind_of, warn_of_degrees
 from jaxbody.arrays import checked, concrete, device_array, float_array, functions_as_nodes, shaped
-from jaxbody.errors import JaxbodyError, Problem, Problems
+from jaxbody.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.tracings import check_returned, is_own
 from jaxbody.trigonometry import sincos
 
+JUMP = 20  # standard deviations of the steps from sample to sample
 LARGEST_TURN = np.deg2rad(30)  # between samples
 
 
@@ -67,7 +68,7 @@ class Harmonic(Motion):
     """Xi_i = a_i cos(2 pi f t + p_i).
 
     frequency f [Hz], one number or one per component; amplitudes `translation` [m] and `rotation` [rad];
-    phases `translation_phase` and `rotation_phase` [rad]. Source: the paper's (78), with a phase per axis.
+    phases `translation_phase` and `rotation_phase` [rad]. Warns UNIT of turns by more than one. Source: the paper's (78), with a phase per axis.
 
     >>> import jax.numpy as jnp
     >>> Harmonic(frequency=2.0, translation=[0.01, 0, 0])(jnp.array(0.25)).tolist()[0]
@@ -92,6 +93,7 @@ class Harmonic(Motion):
         self.frequency = device_array(f)
         for name, array in arrays.items():
             setattr(self, name, device_array(array * np.ones(3)))
+        warn_of_degrees(rotation, "Harmonic.rotation")
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         amplitude = jnp.concatenate([self.translation, self.rotation])
@@ -164,7 +166,7 @@ class Sampled(Motion):
 
     Through positions the m follow from continuity of Xi', with the end slopes of the cubic through the four outermost samples.
     `Sampled.from_accelerations` takes the m themselves and integrates them from stated initial values: acceleration is then linear
-    between samples, as in earthquake engineering. Asking outside the samples is an error.
+    between samples, as in earthquake engineering. Asking outside the samples is an error; warns BASE_JUMP of a step of more than 20 standard deviations of the steps.
 
     >>> times = jnp.linspace(0, 1, 11)
     >>> drift = Sampled(times, translation=jnp.stack([times**2, 0 * times, 0 * times], 1))
@@ -307,7 +309,22 @@ def _samples(times, translation, rotation, problems: Problems, minimum: int, tur
         columns[1] = _continuous(columns[1], problems, "Sampled.rotation")
     problems.raise_if_any()
     assert times is not None
+    for column, name in zip(columns, ("translation", "rotation"), strict=True):
+        warn_of_jumps(column, times, f"Sampled.{name}")
     return times, (np if all(isinstance(c, np.ndarray) for c in columns) else jnp).concatenate(columns, 1)
+
+
+def warn_of_jumps(values: Any, times: Any, where: str) -> None:
+    """BASE_JUMP: a step from one sample to the next of more than 20 standard deviations of the steps."""
+    known, t = concrete(values), concrete(times)
+    if known is None or t is None:
+        return
+    steps = np.abs(np.diff(known, axis=0))
+    spread = np.sqrt(np.mean(steps**2, 0))
+    if (steps > JUMP * spread).any():
+        i, k = np.argwhere(steps > JUMP * spread)[0]
+        words = f"{where} jumps by {steps[i, k]:.4g} along {'xyz'[k]} at {t[i]:.6g} s, {steps[i, k] / spread[k]:.3g} times the usual step"
+        warn("BASE_JUMP", words)
 
 
 def _rows(value: Any, n: int | None, widths: tuple[int, ...], where: str, problems: Problems):

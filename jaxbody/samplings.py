@@ -94,20 +94,28 @@ def check_values(values: np.ndarray, unit: units.Unit, times: np.ndarray, proble
             continue
         if len(here) < (1 - MANY_MISSING) * len(x):
             warn("MISSING", f"{name} lacks {100 * (1 - len(here) / len(x)):.0f} % of its samples")
-        if len(here) > 2 and here.min() == here.max():
-            warn("DEAD", f"{name} is {here[0]:.6g} {unit.text} throughout, {times[0]:.6g} to {times[-1]:.6g} s")
-        else:
-            _check_rails(x, unit, times, name)
+    warn_of_rails(rows, times, where, unit.text)
     _check_unit(rows, unit, where)
 
 
-def _check_rails(x: np.ndarray, unit: units.Unit, times: np.ndarray, where: str) -> None:
+def warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -> None:
+    """DEAD: a channel that does not change; SATURATED: one that stays at its largest or smallest number."""
+    for k, x in enumerate(rows.T):
+        name = where + (f"[{k}]" if rows.shape[1] > 1 else "")
+        here = x[np.isfinite(x)]
+        if len(here) > 2 and here.min() == here.max():
+            warn("DEAD", f"{name} is {here[0]:.6g} {unit} throughout, {times[0]:.6g} to {times[-1]:.6g} s")
+        elif len(here):
+            _warn_of_rails(x, unit, times, name)
+
+
+def _warn_of_rails(x: np.ndarray, unit: str, times: np.ndarray, where: str) -> None:
     for rail in (np.nanmax(x), np.nanmin(x)):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], (x == rail).astype(int), [0]])))
         runs = edges.reshape(-1, 2)[np.diff(edges.reshape(-1, 2), axis=1)[:, 0] >= RUN]
         if (count := int(np.diff(runs, axis=1).sum())) > AT_THE_RAILS * len(x):
             when = ", ".join(f"{times[i]:.6g} to {times[j - 1]:.6g} s" for i, j in runs[:3]) + (", ..." if len(runs) > 3 else "")
-            warn("SATURATED", f"{where} stays at {rail:.6g} {unit.text} for {count} of {len(x)} samples: {when}")
+            warn("SATURATED", f"{where} stays at {rail:.6g} {unit} for {count} of {len(x)} samples: {when}")
 
 
 def _check_unit(rows: np.ndarray, unit: units.Unit, where: str) -> None:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbody import laws, rotations
+from jaxbody.arguments import warn_of_degrees
 from jaxbody.bodies import scalar
 from jaxbody.elements import Element, ends
 from jaxbody.errors import Problems
@@ -45,7 +46,7 @@ class Torsion(LawElement):
     of any other turn the part about n (the twist). `axis` n in the axes of A; `spring` [rad -> N m] and `damper` [rad/s -> N m]: laws, numbers
     (N m/rad, N m s/rad) or functions; `free_angle` e0 [rad], counted from where the axes of the two frames coincide; `orientation`,
     `orientation_b`: of these axes in A and B. At a ball, take a Bushing for all three axes. The ends are names, or (name, point) where it is drawn.
-    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, those of the laws.
+    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, those of the laws. Warns UNIT of a free angle of more than a turn.
 
     >>> spring = Torsion("arm", "base", axis=[0, 0, 1], spring=30.0, damper=0.5)
     >>> spring.between
@@ -67,6 +68,7 @@ class Torsion(LawElement):
         self.orientation = as_quaternion(orientation, "Torsion.orientation", problems)
         self.orientation_b = as_quaternion(orientation_b, "Torsion.orientation_b", problems)
         problems.raise_if_any()
+        warn_of_degrees(self.free_angle, "Torsion.free_angle")
 
     def deformation(self, A, B):
         R_A, R_B = product(A.R, rotations.matrix(self.orientation)), product(B.R, rotations.matrix(self.orientation_b))

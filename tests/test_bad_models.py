@@ -1,6 +1,7 @@
 """What a user is told of a model that cannot be: the object, the value, the limit and the remedy, all problems at once."""
 
 import re
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -390,3 +391,28 @@ def test_a_body_is_built_from_traced_numbers_in_every_place():
     for a, b in zip(jax.tree.leaves(traced), jax.tree.leaves(seen), strict=True):
         assert a.dtype == b.dtype == np.float64
         assert np.abs(a - b).max() <= 1e-15
+
+
+def test_angles_in_degrees_are_warned_of():
+    """More than a turn, where a part of one is usual; a turn and a half of a wound spring is the user's to say."""
+    with pytest.warns(jb.JaxbodyWarning, match=r"Torsion.free_angle is 30 rad, more than a turn.*np.deg2rad\(30\) \[UNIT\]"):
+        jb.Torsion("engine", "base", axis=[0, 0, 1], spring=30.0, free_angle=30.0)
+    with pytest.warns(jb.JaxbodyWarning, match=r"Harmonic.rotation is 30 rad.*\[UNIT\]"):
+        jb.Harmonic(frequency=1.0, rotation=[0, 0, 30])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        jb.Torsion("engine", "base", axis=[0, 0, 1], spring=30.0, free_angle=-3.0)
+        jb.Harmonic(frequency=1.0, rotation=[0, 0, 0.5])
+
+
+def test_products_with_the_other_sign_are_named_where_they_would_be_valid():
+    """Of masses at points: I_xy = -sum m x y. With the other sign the moments are no longer those of any body."""
+    masses = np.ones(4)
+    points = np.array([[1.0, 1, 1], [-1, -1, -1], [1.1, 0.9, 1], [-1.1, -0.9, -1]])
+    right = inertia(masses, points)
+    body(inertia=right)
+    with pytest.raises(jb.JaxbodyError, match=r"With the other signs it is valid: .* Ixy = -sum m x y"):
+        body(inertia=2 * np.diag(np.diag(right)) - right)
+    with pytest.raises(jb.JaxbodyError) as refused:
+        body(inertia=[1, 1, 9])
+    assert "other signs" not in str(refused.value)

@@ -280,3 +280,19 @@ def test_what_is_wrong_with_a_curve_is_named(text, options, code, words, tmp_pat
     path.write_text(text)
     with refused(code, *words):
         laws.Table.read(path, **options)
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "words"),
+    [
+        ("angle [deg], force [N]\n-2,-2\n-1,-1\n0,0\n1,1\n", "WRONG_DIMENSION", "an angle over a force"),
+        ("stroke [mm], moment [N m]\n-2,-2\n-1,-1\n0,0\n1,1\n", "WRONG_DIMENSION", "a length over a moment"),
+        ("stroke [mm], force [N]\n-2,-2\n-1,-1\n0,0\n1_0,1\n", "BAD_LINE", "'1_0'"),
+    ],
+)
+def test_a_table_pairs_turns_with_moments_and_reads_plain_numbers(tmp_path, text, code, words):
+    path = tmp_path / "curve.csv"
+    path.write_text(text)
+    with pytest.raises(jb.JaxbodyError, match=words) as refused:
+        jb.laws.Table.read(path)
+    assert refused.value.code == code

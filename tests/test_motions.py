@@ -1,5 +1,7 @@
 """Imposed motions against closed forms and SciPy's piecewise polynomials; velocity and acceleration are derivatives of the motion."""
 
+import warnings
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -301,3 +303,19 @@ def test_all_that_is_wrong_with_a_record_is_told_at_once():
     with pytest.raises(jb.JaxbodyError) as caught:
         jb.Sampled([0, 1, 1, 2, 3], translation=with_nan(GOOD, 0, 0), rotation=2 * QUARTER)
     assert [problem.code for problem in caught.value.problems] == ["DUPLICATE_TIME", "NON_FINITE", "BAD_QUATERNION"]
+
+
+def test_a_sampled_motion_that_jumps_is_warned_of():
+    """One step of 1 cm in 500 samples of a slow sine is over twenty times the standard deviation of the steps."""
+    times = np.linspace(0, 5, 501)
+    x = np.zeros((501, 3))
+    x[:, 2] = 1e-3 * np.sin(times)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        jb.Sampled(times, translation=x)
+    x[300:, 2] += 0.01
+    for build in (jb.Sampled, jb.Sampled.from_accelerations):
+        with pytest.warns(
+            jb.JaxbodyWarning, match=r"Sampled.translation jumps by 0\.00999 along z at 2\.99 s, 22\.\d times the usual step \[BASE_JUMP\]"
+        ):
+            build(times, translation=x)

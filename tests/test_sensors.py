@@ -1,5 +1,7 @@
 """What sensors read of a turned body over a moving support, by hand; what noise does to it; what an experiment refuses."""
 
+import warnings
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -307,3 +309,20 @@ def test_an_experiment_tells_all_that_is_wrong_at_once():
 def test_noise_of_an_experiment_must_be_positive(noise):
     (problem,) = problems_of(experiment, tie=np.zeros(6), noise=noise)
     assert problem.code in ("BAD_NOISE", "NON_FINITE") and "tie" in problem.where
+
+
+def test_a_dead_or_saturated_channel_of_an_experiment_is_warned_of():
+    times, place = np.linspace(0, 1, 101), jb.Position("mass", axis=[0, 0, 1])
+    wave = np.sin(20 * times)
+
+    def run(values, sensor=place):
+        return jb.Experiment(times, sensors={"z": sensor}, measured={"z": values})
+
+    with pytest.warns(jb.JaxbodyWarning, match=r"measured\['z'\] is 0.3 m throughout, 0 to 1 s \[DEAD\]"):
+        run(np.full(101, 0.3))
+    with pytest.warns(jb.JaxbodyWarning, match=r"measured\['z'\] stays at 0.8 m for \d+ of 101 samples: .*\[SATURATED\]"):
+        run(np.clip(wave, -2, 0.8))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run(wave)
+        run(np.stack([wave, 0 * wave, 0 * wave], 1), jb.Position("mass"))  # in a plane
