@@ -293,6 +293,16 @@ def assert_moves_as_by_euler_lagrange(model, motions, rng):
         assert far_apart(one, other) < 1e-10
 
 
+def test_a_chain_of_hinge_ball_and_guide_moves_and_pushes_back_as_by_euler_lagrange():
+    rng = np.random.default_rng(3)
+    joints = {
+        "arm": jb.Hinge("base", axis=rng.normal(size=3), at=rng.normal(size=3)),
+        "knee": jb.Ball("arm", at=rng.normal(size=3)),
+        "slider": jb.Guide("knee", axis=rng.normal(size=3)),
+    }
+    assert_moves_as_by_euler_lagrange(tree_model(rng, joints, bushing=False), (shaking(rng), shaking(rng)), rng)
+
+
 @pytest.mark.long
 def test_every_joint_on_a_support_and_on_a_body_moves_and_pushes_back_as_by_euler_lagrange():
     rng = np.random.default_rng(4)

@@ -34,7 +34,6 @@ def full_car_matrices(mass=1100.0, inertia=(450.0, 1500.0), front=1.2, rear=1.4,
     return M, C, K, T
 
 
-@pytest.mark.long
 def test_the_full_car_is_the_seven_degree_car_written_here():
     """The reference pose is the equilibrium; M, C, K and K~ are equal, so all follows."""
     car = presets.full_car()
@@ -89,7 +88,6 @@ PRINTED = {
 }
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", PRINTED)
 def test_frequencies_are_those_that_the_sources_print(name):
     printed, last_digit = PRINTED[name]

@@ -168,12 +168,9 @@ def rig():
     return rigs.rig(mount=rigs.MOUNT)
 
 
-@pytest.mark.long
-def test_matrices_are_second_derivatives_of_the_energies_at_any_state(rig):
-    n, nxi = rig.layout.nv, rig.layout.nxi
-    reference = rig.reference
-    q = Coordinates(rig).retract(reference.q, jnp.array([0.1, -0.05, 0.2, 0.6, -0.9, 0.4, 0.5]))
-    state = jb.State(q, jnp.array(RNG.normal(size=n)))
+def assert_second_derivatives(model, state):
+    """M, C and K of a linearization are those of T, R and V."""
+    n, nxi = model.layout.nv, model.layout.nxi
 
     @jax.jit
     def definition(model, state):
@@ -189,8 +186,8 @@ def test_matrices_are_second_derivatives_of_the_energies_at_any_state(rig):
         still, moving = jnp.zeros(n + nxi), jnp.concatenate([state.v, jnp.zeros(nxi)])
         return jax.hessian(kinetic)(moving), jax.hessian(rayleigh)(moving), jax.hessian(potential)(still)
 
-    lin = jb.linearize(rig, state)
-    for letter, whole in zip("MCK", definition(rig, state), strict=True):
+    lin = jb.linearize(model, state)
+    for letter, whole in zip("MCK", definition(model, state), strict=True):
         for block, expected in (("", whole[:n, :n]), ("_tilde", -whole[:n, n:]), ("_bb", whole[n:, n:])):
             found = getattr(lin, letter + block)
             print(letter + block, apart(found, expected) / np.abs(expected).max())
@@ -198,7 +195,31 @@ def test_matrices_are_second_derivatives_of_the_energies_at_any_state(rig):
             assert np.abs(found).max() > 0
     split = lin.K_elastic + lin.K_geometric + lin.K_gravity
     assert apart(split, lin.K) < 1e-12 * np.abs(lin.K).max()
+    return lin
+
+
+@pytest.mark.long
+def test_matrices_are_second_derivatives_of_the_energies_at_any_state(rig):
+    q = Coordinates(rig).retract(rig.reference.q, jnp.array([0.1, -0.05, 0.2, 0.6, -0.9, 0.4, 0.5]))
+    lin = assert_second_derivatives(rig, jb.State(q, jnp.array(RNG.normal(size=rig.layout.nv))))
     assert set(lin.K_elastic_by_element) == {"s0", "s1", "s2", "s3", "s4", "mount"}
+
+
+def test_matrices_of_an_arm_on_a_bushing_are_second_derivatives_of_its_energies():
+    """The same of one body on a hinge, turned far from the axes of its mount, and stayed to the world."""
+    p = rigs.PARAMETERS
+    mount = {**rigs.MOUNT, "orientation": rigs.unit(rigs.MOUNT["orientation"])}
+    model = jb.Model(
+        bodies={"arm": jb.Body(mass=0.8, inertia=p["inertia"][1], com=p["com"][1], position=[0.1, -0.1, -0.2])},
+        supports={"base": jb.Support(position=p["position"], orientation=rigs.unit(p["orientation"]))},
+        joints={"arm": jb.Hinge("base", axis=p["axis"], at=p["at"])},
+        elements={
+            "mount": jb.Bushing(("arm", [0.3, 0.0, 0.3]), ("base", [0.1, 0.05, -0.1]), **mount),
+            "stay": jb.Spring(("arm", [0.2, 0.1, 0.0]), ("world", [1.0, 0.5, 0.2]), stiffness=60.0, free_length=0.4, damping=2.0),
+        },
+        gravity=p["gravity"],
+    )
+    assert_second_derivatives(model, jb.State(jnp.array([0.7]), jnp.array([-1.1])))
 
 
 class Parabola(jb.Motion):
