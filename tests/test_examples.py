@@ -1,6 +1,8 @@
 """The examples run and find what they should; README.md shows the first of them with what it prints, and commands that exist."""
 
+import ast
 import contextlib
+import inspect
 import io
 import operator
 import re
@@ -64,6 +66,18 @@ def test_the_contract_script_finds_what_it_should(contract):
 
 def test_readme_shows_the_contract_script_as_it_stands():
     assert blocks("python")[0] == (ROOT / "examples" / "contract.py").read_text()
+
+
+@pytest.mark.parametrize("script", range(4))
+def test_what_readme_calls_takes_the_arguments_that_it_gives(script):
+    """Each jb.name(...) is there and has the keywords of the call; a long test runs the script."""
+    calls = [node for node in ast.walk(ast.parse(blocks("python")[script])) if isinstance(node, ast.Call)]
+    named = [(name.removeprefix("jb."), call) for call in calls if re.fullmatch(r"jb(\.\w+)+", name := ast.unparse(call.func))]
+    assert named
+    for name, call in named:
+        parameters = inspect.signature(operator.attrgetter(name)(jb)).parameters
+        if not any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
+            assert {keyword.arg for keyword in call.keywords} <= set(parameters), name
 
 
 @pytest.mark.long

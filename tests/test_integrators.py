@@ -281,3 +281,40 @@ def test_both_modes_in_batches_and_second_derivatives():
 def test_forward_mode_through_another_solver_says_which_argument_allows_it():
     with pytest.raises(jb.JaxbodyError, match=r"adjoint=diffrax.ForwardMode\(\)"):
         jax.jacfwd(lambda k: oscillation(jb.laws.Linear(k), jnp.array([0.0, 0.1]), solver=diffrax.Tsit5()))(40.0)
+
+
+# Memory, as compiled programs state it
+
+
+def bytes_of(function, *shapes):
+    """Of temporary arrays and of results."""
+    memory = jax.jit(function).lower(*(jax.ShapeDtypeStruct(shape, float) for shape in shapes)).compile().memory_analysis()
+    return memory.temp_size_in_bytes, memory.output_size_in_bytes
+
+
+def decaying(y0, most=1000):
+    """Samples of y' = -y, many numbers side by side."""
+    drive, rate = (lambda a, t: t), (lambda a, u, y: a * y)
+    problem = integrators.Problem(drive, rate, jnp.array(1e-9), jnp.full(y0.shape, 1e-12), jnp.array(1e-12), None, most)
+    return integrators.solve_both_ways((jnp.array(-1.0), y0, jnp.linspace(0.0, 1.0, 5)), problem=problem).samples
+
+
+def test_reverse_mode_keeps_a_state_for_128_steps():
+    """What each 128 more steps cost: their lengths, and about one state with its rate, not 128 states."""
+    ny, blocks = 50, 40
+
+    def slope(most):
+        return bytes_of(jax.grad(lambda y: jnp.sum(decaying(y, most) ** 2)), (ny,))[0]
+
+    more = (slope(128 * 3 * blocks) - slope(128 * 2 * blocks)) / blocks
+    print(more, "bytes for 128 steps; 128 states are", 128 * 8 * ny)
+    assert 8 * 128 + 8 * ny <= more < 8 * 128 + 4 * 8 * ny
+
+
+def test_the_memory_of_a_batch_is_that_of_its_results_and_of_one_chunk():
+    """Per member no more than three times its samples: a chunk's members need a hundred times that."""
+    ny, few, many = 3, 2 * integrators.LANES, 20 * integrators.LANES
+    (one, _), (two, _) = (bytes_of(jax.vmap(decaying), (n, ny)) for n in (few, many))
+    samples = 8 * 5 * ny
+    print((two - one) / (many - few), "bytes a member;", samples, "of samples;", one / integrators.LANES, "in a chunk")
+    assert two - one < 3 * samples * (many - few) and one / integrators.LANES > 20 * samples
