@@ -78,7 +78,8 @@ def plot_autocorrelation(fit: Fit, *, run: str | None = None, sensor: str | None
         told, hint = f"'{sensor}' has no record to look at", f"Of {FEWEST} samples or more that follow one another."
         raise JaxbodyError(Problem("NO_DATA", "plot_autocorrelation.sensor", told, sensor, hint=hint))
     ax = axes_or_new(ax, 5.5, 3.0)
-    for i, (color, record) in enumerate(zip(COLORS, records, strict=False)):
+    for i, record in enumerate(records):
+        color = COLORS[i % len(COLORS)]
         values = r[record.rows]
         rho = products(values, most_lags(len(values))) / (values @ values)
         at = np.arange(1, len(rho)) + (i - (len(records) - 1) / 2) * 0.6 / max(len(records), 2)

@@ -47,7 +47,7 @@ def _draw_record(fit: Fit, run: str, sensor: str, part: int, ax: Any) -> Any:
     x = np.asarray(x)
     measured, predicted, residual = _compared(channel, np.asarray(experiment.measured[sensor]), np.asarray(fit.predicted[run][sensor]))
     columns, rows = _columns(channel, part, measured.shape[1], residual.shape[1])
-    below = axes_below(ax, 0.4)
+    (below,) = axes_below(ax, 0.4)
     shown = [i for i in columns if np.isfinite(measured[:, i]).any() and np.ptp(predicted[:, i]) > 0] or columns[:1]
     shown = shown if len(rows) == len(columns) else columns
     left = rows if len(rows) != len(columns) else [rows[columns.index(i)] for i in shown]
@@ -66,7 +66,6 @@ def _draw_record(fit: Fit, run: str, sensor: str, part: int, ax: Any) -> Any:
     below.axhline(0.0, color=INK, lw=0.8)
     what = names[0] if len(shown) == 1 else " ".join([sensor, *channel.parts[part : part + 1]])
     ax.set_ylabel(_with_unit(what + (", from its mean" if len(shown) > 1 and channel.series else ""), _unit(channel, part, columns, rows)))
-    ax.tick_params(labelbottom=False)
     below.set(xlabel=_with_unit(over, its_unit), ylabel=_with_unit("residual", _unit(channel, part, rows, rows)))
     if not channel.series:
         below.xaxis.get_major_locator().set_params(integer=True, min_n_ticks=1)
@@ -90,7 +89,7 @@ def _draw_response(fit: Fit, run: str, sensor: str, ax: Any) -> Any:
     experiment = fit.experiments[run]
     f = np.asarray(experiment.axis(sensor)[1])
     measured, predicted = np.asarray(experiment.measured[sensor]), np.asarray(fit.predicted[run][sensor])
-    below = axes_below(ax, 0.55)
+    (below,) = axes_below(ax, 0.55)
     there = np.isfinite(measured) & (np.abs(predicted) > 0)
     phase = np.unwrap(np.angle(predicted))
     apart = np.angle(np.where(there, measured, 1.0) / np.where(there, predicted, 1.0))
@@ -103,7 +102,6 @@ def _draw_response(fit: Fit, run: str, sensor: str, ax: Any) -> Any:
         axes.plot(f, other, color=COLORS[0], lw=1.2, zorder=3)
     ax.set_yscale("log")
     ax.set_ylabel(_with_unit(f"magnitude of {sensor}", experiment.channels[sensor].unit))
-    ax.tick_params(labelbottom=False)
     below.set(xlabel="frequency [Hz]", ylabel="phase [degrees]")
     below.yaxis.get_major_locator().set_params(steps=[1, 1.8, 3.6, 4.5, 9, 10])
     if f[0] > 0 and f[-1] >= WIDE * f[0]:

@@ -10,25 +10,28 @@ from jaxbody.branches import LEAST_MAC, Branches
 from jaxbody.canvases import COLORS, axes_or_new
 from jaxbody.energies import ModeEnergies
 from jaxbody.errors import JaxbodyError, Problem, Status
+from jaxbody.tables import counted
 
 KINDS = {"kinetic": "kinetic energy", "strain": "strain energy", "dissipation": "dissipation"}
-LEAST_SHOWN = 1e-3  # percent: rows that no mode has that much of are left out, but for kinetic energy
+LEAST_SHOWN = 0.05  # percent: rows of which no mode has that much, and which would print as zeros, are left out
 DARK = 55.0  # percent above which numbers are white
 
 
 def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any = None) -> Any:
     """Shares of each mode's energy [%] as a heat map, a column for each mode: "kinetic" by body and direction, "strain" by element, "dissipation" by damper.
+    Rows of which no mode has 0.05 % are left out, and counted in the title.
 
     Error: UNKNOWN_NAME of the kind.
 
     >>> car = jb.presets.half_car()
     >>> ax = plot_mode_energies(mode_energies(linearize(car, equilibrium(car)), forward="x"))
     >>> ax.get_title()
-    'kinetic energy [%]'
+    'kinetic energy [%]; 4 rows below 0.05 % left out'
     """
     if kind not in KINDS:
         raise JaxbodyError(Problem("UNKNOWN_NAME", "plot_mode_energies.kind", f"is {kind!r}", kind, ", ".join(KINDS), "Give one of these."))
-    rows = _rows(energies, kind)
+    every = _rows(energies, kind)
+    rows = {name: row for name, row in every.items() if not np.nanmax(np.abs(row), initial=0.0) < LEAST_SHOWN} or every
     count = energies.frequency.shape[-1]
     shares = np.array(list(rows.values())).reshape(-1, count)
     ax = axes_or_new(ax, 1.6 + 0.75 * count, 1.0 + 0.32 * max(len(shares), 2))
@@ -44,7 +47,8 @@ def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any
     ax.grid(which="minor", color="white", lw=1.5)
     ax.tick_params(which="both", length=0)
     ax.spines[:].set_visible(False)
-    ax.set_title(f"{KINDS[kind]} [%]", fontsize=9)
+    less = f"; {counted(len(every) - len(rows), 'row')} below {LEAST_SHOWN:g} % left out" if len(rows) < len(every) else ""
+    ax.set_title(f"{KINDS[kind]} [%]{less}", fontsize=9)
     return ax
 
 
@@ -52,7 +56,7 @@ def _rows(energies: ModeEnergies, kind: str) -> dict[str, np.ndarray]:
     if kind == "kinetic":
         return dict(zip(energies.rows, np.asarray(energies.kinetic_shares).reshape(-1, energies.frequency.shape[-1]), strict=True))
     rows = energies.strain | energies.other_strain if kind == "strain" else energies.dissipation
-    return {name: np.asarray(row) for name, row in rows.items() if np.nanmax(np.abs(row), initial=0.0) > LEAST_SHOWN}
+    return {name: np.asarray(row) for name, row in rows.items()}
 
 
 def plot_branches(branches: Branches, *, parameter: str = "parameter", ax: Any = None) -> Any:

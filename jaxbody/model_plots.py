@@ -8,7 +8,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.annotations import Label, annotate
 from jaxbody.canvases import COLORS, GRAY, INK, LIGHT, axes_or_new, check_known
+from jaxbody.contacts import Tyre
 from jaxbody.elements import LineElement
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.frames import Pose
@@ -24,6 +26,8 @@ from jaxbody.vibrations import Modes
 
 AXES = "xyz"
 RIM = 8.0  # points: width of the rounded rim of an outline
+MARGIN = 0.06  # around what is drawn, in its longer side
+SLIM = 0.35  # least ratio of the sides of the frame
 SWING = 1 / 8  # largest displacement of a drawn mode, in sizes of the model
 
 
@@ -38,15 +42,14 @@ def draw_model(
 ) -> Any:
     """The model in a state (without one, the reference pose), supports displaced by {name: Xi}.
 
-    view: two of x, y, z, right and up ("xy"), or "oblique"; if none is given, gravity points down, and the view is oblique unless the
-    model is flat. Distances in meters.
+    view: two of x, y, z, right and up ("xy"), with meters at the axes, or "oblique", with the three axes and a length; if none is given, gravity
+    points down, and the view is oblique unless the model is flat. Tyres are circles of their radius.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, -9.81, 0],
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9)})
     >>> draw_model(model).get_ylabel()
     'y [m]'
     """
-    ax = axes_or_new(ax, 6.0, 4.5)
     state = model.reference if state is None else state
     xi = np.zeros((len(model.layout.supports), 6))
     check_known(tuple(displaced or ()), model.layout.supports, "draw_model.displaced")
@@ -54,8 +57,11 @@ def draw_model(
         xi[model.layout.supports.index(name)] = value
     scene = Scene(model, _poses_at(model, state.q, np.zeros(model.layout.nv), xi))
     look = projection(view, model, [scene])
-    _draw(ax, scene, look, scene.size(look), names=names)
-    _finish(ax, look, view, model)
+    ax = _axes(ax, [scene], look)
+    _draw(ax, scene, look, scene.size(look))
+    _frame(ax, look, scene.size(look))
+    if names:
+        annotate(ax, _names(scene, look))
     return ax
 
 
@@ -70,7 +76,6 @@ def draw_mode(
         raise JaxbodyError(
             Problem("UNKNOWN_MODE", "draw_mode.number", f"is {number}; there are modes 1 to {count}", number, f"1 to {count}")
         )
-    ax = axes_or_new(ax, 5.0, 4.0)
     shape = np.real(np.asarray(modes.shapes)[:, number - 1])
     still = np.zeros((len(model.layout.supports), 6))
     q = lin.state.q
@@ -82,13 +87,14 @@ def draw_mode(
     largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)  # where nothing is attached off O
     extremes = [Scene(model, _poses_at(model, q, sign * size * SWING / largest * shape, still)) for sign in (-1, 1)]
     look = projection(view, model, [rest, *extremes])
-    _draw(ax, rest, look, size, names=False, color=LIGHT, edge=GRAY, springs=GRAY, alpha=0.5)
+    ax = _axes(ax, [rest, *extremes], look)
+    _draw(ax, rest, look, size, color=LIGHT, edge=GRAY, springs=GRAY, alpha=0.5)
     for scene, color in zip(extremes, COLORS, strict=False):
-        _draw(ax, scene, look, size, names=False, color=color, edge=color, springs=color, alpha=0.3, ground=False)
+        _draw(ax, scene, look, size, color=color, edge=color, springs=color, alpha=0.3, ground=False)
     frequency, ratio = (float(x[number - 1]) for x in (np.asarray(modes.frequency), without_dust(modes.damping_ratio, 1.0)))
     title = f"mode {number}: {frequency:.4g} Hz" + (f", damping ratio {ratio:.2g}" if ratio > 0 else "")
     ax.set_title(f"{title}\n{modes.names[number - 1]}", fontsize=9)
-    _finish(ax, look, view, model)
+    _frame(ax, look, size)
     return ax
 
 
@@ -155,17 +161,25 @@ def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarra
     return look
 
 
-def _draw(ax, scene: Scene, look, size, *, names, color=None, edge=INK, springs=INK, alpha=1.0, ground=True) -> None:
+def _axes(ax: Any, scenes: list[Scene], look: np.ndarray) -> Any:
+    """The axes given, or those of a new figure of the shape of what will be drawn."""
+    width, height = np.ptp(np.concatenate([scene.all_points() for scene in scenes]) @ look.T, axis=0) + 1e-9
+    ratio = np.clip((height + 0.1 * width) / (width + 0.1 * height), 0.25, 2.0)
+    return axes_or_new(ax, *((6.4, 1.0 + 5.2 * ratio) if ratio < 1 else (1.4 + 5.0 / ratio, 5.8)))
+
+
+def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, alpha=1.0, ground=True) -> None:
     layout = scene.model.layout
     for i, name in enumerate(layout.bodies):
         fill = color or COLORS[i % len(COLORS)]
         seen = scene.points[name] @ look.T
         _outline(ax, seen, size, fill, edge, alpha if color else 0.35, color is not None)
-        if names:
-            middle = scene.centers[name] @ look.T
-            ax.plot(*middle, "o", ms=6, mfc="white", mec=INK, mew=1.0, zorder=6)
-            ax.annotate(name, middle, xytext=(7, 6), textcoords="offset points", fontsize=9, color=INK, zorder=7)
+        if color is None:
+            ax.plot(*(scene.centers[name] @ look.T), "o", ms=6, mfc="white", mec=INK, mew=1.0, zorder=6)
     for table in scene.model.elements:
+        if isinstance(table.rows, Tyre):
+            _wheels(ax, scene, table, look, size, edge, alpha, ground)
+            continue
         zigzag = isinstance(table.rows, LineElement)
         for name, link in zip(table.names, table.links, strict=True):
             A, B = (end @ look.T for end in scene.ends[name])
@@ -175,22 +189,39 @@ def _draw(ax, scene: Scene, look, size, *, names, color=None, edge=INK, springs=
             for end, here, there in zip(link[:2], (A, B), (B, A), strict=True):
                 if ground and end not in layout.bodies:
                     _ground(ax, here, here - there, 0.035 * size)
-            if names:
-                side = np.array([-(B - A)[1], (B - A)[0]])
-                side = side / (np.linalg.norm(side) or 1.0)
-                ax.annotate(
-                    name, (A + B) / 2, xytext=13 * side, textcoords="offset points", fontsize=8, color=GRAY, ha="center", va="center"
-                )
     for name, (at, parent) in scene.pivots.items():
         pivot, joint = at @ look.T, scene.model.joint(name)
         if isinstance(joint, Guide):
             axis = scene.frames[1][layout.frame(parent)] @ np.asarray(joint.axis)
             along = axis @ look.T * 0.12 * size
             ax.plot(*np.array([pivot - along, pivot + along]).T, "-.", color=GRAY, lw=0.9, zorder=1)
-        else:
+        elif not joint.in_series:
             ax.plot(*pivot, "o", ms=6, mfc="white", mec=edge, mew=1.2, alpha=alpha, zorder=6)
             if ground and parent not in layout.bodies:
                 _ground(ax, pivot - np.array([0, 0.02 * size]), np.array([0.0, -1.0]), 0.035 * size)
+
+
+def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
+    """Circles of their radius about the hubs, and the ground below where the road's normal is seen."""
+    from matplotlib.patches import Circle
+
+    rows = zip(table.names, table.links, np.asarray(table.rows.radius), np.asarray(table.rows.axis), strict=True)
+    for name, link, radius, axis in rows:
+        hub, road = (end @ look.T for end in scene.ends[name])
+        up = scene.frames[1][scene.model.layout.frame(link[1])] @ axis @ look.T
+        if up.any():
+            ax.add_patch(Circle(hub, radius, fill=False, edgecolor=edge, lw=1.6, alpha=alpha, zorder=1))
+            if ground:
+                _ground(ax, road, -up, 0.035 * size)
+
+
+def _names(scene: Scene, look) -> list[Label]:
+    """The names of bodies and elements where they belong."""
+    labels = [Label(name, at @ look.T, np.array([1.0, 1.0]), 9, INK) for name, at in scene.centers.items()]
+    for name, ends in scene.ends.items():
+        A, B = (end @ look.T for end in ends)
+        labels.append(Label(name, (A + B) / 2, np.array([abs((B - A)[1]), -(B - A)[0] * np.sign((B - A)[1] or 1.0)]), 8, GRAY))
+    return labels
 
 
 def _outline(ax, seen, size, fill, edge, alpha, ghost) -> None:
@@ -258,11 +289,33 @@ def _ground(ax, at, outward, half: float) -> None:
         ax.plot(*np.array([start, start + half * (0.5 * n - 0.4 * t)]).T, color=INK, lw=0.7, zorder=3)
 
 
-def _finish(ax, look, view, model: Model) -> None:
-    ax.set_aspect("equal", adjustable="datalim")
-    ax.margins(0.08)
-    right, up = (int(np.argmax(np.abs(row))) for row in look)
-    ax.set(xlabel=f"{AXES[right]} [m]", ylabel=f"{AXES[up]} [m]")
+def _frame(ax, look, size: float) -> None:
+    """Around what is drawn; with meters at the axes, or, as those of an oblique view would be true of one plane alone, with the three axes."""
+    if np.count_nonzero(look) > 2:
+        _triad(ax, look, size)
+        ax.set_axis_off()
+    else:
+        right, up = (int(np.argmax(np.abs(row))) for row in look)
+        ax.set(xlabel=f"{AXES[right]} [m]", ylabel=f"{AXES[up]} [m]")
+    (x0, y0), (x1, y1) = ax.dataLim.get_points()
+    width, height = np.array([x1 - x0, y1 - y0]) + 2 * MARGIN * max(x1 - x0, y1 - y0)
+    width, height = max(width, SLIM * height), max(height, SLIM * width)
+    ax.set_xlim((x0 + x1 - width) / 2, (x0 + x1 + width) / 2)
+    ax.set_ylim((y0 + y1 - height) / 2, (y0 + y1 + height) / 2)
+    ax.set_aspect("equal", adjustable="box")
+    ax.apply_aspect()
+
+
+def _triad(ax, look, size: float) -> None:
+    """The world's axes as they are seen, each as long as is written below them, at the lower left."""
+    length = 10.0 ** np.floor(np.log10(size / 7))
+    length *= max(k for k in (1, 2, 5) if k * length <= size / 7)
+    low = ax.dataLim.get_points()[0]
+    origin = low - length * (look * (look > 0)).sum(1) * [1.3, 0] - length * (look * (look < 0)).sum(1) * [1, 1] * [0, 1]
+    for name, direction in zip(AXES, look.T, strict=True):
+        ax.plot(*np.array([origin, origin + length * direction]).T, color=GRAY, lw=1.2, gid=f"axis {name}")
+        ax.text(*(origin + 1.25 * length * direction), name, fontsize=8, color=GRAY, ha="center", va="center")
+    ax.annotate(f"{length:g} m", origin, xytext=(0, -12), textcoords="offset points", fontsize=8, color=GRAY, ha="left", va="center")
 
 
 @jit_as_it_is

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.canvases import COLORS, GRAY, axes_below, axes_or_new, check_known, legend
+from jaxbody.canvases import COLORS, GRAY, axes_below, axes_or_new, check_known, legend, style
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.simulations import Trajectory
 from jaxbody.statics import Equilibrium
+from jaxbody.torsions import Torsion
 
 AXES = "xyz"
 
@@ -42,8 +43,7 @@ def plot_trajectory(trajectory: Trajectory, *, bodies: tuple[str, ...] | None = 
     ax.set_ylabel("displacement [m]")
     below = ax
     if turns:
-        ax.tick_params(labelbottom=False)
-        below = axes_below(ax, 0.6)
+        (below,) = axes_below(ax, 0.6)
         _lines(below, t, turns, dashed)
         below.set_ylabel("turn [rad]")
     below.set_xlabel("time [s]")
@@ -51,17 +51,28 @@ def plot_trajectory(trajectory: Trajectory, *, bodies: tuple[str, ...] | None = 
 
 
 def plot_forces(trajectory: Trajectory, *, elements: tuple[str, ...] | None = None, ax: Any = None) -> Any:
-    """The tension of every spring [N] over time, its damper's part included; of a bushing its three forces."""
-    ax = axes_or_new(ax, 7.0, 3.0)
+    """The tension of every spring [N] over time, its damper's part included, of a bushing its three forces; below them moments [N m],
+    of torsion springs and of bushings that have any.
+    """
     forces = trajectory.forces
     names = elements or tuple(forces)
     check_known(names, tuple(forces), "plot_forces.elements")
-    lines = {}
+    pulls, moments = {}, {}
     for name in names:
         force = np.asarray(forces[name])
-        lines |= {name: force} if force.ndim == 1 else {f"{name} {axis}": force[:, i] for i, axis in enumerate(AXES)}
-    _lines(ax, np.asarray(trajectory.times), lines)
-    ax.set(xlabel="time [s]", ylabel="force, tension positive [N]")
+        if force.ndim == 1:
+            (moments if isinstance(trajectory.model[name], Torsion) else pulls)[name] = force
+        else:
+            pulls |= {f"{name} {axis}": force[:, i] for i, axis in enumerate(AXES)}
+            moments |= {f"{name} about {axis}": force[:, i + 3] for i, axis in enumerate(AXES) if np.any(force[:, i + 3])}
+    panels = {"force, tension positive [N]": pulls, "moment [N m]": moments}
+    panels = {label: lines for label, lines in panels.items() if lines}
+    ax = axes_or_new(ax, 7.0, 0.6 + 2.4 * len(panels))
+    all_axes = [ax, *axes_below(ax, *[1.0] * (len(panels) - 1))]
+    for axes, (label, lines) in zip(all_axes, panels.items(), strict=True):
+        _lines(axes, np.asarray(trajectory.times), lines)
+        axes.set_ylabel(label)
+    all_axes[-1].set_xlabel("time [s]")
     return ax
 
 
@@ -84,7 +95,7 @@ def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
 def _lines(ax, t, lines: dict[str, np.ndarray], dashed: tuple[str, ...] = ()) -> None:
     for i, (name, values) in enumerate(lines.items()):
         support = bool(dashed) and name.startswith(dashed)
-        ax.plot(t, values, "--" if support else "-", lw=1.2 if support else 1.5, color=COLORS[i % len(COLORS)], label=name)
+        ax.plot(t, values, label=name, **style(i) | ({"ls": "--", "lw": 1.0} if support else {"lw": 1.5}))
     legend(ax, len(lines))
 
 

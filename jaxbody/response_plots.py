@@ -6,16 +6,16 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.canvases import COLORS, GRAY, LIGHT, axes_below, axes_or_new, legend
+from jaxbody.canvases import COLORS, DASHES, GRAY, LIGHT, axes_below, axes_or_new, legend, style
 from jaxbody.errors import JaxbodyError, Problem
 from jaxbody.frequency_responses import FrequencyResponse
 from jaxbody.random_responses import RandomResponse
 
-LINES = ("-", "--", ":", "-.")  # of inputs
+MANY = 16  # lines whose names need a wider picture
 
 
 def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> Any:
-    """Magnitudes over frequency, both on logarithmic scales, and below them the phases; a color for each output, a dash for each input.
+    """Magnitudes over frequency, both on logarithmic scales, in one panel for each unit, and below them the phases; returns the uppermost axes.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> found = frequency_response(linearize(model, equilibrium(model)), jnp.geomspace(0.1, 50, 100), {"road": BaseMotion("road", "z")}, {"body": PointMotion("body")})
@@ -23,24 +23,24 @@ def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> A
     >>> ax.get_ylabel()
     'magnitude'
     """
-    ax = axes_or_new(ax, 7.0, 4.4)
     f, size, phase = _above_0_hz(response)
-    below = axes_below(ax, 0.55)
-    units = {response.unit(y, u) for y in response.outputs for u in response.inputs}
-    for i, j, name in _pairs(response):
-        style = dict(color=COLORS[i % len(COLORS)], ls=LINES[j % len(LINES)], lw=1.5)
-        turns = np.round(phase[i, j, 0] / (2 * np.pi))
-        shared = len(units) == 1 or not response.unit(response.outputs[i], response.inputs[j])
-        unit = "" if shared else f" [{response.unit(response.outputs[i], response.inputs[j])}]"
-        ax.loglog(f, size[i, j], label=name + unit, **style)
-        below.semilogx(f, np.rad2deg(phase[i, j] - 2 * np.pi * turns), **style)
-    (unit,) = units if len(units) == 1 else ("",)
-    ax.set_ylabel(f"magnitude [{unit}]" if unit else "magnitude")
-    ax.tick_params(labelbottom=False)
+    pairs = _pairs(response)
+    panels: dict[str, list[int]] = {}
+    for k, (i, j, _) in enumerate(pairs):
+        panels.setdefault(response.unit(response.outputs[i], response.inputs[j]), []).append(k)
+    ax = axes_or_new(ax, 7.0 if len(pairs) <= MANY else 9.0, 2.2 + 2.2 * len(panels))
+    *others, below = axes_below(ax, *[1.0] * (len(panels) - 1), 0.55)
+    for axes, (unit, members) in zip((ax, *others), panels.items(), strict=True):
+        for k in members:
+            i, j, name = pairs[k]
+            turns = np.round(phase[i, j, 0] / (2 * np.pi))
+            axes.loglog(f, size[i, j], label=name, lw=1.5, **look(response, i, j))
+            below.semilogx(f, np.rad2deg(phase[i, j] - 2 * np.pi * turns), lw=1.5, **look(response, i, j))
+        axes.set_ylabel(f"magnitude [{unit}]" if unit else "magnitude")
+        legend(axes, len(members))
     hertz(below, f)
     below.set_ylabel("phase [degrees]")
     below.yaxis.get_major_locator().set_params(steps=[1, 1.8, 3.6, 4.5, 9, 10])
-    legend(ax, len(response.outputs) * len(response.inputs))
     return ax
 
 
@@ -53,10 +53,10 @@ def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any
     if not ratios:
         told, hint = "has no output in the unit of an input", "Ask for displacements of displacements, or forces of forces."
         raise JaxbodyError(Problem("BAD_UNIT", "plot_transmissibility.response", told, response, "a ratio", hint))
-    ax = axes_or_new(ax, 7.0, 3.4)
+    ax = axes_or_new(ax, 7.0 if len(ratios) <= MANY else 9.0, 3.4)
     f, size, _ = _above_0_hz(response)
     for i, j, name in ratios:
-        ax.loglog(f, size[i, j], color=COLORS[i % len(COLORS)], ls=LINES[j % len(LINES)], lw=1.5, label=name)
+        ax.loglog(f, size[i, j], lw=1.5, label=name, **look(response, i, j))
     top = max(size[i, j].max() for i, j, _ in ratios)
     ax.axhspan(1.0, max(2.0, 2 * top), color=LIGHT, alpha=0.4, lw=0, zorder=0)
     ax.axhline(1.0, color=GRAY, lw=0.8)
@@ -82,7 +82,7 @@ def plot_psd(response: RandomResponse, *, outputs: tuple[str, ...] | None = None
     f, psd = np.asarray(response.frequencies), np.asarray(response.psd)
     for i, (name, value) in enumerate(values.items()):
         label = f"{name}, rms {value:.3g} {unit}"
-        ax.loglog(f, psd[response.outputs.index(name)], color=COLORS[i % len(COLORS)], lw=1.5, label=label)
+        ax.loglog(f, psd[response.outputs.index(name)], lw=1.5, label=label, **style(i))
     shown = unit if unit.isalpha() else f"({unit})"
     ax.set_ylabel(f"power spectral density [{shown}$^2$/Hz]")
     hertz(ax, f)
@@ -105,6 +105,13 @@ def _pairs(response: FrequencyResponse) -> list[tuple[int, int, str]]:
     several = len(response.inputs) > 1
     pairs = [(i, j, f"{y} of {u}" if several else y) for i, y in enumerate(response.outputs) for j, u in enumerate(response.inputs)]
     return [(i, j, name) for i, j, name in pairs if not size[i, j] <= 1e-12 * size[i].max()] or pairs
+
+
+def look(response: FrequencyResponse, i: int, j: int) -> dict[str, Any]:
+    """A color for each output and a dash for each input, where there are enough of both."""
+    if len(response.outputs) <= len(COLORS) and len(response.inputs) <= len(DASHES):
+        return {"color": COLORS[i], "ls": DASHES[j]}
+    return style(i * len(response.inputs) + j)
 
 
 def hertz(ax: Any, f: np.ndarray) -> None:

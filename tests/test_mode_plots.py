@@ -18,7 +18,7 @@ def energies():
     return jb.mode_energies(jb.linearize(car, car.reference), forward="x")
 
 
-@pytest.mark.parametrize(("kind", "rows"), [("kinetic", 6), ("strain", 2), ("dissipation", 1)])
+@pytest.mark.parametrize(("kind", "rows"), [("kinetic", 2), ("strain", 2), ("dissipation", 1)])
 def test_energies_are_a_heat_map(energies, kind, rows):
     ax = Figure().subplots()
     assert plots.plot_mode_energies(energies, kind=kind, ax=ax) is ax
@@ -27,7 +27,7 @@ def test_energies_are_a_heat_map(energies, kind, rows):
     columns = np.asarray(image.get_array()).sum(0)
     np.testing.assert_allclose(columns, 100.0, atol=1e-9)
     named = [label.get_text() for label in ax.get_yticklabels()]
-    assert named[0] == {"kinetic": "body fore-aft", "strain": "front spring", "dissipation": "front spring"}[kind]
+    assert named[0] == {"kinetic": "body bounce", "strain": "front spring", "dissipation": "front spring"}[kind]
     bounce = float(energies.kinetic["body"][2, 0])
     texts = [text.get_text() for text in ax.texts]
     assert kind != "kinetic" or f"{bounce:.1f}" in texts

@@ -31,7 +31,7 @@ ROWS = (
     "experiments diagnoses plausibilities measured_responses measured_modes parametrizations ties free_parameters field_units losses colorings tasks checkpoints beginnings",
     "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts shootings profiles validations confidence_bands",
     "design_spaces interior_points optimizers design_programs kinks tunings objectives designs fronts sweeps sensitivity_analyses tolerance_analyses",
-    "canvases model_plots motion_plots mode_plots response_plots fit_plots measured_plots design_plots plots demos",
+    "canvases annotations model_plots motion_plots mode_plots response_plots fit_plots measured_plots design_plots plots demos",
 )
 LAYERS = " ".join(ROWS).split()
 
