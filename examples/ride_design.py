@@ -152,18 +152,18 @@ print("what moves it most:", ", ".join(strongest.ranked("worst")[:3]))
 figure, axes = plt.subplot_mosaic([["felt", "front"], ["stroke", "tornado"], ["search", "search"]], figsize=(12, 10), layout="constrained")
 cases = [f"{who}\n{3.6 * speed:.0f} km/h" for who in ("alone", "four aboard") for speed in np.asarray(speeds)]
 for i, (when, quantities) in enumerate({"before": found.before, "tuned": found.after}.items()):
-    axes["felt"].bar(np.arange(4) + 0.4 * i - 0.2, np.ravel(quantities["felt"]), 0.38, color=plots.COLORS[i], label=when)
+    axes["felt"].bar(np.arange(4) + 0.4 * i - 0.2, np.ravel(quantities["felt"]), 0.38, color=f"C{i}", label=when)
     shares = np.concatenate([np.asarray(quantities["stroke"]) / 0.075, np.asarray(quantities["tyre"]) / 0.75])
-    axes["stroke"].bar(np.arange(8) + 0.4 * i - 0.2, shares, 0.38, color=plots.COLORS[i], label=when)
+    axes["stroke"].bar(np.arange(8) + 0.4 * i - 0.2, shares, 0.38, color=f"C{i}", label=when)
 axes["felt"].set_xticks(range(4), cases, fontsize=8)
 axes["felt"].set(ylabel="weighted acceleration [m/s2]", title="What the driver feels")
-axes["stroke"].axhline(1.0, color=plots.INK, lw=0.8)
+axes["stroke"].axhline(1.0, color="black", lw=0.8)
 axes["stroke"].set_xticks(range(8), [f"{what}\n{wheel}" for what in ("stroke", "tyre") for wheel in wheels], fontsize=8)
 axes["stroke"].set(ylabel="share of the limit", ylim=(0, 1.6), title="Strokes to 75 mm, a quarter of each tyre's load kept")
 plots.plot_front(front, ax=axes["front"]).set(
     xlabel="longest stroke [m]", ylabel="worst vibration [m/s2]", title="What comfort costs in stroke"
 )
-axes["front"].plot(float(found.after["longest"]), float(found.after["worst"]), "*", ms=13, color=plots.COLORS[1], label="the design")
+axes["front"].plot(float(found.after["longest"]), float(found.after["worst"]), "*", ms=13, color="C1", label="the design")
 plots.plot_tornado(strongest, "worst", ax=axes["tornado"]).set(xlabel="worst vibration [m/s2]", title="What moves it most")
 plots.plot_tuning(found, ax=axes["search"]).set(ylabel="worst vibration [m/s2]", title=f"The search, {found.evaluations} evaluations")
 for name in ("felt", "stroke", "front"):
