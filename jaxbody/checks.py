@@ -9,6 +9,7 @@ import numpy as np
 from jaxbody.arrays import concrete
 from jaxbody.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.models import WORLD, Model, State
+from jaxbody.precisions import begin
 
 _told_of_float32 = False
 
@@ -34,10 +35,11 @@ def check_precision(where: str, model: Model, *, needs_float64: bool = False) ->
             )
         )
     if x64:
-        return
+        return begin(x64)
     switch = 'jax.config.update("jax_enable_x64", True) before building the model'
     if needs_float64:
         raise JaxbodyError(Problem("FLOAT32", where, "is unreliable in float32", dtype, "float64", f"Say {switch}; or allow_float32=True."))
+    begin(x64)
     if not _told_of_float32:
         _told_of_float32 = True
         warn("FLOAT32", f"{where}: computing in float32, with about 7 digits; for 16, say {switch}")

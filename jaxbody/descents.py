@@ -17,10 +17,12 @@ from jaxbody.lane_marks import any_of_batch
 from jaxbody.lanes import LANES, in_lanes
 from jaxbody.linear_solves import is_definite, solve_if_definite
 from jaxbody.load_paths import Raised, expansion_under
+from jaxbody.precisions import NEWTON, reachable
 
 TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the error left is its square
 SINGULAR = 1e-10  # eigenvalues of the nondimensional K, relative to the largest, that count as zero
 LEAST_SHIFT = 1e-11  # keeps a free motion from making the system singular
+TINY = 1e-6  # a step, relative to the size, whose fall of energy may be hidden by rounding
 
 
 def descend(coordinates: Coordinates, q, scale, size, max_steps, raised: Raised | None = None):
@@ -31,6 +33,8 @@ def descend(coordinates: Coordinates, q, scale, size, max_steps, raised: Raised 
 
 
 def _descend(coordinates, raised, q, scale, size, max_steps):
+    tolerance, least = reachable(TOLERANCE, q.dtype, NEWTON), reachable(LEAST_SHIFT, q.dtype, 8)
+    tiny_step, still = reachable(TINY, q.dtype, 8 * NEWTON), reachable(1e-14, q.dtype)
     expand = expansion if raised is None else lambda at: expansion_under(at, raised)
 
     def step(carry):
@@ -45,15 +49,15 @@ def _descend(coordinates, raised, q, scale, size, max_steps):
         _, _, slope, K = best
         unit = jnp.max(jnp.abs(K), initial=0.0)
         unit = jnp.where(unit > 0, unit, 1.0)
-        y, definite = solve_if_definite(K + (shift + LEAST_SHIFT) * unit * np.eye(len(scale), dtype=K.dtype), -slope)
+        y, definite = solve_if_definite(K + (shift + least) * unit * np.eye(len(scale), dtype=K.dtype), -slope)
         longest = jnp.max(jnp.abs(y), initial=0.0)
         y = jnp.where(definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0)  # else no step, and a larger shift next
         expected = -jnp.sum(y * slope) - 0.5 * jnp.sum(y * jnp.sum(K * y, -1))
-        at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= 1e-14 * unit * size  # on a saddle too, where no step is worth anything
-        near = accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= TOLERANCE * size)
+        at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= still * unit * size  # on a saddle too, where no step is worth anything
+        near = accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= tolerance * size)
         done = definite & (near | at_rest) & jnp.isfinite(best[1])
         tried = coordinates.retract(best[0], scale * y)
-        return best, tried, shift, expected, definite & (longest < 1e-6 * size), done, n + 1
+        return best, tried, shift, expected, definite & (longest < tiny_step * size), done, n + 1
 
     n = len(scale)
     zero = jnp.zeros((), q.dtype)
@@ -80,11 +84,13 @@ def _descend(coordinates, raised, q, scale, size, max_steps):
 def signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
     """How many eigenvalues of K are negative, and whether one is zero; eigenvalues are asked for only where elimination finds K not definite."""
 
+    zero = reachable(SINGULAR, K.dtype)
+
     def by_eigenvalues():
         values = jnp.linalg.eigvalsh(K)
-        tolerance = SINGULAR * jnp.max(jnp.abs(values), initial=0.0)
+        tolerance = zero * jnp.max(jnp.abs(values), initial=0.0)
         return jnp.sum(values < -tolerance), jnp.any(jnp.abs(values) <= tolerance)
 
     largest = jnp.sqrt(jnp.sum(K * K))  # or more
-    definite = is_definite(K - SINGULAR * largest * np.eye(len(K), dtype=K.dtype))
+    definite = is_definite(K - zero * largest * np.eye(len(K), dtype=K.dtype))
     return jax.lax.cond(any_of_batch(~definite), by_eigenvalues, lambda: (jnp.zeros((), int), jnp.array(False)))

@@ -29,6 +29,7 @@ from jaxbody.modal_dampings import NO_MODES, with_modal_damping
 from jaxbody.models import Model, unknown
 from jaxbody.options import jit_quickly
 from jaxbody.ports import Wiring, check_ports, whole_matrices, wired
+from jaxbody.precisions import reachable
 from jaxbody.results import Result, warn_if_failed
 
 LARGEST_UNROLLED = 16  # coordinates; beyond, LAPACK's elimination at each frequency costs less than it costs to compile this one
@@ -328,13 +329,13 @@ def _complex_modes(A: _Matrices):
     inverse = jnp.linalg.inv(vectors)
     error = jnp.max(jnp.abs((vectors * poles) @ inverse - balanced)) / jnp.max(jnp.abs(balanced))
     right = inverse[:, n:] @ jnp.linalg.inv(A.M) / unit
-    return vectors[:n], poles, right, error < INVERTED
+    return vectors[:n], poles, right, error < reachable(INVERTED, error.dtype, 1024)
 
 
 def grows(A: _Matrices) -> Bool[Array, ""]:
     """Whether a free motion grows."""
     values = jnp.linalg.eigvals(_companion(jax.lax.stop_gradient(_Matrices(A.K, A.C, A.M, None))))
-    return jnp.max(values.real) > GROWS * jnp.max(jnp.abs(values))
+    return jnp.max(values.real) > reachable(GROWS, values.real.dtype, 256) * jnp.max(jnp.abs(values))
 
 
 def hysteretic(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Array, "n n"]:

@@ -131,6 +131,12 @@ def _joint_frame(joint, q, v, parent: Frame, rest: Pose):
     return Frame(pose.p, pose.R, velocity, w), (linear, angular)
 
 
+def table_of(model: Model, motions: Motions, t, state: State) -> Frame:
+    """The table of frames at a time."""
+    coordinates = Coordinates(model)
+    return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t))
+
+
 @eqx.filter_jit
 def retract(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
     """q (+) Delta: the coordinates after small displacements Delta, one for each speed; of a free body its displacement [m] and

@@ -19,6 +19,7 @@ from jaxbody.frames import Pose
 from jaxbody.kinematics import Coordinates
 from jaxbody.loads import Load
 from jaxbody.models import Model
+from jaxbody.precisions import NEWTON, reachable
 from jaxbody.rotations import product, skew
 
 FIRST, LEAST, MOST = 0.25, 1e-5, 64  # steps of lambda: the first, the smallest, how many
@@ -122,6 +123,7 @@ def follow(coordinates: Coordinates, q, raised: Raised, scale: Float[Array, "nv"
 
     One loop, whose body is one iteration of Newton's method, so that K is compiled once."""
     n, dtype = len(scale), q.dtype
+    converged, shift, zero_stiffness = reachable(CONVERGED, dtype, NEWTON), reachable(SHIFT, dtype, 8), reachable(SINGULAR, dtype)
 
     def nondimensional(q, factor):
         at = placed(coordinates, q, base=False)
@@ -131,15 +133,15 @@ def follow(coordinates: Coordinates, q, raised: Raised, scale: Float[Array, "nv"
         at, q, target, length, iteration, steps, top, path = carry
         r, K = nondimensional(q, target)
         unit = jnp.max(jnp.abs(K), initial=0.0)
-        y = -jnp.linalg.solve(K + SHIFT * jnp.where(unit > 0, unit, 1.0) * np.eye(n, dtype=dtype), r)
+        y = -jnp.linalg.solve(K + shift * jnp.where(unit > 0, unit, 1.0) * np.eye(n, dtype=dtype), r)
         longest = jnp.max(jnp.abs(y), initial=0.0)
         moved = coordinates.retract(q, scale * y)
         values = jnp.linalg.eigvalsh((K + K.T) / 2)
         top = jnp.where(steps == 0, jnp.max(jnp.abs(values), initial=0.0), top)
         smallest = jnp.min(values, initial=jnp.inf) / jnp.where(top > 0, top, 1.0)
-        arrived = longest <= CONVERGED * size
-        good = arrived & (smallest > -SINGULAR)
-        ended = arrived | (smallest < -SINGULAR) | (iteration >= ITERATIONS) | ~(longest <= FARTHEST * size)
+        arrived = longest <= converged * size
+        good = arrived & (smallest > -zero_stiffness)
+        ended = arrived | (smallest < -zero_stiffness) | (iteration >= ITERATIONS) | ~(longest <= FARTHEST * size)
         path = Path(*(x.at[steps].set(jnp.where(good, new, x[steps])) for x, new in ((path.factor, target), (path.smallest, smallest))))
         at = jax.tree.map(lambda new, old: jnp.where(good, new, old), _At(moved, target, K), at)
         length = jnp.where(ended, jnp.where(good, 2 * length, length / 4), length)
@@ -173,4 +175,4 @@ def _negative_ahead(nondimensional, coordinates: Coordinates, at: _At, scale, si
         values = jnp.linalg.eigvalsh((K + K.T) / 2)
         return jnp.min(values, initial=jnp.inf) / jnp.max(jnp.abs(values), initial=1e-300)
 
-    return jnp.any(jax.vmap(smallest)(moves) < -SINGULAR)
+    return jnp.any(jax.vmap(smallest)(moves) < -reachable(SINGULAR, at.q.dtype))

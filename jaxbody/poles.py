@@ -19,6 +19,7 @@ from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.mode_names import meaning, names_of_shapes
 from jaxbody.models import Layout, Model
 from jaxbody.options import jit_as_it_is
+from jaxbody.precisions import reachable
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import cross
 from jaxbody.spins import SpinLinearization
@@ -134,7 +135,7 @@ def _complex_modes(M, D, K, unit, before, spins: bool) -> tuple[Array, ...]:
     ratio = jnp.where(product > 0, -(one + other).real / (2 * w), jnp.nan)
     failed = jnp.isin(before, jnp.array([Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, Status.NOT_STEADY]))
     here = jnp.select(
-        [~finite, massless, jnp.any(jnp.maximum(one.real, other.real) > GROWS * top), jnp.sum(rigid) > spins],  # a change of the spin is a motion that nothing resists
+        [~finite, massless, jnp.any(jnp.maximum(one.real, other.real) > reachable(GROWS, top.dtype, 256) * top), jnp.sum(rigid) > spins],  # a change of the spin is a motion that nothing resists
         [Status.NONFINITE.value, Status.SINGULAR_M.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,
     )  # fmt: skip
     shapes = refused_if_shared(X[:n] * unit[:, None], pole_clusters(found))[:, pairs[:, 0]]

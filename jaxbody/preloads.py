@@ -23,6 +23,7 @@ from jaxbody.kinematics import Coordinates
 from jaxbody.models import Model, State
 from jaxbody.naming import Leaf, leaves_of, matching, write
 from jaxbody.options import jit_as_it_is
+from jaxbody.precisions import reachable
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import scale_of, size_of
 
@@ -107,7 +108,7 @@ def _preload(model: Model, state: State, leaves: tuple[Leaf, ...]) -> Preload:
 
     def step(l, _):
         A = jax.jacfwd(unbalanced)(l)
-        return l - jnp.linalg.pinv(A, rtol=RANK) @ unbalanced(l), None
+        return l - jnp.linalg.pinv(A, rtol=reachable(RANK, A.dtype)) @ unbalanced(l), None
 
     lengths, _ = jax.lax.scan(step, start, None, length=ITERATIONS)
     left = unbalanced(lengths)
@@ -115,7 +116,7 @@ def _preload(model: Model, state: State, leaves: tuple[Leaf, ...]) -> Preload:
     largest = jnp.maximum(jnp.maximum(weights, jnp.max(jnp.abs(unbalanced(start)), initial=0.0)), 1e-300)
     angles = np.array([leaf.field == "free_angle" for leaf in leaves])
     status = jnp.select(
-        [~(jnp.max(jnp.abs(left), initial=0.0) <= BALANCED * largest), jnp.any((lengths < 0) & ~angles)],
+        [~(jnp.max(jnp.abs(left), initial=0.0) <= reachable(BALANCED, left.dtype, 256) * largest), jnp.any((lengths < 0) & ~angles)],
         [Status.UNBALANCED.value, Status.NEGATIVE_LENGTH.value],
         Status.OK.value,
     )

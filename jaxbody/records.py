@@ -12,12 +12,12 @@ from jaxbody.arrays import concrete
 from jaxbody.dynamics import Dynamics, Instant
 from jaxbody.errors import Problems
 from jaxbody.frames import Frame
-from jaxbody.kinematics import Motions
+from jaxbody.kinematics import Motions, table_of
 from jaxbody.loads import Load
 from jaxbody.models import Model, State
 from jaxbody.options import jit_quickly
 from jaxbody.sensors import Sensor, check_sensors, noise_levels
-from jaxbody.simulations import Trajectory, table_of
+from jaxbody.simulations import Trajectory
 
 
 def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sensor], loads: tuple[Load, ...] = ()) -> dict[str, Array]:

@@ -19,10 +19,11 @@ from jaxbody.arguments import check_kind, named, positive, whole
 from jaxbody.arrays import concrete, device_array, float_array
 from jaxbody.checks import check_precision, check_state, unattached
 from jaxbody.collocations import Gauss
+from jaxbody.culprits import past_half_turn, without_number_ahead
 from jaxbody.dynamics import Dynamics, table_of_free
 from jaxbody.errors import Problems, Status, is_concrete, warn
-from jaxbody.frames import Frame, Pose
-from jaxbody.kinematics import Coordinates, Motions
+from jaxbody.frames import Pose
+from jaxbody.kinematics import Coordinates, Motions, table_of
 from jaxbody.lanes import in_lanes
 from jaxbody.laws import has_range
 from jaxbody.linearizations import linearize
@@ -33,6 +34,7 @@ from jaxbody.momenta import Canonical
 from jaxbody.motions import AtRest, Motion, as_motion, check_motion, check_times, kinks_of
 from jaxbody.naming import by_name
 from jaxbody.options import jit_quickly
+from jaxbody.precisions import in_float64, reachable
 from jaxbody.progress_lines import working
 from jaxbody.rests import Rest, as_initial, beginning
 from jaxbody.results import Result, warn_if_failed
@@ -40,6 +42,7 @@ from jaxbody.statics import size_of, without_inertia
 
 MAX_STEPS = 100_000
 STABLE = 2.8  # longest step times rate at which the classical Runge-Kutta method is stable; explicit ones of diffrax are near
+FINEST = {"float64": 0.0, "float32": 1.5e-5}  # local error, below which float32 takes ever shorter steps for nothing
 SAFETY = 0.1  # local error over rtol, as solvers interpolate between steps to a lower order than they step
 CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
 KINDS = {"solver": diffrax.AbstractSolver, "stepsize_controller": diffrax.AbstractStepSizeController, "adjoint": diffrax.AbstractAdjoint}
@@ -120,12 +123,20 @@ class Trajectory(Result):
         taken, rejected = (int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
         told = f"at t = {t:.6g} s of {float(self.times[-1]):.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
         if status in (Status.MAX_STEPS, Status.DT_MIN):
-            told += "; try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
+            turned = past_half_turn(self.model, self.motions, *self.end)
+            usual = in_float64(self.state.q.dtype) or "try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
+            told += "; " + (turned or usual)
         if status == Status.TABLE_RANGE:
             return self._beyond()
         if status == Status.NONFINITE:
-            told += "; first bad: " + _culprit(self.model, self.motions, self.loads, *self.end)
+            told += "; first bad: " + (without_number_ahead(self.model, self.motions, self.loads, *self.end) or self._accelerations())
         return told
+
+    def _accelerations(self) -> str:
+        """What is bad where all that acts is finite."""
+        layout, q = self.model.layout, self.end[1].q
+        massless = without_inertia(layout, linearize(self.model, State(q, np.zeros(layout.nv))).M)
+        return "the accelerations: " + "; ".join(massless) if massless else f"the state of '{layout.bodies[0]}'"
 
     def _beyond(self) -> str:
         """Which elements leave their tables, and when first."""
@@ -387,7 +398,8 @@ def _nan_unless_jvp(primals, tangents):
 def _tolerances(coordinates: Coordinates, span, rtol):
     """rtol and atol of the local error, and the least step: constants to both modes."""
     coordinates, span, local = jax.lax.stop_gradient((coordinates, span, SAFETY * rtol))
-    return local, local / 100 * _scales(coordinates, span), 1e-13 * span
+    local = jnp.maximum(local, FINEST[local.dtype.name])
+    return local, local / 100 * _scales(coordinates, span), reachable(1e-13, span.dtype, 1) * span
 
 
 def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
@@ -463,12 +475,6 @@ def _stiffness_sum(coordinates: Coordinates) -> Float[Array, ""]:
     return sum((jnp.sum(k) for k in found), jnp.zeros((), coordinates.model.gravity.dtype))
 
 
-def table_of(model: Model, motions: Motions, t, state: State) -> Frame:
-    """The table of frames at a time."""
-    coordinates = Coordinates(model)
-    return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t))
-
-
 def _frames(model, motions, t, state) -> Pose:
     return table_of(model, motions, t, state).pose()
 
@@ -525,26 +531,3 @@ def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times,
     for _ in range(batch_axes):
         over_batch = jax.vmap(over_batch, in_axes=(0, 0, 0, None))
     return over_batch(given, times, state, others)
-
-
-def _culprit(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State) -> str:
-    """Which motion, element, load or body gives a number that is not finite, at or just after t."""
-    times = t + jnp.maximum(jnp.abs(t), 1.0) * jnp.array([0.0, 1e-9, 1e-6])
-    for moment in times:
-        for name, motion in zip(model.layout.supports, motions, strict=True):
-            if not np.isfinite(np.asarray(motion(moment))).all():
-                return f"the motion of '{name}' at t = {float(moment):.6g} s"
-        forces = by_name(tuple(table.names for table in model.elements), tuple(each_element(model, table_of(model, motions, moment, state), lambda s, *F: s.force(*F))))  # fmt: skip
-        for name, force in forces.items():
-            if not np.isfinite(np.asarray(force)).all():
-                return f"the force of element '{name}' at t = {float(moment):.6g} s"
-        frames = table_of(model, motions, moment, state)
-        for load in loads:
-            if not np.isfinite(np.concatenate(load.wrench(moment, frames[model.layout.frame(load.on)]))).all():
-                return f"a load, {type(load).__name__}, on '{load.on}' at t = {float(moment):.6g} s"
-    for name in model.layout.bodies:
-        if not np.isfinite(np.asarray(state.q[model.layout.q_slices[name]])).all():
-            return f"the coordinates of body '{name}'"
-    if massless := without_inertia(model.layout, linearize(model, State(state.q, np.zeros(model.layout.nv))).M):
-        return "the accelerations: " + "; ".join(massless)
-    return "the state of '" + model.layout.bodies[0] + "'"

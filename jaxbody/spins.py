@@ -24,6 +24,7 @@ from jaxbody.errors import Status
 from jaxbody.models import Model, State
 from jaxbody.motions import AtRest
 from jaxbody.options import jit_as_it_is
+from jaxbody.precisions import reachable
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import scale_of, size_of
 
@@ -121,8 +122,9 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     later_D, later_K = jax.vmap(matrices)(jnp.array(ALONG, q.dtype))
     inertia = largest(M)
     stiff = jnp.maximum(largest(K), inertia * fastest**2)
-    changes = (largest(later_D - D) > STEADY * (largest(D) + inertia * fastest)) | (largest(later_K - K) > STEADY * stiff)
-    slows = jnp.max(jnp.abs(M @ v_dot * scale), initial=0.0) > STEADY * stiff * size
+    steady = reachable(STEADY, M.dtype, 1024)
+    changes = (largest(later_D - D) > steady * (largest(D) + inertia * fastest)) | (largest(later_K - K) > steady * stiff)
+    slows = jnp.max(jnp.abs(M @ v_dot * scale), initial=0.0) > steady * stiff * size
     status = jnp.where(slows | changes.any(), Status.NOT_STEADY.value, Status.OK.value)
     return SpinLinearization(M, C, D - C, K, K - K_rest, v_dot, status, state, model)
 

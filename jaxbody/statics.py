@@ -21,6 +21,7 @@ from jaxbody import tables
 from jaxbody.arguments import whole
 from jaxbody.arrays import device_array
 from jaxbody.checks import check_attached, check_precision, check_state
+from jaxbody.culprits import without_number_downhill
 from jaxbody.derivatives import placed, stiffness
 from jaxbody.descents import SINGULAR, descend, signs
 from jaxbody.eigenproblems import MASSLESS
@@ -34,6 +35,7 @@ from jaxbody.mechanics import beyond_laws, each_element, potential
 from jaxbody.models import Layout, Model, State
 from jaxbody.naming import by_name
 from jaxbody.options import jit_as_it_is
+from jaxbody.precisions import in_float64, reachable
 from jaxbody.results import Result, warn_if_failed
 
 RUNAWAY = 20  # sizes of the model from the start, beyond which a search is falling
@@ -85,9 +87,12 @@ class Equilibrium(Result):
         if status == Status.NOT_CONVERGED:
             worst = int(np.argmax(np.abs(np.asarray(self.residual)))) if np.isfinite(np.asarray(self.residual)).all() else 0
             unit = "N m" if self.layout.turns[worst] else "N"
+            if bad := without_number_downhill(self.model, self.state.q, self.residual, float(size_of(self.model))):
+                return f"energy, force or stiffness of element '{bad[0]}' is not finite after {int(self.steps)} steps or just further down: its law has no number there"
+            remedy = in_float64(self.state.q.dtype) or "start nearer, or give more max_steps"
             return (
                 f"after {int(self.steps)} steps the largest residual is {float(np.abs(self.residual[worst])):.3g} {unit} "
-                f"in '{self.layout.motions[worst][0]}' ({self.layout.motions[worst][1]}); start nearer, or give more max_steps"
+                f"in '{self.layout.motions[worst][0]}' ({self.layout.motions[worst][1]}); {remedy}"
             )
         return ""
 
@@ -234,7 +239,7 @@ def _along_path(model: Model, unloaded: Equilibrium, raised: Raised, many: bool)
         carried = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
         negative, singular = signs((K + K.T) / 2)
         ended = Ended(q, negative, singular, carried, unloaded.steps, factor, path, jnp.array(False))
-        return ended, fit & ((factor >= 1) | (ahead & (factor > 0)) | (path.smallest[0] > SOFTEST))
+        return ended, fit & ((factor >= 1) | (ahead & (factor > 0)) | (path.smallest[0] > reachable(SOFTEST, q0.dtype)))
 
     return _each(one, many)(still, jnp.zeros(len(raised.gravity)))
 
@@ -345,7 +350,7 @@ def zero_modes(model: Model, state: State) -> list[str]:
     layout = model.layout
     scale = np.asarray(scale_of(model, size_of(model)))
     K = np.asarray(_stiffness(model, state.q))
-    return in_words(layout, K * scale * scale[:, None], SINGULAR, "free to")
+    return in_words(layout, K * scale * scale[:, None], reachable(SINGULAR, K.dtype), "free to")
 
 
 def without_inertia(layout: Layout, M: Any) -> list[str]:

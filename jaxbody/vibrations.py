@@ -17,6 +17,7 @@ from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.mode_names import meaning, names_of_shapes
 from jaxbody.models import Layout, Model
 from jaxbody.options import jit_as_it_is
+from jaxbody.precisions import reachable
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.statics import without_inertia
 
@@ -104,7 +105,8 @@ def _modes(lin: Linearization) -> tuple[Array, ...]:
     values, shapes = natural(lin.K, lin.M)
     cluster = clusters(values)
     top = jnp.max(jnp.abs(values), initial=0.0)
-    positive, negative = values > ZERO * top, values < -ZERO * top
+    zero = reachable(ZERO, values.dtype) * top
+    positive, negative = values > zero, values < -zero
     w = jnp.sqrt(jnp.where(positive, values, 1.0))
     finite, lost = jnp.isfinite(lin.M).all() & jnp.isfinite(lin.K).all(), jnp.isnan(values)
     frequency = jnp.where(positive, w / (2 * jnp.pi), jnp.where(negative | lost, jnp.nan, 0.0))
