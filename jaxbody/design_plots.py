@@ -56,9 +56,10 @@ def plot_front(front: Front, *, ax: Any = None) -> Any:
 
 
 def plot_tornado(found: Sensitivities, quantity: str | None = None, *, ax: Any = None) -> Any:
-    """What each parameter, changed to either side, makes of a quantity (the first, if none is named), the strongest above. Error: UNKNOWN_NAME."""
+    """What each parameter, changed to either side, makes of a quantity (the first, if none is named), the strongest 15 from above. Error: UNKNOWN_NAME."""
     quantity = quantity or found.quantities[0]
-    row, order = found.row(quantity), found.order(quantity)[:MOST_BARS]
+    row, every = found.row(quantity), found.order(quantity)
+    order = every[:MOST_BARS]
     ax = axes_or_new(ax, 6.0, 0.8 + 0.3 * len(order))
     nominal = found.nominal[row]
     place = np.arange(len(order))
@@ -68,6 +69,8 @@ def plot_tornado(found: Sensitivities, quantity: str | None = None, *, ax: Any =
     ax.axvline(nominal, color=INK, lw=0.8)
     ax.set_yticks(place, [found.parameters[i] for i in order], fontsize=8)
     ax.invert_yaxis()
+    if len(every) > len(order):
+        ax.set_title(f"the strongest {len(order)} of {len(every)} parameters", fontsize=9)
     ax.set_xlabel(quantity)
     ax.legend(frameon=False, fontsize=8, loc="lower right")
     return ax

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from jaxbody.branches import LEAST_MAC, Branches
-from jaxbody.canvases import COLORS, axes_or_new
+from jaxbody.canvases import axes_or_new, legend, style
 from jaxbody.energies import ModeEnergies
 from jaxbody.errors import JaxbodyError, Problem, Status
 from jaxbody.tables import counted
@@ -70,13 +70,10 @@ def plot_branches(branches: Branches, *, parameter: str = "parameter", ax: Any =
     ax = axes_or_new(ax, 6.0, 4.0)
     values, lost = np.asarray(branches.values), np.asarray(branches.status) == Status.LOST_BRANCH
     for i, frequency in enumerate(np.asarray(branches.frequency).T):
-        color = COLORS[i % len(COLORS)]
         gone = np.flatnonzero(lost & (np.asarray(branches.mac)[:, i] < LEAST_MAC))
-        ax.plot(np.insert(values, gone, np.nan), np.insert(frequency, gone, np.nan), color=color, lw=1.6, label=f"mode {i + 1}")
+        ax.plot(np.insert(values, gone, np.nan), np.insert(frequency, gone, np.nan), lw=1.6, label=f"mode {i + 1}", **style(i))
         if gone.size:
-            ax.plot(values[gone], frequency[gone], "x", color=color, ms=6)
-    ax.grid(True, color="#e8e8e8", lw=0.6)
-    ax.spines[["top", "right"]].set_visible(False)
+            ax.plot(values[gone], frequency[gone], "x", color=style(i)["color"], ms=6)
     ax.set(xlabel=parameter, ylabel="frequency [Hz]")
-    ax.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.2)
+    legend(ax, branches.frequency.shape[-1])
     return ax

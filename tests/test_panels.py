@@ -1,5 +1,7 @@
 """Every curve has its name, no two look alike, and every axis has one unit, on a car of seven degrees of freedom."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -92,3 +94,19 @@ def test_rows_without_energy_are_left_out_and_counted(car):
     assert image.get_array().shape == (7, 7) and len(shares) == 30
     assert ax.get_title() == "kinetic energy [%]; 23 rows below 0.05 % left out"
     np.testing.assert_allclose(np.asarray(image.get_array()).sum(0), 100.0, atol=23 * 0.05)
+
+
+def test_a_tornado_counts_the_parameters_that_it_leaves_out():
+    count = 22
+    found = SimpleNamespace(
+        quantities=("y",), row=lambda _: 0, order=lambda _: np.arange(count), nominal=np.zeros(1), change=0.01,
+        low=-np.ones((1, count)), high=np.ones((1, count)), parameters=[f"p{i}" for i in range(count)],
+    )  # fmt: skip
+    ax = plots.plot_tornado(found, ax=Figure().subplots())
+    assert ax.get_title() == "the strongest 15 of 22 parameters" and len(ax.get_yticks()) == 15
+
+
+def test_branches_beyond_eight_look_different():
+    frequency = jnp.arange(1.0, 13.0) * jnp.ones((3, 1))
+    found = SimpleNamespace(values=jnp.arange(3.0), frequency=frequency, mac=jnp.ones((3, 12)), status=jnp.zeros(3))
+    assert_named_and_distinct(plots.plot_branches(found, ax=Figure().subplots()), 12)
