@@ -13,6 +13,7 @@ import jaxlib.version
 
 from jaxbody.errors import JaxbodyError, Problem, warn
 from jaxbody.jax_internals import without_manual_axes
+from jaxbody.recompilations import Compiled
 
 TESTED = tuple((0, minor) for minor in range(7, 13))  # of jaxlib: XLA ends the process on an option that it does not know
 HOLDER = "--xla_backend_extra_options="
@@ -78,14 +79,26 @@ def jit_as_it_is(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
     part = eqx.filter_jit(without_manual_axes(function))
+    compiled, traced = Compiled(function), [False]
+
+    @functools.wraps(function)
+    def noted(*args):
+        traced[0] = True
+        return function(*args)
 
     @functools.cache
     def whole():
-        return eqx.filter_jit(function, compiler_options=quick_options() | options)  # pyright: ignore  # goes on to jax.jit
+        return eqx.filter_jit(noted, compiler_options=quick_options() | options)  # pyright: ignore  # goes on to jax.jit
 
     @functools.wraps(function)
     def call(*args):
-        return whole()(*args) if _outermost() else part(*args)
+        if not _outermost():
+            return part(*args)
+        result = whole()(*args)
+        if traced[0]:
+            traced[0] = False
+            compiled.note(args)
+        return result
 
     return call
 

@@ -1,0 +1,76 @@
+"""A function that is compiled for every call says so once, and what of its arguments changes."""
+
+import warnings
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody.motions import as_motion
+from jaxbody.options import jit_as_it_is
+
+
+def summed(x, steps, functions):
+    return sum((f(x).sum() for f in functions), steps * x.sum())
+
+
+def doubled():
+    def f(x):
+        return 2 * x
+
+    return f
+
+
+once = doubled()
+CALLS = {
+    "shape": (lambda i: (jnp.ones(i + 1), 3, (once,)), r"for the shape of x: \(1,\) float64, \(2,\) float64, .*arrays of one shape"),
+    "type": (lambda i: (np.ones(2, f"{'iuf'[i % 3]}{(8, 4, 2)[i // 3]}"), 3, (once,)), r"for the type of x: .* numbers of one type"),
+    "value": (lambda i: (jnp.ones(2), i, (once,)), r"for the value of steps: 0, 1, 2, 3, \.\.\.; one value"),
+    "function": (lambda i: (jnp.ones(2), 3, (doubled(),)), r"for a Python function made anew in functions\[0\]; make it once"),
+}
+
+
+def warned(function, calls):
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        for args in calls:
+            function(*args)
+    return [str(w.message) for w in seen]
+
+
+@pytest.mark.parametrize("reason", CALLS)
+def test_what_makes_a_function_compile_again_and_again_is_named_once(reason):
+    make, words = CALLS[reason]
+    (message,) = warned(jit_as_it_is(summed), [make(i) for i in range(8)])
+    assert message.startswith("test_recompilations.summed was compiled 6 times in a row") and message.endswith("[RECOMPILED]")
+    with pytest.raises(AssertionError, match=words):
+        raise AssertionError(message)
+
+
+def test_programs_of_their_own_are_no_storm():
+    """New numbers compile nothing; other functions, and two things at once, are other programs; five in a row are not many."""
+    others = [np.sum, np.max, np.min, np.mean, np.prod, np.ptp, np.std]
+    assert warned(jit_as_it_is(summed), [(jnp.full(2, float(i)), 3, (once,)) for i in range(8)]) == []
+    assert warned(jit_as_it_is(summed), [(jnp.ones(i + 1), i, (once,)) for i in range(8)]) == []
+    assert warned(jit_as_it_is(summed), [(jnp.ones(i + 1), 3, (once,)) for i in range(5)]) == []
+    assert warned(jit_as_it_is(lambda x, f: jnp.asarray(f is None) + x), [(jnp.ones(2), f) for f in others]) == []
+
+
+@pytest.mark.long
+def test_an_equilibrium_with_another_number_of_steps_each_time_is_a_storm():
+    model = jb.presets.quarter_car(damping=1500.0)
+    with pytest.warns(jb.JaxbodyWarning, match=r"equilibrium_of was compiled 6 times in a row for the value of max_steps: 51, 52"):
+        for steps in range(51, 58):
+            jb.equilibrium(model, max_steps=steps)
+
+
+def test_a_motion_that_is_made_anew_in_a_loop_is_named():
+    def place(motions, t):
+        return motions[0](t)
+
+    def calls():
+        return [((as_motion(lambda t: t * jnp.ones(6)),), jnp.array(0.5)) for _ in range(7)]
+
+    (message,) = warned(jit_as_it_is(place), calls())
+    assert "for a Python function made anew in the structure of motions; make it once" in message
