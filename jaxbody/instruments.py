@@ -171,56 +171,16 @@ class LoadCell(Sensor):
         return _component_problem(self.component, None if size == 1 else size, f"'{self.on}'", where)
 
 
-class ForcePlate(Sensor):
-    """Force [N] and moment [N m] about its origin that everything on a support exerts on it, in the support's axes: six numbers.
-
-    What the base feels of bodies, springs and loads, as a force plate or a shaker's table does; `world` is one too. Noise is one number for
-    both, or two. The chain: see Sensor. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
-
-    >>> ForcePlate("base").shape
-    (6,)
-    """
-
-    on: str = eqx.field(static=True, converter=plain)
-    shape = (6,)
-    unit = "N, N m"
-    parts = ("force", "moment")
-    accelerations = reactions = True
-
-    def reading(self, model, frames):
-        row = model.layout.frame(self.on)
-        return jnp.concatenate([rotate_back(frames.R[row], jnp.asarray(x)[row]) for x in (frames.F, frames.M)])
-
-    def problem(self, model, where):
-        known = model.layout.frames[: model.layout.first_body]
-        return None if self.on in known else unknown(self.on, where, known)
-
-
-class Reaction(Sensor):
-    """Force [N] and moment [N m] that a joint exerts on the body that it carries, in the axes of its parent: six numbers, or `component` 0 to 5 of them.
-
-        F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;  M likewise, about the joint
-
-    `on`: the body, whose name its joint has. The moment is about the point `at` of a hinge or ball, for other joints about the body's reference point O; with
-    `point` (body axes) about that. Along what a joint leaves free it is zero. What a support or `world` carries in all, elements included: ForcePlate. As an output of
-    responses it needs a component. Noise is one number for both, or two. The chain: see Sensor.
-
-    Errors: UNKNOWN_NAME, NO_JOINT of a free body, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
-
-    >>> model = Model(bodies={"box": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"box": Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81])
-    >>> measure(simulate(model, [0.0, 0.1]), {"up": Reaction("box", component=2)})["up"].tolist()
-    [19.62, 19.62]
-    """
+class Wrench(Sensor):
+    """The base of sensors that read a force [N] and a moment [N m]: six numbers, or `component` 0 to 5 of them."""
 
     on: str = eqx.field(static=True)
-    point: Float[Array, "3"] | None
     component: int | None = eqx.field(static=True)
     accelerations = reactions = True
 
-    def __init__(self, on: str, point=None, *, component: int | None = None, **chain: Unpack[Chain]):
+    def __init__(self, on: str, *, component: int | None = None, **chain: Unpack[Chain]):
         problems = Problems()
         self.on, self.component = on, component
-        self.point = None if point is None else vector(point, "Reaction.point", problems)
         self.chained(problems, **chain)
         problems.raise_if_any()
 
@@ -236,14 +196,65 @@ class Reaction(Sensor):
     def parts(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return ("force", "moment") if self.component is None else ()
 
+    def picked(self, R: Float[Array, "3 3"], F: Float[Array, "3"], M: Float[Array, "3"]) -> Float[Array, "*r"]:
+        """World vectors in the axes R, all six numbers or the one that is read."""
+        both = jnp.concatenate([rotate_back(R, F), rotate_back(R, M)])
+        return both if self.component is None else both[self.component]
+
+    def problem(self, model, where):
+        return None if self.component is None else _component_problem(self.component, 6, f"'{self.on}'", where)
+
+
+class ForcePlate(Wrench):
+    """Force [N] and moment [N m] about its origin that everything on a support exerts on it, in the support's axes: six numbers, or `component` 0 to 5 of them.
+
+    What the base feels of bodies, springs and loads, as a force plate or a shaker's table does; `world` is one too. As an output of responses it needs a component.
+    Noise is one number for both, or two. The chain: see Sensor. Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> ForcePlate("base").shape, ForcePlate("base", component=2).unit
+    ((6,), 'N')
+    """
+
+    def reading(self, model, frames):
+        row = model.layout.frame(self.on)
+        return self.picked(frames.R[row], *(jnp.asarray(x)[row] for x in (frames.F, frames.M)))
+
+    def problem(self, model, where):
+        known = model.layout.frames[: model.layout.first_body]
+        return super().problem(model, where) if self.on in known else unknown(self.on, where, known)
+
+
+class Reaction(Wrench):
+    """Force [N] and moment [N m] that a joint exerts on the body that it carries, in the axes of its parent: six numbers, or `component` 0 to 5 of them.
+
+        F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;  M likewise, about the joint
+
+    `on`: the body, whose name its joint has. The moment is about the point `at` of a hinge or ball, for other joints about the body's reference point O; with
+    `point` (body axes) about that. Along what a joint leaves free it is zero. What a support or `world` carries in all, elements included: ForcePlate. As an output of
+    responses it needs a component. Noise is one number for both, or two. The chain: see Sensor.
+
+    Errors: UNKNOWN_NAME, NO_JOINT of a free body, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> model = Model(bodies={"box": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"box": Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81])
+    >>> measure(simulate(model, [0.0, 0.1]), {"up": Reaction("box", component=2)})["up"].tolist()
+    [19.62, 19.62]
+    """
+
+    point: Float[Array, "3"] | None
+
+    def __init__(self, on: str, point=None, *, component: int | None = None, **chain: Unpack[Chain]):
+        problems = Problems()
+        self.point = None if point is None else vector(point, "Reaction.point", problems)
+        problems.gather(lambda: Wrench.__init__(self, on, component=component, **chain))
+        problems.raise_if_any()
+
     def reading(self, model, frames):
         row, joint = model.layout.frame(self.on), model.joint(self.on)
         parent, at, point = model.layout.frame(joint.parent), getattr(joint, "at", None), self.point
         body = frames[row]
         place = body.point(point) if point is not None else body.p if at is None else frames[parent].point(at)
         F, M = (-jnp.asarray(x)[row] for x in (frames.F, frames.M))
-        wrench = jnp.concatenate([rotate_back(frames.R[parent], x) for x in (F, M + cross(body.p - place, F))])
-        return wrench if self.component is None else wrench[self.component]
+        return self.picked(frames.R[parent], F, M + cross(body.p - place, F))
 
     def problem(self, model, where):
         layout = model.layout
@@ -251,9 +262,7 @@ class Reaction(Sensor):
             return unknown(self.on, where, layout.bodies)
         if layout.kinds[layout.bodies.index(self.on)] is Free:
             return Problem("NO_JOINT", where, f"is of '{self.on}', which is free", self.on, "a body on a joint", "LoadCell reads elements.")
-        if self.component is None:
-            return None
-        return _component_problem(self.component, 6, f"the joint of '{self.on}'", where)
+        return super().problem(model, where)
 
 
 class JointAngle(Sensor):

@@ -282,6 +282,21 @@ def test_responses_of_reactions_are_those_of_supports_and_of_accelerations(chain
         np.testing.assert_allclose(of_world, expected, **close)
 
 
+def test_all_that_the_world_carries_is_an_output_of_responses(chain):
+    """Of a chain that hangs on the world it is the reaction of its one hinge, from the other side: the push goes through to the world at 0+ Hz, the weight does not change."""
+    joints = {"upper": jb.Hinge("world", axis=[0, 1, 0], at=[0, 0, 0]), "lower": chain.joint("lower")}
+    links = {name: chain[name] for name in joints}
+    model = jb.Model(bodies=links, joints=joints, elements={"spring": chain["spring"]}, gravity=[0, 0, -G])
+    lin = jb.linearize(model, jb.equilibrium(model))
+    outputs = {
+        f"{kind.__name__} {k}": kind(on, component=k) for kind, on in ((jb.ForcePlate, "world"), (jb.Reaction, "upper")) for k in range(6)
+    }
+    H = jb.frequency_response(lin, [1e-5, 2.0], {"push": jb.PointForce("lower", [0, 0, -0.3], "x")}, outputs)
+    for k in range(6):
+        np.testing.assert_allclose(H[f"ForcePlate {k}", "push"], -H[f"Reaction {k}", "push"], rtol=0, atol=1e-10 * np.abs(H.values).max())
+    np.testing.assert_allclose(H.values[:3, 0, 0], [1, 0, 0], rtol=0, atol=1e-6)
+
+
 def test_an_accelerometer_is_an_output_of_responses(chain):
     """To first order it reads the acceleration of its point along its axis, and g where it turns: -g phi across, in the plane of the motion."""
     lin = jb.linearize(chain, jb.equilibrium(chain))
