@@ -34,14 +34,16 @@ damper = laws.TwoSided(bump=laws.Digressive(slow=1500.0, fast=400.0, knee=0.2), 
 
 model = jb.Model(
     bodies={
-        "car": jb.Body(mass=mass, inertia=[450.0, 1500.0, 1700.0], position=[0, 0, height]),
+        "car": jb.Body(mass=mass, inertia=[450.0, 1500.0, 1700.0], com=[0, 0, height]),  # pitch and roll about a point on the road
         **{name: jb.Body(mass=unsprung, inertia=[1, 1, 1], position=[x, y, radius - pressed[name]]) for name, (x, y) in wheels.items()},
     },
     supports={f"road {name}": jb.Support(position=[x, y, 0]) for name, (x, y) in wheels.items()},
     joints={"car": jb.HeavePitchRoll("world"), **{name: jb.Guide("world", axis=up) for name in wheels}},
     elements={
         **{
-            f"strut {name}": jb.SpringDamper(("car", [x, y, 0]), (name, [0, 0, 0]), spring=spring(name), damper=damper, free_length=0.3)
+            f"strut {name}": jb.SpringDamper(
+                ("car", [x, y, height]), (name, [0, 0, pressed[name] - radius]), spring=spring(name), damper=damper, free_length=height
+            )
             for name, (x, y) in wheels.items()
         },
         **{f"tyre {name}": jb.Tyre(name, f"road {name}", stiffness=tyre, damping=60.0, radius=radius) for name in wheels},
@@ -53,6 +55,11 @@ model = jb.Model(
 model = jb.preload(model, free="strut *.free_length").model  # the car stands level on its struts
 eq = jb.equilibrium(model)
 print(eq)
+
+cases = {"braking": jb.LoadCase(acceleration=[-0.6, 0, 0]), "cornering": jb.LoadCase(acceleration=[0, 0.6, 0])}
+pushed = jb.load_cases(model, cases, at=eq)
+for i, case in enumerate(cases):
+    print(f"{case} with 0.6 g, tyres [kN]:", *(f"{name} {-float(pushed.forces[f'tyre {name}'][i]) / 1e3:.2f}" for name in wheels))
 
 speed, kerb = 10.0, 0.08
 profile = dict(height=kerb, at=3.0, ramp=0.03, speed=speed, footprint=0.15)

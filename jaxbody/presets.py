@@ -61,17 +61,19 @@ def quarter_car(*, sprung=375.0, unsprung=75.0, stiffness=35000.0, damping=0.0, 
     )
 
 
-def _upright(upper: str, lower: str, stiffness, damping, free_length, at=(0, 0, 0)) -> Spring:
-    return Spring((upper, at), (lower, [0, 0, 0]), stiffness=stiffness, damping=damping, free_length=free_length)
+def _upright(upper: str, lower: str, stiffness, damping, free_length, at=(0, 0, 0), below=0.0) -> Spring:
+    return Spring((upper, at), (lower, [0, 0, -below]), stiffness=stiffness, damping=damping, free_length=free_length)
 
 
 def half_car(
-    *, mass=1000.0, gyration=0.9, front=1.0, rear=1.5, front_stiffness=18000.0, rear_stiffness=22000.0, front_damping=0.0, rear_damping=0.0, gravity=G
+    *, mass=1000.0, gyration=0.9, front=1.0, rear=1.5, front_stiffness=18000.0, rear_stiffness=22000.0, front_damping=0.0, rear_damping=0.0,
+    height=None, gravity=G,
 ) -> Model:  # fmt: skip
     """Half a car, or a car seen from the side: `body`, free to heave and pitch, on a spring at each axle from the supports `front` and `rear`.
 
-    `front`, `rear`: distances of the axles from the centre of mass [m], `gyration`: radius of gyration in pitch [m].
-    Source: S. S. Rao, Mechanical Vibrations, example 5.7: 5.8593 and 9.4341 rad/s.
+    `front`, `rear`: distances of the axles from the centre of mass [m], `gyration`: radius of gyration in pitch [m]. `height` of the centre of mass above the
+    road [m], on which the axis of pitch then lies, so that braking loads the front axle by m a height/(front + rear); without it the axis goes through the
+    centre of mass, as in the source, and braking does nothing. Source: S. S. Rao, Mechanical Vibrations, example 5.7: 5.8593 and 9.4341 rad/s.
 
     >>> half_car().layout.coordinates
     ('body move along z', 'body turn about y')
@@ -79,42 +81,55 @@ def half_car(
     length = 0.5
     shares = {"front": rear / (front + rear), "rear": front / (front + rear)}
     at = {"front": front, "rear": -rear}
+    place, com, top = _pivot(length, height)
     springs = {"front": (front_stiffness, front_damping), "rear": (rear_stiffness, rear_damping)}
     return Model(
-        bodies={"body": Body(mass=mass, inertia=mass * gyration**2 * np.array([0.5, 1, 1]), position=[0, 0, length])},
+        bodies={"body": Body(mass=mass, inertia=mass * gyration**2 * np.array([0.5, 1, 1]), com=com, position=place)},
         supports={name: Support(position=[x, 0, 0]) for name, x in at.items()},
         joints={"body": HeavePitch("world")},
         elements={
-            f"{name} spring": _upright("body", name, k, c, length + shares[name] * mass * gravity / k, (at[name], 0, 0))
+            f"{name} spring": _upright("body", name, k, c, length + shares[name] * mass * gravity / k, (at[name], 0, top))
             for name, (k, c) in springs.items()
         },
         gravity=[0, 0, -gravity],
     )
 
 
+def _pivot(attached: float, height: float | None):
+    """Of a car whose springs are attached that far above the road: its O, its centre of mass and the springs' ends above O. Springs below end on the road
+    where O does, so that their forces have no moment about O but that of their verticals."""
+    return ([0, 0, attached], [0, 0, 0], 0.0) if height is None else ([0, 0, 0], [0, 0, height], attached)
+
+
 def full_car(
     *, mass=1100.0, inertia=(450.0, 1500.0, 1700.0), front=1.2, rear=1.4, track=1.5, unsprung=(40.0, 35.0), stiffness=(22000.0, 24000.0),
-    damping=(1500.0, 1600.0), tyre=(190000.0, 190000.0), anti_roll=(12000.0, 6000.0), gravity=G,
+    damping=(1500.0, 1600.0), tyre=(190000.0, 190000.0), anti_roll=(12000.0, 6000.0), height=None, gravity=G,
 ) -> Model:  # fmt: skip
     """A car of seven degrees of freedom: `car`, free to heave, pitch and roll, on four wheels that move vertically on four supports `road fl` ...
 
     Of each pair the first is for a front, the second for a rear wheel: `unsprung` mass [kg], `stiffness` [N/m] and `damping` [N s/m] of the suspension,
-    `tyre` stiffness [N/m]; `anti_roll` [N/m at the wheels] for an axle. `front`, `rear`, `track` [m]. Source: the seven degree model of R. N. Jazar, Vehicle Dynamics,
+    `tyre` stiffness [N/m]; `anti_roll` [N/m at the wheels] for an axle. `front`, `rear`, `track` [m]. `height` of the car's centre of mass above the road
+    [m], on which the axes of pitch and roll then lie, so that braking and cornering load wheels by m a height/2(front + rear) and so on; without it these axes
+    go through the centre of mass, as in the source, and neither does anything. Source: the seven degree model of R. N. Jazar, Vehicle Dynamics,
     chapter 14; the numbers are of a compact car, without a source.
 
     >>> full_car().layout.nv
     7
     """
-    height, radius = 0.55, 0.3
+    attached, radius = 0.55, 0.3
+    place, com, top = _pivot(attached, height)
+    below = 0.0 if height is None else radius
     wheels = {"fl": (front, track / 2, 0), "fr": (front, -track / 2, 0), "rl": (-rear, track / 2, 1), "rr": (-rear, -track / 2, 1)}
     share = (rear / (front + rear) / 2, front / (front + rear) / 2)
-    bodies = {"car": Body(mass=mass, inertia=inertia, position=[0, 0, height])}
+    bodies = {"car": Body(mass=mass, inertia=inertia, com=com, position=place)}
     bodies |= {name: Body(mass=unsprung[axle], inertia=POINT, position=[x, y, radius]) for name, (x, y, axle) in wheels.items()}
     elements = {}
     for name, (x, y, axle) in wheels.items():
         sprung = share[axle] * mass * gravity
         sunk, pressed = sprung / stiffness[axle], (sprung + unsprung[axle] * gravity) / tyre[axle]
-        elements[f"spring {name}"] = _upright("car", name, stiffness[axle], damping[axle], height - radius + sunk, (x, y, 0))
+        elements[f"spring {name}"] = _upright(
+            "car", name, stiffness[axle], damping[axle], attached - radius + below + sunk, (x, y, top), below
+        )
         elements[f"tyre {name}"] = _upright(name, f"road {name}", tyre[axle], 0.0, radius + pressed)
     for axle, side in enumerate(("f", "r")):
         elements[f"bar {'front' if side == 'f' else 'rear'}"] = AntiRollBar(f"{side}l", f"{side}r", "car", spring=anti_roll[axle])

@@ -131,3 +131,47 @@ def test_the_double_pendulum_and_the_gliders():
 def test_every_ready_model_names_its_source(name):
     assert "Source:" in getattr(presets, name).__doc__
     assert bool(jnp.isfinite(getattr(presets, name)().reference.q).all())
+
+
+# Braking and cornering
+
+
+def pushed(car, acceleration):
+    """Vertical forces of the road on the wheels, more than at rest, and the car's coordinates."""
+    cases = jb.load_cases(car, {"case": jb.LoadCase(acceleration=acceleration)})
+    names = [name for name in car.element_names if name.startswith("tyre") or car.layout.nv == 2]
+    rest = {name: -float(car[name].stiffness) * float(cases.unloaded.elongations[name]) for name in names}
+    return cases, {name: -float(cases.forces[name][0]) - rest[name] for name in names}, np.asarray(cases.state.q[0])
+
+
+def test_braking_and_cornering_load_the_wheels_by_the_height_of_the_centre_of_mass():
+    """m (a cos + g sin) h about the point on the road: m a h/(2 L) a wheel, and what the centre of mass that goes forward adds."""
+    car, m, h, a = presets.full_car(height=0.55), 1100.0, 0.55, 9.80665
+    eq = jb.equilibrium(car)
+    assert eq.ok and abs(eq.state.q).max() <= 1e-12
+    cases, more, q = pushed(car, [-1, 0, 0])
+    assert not cases.by_joints.any() and abs(sum(more.values())) <= 1e-6
+    front = more["tyre fl"] + more["tyre fr"]
+    # the struts' lower ends are off the road by what the tyres give, 4 mm
+    np.testing.assert_allclose(front * 2.6, m * h * (a * np.cos(q[1]) + 9.81 * np.sin(q[1])), rtol=1e-3)
+    np.testing.assert_allclose(front / 2, m * a * h / (2 * 2.6), rtol=0.06)  # of which 0.04 is the weight's
+    _, more, q = pushed(car, [0, 0.5, 0])
+    right = more["tyre fr"] + more["tyre rr"]
+    np.testing.assert_allclose(right * 1.5, m * h * (a / 2 * np.cos(q[2]) + 9.81 * np.sin(q[2])), rtol=3e-3)
+    assert more["tyre fr"] > more["tyre rr"] > 0  # the stiffer bar takes more
+
+
+def test_a_half_car_dives_when_it_brakes():
+    car = presets.half_car(height=0.5)
+    _, more, q = pushed(car, [-0.5, 0, 0])
+    moment = 1000 * 0.5 * (9.80665 / 2 * np.cos(q[1]) + 9.81 * np.sin(q[1]))
+    np.testing.assert_allclose(more["front spring"], moment / 2.5, rtol=0.01)  # their ends are displaced to the side of them
+    assert q[1] > 0
+
+
+def test_a_load_case_that_joints_carry_alone_says_so():
+    """Its table was zeros without a word."""
+    cases, more, _ = pushed(presets.full_car(), [-1, 0, 0])
+    assert cases.ok.all() and cases.by_joints.all() and max(abs(x) for x in more.values()) <= 1e-8
+    assert "'case' carried by the joints alone" in cases.report() and "carried by the joints alone" in str(cases)
+    assert not pushed(presets.full_car(), [0, 0, 1])[0].by_joints.any()
