@@ -137,6 +137,7 @@ class Status(enum.IntEnum):
     INTERRUPTED = 24
     INFEASIBLE = 25
     SINGULAR_M = 26
+    STALE = 27
 
 
 MESSAGES = {
@@ -166,6 +167,7 @@ MESSAGES = {
     Status.INTERRUPTED: "it was interrupted",
     Status.INFEASIBLE: "not all limits can be met",
     Status.SINGULAR_M: "the mass matrix is singular: something moves without inertia",
+    Status.STALE: "the equilibrium is none of this model: forces are left over there",
 }
 
 

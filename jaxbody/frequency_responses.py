@@ -31,11 +31,12 @@ from jaxbody.options import jit_quickly
 from jaxbody.ports import Wiring, check_ports, whole_matrices, wired
 from jaxbody.precisions import reachable
 from jaxbody.results import Result, warn_if_failed
+from jaxbody.statics import NOT_AT_REST
 
 LARGEST_UNROLLED = 16  # coordinates; beyond, LAPACK's elimination at each frequency costs less than it costs to compile this one
 GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, that is growth and not rounding
 INVERTED = 1e-7  # error of the modes' inverse, relative, above which their sum lacks digits
-FAILED = (Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, *NO_MODES)
+FAILED = (*NOT_AT_REST, *NO_MODES)
 METHODS = ("direct", "modal")
 
 

@@ -19,20 +19,20 @@ from jaxbody import tables
 from jaxbody.arguments import named
 from jaxbody.arrays import shaped, stack
 from jaxbody.checks import check_precision, check_state
-from jaxbody.derivatives import damping, mass, placed, stiffness
-from jaxbody.errors import JaxbodyError, Problem, Problems, Status
+from jaxbody.derivatives import damping, expansion, mass, placed
+from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates
 from jaxbody.lanes import in_lanes
-from jaxbody.load_paths import stiffness_of_loads
+from jaxbody.load_paths import generalized, stiffness_of_loads
 from jaxbody.loads import Load
 from jaxbody.mechanics import each_element, gravity_energy, potential
 from jaxbody.models import Model, State, unknown
 from jaxbody.naming import by_name
 from jaxbody.options import jit_as_it_is
-from jaxbody.results import Result
+from jaxbody.results import Result, warn_if_failed
 from jaxbody.state_spaces import StateSpace, state_space
-from jaxbody.statics import Equilibrium, zero_modes
+from jaxbody.statics import NOT_AT_REST, Equilibrium, scale_of, size_of, zero_modes
 
 
 class Linearization(Result):
@@ -96,6 +96,8 @@ class Linearization(Result):
     def explain(self) -> str:
         if int(self.status) == Status.SINGULAR_K:
             return "; ".join(zero_modes(self.model, self.state))
+        if int(self.status) == Status.STALE:
+            return "work out the equilibrium again, of the model as it is now"
         return "the state is not a good equilibrium" if int(self.status) else ""
 
     def to_xarray(self) -> Any:
@@ -143,7 +145,8 @@ def check_linearization(lin: Any, where: str) -> None:
 def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     """M, C, K and the blocks towards the supports, at an equilibrium or any state, supports at their reference poses.
 
-    Loads of the equilibrium act on: K = d2V/dDelta2 - dQ/dDelta. Errors: BAD_SHAPE, NON_FINITE of a state. A failed equilibrium's status is carried on.
+    Loads of the equilibrium act on: K = d2V/dDelta2 - dQ/dDelta. Errors: BAD_SHAPE, NON_FINITE of a state, OTHER_MODEL. A failed equilibrium's status is
+    carried on; STALE, with a warning, where it is none of this model, as its numbers have changed.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
@@ -153,9 +156,16 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     """
     check_precision("linearize", model)
     if isinstance(at, Equilibrium):
-        return _linearize(model, at.state, at.status, at.loads)
+        if at.layout != model.layout:
+            hint = "Give the equilibrium of this model, or a state."
+            told = "is of a model with other bodies, supports or joints"
+            raise JaxbodyError(Problem("OTHER_MODEL", "linearize.at", told, at.layout, "an equilibrium of this model", hint))
+        result = _linearize(model, at.state, at.status, at.loads)
+        if is_concrete(result.status) and np.any(np.asarray(result.status) == Status.STALE):
+            warn_if_failed(result)
+        return result
     check_state(model, at, "state")
-    return _linearize(model, at, jnp.array(Status.OK.value), ())
+    return _linearize(model, at, None, ())
 
 
 def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nv"]:
@@ -189,18 +199,28 @@ def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
 
 
 @jit_as_it_is
-def _linearize(model: Model, state: State, status: Int[Array, ""], loads: tuple[Load, ...]) -> Linearization:
+def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
+    """`status`: of the equilibrium that the state is from; None of any state."""
     n = model.layout.nv
     numbers, rest = eqx.partition(model, eqx.is_array)
 
     def matrices(numbers, q, v):
         at = placed(Coordinates(eqx.combine(numbers, rest)), q, v)
-        return [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in (mass(at), damping(at), stiffness(at))]
+        _, slope, stiffness = expansion(at)
+        return [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in (mass(at), damping(at), stiffness)], slope[:n]
 
-    (M, M_tilde, M_bb), (C, C_tilde, C_bb), (K, K_tilde, K_bb) = in_lanes(matrices, reversible=True)(numbers, state.q, state.v)
-    return Linearization(
-        M, C, K - _load_stiffness(model, state, loads), M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, status, state, model, loads
-    )
+    ((M, M_tilde, M_bb), (C, C_tilde, C_bb), (K, K_tilde, K_bb)), slope = in_lanes(matrices, reversible=True)(numbers, state.q, state.v)
+    K = K - _load_stiffness(model, state, loads)
+    if status is None:
+        status = jnp.array(Status.OK.value)
+    else:
+        size = size_of(model)
+        scale = scale_of(model, size)
+        left = slope - generalized(model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros_like(slope))
+        largest = jnp.max(jnp.abs(K * scale * scale[:, None]), initial=0.0) * size
+        stale = jnp.max(jnp.abs(left * scale), initial=0.0) > jnp.finfo(left.dtype).eps ** 0.5 * largest
+        status = jnp.where(stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status)
+    return Linearization(M, C, K, M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, status, state, model, loads)
 
 
 @jit_as_it_is

@@ -23,7 +23,7 @@ from jaxbody.precisions import reachable
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.rotations import cross
 from jaxbody.spins import SpinLinearization
-from jaxbody.statics import scale_of, size_of, without_inertia
+from jaxbody.statics import NOT_AT_REST, scale_of, size_of, without_inertia
 
 REST = 1e-7  # of the largest pole: the root of rounding, by which a double pole at zero is found off it
 GROWS = 1e-9  # of the largest pole: real parts above are not rounding
@@ -133,7 +133,7 @@ def _complex_modes(M, D, K, unit, before, spins: bool) -> tuple[Array, ...]:
     w = jnp.sqrt(jnp.where(product > 0, product, 1.0))
     natural = jnp.where(product > 0, w, jnp.where(rigid, 0.0, jnp.nan)) / (2 * jnp.pi)
     ratio = jnp.where(product > 0, -(one + other).real / (2 * w), jnp.nan)
-    failed = jnp.isin(before, jnp.array([Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, Status.NOT_STEADY]))
+    failed = jnp.isin(before, jnp.array([*NOT_AT_REST, Status.NOT_STEADY]))
     here = jnp.select(
         [~finite, massless, jnp.any(jnp.maximum(one.real, other.real) > reachable(GROWS, top.dtype, 256) * top), jnp.sum(rigid) > spins],  # a change of the spin is a motion that nothing resists
         [Status.NONFINITE.value, Status.SINGULAR_M.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,

@@ -13,6 +13,7 @@ from jaxbody.errors import Status
 from jaxbody.options import jit_as_it_is
 from jaxbody.ports import Wiring, check_ports, wired
 from jaxbody.results import Result, warn_if_failed
+from jaxbody.statics import NOT_AT_REST
 
 
 class StateSpace(Result):
@@ -83,7 +84,7 @@ def _state_space(lin: Any, wiring: Wiring):
     size = jnp.max(jnp.abs(wiring.Y), axis=(0, 2))[:, None] * 1e-12
     improper = (jnp.abs(first) > size) | (jnp.abs(second) > size)
     status = jnp.where(improper.any(), Status.IMPROPER.value, Status.OK.value)
-    failed = jnp.isin(lin.status, jnp.array([Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, Status.NONFINITE]))
+    failed = jnp.isin(lin.status, jnp.array([*NOT_AT_REST, Status.NONFINITE]))
     return slopes[:, :n], slopes[:, n : n + m], C, jnp.where(improper, jnp.nan, D), jnp.where(failed, lin.status, status)
 
 

@@ -39,6 +39,12 @@ from jaxbody.precisions import in_float64, reachable
 from jaxbody.results import Result, warn_if_failed
 
 RUNAWAY = 20  # sizes of the model from the start, beyond which a search is falling
+NOT_AT_REST = (
+    Status.NOT_CONVERGED,
+    Status.NO_EQUILIBRIUM,
+    Status.LIMIT_POINT,
+    Status.STALE,
+)  # small motions about such a state mean nothing
 SOFTEST = 1e-7  # smallest eigenvalue of K over the largest, from which a path may begin; where springs resist by their cube alone, a search ends at 1e-9
 DESCENDED = "by descent of the potential of the loads, whose path cannot begin: K is singular without them"
 

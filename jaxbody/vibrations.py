@@ -19,7 +19,7 @@ from jaxbody.models import Layout, Model
 from jaxbody.options import jit_as_it_is
 from jaxbody.precisions import reachable
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.statics import without_inertia
+from jaxbody.statics import NOT_AT_REST, without_inertia
 
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
 
@@ -118,6 +118,6 @@ def _modes(lin: Linearization) -> tuple[Array, ...]:
     skew = in_lanes(lambda K: jnp.max(jnp.abs(K - K.T), initial=0.0) > SYMMETRIC * jnp.max(jnp.abs(K), initial=0.0))(lin.K)
     frequency = jnp.where(skew, jnp.nan, frequency)
     here = jnp.where(skew, Status.NOT_SYMMETRIC.value, here)
-    failed = jnp.isin(lin.status, jnp.array([Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT]))
+    failed = jnp.isin(lin.status, jnp.array(NOT_AT_REST))
     status = jnp.where(failed, lin.status, here)
     return frequency, refused_in_clusters(shapes, cluster), damping, values, cluster, status

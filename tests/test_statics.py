@@ -415,3 +415,19 @@ def test_derivative_through_a_failed_or_singular_equilibrium_is_nan():
         assert int(status) == code
         assert np.isnan(reverse).all()
         assert np.isnan(forward)
+
+
+def test_an_equilibrium_of_another_model_is_not_linearized(plate, hanging):
+    """Of other bodies it is refused; of the same model with other numbers it is STALE, where they matter at rest: damping and stiffness without tension do not."""
+    with pytest.raises(jb.JaxbodyError, match=r"linearize.at: is of a model with other bodies.*OTHER_MODEL"):
+        jb.linearize(bead(), hanging)
+    for changed in ({"s0.stiffness": 1.01 * plate["s0"].stiffness}, {"plate.mass": 6.1}, {"gravity": [0, 0, -9.8]}):
+        with pytest.warns(jb.JaxbodyWarning, match=r"the equilibrium is none of this model.*again.*STALE"):
+            lin = jb.linearize(jb.replace(plate, changed), hanging)
+        assert int(lin.status) == Status.STALE
+    with pytest.warns(jb.JaxbodyWarning, match="STALE"):
+        assert int(jb.modes(lin).status) == Status.STALE
+    assert int(jb.linearize(jb.replace(plate, {"*.damping": 7.0}), hanging).status) == 0
+    masses = jnp.array([6.0, 6.1])
+    statuses = jax.jit(jax.vmap(lambda m: jb.linearize(jb.replace(plate, {"plate.mass": m}), hanging).status))(masses)
+    assert statuses.tolist() == [0, Status.STALE]
