@@ -109,23 +109,34 @@ def stiffness(at: Placed) -> Square:
     return expansion(at)[2]
 
 
-def expansion(at: Placed) -> tuple[Float[Array, ""], Vector, Square]:
+class DeadForces(NamedTuple):
+    """What forces of constant direction on bodies add: potential energy, its gradient and its Hessian in the rotation of each body."""
+
+    V: Float[Array, ""]
+    G: Float[Array, "nb 6"]
+    Q: Float[Array, "nb 3 3"]
+
+
+def expansion(at: Placed, dead: DeadForces | None = None) -> tuple[Float[Array, ""], Vector, Square]:
     """V, dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix."""
     model, frames, J, base = at.model, at.frames, at.J, at.base
     layout = model.layout
     arms = rotate(frames.R[layout.first_body :], model.bodies.rows.com)
     weights = -model.bodies.rows.mass[:, None] * model.gravity
-    G_bodies = jnp.concatenate([weights, cross(arms, weights)], -1)
+    G_bodies, Q = jnp.concatenate([weights, cross(arms, weights)], -1), turning(arms, weights)
+    if dead is not None:
+        G_bodies, Q = G_bodies + dead.G, Q + dead.Q
     elements = each_element(model, frames, second_order)
     G = _gradient(model, G_bodies, [slopes for slopes, _ in elements], base)
-    H = _hessian(model, Block(Q=turning(arms, weights)), [blocks for _, blocks in elements], base)
+    H = _hessian(model, Block(Q=Q), [blocks for _, blocks in elements], base)
     K = _projected(J, H)
     if J is not None:
         n = at.turns
         T = jnp.sum(cross(J[..., :3], G[:, None, :3]) + cross(J[..., 3:], G[:, None, 3:]) / 2, 0)
         W = jnp.asarray(_precedence(layout)[: len(n), : len(n)], K.dtype) * jnp.sum(n[:, None] * T, -1)
         K = K + W + W.T
-    return potential(model, frames), _pulled(J, G), K
+    V = potential(model, frames)
+    return V if dead is None else V + dead.V, _pulled(J, G), K
 
 
 def mass(at: Placed) -> Square:

@@ -16,7 +16,7 @@ from jaxbody.kinematics import Coordinates
 from jaxbody.lane_marks import any_of_batch
 from jaxbody.lanes import LANES, in_lanes
 from jaxbody.linear_solves import is_definite, solve_if_definite
-from jaxbody.load_paths import Raised, expansion_under
+from jaxbody.load_paths import Raised, dead_forces, under
 from jaxbody.precisions import NEWTON, reachable
 
 TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the error left is its square
@@ -26,7 +26,7 @@ TINY = 1e-6  # a step, relative to the size, whose fall of energy may be hidden 
 
 
 def descend(coordinates: Coordinates, q, scale, size, max_steps, raised: Raised | None = None):
-    """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step go down, under loads that have a potential."""
+    """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step go down, under dead forces."""
     numbers, rest = eqx.partition((coordinates, raised), eqx.is_array)
     lanes = 2 * LANES if len(scale) <= 6 else LANES  # more share the calls of a loop, fewer keep all of K near the processor
     return in_lanes(lambda numbers, *given: _descend(*eqx.combine(numbers, rest), *given), lanes=lanes)(numbers, q, scale, size, max_steps)
@@ -35,7 +35,9 @@ def descend(coordinates: Coordinates, q, scale, size, max_steps, raised: Raised 
 def _descend(coordinates, raised, q, scale, size, max_steps):
     tolerance, least = reachable(TOLERANCE, q.dtype, NEWTON), reachable(LEAST_SHIFT, q.dtype, 8)
     tiny_step, still = reachable(TINY, q.dtype, 8 * NEWTON), reachable(1e-14, q.dtype)
-    expand = expansion if raised is None else lambda at: expansion_under(at, raised)
+
+    def expand(at):
+        return expansion(at) if raised is None else expansion(under(at, raised), dead_forces(at, raised))
 
     def step(carry):
         """Judge the configuration tried, keep the better one, try the next."""

@@ -14,13 +14,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.derivatives import Placed, expansion, placed, slope, stiffness
+from jaxbody.derivatives import DeadForces, Placed, placed, slope, stiffness, turning
 from jaxbody.frames import Pose
 from jaxbody.kinematics import Coordinates
 from jaxbody.loads import Load
 from jaxbody.models import Model
 from jaxbody.precisions import NEWTON, reachable
-from jaxbody.rotations import product, skew
+from jaxbody.rotations import cross, dot, product, rotate, skew
 
 FIRST, LEAST, MOST = 0.25, 1e-5, 64  # steps of lambda: the first, the smallest, how many
 ITERATIONS = 10  # of Newton's method, within a step
@@ -95,19 +95,17 @@ def tangent(at: Placed, raised: Raised, factor=1.0) -> Float[Array, "nv nv"]:
     return stiffness(under(at, raised, factor)) - factor * stiffness_of_loads(at.model, at.q, raised.loads, raised.weights)
 
 
-def energy_of_loads(at: Placed, raised: Raised) -> Float[Array, ""]:
-    """Potential energy of the loads at time 0; NaN where one of them has none."""
-    layout, t, total = at.model.layout, jnp.zeros((), at.q.dtype), jnp.zeros((), at.q.dtype)
+def dead_forces(at: Placed, raised: Raised) -> DeadForces:
+    """What the loads at time 0 add; NaN where one of them is not dead."""
+    layout, t = at.model.layout, jnp.zeros((), at.q.dtype)
+    V, G, Q = t, [jnp.zeros(6, t.dtype)] * len(layout.bodies), [jnp.zeros((3, 3), t.dtype)] * len(layout.bodies)
     for load, weight in zip(raised.loads, raised.weights, strict=True):
-        total = total + jnp.where(weight == 0, 0.0, weight * load.potential(t, at.frames[layout.frame(load.on)]))
-    return total
-
-
-def expansion_under(at: Placed, raised: Raised) -> tuple[Float[Array, ""], Float[Array, "nv"], Float[Array, "nv nv"]]:
-    """Potential energy of model and loads, its gradient and Hessian, of a model placed without its base."""
-    V, g, K = expansion(under(at, raised))
-    Q = generalized(at.model, at.q, raised.loads, raised.weights, jnp.zeros_like(g))
-    return V + energy_of_loads(at, raised), g - Q, K - stiffness_of_loads(at.model, at.q, raised.loads, raised.weights)
+        i, frame = layout.bodies.index(load.on), at.frames[layout.frame(load.on)]
+        arm, pull = rotate(frame.R, load.point), jnp.where(weight == 0, 0.0, -weight * load.dead_force(t))
+        V = V + dot(pull, frame.p + arm)
+        G[i] = G[i] + jnp.concatenate([pull, cross(arm, pull)])
+        Q[i] = Q[i] + turning(arm, pull)
+    return DeadForces(V, jnp.stack(G), jnp.stack(Q))
 
 
 class _At(eqx.Module):

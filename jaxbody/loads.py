@@ -49,9 +49,9 @@ class Load(eqx.Module):
         """What of it varies with time."""
         return ()
 
-    def potential(self, t: Float[Array, ""], frame: Frame) -> Float[Array, ""]:
-        """Potential energy [J] at a time, whose gradient is minus the load; NaN where it has none."""
-        return jnp.full_like(t, jnp.nan)
+    def dead_force(self, t: Float[Array, ""]) -> Float[Array, "3"]:
+        """The force [N] at the point, world axes, of a load that is no more than that wherever its body goes; NaN of others."""
+        return jnp.full(3, jnp.nan, t.dtype)
 
     def wrench(self, t: Float[Array, ""], frame: Frame) -> Wrench:
         """Force, and moment about the origin of the body, world axes."""
@@ -86,10 +86,8 @@ class Force(Load):
     def signals(self):
         return self.force, self.moment
 
-    def potential(self, t, frame):
-        """-F . P of a dead force without a moment."""
-        dead = (self.axes == "world") & ~jnp.any(self.moment(t) != 0)
-        return jnp.where(dead, -dot(self.force(t), frame.p + rotate(frame.R, self.point)), jnp.nan)
+    def dead_force(self, t):
+        return jnp.where((self.axes == "world") & ~jnp.any(self.moment(t) != 0), self.force(t), jnp.nan)
 
     def at_point(self, t, frame):
         F, M = self.force(t), self.moment(t)

@@ -1,12 +1,14 @@
-"""Preload: the free lengths that make a given pose the equilibrium.
+"""Preload: the free lengths that make a given pose the equilibrium, and heights that follow from them.
 
     dV/dDelta(q; l) = 0,   least |l - l_0|,   by Gauss-Newton steps  l <- l - A^+ dV/dDelta,   A = d2V/dDelta dl
 
 With n springs and fewer equations than springs the change is the least there is (the pseudo-inverse); what no free length can balance is left
-over and said.
+over and said. Coordinates that may move are unknowns beside the free lengths.
 """
 
 from __future__ import annotations
+
+from fnmatch import fnmatchcase
 
 import equinox as eqx
 import jax
@@ -19,8 +21,8 @@ from jaxbody.arguments import check_kind
 from jaxbody.checks import check_precision, check_state
 from jaxbody.derivatives import placed, slope
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
-from jaxbody.kinematics import Coordinates
-from jaxbody.models import Model, State
+from jaxbody.kinematics import Chart, Coordinates
+from jaxbody.models import Model, State, unknown
 from jaxbody.naming import Leaf, leaves_of, matching, write
 from jaxbody.options import jit_as_it_is
 from jaxbody.precisions import reachable
@@ -33,15 +35,18 @@ BALANCED = 1e-9  # residual, relative to the largest force that the springs and 
 
 
 class Preload(Result):
-    """Free lengths for a pose: `free_lengths` {path: m} (of torsion springs `free_angle` [rad]), their `changes`, the `model` with them, what is left over, `residual` [N, N m];
-    status UNBALANCED where it is not nothing, NEGATIVE_LENGTH where a length would have to be negative."""
+    """Free lengths for a pose: `free_lengths` {path: m} (of torsion springs `free_angle` [rad]), their `changes`, the `model` with them, the pose, `state`, with the
+    coordinates that were to move, `moved` {coordinate: change [m, rad]}, what is left over, `residual` [N, N m]; status UNBALANCED where it is not nothing, NEGATIVE_LENGTH where a length would have to be negative."""
 
     status: Int[Array, ""]
     values: Float[Array, "n"]
     change: Float[Array, "n"]
+    moves: Float[Array, "m"]
     residual: Float[Array, "nv"]
+    state: State
     model: Model
     paths: tuple[str, ...] = eqx.field(static=True)
+    moving: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def free_lengths(self) -> dict[str, Array]:
@@ -51,26 +56,34 @@ class Preload(Result):
     def changes(self) -> dict[str, Array]:
         return dict(zip(self.paths, self.change, strict=True))
 
+    @property
+    def moved(self) -> dict[str, Array]:
+        return dict(zip(self.moving, self.moves, strict=True))
+
     def explain(self) -> str:
         if int(self.status) == Status.NEGATIVE_LENGTH:
             return ", ".join(f"{path} = {float(v):.6g} m" for path, v in self.free_lengths.items() if v < 0)
         layout, left = self.model.layout, np.asarray(self.residual)
         worst = [i for i in np.argsort(-np.abs(left)) if abs(left[i]) > 1e-6 * np.abs(left).max()][:4]
         told = [f"{-left[i]:.4g} {'N m' if layout.turns[i] else 'N'} on {layout.coordinates[i]}" for i in worst]
-        return "no free length of these balances " + ", ".join(told)
+        heights = [name for name in (layout.coordinates[i] for i in worst) if name not in self.moving]
+        remedy = f", or let it move: moving={heights!r}" if heights else ""
+        return f"no free length of these balances {', '.join(told)}; free a length that acts on it{remedy}, or take that load away"
 
     def _tables(self) -> list[tables.Table]:
         rows = [(path, value, change) for path, value, change in zip(self.paths, self.values, self.change, strict=True)]
+        rows += [(name, "", change) for name, change in self.moved.items()]
         note = self.report() if is_concrete(self.status) else ""
         return [tables.Table("Preload", ("", "free length [m, rad]", "change"), rows, note)]
 
 
-def preload(model: Model, pose: State | None = None, *, free=("*.free_length",)) -> Preload:
+def preload(model: Model, pose: State | None = None, *, free=("*.free_length",), moving=()) -> Preload:
     """The free lengths that make a pose (without one, the reference pose) an equilibrium, with the least change of those that are `free` (paths or patterns of
     `free_length`, or `free_angle` of torsion springs).
 
-    Use `preload(...).model`. Whether that equilibrium is stable, `equilibrium` says. Differentiable. Errors: UNKNOWN_PATH, NOT_A_LENGTH, BAD_SHAPE of the pose;
-    warns UNBALANCED, NEGATIVE_LENGTH.
+    `moving`: coordinates of the pose that change too, names or patterns of `model.layout.coordinates`: the height of a wheel, say, whose tyre is as it is. Use
+    `preload(...).model`, whose equilibrium is at `preload(...).state`; whether it is stable, `equilibrium` says. Differentiable. Errors: UNKNOWN_PATH,
+    UNKNOWN_NAME of a coordinate, NOT_A_LENGTH, BAD_SHAPE of the pose; warns UNBALANCED, NEGATIVE_LENGTH.
 
     >>> model = Model(bodies={"car": Body(mass=400.0, inertia=[1, 1, 1])}, joints={"car": Guide("world", axis=[0, 0, 1])}, gravity=[0, 0, -10.0],
     ...               elements={"spring": Spring(("car", [0, 0, 0]), ("world", [0, 0, -0.5]), stiffness=2e4, free_length=0.5)})
@@ -90,35 +103,49 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",))
         raise JaxbodyError(
             *(Problem("NOT_A_LENGTH", "free", f"{path} is no free length", path, "free_length, free_angle") for path in wrong)
         )
-    result = _preload(model, state, leaves)
+    rows: list[int] = []
+    for pattern in [moving] if isinstance(moving, str) else moving:
+        named = [i for i, name in enumerate(model.layout.coordinates) if fnmatchcase(name, str(pattern))]
+        if not named:
+            raise JaxbodyError(unknown(pattern, "preload.moving", model.layout.coordinates))
+        rows += named
+    result = _preload(model, state, leaves, tuple(dict.fromkeys(rows)))
     warn_if_failed(result)
     return result
 
 
 @jit_as_it_is
-def _preload(model: Model, state: State, leaves: tuple[Leaf, ...]) -> Preload:
-    arrays = jax.tree.leaves(model)
-    start = jnp.stack([leaf.read(arrays) for leaf in leaves])
+def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[int, ...]) -> Preload:
+    arrays, layout, n = jax.tree.leaves(model), model.layout, len(leaves)
+    start = jnp.stack([*(leaf.read(arrays) for leaf in leaves), *jnp.zeros(len(rows), state.q.dtype)])
     frozen = jax.lax.stop_gradient(model)
     scale = scale_of(frozen, size_of(frozen))
 
-    def unbalanced(l):
-        changed = write(model, dict(zip(leaves, l, strict=True)))
-        return slope(placed(Coordinates(changed), state.q, base=False)) * scale
+    def changed(u):
+        """Model and coordinates; turns among these count times the size of the model."""
+        made = write(model, dict(zip(leaves, u[:n], strict=True)))
+        delta = jnp.zeros(layout.nv, u.dtype).at[np.array(rows, int)].set(u[n:]) * scale
+        return made, Chart(made).retract(state.q, delta), delta
 
-    def step(l, _):
-        A = jax.jacfwd(unbalanced)(l)
-        return l - jnp.linalg.pinv(A, rtol=reachable(RANK, A.dtype)) @ unbalanced(l), None
+    def unbalanced(u):
+        made, q, _ = changed(u)
+        return slope(placed(Coordinates(made), q, base=False)) * scale
 
-    lengths, _ = jax.lax.scan(step, start, None, length=ITERATIONS)
-    left = unbalanced(lengths)
+    def step(u, _):
+        A = jax.jacfwd(unbalanced)(u)
+        return u - jnp.linalg.pinv(A, rtol=reachable(RANK, A.dtype)) @ unbalanced(u), None
+
+    u, _ = jax.lax.scan(step, start, None, length=ITERATIONS)
+    left = unbalanced(u)
     weights = jnp.sum(model.bodies.rows.mass) * jnp.linalg.norm(model.gravity)
     largest = jnp.maximum(jnp.maximum(weights, jnp.max(jnp.abs(unbalanced(start)), initial=0.0)), 1e-300)
-    angles = np.array([leaf.field == "free_angle" for leaf in leaves])
+    angles = np.array([leaf.field == "free_angle" for leaf in leaves], bool)
     status = jnp.select(
-        [~(jnp.max(jnp.abs(left), initial=0.0) <= reachable(BALANCED, left.dtype, 256) * largest), jnp.any((lengths < 0) & ~angles)],
+        [~(jnp.max(jnp.abs(left), initial=0.0) <= reachable(BALANCED, left.dtype, 256) * largest), jnp.any((u[:n] < 0) & ~angles)],
         [Status.UNBALANCED.value, Status.NEGATIVE_LENGTH.value],
         Status.OK.value,
     )
-    made = write(model, dict(zip(leaves, lengths, strict=True)))
-    return Preload(status, lengths, lengths - start, left / scale, made, tuple(leaf.path for leaf in leaves))
+    made, q, delta = changed(u)
+    there, moving = State(q, jnp.zeros(layout.nv, q.dtype)), tuple(layout.coordinates[i] for i in rows)
+    paths = tuple(leaf.path for leaf in leaves)
+    return Preload(status, u[:n], (u - start)[:n], delta[np.array(rows, int)], left / scale, there, made, paths, moving)

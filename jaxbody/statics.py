@@ -29,7 +29,7 @@ from jaxbody.errors import Problems, Status, is_concrete
 from jaxbody.kinematics import Coordinates
 from jaxbody.lane_marks import any_of_batch
 from jaxbody.laws import has_range
-from jaxbody.load_paths import Path, Raised, energy_of_loads, follow, residual, tangent, under, with_gravity
+from jaxbody.load_paths import Path, Raised, dead_forces, follow, residual, tangent, under, with_gravity
 from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, potential
 from jaxbody.models import Layout, Model, State
@@ -258,8 +258,8 @@ def _by_descent(model: Model, start, raised: Raised, max_steps: int, many: bool,
     def one(raised, others):
         ended, settled = others
         found = downhill(coordinates, start, max_steps, raised)
-        has_energy = jnp.isfinite(energy_of_loads(placed(coordinates, found.q, base=False), raised))
-        status = jnp.where(has_energy, found.status, Status.NO_EQUILIBRIUM.value)
+        dead = jnp.isfinite(dead_forces(placed(coordinates, found.q, base=False), raised).V)
+        status = jnp.where(dead, found.status, Status.NO_EQUILIBRIUM.value)
         ok = status == Status.OK
         factor = jnp.where(ok, found.factor, 0.0)
         found = Ended(found.q, found.negative, found.singular, status, found.steps, factor, ended.path, jnp.array(True))

@@ -171,7 +171,7 @@ BAD = {
         "LOOP",
         "joints['engine']",
         "engine",
-        "engine on engine tree",
+        "engine on engine tree stiff Bushing",
     ),
 }
 

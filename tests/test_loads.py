@@ -379,6 +379,36 @@ def test_preload_takes_the_least_of_many_and_leaves_the_others():
     assert float(found.model["c"].free_length) == 1.0
 
 
+def raised(tyre):
+    """A quarter car whose tyre has another free length: the spring's that keeps the body where it is, and the height of the wheel."""
+    model = jb.replace(jb.presets.quarter_car(), {"tyre.free_length": tyre})
+    found = jb.preload(model, free="suspension.free_length", moving="wheel*")
+    return found.moved["wheel move along its guide"], found
+
+
+def test_preload_moves_the_height_of_a_wheel_too():
+    """The tyre carries both weights, the spring the body's, wherever the wheel then is."""
+    height, found = raised(0.36)
+    wheel = 0.36 - 450 * 9.81 / 193e3
+    np.testing.assert_allclose(
+        [height, found.free_lengths["suspension.free_length"]], [wheel - 0.3, 0.7 - wheel + 375 * 9.81 / 35e3], rtol=1e-12
+    )
+    assert found.ok and "wheel move along its guide" in str(found)
+    eq = jb.equilibrium(found.model, start=found.state)
+    np.testing.assert_allclose(eq.state.q, [0, wheel - 0.3], atol=1e-12)
+    np.testing.assert_allclose(found.state.q, eq.state.q, atol=1e-12)
+    slopes = [jax.jit(mode(lambda tyre: (x := raised(tyre)[1]).moves[0] + 10 * x.values[0]))(0.36) for mode in (jax.jacfwd, jax.grad)]
+    np.testing.assert_allclose(slopes, 1 - 10, rtol=1e-12)  # the wheel rises with its tyre, the spring is that much shorter
+
+
+def test_preload_of_heights_alone_is_the_equilibrium():
+    model = jb.replace(jb.presets.quarter_car(), {"tyre.free_length": 0.36})
+    found = jb.preload(model, free=(), moving="*")
+    np.testing.assert_allclose(found.state.q, jb.equilibrium(model).state.q, atol=1e-12)
+    with pytest.raises(jb.JaxbodyError, match=r"preload.moving: 'weel\*' is unknown.*UNKNOWN_NAME"):
+        jb.preload(model, moving="weel*")
+
+
 def test_preload_says_what_cannot_be_had():
     model = hanging(laws.Linear(200.0))
     tilted = jb.replace(model, {"gravity": [0, 0, -G]})
@@ -387,7 +417,10 @@ def test_preload_says_what_cannot_be_had():
         elements={"s": jb.Spring(("beam", [0.5, 0, 0]), ("world", [0.5, 0, 1]), stiffness=200.0, free_length=0.9)},
         gravity=[0, 0, -G],
     )
-    with pytest.warns(jb.JaxbodyWarning, match=r"no free length of these balances .*N m on beam turn about y.*\[UNBALANCED\]"):
+    with pytest.warns(
+        jb.JaxbodyWarning,
+        match=r"no free length of these balances .*N m on beam turn about y; free a length .*or let it move: moving=\['beam move along z', 'beam turn about y'\].*\[UNBALANCED\]",
+    ):
         assert int(jb.preload(beam).status) == Status.UNBALANCED
     with pytest.warns(jb.JaxbodyWarning, match=r"spring.free_length = -0\.\d+ m \[NEGATIVE_LENGTH\]"):
         jb.preload(jb.replace(tilted, {"mass.mass": 25.0}))
