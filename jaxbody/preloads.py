@@ -95,6 +95,7 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",),
     check_state(model, state, "pose")
     problems = Problems()
     check_kind(free, (str, list, tuple), "preload.free", "paths or patterns", problems)
+    check_kind(moving, (str, list, tuple), "preload.moving", "names or patterns of coordinates", problems)
     problems.raise_if_any()
     found = matching(leaves_of(model), [free] if isinstance(free, str) else free, "free")
     leaves = tuple(dict.fromkeys(leaf for group in found.values() for leaf in group))
