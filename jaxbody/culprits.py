@@ -1,4 +1,4 @@
-"""Why a computation failed, by name: what gives a number that is not finite, which bushing is turned too far."""
+"""Why a computation failed, by name: what gives a number that is not finite, which bushing is turned too far, which spring has no length left."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbody.derivatives import second_order
 from jaxbody.dynamics import acceleration
-from jaxbody.elements import Bushing
+from jaxbody.elements import Bushing, LineElement
 from jaxbody.kinematics import Coordinates, Motions, table_of
 from jaxbody.loads import Load
 from jaxbody.mechanics import each_element
@@ -21,6 +21,7 @@ from jaxbody.options import jit_as_it_is
 AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)  # of the time past, or of a second where that is longer
 DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)  # of the size of a model
 FAR = 175.0  # degrees
+POINT = 1e-6  # of the free length
 
 
 def without_number_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], t: Array, state: State) -> str:
@@ -111,3 +112,22 @@ def _turns(model: Model, motions: Motions, t, state: State) -> dict[str, Float[A
         return jnp.sqrt(jnp.sum(element.deformation(*(f.pose() for f in frames))[3:] ** 2))
 
     return _rows(model, each_element(model, table_of(model, motions, t, state), turn))
+
+
+def collapsed(model: Model, motions: Motions, t: Array, state: State) -> str:
+    """The line elements that have shrunk to a point, where their direction jumps; empty without such."""
+    shrunk = [f"'{name}' has shrunk to a point" for name, share in _shares(model, motions, t, state).items() if share < POINT]
+    remedy = "its direction jumps there: let its ends pass beside each other, hold them apart by a stop, or use a Bushing"
+    return f"{', '.join(shrunk)}; {remedy}" if shrunk else ""
+
+
+@jit_as_it_is
+def _shares(model: Model, motions: Motions, t, state: State) -> dict[str, Float[Array, ""]]:
+    """Of line elements the length over the free length."""
+
+    def share(element, *frames):
+        if not isinstance(element, LineElement):
+            return jnp.ones(())
+        return jnp.where(element.free_length > 0, element.length(*(f.pose() for f in frames)) / element.free_length, 1.0)
+
+    return _rows(model, each_element(model, table_of(model, motions, t, state), share))

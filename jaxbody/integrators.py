@@ -23,7 +23,8 @@ from equinox import combine, filter_custom_jvp, is_array, is_inexact_array, part
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxbody.errors import Status
+from jaxbody.errors import JaxbodyError, Status
+from jaxbody.errors import Problem as Wrong
 from jaxbody.jax_internals import linear_with_transpose
 from jaxbody.lane_marks import any_of_batch
 from jaxbody.lanes import in_lanes, vmap_last
@@ -36,6 +37,7 @@ EULER = A[1, 1]  # share of a trial step, which begins with f = 0: its first sta
 C_TRIAL = np.array([0.0, EULER, *C[2:]])
 P = np.asarray(diffrax.Dopri8.interpolation_cls.eval_coeffs)[:, ::-1].T  # (6, stages): of theta, theta^2 ...  # pyright: ignore
 BLOCK = 128  # steps, at most
+MOST_KEPT = 8e9  # bytes that a derivative may reserve
 WINDOW = 1024  # samples worked out together, at most
 LANES = 40  # members of a batch in step: loops over 32 or fewer are unrolled before they can become vector instructions
 NEAR = 1e-12  # of kinks to one another, relative to the whole time, that are one
@@ -181,6 +183,14 @@ def _march(problem: Problem, arguments: Any, y0, times, keep: bool) -> tuple[End
     return in_lanes(march, lanes=LANES)(numbers, y0, times)
 
 
+def _check_memory(max_steps: int, blocks: int, each: int) -> None:
+    """What a derivative keeps is reserved for as many steps as there may be."""
+    if blocks * each > MOST_KEPT:
+        words = f"reserves {blocks * each / 1e9:.3g} GB for the derivative: {each} bytes for every {BLOCK} of max_steps={max_steps}"
+        hint = f"Give fewer max_steps, {int(MOST_KEPT / each) * BLOCK:.1g} at most, or adjoint=diffrax.ForwardMode(), which keeps nothing."
+        raise JaxbodyError(Wrong("TOO_LARGE", "simulate.max_steps", words, max_steps, f"{MOST_KEPT / 1e9:g} GB", hint))
+
+
 def _march_on(problem: Problem, arguments: Any, y0, times, keep: bool):
     past = times - times[0]
     end = lax.stop_gradient(past[-1])
@@ -190,7 +200,9 @@ def _march_on(problem: Problem, arguments: Any, y0, times, keep: bool):
     course = Course(TRIAL * end, none, none, jnp.full((), Status.OK.value))
     size = BLOCK if keep else min(max(len(times) // 8, 16), BLOCK)  # few samples need few steps at hand
     blocks = problem.max_steps // BLOCK + len(reach) + 1 if keep else 0
-    kept = jax.tree.map(lambda x: jnp.zeros((blocks, *x.shape), x.dtype), (begun, jnp.zeros(BLOCK, y0.dtype)))
+    of_block = (begun, jnp.zeros(BLOCK, y0.dtype))
+    _check_memory(problem.max_steps, blocks, sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(of_block)))
+    kept = jax.tree.map(lambda x: jnp.zeros((blocks, *x.shape), x.dtype), of_block)
     out = _windows(jnp.full((len(times), len(y0)), jnp.nan, y0.dtype))
 
     def running(begun, course):

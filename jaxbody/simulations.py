@@ -19,7 +19,7 @@ from jaxbody.arguments import check_kind, named, positive, whole
 from jaxbody.arrays import concrete, device_array, float_array
 from jaxbody.checks import check_precision, check_state, unattached
 from jaxbody.collocations import Gauss
-from jaxbody.culprits import past_half_turn, without_number_ahead
+from jaxbody.culprits import collapsed, past_half_turn, without_number_ahead
 from jaxbody.dynamics import Dynamics, table_of_free
 from jaxbody.errors import Problems, Status, is_concrete, warn
 from jaxbody.frames import Pose
@@ -123,7 +123,7 @@ class Trajectory(Result):
         taken, rejected = (int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
         told = f"at t = {t:.6g} s of {float(self.times[-1]):.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
         if status in (Status.MAX_STEPS, Status.DT_MIN):
-            turned = past_half_turn(self.model, self.motions, *self.end)
+            turned = past_half_turn(self.model, self.motions, *self.end) or collapsed(self.model, self.motions, *self.end)
             usual = in_float64(self.state.q.dtype) or "try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
             told += "; " + (turned or usual)
         if status == Status.TABLE_RANGE:

@@ -135,3 +135,31 @@ def test_warnings_point_at_the_line_of_the_user():
 def test_an_error_says_what_is_allowed():
     problem = Problem("BAD_MASS", "Body.mass", "is -3 kg", -3.0, "> 0", "Give a mass.")
     assert str(problem) == "Body.mass: is -3 kg (allowed: > 0). Give a mass. [BAD_MASS]" and problem.limit == "> 0"
+
+
+def test_a_spring_that_shrinks_to_a_point_is_named():
+    """At 0.0743 s: x'' = 50 (1 - x) from 0.5 m at -8 m/s, so 1 - x = 0.5 cos wt + (8/w) sin wt = 1 with w = sqrt(50)/s."""
+    found, seen = warned(
+        lambda: jb.simulate(slider(50.0), np.linspace(0, 1, 21), rtol=1e-12, initial=jb.State(jnp.array([-0.5]), jnp.array([-8.0])))
+    )
+    assert "'s' has shrunk to a point; its direction jumps there" in seen[0] and "larger max_steps" not in seen[0]
+    w, t = np.sqrt(50), float(found.end[0])
+    assert abs(0.5 * np.cos(w * t) + 8 / w * np.sin(w * t) - 1) <= 1e-9
+
+
+def test_a_derivative_that_would_reserve_too_much_memory_is_refused_before():
+    """What is reserved: of 1e9 steps every 128th, a state of two numbers, its rate, a polynomial of seven, and 128 lengths, 8 bytes each: over 9 GB."""
+
+    def number(k):
+        return jb.simulate(slider(k), [0.0, 0.1], max_steps=10**9).state.q[-1, 0]
+
+    for transformed in (jax.grad(number), jax.jit(jax.grad(number)), jax.jacfwd(number)):
+        with pytest.raises(jb.JaxbodyError, match=r"max_steps=1000000000.*Give fewer max_steps, .*ForwardMode\(\)") as refused:
+            jax.eval_shape(transformed, 400.0)
+        assert refused.value.code == "TOO_LARGE"
+        assert (
+            128 + 2 * (1 + 1 + 7)
+            <= float(re.search(r"(\d+) bytes for every 128", str(refused.value))[1]) / 8
+            <= 2 * (128 + 2 * (1 + 1 + 7))
+        )
+    assert jax.eval_shape(number, 400.0).shape == ()
