@@ -1,4 +1,4 @@
-"""Why a computation failed, by name: what gives a number that is not finite, which bushing is turned too far, which spring has no length left."""
+"""Why a computation failed, by name: which number is not finite, which bushing is turned too far, which spring has no length left."""
 
 from __future__ import annotations
 
