@@ -81,9 +81,11 @@ def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
 
     eq: an equilibrium under loads. Error: NO_PATH where it has none.
     """
-    if eq.path is None:
-        hint = "Give an equilibrium(model, loads=...)."
-        raise JaxbodyError(Problem("NO_PATH", "load_path.eq", "was found without loads", eq.path, "a load path", hint))
+    if eq.path is None or np.all(eq.descended):
+        how, hint = (
+            ("without loads", "Give an equilibrium(model, loads=...).") if eq.path is None else ("by descent", "Its path could not begin.")
+        )
+        raise JaxbodyError(Problem("NO_PATH", "load_path.eq", f"was found {how}", eq.path, "a load path", hint))
     ax = axes_or_new(ax, 5.0, 3.4)
     factor, smallest = (np.asarray(x) for x in (eq.path.factor, eq.path.smallest))
     ax.plot(factor, smallest, "o-", ms=4, color=COLORS[0])
