@@ -62,7 +62,7 @@ def test_two_unstressed_springs_in_line_under_a_load_across():
     np.testing.assert_allclose(eq.state.q, [8.632066, 4.531907, 0], atol=1e-6)
     assert abs(float(eq.energy) - 24.01163) <= 5e-6  # half of the last digit printed
     assert "by descent of the potential of the loads" in str(eq)
-    with pytest.raises(jb.JaxbodyError, match="by descent.*NO_PATH"):
+    with pytest.raises(jb.JaxbodyError, match=r"by descent.*NO_PATH"):
         jb.plots.load_path(eq)
 
 
