@@ -14,7 +14,7 @@ from jaxbody import rotations, tables
 from jaxbody.arguments import check_kind, named
 from jaxbody.arrays import device_array, stack
 from jaxbody.bodies import vector
-from jaxbody.checks import check_attached, check_precision, check_state
+from jaxbody.checks import check_attached, check_memory, check_precision, check_state
 from jaxbody.derivatives import placed
 from jaxbody.errors import Problems, Status, is_concrete
 from jaxbody.frames import Pose
@@ -153,6 +153,7 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     [-0.005516, 0.001]
     """
     check_precision("load_cases", model)
+    check_memory("load_cases", model)
     check_attached(model)
     problems = Problems()
     cases = named(cases, "load_cases.cases", "name: jb.LoadCase(...)", problems)

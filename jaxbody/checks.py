@@ -11,6 +11,8 @@ from jaxbody.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.models import WORLD, Model, State
 from jaxbody.precisions import begin
 
+MOST_MEMORY = 8e9  # bytes that the matrices of a model may take
+PER_ELEMENT = 2000  # bytes: 1400 were measured with 10 000 springs
 _told_of_float32 = False
 
 
@@ -43,6 +45,16 @@ def check_precision(where: str, model: Model, *, needs_float64: bool = False) ->
     if not _told_of_float32:
         _told_of_float32 = True
         warn("FLOAT32", f"{where}: computing in float32, with about 7 digits; for 16, say {switch}")
+
+
+def check_memory(where: str, model: Model) -> None:
+    """Matrices of all coordinates, about ten at once, and what every element adds to them, must have room. Error: TOO_LARGE."""
+    coordinates, elements = model.layout.nv, sum(len(table.names) for table in model.elements)
+    needed = 10 * 8 * coordinates**2 + PER_ELEMENT * elements
+    if needed > MOST_MEMORY:
+        words = f"has {coordinates} coordinates and {elements} elements, for whose matrices about {needed / 1e9:.3g} GB are needed"
+        hint = "Join what does not move by itself (jb.Fixed, Body.of_parts), or raise jaxbody.checks.MOST_MEMORY where there is room."
+        raise JaxbodyError(Problem("TOO_LARGE", f"{where}.model", words, needed, f"{MOST_MEMORY / 1e9:g} GB", hint))
 
 
 def check_attached(model: Model) -> None:

@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from jaxbody import tables
 from jaxbody.arguments import positive, whole
-from jaxbody.checks import check_attached, check_precision
+from jaxbody.checks import check_attached, check_memory, check_precision
 from jaxbody.derivatives import expansion, placed, stiffness
 from jaxbody.descents import SINGULAR, descend, signs
 from jaxbody.errors import Problems, Status
@@ -75,6 +75,7 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
     [True, False]
     """
     check_precision("find_equilibria", model)
+    check_memory("find_equilibria", model)
     check_attached(model)
     problems = Problems()
     starts = whole(starts, "find_equilibria.starts", problems)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from jaxbody import tables
 from jaxbody.arguments import named
 from jaxbody.arrays import shaped, stack
-from jaxbody.checks import check_precision, check_state
+from jaxbody.checks import check_memory, check_precision, check_state
 from jaxbody.derivatives import damping, expansion, mass, placed
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
 from jaxbody.frames import Frame
@@ -155,6 +155,7 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     (50.0, 2.0)
     """
     check_precision("linearize", model)
+    check_memory("linearize", model)
     if isinstance(at, Equilibrium):
         if at.layout != model.layout:
             hint = "Give the equilibrium of this model, or a state."

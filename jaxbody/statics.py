@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbody import tables
 from jaxbody.arguments import whole
 from jaxbody.arrays import device_array
-from jaxbody.checks import check_attached, check_precision, check_state
+from jaxbody.checks import check_attached, check_memory, check_precision, check_state
 from jaxbody.culprits import without_number_downhill
 from jaxbody.derivatives import placed, stiffness
 from jaxbody.descents import SINGULAR, descend, signs
@@ -161,6 +161,7 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     0.02
     """
     check_precision("equilibrium", model)
+    check_memory("equilibrium", model)
     check_attached(model)
     problems = Problems()
     if start is not None:

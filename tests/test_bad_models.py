@@ -416,3 +416,13 @@ def test_products_with_the_other_sign_are_named_where_they_would_be_valid():
     with pytest.raises(jb.JaxbodyError) as refused:
         body(inertia=[1, 1, 9])
     assert "other signs" not in str(refused.value)
+
+
+def test_a_model_whose_matrices_have_no_room_is_refused_before():
+    """Ten matrices of 12 000 x 12 000 numbers of 8 bytes are 11.5 GB."""
+    many = jb.Model(bodies={f"b{i}": BODY for i in range(2000)})
+    state = jb.State(np.zeros(14000), np.zeros(12000))
+    for compute in (lambda: jb.linearize(many, state), lambda: jb.equilibrium(many), lambda: jb.find_equilibria(many)):
+        with pytest.raises(jb.JaxbodyError, match=r"12000 coordinates and 0 elements, .* 11\.5 GB are needed \(allowed: 8 GB\)") as refused:
+            compute()
+        assert refused.value.code == "TOO_LARGE"
