@@ -80,7 +80,7 @@ def unattached(model: Model) -> list[str]:
 
 
 def check_state(model: Model, state: State, where: str) -> None:
-    """q and v of the model's shapes, finite, unit quaternions; everything wrong at once."""
+    """q and v of the model's shapes and precision, finite, unit quaternions; everything wrong at once."""
     problems = Problems()
     if not isinstance(state, State):
         raise JaxbodyError(
@@ -106,6 +106,11 @@ def check_state(model: Model, state: State, where: str) -> None:
                 limit=f"({count},)",
                 hint=f"Expected ({count},): {parts}.",
             )
+            continue
+        number, one = getattr(value, "dtype", None), model.gravity.dtype
+        if number in (np.float32, np.float64) and jax.dtypes.canonicalize_dtype(number) != one:
+            hint = f"Give jb.State(numpy.asarray(state.q, '{one}'), numpy.asarray(state.v, '{one}'))."
+            problems.add("X64_CHANGED", f"{where}.{name}", f"is {number}, the model {one}", value=number, limit="one precision", hint=hint)
             continue
         known = concrete(value)
         if known is not None and not np.isfinite(known).all():

@@ -197,7 +197,7 @@ def simulate(
     """The motion from `initial` (without it, the reference pose at rest) at times[0], sampled at `times` [s].
 
     initial: a State, or "rest", in equilibrium on supports as they stand and move at times[0], loads left out.
-    motion: {support: motion}; a support without one is at rest. loads: {name: load} on bodies. rtol: ten times the relative local error that
+    motion: {support: motion}; a support without one is at rest. loads: {name: load} on bodies. rtol (in float32 1.5e-4 at least): ten times the relative local error that
     the step control allows in any component, so that samples between steps hold it too; absolute errors a hundredth of it times the size of the model (velocities: size times its fastest frequency, roughly). Without
     solver the method is Dopri8 in loops of our own (`integrators`), with steps of its own choice or, with stepsize_controller=diffrax.ConstantStepSize(), of dt0 [s];
     with other solvers, stepsize_controllers and adjoints, which are diffrax's objects, diffrax integrates. dt0 is else the first step. Both modes

@@ -7,6 +7,8 @@ import sys
 import numpy as np
 import pytest
 
+import jaxbody as jb
+
 SWITCHED = """
 import sys
 import diffrax
@@ -51,6 +53,17 @@ def test_precision_may_be_switched_either_way_within_a_process(order):
     environment = {**os.environ, "JAX_ENABLE_X64": "0", "PYTHONWARNINGS": "ignore"}
     run = subprocess.run([sys.executable, "-c", SWITCHED, *order], capture_output=True, text=True, env=environment, timeout=600)
     assert run.stdout.split() == ["True"] * 2, run.stderr
+
+
+@pytest.mark.parametrize("call", [lambda m, s: jb.simulate(m, [0.0, 1.0], initial=s), lambda m, s: jb.equilibrium(m, start=s)])
+def test_a_state_of_the_other_precision_is_refused_with_what_to_do(call):
+    model = jb.presets.quarter_car(damping=1500.0)
+    single = jb.State(np.zeros(2, np.float32), np.zeros(2, np.float32))
+    with pytest.raises(jb.JaxbodyError) as raised, jb.compile_times() as times:
+        call(model, single)
+    assert [problem.code for problem in raised.value.problems] == ["X64_CHANGED"] * 2
+    assert "q: is float32, the model float64" in str(raised.value) and "numpy.asarray(state.q, 'float64')" in str(raised.value)
+    assert "integrate" not in times.programs and "equilibrium_of" not in times.programs
 
 
 ALONE = """
