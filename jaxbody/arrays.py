@@ -8,9 +8,9 @@ import jax
 import jax.core
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
 from jaxbody.errors import JaxbodyError, Problem, Problems
+from jaxbody.jax_internals import Tracer
 
 
 def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:

@@ -16,13 +16,15 @@ PHASES = {
     "/jax/core/compile/backend_compile_duration": 2,
 }
 HIT = "/jax/compilation_cache/cache_hits"
+LEFT = "/jaxbody/lanes/left_to_vmap"
 MOST_ROWS = 10  # that print; the rest in one
 
 
 @dataclass
 class CompileTimes:
     """`programs`: by function (seconds of tracing, of lowering, of compiling, how often it was compiled); `count` and `seconds` of all;
-    `cached`, how many came from JAX's persistent cache.
+    `cached`, how many came from JAX's persistent cache; `left_to_vmap`, by function of jaxbody why a batch of it was not rewritten for lanes:
+    its results are the same, it runs slower.
 
     >>> CompileTimes().count
     0
@@ -31,6 +33,7 @@ class CompileTimes:
     traced: dict[str, float] = field(default_factory=dict)
     programs: dict[str, tuple[float, float, float, int]] = field(default_factory=dict)
     cached: int = 0
+    left_to_vmap: dict[str, str] = field(default_factory=dict)
 
     @property
     def count(self) -> int:
@@ -60,7 +63,15 @@ class CompileTimes:
         end = f"{tables.counted(self.count, 'compilation')}, {self.seconds:.3g} s" + (
             f", {self.cached} from the cache" if self.cached else ""
         )
-        return tables.text(tables.Table("Compilations", ("function", "traced [s]", "lowered [s]", "compiled [s]", "count"), shown, end))
+        found = [tables.Table("Compilations", ("function", "traced [s]", "lowered [s]", "compiled [s]", "count"), shown, end)]
+        if self.left_to_vmap:
+            found.append(tables.Table("Left to jax.vmap, slower", ("function", "why"), list(self.left_to_vmap.items())))
+        return tables.text(*found)
+
+
+def note_left_to_vmap(function: str, why: str) -> None:
+    """For whoever listens."""
+    monitoring.record_event(LEFT, function=function, why=why)
 
 
 @contextmanager
@@ -83,6 +94,8 @@ def compile_times() -> Iterator[CompileTimes]:
 
     def event(name: str, **more) -> None:
         found.cached += listening and name == HIT
+        if listening and name == LEFT:
+            found.left_to_vmap[more["function"]] = more["why"]
 
     monitoring.register_event_duration_secs_listener(seconds)
     monitoring.register_event_listener(event)

@@ -9,12 +9,11 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
-from jax.interpreters.partial_eval import dce_jaxpr
 from jaxtyping import Array, Float
 
 from jaxbody.design_spaces import Space
 from jaxbody.errors import JaxbodyError, Problem, Problems
+from jaxbody.jax_internals import jaxpr_as_fun, only_what_is_needed
 from jaxbody.models import unknown
 from jaxbody.optimizers import Rows, Search
 from jaxbody.options import jit_quickly
@@ -135,9 +134,8 @@ def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array,
 
 def needed(function: Callable[[Array], Array], u: Float[Array, "n"]) -> Callable[[Array], Array]:
     """The function without what its result does not need, of which nothing is then differentiated: to trace that takes as long as to compile the rest."""
-    traced = jax.make_jaxpr(function)(u)
-    kept, _ = dce_jaxpr(traced.jaxpr, [True] * len(traced.out_avals), instantiate=True)
-    return lambda u: jaxpr_as_fun(ClosedJaxpr(kept, traced.consts))(u)[0]
+    kept = only_what_is_needed(jax.make_jaxpr(function)(u))
+    return lambda u: jaxpr_as_fun(kept)(u)[0]
 
 
 def evaluated(evaluate: Evaluate, *given: Any) -> Quantities:

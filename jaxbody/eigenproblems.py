@@ -11,17 +11,12 @@ all branches of a cluster are asked for alike. Source: A. P. Seyranian, E. Lund,
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import ShapedArray
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxbody.jax_internals import linear_one_way
 from jaxbody.lanes import in_lanes
 
 CLUSTERED = 1e-6  # relative distance of eigenvalues below which branches cannot be told apart
@@ -31,42 +26,6 @@ ALIKE = (
 ZERO = 1e-10  # eigenvalues, relative to the largest, that count as zero
 MASSLESS = 1e-13  # pivots of M, relative to its diagonal, that count as zero
 SWEPT = 128  # lanes for eigenvalues, whose many short loops cost more to call than to run
-
-
-def linear_one_way(name: str, forward: Callable[..., Array], backward: Callable[..., Array], again: Any = None) -> Callable[..., Array]:
-    """A function of a tangent and of what is known with its own transpose, and `again`, its derivative in the tangent; all take leading axes of batches.
-
-    A custom rule of JAX would transpose `forward` itself, which here need not be linear, and cannot look at a cotangent."""
-    primitive = Primitive(name)
-    primitive.def_impl(forward)
-    primitive.def_abstract_eval(lambda *avals: ShapedArray(*_shape_and_dtype(forward, avals)))
-    mlir.register_lowering(primitive, mlir.lower_fun(forward, multiple_results=False))
-
-    def jvp(primals, tangents):
-        out = primitive.bind(*primals)
-        if type(tangents[0]) is ad.Zero:
-            return out, jnp.zeros_like(out)
-        return out, (again or primitive.bind)(tangents[0], *primals[1:])
-
-    def transpose(cotangent, t, *known):
-        return (ad.Zero(t.aval) if type(cotangent) is ad.Zero else backward(cotangent, *known), *(None for _ in known))
-
-    def batch(args, axes):
-        size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
-        moved = (
-            jnp.broadcast_to(x, (size, *x.shape)) if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in zip(args, axes, strict=True)
-        )
-        return primitive.bind(*moved), 0
-
-    ad.primitive_jvps[primitive] = jvp
-    ad.primitive_transposes[primitive] = transpose
-    batching.primitive_batchers[primitive] = batch
-    return primitive.bind
-
-
-def _shape_and_dtype(function, avals) -> tuple[Any, Any]:
-    out = jax.eval_shape(function, *(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals))
-    return out.shape, out.dtype
 
 
 def clusters(values: Float[Array, "*n"]) -> Int[Array, "*n"]:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import jax
-from jax.core import Tracer
 
+from jaxbody.jax_internals import Tracer
 from jaxbody.progress_lines import clear
 
 MOST_PROBLEMS = 20

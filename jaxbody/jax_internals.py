@@ -1,4 +1,12 @@
-"""What jaxbody takes from the inside of JAX, which no version promises: one function for each use, with a test and a way back."""
+"""What jaxbody takes from the inside of JAX, which no version promises, with a way back where it is gone; `lanes` knows operations by name.
+
+Of what JAX has changed, this matters here:
+0.10  most names of jax.core go, `jax.extend.core` has them; the last version for Python 3.11
+0.11  `jax.experimental.hijax`: operations that carry their own rules and are replaced by others before a program is compiled ("high" ones)
+0.12  jnp.searchsorted is one, so jnp.interp too: `without_high_operations`. `ClosedJaxpr` is `Jaxpr`. XLA has no fusion emitters to switch off
+Coming: JAX's documents call such operations the way to rules of one's own; custom_jvp and custom_vjp are already written as such, not yet used.
+Programs then have `call_hi_primitive` where `lanes` knows `custom_jvp_call`, and lose them in the same way.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +16,47 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.core import ShapedArray
-from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
+from jax.core import ShapedArray, Tracer
+from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir, partial_eval
+from jax.interpreters.ad import Zero
 from jaxtyping import Array
+
+__all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "jaxpr_as_fun"]  # as they are
+
+
+# What JAX is doing
+
+
+def outermost() -> bool:
+    """Whether nothing is being traced; no where JAX does not say, as what follows from it is then right, if slower."""
+    try:
+        from jax._src import core
+
+        return core.trace_state_clean()
+    except (ImportError, AttributeError):
+        return False
+
+
+def started() -> bool:
+    """Whether JAX has looked for devices; no where JAX does not say: what is then set too late has no effect."""
+    try:
+        from jax._src import xla_bridge
+
+        return xla_bridge.backends_are_initialized()
+    except (ImportError, AttributeError):
+        return False
+
+
+# Programs
+
+
+def only_what_is_needed(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
+    """The program without what its results do not need, if JAX can tell."""
+    if not hasattr(partial_eval, "dce_jaxpr"):
+        return jaxpr
+    kept, _ = partial_eval.dce_jaxpr(jaxpr.jaxpr, [True] * len(jaxpr.out_avals), instantiate=True)
+    return ClosedJaxpr(kept, jaxpr.consts)
 
 
 def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
@@ -22,6 +67,90 @@ def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     if hasattr(partial_eval, "lower_jaxpr2"):
         return partial_eval.lower_jaxpr2(jaxpr)  # pyright: ignore
     return jax.jit(jaxpr_as_fun(jaxpr)).trace(*jaxpr.in_avals).lojax.jaxpr  # pyright: ignore  # the same by another door
+
+
+# Operations of our own
+
+
+def new_operation(
+    name: str,
+    compute: Callable[..., Any],
+    *,
+    batch: Callable[..., Any],
+    typed: Callable[..., Any] | None = None,
+    several: bool = False,
+    lowered: Callable[..., Any] | None = None,
+    jvp: Callable[..., Any] | None = None,
+    transpose: Callable[..., Any] | None = None,
+) -> Primitive:
+    """An operation that computes compute(*arrays, **parameters), with rules as JAX wants them; without jvp it is linear, if it has a transpose."""
+    primitive = Primitive(name)
+    primitive.multiple_results = several
+    primitive.def_impl(compute)
+    primitive.def_abstract_eval(typed or functools.partial(_type_of, compute))
+    mlir.register_lowering(primitive, lowered or mlir.lower_fun(compute, multiple_results=several))
+    batching.primitive_batchers[primitive] = batch
+    if jvp is not None:
+        ad.primitive_jvps[primitive] = jvp
+        if transpose is not None:
+            ad.primitive_transposes[primitive] = transpose
+    elif transpose is not None:
+        ad.deflinear2(primitive, transpose)
+    return primitive
+
+
+def call_of(name: str, *, batch: Callable[..., Any], jvp: Callable[..., Any]) -> Primitive:
+    """An operation that runs its parameter `jaxpr`."""
+    primitive = new_operation(
+        name,
+        lambda *args, jaxpr, **_: jaxpr_as_fun(jaxpr)(*args),
+        typed=lambda *args, jaxpr, **_: jaxpr.out_avals,
+        several=True,
+        lowered=lambda context, *args, jaxpr, **_: mlir.core_call_lowering(context, *args, name=name, call_jaxpr=jaxpr),
+        batch=batch,
+        jvp=jvp,
+    )
+    primitive.is_high = lambda *_, jaxpr, **__: getattr(jaxpr, "is_high", False)  # pyright: ignore
+    primitive.to_lojax = lambda *args, jaxpr, **params: primitive.bind(*args, jaxpr=without_high_operations(jaxpr), **params)
+    return primitive
+
+
+def _type_of(compute: Callable[..., Any], *avals: Any, **parameters: Any) -> ShapedArray:
+    out = jax.eval_shape(functools.partial(compute, **parameters), *(jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals))
+    return shaped(out.shape, out.dtype)
+
+
+def shaped(shape: tuple[int, ...], dtype: Any) -> ShapedArray:
+    """The type of an array, on the mesh of devices that there may be."""
+    mesh = jax.sharding.get_abstract_mesh()
+    if mesh.empty:
+        return ShapedArray(shape, dtype)
+    return ShapedArray(shape, dtype, sharding=jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*(None for _ in shape))))
+
+
+def linear_one_way(name: str, forward: Callable[..., Array], backward: Callable[..., Array], again: Any = None) -> Callable[..., Array]:
+    """A function of a tangent and of what is known with its own transpose, and `again`, its derivative in the tangent; all take leading axes of batches.
+
+    A custom rule of JAX would transpose `forward` itself, which here need not be linear, and cannot look at a cotangent."""
+
+    def jvp(primals, tangents):
+        out = primitive.bind(*primals)
+        if type(tangents[0]) is Zero:
+            return out, jnp.zeros_like(out)
+        return out, (again or primitive.bind)(tangents[0], *primals[1:])
+
+    def transpose(cotangent, t, *known):
+        return (Zero(t.aval) if type(cotangent) is Zero else backward(cotangent, *known), *(None for _ in known))
+
+    def batch(args, axes):
+        size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
+        moved = (
+            jnp.broadcast_to(x, (size, *x.shape)) if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in zip(args, axes, strict=True)
+        )
+        return primitive.bind(*moved), 0
+
+    primitive = new_operation(name, forward, batch=batch, jvp=jvp, transpose=transpose)
+    return primitive.bind
 
 
 # Within `jax.shard_map` the type of an array says over which axes of the mesh its values vary, and a loop may not begin with a constant,
@@ -64,20 +193,20 @@ def _with_varying(aval: Any, axes: frozenset) -> Any:
     return aval.update(vma=axes)
 
 
-def _type_only(name: str, varying: Callable[[frozenset], frozenset]) -> Primitive:
+def _type_only(name: str, varying: Callable[[frozenset], frozenset], back: Callable[[], Primitive]) -> Primitive:
     """The same numbers, of another type."""
-    primitive = Primitive(name)
-    primitive.def_impl(lambda x, axes: x)
-    primitive.def_abstract_eval(lambda x, axes: _with_varying(x, varying(axes)))
-    mlir.register_lowering(primitive, lambda context, x, axes: [x])
-    batching.defvectorized(primitive)
+    primitive = new_operation(
+        name,
+        lambda x, axes: x,
+        typed=lambda x, axes: _with_varying(x, varying(axes)),
+        batch=lambda args, at, axes: (primitive.bind(*args, axes=axes), at[0]),
+        transpose=lambda cotangent, x, axes: [back().bind(cotangent, axes=axes)],
+    )
     return primitive
 
 
-_hidden_p = _type_only("manual_axes_hidden", lambda axes: frozenset())
-_shown_p = _type_only("manual_axes_shown", lambda axes: axes)
-ad.deflinear2(_hidden_p, lambda cotangent, x, axes: [_shown_p.bind(cotangent, axes=axes)])
-ad.deflinear2(_shown_p, lambda cotangent, x, axes: [_hidden_p.bind(cotangent, axes=axes)])
+_hidden_p = _type_only("manual_axes_hidden", lambda axes: frozenset(), lambda: _shown_p)
+_shown_p = _type_only("manual_axes_shown", lambda axes: axes, lambda: _hidden_p)
 
 
 # A linear function with a transpose of its own. `jax.linear_transpose` takes no loop of unknown length; `jax.custom_vjp` allows no forward
@@ -105,7 +234,7 @@ def linear_with_transpose(
 
 
 def _linear_jvp(primals, tangents, *, along, **params):
-    moved = [not isinstance(t, ad.Zero) for t in tangents]
+    moved = [not isinstance(t, Zero) for t in tangents]
 
     def of_moved(*x):
         given = iter(x)
@@ -135,11 +264,12 @@ def _linear_batch(args, axes, *, along, back, n, shapes):
     return _linear_p.bind(*args, along=along_over, back=back_over, n=n, shapes=shapes), [0] * len(shapes)
 
 
-_linear_p = Primitive("linear_with_transpose")
-_linear_p.multiple_results = True
-_linear_p.def_impl(lambda *args, along, **_: along(*args))
-_linear_p.def_abstract_eval(lambda *_, shapes, **__: [ShapedArray(*x) for x in shapes])
-mlir.register_lowering(_linear_p, mlir.lower_fun(lambda *args, along, **_: along(*args), multiple_results=True))
-ad.primitive_jvps[_linear_p] = _linear_jvp
-ad.primitive_transposes[_linear_p] = _linear_transpose
-batching.primitive_batchers[_linear_p] = _linear_batch
+_linear_p = new_operation(
+    "linear_with_transpose",
+    lambda *args, along, **_: along(*args),
+    typed=lambda *_, shapes, **__: [shaped(*x) for x in shapes],
+    several=True,
+    batch=_linear_batch,
+    jvp=_linear_jvp,
+    transpose=_linear_transpose,
+)

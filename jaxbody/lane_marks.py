@@ -7,27 +7,19 @@ from collections.abc import Callable
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.core import ShapedArray
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool
 
+from jaxbody.jax_internals import new_operation
+
 # Whether it is so for any member of a batch, the same for all: a loop that asks this needs no masks over what it carries.
-_any_p = Primitive("any_of_batch")
+_any_p = new_operation("any_of_batch", lambda x: x, batch=lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None))
 any_of_batch: Callable[[Bool[Array, "*n"]], Bool[Array, "*n"]] = _any_p.bind
-_any_p.def_impl(lambda x: x)
-_any_p.def_abstract_eval(lambda x: x)
-mlir.register_lowering(_any_p, lambda context, x: [x])
-batching.primitive_batchers[_any_p] = lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None)
 
 # The same numbers, which a batch in lanes works out once; else XLA works them out again in each fusion, and for each element, that uses them.
-_kept_p = Primitive("kept_in_lanes")
+_kept_p = new_operation(
+    "kept_in_lanes", lambda x: x, batch=lambda args, axes: (_kept_p.bind(args[0]), axes[0]), transpose=lambda cotangent, x: [cotangent]
+)
 kept: Callable[[Array], Array] = _kept_p.bind
-_kept_p.def_impl(lambda x: x)
-_kept_p.def_abstract_eval(lambda x: x)
-mlir.register_lowering(_kept_p, lambda context, x: [x])
-ad.deflinear2(_kept_p, lambda cotangent, x: [cotangent])
-batching.defvectorized(_kept_p)
 
 
 def as_kept(x: Array) -> Array:
@@ -55,9 +47,4 @@ def _batched_sum(args, batched, axes):
     return sum_p.bind(jnp.moveaxis(args[0], batched[0], -1), axes=axes), args[0].ndim - 1 - len(axes)
 
 
-sum_p = Primitive("sum_in_lanes")
-sum_p.def_impl(plain_sum)
-sum_p.def_abstract_eval(lambda x, axes: ShapedArray(tuple(n for i, n in enumerate(x.shape) if i not in axes), x.dtype))
-mlir.register_lowering(sum_p, mlir.lower_fun(plain_sum, multiple_results=False))
-batching.primitive_batchers[sum_p] = _batched_sum
-ad.deflinear2(sum_p, _spread_back)
+sum_p = new_operation("sum_in_lanes", plain_sum, batch=_batched_sum, transpose=_spread_back)

@@ -1,29 +1,31 @@
 """Batches on the last axis. `jax.vmap` puts a batch first; vectors of three then leave a processor's wide registers empty.
 
 A function that is `in_lanes` does what it did, but in a batch its operations are rewritten one by one so that arrays (3,) become (3, b), with
-at most so many members at a time. Operations without a rule here are left to jax.vmap.
+at most so many members at a time. Operations without a rule here are left to jax.vmap; so is the whole function where a rule fails, as it may
+when JAX changes an operation, and on other devices than CPUs. `compile_times` shows both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
-from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array
 
-from jaxbody.jax_internals import without_high_operations
+from jaxbody.compilations import note_left_to_vmap
+from jaxbody.jax_internals import ClosedJaxpr, Literal, Zero, call_of, jaxpr_as_fun, without_high_operations
 from jaxbody.lane_marks import as_kept, plain_max, sum_p
 from jaxbody.symmetric_eigenvalues import eigenvalues
 
 LANES = 32
 ELEMENTWISE = {
     "abs", "acos", "add", "and", "asin", "atan", "atan2", "cbrt", "ceil", "clamp", "convert_element_type", "copy", "cos", "cosh", "div",
-    "eq", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "log", "log1p", "logistic", "lt", "max",
+    "eq", "eq_to", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "le_to", "log", "log1p", "logistic", "lt", "lt_to", "max",
     "min", "mul", "ne", "neg", "nextafter", "not", "or", "pow", "rem", "round", "rsqrt", "select_n", "sign", "sin", "sinh", "sqrt",
     "square", "sub", "tan", "tanh", "xor",
 }  # fmt: skip
@@ -39,18 +41,42 @@ CALLS = {
     "custom_jvp_call": "call_jaxpr",
     "custom_vjp_call": "call_jaxpr",
 }
+APART = {
+    "cholesky", "cond", "custom_linear_solve", "dot_general", "dynamic_slice", "dynamic_update_slice", "eigh", "gather", "householder_product",
+    "lu", "scatter", "scatter-add", "sort", "stop_gradient", "triangular_solve", "while",
+}  # fmt: skip  # left to jax.vmap as it does them well, or as they are rare
+SWITCHED_OFF = ContextVar("lanes switched off", default=False)
 
 
-def in_lanes(function: Callable, *, reversible: bool = False, lanes: int = LANES) -> Callable[..., Any]:
+@contextmanager
+def switched_off() -> Iterator[None]:
+    """All batches by jax.vmap meanwhile, whose programs are compiled anew."""
+    jax.clear_caches()
+    token = SWITCHED_OFF.set(True)
+    try:
+        yield
+    finally:
+        SWITCHED_OFF.reset(token)
+        jax.clear_caches()
+
+
+def _no_lanes() -> str:
+    """Why there can be none, if so."""
+    platform = jax.default_backend()
+    return "lanes are switched off" if SWITCHED_OFF.get() else "" if platform == "cpu" else f"lanes are for a CPU, this is a {platform}"
+
+
+def in_lanes(function: Callable, *, reversible: bool = False, lanes: int = LANES, name: str = "") -> Callable[..., Any]:
     """The function, arrays to arrays, in a batch rewritten for chunks of so many lanes. Its derivative in forward mode is in lanes too; where it
     is to be `reversible`, derivatives are those of the function as it stands."""
+    name = name or f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
 
     def wrapped(*args):
         leaves, tree = jax.tree.flatten(args)
         leaves = [jnp.asarray(x) for x in leaves]
         traced, out = jax.make_jaxpr(lambda *x: function(*tree.unflatten(x)), return_shape=True)(*leaves)
         open_jaxpr = traced.jaxpr.replace(constvars=[], invars=[*traced.jaxpr.constvars, *traced.jaxpr.invars])
-        results = _lanes_p.bind(*traced.consts, *leaves, jaxpr=ClosedJaxpr(open_jaxpr, []), reversible=reversible, lanes=lanes)
+        results = _lanes_p.bind(*traced.consts, *leaves, jaxpr=ClosedJaxpr(open_jaxpr, []), reversible=reversible, lanes=lanes, name=name)
         return jax.tree.unflatten(jax.tree.structure(out), results)
 
     return wrapped
@@ -60,6 +86,8 @@ def vmap_last(function: Callable) -> Callable[[Array], Any]:
     """The function of one array, over the last axis of that array; results have that axis last."""
 
     def over(x: Array):
+        if _no_lanes():
+            return jax.vmap(function, in_axes=-1, out_axes=-1)(x)
         traced, out = jax.make_jaxpr(function, return_shape=True)(x[..., 0])
         traced = without_high_operations(traced)
         results = Lanes(x.shape[-1]).run(traced, [True], [x], [True] * len(traced.out_avals))
@@ -68,23 +96,12 @@ def vmap_last(function: Callable) -> Callable[[Array], Any]:
     return over
 
 
-_lanes_p = Primitive("in_lanes")
-_lanes_p.multiple_results = True
-_lanes_p.is_high = lambda *_, jaxpr, **__: getattr(jaxpr, "is_high", False)  # pyright: ignore
-_lanes_p.to_lojax = lambda *args, jaxpr, **params: _lanes_p.bind(*args, jaxpr=without_high_operations(jaxpr), **params)
-_lanes_p.def_impl(lambda *args, jaxpr, **_: jaxpr_as_fun(jaxpr)(*args))
-_lanes_p.def_abstract_eval(lambda *args, jaxpr, **_: jaxpr.out_avals)
-mlir.register_lowering(
-    _lanes_p, lambda context, *args, jaxpr, **_: mlir.core_call_lowering(context, *args, name="in_lanes", call_jaxpr=jaxpr)
-)
-
-
-def _jvp(primals, tangents, *, jaxpr, reversible, lanes):
-    moved = [not isinstance(t, ad.Zero) for t in tangents]
+def _jvp(primals, tangents, *, jaxpr, reversible, lanes, name):
+    moved = [not isinstance(t, Zero) for t in tangents]
     smooth = [jnp.issubdtype(aval.dtype, jnp.inexact) for aval in jaxpr.out_avals]
     if not any(smooth):
-        out = _lanes_p.bind(*primals, jaxpr=jaxpr, reversible=reversible, lanes=lanes)
-        return out, [ad.Zero(aval.to_tangent_aval()) for aval in jaxpr.out_avals]
+        out = _lanes_p.bind(*primals, jaxpr=jaxpr, reversible=reversible, lanes=lanes, name=name)
+        return out, [Zero(aval.to_tangent_aval()) for aval in jaxpr.out_avals]
 
     def pushed(primals, tangents):
         def of_moved(*x):
@@ -94,29 +111,40 @@ def _jvp(primals, tangents, *, jaxpr, reversible, lanes):
 
         return jax.jvp(of_moved, [p for m, p in zip(moved, primals, strict=True) if m], tangents, has_aux=True)
 
-    push = pushed if reversible else in_lanes(pushed, lanes=lanes)
-    y, dy, others = push(list(primals), [t for t in tangents if not isinstance(t, ad.Zero)])
+    push = pushed if reversible else in_lanes(pushed, lanes=lanes, name=name)
+    y, dy, others = push(list(primals), [t for t in tangents if not isinstance(t, Zero)])
     y, dy, others = iter(y), iter(dy), iter(others)
     out = [next(y) if s else next(others) for s in smooth]
-    return out, [next(dy) if s else ad.Zero(aval.to_tangent_aval()) for s, aval in zip(smooth, jaxpr.out_avals, strict=True)]
+    return out, [next(dy) if s else Zero(aval.to_tangent_aval()) for s, aval in zip(smooth, jaxpr.out_avals, strict=True)]
 
 
-def _batch(args, axes, *, jaxpr, reversible, lanes):
-    """In chunks, so that memory does not grow with the batch."""
-    jaxpr = without_high_operations(jaxpr)
+def _batch(args, axes, *, jaxpr, reversible, lanes, name):
+    """In lanes, else by jax.vmap, which keeps up with JAX."""
+    why = _no_lanes()
+    try:
+        if not why:
+            return _in_chunks(args, axes, without_high_operations(jaxpr), lanes, name)
+    except Exception as error:  # of any kind: it depends on what JAX has changed
+        why = f"{type(error).__name__}: {error}".partition("\n")[0]
+    note_left_to_vmap(name, why)
+    return jax.vmap(jaxpr_as_fun(jaxpr), in_axes=tuple(axes))(*args), [0] * len(jaxpr.out_avals)
+
+
+def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
+    """So that memory does not grow with the batch."""
     on = [axis is not None for axis in axes]
     args = [jnp.moveaxis(x, axis, -1) if o else x for x, axis, o in zip(args, axes, on, strict=True)]
     n = next(x.shape[-1] for x, o in zip(args, on, strict=True) if o)
     reached = _reach(jaxpr, on)
     if n <= lanes:
-        out = Lanes(n).run(jaxpr, on, args)
+        out = Lanes(n, name).run(jaxpr, on, args)
         return out, [x.ndim - 1 if o else None for x, o in zip(out, reached, strict=True)]
 
     def chunk(i, joined):
         """The last chunk begins where a whole one is left: some members are then worked out twice, and no array is padded."""
         begin = jnp.minimum(i * lanes, n - lanes)
         given = [lax.dynamic_slice_in_dim(x, begin, lanes, -1) if o else x for x, o in zip(args, on, strict=True)]
-        out = Lanes(lanes).run(jaxpr, on, given)
+        out = Lanes(lanes, name).run(jaxpr, on, given)
         return [
             lax.dynamic_update_slice_in_dim(whole, part, begin, -1) if o else part
             for whole, part, o in zip(joined, out, reached, strict=True)
@@ -127,8 +155,7 @@ def _batch(args, axes, *, jaxpr, reversible, lanes):
     return joined, [x.ndim - 1 if o else None for x, o in zip(joined, reached, strict=True)]
 
 
-ad.primitive_jvps[_lanes_p] = _jvp
-batching.primitive_batchers[_lanes_p] = _batch
+_lanes_p = call_of("in_lanes", batch=_batch, jvp=_jvp)
 
 
 def _reach(jaxpr: ClosedJaxpr, on: list[bool]) -> list[bool]:
@@ -185,8 +212,8 @@ def _fixpoint(body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list
 class Lanes:
     """Evaluates jaxprs for n members at once."""
 
-    def __init__(self, n: int):
-        self.n = n
+    def __init__(self, n: int, name: str = "vmap_last"):
+        self.n, self.name = n, name
 
     def run(self, jaxpr: ClosedJaxpr, on: list[bool], args: list[Any], wanted: list[bool] | None = None) -> list[Any]:
         """Results of arguments of which those `on` have a last axis of lanes; results that `_reach` says, or that are wanted, have it too."""
@@ -259,6 +286,8 @@ class Lanes:
             return self._while(p, on, x)
         if name == "scan":
             return self._scan(eqn, on, x)
+        if name not in APART:
+            note_left_to_vmap(self.name, f"no rule for {name}, which alone is left")
         return self._by_vmap(eqn, on, x)
 
     def _by_vmap(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:

@@ -12,7 +12,7 @@ import jax
 import jaxlib.version
 
 from jaxbody.errors import JaxbodyError, Problem, warn
-from jaxbody.jax_internals import without_manual_axes
+from jaxbody.jax_internals import outermost, started, without_manual_axes
 from jaxbody.recompilations import Compiled
 
 TESTED = tuple((0, minor) for minor in range(7, 13))  # of jaxlib: XLA ends the process on an option that it does not know
@@ -48,7 +48,7 @@ def fast_loops() -> bool:
         known = ", ".join(f"{major}.{minor}" for major, minor in TESTED)
         warn("UNTESTED_JAXLIB", f"fast_loops was tried with jaxlib {known}, not with {jaxlib.version.__version__}: nothing is changed")
         return False
-    if _in_use():
+    if started():
         hint = "Call jaxbody.fast_loops() first, before any array is made."
         raise JaxbodyError(
             Problem("TOO_LATE", "fast_loops", "JAX has already started on its devices, so the option has no effect", hint=hint)
@@ -58,13 +58,6 @@ def fast_loops() -> bool:
     width = [] if any(flag.startswith(WIDTH) for flag in flags) else [WIDTH + "512"]
     os.environ["XLA_FLAGS"] = " ".join([*others, *width, HOLDER + ",".join([*held[-1:], f"{OPTION}=100000000"])])
     return True
-
-
-def _in_use() -> bool:
-    """Whether JAX has looked for devices."""
-    from jax._src import xla_bridge  # JAX has no public word for it
-
-    return xla_bridge.backends_are_initialized()
 
 
 def jit_quickly(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -92,7 +85,7 @@ def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Cal
 
     @functools.wraps(function)
     def call(*args):
-        if not _outermost():
+        if not outermost():
             return part(*args)
         result = whole()(*args)
         if traced[0]:
@@ -101,12 +94,6 @@ def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Cal
         return result
 
     return call
-
-
-def _outermost() -> bool:
-    from jax._src import core  # JAX has no public word for it
-
-    return core.trace_state_clean()
 
 
 @functools.cache

@@ -7,7 +7,8 @@ from html import escape
 from typing import Any
 
 import numpy as np
-from jax.core import Tracer
+
+from jaxbody.jax_internals import Tracer
 
 MOST_ROWS = 400  # that print
 ROUND_OFF = 1e-8  # shares below which nothing is said

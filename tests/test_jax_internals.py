@@ -5,8 +5,11 @@ import sys
 
 import jax
 import jax.numpy as jnp
+import pytest
 
 from jaxbody import jax_internals
+
+pytestmark = pytest.mark.everywhere
 
 TWO_DEVICES = """
 import os
@@ -77,3 +80,45 @@ def test_programs_lose_what_only_jax_itself_can_compile(monkeypatch):
         lowered = jax_internals.without_high_operations(traced)
         assert not getattr(lowered, "is_high", False)
         assert jax.core.eval_jaxpr(lowered.jaxpr, lowered.consts, 1.5) == [2.5]
+
+
+def test_whether_anything_is_being_traced(monkeypatch):
+    inside = []
+    jax.make_jaxpr(lambda x: inside.append(jax_internals.outermost()) or x)(1.0)
+    assert jax_internals.outermost() and inside == [False]
+    monkeypatch.delattr("jax._src.core.trace_state_clean")
+    assert not jax_internals.outermost()
+
+
+def test_whether_jax_has_looked_for_devices(monkeypatch):
+    program = "import jax; from jaxbody.jax_internals import started; print(started()); jax.devices(); print(started())"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
+    assert done.stdout.split() == ["False", "True"], done.stderr
+    monkeypatch.delattr("jax._src.xla_bridge.backends_are_initialized")
+    assert not jax_internals.started()
+
+
+def test_programs_lose_what_their_results_do_not_need(monkeypatch):
+    traced = jax.make_jaxpr(lambda x: (jnp.sin(x), jnp.cos(x))[0])(1.0)
+    kept = jax_internals.only_what_is_needed(traced)
+    assert [eqn.primitive.name for eqn in kept.jaxpr.eqns] == ["sin"]
+    monkeypatch.delattr(jax_internals.partial_eval, "dce_jaxpr")
+    assert jax_internals.only_what_is_needed(traced) is traced
+
+
+def test_a_linear_function_has_the_transpose_that_it_is_given():
+    """y = k x by a loop of unknown length, which JAX cannot transpose: forward, reverse, in batches of either argument, second derivatives."""
+
+    def times(k, x):
+        return jax.lax.while_loop(lambda c: c[0] < 3, lambda c: (c[0] + 1, c[1] + k * x / 3), (0, jnp.zeros_like(k * x)))[1]
+
+    def scaled(k, x):
+        return jax_internals.linear_with_transpose(lambda k, x: times(k, x[0]), lambda k, y: [times(k, y)], k, [x], x)
+
+    k, x = jnp.array([2.0, 3.0]), jnp.array([5.0, 7.0])
+    both = lambda k, x: (scaled(k, x), jax.jacfwd(scaled, 1)(k, x), jax.grad(scaled, 1)(k, x), jax.jacfwd(scaled)(k, x))  # noqa: E731
+    for found in (jax.jit(jax.vmap(both))(k, x), jax.tree.map(lambda *p: jnp.stack(p), *(both(*p) for p in zip(k, x, strict=True)))):
+        assert jnp.allclose(jnp.stack(found), jnp.stack([k * x, k, k, x]), rtol=1e-15)
+    assert jnp.allclose(jax.grad(lambda x: jnp.sum(jax.vmap(scaled, (0, None))(k, x)))(5.0), 5.0, rtol=1e-15)  # 2 + 3
+    mixed = jax.jacfwd(jax.grad(lambda x, k: scaled(k, x) * x), 1)  # d/dk of d(k x2)/dx = 2 x
+    assert jnp.allclose(mixed(5.0, 2.0), 10.0, rtol=1e-15)

@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxbody as jb
+from jaxbody import lanes
 from jaxbody.lane_marks import any_of_batch, kept
 from jaxbody.lanes import LANES, in_lanes, vmap_last
 
@@ -115,3 +117,45 @@ def test_a_yes_or_no_takes_no_part_in_derivatives():
     for function in (of_positive, jax.jit(of_positive)):
         np.testing.assert_allclose(jax.vmap(jax.grad(function))(x), [2 * x[0], 0 * x[0]], rtol=1e-15)
         np.testing.assert_allclose(jax.grad(function)(x[0]), 2 * x[0], rtol=1e-15)
+
+
+@pytest.mark.parametrize("why", ["a rule fails", "switched off", "a GPU"])
+def test_what_lanes_cannot_take_is_done_by_vmap_and_shown(why, monkeypatch):
+    x, a = jax.random.normal(jax.random.key(3), (4, 3)), jnp.array([0.3, -1.0, 2.0])
+    if why == "a rule fails":
+        monkeypatch.delattr(lanes.Lanes, "_scan")
+    elif why == "switched off":
+        token = lanes.SWITCHED_OFF.set(True)
+    else:
+        monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    with jb.compile_times() as times:
+        ours = jax.vmap(in_lanes(loops), in_axes=(0, None))(x, a)
+        last = vmap_last(jnp.sin)(a)
+    if why == "switched off":
+        lanes.SWITCHED_OFF.reset(token)
+    theirs = jax.vmap(loops, in_axes=(0, None))(x, a)
+    jax.tree.map(lambda p, q: np.testing.assert_allclose(p, q, rtol=1e-13, atol=1e-13), ours, theirs)
+    np.testing.assert_allclose(last, np.sin(a), rtol=1e-15)
+    (reason,) = times.left_to_vmap.values()
+    assert "test_lanes.loops" in repr(times) and {"a rule fails": "_scan", "switched off": "switched off", "a GPU": "gpu"}[why] in reason
+
+
+def test_an_operation_without_a_rule_is_shown():
+    with jb.compile_times() as times:
+        jax.vmap(in_lanes(jnp.fft.fft))(jnp.ones((2, 4)))
+    (reason,) = times.left_to_vmap.values()
+    assert "no rule for fft" in reason
+
+
+def test_batches_of_drivers_stay_in_lanes():
+    """Nothing of them is left to jax.vmap by a rule that fails: a new version of JAX shows here."""
+
+    def all_of(k):
+        spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 2.0, 0]), stiffness=k, free_length=2.0)
+        model = jb.Model(bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, elements={"spring": spring}, gravity=[0, -9.81, 0])
+        equilibrium = jb.equilibrium(model)
+        return jb.modes(jb.linearize(model, equilibrium)).frequency, jb.simulate(model, jnp.linspace(0, 0.1, 3)).state.q
+
+    with jb.compile_times() as times:
+        jax.jit(jax.vmap(lambda k: (all_of(k), jax.jacfwd(all_of)(k)))).trace(jnp.array([40.0, 50.0]))
+    assert times.left_to_vmap == {}, times
