@@ -99,6 +99,12 @@ def new_operation(
     return primitive
 
 
+def same_numbers(name: str, **rules: Any) -> Primitive:
+    """An operation that gives what it is given."""
+    rules = {"typed": lambda x, **_: x} | rules
+    return new_operation(name, lambda x, **_: x, lowered=lambda context, x, **_: [x], **rules)
+
+
 def call_of(name: str, *, batch: Callable[..., Any], jvp: Callable[..., Any]) -> Primitive:
     """An operation that runs its parameter `jaxpr`."""
     primitive = new_operation(
@@ -195,9 +201,8 @@ def _with_varying(aval: Any, axes: frozenset) -> Any:
 
 def _type_only(name: str, varying: Callable[[frozenset], frozenset], back: Callable[[], Primitive]) -> Primitive:
     """The same numbers, of another type."""
-    primitive = new_operation(
+    primitive = same_numbers(
         name,
-        lambda x, axes: x,
         typed=lambda x, axes: _with_varying(x, varying(axes)),
         batch=lambda args, at, axes: (primitive.bind(*args, axes=axes), at[0]),
         transpose=lambda cotangent, x, axes: [back().bind(cotangent, axes=axes)],

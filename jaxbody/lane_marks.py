@@ -9,15 +9,15 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool
 
-from jaxbody.jax_internals import new_operation
+from jaxbody.jax_internals import new_operation, same_numbers, shaped
 
 # Whether it is so for any member of a batch, the same for all: a loop that asks this needs no masks over what it carries.
-_any_p = new_operation("any_of_batch", lambda x: x, batch=lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None))
+_any_p = same_numbers("any_of_batch", batch=lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None))
 any_of_batch: Callable[[Bool[Array, "*n"]], Bool[Array, "*n"]] = _any_p.bind
 
 # The same numbers, which a batch in lanes works out once; else XLA works them out again in each fusion, and for each element, that uses them.
-_kept_p = new_operation(
-    "kept_in_lanes", lambda x: x, batch=lambda args, axes: (_kept_p.bind(args[0]), axes[0]), transpose=lambda cotangent, x: [cotangent]
+_kept_p = same_numbers(
+    "kept_in_lanes", batch=lambda args, axes: (_kept_p.bind(args[0]), axes[0]), transpose=lambda cotangent, x: [cotangent]
 )
 kept: Callable[[Array], Array] = _kept_p.bind
 
@@ -47,4 +47,8 @@ def _batched_sum(args, batched, axes):
     return sum_p.bind(jnp.moveaxis(args[0], batched[0], -1), axes=axes), args[0].ndim - 1 - len(axes)
 
 
-sum_p = new_operation("sum_in_lanes", plain_sum, batch=_batched_sum, transpose=_spread_back)
+def _summed(x, axes):
+    return shaped(tuple(n for i, n in enumerate(x.shape) if i not in axes), x.dtype)
+
+
+sum_p = new_operation("sum_in_lanes", plain_sum, typed=_summed, batch=_batched_sum, transpose=_spread_back)
