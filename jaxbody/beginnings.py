@@ -38,12 +38,12 @@ def far_off(task: Task, model: Model, experiments: dict[str, Any], predicted: di
         signal = _rms(_sizes(experiment, _means(experiment), task.noise[run]))
         if first < max(NOTABLE * late, SIGNAL * signal):
             continue
-        told = f"'{run}' begins {first / late:.2g} times as far off as it ends"
+        off = f"'{run}' begins {first / late:.2g} times as far off as it ends"
         if not isinstance(experiment.initial, Rest):
             rest = eqx.tree_at(lambda e: e.initial, experiment, Rest(), is_leaf=lambda x: x is None or isinstance(x, State))
             other = _rms(_sizes(rest, _readings(model, rest, task.integration), task.noise[run])[here[:count]])
             if other < BETTER * first:
-                words.append(f'{told}: initial="rest", in equilibrium on its base, would be {other / late:.2g} times; begin it so')
+                words.append(f'{off}: initial="rest", in equilibrium on its base, would be {other / late:.2g} times; begin it so')
                 continue
         if first < FAR * late:
             continue
@@ -51,7 +51,7 @@ def far_off(task: Task, model: Model, experiments: dict[str, Any], predicted: di
         blocks = [i for i in range(0, len(here) // 2, count) if _rms(size[here[i : i + count]]) > SETTLED * late]
         settled = times[here[min(blocks[-1] + count, len(here) - 1)]]
         free = " or let its initial state be free" if isinstance(experiment.initial, State) else ""
-        words.append(f"{told}: leave_out={settled:.3g} leaves out what has died away by then{free}")
+        words.append(f"{off}: leave_out={settled:.3g} leaves out what has died away by then{free}")
     return words
 
 

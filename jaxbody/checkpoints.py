@@ -72,8 +72,8 @@ def _numbers(value: Any, shape: tuple[int, ...], where: str, *, positive: bool =
     """The array, of finite numbers and of this shape. Error: NO_CHECKPOINT."""
     limit = f"{'positive' if positive else 'finite'} numbers of shape {shape}"
     if value is None or value.dtype.kind != "f" or value.shape != shape:
-        told = "is missing" if value is None else f"has shape {value.shape} of {value.dtype.name}"
-        raise JaxbodyError(Problem("NO_CHECKPOINT", where, told, value, limit, ANEW))
+        message = "is missing" if value is None else f"has shape {value.shape} of {value.dtype.name}"
+        raise JaxbodyError(Problem("NO_CHECKPOINT", where, message, value, limit, ANEW))
     if not np.isfinite(value).all() or (positive and not (value > 0).all()):
         raise JaxbodyError(Problem("NO_CHECKPOINT", where, f"is {value.tolist()!r:.60}", value, limit, ANEW))
     return value

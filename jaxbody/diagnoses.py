@@ -196,7 +196,7 @@ def _mirrored(run: str, experiment: Experiment, readings: dict[str, np.ndarray])
 
 def _weighed(run: str, model: Model, experiment: Experiment, readings: dict[str, np.ndarray]) -> list[tuple[str, str]]:
     """Accelerometers whose mean is that of a reading without gravity, or with one where the model has none."""
-    found, g = [], float(np.linalg.norm(model.gravity))
+    remarks, g = [], float(np.linalg.norm(model.gravity))
     for name, sensor in experiment.sensors.items():
         if not isinstance(sensor, Accelerometer):
             continue
@@ -204,9 +204,9 @@ def _weighed(run: str, model: Model, experiment: Experiment, readings: dict[str,
         mean, expected = (float(np.linalg.norm(np.mean(x[np.isfinite(y) & np.isfinite(p)].reshape(-1, *y.shape[1:]), 0))) for x in (y, p))
         if expected > HEAVY * g > 0 and mean < NONE * expected:
             hint = "was gravity taken out already? Put it back, or leave gravity out of the model with the sag that it makes"
-            found.append(("GRAVITY", f"{run}.{name} is {mean:.3g} m/s2 on average, where an accelerometer reads {expected:.4g}: {hint}"))
+            remarks.append(("GRAVITY", f"{run}.{name} is {mean:.3g} m/s2 on average, where an accelerometer reads {expected:.4g}: {hint}"))
         if not g and EARTH[0] <= mean <= EARTH[1]:
-            found.append(
+            remarks.append(
                 ("GRAVITY", f"{run}.{name} is {mean:.4g} m/s2 on average: it reads gravity, which the model lacks; give it gravity=")
             )
-    return found
+    return remarks

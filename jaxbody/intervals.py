@@ -66,14 +66,14 @@ def intervals_of(free: tuple[Free, ...], u: np.ndarray, slopes: list[np.ndarray]
 
 def freedoms_of(free: tuple[Free, ...], slopes: list[np.ndarray], worth: Uncertainty) -> dict[str, np.ndarray]:
     """{path: degrees of freedom}, arrays like the leaf, of the t in these intervals."""
-    found, first = {}, 0
+    freedoms, first = {}, 0
     for f, G in zip(free, slopes, strict=True):
         _, freedom = worth.spread(G.reshape(-1, G.shape[-1]))
         if isinstance(f.form, Positive | Shifted):
             freedom = np.array([worth.pressed[first + i][3] if first + i in worth.pressed else x for i, x in enumerate(freedom)])
-        found[f.path] = freedom.reshape(G.shape[:-1])
+        freedoms[f.path] = freedom.reshape(G.shape[:-1])
         first += f.form.size
-    return found
+    return freedoms
 
 
 def widening(freedom: Any, level: float) -> str:

@@ -40,11 +40,11 @@ def setting_in(model: Model) -> list[str]:
     status, slopes = _near_rest(model)
     if int(status) not in (Status.OK, Status.UNSTABLE, Status.SINGULAR_K):
         return []
-    found = []
+    names = []
     for table, both in zip(model.elements, slopes, strict=True):
         jumps = [sudden(np.asarray(g).T) for g in both]
-        found += [name for i, name in enumerate(table.names) if any(jump[i] for jump in jumps)]
-    return found
+        names += [name for i, name in enumerate(table.names) if any(jump[i] for jump in jumps)]
+    return names
 
 
 @jit_as_it_is

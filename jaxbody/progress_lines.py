@@ -1,6 +1,6 @@
 """Progress lines: what takes longer than five seconds says how far it is, on a terminal or in a notebook, unless switched off.
 
-A thread writes what the outermost computation and those within it said last; when it ends, the line goes. Where nobody looks on, nothing is written.
+A thread writes what the outermost computation and those within it said last; when it ends, the line goes. Without a terminal or a notebook nothing is written.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def clear() -> None:
 
 
 def screen() -> TextIO | None:
-    """Where someone looks on: a terminal, or a notebook."""
+    """A terminal's stderr, or a notebook's stdout; None where there is neither."""
     if sys.stderr is not None and sys.stderr.isatty():
         return sys.stderr
     ipython: Any = sys.modules.get("IPython")

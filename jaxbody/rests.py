@@ -72,6 +72,6 @@ def beginning(model: Model, motions: Motions, t, initial: State | Rest | None, w
     state, eq = rest_at(model, motions, t)
     if is_concrete(eq.status) and int(eq.status) not in GOOD:
         hint = "Give initial=State(q, v), or hold what is free to move."
-        told = f'is "rest", which is none here: {eq.report()}'
-        raise JaxbodyError(Problem(Status(int(eq.status)).name, where, told, "rest", hint=hint))
+        message = f'is "rest", which is none here: {eq.report()}'
+        raise JaxbodyError(Problem(Status(int(eq.status)).name, where, message, "rest", hint=hint))
     return state

@@ -142,9 +142,9 @@ def test_a_beginning_that_cannot_be_left_out_is_refused(leave_out):
 def test_a_fit_that_begins_far_off_says_that_rest_would_do_better():
     """From the reference pose, 5 cm and a sag away from where the box stood."""
     record = noisy(independent(TRUTH))
-    with pytest.warns(jb.JaxbodyWarning) as told:
+    with pytest.warns(jb.JaxbodyWarning) as caught:
         found = jb.fit(box(), run(record), free=FREE)
-    (far,) = [w.message for w in told if w.message.code == "FAR_OFF"]
+    (far,) = [w.message for w in caught if w.message.code == "FAR_OFF"]
     assert "'run' begins" in str(far) and 'initial="rest", in equilibrium on its base, would be' in str(far)
     assert found.remarks[0] in str(found)
 
@@ -161,9 +161,9 @@ def test_a_fit_to_a_recorded_base_motion_says_that_rest_would_do_better():
     relaxed = jb.replace(
         truth, {"s.free_length": 1.0 + MASS * G / 80.0, "s.stiffness": 85.0}
     )  # its reference pose is at rest, but for the base
-    with pytest.warns(jb.JaxbodyWarning) as told:
+    with pytest.warns(jb.JaxbodyWarning) as caught:
         jb.fit(relaxed, {"run": jb.Experiment(times, motion=motion, sensors=sensors, measured=read)}, free=FREE)
-    assert any(w.message.code == "FAR_OFF" and 'initial="rest"' in str(w.message) for w in told)
+    assert any(w.message.code == "FAR_OFF" and 'initial="rest"' in str(w.message) for w in caught)
     found = jb.fit(relaxed, {"run": jb.Experiment(times, motion=motion, sensors=sensors, measured=read, initial="rest")}, free=FREE)
     assert not found.remarks and not any(found.uncertainty.orders.values())
     for path, value in zip(FREE, (80.0, 1.0), strict=True):
@@ -175,9 +175,9 @@ def test_a_fit_that_begins_far_off_at_rest_says_what_to_leave_out():
     z, speed = base(0.0)
     model = box([80.0, 12.0])
     record = noisy(independent([80.0, 12.0], start=[z - MASS * G / 80.0 + 0.1, speed]))
-    with pytest.warns(jb.JaxbodyWarning) as told:
+    with pytest.warns(jb.JaxbodyWarning) as caught:
         jb.fit(model, run(record, initial="rest"), free=FREE)
-    (far,) = [str(w.message) for w in told if w.message.code == "FAR_OFF"]
+    (far,) = [str(w.message) for w in caught if w.message.code == "FAR_OFF"]
     seconds = float(far.split("leave_out=")[1].split()[0])
     assert 0.5 < seconds <= 1.6 and "rest" not in far
 

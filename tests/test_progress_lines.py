@@ -1,4 +1,4 @@
-"""Progress: what takes longer than five seconds says how far it is where someone looks on, and nowhere else."""
+"""Progress: what takes longer than five seconds says how far it is on a terminal or in a notebook, and nowhere else."""
 
 import io
 import re
@@ -71,7 +71,7 @@ def test_it_is_switched_off_with_all_that_is_within_it(monkeypatch, progress):
     assert terminal.getvalue() == ""
 
 
-def test_nothing_before_five_seconds_and_nothing_where_nobody_looks_on(monkeypatch):
+def test_nothing_before_five_seconds_and_nothing_without_a_terminal(monkeypatch):
     assert progress_lines.AFTER == 5.0
     monkeypatch.setattr(progress_lines, "EVERY", 0.005)
     for stream, after in ((Screen(), 5.0), (io.StringIO(), 0.0)):
@@ -82,7 +82,7 @@ def test_nothing_before_five_seconds_and_nothing_where_nobody_looks_on(monkeypat
         assert stream.getvalue() == ""
 
 
-def test_a_notebook_is_looked_on_and_a_shell_of_ipython_only_at_a_terminal(monkeypatch):
+def test_a_notebook_shows_it_and_a_shell_of_ipython_only_at_a_terminal(monkeypatch):
     monkeypatch.setattr(sys, "stderr", io.StringIO())
     for shell, seen in ((types.SimpleNamespace(kernel=1), sys.stdout), (types.SimpleNamespace(), None), (None, None)):
         monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda shell=shell: shell))
