@@ -107,7 +107,7 @@ class MeasuredResponse(Measurement):
             ports_of(model, given, what, where, problems)
         problems.raise_if_any()
         if self.loss_factor is not None:
-            check_loss_factors(self._loss_factors(), model, f"{where}.loss_factor")
+            check_loss_factors(self._loss_factors(), model, f"{where}.loss_factor", tuple(self.outputs.values()))
 
     def readings(self, model, integration):
         found = frequency_response(rested(model), self.frequencies, self.inputs, self.outputs, loss_factor=self._loss_factors())
