@@ -247,11 +247,16 @@ def as_motion(motion: Motion | Callable[[Array], Array], where: str = "motion") 
 
 def check_motion(motion: Motion, where: str, problems: Problems) -> None:
     """A motion of the user's can be traced and returns six numbers; those of one structure are traced once."""
-    parts = jax.tree.leaves(motion, is_leaf=lambda part: isinstance(part, Motion) and not isinstance(part, Sum | Delayed))
-    if any(is_own(part) for part in parts if isinstance(part, Motion)):
+    if any(map(is_own, _parts(motion))):
         leaves, structure = jax.tree.flatten(functions_as_nodes(motion))
         kinds = tuple(jax.ShapeDtypeStruct(np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
         problems.found += [replace(problem, where=where) for problem in _faults(structure, kinds)]
+
+
+def _parts(motion: Motion) -> list[Motion]:
+    """The motions that a motion is made of."""
+    within = motion.terms if isinstance(motion, Sum) else (motion.motion,) if isinstance(motion, Delayed) else ()
+    return [part for one in within for part in _parts(one)] if within else [motion]
 
 
 @functools.lru_cache(maxsize=64)
