@@ -275,13 +275,13 @@ def test_a_damaged_checkpoint_is_one_message_without_advice_to_trust_it(case, tm
     good = {"names": np.array([*FREE, "noise of run.x"]), "u": np.zeros(2), "noise0": np.array(0.02)}
     write, code, told = DAMAGED[case]
     write(tmp_path / "fit.npz", good)
-    problem = problem_of(oscillator(), run(np.zeros(len(TIMES))), resume=tmp_path / "fit.npz")
+    problem = problem_of(oscillator(), run(np.sin(TIMES)), resume=tmp_path / "fit.npz")
     assert problem.code == code and told in str(problem) and "pickle" not in str(problem) and problem.hint
 
 
 @pytest.mark.parametrize("earlier", [{"u": [0.0]}, np.zeros(2), 3])
 def test_what_is_resumed_is_a_fit_or_a_file(earlier):
-    problem = problem_of(oscillator(), run(np.zeros(len(TIMES))), resume=earlier)
+    problem = problem_of(oscillator(), run(np.sin(TIMES)), resume=earlier)
     assert problem.code == "WRONG_KIND" and f"is a {type(earlier).__name__} (allowed: a fit, or the path of its checkpoint)" in str(problem)
 
 
