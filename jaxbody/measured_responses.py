@@ -12,7 +12,7 @@ from jaxtyping import Array, Complex, Float
 from jaxbody.arrays import concrete, device_array
 from jaxbody.channels import Channel, Measurement
 from jaxbody.errors import Problems, Status
-from jaxbody.frequency_responses import check_frequencies, check_loss_factors, frequency_response
+from jaxbody.frequency_responses import check_frequencies, check_loss_factors, check_without_force_sensors, frequency_response
 from jaxbody.linearizations import Linearization, linearize
 from jaxbody.models import Model, unknown
 from jaxbody.ports import ports_of
@@ -107,7 +107,8 @@ class MeasuredResponse(Measurement):
             ports_of(model, given, what, where, problems)
         problems.raise_if_any()
         if self.loss_factor is not None:
-            check_loss_factors(self._loss_factors(), model, f"{where}.loss_factor", tuple(self.outputs.values()))
+            check_loss_factors(self._loss_factors(), model, f"{where}.loss_factor")
+            check_without_force_sensors(self.loss_factor, f"{where}.loss_factor", tuple(self.outputs.values()))
 
     def readings(self, model, integration):
         found = frequency_response(rested(model), self.frequencies, self.inputs, self.outputs, loss_factor=self._loss_factors())
