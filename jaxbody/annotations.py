@@ -12,6 +12,7 @@ WIDTH, HEIGHT = 0.62, 1.3  # of a letter, in sizes of the font
 RINGS = (4.0, 8.0, 13.0, 20.0, 30.0, 42.0, 56.0)  # points from what is named to the edge of its name
 ANGLES = np.deg2rad(np.arange(0, 360, 22.5))
 STEP = 2.5  # points along the lines that names had better not cover
+CLEAR = 3.0  # points between a name and a line
 FAR = 16.0  # points from which on a thin line leads to the name
 
 
@@ -41,7 +42,7 @@ def annotate(ax: Any, labels: list[Label]) -> None:
         low, high = at + offsets - half, at + offsets + half
         depth = np.minimum(high[:, None], taken[:, 2:]) - np.maximum(low[:, None], taken[:, :2])
         costs = costs + 20 * np.sum(np.all(depth > 0, -1), -1)
-        costs = costs + np.sum(np.all((covered > low[:, None]) & (covered < high[:, None]), -1), -1)
+        costs = costs + np.sum(np.all((covered > low[:, None] - CLEAR) & (covered < high[:, None] + CLEAR), -1), -1)
         best = int(np.argmin(costs))
         taken = np.concatenate([taken, [[*low[best], *high[best]]]])
         leader = {"arrowstyle": "-", "lw": 0.5, "color": GRAY, "shrinkA": 0, "shrinkB": 1} if reach[best] > FAR else None
