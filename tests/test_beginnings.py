@@ -135,7 +135,7 @@ def test_what_is_left_out_of_the_beginning_does_not_count():
 @pytest.mark.parametrize("leave_out", [-1.0, 3.0, "0.5", np.nan, True])
 def test_a_beginning_that_cannot_be_left_out_is_refused(leave_out):
     with pytest.raises(jb.JaxbodyError, match=r"Experiment.leave_out: is .* less than the 3 s of the record") as caught:
-        run(np.zeros(151), leave_out=leave_out)
+        run(TIMES, leave_out=leave_out)
     assert caught.value.code == "BAD_NUMBER"
 
 
@@ -186,11 +186,11 @@ def test_rest_where_there_is_none_is_said_before_and_in_a_fit():
     loose = jb.Model(bodies={"box": jb.Body(mass=1.0, inertia=[1, 1, 1])}, joints={"box": jb.Guide("world", axis=[0, 0, 1])}, gravity=[0, 0, -G])  # fmt: skip
     with pytest.raises(jb.JaxbodyError, match='is "rest", which is none here: NO_EQUILIBRIUM'):
         jb.simulate(loose, TIMES, initial="rest")
-    track = jb.Experiment(TIMES, sensors=SENSORS, measured={"x": np.zeros(151)}, initial="rest")
+    track = jb.Experiment(TIMES, sensors=SENSORS, measured={"x": TIMES}, initial="rest")
     with pytest.raises(jb.JaxbodyError, match='is "rest", which is none here') as caught:
         jb.fit(loose, {"run": track}, free=["box.mass"])
     assert caught.value.code == "NONFINITE_START"
     with pytest.raises(jb.JaxbodyError, match="begins at rest, which follows from the model: give it initial=State"):
-        jb.fit(box(), run(np.zeros(151), initial="rest"), free=["run.initial.q"])
+        jb.fit(box(), run(TIMES, initial="rest"), free=["run.initial.q"])
     with pytest.raises(jb.JaxbodyError, match="is a str"):
         jb.simulate(box(), TIMES, initial="at rest")
