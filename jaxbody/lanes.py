@@ -127,7 +127,9 @@ def _batch(args, axes, *, jaxpr, reversible, lanes, name):
     except Exception as error:  # of any kind: it depends on what JAX has changed
         why = f"{type(error).__name__}: {error}".partition("\n")[0]
     note_left_to_vmap(name, why)
-    return jax.vmap(jaxpr_as_fun(jaxpr), in_axes=tuple(axes))(*args), [0] * len(jaxpr.out_avals)
+    reached = _reach(without_high_operations(jaxpr), [axis is not None for axis in axes])
+    out_axes = [0 if r else None for r in reached]
+    return jax.vmap(jaxpr_as_fun(jaxpr), in_axes=tuple(axes), out_axes=out_axes)(*args), out_axes
 
 
 def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):

@@ -9,6 +9,8 @@ import jaxlib.version
 import numpy as np
 import pytest
 
+from jaxbody import lanes
+
 jax.config.update("jax_enable_x64", True)
 # `jaxbody.quick_options` for all programs, else a third of the time of the tests is compiling
 if jaxlib.version.__version__.startswith("0.10."):
@@ -21,6 +23,16 @@ MANY = 20_000  # pieces of mapped memory; Linux ends a process that asks for mor
 @pytest.fixture
 def rng():
     return np.random.default_rng(2011)
+
+
+@pytest.fixture(params=["in lanes", pytest.param("by vmap", marks=pytest.mark.long)])
+def batches(request):
+    """Tests of batches run once more with lanes switched off: the way back where JAX changes what they rewrite."""
+    if request.param == "in lanes":
+        yield
+    else:
+        with lanes.switched_off():
+            yield
 
 
 @pytest.fixture(autouse=True, scope="module")

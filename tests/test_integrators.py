@@ -70,6 +70,7 @@ def test_constant_steps_are_those_of_the_tableau(model):
         assert float(slope) == pytest.approx(float(q_slope[i]), rel=1e-10)
 
 
+@pytest.mark.usefixtures("batches")
 def test_a_batch_of_constant_steps_is_a_loop(model):
     """More than a chunk, and with fewer steps than it takes."""
     factors = jnp.linspace(0.5, 2.0, integrators.LANES + 1)
@@ -149,6 +150,7 @@ def test_gradients_to_initial_states_and_times(model):
     assert float(by_time) == pytest.approx(float(value(0.1, h) - value(0.1, -h)) / (2 * h), rel=1e-6)
 
 
+@pytest.mark.usefixtures("batches")
 def test_a_batch_is_a_loop_and_members_do_not_disturb_one_another(model):
     """Forty members, more than a chunk of lanes, with steps of their own; one of them is NaN from the start and only it ends so."""
     factors = jnp.linspace(0.5, 2.0, 40).at[7].set(jnp.nan)
@@ -159,6 +161,7 @@ def test_a_batch_is_a_loop_and_members_do_not_disturb_one_another(model):
     assert np.isnan(batch[7, 1:]).all() and np.isfinite(np.delete(batch, 7, 0)).all()
 
 
+@pytest.mark.usefixtures("batches")
 @pytest.mark.long
 def test_gradients_of_a_batch(model):
     slopes = jax.jit(jax.vmap(jax.grad(lambda f: jnp.sum(path(model, f)[:, 0] ** 2))))(jnp.array([0.9, 1.1]))
@@ -233,6 +236,7 @@ def oscillation(law, times, **options):
     return jb.simulate(model, times, initial=jb.State(jnp.array([0.3]), jnp.zeros(1)), rtol=1e-10, **options).state.q[:, 0]
 
 
+@pytest.mark.usefixtures("batches")
 def test_simulate_works_on_every_jax_also_with_laws_that_interpolate():
     """A mass on a spring by a table that is a straight line, k = 40 N/m: x = cos wt, alone and in a batch, and dx/dk = -t sin(wt)/(2 w)."""
     times, ks = jnp.linspace(0.0, 1.0, 4), jnp.array([40.0, 30.0])

@@ -47,6 +47,7 @@ def hanging(plate):
     return found
 
 
+@pytest.mark.usefixtures("batches")
 def test_poor_starts_end_in_the_stable_equilibrium(plate, hanging):
     count = 200
     places = SIZE * RNG.uniform(0, 1, (count, 1)) * directions(count)
@@ -76,6 +77,7 @@ def lowest_stiffness(model, q):
     return values[0] / values[-1]
 
 
+@pytest.mark.usefixtures("batches")
 def test_no_model_ends_in_an_unstable_equilibrium_that_is_called_ok(plate):
     """Random springs, some pressed, on bodies of random weight, from reference poses that are nowhere near an equilibrium."""
     count = 200
