@@ -106,7 +106,7 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     check_precision("complex_modes", lin.model, needs_float64=not allow_float32)
     spins = isinstance(lin, SpinLinearization)
     D = lin.C + lin.G if isinstance(lin, SpinLinearization) else lin.C
-    unit = scale_of(lin.model, size_of(lin.model))
+    unit = jax.lax.stop_gradient(scale_of(lin.model, size_of(lin.model)))  # results do not depend on it
     result = ComplexModes(*_complex_modes(lin.M, D, lin.K, unit, lin.status, spins), M=lin.M, model=lin.model, q=lin.state.q)
     warn_if_failed(result)
     return result

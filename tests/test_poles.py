@@ -425,3 +425,20 @@ def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
     for function in (jb.modes, jb.mode_energies, lambda lin: jb.elastic_axes(lin, "disk")):  # they would not see G
         assert refused(function, spun) == "WRONG_KIND"
     assert refused(jb.complex_modes, model) == "WRONG_KIND"
+
+
+def test_derivatives_of_poles_by_a_place_are_finite():
+    """An arm on a spring at r from its hinge: w^2 = k r^2/J, dw/dr = w/r; the size of the model, by which poles are made alike, has no part in it."""
+    model = jb.Model(
+        bodies={"arm": jb.Body(mass=1.0, inertia=[1.0, 2.0, 1.0])},
+        joints={"arm": jb.Hinge("world", axis=[0, 1, 0])},
+        elements={"s": jb.Spring(("arm", [0.5, 0, 0]), ("world", [0.5, 0, -1.0]), stiffness=80.0, free_length=1.0)},
+    )
+
+    def frequency(r):
+        ends = {"s.a": jnp.array([1.0, 0, 0]) * r, "s.b": jnp.array([1.0, 0, 0]) * r + jnp.array([0, 0, -1.0])}
+        return jb.complex_modes(jb.linearize(jb.replace(model, ends), model.reference)).frequency[0]
+
+    w = 0.5 * np.sqrt(80.0 / 2.0) / (2 * np.pi)
+    np.testing.assert_allclose(frequency(0.5), w, rtol=1e-9)
+    np.testing.assert_allclose(jax.jacfwd(frequency)(0.5), w / 0.5, rtol=1e-9)
