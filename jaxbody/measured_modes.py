@@ -97,7 +97,7 @@ class MeasuredModes(Measurement):
 
     @property
     def channels(self):
-        return {name: ModalChannel(unit) for name, unit in UNITS.items() if name in self.measured}
+        return {name: ModalChannel(unit) for name, unit in UNITS.items() if name in self.measured}  # pyright: ignore[reportCallIssue]  # the class states the shape
 
     def named(self):
         return dict(self.sensors)

@@ -86,7 +86,7 @@ def half_car(
     return Model(
         bodies={"body": Body(mass=mass, inertia=mass * gyration**2 * np.array([0.5, 1, 1]), com=com, position=place)},
         supports={name: Support(position=[x, 0, 0]) for name, x in at.items()},
-        joints={"body": HeavePitch("world")},
+        joints={"body": HeavePitch("world")},  # pyright: ignore[reportCallIssue]  # the class states the others
         elements={
             f"{name} spring": _upright("body", name, k, c, length + shares[name] * mass * gravity / k, (at[name], 0, top))
             for name, (k, c) in springs.items()
@@ -136,7 +136,7 @@ def full_car(
     return Model(
         bodies=bodies,
         supports={f"road {name}": Support(position=[x, y, 0]) for name, (x, y, _) in wheels.items()},
-        joints={"car": HeavePitchRoll("world"), **{name: Guide("world", axis=UP) for name in wheels}},
+        joints={"car": HeavePitchRoll("world"), **{name: Guide("world", axis=UP) for name in wheels}},  # pyright: ignore[reportCallIssue]
         elements=elements,
         gravity=[0, 0, -gravity],
     )
@@ -226,7 +226,7 @@ def elastic_pendulum(*, mass=1.0, stiffness=4 * np.pi**2, free_length=0.75, damp
     spring = Spring(("bob", [0, 0, 0]), ("world", [0, 0, length]), stiffness=stiffness, free_length=free_length, damping=damping)
     return Model(
         bodies={"bob": Body(mass=mass, inertia=POINT)},
-        joints={"bob": Translation("world")},
+        joints={"bob": Translation("world")},  # pyright: ignore[reportCallIssue]
         elements={"spring": spring},
         gravity=[0, 0, -gravity],
     )

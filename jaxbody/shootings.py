@@ -65,7 +65,7 @@ class Segments(Measurement):
 
     @property
     def channels(self):
-        return {**self.whole.channels, "continuity": Continuity()}
+        return {**self.whole.channels, "continuity": Continuity()}  # pyright: ignore[reportCallIssue]  # the class states them
 
     def residual(self, name, reading):
         return reading if name == "continuity" else self.whole.residual(name, reading)
