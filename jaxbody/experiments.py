@@ -80,13 +80,13 @@ class Experiment(Measurement):
         leave_out: float = 0.0,
     ):
         problems = Problems()
-        checked = check_times(times, problems, "Experiment.times", minimum=2)
         sensors = named(sensors, "Experiment.sensors", "name: jb.Position(...)", problems)
         measured = named(measured, "Experiment.measured", "name: array", problems)
         motion = named(motion, "Experiment.motion", "support: jb.Harmonic(...)", problems)
         motions = {name: problems.gather(lambda m=m, name=name: as_motion(m, f"Experiment.motion['{name}']")) for name, m in motion.items()}
         loads = loads_by_name(loads, "Experiment.loads", problems)
         problems.raise_if_any()
+        checked = check_times(times, problems, "Experiment.times", minimum=2)
         if not sensors:
             problems.add("NO_DATA", "Experiment.sensors", "is empty", limit="at least one sensor")
         for name in [n for n in (*sensors, *measured) if (n in sensors) != (n in measured)]:

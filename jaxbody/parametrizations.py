@@ -12,6 +12,7 @@ anything else   x = x0 + s u                          s the largest of |x0|, or 
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import Any
 
 import equinox as eqx
 import jax

@@ -21,7 +21,7 @@ from jaxbody.checks import check_precision, check_state, unattached
 from jaxbody.collocations import Gauss
 from jaxbody.culprits import collapsed, past_half_turn, without_number_ahead
 from jaxbody.dynamics import Dynamics, table_of_free
-from jaxbody.errors import Problems, Status, is_concrete, warn
+from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.frames import Pose
 from jaxbody.kinematics import Coordinates, Motions, table_of
 from jaxbody.lanes import in_lanes

@@ -19,7 +19,7 @@ from jaxbody.arguments import named, positive, whole
 from jaxbody.arrays import concrete, float_array
 from jaxbody.checks import check_precision
 from jaxbody.design_programs import Evaluate, Quantities, evaluated, value_and_forward_slopes
-from jaxbody.errors import Problems, Status
+from jaxbody.errors import JaxbodyError, Problems, Status
 from jaxbody.models import Model, unknown
 from jaxbody.naming import Leaf, leaves_of, matching, write
 from jaxbody.options import jit_quickly

@@ -81,7 +81,7 @@ def test_statics_and_small_motions(model):
 def test_a_fit():
     times = jnp.linspace(0, 1, 4)
     sensors = {"place": jb.Position("mass"), "stretch": jb.Elongation("s")}
-    measured = {"place": jnp.ones((4, 3)), "stretch": jnp.arange(4.0)}
+    measured = {"place": jnp.arange(12.0).reshape(4, 3), "stretch": jnp.arange(4.0)}
     experiment = jb.Experiment(times, measured=measured, sensors=sensors)
     fit = SimpleNamespace(
         estimates={"s.stiffness": jnp.array(50.0), "mass.com": jnp.array([1.0, 2.0, 3.0])},
@@ -97,7 +97,7 @@ def test_a_fit():
     assert float(made["standard_error"].sel(parameter="mass.com[2]")) == np.inf
     np.testing.assert_array_equal(made["upper"], [51.0, 1.2, 2.4, np.inf])
     np.testing.assert_array_equal(made["run1_stretch_predicted"], 2 * np.arange(4.0))
-    np.testing.assert_array_equal(made["run1_place_measured"], np.ones((4, 3)))
+    np.testing.assert_array_equal(made["run1_place_measured"], np.arange(12.0).reshape(4, 3))
     np.testing.assert_array_equal(made["run1_time"], times)
 
 

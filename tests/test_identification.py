@@ -538,7 +538,7 @@ def test_what_is_wrong_with_the_experiments_is_told_at_once(record):
         ("name of a body", "has . in", "of an element", "of a support", "is reserved", "no text"), found[1:], strict=True
     ):
         assert told in problem.message
-    other = jb.Experiment(TIMES, sensors={"x": jb.Position("card")}, measured={"x": np.zeros((41, 3))})
+    other = jb.Experiment(TIMES, sensors={"x": jb.Position("card")}, measured={"x": np.arange(123.0).reshape(41, 3)})
     (problem,) = problems_of(cart(), {"run": other})
     assert problem.code == "UNKNOWN_NAME" and problem.where == "run.sensors['x']" and "'cart'" in problem.hint
     base = {"tabel": jb.Harmonic(frequency=1.0)}

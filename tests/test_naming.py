@@ -195,7 +195,7 @@ def run():
         motion={"base": base, "wall": jb.Harmonic(frequency=1.0)},
         initial=jb.State(np.arange(3.0), np.arange(2.0)),
         sensors={"corner": jb.Position("plate", [0, 1, 2]), "height": jb.Position("plate", axis=[0, 0, 2]), "gap": jb.Elongation("s1")},
-        measured={"corner": np.zeros((5, 3)), "height": np.zeros(5), "gap": np.zeros(5)},
+        measured={"corner": np.arange(15.0).reshape(5, 3), "height": np.arange(5.0), "gap": np.arange(5.0)},
     )
 
 

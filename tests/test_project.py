@@ -1,6 +1,8 @@
 """The project keeps its own rules: files in layers, each with one idea, imports without side effects, examples in docstrings that run."""
 
 import ast
+import builtins
+import dis
 import doctest
 import gc
 import importlib
@@ -74,6 +76,18 @@ def test_imports_go_down_only(module):
 def test_an_upward_import_would_be_found():
     source = "def f():\n    from jaxbody.simulations import simulate\n\nimport jaxbody\nfrom jaxbody import statics\nfrom . import x\n"
     assert imported_modules(ast.parse(source)) == {"simulations", "__init__", "statics", "a relative import"}
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_every_name_that_code_uses_is_there(module):
+    """Ruff looks for undefined names in shapes, too, and cannot do it here; annotations are no code."""
+    known = set(vars(importlib.import_module(f"jaxbody.{module}"))) | set(dir(builtins))
+    codes, used = [compile((PACKAGE / f"{module}.py").read_text(), module, "exec")], set()
+    while codes:
+        code = codes.pop()
+        codes += [const for const in code.co_consts if inspect.iscode(const)]
+        used |= {i.argval for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"}
+    assert sorted(used - known) == []
 
 
 @pytest.mark.parametrize("module", ["__init__", *MODULES])

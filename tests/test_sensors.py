@@ -241,7 +241,7 @@ def experiment(times=TIMES, sensors=None, noise=None, **measured):
 
 def test_an_experiment_takes_lists_masked_arrays_and_gaps():
     gaps = np.ma.masked_array(np.arange(6.0), mask=[0, 1, 0, 0, 0, 0])
-    run = experiment(list(TIMES), tie=gaps, point=np.zeros((6, 3)).tolist())
+    run = experiment(list(TIMES), tie=gaps, point=np.arange(18.0).reshape(6, 3).tolist())
     np.testing.assert_array_equal(run.measured["tie"], [0, np.nan, 2, 3, 4, 5])
     assert run.measured["point"].shape == (6, 3) and run.measured["point"].dtype == jnp.float64 and run.noise is None
     assert experiment(noise={"pose": [1e-3, 1e-2], "tie": 2}, **GOOD).noise["pose"].shape == (2,)
@@ -307,7 +307,7 @@ def test_an_experiment_tells_all_that_is_wrong_at_once():
 
 @pytest.mark.parametrize("noise", [0.0, -1e-3, np.nan, {"tie": 0.0}])
 def test_noise_of_an_experiment_must_be_positive(noise):
-    (problem,) = problems_of(experiment, tie=np.zeros(6), noise=noise)
+    (problem,) = problems_of(experiment, tie=np.arange(6.0), noise=noise)
     assert problem.code in ("BAD_NOISE", "NON_FINITE") and "tie" in problem.where
 
 
