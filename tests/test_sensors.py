@@ -231,7 +231,8 @@ def test_a_sensor_tells_what_is_wrong_with_its_numbers():
 
 
 TIMES = np.linspace(0, 1, 6)
-GOOD = {"point": np.zeros((6, 3)), "tie": np.zeros(6), "pose": np.tile([0, 0, 0, 1.0, 0, 0, 0], (6, 1))}
+GOOD = {"point": np.arange(18.0).reshape(6, 3), "tie": np.arange(6.0), "pose": np.tile([0, 0, 0, 1.0, 0, 0, 0], (6, 1))}
+GOOD["pose"][:, 0] = np.arange(6.0)
 
 
 def experiment(times=TIMES, sensors=None, noise=None, **measured):
