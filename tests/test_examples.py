@@ -7,8 +7,10 @@ import io
 import operator
 import re
 import runpy
+import sys
 import tomllib
 from pathlib import Path
+from unittest import mock
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +33,7 @@ def blocks(kind):
 def run(name):
     """What a script defines and prints."""
     printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
+    with contextlib.redirect_stdout(printed), mock.patch.object(sys, "argv", [name]):
         names = runpy.run_path(str(ROOT / "examples" / name))
     return names, printed.getvalue()
 
