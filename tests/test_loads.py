@@ -219,7 +219,7 @@ def test_load_cases_tell_displacements_strokes_and_forces(cases):
     total = sum(np.asarray(cases.forces[f"mount {i}"])[0, 2] for i in (1, 2, 3))
     assert abs(abs(total) - 139.5 * (G + 3 * 9.80665)) <= 0.02 * abs(total)  # but for the turn of the mounts' axes
     text = str(cases)
-    for word in ("3 g bump", "engine", "mount 2", "stroke [mm]", "rotation [mrad]", "force [N]", "ok"):
+    for word in ("3 g bump", "engine", "mount 2", "stroke [m]", "rotation [rad]", "force [N]", "ok"):
         assert word in text
     assert cases.to_xarray()["displacement"].shape == (5, 1, 3)
 
