@@ -123,6 +123,7 @@ jax.config.update("jax_compilation_cache_dir", sys.argv[1])
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 import jaxbody as jb
 model = jb.presets.quarter_car()
+jb.quick_options()  # tries what XLA knows; where it does not know it (jaxlib 0.12), there is no program to keep
 with jb.compile_times() as spent:
     trajectory = jb.simulate(model, [0.0, 0.1])
 print(spent.cached, spent.count)
