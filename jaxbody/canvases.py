@@ -71,6 +71,7 @@ def legend(ax: Any, count: int, **options: Any) -> None:
 
 
 def check_known(names: tuple[str, ...], known: tuple[str, ...], where: str) -> None:
+    """UNKNOWN_NAME for each name that is not known, all at once."""
     problems = [unknown(name, where, known) for name in names if name not in known]
     if problems:
         raise JaxbodyError(*problems)

@@ -172,6 +172,7 @@ def multiple_shooting(
 
 
 def first_state(experiment: Experiment, model: Model) -> State:
+    """Where an experiment begins: its own state, rest, or the reference pose."""
     given = experiment.start(model, motions_of(model, experiment.motion))
     return model.reference if given is None else given
 
