@@ -2,7 +2,7 @@
 
 Data: M. Schmidt and H. Lipson, Science 324 (2009) 81. Each glider's position was tracked from its own zero, in tracker units, for
 16.5 s. What such a record cannot tell is the masses themselves: all of them and all forces may be multiplied by one number. A second fit sees
-the first 11 s only and foretells the rest.
+the first 11 s only and predicts the rest.
 
 With a name of a file that is drawn into it: python examples/gliders.py gliders.png
 """
