@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from jax.core import Tracer
 
 from jaxbody.arrays import checked, concrete
 from jaxbody.errors import Problems, warn
+from jaxbody.jax_internals import Tracer
 
 
 def plain(name: Any) -> Any:

@@ -6,10 +6,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import numpy as np
-from jax.core import Tracer
 
 from jaxbody import tables
 from jaxbody.errors import MESSAGES, MOST_PROBLEMS, JaxbodyError, Problem, Status, is_concrete, warn
+from jaxbody.jax_internals import Tracer
 
 
 class Result(eqx.Module):

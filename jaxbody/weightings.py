@@ -12,13 +12,13 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from equinox import field, filter_jit
-from jax.core import Tracer
 from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody import tables
 from jaxbody.arrays import checked
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
 from jaxbody.frequency_responses import check_frequencies
+from jaxbody.jax_internals import Tracer
 from jaxbody.models import unknown
 from jaxbody.random_responses import RandomResponse, root_mean_square
 from jaxbody.results import Result
