@@ -135,7 +135,20 @@ def _elevation(e: Float[Array, "*n 3"], u: Float[Array, "3"]) -> Float[Array, "*
     return jnp.arctan2(dot(e, u), jnp.sqrt(jnp.maximum(dot(across, across), 1e-24)))
 
 
-class LoadCell(Sensor):
+class Components(Sensor):
+    """The base of sensors that read several numbers, or one `component` of them."""
+
+    on: str = eqx.field(static=True, converter=plain)
+    component: int | None = eqx.field(static=True)
+
+    def __init__(self, on: str, *, component: int | None = None, **chain: Unpack[Chain]):
+        problems = Problems()
+        self.on, self.component = on, component
+        self.chained(problems, **chain)
+        problems.raise_if_any()
+
+
+class LoadCell(Components):
     """The force in an element [N], tension positive, with its damper's part; of a bushing `component` 0 to 5: three forces [N], three
     moments [N m] against its deformation, in the axes of its end a. The chain: see Sensor.
 
@@ -145,15 +158,7 @@ class LoadCell(Sensor):
     ('N', 'N m')
     """
 
-    on: str = eqx.field(static=True, converter=plain)
-    component: int | None = eqx.field(static=True)
     shape = ()
-
-    def __init__(self, on: str, *, component: int | None = None, **chain: Unpack[Chain]):
-        problems = Problems()
-        self.on, self.component = on, component
-        self.chained(problems, **chain)
-        problems.raise_if_any()
 
     @property
     def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -171,18 +176,10 @@ class LoadCell(Sensor):
         return _component_problem(self.component, None if size == 1 else size, f"'{self.on}'", where)
 
 
-class Wrench(Sensor):
+class Wrench(Components):
     """The base of sensors that read a force [N] and a moment [N m]: six numbers, or `component` 0 to 5 of them."""
 
-    on: str = eqx.field(static=True)
-    component: int | None = eqx.field(static=True)
     accelerations = reactions = True
-
-    def __init__(self, on: str, *, component: int | None = None, **chain: Unpack[Chain]):
-        problems = Problems()
-        self.on, self.component = on, component
-        self.chained(problems, **chain)
-        problems.raise_if_any()
 
     @property
     def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -245,7 +242,7 @@ class Reaction(Wrench):
     def __init__(self, on: str, point=None, *, component: int | None = None, **chain: Unpack[Chain]):
         problems = Problems()
         self.point = None if point is None else vector(point, "Reaction.point", problems)
-        problems.gather(lambda: Wrench.__init__(self, on, component=component, **chain))
+        problems.gather(lambda: Components.__init__(self, on, component=component, **chain))
         problems.raise_if_any()
 
     def reading(self, model, frames):

@@ -138,7 +138,13 @@ def test_names_of_numpy_are_names():
         spring = jb.Spring((mass, [0, 0, 0]), (base, [0, 0, 0]), stiffness=400.0, free_length=1.0)
         built = model(bodies={mass: BODY}, supports={base: SUPPORT}, elements={s: spring}, joints={mass: jb.Guide(base, axis=[0, 0, 1])})
         jb.equilibrium(built, loads={s: jb.Force(mass, force=[0, 0, 1.0])})
-        found = [jb.Position(mass).on, jb.PointMotion(mass).on, jb.BaseMotion(base, np.str_("z"), kind=np.str_("velocity")).kind]
+        found = [
+            jb.Position(mass).on,
+            jb.ForcePlate(base).on,
+            jb.Reaction(mass).on,
+            jb.PointMotion(mass).on,
+            jb.BaseMotion(base, np.str_("z"), kind=np.str_("velocity")).kind,
+        ]
     assert built.layout == model().layout and built.elements[0].names == ("s",) and built.elements[0].links == (("mass", "base"),)
     names = [*found, *built.names, *built.layout.parents, *built.elements[0].links[0]]
     assert {type(name) for name in names} == {str}
