@@ -5,7 +5,7 @@ Of what JAX has changed, this matters here:
 0.11  `jax.experimental.hijax`: operations that carry their own rules and are replaced by others before a program is compiled ("high" ones)
 0.12  jnp.searchsorted is one, so jnp.interp too: `without_high_operations`. `ClosedJaxpr` is `Jaxpr`. XLA has no fusion emitters to switch off
 Coming: JAX's documents call such operations the way to rules of one's own; custom_jvp and custom_vjp are already written as such, not yet used.
-Programs then have `call_hi_primitive` where `lanes` knows `custom_jvp_call`, and lose them in the same way.
+Programs then have `call_hi_primitive` where `lanes` knows `custom_jvp_call`; `without_high_operations` would take their rules away.
 """
 
 from __future__ import annotations

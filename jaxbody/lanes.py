@@ -2,7 +2,7 @@
 
 A function that is `in_lanes` does what it did, but in a batch its operations are rewritten one by one so that arrays (3,) become (3, b), with
 at most so many members at a time. Operations without a rule here are left to jax.vmap; so is the whole function where a rule fails, as it may
-when JAX changes an operation, and on other devices than CPUs. `compile_times` shows both.
+when JAX changes an operation, and on other devices than CPUs. `compile_times` shows both. Custom derivatives stay.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
+from jax.dtypes import float0
 from jaxtyping import Array
 
 from jaxbody.compilations import note_left_to_vmap
@@ -38,11 +40,9 @@ CALLS = {
     "jit": "jaxpr",
     "pjit": "jaxpr",
     "closed_call": "call_jaxpr",
-    "custom_jvp_call": "call_jaxpr",
-    "custom_vjp_call": "call_jaxpr",
 }
 APART = {
-    "cholesky", "cond", "custom_linear_solve", "dot_general", "dynamic_slice", "dynamic_update_slice", "eigh", "gather", "householder_product",
+    "cholesky", "cond", "custom_linear_solve", "custom_vjp_call", "dot_general", "dynamic_slice", "dynamic_update_slice", "eigh", "gather", "householder_product",
     "lu", "scatter", "scatter-add", "sort", "stop_gradient", "triangular_solve", "while",
 }  # fmt: skip  # left to jax.vmap as it does them well, or as they are rare
 SWITCHED_OFF = ContextVar("lanes switched off", default=False)
@@ -103,19 +103,26 @@ def _jvp(primals, tangents, *, jaxpr, reversible, lanes, name):
         out = _lanes_p.bind(*primals, jaxpr=jaxpr, reversible=reversible, lanes=lanes, name=name)
         return out, [Zero(aval.to_tangent_aval()) for aval in jaxpr.out_avals]
 
+    push = _pushed(jaxpr_as_fun(jaxpr), moved, smooth)
+    push = push if reversible else in_lanes(push, lanes=lanes, name=name)
+    out, dy = push(list(primals), [t for t in tangents if not isinstance(t, Zero)])
+    dy = iter(dy)
+    return out, [next(dy) if s else Zero(aval.to_tangent_aval()) for s, aval in zip(smooth, jaxpr.out_avals, strict=True)]
+
+
+def _pushed(function: Callable, moved: list[bool], smooth: list[bool]) -> Callable[[list, list], tuple[list, list]]:
+    """Results of arguments and the tangents of those that are smooth, of tangents of the arguments that are moved."""
+
     def pushed(primals, tangents):
         def of_moved(*x):
             given = iter(x)
-            out = jaxpr_as_fun(jaxpr)(*(next(given) if m else p for m, p in zip(moved, primals, strict=True)))
-            return [x for x, s in zip(out, smooth, strict=True) if s], [x for x, s in zip(out, smooth, strict=True) if not s]
+            out = function(*(next(given) if m else p for m, p in zip(moved, primals, strict=True)))
+            return [x for x, s in zip(out, smooth, strict=True) if s], out
 
-        return jax.jvp(of_moved, [p for m, p in zip(moved, primals, strict=True) if m], tangents, has_aux=True)
+        _, dy, out = jax.jvp(of_moved, [p for m, p in zip(moved, primals, strict=True) if m], tangents, has_aux=True)
+        return out, dy
 
-    push = pushed if reversible else in_lanes(pushed, lanes=lanes, name=name)
-    y, dy, others = push(list(primals), [t for t in tangents if not isinstance(t, Zero)])
-    y, dy, others = iter(y), iter(dy), iter(others)
-    out = [next(y) if s else next(others) for s in smooth]
-    return out, [next(dy) if s else Zero(aval.to_tangent_aval()) for s, aval in zip(smooth, jaxpr.out_avals, strict=True)]
+    return pushed
 
 
 def _batch(args, axes, *, jaxpr, reversible, lanes, name):
@@ -284,6 +291,8 @@ class Lanes:
             return [self._by_vmap(eqn, on, x)[0], *self.run(traced, on, x)]
         if name == "any_of_batch":
             return [jnp.any(x[0], -1)]
+        if name == "custom_jvp_call":
+            return self._with_own_rule(eqn, on, x)
         if name == "while" and not _reach_of_while(p, on)[0]:
             return self._while(p, on, x)
         if name == "scan":
@@ -296,6 +305,26 @@ class Lanes:
         axes = [-1 if o else None for o in on]
         out = jax.vmap(lambda *x: _bind(eqn, x), in_axes=axes, out_axes=-1, axis_size=self.n)(*x)
         return [a if r else a[..., 0] for a, r in zip(out, _reach_of(eqn, on), strict=True)]
+
+    def _with_own_rule(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
+        """An operation with a derivative of its own, which keeps it, in lanes too, where the batch is differentiated."""
+        outs = [v.aval for v in eqn.outvars]
+        moved, smooth = ([jnp.issubdtype(aval.dtype, jnp.inexact) for aval in avals] for avals in ([v.aval for v in eqn.invars], outs))
+
+        @jax.custom_jvp
+        def call(*x):
+            return self.run(eqn.params["call_jaxpr"], on, list(x), [True] * len(outs))
+
+        @call.defjvp
+        def _(primals, tangents):
+            axes = [-1 if o else None for o in on]
+            push = in_lanes(_pushed(lambda *x: _bind(eqn, x), moved, smooth), reversible=True, lanes=self.n, name=self.name)
+            tangents, along = ([x for x, m in zip(of, moved, strict=True) if m] for of in (tangents, axes))
+            out, dy = jax.vmap(push, in_axes=(axes, along), out_axes=-1, axis_size=self.n)(list(primals), tangents)
+            dy = iter(dy)
+            return out, [next(dy) if s else np.zeros(y.shape, float0) for s, y in zip(smooth, out, strict=True)]
+
+        return call(*x)
 
     def _while(self, p, on, x):
         a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]

@@ -164,3 +164,111 @@ def test_batches_of_drivers_stay_in_lanes():
     with jb.compile_times() as times:
         jax.jit(jax.vmap(lambda k: (all_of(k), jax.jacfwd(all_of)(k)))).trace(jnp.array([40.0, 50.0]))
     assert times.left_to_vmap == {}, times
+
+
+@jax.custom_jvp
+def powers(x, n):
+    """x^2 and n + 1, with the derivative of n x^3: numbers, whole and not, by a rule that shows."""
+    return x**2, n + 1
+
+
+@powers.defjvp
+def _(primals, tangents):
+    x, n = primals
+    y, more = powers(x, n)
+    return (y, more), (n * 3 * x**2 * tangents[0], np.zeros(jnp.shape(more), jax.dtypes.float0))
+
+
+@jax.custom_jvp
+def held(x):
+    """A constant, with the derivative of the identity: what a lane does not know of moves with it."""
+    return jnp.ones_like(x) * 2.0
+
+
+@held.defjvp
+def _(primals, tangents):
+    return held(*primals), tangents[0]
+
+
+@jax.custom_vjp
+def turned_back(x):
+    """x^2, pulled back as if it were x^3."""
+    return x**2
+
+
+turned_back.defvjp(lambda x: (x**2, x), lambda x, c: (3 * x**2 * c,))
+
+
+@pytest.mark.usefixtures("batches")
+@pytest.mark.parametrize("reversible", [False, True])
+def test_a_rule_of_ones_own_is_kept_when_a_batch_is_differentiated(reversible):
+    """Forward, in reverse, twice, in a loop, beside an operation that JAX replaces: against the rule by hand."""
+    x, n = jnp.array([0.5, -1.0, 2.0]), jnp.array([1, 2, 3])
+    in_lane = lambda f: in_lanes(f, reversible=reversible)  # noqa: E731
+
+    def value(x, n):
+        return powers(x, n)[0] * jnp.asarray(powers(x, n)[1], x.dtype)
+
+    over = lambda x: jax.vmap(in_lane(value))(x, n)  # noqa: E731
+    slope = n * 3 * x**2 * (n + 1)
+    for change in (lambda f: f, jax.jit):
+        y, dy = change(lambda x: jax.jvp(over, (x,), (jnp.ones(3),)))(x)
+        np.testing.assert_allclose(y, x**2 * (n + 1), rtol=1e-15)
+        np.testing.assert_allclose(dy, slope, rtol=1e-15)
+        np.testing.assert_allclose(change(jax.grad(lambda x: jnp.sum(over(x))))(x), slope, rtol=1e-15)
+        np.testing.assert_allclose(change(jax.jacfwd(jax.jacrev(lambda x: jnp.sum(over(x)))))(x), np.diag(n * 6 * x * (n + 1)), rtol=1e-14)
+    in_loop = jax.vmap(in_lane(lambda x: jax.lax.fori_loop(0, 2, lambda i, y: powers(y, i + 1)[0], x)))
+    np.testing.assert_allclose(jax.jvp(in_loop, (x,), (jnp.ones(3),))[1], 2 * 3 * x**4 * 3 * x**2, rtol=1e-15)
+    np.testing.assert_allclose(jax.jvp(jax.vmap(in_lane(held)), (x,), (x,))[1], x, rtol=1e-15)
+    with_tables = jax.vmap(in_lane(lambda x: powers(jnp.interp(x, jnp.arange(-3.0, 3.0), jnp.arange(-3.0, 3.0)), 1)[0]))
+    np.testing.assert_allclose(jax.jvp(with_tables, (x,), (jnp.ones(3),))[1], 3 * x**2, rtol=1e-15)
+    np.testing.assert_allclose(jax.grad(lambda x: jnp.sum(jax.vmap(in_lane(turned_back))(x)))(x), 3 * x**2, rtol=1e-15)
+
+
+@jax.custom_jvp
+def stiff(k):
+    """k, which a rule says changes by five."""
+    return k
+
+
+@stiff.defjvp
+def _(primals, tangents):
+    return stiff(*primals), 5 * tangents[0]
+
+
+class Ruled(jb.laws.Law):
+    """A linear spring, of which a rule says that its force changes seven times as much with k as it does, and its stiffness five times."""
+
+    k: jax.Array
+
+    def force(self, x):
+        @jax.custom_jvp
+        def of(k, x):
+            return k * x
+
+        @of.defjvp
+        def _(primals, tangents):
+            (k, x), (dk, dx) = primals, tangents
+            return of(k, x), stiff(k) * dx + 7 * dk * x
+
+        return of(self.k, x)
+
+
+@pytest.mark.usefixtures("batches")
+def test_a_rule_of_a_law_of_ones_own_is_kept_in_batches_of_drivers():
+    """The derivative of a batch is the batch of derivatives, of the equilibrium, of matrices and of a simulation."""
+
+    def drivers(k):
+        spring = jb.SpringDamper(("mass", [0, 0, 0]), ("world", [0, 2.0, 0]), spring=Ruled(k), free_length=2.0)
+        bodies, joints = {"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, {"mass": jb.Guide("world", axis=[0, 1, 0])}
+        model = jb.Model(bodies=bodies, joints=joints, elements={"spring": spring}, gravity=[0, -9.81, 0])
+        found = jb.equilibrium(model)
+        return found.state.q[0], jb.linearize(model, found).K[0, 0], jb.simulate(model, jnp.linspace(0, 0.1, 3)).state.q[-1, 0]
+
+    k = jnp.array([40.0, 50.0])
+    _, after = jax.jit(lambda k: jax.jvp(jax.vmap(drivers), (k,), (jnp.ones(2),)))(k)
+    inside = jax.jit(jax.vmap(jax.jacfwd(drivers)))(k)
+    np.testing.assert_allclose(after, inside, rtol=1e-9)
+    sag = 2.0 * 9.81 / k
+    np.testing.assert_allclose(after[0], 7 * sag / k, rtol=1e-6)  # dF = k dx + 7 x dk = 0, sag dk/k being the spring's own
+    np.testing.assert_allclose(after[1], 5.0, rtol=1e-6)
