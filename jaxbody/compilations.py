@@ -45,11 +45,10 @@ class CompileTimes:
 
     def heard(self, event: str, seconds: float, **more: str) -> None:
         """Keep what JAX tells. Traces of functions inside others are parts of theirs, so only those that become programs count."""
-        phase, name = PHASES.get(event), more.get("fun_name", "?")
+        phase, name = PHASES.get(event), program(more)
         if phase == 0:
             self.traced[name] = self.traced.get(name, 0.0) + seconds
         elif phase is not None:
-            name = name.removeprefix("jit(").removesuffix(")")
             trace, lowered, compiled, n = self.programs.get(name, (0.0, 0.0, 0.0, 0))
             trace += self.traced.pop(name, 0.0)
             self.programs[name] = (trace, lowered + seconds, compiled, n) if phase == 1 else (trace, lowered, compiled + seconds, n + 1)
@@ -67,6 +66,11 @@ class CompileTimes:
         if self.left_to_vmap:
             found.append(tables.Table("Left to jax.vmap, slower", ("function", "why"), list(self.left_to_vmap.items())))
         return tables.text(*found)
+
+
+def program(more: dict[str, str]) -> str:
+    """The function that is traced, lowered or compiled, of what JAX says with an event."""
+    return more.get("fun_name", "?").removeprefix("jit(").removesuffix(")")
 
 
 def note_left_to_vmap(function: str, why: str) -> None:

@@ -1,4 +1,4 @@
-"""Why a computation failed, by name: which number is not finite, which bushing is turned too far, which spring has no length left."""
+"""What is wrong in a motion or a rest, by name: the number that is not finite, what is turned too far, the spring with no length left."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbody.derivatives import second_order
 from jaxbody.dynamics import acceleration
-from jaxbody.elements import Bushing, LineElement
 from jaxbody.kinematics import Coordinates, Motions, table_of
 from jaxbody.loads import Load
 from jaxbody.mechanics import each_element
@@ -20,8 +19,8 @@ from jaxbody.options import jit_as_it_is
 
 AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)  # of the time past, or of a second where that is longer
 DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)  # of the size of a model
-FAR = 175.0  # degrees
-POINT = 1e-6  # of the free length
+NEAR = 1e-2  # of the free length, or of the cosine of half the angle: 179 degrees
+BEND = 0.5  # of the way between two samples, by which the way at either rate may differ from it
 
 
 def without_number_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], t: Array, state: State) -> str:
@@ -96,38 +95,63 @@ def _finite(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> d
     return _rows(model, each_element(model, frames, finite))
 
 
-def past_half_turn(model: Model, motions: Motions, t: Array, state: State) -> str:
-    """The bushings that are turned by nearly half a turn, where their deformation jumps; empty without such."""
-    angles = {name: float(np.rad2deg(angle)) for name, angle in _turns(model, motions, t, state).items()}
-    far = [f"'{name}' is turned by {angle:.4g} degrees" for name, angle in angles.items() if angle > FAR]
-    remedy = "a bushing is for less than half a turn, where its deformation jumps: let a joint (jb.Hinge, jb.Ball) guide what turns further, or hold it by springs"
-    return f"{', '.join(far)}; {remedy}" if far else ""
+def at_jump(model: Model, motions: Motions, t: Array, state: State) -> str:
+    """The elements that are where their force jumps, shrunk to a point or turned by half a turn; empty without such."""
+    alone = jax.tree.map(lambda x: np.asarray(x)[None], (t, state))
+    near = [np.linalg.norm(x[0], axis=-1) < NEAR for x, _ in _away(model, motions, *alone)]
+    return "; ".join(message for _, message in _in_words(model, [["" if x else None for x in of_table] for of_table in near]))
+
+
+def jumps_passed(model: Model, motions: Motions, times: Array, states: State) -> list[tuple[str, str]]:
+    """Code and message of the elements whose force jumps between these samples, with the time of the first."""
+    if not any(table.rows.jump for table in model.elements):
+        return []
+    away = jax.tree.map(np.asarray, _away(model, motions, times, states))
+    when = [_passing(np.asarray(times), *of_table) for of_table in away]
+    return _in_words(model, [[f" at t = {t:.6g} s" if np.isfinite(t) else None for t in of_table] for of_table in when])
 
 
 @jit_as_it_is
-def _turns(model: Model, motions: Motions, t, state: State) -> dict[str, Float[Array, ""]]:
-    def turn(element, *frames):
-        if not isinstance(element, Bushing):
-            return jnp.zeros(())
-        return jnp.sqrt(jnp.sum(element.deformation(*(f.pose() for f in frames))[3:] ** 2))
+def _away(model: Model, motions: Motions, times: Float[Array, "nt"], states: State) -> list[tuple[Array, Array]]:
+    """Of every element the vector `away_from_jump` and its rate at these times, table by table."""
 
-    return _rows(model, each_element(model, table_of(model, motions, t, state), turn))
+    def away(element, *frames):
+        return jax.jvp(element.away_from_jump, tuple(f.pose() for f in frames), tuple(f.rates() for f in frames))
 
-
-def collapsed(model: Model, motions: Motions, t: Array, state: State) -> str:
-    """The line elements that have shrunk to a point, where their direction jumps; empty without such."""
-    shrunk = [f"'{name}' has shrunk to a point" for name, share in _shares(model, motions, t, state).items() if share < POINT]
-    remedy = "its direction jumps there: let its ends pass beside each other, hold them apart by a stop, or use a Bushing"
-    return f"{', '.join(shrunk)}; {remedy}" if shrunk else ""
+    return jax.vmap(lambda t, state: each_element(model, table_of(model, motions, t, state), away))(times, states)
 
 
-@jit_as_it_is
-def _shares(model: Model, motions: Motions, t, state: State) -> dict[str, Float[Array, ""]]:
-    """Of line elements the length over the free length."""
+def _in_words(model: Model, moments: list[Any]) -> list[tuple[str, str]]:
+    """Code and message for each table of elements of which some are where their force jumps: of these the moment in words, of others None."""
+    messages = []
+    for table, of_table in zip(model.elements, moments, strict=True):
+        chosen = [(name, moment) for name, moment in zip(table.names, of_table, strict=True) if moment is not None]
+        if chosen:
+            code, what, remedy = table.rows.jump
+            messages.append((code, ", ".join(f"'{name}' {what}{moment}" for name, moment in chosen) + f"; {remedy}"))
+    return messages
 
-    def share(element, *frames):
-        if not isinstance(element, LineElement):
-            return jnp.ones(())
-        return jnp.where(element.free_length > 0, element.length(*(f.pose() for f in frames)) / element.free_length, 1.0)
 
-    return _rows(model, each_element(model, table_of(model, motions, t, state), share))
+def _passing(times: np.ndarray, x: Float[np.ndarray, "nt n m"], rate: Float[np.ndarray, "nt n m"]) -> Float[np.ndarray, "n"]:
+    """When first each of n vectors passes by zero between two samples that lie close enough for its path to be nearly straight, else NaN.
+
+    On the cubic through both samples with both rates: x0 + u v0 + u^2 (3 d - 2 v0 - v1) + u^3 (v0 + v1 - 2 d), 0 <= u <= 1.
+    """
+    h = np.diff(times)[:, None, None]
+    x0, d, v0, v1 = x[:-1], np.diff(x, axis=0), h * rate[:-1], h * rate[1:]
+    square, cube = 3 * d - 2 * v0 - v1, v0 + v1 - 2 * d
+
+    def of(a, b):
+        return np.sum(a * b, -1, keepdims=True)
+
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        u = -of(x0, d) / of(d, d)
+        for _ in range(3):
+            place, speed = x0 + u * (v0 + u * (square + u * cube)), v0 + u * (2 * square + 3 * u * cube)
+            u = u - of(place, speed) / of(speed, speed)
+        place = x0 + u * (v0 + u * (square + u * cube))
+        straight = np.maximum(of(v0 - d, v0 - d), of(v1 - d, v1 - d)) <= BEND**2 * of(d, d)
+        passes = (straight & (of(place, place) < NEAR**2) & (np.abs(u - 0.5) <= 0.5 + 1e-6))[..., 0]
+    first = np.argmax(passes, 0)
+    t = times[first] + np.take_along_axis(u[..., 0], first[None], 0)[0] * np.diff(times)[first]
+    return np.where(passes.any(0), t, np.nan)

@@ -51,6 +51,7 @@ class Element(eqx.Module):
 
     between: tuple[str, ...] = eqx.field(static=True)
     size: ClassVar[int] = 1  # of the deformation
+    jump: ClassVar[tuple[str, str, str] | None] = None  # code, what it is where its force jumps, and what to do about it
     a: Float[Array, "3"]
     b: Float[Array, "3"]
 
@@ -74,6 +75,10 @@ class Element(eqx.Module):
     def beyond(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Bool[Array, ""]:
         """True where a law is used beyond what it is known for."""
         return jnp.array(False)
+
+    def away_from_jump(self, *poses: Pose) -> Float[Array, "*n"]:
+        """A vector that passes through zero where the force jumps, as `jump` says; its length is about 1 far from there."""
+        return jnp.ones(1)
 
     def potential(self, *poses: Pose) -> Float[Array, ""]:
         """V of the poses."""
@@ -116,6 +121,11 @@ class LineElement(Element):
     """
 
     free_length: Float[Array, ""]
+    jump = (
+        "SPRING_COLLAPSED",
+        "has shrunk to a point",
+        "its direction jumps there: let its ends pass beside each other, hold them apart by a stop, or use a Bushing",
+    )
 
     @abstractmethod
     def split(self, L: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""], Float[Array, ""]]:
@@ -136,6 +146,12 @@ class LineElement(Element):
     def deformation(self, A, B):
         """The elongation s = |AB| - l0 (31)."""
         return self.length(A, B) - self.free_length
+
+    def away_from_jump(self, A, B):
+        """AB over the free length; where it neither pulls nor pushes at zero length, nothing jumps."""
+        _, rest, _ = self.split(jnp.zeros_like(self.free_length))
+        jumps = (self.free_length > 0) & (rest != 0)
+        return jnp.where(jumps, (B.point(self.b) - A.point(self.a)) / jnp.where(jumps, self.free_length, 1.0), 1.0)
 
     def damping_force(self, e, e_dot):
         return self.damper_tension(e, e_dot)
@@ -270,6 +286,11 @@ class Bushing(Element):
     """
 
     size = 6
+    jump = (
+        "HALF_TURN",
+        "is turned by 180 degrees",
+        "a bushing is for less than half a turn, where its deformation jumps: let a joint (jb.Hinge, jb.Ball) guide what turns further, or hold it by springs",
+    )
     stiffness: Float[Array, "*k"]
     damping: Float[Array, "*k"]
     orientation: Float[Array, "4"]
@@ -286,16 +307,25 @@ class Bushing(Element):
         problems.raise_if_any()
 
     def deformation(self, A, B):
-        R_A, R_B = product(A.R, rotations.matrix(self.orientation)), product(B.R, rotations.matrix(self.orientation_b))
+        R_A, R = turned(self, A, B)
         p = rotate_back(R_A, (B.p - A.p) + (rotate(B.R, self.b) - rotate(A.R, self.a)))
-        theta = rotations.log_below_half_turn(product(jnp.swapaxes(R_A, -1, -2), R_B))
+        theta = rotations.log_below_half_turn(R)
         return jnp.concatenate([rotations.inverse_left_jacobian(theta, p), theta])
+
+    def away_from_jump(self, A, B):
+        return rotations.away_from_half_turn(turned(self, A, B)[1]) / 4
 
     def energy(self, e):
         return 0.5 * jnp.sum(e * _times(self.stiffness, e))
 
     def dissipation(self, e, e_dot):
         return 0.5 * jnp.sum(e_dot * _times(self.damping, e_dot))
+
+
+def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
+    """The axes at the first end of an element with `orientation` and `orientation_b`, to the world, and those at the second end to them."""
+    R_A, R_B = product(A.R, rotations.matrix(element.orientation)), product(B.R, rotations.matrix(element.orientation_b))
+    return R_A, product(jnp.swapaxes(R_A, -1, -2), R_B)
 
 
 def _times(coefficients: Float[Array, "*k"], e: Float[Array, "6"]) -> Float[Array, "6"]:

@@ -72,11 +72,11 @@ def jit_as_it_is(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
     part = eqx.filter_jit(without_manual_axes(function))
-    compiled, traced = Compiled(function), [False]
+    compiled = Compiled(function)
 
     @functools.wraps(function)
     def noted(*args):
-        traced[0] = True
+        compiled.begin()
         return function(*args)
 
     @functools.cache
@@ -88,9 +88,8 @@ def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Cal
         if not outermost():
             return part(*args)
         result = whole()(*args)
-        if traced[0]:
-            traced[0] = False
-            compiled.note(args)
+        if compiled.begun:
+            compiled.end(args)
         return result
 
     return call

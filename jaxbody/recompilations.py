@@ -1,16 +1,20 @@
-"""Recompilation storms: a function that is compiled again and again, as one thing in its arguments changes, and which that is."""
+"""Compilations that cost too much: again and again, as one thing in the arguments changes, and which that is; or for over a minute."""
 
 from __future__ import annotations
 
+import functools
 import inspect
 import re
 from collections.abc import Callable
 from typing import Any
 
 import jax
+from jax import monitoring
 
+from jaxbody.compilations import PHASES, program
 from jaxbody.errors import warn
 
+LONG = 60.0  # s to compile
 MANY = 6  # compilations in a row for one reason
 SHOWN = 4
 REMEDIES = {
@@ -25,15 +29,32 @@ class Compiled:
     """For what arguments a function was compiled, one after the other."""
 
     def __init__(self, function: Callable[..., Any]):
-        self.name = f"{function.__module__}.{function.__qualname__}"
+        self.name, self.program = f"{function.__module__}.{function.__qualname__}", function.__name__
         self.parameters = tuple(inspect.signature(function).parameters)
         self.last: dict[str, Any] = {}
         self.reason: tuple[str, tuple[str, ...]] | None = None
         self.seen: list[str] = []
         self.warned = False
+        self.begun = False
 
-    def note(self, args: tuple[Any, ...]) -> None:
-        """It was compiled for these; warns RECOMPILED once, where only one thing changed each time."""
+    def begin(self) -> None:
+        """It is about to be compiled."""
+        self.begun = True
+        _under_way()[self.program] = 0.0
+
+    def end(self, args: tuple[Any, ...]) -> None:
+        """It was compiled for these; warns SLOW_COMPILATION, and RECOMPILED once, where only one thing changed each time."""
+        self.begun = False
+        seconds = _under_way().pop(self.program, 0.0)
+        if seconds > LONG:
+            remedy = "new numbers in the same shapes compile nothing, JAX keeps programs for later runs where JAX_COMPILATION_CACHE_DIR names a directory, and a Python loop in a law or a motion compiles faster as jax.lax.fori_loop"
+            warn(
+                "SLOW_COMPILATION",
+                f"{self.name} took {seconds:.0f} s to compile; {remedy}; jb.compile_times shows which function takes how long",
+            )
+        self._compare(args)
+
+    def _compare(self, args: tuple[Any, ...]) -> None:
         now = _described(self.parameters, args)
         reason = _difference(self.last, now)
         if reason is None or reason != self.reason:
@@ -49,6 +70,19 @@ class Compiled:
         values = "" if kind == "function" else f": {', '.join(self.seen[:SHOWN])}, ..."
         places = ", ".join(where[:SHOWN]) + (", ..." if len(where) > SHOWN else "")
         warn("RECOMPILED", f"{self.name} was compiled {len(self.seen)} times in a row for {what} {places}{values}; {REMEDIES[kind]}")
+
+
+@functools.cache
+def _under_way() -> dict[str, float]:
+    """By function that is being compiled the seconds that JAX has spent on it, as JAX itself says from the first call on."""
+    spent: dict[str, float] = {}
+
+    def heard(event: str, seconds: float, **more: Any) -> None:
+        if event in PHASES and program(more) in spent:
+            spent[program(more)] += seconds
+
+    monitoring.register_event_duration_secs_listener(heard)
+    return spent
 
 
 def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, Any]:

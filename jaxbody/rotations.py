@@ -145,11 +145,14 @@ def log(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
 
 
 def log_below_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
-    """`log` for turns of less than pi, at a third of its price: the quaternion along (1 + tr R, skew part of R), which is 4 w (w, x, y, z).
-    It loses digits as 1/(pi - |phi|) and is NaN, not wrong, at half a turn."""
+    """`log` for turns of less than pi, at a third of its price. It loses digits as 1/(pi - |phi|) and is NaN, not wrong, at half a turn."""
+    return log_quaternion(normalize(away_from_half_turn(R)))
+
+
+def away_from_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
+    """(1 + tr R, skew part of R), which is 4 w (w, x, y, z) of the unit quaternion: zero at half a turn."""
     trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
-    row = jnp.stack([1 + trace, R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
-    return log_quaternion(normalize(row))
+    return jnp.stack([1 + trace, R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
 
 
 def cotc(x: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -19,7 +19,7 @@ from jaxbody.arguments import check_kind, named, positive, whole
 from jaxbody.arrays import concrete, device_array, float_array
 from jaxbody.checks import check_precision, check_state, unattached
 from jaxbody.collocations import Gauss
-from jaxbody.culprits import collapsed, past_half_turn, without_number_ahead
+from jaxbody.culprits import at_jump, jumps_passed, without_number_ahead
 from jaxbody.dynamics import Dynamics, table_of_free
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.frames import Pose
@@ -37,10 +37,11 @@ from jaxbody.options import jit_quickly
 from jaxbody.precisions import in_float64, reachable
 from jaxbody.progress_lines import working
 from jaxbody.rests import Rest, as_initial, beginning
-from jaxbody.results import Result, warn_if_failed
+from jaxbody.results import Result, warn_if_failed, without_derivatives
 from jaxbody.statics import size_of, without_inertia
 
 MAX_STEPS = 100_000
+MANY, OFTEN = 15, 0.15  # rejected steps, and their share of those accepted; a jump of force costs 18 at rtol 1e-3, 30 to 90 by default
 STABLE = 2.8  # longest step times rate at which the classical Runge-Kutta method is stable; explicit ones of diffrax are near
 FINEST = {"float64": 0.0, "float32": 1.5e-5}  # local error, below which float32 takes ever shorter steps for nothing
 SAFETY = 0.1  # local error over rtol, as solvers interpolate between steps to a lower order than they step
@@ -123,9 +124,9 @@ class Trajectory(Result):
         taken, rejected = (int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
         told = f"at t = {t:.6g} s of {float(self.times[-1]):.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
         if status in (Status.MAX_STEPS, Status.DT_MIN):
-            turned = past_half_turn(self.model, self.motions, *self.end) or collapsed(self.model, self.motions, *self.end)
+            jump = at_jump(self.model, self.motions, *self.end)
             usual = in_float64(self.state.q.dtype) or "try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
-            told += "; " + (turned or usual)
+            told += "; " + (jump or usual)
         if status == Status.TABLE_RANGE:
             return self._beyond()
         if status == Status.NONFINITE:
@@ -172,10 +173,11 @@ class Trajectory(Result):
             for name, e, f in ((name, np.asarray(e), np.asarray(self.forces[name])) for name, e in self.elongations.items())
             if e.ndim == 1
         ]
+        jumps = [message for _, message in jumps_passed(self.model, self.motions, self.times, self.state)]
         title = f"Trajectory, {len(self.times)} samples, {float(self.times[0]):.4g} to {float(self.times[-1]):.4g} s"
         return [
             tables.Table(title, ("frame", "x [m]", "y [m]", "z [m]"), rows),
-            tables.Table("", ("spring", "elongation [m]", "tension [N]"), springs, self.report()),
+            tables.Table("", ("spring", "elongation [m]", "tension [N]"), springs, "; ".join([self.report(), *jumps])),
         ]
 
 
@@ -217,7 +219,8 @@ def simulate(
     For motions to look at, 1e-5 is plenty. The default is for derivatives, whose errors are a hundred times as large, and for what compares runs: fits, tunings, differences.
 
     Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME of a support, UNKNOWN_BODY of a load. An integration that ends early
-    warns, and returns what it has with a status.
+    warns, and returns what it has with a status. Warns SPRING_COLLAPSED of a spring that passes through zero length and HALF_TURN of a Bushing or Torsion past half a
+    turn, with the time, where samples show it and many steps were rejected; printed, a trajectory says so in any case.
 
     >>> import jax.numpy as jnp
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("base", axis=[0, 1, 0])}, supports={"base": Support()},
@@ -248,7 +251,19 @@ def simulate(
         if is_concrete(result.status):
             jax.block_until_ready(result.status)
     warn_if_failed(result)
+    _warn_of_jumps(result)
     return result
+
+
+def _warn_of_jumps(result: Trajectory) -> None:
+    """Springs that shrank to a point and elements past half a turn: looked for where so many steps were rejected as a jump of force costs."""
+    if not is_concrete(result.statistics):
+        return
+    accepted, rejected = (int(result.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
+    known = without_derivatives(result) if rejected >= max(MANY, OFTEN * accepted) else None
+    if known is not None and is_concrete(known):
+        for code, message in jumps_passed(known.model, known.motions, known.times, known.state):
+            warn(code, f"simulate: {message}")
 
 
 @contextmanager

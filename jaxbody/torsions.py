@@ -5,14 +5,14 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbody import laws, rotations
+from jaxbody import laws
 from jaxbody.arguments import warn_of_degrees
 from jaxbody.bodies import scalar
-from jaxbody.elements import Element, ends
+from jaxbody.elements import Element, ends, turned
 from jaxbody.errors import Problems
 from jaxbody.joints import unit_vector
 from jaxbody.orientations import IDENTITY, as_quaternion
-from jaxbody.rotations import dot, product, rotate
+from jaxbody.rotations import dot, rotate
 
 
 class LawElement(Element):
@@ -43,7 +43,7 @@ class Torsion(LawElement):
 
         e = 2 atan2(n . w, 1 + tr R) - e0,   R = R_A' R_B,   w = (R32 - R23, R13 - R31, R21 - R12),   |e + e0| < pi
 
-    of any other turn the part about n (the twist). `axis` n in the axes of A; `spring` [rad -> N m] and `damper` [rad/s -> N m]: laws, numbers
+    of any other turn the part about n (the twist). At half a turn e jumps by 2 pi, and `simulate` warns HALF_TURN. `axis` n in the axes of A; `spring` [rad -> N m] and `damper` [rad/s -> N m]: laws, numbers
     (N m/rad, N m s/rad) or functions; `free_angle` e0 [rad], counted from where the axes of the two frames coincide; `orientation`,
     `orientation_b`: of these axes in A and B. At a ball, take a Bushing for all three axes. The ends are names, or (name, point) where it is drawn.
     Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, those of the laws. Warns UNIT of a free angle of more than a turn.
@@ -53,6 +53,11 @@ class Torsion(LawElement):
     ('arm', 'base')
     """
 
+    jump = (
+        "HALF_TURN",
+        "is turned by 180 degrees",
+        "a torsion spring is for less than half a turn either way, where its angle jumps: turn `orientation` to the middle of its motion, or put two in series",
+    )
     axis: Float[Array, "3"]
     free_angle: Float[Array, ""]
     orientation: Float[Array, "4"]
@@ -71,10 +76,17 @@ class Torsion(LawElement):
         warn_of_degrees(self.free_angle, "Torsion.free_angle")
 
     def deformation(self, A, B):
-        R_A, R_B = product(A.R, rotations.matrix(self.orientation)), product(B.R, rotations.matrix(self.orientation_b))
-        R = product(jnp.swapaxes(R_A, -1, -2), R_B)
+        sine, cosine = self._half(A, B)
+        return 2 * jnp.arctan2(sine, cosine) - self.free_angle
+
+    def away_from_jump(self, A, B):
+        return jnp.stack(self._half(A, B)) / 4
+
+    def _half(self, A, B):
+        """Sine and cosine of half the twist, times a number that is zero at half a turn."""
+        _, R = turned(self, A, B)
         w = jnp.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-        return 2 * jnp.arctan2(dot(self.axis, w), 1 + jnp.trace(R)) - self.free_angle
+        return dot(self.axis, w), 1 + jnp.trace(R)
 
 
 class AntiRollBar(LawElement):

@@ -1,5 +1,9 @@
-"""What fails is named: the law that has no number, the bushing that is turned too far."""
+"""What is wrong is named: the law that has no number, what is turned too far, the spring that passes through zero length."""
 
+import re
+
+import diffrax
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -67,3 +71,84 @@ def test_a_bushing_past_half_a_turn_is_named_with_what_to_do(case):
         trajectory = jb.simulate(model, [0.0, 0.5, 1.0], initial=moving(model, 0.0, 0, 0, 0.3, 0, 12.0))
     assert trajectory.status == jb.Status.DT_MIN
     assert not any(word in str(warned[0].message) for word in ("hanger", "max_steps", "rtol"))
+
+
+def on_a_line(offset=0.0, element=jb.Spring, **law):
+    """A mass on a guide along x, on a spring of 1 m to a point 1 m behind it and `offset` beside its way."""
+    return jb.Model(
+        bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
+        joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+        elements={"s": element(("mass", [0, 0, 0]), ("world", [-1, offset, 0]), **({"free_length": 1.0} | (law or {"stiffness": 50.0})))},
+    )
+
+
+TIMES = np.linspace(0, 0.5, 21)
+TOWARDS = jb.State(jnp.zeros(1), jnp.array([-8.0]))
+THROUGH = np.arcsin(np.sqrt(50) / 8) / np.sqrt(50)  # 8/w sin wt = 1 m, w^2 = 50
+# Where the acceleration jumps by a between samples h apart, the cubic through both is off by s^2 (1 - s)^2 (1 - 2 s)/2 a h^2 at most, 0 < s < 1
+SLACK = 0.009 * 100 * 0.025**2 / np.sqrt(64 - 50)  # of the time, at the speed there
+
+
+def time_of(message):
+    return float(re.search(r" at t = ([\d.]+) s; ", message)[1])
+
+
+@pytest.mark.parametrize("rtol", [1e-3, 1e-8])
+def test_a_spring_that_passes_through_zero_length_is_named_with_the_time(rtol):
+    """x = -8/w sin wt until then."""
+    with pytest.warns(jb.JaxbodyWarning, match=r"^simulate: 's' has shrunk to a point at t = .*its direction jumps there") as warned:
+        trajectory = jb.simulate(on_a_line(), TIMES, initial=TOWARDS, rtol=rtol)
+    assert trajectory.ok and [w.message.code for w in warned] == ["SPRING_COLLAPSED"]
+    assert abs(time_of(str(warned[0].message)) - THROUGH) <= SLACK
+    assert f"ok; 's' has shrunk to a point at t = {THROUGH:.3f}" in repr(trajectory)
+
+
+def test_a_spring_that_passes_through_zero_length_is_named_under_derivatives_too():
+    with pytest.warns(jb.JaxbodyWarning, match="'s' has shrunk to a point at t = "):
+        jax.grad(lambda k: jb.simulate(jb.replace(on_a_line(), {"s.stiffness": k}), TIMES, initial=TOWARDS).state.q[-1, 0])(50.0)
+
+
+def test_steps_that_are_not_controlled_leave_a_collapse_to_the_printed_trajectory():
+    constant = {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 1e-3}
+    trajectory = jb.simulate(on_a_line(), TIMES, initial=TOWARDS, **constant)
+    assert abs(time_of(repr(trajectory)) - THROUGH) <= SLACK
+
+
+NO_JUMP = {
+    "beside, by a fiftieth": {"offset": 0.02},
+    "zero free length": {"free_length": 0.0, "stiffness": 50.0},
+    "a rope": {"element": jb.SpringDamper, "spring": jb.laws.TensionOnly(50.0)},
+}
+
+
+@pytest.mark.parametrize("case", NO_JUMP)
+def test_a_spring_whose_force_does_not_jump_is_not_named(case):
+    trajectory = jb.simulate(on_a_line(**NO_JUMP[case]), TIMES, initial=TOWARDS)
+    assert trajectory.state.q[:, 0].min() < -1.2 and "shrunk" not in repr(trajectory)
+
+
+@pytest.mark.parametrize("turns", [0.5, 0.4, 2.5, 3.1])
+def test_a_spring_that_swings_around_between_two_samples_is_not_named(turns):
+    """Its length stays as it is, though the straight line between two samples passes its other end, at half turns exactly."""
+    model = jb.Model(
+        bodies={"arm": jb.Body(mass=1.0, inertia=[1, 1, 1])},
+        joints={"arm": jb.Hinge("world", axis=[0, 0, 1])},
+        elements={"s": jb.Spring(("arm", [1.0, 0, 0]), ("world", [0, 0, 0]), stiffness=50.0, free_length=0.9)},
+    )
+    trajectory = jb.simulate(model, np.arange(9.0), initial=jb.State(jnp.zeros(1), jnp.array([2 * np.pi * turns])))
+    assert np.abs(trajectory.elongations["s"] - 0.1).max() <= 1e-9 and "shrunk" not in repr(trajectory)
+
+
+def test_a_torsion_spring_past_half_a_turn_is_named_with_the_time():
+    """theta = 8/w sin wt = pi, w^2 = 2; up to there its angle is that of the hinge, then it jumps by 2 pi. The slack is twice 0.009 x 4 pi rad/s^2 x (25 ms)^2 at 6.7 rad/s."""
+    model = jb.Model(
+        bodies={"arm": jb.Body(mass=1.0, inertia=[1, 1, 1])},
+        joints={"arm": jb.Hinge("world", axis=[0, 0, 1])},
+        elements={"t": jb.Torsion("world", "arm", axis=[0, 0, 1], spring=2.0)},
+    )
+    with pytest.warns(jb.JaxbodyWarning, match=r"^simulate: 't' is turned by 180 degrees at t = .*half a turn.*`orientation`") as warned:
+        trajectory = jb.simulate(model, TIMES, initial=jb.State(jnp.zeros(1), jnp.array([8.0])))
+    assert trajectory.ok and [w.message.code for w in warned] == ["HALF_TURN"]
+    assert abs(time_of(str(warned[0].message)) - np.arcsin(np.pi * np.sqrt(2) / 8) / np.sqrt(2)) <= 25e-6
+    jump = np.asarray(trajectory.state.q[:, 0] - trajectory.elongations["t"])
+    assert set(np.round(jump / (2 * np.pi), 9)) == {0, 1}

@@ -22,7 +22,7 @@ PACKAGE = Path(jb.__file__).parent
 
 # From the ground up; a module imports only from modules before it.
 ROWS = (
-    "jax_internals progress_lines errors tables results arrays arguments precisions exports recompilations options compilations units texts sources mat_files universal_files formats",
+    "jax_internals progress_lines errors tables results arrays arguments precisions exports compilations recompilations options units texts sources mat_files universal_files formats",
     "lane_marks symmetric_eigenvalues lanes trigonometry rotations frames linear_solves eigenproblems integrators",
     "tracings motions samplings repairs measurements recordings response_files base_motions splines signals roads orientations bodies joints curves laws elements torsions contacts loads element_checks storage models presets naming checks",
     "kinematics mechanics dynamics momenta derivatives",

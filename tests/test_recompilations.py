@@ -1,7 +1,8 @@
-"""A function that is compiled for every call says so once, and what of its arguments changes."""
+"""A function that is compiled for every call says so once, and what of its arguments changes; one that takes long to compile says so."""
 
 import warnings
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -74,3 +75,34 @@ def test_a_motion_that_is_made_anew_in_a_loop_is_named():
 
     (message,) = warned(jit_as_it_is(place), calls())
     assert "for a Python function made anew in the structure of motions; make it once" in message
+
+
+COMPILING = "/jax/core/compile/"
+SECONDS = {
+    "in one phase": ([("backend_compile_duration", "jit(doubled_slowly)", 61.0)], ["61 s"]),
+    "in three": (
+        [(f"{phase}_duration", "doubled_slowly", 21.0) for phase in ("jaxpr_trace", "jaxpr_to_mlir_module", "backend_compile")],
+        ["63 s"],
+    ),
+    "not long": ([("backend_compile_duration", "jit(doubled_slowly)", 58.0)], []),
+    "another function": ([("backend_compile_duration", "jit(another)", 61.0)], []),
+    "another event": ([("something_else", "doubled_slowly", 61.0)], []),
+}
+
+
+@pytest.mark.parametrize("case", SECONDS)
+def test_a_compilation_of_more_than_a_minute_is_mentioned(case):
+    """JAX says how long it took to whoever listens; here it says so once more, with other numbers."""
+    events, said = SECONDS[case]
+
+    def doubled_slowly(x):
+        for event, name, seconds in events:
+            jax.monitoring.record_event_duration_secs(COMPILING + event, seconds, fun_name=name)
+        return 2 * x
+
+    once = jit_as_it_is(doubled_slowly)
+    seen = warned(once, [(jnp.ones(3),), (jnp.zeros(3),)])
+    assert [
+        message.endswith("[SLOW_COMPILATION]") and f"doubled_slowly took {time} to compile" in message
+        for message, time in zip(seen, said, strict=True)
+    ] == [True] * len(said)
