@@ -1,4 +1,4 @@
-"""Arguments that are no arrays: things by name, names, whole and positive numbers, objects of other libraries."""
+"""Arguments that are no arrays: things by name, names, whole and positive numbers, keys of random numbers, objects of other libraries."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import operator
 from collections.abc import Mapping
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.arrays import checked, concrete
@@ -62,6 +64,24 @@ def positive(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER
         problems.add(code, where, f"is {value}", value=value, limit="> 0")
         return None
     return number
+
+
+def check_key(key: Any, where: str, problems: Problems, needed: str = "") -> None:
+    """A key of JAX, of the new kind or the old; a number is none. None is good where nothing is said of what needs one."""
+    if key is None:
+        if needed:
+            problems.add("NO_KEY", where, "is missing", hint=f"{needed} key=jax.random.key(...).")
+        return
+    if isinstance(key, jax.Array | np.ndarray):
+        new = jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
+        if (new and not key.ndim) or (key.dtype == np.uint32 and key.ndim == 1):
+            return
+    try:
+        seed = operator.index(key)
+    except TypeError:
+        seed = 0
+    told = f"is {key!r:.60}".splitlines()[0]
+    problems.add("WRONG_KIND", where, told, value=key, limit="one key of jax.random", hint=f"Write key=jax.random.key({seed}).")
 
 
 def warn_of_degrees(angle: Any, where: str) -> None:

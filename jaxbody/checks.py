@@ -16,8 +16,9 @@ PER_ELEMENT = 2000  # bytes: 1400 were measured with 10 000 springs
 _told_of_float32 = False
 
 
-def check_precision(where: str, model: Model, *, needs_float64: bool = False) -> None:
-    """Float32 is told once, refused where half the digits would be lost; a switch that was moved after the model was built is an error."""
+def check_precision(where: str, model: Model, *, allow_float32: bool | None = True) -> None:
+    """Float32 is said once; it is refused where half the digits would be lost, unless allowed (None where it cannot be). A switch that was moved
+    after the model was built is an error."""
     global _told_of_float32
     if not isinstance(model, Model):
         raise JaxbodyError(
@@ -39,8 +40,9 @@ def check_precision(where: str, model: Model, *, needs_float64: bool = False) ->
     if x64:
         return begin(x64)
     switch = 'jax.config.update("jax_enable_x64", True) before building the model'
-    if needs_float64:
-        raise JaxbodyError(Problem("FLOAT32", where, "is unreliable in float32", dtype, "float64", f"Say {switch}; or allow_float32=True."))
+    if not allow_float32:
+        hint = f"Say {switch}" + ("." if allow_float32 is None else "; or allow_float32=True.")
+        raise JaxbodyError(Problem("FLOAT32", where, "is unreliable in float32", dtype, "float64", hint))
     begin(x64)
     if not _told_of_float32:
         _told_of_float32 = True

@@ -17,7 +17,8 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxbody import tables
-from jaxbody.errors import JaxbodyError, Problem, Status
+from jaxbody.arguments import check_key
+from jaxbody.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.fits import Fit
 from jaxbody.intervals import check_level, quantile, widening
 from jaxbody.models import Model
@@ -68,6 +69,9 @@ def bands(
     (True, True)
     """
     check_level(level, "bands.level")
+    problems = Problems()
+    check_key(key, "bands.key", problems, "" if samples is None else "Draws need")
+    problems.raise_if_any()
     worth = fit._assessed()
     f = eqx.filter_jit(lambda u: function(fit.task.scatter(u)[0]))
     value = f(fit.u)
@@ -97,8 +101,6 @@ def _kind(value: Any) -> str:
 
 def _drawn(fit: Fit, f: Callable, level: float, samples: int, key: PRNGKeyArray | None):
     """Standard deviation and quantiles over draws of u from the normal distribution of its covariance."""
-    if key is None:
-        raise JaxbodyError(Problem("NO_KEY", "bands.key", "is missing", hint="Draws need key=jax.random.key(...)."))
     worth = fit._assessed()
     if worth.rank < len(fit.u):
         told = "are not determined: " + "; ".join(worth.words)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from jaxbody.arguments import named, positive, whole
+from jaxbody.arguments import check_key, named, positive, whole
 from jaxbody.arrays import float_array
 from jaxbody.checks import check_precision
 from jaxbody.design_programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of
@@ -65,7 +65,7 @@ def tune(
     forward mode for up to thirty free numbers. A trial that is not finite is a step rejected; where derivatives do not exist, at modes that
     coincide, they are taken a little aside: smooth quantities (`objectives`) don't need that. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True tells every evaluation on stderr.
 
-    Errors: UNKNOWN_PATH, UNKNOWN_NAME, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE,
+    Errors: UNKNOWN_PATH, UNKNOWN_NAME, WRONG_KIND of a key, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE,
     NONFINITE_START, NO_CASADI, TRACED, FLOAT32. Warns INFEASIBLE, with what is not met, and NOT_CONVERGED.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
@@ -75,10 +75,9 @@ def tune(
     >>> round(float(found.values["suspension.stiffness"]), 1), found.active
     (36787.5, ('sag <= 0.1',))
     """
-    check_precision("tune", model, needs_float64=True)
+    check_precision("tune", model, allow_float32=None)
     if not is_concrete(model):
         raise JaxbodyError(Problem("TRACED", "tune.model", "is being traced", hint="Tune outside of jit, vmap and grad."))
-    key = jax.random.key(0) if key is None else key
     problems = Problems()
     bounds, catalogues = (
         named(bounds, "tune.bounds", "path: (lower, upper)", problems),
@@ -87,7 +86,9 @@ def tune(
     whole(starts, "tune.starts", problems, code="BAD_STARTS")
     max_iterations = whole(max_iterations, "tune.max_iterations", problems)
     positive(tolerance, "tune.tolerance", problems)
+    check_key(key, "tune.key", problems)
     problems.raise_if_any()
+    key = jax.random.key(0) if key is None else key
     limited = limits_of(limits or {})
     space, low, high = space_of(model, free, bounds, "tune")
     shelves = _shelves(space, catalogues, low, high)

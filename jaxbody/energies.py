@@ -129,7 +129,7 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
     ('mass bounce 100 %',)
     """
     check_linearization(lin, "mode_energies")
-    check_precision("mode_energies", lin.model, needs_float64=not allow_float32)
+    check_precision("mode_energies", lin.model, allow_float32=allow_float32)
     directions = _directions(lin.model, forward, up)
     result = ModeEnergies(*_energies(lin), model=lin.model, directions=directions)
     warn_if_failed(result)

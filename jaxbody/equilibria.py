@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxbody import tables
-from jaxbody.arguments import positive, whole
+from jaxbody.arguments import check_key, positive, whole
 from jaxbody.checks import check_attached, check_memory, check_precision
 from jaxbody.derivatives import expansion, placed, stiffness
 from jaxbody.descents import SINGULAR, descend, signs
@@ -68,7 +68,7 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
     descends and one follows Newton's method on dV/dDelta = 0 to whatever is near.
 
     Random displacements are normal, with `spread` sizes of the model (turns: twice `spread` rad) for standard deviation. Nothing guarantees that all are
-    found. Those that a free motion connects (singular K, equal energy) count as one. Errors: UNATTACHED; warns NOT_CONVERGED where nothing is found.
+    found. Those that a free motion connects (singular K, equal energy) count as one. Errors: UNATTACHED, WRONG_KIND of a key; warns NOT_CONVERGED where nothing is found.
 
     >>> model = Model(bodies={"rod": Body(mass=1.0, inertia=[0.1, 0.1, 0.01], com=[0, 0, -0.5])}, gravity=[0, 0, -9.81], joints={"rod": Hinge("world", axis=[0, 1, 0])})
     >>> find_equilibria(model, starts=16).stable.tolist()
@@ -80,6 +80,7 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
     problems = Problems()
     starts = whole(starts, "find_equilibria.starts", problems)
     positive(spread, "find_equilibria.spread", problems)
+    check_key(key, "find_equilibria.key", problems)
     problems.raise_if_any()
     batch = _search(model, jax.random.key(0) if key is None else key, starts, float(spread))
     status, energies = np.asarray(batch.status), np.asarray(batch.energy)

@@ -94,7 +94,7 @@ def fit(
     >>> round(float(fit(model, {"track": track}, free=["spring.stiffness"]).estimates["spring.stiffness"]), 5)  # (2 pi)^2
     39.47842
     """
-    check_precision("fit", model, needs_float64=not allow_float32)
+    check_precision("fit", model, allow_float32=allow_float32)
     check_loss(loss, "fit.loss")
     problems = Problems()
     max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit"))

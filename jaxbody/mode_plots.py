@@ -60,18 +60,19 @@ def _rows(energies: ModeEnergies, kind: str) -> dict[str, np.ndarray]:
 
 
 def plot_branches(branches: Branches, *, parameter: str = "parameter", ax: Any = None) -> Any:
-    """The frequency of each mode [Hz] along the parameter, modes followed by shape; a gap and a cross where one was lost.
+    """The frequency of each mode [Hz] along the parameter, modes followed by shape and named as at the first value; a gap and a cross where one
+    was lost.
 
     >>> car = jb.presets.half_car()
     >>> found = track(lambda k: linearize(replace(car, {"front spring.stiffness": k}), car.reference), jnp.linspace(1.5e4, 4e4, 6))
-    >>> len(plot_branches(found, parameter="front stiffness [N/m]").lines)
-    2
+    >>> [line.get_label() for line in plot_branches(found, parameter="front stiffness [N/m]").lines]
+    ['1: body bounce 86 %', '2: body about y 86 %']
     """
     ax = axes_or_new(ax, 6.0, 4.0)
     values, lost = np.asarray(branches.values), np.asarray(branches.status) == Status.LOST_BRANCH
-    for i, frequency in enumerate(np.asarray(branches.frequency).T):
+    for i, (name, frequency) in enumerate(zip(branches.names, np.asarray(branches.frequency).T, strict=True)):
         gone = np.flatnonzero(lost & (np.asarray(branches.mac)[:, i] < LEAST_MAC))
-        ax.plot(np.insert(values, gone, np.nan), np.insert(frequency, gone, np.nan), lw=1.6, label=f"mode {i + 1}", **style(i))
+        ax.plot(np.insert(values, gone, np.nan), np.insert(frequency, gone, np.nan), lw=1.6, label=f"{i + 1}: {name}", **style(i))
         if gone.size:
             ax.plot(values[gone], frequency[gone], "x", color=style(i)["color"], ms=6)
     ax.set(xlabel=parameter, ylabel="frequency [Hz]")

@@ -92,6 +92,7 @@ def multistart(
     """
     problems = Problems()
     starts = whole(starts, "multistart.starts", problems)
+    seed = whole(seed, "multistart.seed", problems, least=0)
     positive(spread, "multistart.spread", problems)
     problems.raise_if_any()
     with working("multistart", progress) as line:

@@ -134,7 +134,7 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
     >>> round(float(found.curvature[0]), 12), round(float(found.frequency_within(1.0)[0]), 12)
     (-0.0625, 0.4)
     """
-    check_precision("backbones", lin.model, needs_float64=not allow_float32)
+    check_precision("backbones", lin.model, allow_float32=allow_float32)
     result = _backbones(lin)
     warn_if_failed(result)
     return result

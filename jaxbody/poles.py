@@ -103,7 +103,7 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     """
     if not isinstance(lin, SpinLinearization):
         check_linearization(lin, "complex_modes")
-    check_precision("complex_modes", lin.model, needs_float64=not allow_float32)
+    check_precision("complex_modes", lin.model, allow_float32=allow_float32)
     spins = isinstance(lin, SpinLinearization)
     D = lin.C + lin.G if isinstance(lin, SpinLinearization) else lin.C
     unit = jax.lax.stop_gradient(scale_of(lin.model, size_of(lin.model)))  # results do not depend on it

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
-from jaxbody.arguments import check_kind
+from jaxbody.arguments import check_key, check_kind
 from jaxbody.arrays import concrete
 from jaxbody.dynamics import Dynamics, Instant
 from jaxbody.errors import Problems
@@ -74,8 +74,7 @@ def measure(
     check_sensors(sensors, trajectory.model, "sensors")
     levels = noise_levels(sensors, noise, "noise", problems, zero=True)
     noisy = any(concrete(level) is None or np.any(level) for level in levels.values())
-    if noisy and key is None:
-        problems.add("NO_KEY", "measure.key", "is missing", hint="Noise needs key=jax.random.key(...).")
+    check_key(key, "measure.key", problems, "Noise needs" if noisy else "")
     problems.raise_if_any()
     found = {name: _unless_unknown(sensors[name], trajectory.times, x) for name, x in readings(trajectory, sensors).items()}
     if key is None or not noisy:

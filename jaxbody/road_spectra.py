@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from jaxbody.arguments import check_key
 from jaxbody.arrays import concrete
 from jaxbody.bodies import scalar
 from jaxbody.errors import JaxbodyError, Problem, Problems
@@ -75,6 +76,9 @@ def road_profile(road: Unevenness, *, length, spacing, key: PRNGKeyArray) -> tup
         raise JaxbodyError(
             Problem("WRONG_KIND", "road_profile.road", f"is a {type(road).__name__}", road, "Unevenness", 'Give Unevenness.iso("C").')
         )
+    problems = Problems()
+    check_key(key, "road_profile.key", problems, "A road needs")
+    problems.raise_if_any()
     n = _count(length, spacing)
     step = float(length) / n
     k = np.arange(1, (n + 1) // 2)

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.arguments import named, whole
+from jaxbody.arguments import check_key, named, whole
 from jaxbody.arrays import float_array
 from jaxbody.checks import check_precision
 from jaxbody.design_programs import Evaluate, evaluated
@@ -47,7 +47,7 @@ def sweep(
     (hypercube), scrambled by `key`. A value that a pattern means serves all its matches. chunk: how many models at a time; without it as many, up to 1024, as
     take less than 1 GiB. The same `evaluate` is compiled once. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True tells on stderr at once.
 
-    Errors: those of `replace`, NON_FINITE, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, NO_XARRAY.
+    Errors: those of `replace`, NON_FINITE, WRONG_KIND of a key, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, NO_XARRAY.
 
     >>> car = jb.presets.quarter_car()
     >>> def sag(model):
@@ -61,6 +61,7 @@ def sweep(
     given = named(over, "sweep.over", "path: [values]", problems)
     samples = None if samples is None else whole(samples, "sweep.samples", problems)
     chunk = None if chunk is None else whole(chunk, "sweep.chunk", problems, code="BAD_CHUNK")
+    check_key(key, "sweep.key", problems)
     columns = {path: problems.gather(lambda path=path: float_array(given[path], f"sweep['{path}']")) for path in given}
     columns = {path: values for path, values in columns.items() if values is not None}
     empty = not columns or any(values.ndim < 1 or not len(values) for values in columns.values())

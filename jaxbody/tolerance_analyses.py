@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody import tables
-from jaxbody.arguments import named, positive, whole
+from jaxbody.arguments import check_key, named, positive, whole
 from jaxbody.arrays import concrete, float_array
 from jaxbody.checks import check_precision
 from jaxbody.design_programs import Evaluate, Quantities, evaluated, value_and_forward_slopes
@@ -89,7 +89,7 @@ def tolerances(
     """The spread of quantities when parameters scatter.
 
     evaluate: as of `tune`. scatter: {path or pattern: standard deviation, in the parameter's unit, one number or one for each of the leaf's}, each number of each parameter by itself, normal. samples:
-    of the Monte Carlo method, drawn with `key`. progress: a line after five seconds on a terminal or in a notebook; False is silent. Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER; warns NONFINITE where samples have no numbers.
+    of the Monte Carlo method, drawn with `key`. progress: a line after five seconds on a terminal or in a notebook; False is silent. Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER, WRONG_KIND of a key; warns NONFINITE where samples have no numbers.
 
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
@@ -100,6 +100,7 @@ def tolerances(
     check_precision("tolerances", model)
     problems = Problems()
     samples = whole(samples, "tolerances.samples", problems, least=2, code="BAD_SCATTER")
+    check_key(key, "tolerances.key", problems)
     leaves, deviations = problems.gather(lambda: scattering(model, scatter, "tolerances.scatter")) or ((), ())
     problems.raise_if_any()
     key = jax.random.key(0) if key is None else key

@@ -93,7 +93,7 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     (0.795775, 0.1)
     """
     check_linearization(lin, "modes")
-    check_precision("modes", lin.model, needs_float64=not allow_float32)
+    check_precision("modes", lin.model, allow_float32=allow_float32)
     result = Modes(*_modes(lin), M=lin.M, model=lin.model, q=lin.state.q)
     warn_if_failed(result)
     return result

@@ -3,6 +3,7 @@
 import warnings
 
 import diffrax
+import jax
 import numpy as np
 import pytest
 
@@ -100,6 +101,7 @@ NUMBERS = {
     "starts of a search": (lambda: jb.find_equilibria(model(), starts=3.5), "BAD_NUMBER", "find_equilibria.starts", "3.5 whole number"),
     "spread": (lambda: jb.find_equilibria(model(), spread="x"), "NOT_A_NUMBER", "find_equilibria.spread", "'x' numbers"),
     "sigmas": (lambda: jb.robust(heaviness, {"*.mass": 0.1}, sigmas="x"), "NOT_A_NUMBER", "robust.sigmas", "'x' numbers"),
+    "seed": (lambda: jb.multistart(model(), {}, free=[], seed="x"), "BAD_NUMBER", "multistart.seed", "'x' whole number >= 0"),
     "free": (lambda: jb.preload(model(), free=3), "WRONG_KIND", "preload.free", "an int paths"),
 }  # fmt: skip
 
@@ -112,6 +114,43 @@ def test_options_of_another_kind_are_refused_by_name(case):
     (problem,) = refused.value.problems
     assert (problem.code, problem.where) == (code, where) and problem.limit
     assert all(word in str(problem) for word in words.split())
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    several = experiment(
+        measured={"z": 1 + (1 - np.cos(20 * np.array(TIMES))) / 400}, noise=1e-4, initial=model().reference, loads={"p": PUSH}
+    )
+    return jb.fit(model(), {"several": several}, free=["s.stiffness"])
+
+
+KEYED = {
+    "measure": lambda fitted, key: jb.measure(simulate(), {"z": PLACE}, noise=1e-3, key=key),
+    "bands": lambda fitted, key: jb.bands(fitted, lambda m: m["s"].stiffness, samples=4, key=key),
+    "tune": lambda fitted, key: tune(key=key, bounds={"s.stiffness": (200.0, 800.0)}, starts=2),
+    "sweep": lambda fitted, key: jb.sweep(model(), heaviness, {"*.mass": (1.0, 2.0)}, samples=2, key=key),
+    "tolerances": lambda fitted, key: jb.tolerances(model(), heaviness, {"*.mass": 0.1}, samples=4, key=key),
+    "find_equilibria": lambda fitted, key: jb.find_equilibria(model(), starts=2, key=key),
+    "road_profile": lambda fitted, key: jb.road_profile(jb.Unevenness.iso("C"), length=10.0, spacing=1.0, key=key),
+}
+
+
+@pytest.mark.parametrize("where", KEYED)
+def test_a_number_for_a_key_is_refused_with_the_key_to_write(where, fitted):
+    """Whatever is no key of JAX; keys of the old kind are."""
+    for key, seed in (3, 3), (np.int64(5), 5), ("3", 0), (np.random.default_rng(1), 0), (jax.random.split(jax.random.key(0), 2), 0):
+        with pytest.raises(jb.JaxbodyError) as refused:
+            KEYED[where](fitted, key)
+        (problem,) = refused.value.problems
+        assert (problem.code, problem.where) == ("WRONG_KIND", f"{where}.key")
+        assert f"key=jax.random.key({seed})" in problem.hint
+    KEYED[where](fitted, jax.random.PRNGKey(3))
+
+
+def test_noise_by_a_key_that_is_traced():
+    run = simulate()
+    measure = lambda key: jb.measure(run, {"z": PLACE}, noise=1e-3, key=key)["z"]  # noqa: E731
+    np.testing.assert_array_equal(jax.jit(measure)(jax.random.key(3)), measure(jax.random.key(3)))
 
 
 def test_all_that_is_wrong_with_a_call_is_said_at_once():

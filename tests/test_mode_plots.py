@@ -43,9 +43,11 @@ def test_branches_have_gaps_where_they_were_lost():
     frequency, quality = jnp.array([[1.0, 2.0], [1.1, 2.1], [1.2, 2.2], [1.3, 2.3]]), jnp.ones((4, 2)).at[2, 1].set(0.3)
     ax = Figure().subplots()
     plots.plot_branches(
-        SimpleNamespace(values=jnp.arange(4.0), frequency=frequency, mac=quality, status=status), parameter="stiffness [N/m]", ax=ax
+        SimpleNamespace(values=jnp.arange(4.0), frequency=frequency, mac=quality, status=status, names=("body bounce", "body roll")),
+        parameter="stiffness [N/m]",
+        ax=ax,
     )
     lines = {line.get_label(): line.get_xydata() for line in ax.lines}
-    np.testing.assert_allclose(lines["mode 1"], np.stack([np.arange(4), frequency[:, 0]], -1))
-    assert np.isnan(lines["mode 2"][2]).all() and np.isfinite(lines["mode 2"][[0, 1, 3, 4]]).all()
+    np.testing.assert_allclose(lines["1: body bounce"], np.stack([np.arange(4), frequency[:, 0]], -1))
+    assert np.isnan(lines["2: body roll"][2]).all() and np.isfinite(lines["2: body roll"][[0, 1, 3, 4]]).all()
     assert ax.get_xlabel() == "stiffness [N/m]" and ax.lines[-1].get_xydata().tolist() == [[2.0, float(frequency[2, 1])]]

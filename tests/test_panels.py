@@ -108,5 +108,6 @@ def test_a_tornado_counts_the_parameters_that_it_leaves_out():
 
 def test_branches_beyond_eight_look_different():
     frequency = jnp.arange(1.0, 13.0) * jnp.ones((3, 1))
-    found = SimpleNamespace(values=jnp.arange(3.0), frequency=frequency, mac=jnp.ones((3, 12)), status=jnp.zeros(3))
+    names = ["body bounce"] * 12  # the same name is no reason to take one curve for another
+    found = SimpleNamespace(values=jnp.arange(3.0), frequency=frequency, mac=jnp.ones((3, 12)), status=jnp.zeros(3), names=names)
     assert_named_and_distinct(plots.plot_branches(found, ax=Figure().subplots()), 12)

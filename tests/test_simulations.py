@@ -462,6 +462,7 @@ def test_a_body_that_nothing_holds_flies_with_a_warning():
 
 
 FLOAT32 = """
+import inspect
 import warnings
 import jax
 import jaxbody as jb
@@ -482,6 +483,12 @@ with warnings.catch_warnings(record=True) as told:
     print("used", [w.message.code for w in told], lin.K.dtype)
 print("modes", refused(jb.modes, lin))
 print("allowed", abs(jb.modes(lin, allow_float32=True).frequency[0] / 3.1830989 - 1) < 1e-6)
+for function, of in (jb.modes, (lin,)), (jb.tune, (slider, lambda m: m["s"].stiffness)):
+    try:
+        function(*of, **({} if function is jb.modes else {"free": "s.stiffness"}))
+    except jb.JaxbodyError as error:
+        hint = error.problems[0].hint
+        print("advised", "jax_enable_x64" in hint, ("allow_float32" in hint) == ("allow_float32" in inspect.signature(function).parameters))
 jax.config.update("jax_enable_x64", True)
 print("switched", refused(jb.linearize, slider, slider.reference), refused(jb.simulate, slider, [0.0, 1.0]))
 """
@@ -496,5 +503,7 @@ def test_float32_is_told_once_refused_for_modes_and_never_mixed():
         "used ['FLOAT32'] float32",
         "modes FLOAT32",
         "allowed True",
+        "advised True True",
+        "advised True True",
         "switched X64_CHANGED X64_CHANGED",
     ]
