@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
+from jaxbody import recompilations
 from jaxbody.motions import as_motion
 from jaxbody.options import jit_as_it_is
 
@@ -106,3 +107,14 @@ def test_a_compilation_of_more_than_a_minute_is_mentioned(case):
         message.endswith("[SLOW_COMPILATION]") and f"doubled_slowly took {time} to compile" in message
         for message, time in zip(seen, said, strict=True)
     ] == [True] * len(said)
+
+
+def test_the_seconds_of_a_compilation_are_those_that_jax_reports(monkeypatch):
+    monkeypatch.setattr(recompilations, "LONG", 0.0)
+
+    def tripled(x):
+        return 3 * x
+
+    with jb.compile_times() as spent:
+        (message,) = warned(jit_as_it_is(tripled), [(jnp.ones(3),), (jnp.zeros(3),)])
+    assert f"tripled took {sum(spent.programs['tripled'][:3]):.0f} s to compile" in message and spent.programs["tripled"][3] == 1
