@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import gzip
 import re
+import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -29,6 +30,9 @@ from jaxbody.mat_files import read_matlab
 from jaxbody.sources import Asked, Pick, check_numbers, check_size, find_name, kind_of, needed, numeric, told_of
 from jaxbody.texts import Column, Contents, read_text, split_unit
 from jaxbody.universal_files import read_uff
+
+MOST_INFLATED = 1032  # times its size is what zlib can make of a text
+DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3  # HDF5's numbers of its filters
 
 
 def read_columns(path: Any, wanted: list[Asked], *, format: str | None = None, largest: float = 1e9, **text: Any) -> Contents:
@@ -111,6 +115,8 @@ def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> C
                 )
         sizes = [(file[name].size, np.prod(file[name].chunks or (0,), dtype=float)) for name in set(found.values())]
         check_numbers(path.name, sum(size for size, _ in sizes) + max((chunk for _, chunk in sizes), default=0.0), largest)
+        for name in set(found.values()):
+            _check_chunks(path.name, file[name], largest)
         for asked, name in found.items():
             data = file[name]
             unit = next((data.attrs[key] for key in ("unit", "units", "Unit", "Units") if key in data.attrs), None)
@@ -120,6 +126,31 @@ def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> C
                 values = values[0] if values.ndim == 2 and values.shape[0] == 1 else values
             columns[asked] = Column(values, unit.decode() if isinstance(unit, bytes) else None if unit is None else str(unit))
     return Contents(columns)
+
+
+def _check_chunks(where: str, data: Any, largest: float) -> None:
+    """That no chunk inflates beyond the size that is stated: HDF5 looks when it has done so. Only those are tried that could pass the limit."""
+    plan = data.id.get_create_plist()
+    filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
+    most = MOST_INFLATED ** filters.count(DEFLATE)
+    stated = np.prod(data.chunks or (0,), dtype=float) * data.dtype.itemsize + 4 * len(filters)  # with sums of Fletcher
+    suspects: list[Any] = []
+    if data.chunks and most > 1:
+        data.id.chunk_iter(lambda chunk: suspects.append(chunk.chunk_offset) if most * chunk.size > largest else None)
+    for at in suspects:
+        skipped, packed = data.id.read_direct_chunk(at)
+        for i in reversed([i for i in range(len(filters)) if not skipped >> i & 1]):
+            if filters[i] == DEFLATE:
+                packed = zlib.decompressobj().decompress(packed, int(stated) + 1)
+                if len(packed) > stated:
+                    told = f"has a chunk of '{data.name}' that inflates to more than the {stated:.4g} bytes that the file states for it"
+                    raise JaxbodyError(
+                        Problem("TOO_LARGE", where, told, at, f"{stated:.4g} bytes", "It is damaged, or made to fill the memory.")
+                    )
+            elif filters[i] == FLETCHER:
+                packed = packed[:-4]
+            elif filters[i] != SHUFFLE:
+                break  # of another kind: h5py's own grow a hundredfold at most
 
 
 def _tdms(path: Path, pick: Pick, largest: float) -> Contents:

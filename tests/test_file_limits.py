@@ -129,6 +129,32 @@ def test_the_limit_is_of_the_numbers_in_a_file_before_they_are_read(kind, tmp_pa
         jb.read_record(path, channels={"a": (channel, "g")}, rate=100.0, largest=LARGEST)
 
 
+@pytest.mark.parametrize("filters", [{}, {"shuffle": True, "fletcher32": True}, {"scaleoffset": 3, "dtype": "i4"}, "twice"], ids=str)
+def test_a_chunk_that_inflates_beyond_what_the_file_states_is_refused(filters, tmp_path):
+    """A thousand numbers, 8 kB as stated, that are 100 MB of zeros in truth; the same chunk, honest and as large as can be, passes."""
+    h5py = pytest.importorskip("h5py")
+    twice, options = filters == "twice", {"compression": "gzip"} | (filters if isinstance(filters, dict) else {})
+    plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    plan.set_chunk((1000,))
+    for _ in range(1 + twice):
+        plan.set_deflate(9)
+    for name in ("honest.h5", "bomb.h5"):
+        with h5py.File(tmp_path / name, "w") as file:
+            if twice:
+                h5py.h5d.create(file.id, b"a", h5py.h5t.NATIVE_DOUBLE, h5py.h5s.create_simple((1000,)), plan)
+            else:
+                file.create_dataset("a", (1000,), **({"dtype": "f8"} | options), chunks=(1000,))
+            file["a"][:] = np.random.default_rng(0).integers(0, 1000, 1000)
+    with h5py.File(tmp_path / "bomb.h5", "r+") as file:
+        packed = zlib.compress(bytes(100_000_000), 9)
+        packed = zlib.compress(packed, 9) if twice else packed
+        file["a"].id.write_direct_chunk((0,), packed + bytes(4) * ("fletcher32" in options))
+    read = lambda name, **options: jb.read_record(tmp_path / name, channels={"a": ("a", "g")}, rate=100.0, **options)  # noqa: E731
+    with refused("TOO_LARGE", "bomb.h5", "'/a'", "inflates"):
+        read("bomb.h5", largest=LARGEST)
+    assert len(read("honest.h5", largest=LARGEST)["a"]) == 1000
+
+
 def test_a_limit_above_the_numbers_lets_them_pass(tmp_path):
     """30 000 numbers of 8 bytes: refused at 239 999, read at 240 000."""
     h5py = pytest.importorskip("h5py")
