@@ -13,6 +13,7 @@ from jaxbody.arguments import plain
 from jaxbody.errors import Problem, Problems
 from jaxbody.orientations import IDENTITY, as_quaternion
 from jaxbody.sensors import Chain, Sensor
+from jaxbody.vectors import product
 
 BACK = np.array([1.0, -1, -1, -1])  # conjugates a quaternion
 
@@ -109,5 +110,5 @@ class Orientation(Attitude):
         problems.raise_if_any()
 
     def reading(self, model, frames):
-        R = rotations.product(frames.R[model.layout.frame(self.on)], rotations.matrix(self.orientation))
+        R = product(frames.R[model.layout.frame(self.on)], rotations.matrix(self.orientation))
         return rotations.from_matrix(R)

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxbody.experiments import Experiment, Integration
-from jaxbody.models import Model, State
+from jaxbody.models import Model
 from jaxbody.options import jit_quickly
 from jaxbody.rests import Rest
-from jaxbody.tasks import Task
+from jaxbody.states import State
 
 FEWEST = 40  # samples of a run that is looked at
 FIRST = 0.05  # part of a run that is its beginning
@@ -23,25 +23,27 @@ SETTLED = 2.0  # times the residual of the second half, from where on a run has 
 BETTER = 0.5  # part of it that is left, with which a beginning is better
 
 
-def far_off(task: Task, model: Model, experiments: dict[str, Any], predicted: dict[str, dict[str, Any]]) -> list[str]:
+def far_off(
+    model: Model, experiments: dict[str, Any], predicted: dict[str, dict[str, Any]], noise: dict[str, Any], integration: Integration
+) -> list[str]:
     """What may help each run that does, in words."""
     words = []
     for run, experiment in experiments.items():
         if not isinstance(experiment, Experiment) or len(experiment.times) < FEWEST:
             continue
-        size = _sizes(experiment, predicted[run], task.noise[run])
+        size = _sizes(experiment, predicted[run], noise[run])
         count = max(int(FIRST * len(size)), 3)
         here = np.flatnonzero(np.isfinite(size))
         if len(here) < FEWEST:
             continue
         late, first = _rms(size[here[len(here) // 2 :]]), _rms(size[here[:count]])
-        signal = _rms(_sizes(experiment, _means(experiment), task.noise[run]))
+        signal = _rms(_sizes(experiment, _means(experiment), noise[run]))
         if first < max(NOTABLE * late, SIGNAL * signal):
             continue
         off = f"'{run}' begins {first / late:.2g} times as far off as it ends"
         if not isinstance(experiment.initial, Rest):
             rest = eqx.tree_at(lambda e: e.initial, experiment, Rest(), is_leaf=lambda x: x is None or isinstance(x, State))
-            other = _rms(_sizes(rest, _readings(model, rest, task.integration), task.noise[run])[here[:count]])
+            other = _rms(_sizes(rest, _readings(model, rest, integration), noise[run])[here[:count]])
             if other < BETTER * first:
                 words.append(f'{off}: initial="rest", in equilibrium on its base, would be {other / late:.2g} times; begin it so')
                 continue

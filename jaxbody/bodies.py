@@ -9,7 +9,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.arrays import checked, concrete, shaped
+from jaxbody.arrays import checked, concrete, vector
 from jaxbody.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.orientations import IDENTITY, as_quaternion, matrix
 
@@ -86,16 +86,6 @@ class Support(eqx.Module):
         self.position = vector(position, "Support.position", problems)
         self.orientation = as_quaternion(orientation, "Support.orientation", problems)
         problems.raise_if_any()
-
-
-def scalar(value: Any, where: str, problems: Problems) -> Any:
-    """A number. Error: BAD_SHAPE."""
-    return shaped(value, (), where, problems)
-
-
-def vector(value: Any, where: str, problems: Problems) -> Any:
-    """Three numbers. Error: BAD_SHAPE."""
-    return shaped(value, (3,), where, problems)
 
 
 def _mass(value: Any, problems: Problems) -> Any:

@@ -12,8 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import rotations, tables
 from jaxbody.arguments import check_kind, named
-from jaxbody.arrays import device_array, stack
-from jaxbody.bodies import vector
+from jaxbody.arrays import device_array, stack, vector
 from jaxbody.checks import check_attached, check_memory, check_precision, check_state
 from jaxbody.derivatives import placed
 from jaxbody.errors import Problems, Status, is_concrete
@@ -22,12 +21,13 @@ from jaxbody.kinematics import Coordinates
 from jaxbody.load_paths import Raised, residual
 from jaxbody.loads import STANDARD_GRAVITY, Load, loads_by_name, loads_of
 from jaxbody.mechanics import each_element, frames_of
-from jaxbody.models import Model, State
+from jaxbody.models import Model
 from jaxbody.naming import by_name
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.rotations import product
+from jaxbody.states import State
 from jaxbody.statics import DESCENDED, Ended, Equilibrium, ended_under, equilibrium_of, scale_of, size_of, standing
+from jaxbody.vectors import product
 
 MAX_STEPS = 200  # of a search
 UNFELT = 1e-9  # of what is applied: less than this in every coordinate is round-off

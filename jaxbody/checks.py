@@ -8,8 +8,9 @@ import numpy as np
 
 from jaxbody.arrays import concrete
 from jaxbody.errors import JaxbodyError, Problem, Problems, warn
-from jaxbody.models import WORLD, Model, State
+from jaxbody.models import WORLD, Model
 from jaxbody.precisions import begin
+from jaxbody.states import State
 
 MOST_MEMORY = 8e9  # bytes that the matrices of a model may take
 PER_ELEMENT = 2000  # bytes: 1400 were measured with 10 000 springs

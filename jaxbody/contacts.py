@@ -15,12 +15,12 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbody.bodies import scalar
-from jaxbody.elements import Element, LineElement, ends
+from jaxbody.arrays import scalar
+from jaxbody.elements import Element, LineElement
 from jaxbody.errors import Problems
-from jaxbody.joints import unit_vector
 from jaxbody.laws import not_negative, positive, ramp, ramp_energy, ramp_slope
-from jaxbody.rotations import dot, rotate
+from jaxbody.places import ends, unit_vector
+from jaxbody.vectors import dot, rotate
 
 
 class Touching(Element):

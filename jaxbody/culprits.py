@@ -14,8 +14,9 @@ from jaxbody.dynamics import acceleration
 from jaxbody.kinematics import Coordinates, Motions, table_of
 from jaxbody.loads import Load
 from jaxbody.mechanics import each_element
-from jaxbody.models import Model, State
+from jaxbody.models import Model
 from jaxbody.options import jit_as_it_is
+from jaxbody.states import State
 
 AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)  # of the time past, or of a second where that is longer
 DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)  # of the size of a model

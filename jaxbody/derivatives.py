@@ -29,8 +29,10 @@ from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, take
 from jaxbody.mechanics import each_element, potential, sums, wrenches
 from jaxbody.models import Layout, Model
-from jaxbody.rotations import cross, dot, product, rotate, rotate_back, skew
+from jaxbody.options import jit_as_it_is
+from jaxbody.states import State
 from jaxbody.trigonometry import inverse_root
+from jaxbody.vectors import cross, dot, product, rotate, rotate_back, skew
 
 Vector = Float[Array, "n"]
 Square = Float[Array, "n n"]
@@ -151,6 +153,13 @@ def mass(at: Placed) -> Square:
 def damping(at: Placed) -> Square:
     """C | -C~ | C_bb as one matrix."""
     return _projected(at.J, _hessian(at.model, Block(), each_element(at.model, at.frames, dissipation_hessian), at.base))
+
+
+@jit_as_it_is
+def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
+    """M, C and K at a state, supports at rest in their reference poses."""
+    at = placed(Coordinates(model), state.q, state.v, base=False)
+    return mass(at), damping(at), stiffness(at)
 
 
 # Elements: second derivatives in the displacements of their two frames

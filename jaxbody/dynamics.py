@@ -20,29 +20,12 @@ from jaxtyping import Array, Float
 from jaxbody import rotations
 from jaxbody.frames import Frame, stack
 from jaxbody.kinematics import Coordinates, Motions
-from jaxbody.linear_solves import inverse_of_three, solve_spd
+from jaxbody.linear_solves import solve_spd
 from jaxbody.loads import Load
 from jaxbody.mechanics import wrenches
-from jaxbody.models import Layout, Model, State
-from jaxbody.rotations import cross, product, rotate, rotate_back, skew
-
-
-class Instant(Frame):
-    """The table of frames at one time with the state that it comes from; where instruments ask for them, the accelerations a of origins and
-    alpha of the frames, and the force F and moment M about its origin, world axes, that a frame passes on: what bodies and elements exert on world and
-    supports, and what a body, with all that it carries, exerts on its joint."""
-
-    state: State
-    a: Float[Array, "n 3"] | None = None
-    alpha: Float[Array, "n 3"] | None = None
-    F: Float[Array, "n 3"] | None = None
-    M: Float[Array, "n 3"] | None = None
-
-    def acceleration(self, row: int, a_B: Float[Array, "3"]) -> Float[Array, "3"]:
-        """World acceleration a + alpha x r + w x (w x r), r = R a, of a point fixed in a frame."""
-        assert self.a is not None and self.alpha is not None
-        r, w = rotate(self.R[row], a_B), self.w[row]
-        return self.a[row] + cross(self.alpha[row], r) + cross(w, cross(w, r))
+from jaxbody.models import Layout, Model
+from jaxbody.states import Instant, State
+from jaxbody.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
 
 
 class Dynamics(eqx.Module):

@@ -16,17 +16,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxbody import laws, rotations
-from jaxbody.arguments import plain
-from jaxbody.arrays import checked, concrete
-from jaxbody.bodies import scalar, vector
+from jaxbody.arrays import checked, concrete, scalar
 from jaxbody.errors import Problems, warn
-from jaxbody.frames import Frame, Pose
+from jaxbody.frames import Frame, Pose, Wrench
 from jaxbody.lane_marks import kept
 from jaxbody.orientations import IDENTITY, as_quaternion
-from jaxbody.rotations import cross, dot, product, rotate, rotate_back
+from jaxbody.places import ends
 from jaxbody.trigonometry import inverse_root
-
-Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about the frame's origin, world axes
+from jaxbody.vectors import cross, dot, product, rotate, rotate_back
 
 
 class Element(eqx.Module):
@@ -381,33 +378,3 @@ def free_length_of(value: Any, kind: str, problems: Problems) -> Any:
     if l0 is not None and l0 < 0:
         problems.add("NEGATIVE_LENGTH", f"{kind}.free_length", f"is {l0:g} m", value=float(l0), limit=">= 0", hint="Give 0 or more.")
     return length
-
-
-ORDER = ("first", "second", "third")
-
-
-def ends(given, kind: str, problems: Problems, *, points: bool = True):
-    """((name, ...), [point, ...]) of (name, point) pairs; without `points`, of names that may stand alone."""
-    names, found = [], []
-    for end, order in zip(given, ORDER, strict=False):
-        where = f"{kind}, {order} end"
-        if not points and isinstance(end, str):
-            end = (end, (0, 0, 0))
-        if not (isinstance(end, tuple | list) and len(end) == 2 and isinstance(end[0], str)):
-            problems.add(
-                "BAD_END",
-                where,
-                f"is {end!r:.60}",
-                value=end,
-                limit='("body", [x, y, z])',
-                hint="Give the name of a body, a support or `world`, and a point in its frame.",
-            )
-            end = ("?", (0, 0, 0))
-        names.append(plain(end[0]))
-        found.append(vector(end[1], f"{where} ({end[0]})", problems))
-    twice = [name for i, name in enumerate(names) if name in names[:i] and name != "?"]
-    if twice:
-        hint = "It would do nothing: name another body or support at one end."
-        told = "has both ends" if len(names) == 2 else "has two of its ends"
-        problems.add("SELF_SPRING", kind, f"{told} on '{twice[0]}'", value=twice[0], limit="different bodies or supports", hint=hint)
-    return tuple(names), found

@@ -21,7 +21,7 @@ from jaxbody.mode_names import AXES, against_gravity, direction_words, meaning, 
 from jaxbody.models import Model
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.rotations import rotate, rotate_back
+from jaxbody.vectors import rotate, rotate_back
 from jaxbody.vibrations import _modes
 
 LEAST_LOSS = 1e-12  # of the largest decay of a mode, below which a mode dissipates nothing

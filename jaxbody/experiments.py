@@ -10,18 +10,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody.arguments import named
-from jaxbody.arrays import concrete, device_array, float_array
+from jaxbody.arrays import check_times, concrete, device_array, float_array
 from jaxbody.channels import Measurement
 from jaxbody.errors import JaxbodyError, Problem, Problems, is_concrete, warn
 from jaxbody.kinematics import Motions
 from jaxbody.loads import Load, loads_by_name, loads_of
-from jaxbody.models import Model, State
-from jaxbody.motions import Motion, as_motion, check_times
+from jaxbody.models import Model
+from jaxbody.motions import Motion, as_motion
 from jaxbody.records import readings
 from jaxbody.rests import Rest, as_initial, beginning, rest_at
 from jaxbody.samplings import warn_of_rails
 from jaxbody.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations import Trajectory, check_run, integrate, motions_of
+from jaxbody.states import State
 
 MANY_MISSING = 0.2
 NEUTRAL = {

@@ -7,7 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbody import rotations
-from jaxbody.rotations import cross, product, rotate, rotate_back
+from jaxbody.vectors import cross, product, rotate, rotate_back
+
+Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about the frame's origin, world axes
 
 
 class Pose(eqx.Module):

@@ -15,9 +15,11 @@ from jaxbody.errors import Problem, Problems
 from jaxbody.experiments import Experiment
 from jaxbody.models import Model
 from jaxbody.naming import Leaf, leaves_of, matching
-from jaxbody.parametrizations import OF_CHAINS, Parametrization, Positive, Shifted, of_instrument, pair_of, parametrize, sound_bounds
+from jaxbody.parametrizations import Parametrization, Positive, Shifted, pair_of, parametrize, sound_bounds
 from jaxbody.statics import size_of
 from jaxbody.ties import Factor, bounds_of_first, check_alike, equation, ties, times
+
+OF_CHAINS = ("gain", "bias", "start", "delay", "lag")  # of instruments
 
 
 class Free(eqx.Module):
@@ -125,3 +127,17 @@ def priors_of(free: tuple[Free, ...], priors: dict[str, tuple[Any, Any]]) -> dic
                 found[parameter.path] = (jnp.asarray(pair[0] / factor), jnp.asarray(pair[1] / np.abs(factor)))
     problems.raise_if_any()
     return found
+
+
+def of_instrument(field: str, start: Array, experiment: Experiment, sensor: str) -> Parametrization:
+    """The parametrization of what an instrument makes of its readings. Neither sign of a gain is ruled out: an instrument may be turned round."""
+    if field == "lag":
+        return Positive(start)
+    measured = experiment.measured[sensor]
+    if field == "gain":
+        least = jnp.ones(())
+    elif field == "delay":
+        least = (experiment.times[-1] - experiment.times[0]) / (len(experiment.times) - 1)
+    else:
+        least = jnp.sqrt(jnp.nanmean(measured**2))
+    return Shifted(start, jnp.maximum(jnp.max(jnp.abs(start)), jnp.where(least > 0, least, 1.0)))

@@ -9,15 +9,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody.arguments import plain
-from jaxbody.arrays import concrete
-from jaxbody.bodies import vector
-from jaxbody.elements import ends
+from jaxbody.arrays import concrete, vector
 from jaxbody.errors import Problem, Problems
 from jaxbody.frames import Frame, Pose
-from jaxbody.joints import unit_vector
 from jaxbody.models import WORLD, Model, body_poses, support_poses
-from jaxbody.rotations import cross, dot, rotate, rotate_back
+from jaxbody.places import ends, unit_vector
 from jaxbody.sensors import Chain, Sensor
+from jaxbody.vectors import cross, dot, rotate, rotate_back
 
 GRAZING = 1e-6  # cosine of beam and surface's normal below which there is no spot
 

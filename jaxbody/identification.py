@@ -223,7 +223,7 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Limits
     model, experiments = task.scatter(jnp.asarray(u))
     predicted = {run: runs[run][0] for run in task.experiments}
     if np.linalg.norm(r) > exact:
-        remarks += tuple(far_off(task, model, experiments, predicted))
+        remarks += tuple(far_off(model, experiments, predicted, task.noise, task.integration))
     return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds), remarks)  # fmt: skip
 
 

@@ -8,14 +8,14 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.arguments import plain
-from jaxbody.arrays import concrete
-from jaxbody.bodies import vector
+from jaxbody.arrays import concrete, vector
 from jaxbody.errors import Problem, Problems
-from jaxbody.joints import Free, unit_vector
+from jaxbody.joints import Free
 from jaxbody.models import unknown
 from jaxbody.orientations import IDENTITY, as_quaternion
-from jaxbody.rotations import cross, dot, rotate_back
+from jaxbody.places import unit_vector
 from jaxbody.sensors import Chain, Sensor
+from jaxbody.vectors import cross, dot, rotate_back
 
 
 class Mounted(Sensor):

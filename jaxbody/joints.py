@@ -6,7 +6,7 @@ The reference pose of the body on its parent, `rest`, belongs to q at rest. Axes
 """
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,11 +15,11 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.arguments import plain
-from jaxbody.arrays import checked, concrete
-from jaxbody.bodies import vector
+from jaxbody.arrays import vector
 from jaxbody.errors import Problems
 from jaxbody.frames import Pose
-from jaxbody.rotations import cross, rotate
+from jaxbody.places import unit_vector
+from jaxbody.vectors import cross, product, rotate
 
 Axes = tuple[Float[Array, "nv 3"], Float[Array, "nv 3"]]
 TURNS = ("turn about x", "turn about y", "turn about z")
@@ -240,17 +240,17 @@ class Series(Joint):
         p, R = rest.p, e
         for axis, turn, x in zip(self.steps, self.turns, q, strict=True):
             if turn:
-                R = rotations.product(R, rotations.about(e[axis], x))
+                R = product(R, rotations.about(e[axis], x))
             else:
                 p = p + x * e[axis]
-        return parent @ Pose(p, rotations.product(R, rest.R))
+        return parent @ Pose(p, product(R, rest.R))
 
     def axes(self, q, parent, body):
         R, e, directions = parent.R, np.eye(3, dtype=parent.R.dtype), []
         for axis, turn, x in zip(self.steps, self.turns, q, strict=True):
             directions.append(R[:, axis])
             if turn:
-                R = rotations.product(R, rotations.about(e[axis], x))
+                R = product(R, rotations.about(e[axis], x))
         turns = jnp.array(self.turns)[:, None]
         n = jnp.stack(directions)
         return jnp.where(turns, 0.0, n), jnp.where(turns, n, 0.0)
@@ -295,8 +295,8 @@ class HeavePitchRoll(Series):
 def _about(at, R, rest: Pose) -> Pose:
     """The reference pose turned by R about the point `at`."""
     if at is None:
-        return Pose(rest.p, rotations.product(R, rest.R))
-    return Pose(at + rotate(R, rest.p - at), rotations.product(R, rest.R))
+        return Pose(rest.p, product(R, rest.R))
+    return Pose(at + rotate(R, rest.p - at), product(R, rest.R))
 
 
 def _arms(n: Float[Array, "nv 3"], at, parent: Pose, body: Pose) -> Float[Array, "nv 3"]:
@@ -304,17 +304,3 @@ def _arms(n: Float[Array, "nv 3"], at, parent: Pose, body: Pose) -> Float[Array,
     if at is None:
         return jnp.zeros_like(n)
     return cross(n, (body.p - parent.point(at))[None])
-
-
-def unit_vector(axis, where: str, problems: Problems) -> Any:
-    """The unit vector of a direction of any length."""
-    n = checked(axis, ((3,),), where, problems)
-    if n is None:
-        return np.array([0.0, 0, 1])
-    known = concrete(n)
-    if known is None:
-        return n / jnp.linalg.norm(n)
-    if not known.any():
-        problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give a direction, such as [0, 0, 1].")
-        return n
-    return n / np.linalg.norm(known)

@@ -10,10 +10,11 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.frames import Frame, Pose, stack
-from jaxbody.models import Model, State, at_rest_in, body_poses, rest_poses, support_poses
+from jaxbody.models import Model, at_rest_in, body_poses, rest_poses, support_poses
 from jaxbody.motions import Motion
-from jaxbody.rotations import cross, rotate
+from jaxbody.states import State
 from jaxbody.storage import Table
+from jaxbody.vectors import cross, rotate
 
 Motions = tuple[Motion, ...]  # one per support, in their order
 

@@ -20,8 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.arrays import checked, concrete, functions_as_nodes
-from jaxbody.bodies import scalar
+from jaxbody.arrays import checked, concrete, functions_as_nodes, scalar
 from jaxbody.curves import read_columns
 from jaxbody.errors import JaxbodyError, Problem, Problems
 

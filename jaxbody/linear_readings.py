@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbody.dynamics import Dynamics, Instant
-from jaxbody.models import State
+from jaxbody.dynamics import Dynamics
+from jaxbody.states import Instant, State
 
 
 def reading_rows(lin: Any, sensors: list[Any], pushes: Float[Array, "nu nb 6"]) -> tuple[Float[Array, "ny 3 n"], Float[Array, "ny nu"]]:

@@ -9,7 +9,6 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxbody.lane_marks import kept
-from jaxbody.rotations import cross, dot
 
 LARGEST_UNROLLED = 30
 
@@ -17,13 +16,6 @@ LARGEST_UNROLLED = 30
 def solve_spd(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
     """x with A x = b for symmetric positive definite A."""
     return solve_if_definite(A, b)[0]
-
-
-def inverse_of_three(A: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3 3"]:
-    """The inverse of symmetric A = [a, b, c]: [b x c, c x a, a x b] / (a . b x c)."""
-    a, b, c = A[..., 0, :], A[..., 1, :], A[..., 2, :]
-    rows = cross(b, c), cross(c, a), cross(a, b)
-    return jnp.stack(rows, -2) / dot(a, rows[0])[..., None, None]
 
 
 def is_definite(A: Float[Array, "n n"]) -> Bool[Array, ""]:

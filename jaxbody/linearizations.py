@@ -27,11 +27,12 @@ from jaxbody.lanes import in_lanes
 from jaxbody.load_paths import generalized, stiffness_of_loads
 from jaxbody.loads import Load
 from jaxbody.mechanics import each_element, gravity_energy, potential
-from jaxbody.models import Model, State, unknown
+from jaxbody.models import Model, unknown
 from jaxbody.naming import by_name
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
 from jaxbody.state_spaces import StateSpace, state_space
+from jaxbody.states import State
 from jaxbody.statics import NOT_AT_REST, Equilibrium, scale_of, size_of, zero_modes
 
 

@@ -20,7 +20,7 @@ from jaxbody.kinematics import Coordinates
 from jaxbody.loads import Load
 from jaxbody.models import Model
 from jaxbody.precisions import NEWTON, reachable
-from jaxbody.rotations import cross, dot, product, rotate, skew
+from jaxbody.vectors import cross, dot, product, rotate, skew
 
 FIRST, LEAST, MOST = 0.25, 1e-5, 64  # steps of lambda: the first, the smallest, how many
 ITERATIONS = 10  # of Newton's method, within a step

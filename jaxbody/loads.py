@@ -15,14 +15,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody.arguments import check_kind, named, plain
-from jaxbody.arrays import checked, concrete, device_array
-from jaxbody.bodies import scalar
-from jaxbody.elements import Wrench, ends
+from jaxbody.arrays import checked, concrete, device_array, scalar
 from jaxbody.errors import Problems
-from jaxbody.frames import Frame
-from jaxbody.joints import unit_vector
-from jaxbody.rotations import cross, dot, rotate
+from jaxbody.frames import Frame, Wrench
+from jaxbody.places import ends, unit_vector
 from jaxbody.signals import Signal, as_signal
+from jaxbody.vectors import cross, dot, rotate
 
 STANDARD_GRAVITY = 9.80665  # m/s2
 

@@ -13,8 +13,9 @@ from jaxtyping import Array, Bool, Float
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Coordinates, take
 from jaxbody.loads import Load
-from jaxbody.models import Model, State
-from jaxbody.rotations import cross, dot, rotate, rotate_back
+from jaxbody.models import Model
+from jaxbody.states import State
+from jaxbody.vectors import cross, dot, rotate, rotate_back
 
 Xi = Float[Array, "ns 6"] | None
 FEW_RUNS = 64  # slices that a sum may take; more would cost more to compile than a gather costs to run

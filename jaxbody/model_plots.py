@@ -17,10 +17,11 @@ from jaxbody.frames import Pose
 from jaxbody.joints import Guide
 from jaxbody.kinematics import Coordinates
 from jaxbody.linearizations import Linearization
-from jaxbody.models import WORLD, Model, State
+from jaxbody.models import WORLD, Model
 from jaxbody.options import jit_as_it_is
 from jaxbody.poles import ComplexModes
 from jaxbody.spins import SpinLinearization
+from jaxbody.states import State
 from jaxbody.tables import without_dust
 from jaxbody.vibrations import Modes
 

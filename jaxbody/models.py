@@ -16,8 +16,8 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations, tables
 from jaxbody.arguments import check_kind, named
-from jaxbody.arrays import concrete, device_array, functions_as_nodes
-from jaxbody.bodies import Body, Support, vector, warn_of_points, warn_of_tiny
+from jaxbody.arrays import concrete, device_array, functions_as_nodes, vector
+from jaxbody.bodies import Body, Support, warn_of_points, warn_of_tiny
 from jaxbody.element_checks import check_laws, check_leaves
 from jaxbody.elements import Bushing, Element, LineElement
 from jaxbody.errors import JaxbodyError, Problem, Problems, warn
@@ -26,6 +26,7 @@ from jaxbody.joints import Free, Joint
 from jaxbody.laws import Law, Sum
 from jaxbody.options import jit_as_it_is
 from jaxbody.orientations import matrix
+from jaxbody.states import State
 from jaxbody.storage import Table, tabulate, tabulate_by_structure
 from jaxbody.torsions import Torsion
 
@@ -135,25 +136,6 @@ class Layout:
     def angular(self) -> np.ndarray:
         """(nq,): True for angles and for the four numbers of a quaternion, which stand for three turns."""
         return np.array([turn for kind in self.kinds for turn in (*kind.turns, *[True] * (kind.nq - kind.nv))], dtype=bool)
-
-
-class State(eqx.Module):
-    """Where everything is and how it moves: q the coordinates and v the speeds of the joints, in the order of the bodies; z the states
-    that elements carry themselves. For a free body q = (position of O, unit quaternion w, x, y, z), v = (velocity of O, angular
-    velocity), world axes. Leading axes are times or samples.
-
-    >>> state = State(q=jnp.array([0.3]), v=jnp.array([0.0]))
-    >>> state.z.shape
-    (0,)
-    """
-
-    q: Float[Array, "*n nq"]
-    v: Float[Array, "*n nv"]
-    z: Float[Array, "*n nz"]
-
-    def __init__(self, q, v, z=None):
-        self.q, self.v = q, v
-        self.z = jnp.zeros((*jnp.shape(q)[:-1], 0), jnp.result_type(q)) if z is None else z
 
 
 class Model(eqx.Module):

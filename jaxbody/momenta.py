@@ -22,8 +22,9 @@ from jaxbody.dynamics import Dynamics, normalized, table_of_free
 from jaxbody.frames import Frame
 from jaxbody.linear_solves import solve_spd
 from jaxbody.mechanics import kinetic, wrenches
-from jaxbody.models import Model, State
-from jaxbody.rotations import cross, rotate, rotate_back
+from jaxbody.models import Model
+from jaxbody.states import State
+from jaxbody.vectors import cross, rotate, rotate_back
 
 
 class Canonical(eqx.Module):

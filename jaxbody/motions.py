@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from jaxbody import rotations
 from jaxbody.arguments import kind_of, warn_of_degrees
-from jaxbody.arrays import checked, concrete, device_array, float_array, functions_as_nodes, shaped
+from jaxbody.arrays import check_times, checked, concrete, device_array, float_array, functions_as_nodes, shaped
 from jaxbody.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.tracings import check_returned, is_own
 from jaxbody.trigonometry import sincos
@@ -264,42 +264,6 @@ def _faults(structure: Any, kinds: tuple[Any, ...]) -> list[Problem]:
     problems = Problems()
     check_returned(lambda motion, t: motion(t), structure.unflatten(kinds), (6,), "motion", problems)
     return problems.found
-
-
-def check_times(times, problems: Problems, where: str = "times", minimum: int = 1) -> np.ndarray | jax.Array | None:
-    """Increasing, finite, one-dimensional times; what is wrong goes to `problems`."""
-    try:
-        times = float_array(times, where)
-    except JaxbodyError as error:
-        problems.found += error.problems
-        return None
-    known = concrete(times)
-    if times.ndim != 1 or times.shape[0] < minimum:
-        code = "NO_DATA" if times.size == 0 or times.ndim == 1 else "BAD_SHAPE"
-        limit = f"(n,) with n >= {minimum}"
-        problems.add(code, where, f"has shape {times.shape}", value=times.shape, limit=limit, hint=f"Give at least {minimum} times.")
-        return None
-    if known is None:
-        return times
-    if not np.isfinite(known).all():
-        i = int(np.flatnonzero(~np.isfinite(known))[0])
-        hint = "Cut the record, or drop the samples whose time is unknown."
-        problems.add("NAN_TIME", where, f"is {known[i]} at index {i}", value=float(known[i]), limit="finite", hint=hint)
-        return None
-    steps = np.diff(known)
-    if (steps <= 0).any():
-        i = int(np.flatnonzero(steps <= 0)[0])
-        code, word = ("DUPLICATE_TIME", "repeats") if steps[i] == 0 else ("UNSORTED_TIME", "goes back")
-        problems.add(
-            code,
-            where,
-            f"{word} at index {i + 1}: {known[i]:.9g} s, then {known[i + 1]:.9g} s",
-            value=i + 1,
-            limit="increasing",
-            hint="Sort the samples and drop duplicates.",
-        )
-        return None
-    return times
 
 
 def _samples(times, translation, rotation, problems: Problems, minimum: int, turns: bool = True):

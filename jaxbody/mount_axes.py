@@ -21,7 +21,7 @@ from jaxbody.linearizations import Linearization, check_linearization
 from jaxbody.models import unknown
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.rotations import cross, dot, rotate, rotate_back, skew
+from jaxbody.vectors import cross, dot, rotate, rotate_back, skew
 
 
 class ElasticAxes(Result):

@@ -40,8 +40,8 @@ from jaxbody.mechanics import kinetic, potential
 from jaxbody.models import Layout
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.rotations import rotate, rotate_back
 from jaxbody.statics import scale_of, size_of
+from jaxbody.vectors import rotate, rotate_back
 from jaxbody.vibrations import _modes
 
 RESONANT = 1e-3  # relative distance of w_j^2 from 4 w^2 below which mode j answers the second harmonic without bound

@@ -23,12 +23,11 @@ from jaxtyping import Array, Float
 from jaxbody import rotations
 from jaxbody.arrays import concrete
 from jaxbody.errors import Problem, Problems
-from jaxbody.experiments import Experiment
 from jaxbody.kinematics import Chart
 from jaxbody.models import Model
+from jaxbody.vectors import cross, dot
 
 POSITIVE = ("stiffness", "damping", "mass")
-OF_CHAINS = ("gain", "bias", "start", "delay", "lag")  # of instruments
 
 
 class Parametrization(eqx.Module):
@@ -138,10 +137,10 @@ class Direction(Parametrization):
 
     def value(self, u):
         least = jnp.eye(3, dtype=u.dtype)[jnp.argmin(jnp.abs(self.start))]
-        b = rotations.cross(self.start, least)
-        b = b / jnp.sqrt(rotations.dot(b, b))
-        moved = self.start + u[0] * b + u[1] * rotations.cross(self.start, b)
-        return moved / jnp.sqrt(rotations.dot(moved, moved))
+        b = cross(self.start, least)
+        b = b / jnp.sqrt(dot(b, b))
+        moved = self.start + u[0] * b + u[1] * cross(self.start, b)
+        return moved / jnp.sqrt(dot(moved, moved))
 
     def labels(self):
         return ["[tilt 1]", "[tilt 2]"]
@@ -220,20 +219,6 @@ def parametrize(path: str, start: Array, model: Model, size: Array) -> Parametri
         return Direction(start)
     largest = jnp.max(jnp.abs(start))
     return Shifted(start, jnp.where(largest > 0, largest, size))
-
-
-def of_instrument(field: str, start: Array, experiment: Experiment, sensor: str) -> Parametrization:
-    """The parametrization of what an instrument makes of its readings. Neither sign of a gain is ruled out: an instrument may be turned round."""
-    if field == "lag":
-        return Positive(start)
-    measured = experiment.measured[sensor]
-    if field == "gain":
-        least = jnp.ones(())
-    elif field == "delay":
-        least = (experiment.times[-1] - experiment.times[0]) / (len(experiment.times) - 1)
-    else:
-        least = jnp.sqrt(jnp.nanmean(measured**2))
-    return Shifted(start, jnp.maximum(jnp.max(jnp.abs(start)), jnp.where(least > 0, least, 1.0)))
 
 
 def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:

@@ -16,9 +16,10 @@ from jaxbody.errors import Status, warn
 from jaxbody.kinematics import retract
 from jaxbody.linearizations import linearize
 from jaxbody.mechanics import potential_energy
-from jaxbody.models import Model, State
+from jaxbody.models import Model
 from jaxbody.options import jit_as_it_is
 from jaxbody.results import Result
+from jaxbody.states import State
 from jaxbody.statics import size_of
 
 GYRATION = (0.02, 5.0)  # of the extent of what is attached

@@ -21,9 +21,9 @@ from jaxbody.models import Layout, Model
 from jaxbody.options import jit_as_it_is
 from jaxbody.precisions import reachable
 from jaxbody.results import Result, warn_if_failed
-from jaxbody.rotations import cross
 from jaxbody.spins import SpinLinearization
 from jaxbody.statics import NOT_AT_REST, scale_of, size_of, without_inertia
+from jaxbody.vectors import cross
 
 REST = 1e-7  # of the largest pole: the root of rounding, by which a double pole at zero is found off it
 GROWS = 1e-9  # of the largest pole: real parts above are not rounding

@@ -15,20 +15,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody import rotations
 from jaxbody.arguments import plain
-from jaxbody.arrays import float_array
-from jaxbody.bodies import vector
+from jaxbody.arrays import float_array, vector
 from jaxbody.derivatives import Placed, placed, slope
 from jaxbody.elements import Element
 from jaxbody.errors import Problem, Problems
 from jaxbody.frames import Frame, Pose
-from jaxbody.joints import unit_vector
 from jaxbody.kinematics import Coordinates
 from jaxbody.linear_readings import reading_rows
 from jaxbody.models import Model, unknown
 from jaxbody.options import jit_as_it_is
+from jaxbody.places import unit_vector
 from jaxbody.torsions import Torsion
+from jaxbody.vectors import cross, skew
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  # along and about world axes
 KINDS = ("displacement", "velocity", "acceleration")
@@ -322,7 +321,7 @@ def _point_row(port: PointForce | PointMotion, frames: Frame, twists, row_of) ->
         row = row_of(name)
         if port.turns:
             return twists[row, :, 3:] @ axis
-        return twists[row, :, :3] @ axis + twists[row, :, 3:] @ rotations.cross(place - frames.p[row], axis)
+        return twists[row, :, :3] @ axis + twists[row, :, 3:] @ cross(place - frames.p[row], axis)
 
     other = getattr(port, "relative_to", None)
     return moved(port.on) if other is None else moved(port.on) - moved(other)
@@ -345,7 +344,7 @@ def _pushes(inputs: tuple[Input, ...], frames: Frame, layout) -> Float[Array, "n
         if isinstance(port, PointForce):
             row, axis = layout.frame(port.on), jnp.asarray(port.axis)
             F = jnp.zeros(3) if port.turns else axis
-            M = axis if port.turns else rotations.cross(frames[row].point(port.point) - frames.p[row], axis)
+            M = axis if port.turns else cross(frames[row].point(port.point) - frames.p[row], axis)
             pushes = pushes.at[i, row - layout.first_body].set(jnp.concatenate([F, M]))
     return pushes
 
@@ -364,7 +363,7 @@ def _turned_moment(layout, held: Float[Array, "nxi"], port: SupportReaction) -> 
     row = jnp.zeros(layout.nv + layout.nxi, held.dtype)
     if len(port.direction) == 1:
         return row
-    turned = -rotations.skew(held[first : first + 3])[DIRECTIONS.index(port.direction) - 3] / 2
+    turned = -skew(held[first : first + 3])[DIRECTIONS.index(port.direction) - 3] / 2
     return row.at[layout.nv + first : layout.nv + first + 3].set(turned)
 
 

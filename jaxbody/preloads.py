@@ -22,11 +22,12 @@ from jaxbody.checks import check_precision, check_state
 from jaxbody.derivatives import placed, slope
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete
 from jaxbody.kinematics import Chart, Coordinates
-from jaxbody.models import Model, State, unknown
+from jaxbody.models import Model, unknown
 from jaxbody.naming import Leaf, leaves_of, matching, write
 from jaxbody.options import jit_as_it_is
 from jaxbody.precisions import reachable
 from jaxbody.results import Result, warn_if_failed
+from jaxbody.states import State
 from jaxbody.statics import scale_of, size_of
 
 ITERATIONS = 50

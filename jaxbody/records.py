@@ -9,15 +9,16 @@ from jaxtyping import Array, PRNGKeyArray
 
 from jaxbody.arguments import check_key, check_kind
 from jaxbody.arrays import concrete
-from jaxbody.dynamics import Dynamics, Instant
+from jaxbody.dynamics import Dynamics
 from jaxbody.errors import Problems
 from jaxbody.frames import Frame
 from jaxbody.kinematics import Motions, table_of
 from jaxbody.loads import Load
-from jaxbody.models import Model, State
+from jaxbody.models import Model
 from jaxbody.options import jit_quickly
 from jaxbody.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations import Trajectory
+from jaxbody.states import Instant, State
 
 
 def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sensor], loads: tuple[Load, ...] = ()) -> dict[str, Array]:

@@ -18,8 +18,9 @@ from jaxbody.derivatives import placed
 from jaxbody.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.kinematics import Coordinates, Motions
 from jaxbody.load_paths import residual, tangent
-from jaxbody.models import Model, State, at_rest_in, rest_poses
+from jaxbody.models import Model, at_rest_in, rest_poses
 from jaxbody.options import jit_as_it_is
+from jaxbody.states import State
 from jaxbody.statics import Equilibrium, downhill, nothing, standing
 
 GOOD = (Status.OK.value, Status.TABLE_RANGE.value)

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxbody.arguments import check_key
-from jaxbody.arrays import concrete
-from jaxbody.bodies import scalar
+from jaxbody.arrays import concrete, scalar
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.spectra import PowerLaw
 

@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.lane_marks import kept
 from jaxbody.trigonometry import polynomial, sincos
+from jaxbody.vectors import cross, dot, product, skew
 
 TERMS = 12  # of the power series in theta^2 < 1: 1e-16 up to the fourth derivative
 SINC = [(-1) ** n / factorial(2 * n + 1) for n in range(TERMS)]  # sin(t)/t
@@ -36,48 +37,6 @@ BERNOULLI = [
     236364091 / 2730,
 ]
 COTC = [b / factorial(2 * n + 2) for n, b in enumerate(BERNOULLI)]
-
-
-def dot(a: Float[Array, "*n 3"], b: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    """a . b over the last axis; a sum of products, which a compiled loop can fuse where a matrix product cannot."""
-    return jnp.sum(a * b, -1)
-
-
-def cross(a: Float[Array, "*n 3"], b: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """a x b over the last axis."""
-    return _next(a) * _previous(b) - _previous(a) * _next(b)
-
-
-def _next(a: Array) -> Array:
-    """(y, z, x)."""
-    return jnp.concatenate([a[..., 1:], a[..., :1]], -1)
-
-
-def _previous(a: Array) -> Array:
-    """(z, x, y)."""
-    return jnp.concatenate([a[..., 2:], a[..., :2]], -1)
-
-
-def rotate(R: Float[Array, "*n 3 3"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """R a."""
-    return jnp.sum(R * a[..., None, :], -1)
-
-
-def rotate_back(R: Float[Array, "*n 3 3"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
-    """R' a."""
-    return jnp.sum(R * a[..., :, None], -2)
-
-
-def product(A: Float[Array, "*n 3 3"], B: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3 3"]:
-    """A B of small matrices, as a sum."""
-    return jnp.sum(A[..., :, :, None] * B[..., None, :, :], -2)
-
-
-def skew(a: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """[a], the matrix with [a] b = a x b."""
-    x, y, z = a[..., 0], a[..., 1], a[..., 2]
-    o = jnp.zeros_like(x)
-    return jnp.stack([jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)], -2)
 
 
 def _coefficients(x: Array) -> tuple[Array, Array]:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from jaxbody import units
+from jaxbody.arrays import check_times
 from jaxbody.errors import Problems, warn
-from jaxbody.motions import check_times
 
 MISMATCH = 1e-3  # of a stated rate against the times
 IRREGULAR = 0.05  # largest share of jitter in a step, and of missing samples

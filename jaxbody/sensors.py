@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody import rotations, transducers
+from jaxbody import transducers
 from jaxbody.arguments import check_kind, named, plain
-from jaxbody.arrays import checked, concrete
-from jaxbody.bodies import vector
+from jaxbody.arrays import checked, concrete, vector
 from jaxbody.channels import Channel
-from jaxbody.dynamics import Instant
 from jaxbody.elements import Element
 from jaxbody.errors import Problem, Problems
-from jaxbody.joints import unit_vector
 from jaxbody.models import Model, unknown
+from jaxbody.places import unit_vector
+from jaxbody.states import Instant
+from jaxbody.vectors import dot, rotate
 
 Reading = Float[Array, "*r"]
 
@@ -180,8 +180,8 @@ class Position(Sensor):
 
     def reading(self, model, frames):
         row = model.layout.frame(self.on)
-        p = frames.p[row] + rotations.rotate(frames.R[row], self.point)
-        return p if self.axis is None else rotations.dot(self.axis, p)
+        p = frames.p[row] + rotate(frames.R[row], self.point)
+        return p if self.axis is None else dot(self.axis, p)
 
 
 class Elongation(Sensor):

@@ -25,11 +25,12 @@ from jaxbody.errors import JaxbodyError, JaxbodyWarning, Problem
 from jaxbody.experiments import Experiment, Integration, check_measurements
 from jaxbody.fits import Fit
 from jaxbody.identification import fit
-from jaxbody.models import Model, State
+from jaxbody.models import Model
 from jaxbody.progress_lines import working
 from jaxbody.records import readings
 from jaxbody.rests import Rest
 from jaxbody.simulations import Trajectory, integrate, motions_of
+from jaxbody.states import State
 from jaxbody.tasks import first_noise
 
 MOST = 50  # evaluations to find the state that a segment starts from

@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody.arguments import plain
-from jaxbody.arrays import checked, concrete, device_array, float_array
+from jaxbody.arrays import check_times, checked, concrete, device_array, float_array
 from jaxbody.errors import JaxbodyError, Problem, Problems
-from jaxbody.motions import cell, check_times, curvatures, is_uniform
+from jaxbody.motions import cell, curvatures, is_uniform
 from jaxbody.tracings import check_returned
 
 __all__ = [

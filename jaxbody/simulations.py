@@ -16,28 +16,29 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody import integrators, tables
 from jaxbody.arguments import check_kind, named, positive, whole
-from jaxbody.arrays import concrete, device_array, float_array
+from jaxbody.arrays import check_times, concrete, device_array, float_array
 from jaxbody.checks import check_precision, check_state, unattached
 from jaxbody.collocations import Gauss
 from jaxbody.culprits import at_jump, jumps_passed, without_number_ahead
+from jaxbody.derivatives import matrices
 from jaxbody.dynamics import Dynamics, table_of_free
 from jaxbody.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.frames import Pose
 from jaxbody.kinematics import Coordinates, Motions, table_of
 from jaxbody.lanes import in_lanes
 from jaxbody.laws import has_range
-from jaxbody.linearizations import linearize
 from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, kinetic, lost_power, potential
-from jaxbody.models import Model, State, unknown
+from jaxbody.models import Model, unknown
 from jaxbody.momenta import Canonical
-from jaxbody.motions import AtRest, Motion, as_motion, check_motion, check_times, kinks_of
+from jaxbody.motions import AtRest, Motion, as_motion, check_motion, kinks_of
 from jaxbody.naming import by_name
 from jaxbody.options import jit_quickly
 from jaxbody.precisions import in_float64, reachable
 from jaxbody.progress_lines import working
 from jaxbody.rests import Rest, as_initial, beginning
 from jaxbody.results import Result, warn_if_failed, without_derivatives
+from jaxbody.states import State
 from jaxbody.statics import size_of, without_inertia
 
 MAX_STEPS = 100_000
@@ -136,7 +137,7 @@ class Trajectory(Result):
     def _accelerations(self) -> str:
         """What is bad where all that acts is finite."""
         layout, q = self.model.layout, self.end[1].q
-        massless = without_inertia(layout, linearize(self.model, State(q, np.zeros(layout.nv))).M)
+        massless = without_inertia(layout, matrices(self.model, State(q, np.zeros(layout.nv)))[0])
         return "the accelerations: " + "; ".join(massless) if massless else f"the state of '{layout.bodies[0]}'"
 
     def _beyond(self) -> str:
@@ -313,8 +314,8 @@ def check_steps(
 
 def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None) -> None:
     """Constant steps must be short beside the fastest small motion about the start, y' = A y."""
-    lin, n = linearize(model, initial), model.layout.nv
-    rates = np.linalg.solve(np.asarray(lin.M), np.concatenate([-lin.K, -lin.C], 1)) if n else np.zeros((0, 0))
+    (M, C, K), n = matrices(model, initial), model.layout.nv
+    rates = np.linalg.solve(np.asarray(M), np.concatenate([-K, -C], 1)) if n else np.zeros((0, 0))
     fastest = np.abs(np.linalg.eigvals(np.concatenate([np.eye(n, 2 * n, n), rates]))).max(initial=0.0)
     if dt * fastest > STABLE and not isinstance(solver, diffrax.AbstractImplicitSolver):
         remedy = f"Take dt0 below {STABLE / fastest:.3g} s, leave the steps to the default controller, or use an implicit solver"

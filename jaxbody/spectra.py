@@ -14,8 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
-from jaxbody.arrays import checked, concrete, device_array, float_array, shaped
-from jaxbody.bodies import scalar
+from jaxbody.arrays import checked, concrete, device_array, float_array, scalar, shaped
 from jaxbody.errors import JaxbodyError, Problem, Problems
 from jaxbody.models import unknown
 from jaxbody.units import ANGULAR_RATE, RATE, parse

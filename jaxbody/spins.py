@@ -21,11 +21,12 @@ from jaxbody.checks import check_precision, check_state
 from jaxbody.derivatives import damping, mass, placed, stiffness
 from jaxbody.dynamics import Dynamics
 from jaxbody.errors import Status
-from jaxbody.models import Model, State
+from jaxbody.models import Model
 from jaxbody.motions import AtRest
 from jaxbody.options import jit_as_it_is
 from jaxbody.precisions import reachable
 from jaxbody.results import Result, warn_if_failed
+from jaxbody.states import State
 from jaxbody.statics import scale_of, size_of
 
 STEADY = 1e-8  # change of speeds and of matrices, relative to what they are made of, below which it is round-off

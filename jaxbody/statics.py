@@ -32,11 +32,12 @@ from jaxbody.laws import has_range
 from jaxbody.load_paths import Path, Raised, dead_forces, follow, residual, tangent, under, with_gravity
 from jaxbody.loads import Load, loads_of
 from jaxbody.mechanics import beyond_laws, each_element, potential
-from jaxbody.models import Layout, Model, State
+from jaxbody.models import Layout, Model
 from jaxbody.naming import by_name
 from jaxbody.options import jit_as_it_is
 from jaxbody.precisions import in_float64, reachable
 from jaxbody.results import Result, warn_if_failed
+from jaxbody.states import State
 
 RUNAWAY = 20  # sizes of the model from the start, beyond which a search is falling
 NOT_AT_REST = (

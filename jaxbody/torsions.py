@@ -7,12 +7,12 @@ from jaxtyping import Array, Float
 
 from jaxbody import laws
 from jaxbody.arguments import warn_of_degrees
-from jaxbody.bodies import scalar
-from jaxbody.elements import Element, ends, turned
+from jaxbody.arrays import scalar
+from jaxbody.elements import Element, turned
 from jaxbody.errors import Problems
-from jaxbody.joints import unit_vector
 from jaxbody.orientations import IDENTITY, as_quaternion
-from jaxbody.rotations import dot, rotate
+from jaxbody.places import ends, unit_vector
+from jaxbody.vectors import dot, rotate
 
 
 class LawElement(Element):

@@ -9,11 +9,10 @@ import scipy.linalg
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody import laws, rotations
+from jaxbody import laws, rotations, vectors
 from jaxbody.derivatives import second_order
 from jaxbody.dynamics import Dynamics
-from jaxbody.elements import Wrench
-from jaxbody.frames import Frame, Pose
+from jaxbody.frames import Frame, Pose, Wrench
 from jaxbody.mechanics import frames_of, wrenches
 
 RNG = np.random.default_rng(42)
@@ -299,7 +298,7 @@ def test_no_work_is_done_around_a_closed_path(rng, name):
     def path(origin, R, sizes):
         chart, rate = waves @ sizes, slopes @ sizes
         pose = Pose(jnp.tile(jnp.array(origin), (N, 1)), jnp.tile(R, (N, 1, 1))).displaced(chart)
-        still, w = jnp.zeros((N, 3)), rotations.rotate(rotations.left_jacobian(chart[:, 3:]), rate[:, 3:])
+        still, w = jnp.zeros((N, 3)), vectors.rotate(rotations.left_jacobian(chart[:, 3:]), rate[:, 3:])
         return Frame(pose.p, pose.R, still, still), Frame(pose.p, pose.R, rate[:, :3], w)
 
     one, other = (matrix(q) for q in TURNED.values())

@@ -12,7 +12,7 @@ import pytest
 import scipy.linalg
 from scipy.spatial.transform import Rotation
 
-from jaxbody import rotations
+from jaxbody import rotations, vectors
 
 RNG = np.random.default_rng(2011)
 SIZES = [0.0, 1e-16, 1e-14, 1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 1e-1]
@@ -150,14 +150,14 @@ def test_left_jacobian_is_its_series_and_turns_a_rate_into_an_angular_velocity()
     J = np.asarray(rotations.left_jacobian(PHI))
     assert np.abs(J - [matrix_series(w, 1) for w in PHI]).max() <= 2e-15
     R, R_dot = jax.jvp(rotations.exp, (jnp.asarray(PHI),), (jnp.asarray(PSI),))
-    assert np.abs(R_dot - skews(rotations.rotate(J, PSI)) @ R).max() <= 2e-14
+    assert np.abs(R_dot - skews(vectors.rotate(J, PSI)) @ R).max() <= 2e-14
 
 
 def test_inverse_left_jacobian_is_the_inverse_and_the_derivative_of_log():
     points = np.concatenate([PSI, HALF_TURNS * (1 - 1e-9), SWEEP])
     inverse = np.stack([rotations.inverse_left_jacobian(points, np.broadcast_to(e, points.shape)) for e in np.eye(3)], -1)
     assert np.abs(inverse - np.linalg.inv([matrix_series(w, 1) for w in points])).max() <= 2e-15
-    change = jax.jacrev(lambda e, R: rotations.log(rotations.product(rotations.exp(e), R)))
+    change = jax.jacrev(lambda e, R: rotations.log(vectors.product(rotations.exp(e), R)))
     singular = np.concatenate([np.zeros((1, 3)), 1e-160 * AXIS[None], 1e-300 * AXIS[None], HALF_TURNS])  # squares underflow, sign open
     found = jax.jit(jax.vmap(change, (None, 0)))(jnp.zeros(3), rotations.exp(np.concatenate([points, singular])))
     assert np.abs(found[: len(points)] - inverse).max() <= 1e-14
@@ -205,15 +205,15 @@ def test_the_laws_of_a_group():
     assert np.abs(rotations.multiply(p, p * conjugate) - one).max() <= 1e-15
     assert np.abs(rotations.multiply(rotations.multiply(p, q), r) - rotations.multiply(p, rotations.multiply(q, r))).max() <= 1e-15
     P, Q = rotations.matrix(p), rotations.matrix(q)
-    assert np.abs(rotations.matrix(rotations.multiply(p, q)) - rotations.product(P, Q)).max() <= 2e-15
-    assert np.abs(rotations.product(P, Q) - np.einsum("nij,njk->nik", P, Q)).max() <= 1e-15
-    assert np.abs(rotations.rotate(P, CHI) - np.einsum("nij,nj->ni", P, CHI)).max() <= 2e-15
-    assert np.abs(rotations.rotate_back(P, rotations.rotate(P, CHI)) - CHI).max() <= 4e-15
+    assert np.abs(rotations.matrix(rotations.multiply(p, q)) - vectors.product(P, Q)).max() <= 2e-15
+    assert np.abs(vectors.product(P, Q) - np.einsum("nij,njk->nik", P, Q)).max() <= 1e-15
+    assert np.abs(vectors.rotate(P, CHI) - np.einsum("nij,nj->ni", P, CHI)).max() <= 2e-15
+    assert np.abs(vectors.rotate_back(P, vectors.rotate(P, CHI)) - CHI).max() <= 4e-15
     assert np.abs(P @ np.swapaxes(P, 1, 2) - np.eye(3)).max() <= 1e-15
     assert np.abs(rotations.exp(PHI) - P).max() <= 2e-15
     assert np.abs(np.linalg.det(P) - 1).max() <= 2e-15
-    assert np.abs(rotations.skew(PHI) @ PSI[..., None] - rotations.cross(PHI, PSI)[..., None]).max() <= 1e-14
-    assert np.abs(rotations.cross(PHI, PSI) - np.cross(PHI, PSI)).max() <= 1e-14
+    assert np.abs(vectors.skew(PHI) @ PSI[..., None] - vectors.cross(PHI, PSI)[..., None]).max() <= 1e-14
+    assert np.abs(vectors.cross(PHI, PSI) - np.cross(PHI, PSI)).max() <= 1e-14
 
 
 @pytest.mark.parametrize("axes", ["world", "body"])
