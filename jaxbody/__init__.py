@@ -1,96 +1,99 @@
 """jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
 
-from typing import TYPE_CHECKING
+from importlib import import_module
 
 __version__ = "0.1.0"
 
-if TYPE_CHECKING:  # by editors and type checkers; a program imports each at its first use, see below
-    from jaxbody import laws, objectives, plots, presets, signals, units
-    from jaxbody.attitudes import BodyPose, Orientation
-    from jaxbody.base_motions import base_motion
-    from jaxbody.bodies import Body, Support
-    from jaxbody.branches import mac, track
-    from jaxbody.cases import LoadCase, load_cases
-    from jaxbody.collocations import Gauss
-    from jaxbody.compilations import compile_times
-    from jaxbody.confidence_bands import bands
-    from jaxbody.contacts import Contact, Tyre
-    from jaxbody.designs import tune
-    from jaxbody.diagnoses import diagnose
-    from jaxbody.elements import Bushing, Element, Spring, SpringDamper
-    from jaxbody.energies import mode_energies
-    from jaxbody.equilibria import find_equilibria
-    from jaxbody.errors import JaxbodyError, JaxbodyWarning, Status
-    from jaxbody.experiments import Experiment
-    from jaxbody.fits import Fit
-    from jaxbody.frequency_responses import frequency_response
-    from jaxbody.fronts import Front, pareto
-    from jaxbody.gauges import Displacement, LaserDistance, LaserVibrometer, StringPotentiometer, Velocity
-    from jaxbody.identification import fit
-    from jaxbody.instruments import Accelerometer, ForcePlate, Gyro, JointAngle, LoadCell, Reaction, Tilt
-    from jaxbody.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Joint, Translation
-    from jaxbody.kinematics import retract
-    from jaxbody.linearizations import excitation, linearize
-    from jaxbody.loads import EngineTorque, Force, Load, Unbalance
-    from jaxbody.measured_modes import MeasuredModes
-    from jaxbody.measured_responses import MeasuredResponse
-    from jaxbody.measurements import Record
-    from jaxbody.mechanics import dissipation, kinetic_energy, lagrangian, potential_energy
-    from jaxbody.models import Model, State
-    from jaxbody.motions import AtRest, Delayed, Harmonic, Motion, Sampled
-    from jaxbody.mount_axes import elastic_axes, torque_roll_axis
-    from jaxbody.multistarts import Multistart, multistart
-    from jaxbody.naming import paths, replace
-    from jaxbody.nonlinearities import backbones
-    from jaxbody.options import fast_loops, quick_options
-    from jaxbody.orientations import Euler
-    from jaxbody.plausibilities import plausibility
-    from jaxbody.poles import complex_modes, whirl
-    from jaxbody.ports import BaseMotion, ElementDeformation, ElementForce, PointForce, PointMotion, SupportReaction
-    from jaxbody.preloads import preload
-    from jaxbody.profiles import profile
-    from jaxbody.random_responses import random_response
-    from jaxbody.recordings import read_record
-    from jaxbody.records import measure
-    from jaxbody.response_files import read_responses
-    from jaxbody.road_spectra import Unevenness, road_profile
-    from jaxbody.roads import Road
-    from jaxbody.sensitivity_analyses import sensitivities
-    from jaxbody.sensors import Elongation, Position, Sensor
-    from jaxbody.shootings import multiple_shooting
-    from jaxbody.simulations import simulate
-    from jaxbody.spectra import PSD, Band, CrossPSD, PowerLaw, Spectrum
-    from jaxbody.spins import linearize_spin
-    from jaxbody.splines import Spline
-    from jaxbody.statics import equilibrium
-    from jaxbody.sweeps import sweep
-    from jaxbody.tolerance_analyses import robust, tolerances
-    from jaxbody.torsions import AntiRollBar, Torsion
-    from jaxbody.tunings import Tuning
-    from jaxbody.validations import validate
-    from jaxbody.vibrations import modes
-    from jaxbody.weightings import weighted, weighted_signal, weighting
-else:
-    import ast
-    from importlib import import_module
-    from pathlib import Path
+_MODULES = {  # that are public themselves
+    "laws": "jaxbody.laws",
+    "objectives": "jaxbody.objectives",
+    "plots": "jaxbody.plots",
+    "presets": "jaxbody.presets",
+    "signals": "jaxbody.signals",
+    "units": "jaxbody.units",
+}
+_NAMES = {  # what is public of each module; `__init__.pyi` says the same to editors and type checkers
+    "jaxbody.attitudes": ("BodyPose", "Orientation"),
+    "jaxbody.base_motions": ("base_motion",),
+    "jaxbody.bodies": ("Body", "Support"),
+    "jaxbody.branches": ("mac", "track"),
+    "jaxbody.cases": ("LoadCase", "load_cases"),
+    "jaxbody.collocations": ("Gauss",),
+    "jaxbody.compilations": ("compile_times",),
+    "jaxbody.confidence_bands": ("bands",),
+    "jaxbody.contacts": ("Contact", "Tyre"),
+    "jaxbody.designs": ("tune",),
+    "jaxbody.diagnoses": ("diagnose",),
+    "jaxbody.elements": ("Bushing", "Element", "Spring", "SpringDamper"),
+    "jaxbody.energies": ("mode_energies",),
+    "jaxbody.equilibria": ("find_equilibria",),
+    "jaxbody.errors": ("JaxbodyError", "JaxbodyWarning", "Status"),
+    "jaxbody.experiments": ("Experiment",),
+    "jaxbody.fits": ("Fit",),
+    "jaxbody.frequency_responses": ("frequency_response",),
+    "jaxbody.fronts": ("Front", "pareto"),
+    "jaxbody.gauges": ("Displacement", "LaserDistance", "LaserVibrometer", "StringPotentiometer", "Velocity"),
+    "jaxbody.identification": ("fit",),
+    "jaxbody.instruments": ("Accelerometer", "ForcePlate", "Gyro", "JointAngle", "LoadCell", "Reaction", "Tilt"),
+    "jaxbody.joints": ("Ball", "Fixed", "Free", "Guide", "HeavePitch", "HeavePitchRoll", "Hinge", "Joint", "Translation"),
+    "jaxbody.kinematics": ("retract",),
+    "jaxbody.linearizations": ("excitation", "linearize"),
+    "jaxbody.loads": ("EngineTorque", "Force", "Load", "Unbalance"),
+    "jaxbody.measured_modes": ("MeasuredModes",),
+    "jaxbody.measured_responses": ("MeasuredResponse",),
+    "jaxbody.measurements": ("Record",),
+    "jaxbody.mechanics": ("dissipation", "kinetic_energy", "lagrangian", "potential_energy"),
+    "jaxbody.models": ("Model",),
+    "jaxbody.motions": ("AtRest", "Delayed", "Harmonic", "Motion", "Sampled"),
+    "jaxbody.mount_axes": ("elastic_axes", "torque_roll_axis"),
+    "jaxbody.multistarts": ("Multistart", "multistart"),
+    "jaxbody.naming": ("paths", "replace"),
+    "jaxbody.nonlinearities": ("backbones",),
+    "jaxbody.options": ("fast_loops", "quick_options"),
+    "jaxbody.orientations": ("Euler",),
+    "jaxbody.plausibilities": ("plausibility",),
+    "jaxbody.poles": ("complex_modes", "whirl"),
+    "jaxbody.ports": ("BaseMotion", "ElementDeformation", "ElementForce", "PointForce", "PointMotion", "SupportReaction"),
+    "jaxbody.preloads": ("preload",),
+    "jaxbody.profiles": ("profile",),
+    "jaxbody.random_responses": ("random_response",),
+    "jaxbody.recordings": ("read_record",),
+    "jaxbody.records": ("measure",),
+    "jaxbody.response_files": ("read_responses",),
+    "jaxbody.road_spectra": ("Unevenness", "road_profile"),
+    "jaxbody.roads": ("Road",),
+    "jaxbody.sensitivity_analyses": ("sensitivities",),
+    "jaxbody.sensors": ("Elongation", "Position", "Sensor"),
+    "jaxbody.shootings": ("multiple_shooting",),
+    "jaxbody.simulations": ("simulate",),
+    "jaxbody.spectra": ("Band", "CrossPSD", "PSD", "PowerLaw", "Spectrum"),
+    "jaxbody.spins": ("linearize_spin",),
+    "jaxbody.splines": ("Spline",),
+    "jaxbody.states": ("State",),
+    "jaxbody.statics": ("equilibrium",),
+    "jaxbody.sweeps": ("sweep",),
+    "jaxbody.tolerance_analyses": ("robust", "tolerances"),
+    "jaxbody.torsions": ("AntiRollBar", "Torsion"),
+    "jaxbody.tunings": ("Tuning",),
+    "jaxbody.validations": ("validate",),
+    "jaxbody.vibrations": ("modes",),
+    "jaxbody.weightings": ("weighted", "weighted_signal", "weighting"),
+}
+_PLACES = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = sorted(_MODULES | _PLACES)  # pyright: ignore[reportUnsupportedDunderAll]
 
-    _MODULES = {  # where each public name is, by the imports above
-        alias.name: node.module
-        for node in ast.walk(ast.parse(Path(__file__).read_text(encoding="utf-8")))
-        if isinstance(node, ast.ImportFrom) and node.module.startswith("jaxbody")
-        for alias in node.names
-    }
-    __all__ = sorted(_MODULES)
 
-    def __getattr__(name):
-        """What has this name, imported when it is first used: everything takes three times as long as what a simulation needs."""
-        if name not in _MODULES:
-            raise AttributeError(f"module 'jaxbody' has no attribute '{name}'")
-        module = _MODULES[name]
-        found = import_module(f"jaxbody.{name}") if module == "jaxbody" else getattr(import_module(module), name)
-        globals()[name] = found
-        return found
+def __getattr__(name):
+    """What has this name, imported when it is first used: everything takes three times as long as what a simulation needs."""
+    if name in _MODULES:
+        thing = import_module(_MODULES[name])
+    elif name in _PLACES:
+        thing = getattr(import_module(_PLACES[name]), name)
+    else:
+        raise AttributeError(f"module 'jaxbody' has no attribute '{name}'")
+    globals()[name] = thing
+    return thing
 
-    def __dir__():
-        return __all__
+
+def __dir__():
+    return __all__

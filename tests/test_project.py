@@ -7,6 +7,8 @@ import doctest
 import gc
 import importlib
 import inspect
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -23,8 +25,8 @@ PACKAGE = Path(jb.__file__).parent
 # From the ground up; a module imports only from modules before it.
 ROWS = (
     "jax_internals progress_lines errors tables results arrays arguments precisions exports compilations recompilations options units texts sources mat_files universal_files formats",
-    "lane_marks symmetric_eigenvalues lanes trigonometry rotations frames linear_solves eigenproblems integrators",
-    "tracings motions samplings repairs measurements recordings response_files base_motions splines signals roads orientations bodies joints curves laws elements torsions contacts loads element_checks storage models presets naming checks",
+    "lane_marks symmetric_eigenvalues lanes trigonometry vectors rotations frames linear_solves eigenproblems integrators",
+    "tracings motions samplings repairs measurements recordings response_files base_motions splines signals roads orientations places bodies joints curves laws elements torsions contacts loads element_checks storage states models presets naming checks",
     "kinematics mechanics dynamics momenta derivatives",
     "culprits load_paths descents statics cases preloads equilibria linear_readings ports state_spaces linearizations",
     "mode_names vibrations energies mount_axes spins poles branches nonlinearities",
@@ -159,6 +161,39 @@ def test_public_names_are_there_however_they_are_asked_for():
     assert not hasattr(jb, "Sprung")
     with pytest.raises(ImportError, match="Sprung"):
         exec("from jaxbody import Sprung")
+
+
+def test_type_checkers_are_given_the_same_names():
+    offered = set()
+    for node in ast.parse((PACKAGE / "__init__.pyi").read_text()).body:
+        if isinstance(node, ast.ImportFrom):
+            for alias in node.names:
+                assert alias.asname == alias.name
+                where = importlib.import_module(node.module or "")
+                assert hasattr(where, alias.name) or importlib.import_module(f"{node.module}.{alias.name}")
+                assert alias.name in OPEN or getattr(where, alias.name) is getattr(jb, alias.name)
+                offered.add(alias.name)
+    assert sorted(offered) == dir(jb)
+    assert (PACKAGE / "py.typed").exists()
+
+
+FROM_A_ZIP = """
+import sys
+sys.path.insert(0, sys.argv[1])
+import jaxbody as jb
+import jaxbody.presets
+assert jb.__file__.startswith(sys.argv[1])
+jb.simulate(jb.presets.quarter_car(), [0.0, 0.01])
+[getattr(jb, name) for name in dir(jb)]
+"""
+
+
+@pytest.mark.everywhere
+def test_jaxbody_runs_from_a_zip(tmp_path):
+    archive = shutil.make_archive(str(tmp_path / "jaxbody"), "zip", PACKAGE.parent, "jaxbody")
+    command = [sys.executable, "-c", FROM_A_ZIP, archive]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=tmp_path, env=os.environ | {"JAX_ENABLE_X64": "1"})
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 @pytest.mark.parametrize("module", sorted(OPEN))
