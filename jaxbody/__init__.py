@@ -1,4 +1,31 @@
-"""jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable."""
+"""jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable.
+
+The packages, in the order to read them; each imports only from those before it:
+
+    core            What all share: errors and statuses, numbers from users, results that print, units, compilation. No mechanics.
+    numerics        Computing without physics: batches in lanes, eigenproblems, Dormand-Prince, Gauss collocation.
+    geometry        Rotations, poses and frames; points, directions and orientations as users give them.
+    records         Measured data: files, formats, units, sampling, repairs.
+    laws            Force laws F(x) of one number, of springs and dampers.
+    inputs          What acts on a model from outside, as functions of time: motions, signals, roads, loads.
+    elements        Springs, bushings, torsion and contact: a deformation e(poses), V(e) and R(e, e_dot).
+    models          Bodies, supports and joints by name, kept as arrays; paths to every number.
+    sensors         What instruments on bodies read, with gain, bias, delay and lag.
+    mechanics       T, V and R, their derivatives, and the equations of motion.
+    statics         Equilibria and their stability, load paths, load cases, preload, rest on a moving base.
+    simulations     Trajectories by the equations of motion, and what sensors read along them.
+    vibrations      Small motions: matrices, ports, state space, modes of every kind.
+    responses       Responses to harmonic and random excitation, spectra, roads and comfort.
+    statistics      What residuals say of estimates: noise models, covariance, robust losses. No mechanics.
+    parameters      Which numbers may move, and how: ties, transforms, spaces; shared by fit and tune.
+    experiments     What was measured on a rig, and what a model predicts in its place.
+    identification  Fits: residuals, searches, results, several starts, multiple shooting.
+    inference       Uncertainty of fits: profiles, bands, validation.
+    designs         Tuning: tune, pareto, sweep, tolerances, objectives.
+    presets         Ready models.
+    plots           Pictures with matplotlib.
+    app             The command jaxbody.
+"""
 
 from importlib import import_module
 
@@ -6,78 +33,78 @@ __version__ = "0.1.0"
 
 _MODULES = {  # that are public themselves
     "laws": "jaxbody.laws",
-    "objectives": "jaxbody.objectives",
+    "objectives": "jaxbody.designs.objectives",
     "plots": "jaxbody.plots",
     "presets": "jaxbody.presets",
-    "signals": "jaxbody.signals",
-    "units": "jaxbody.units",
+    "signals": "jaxbody.inputs.signals",
+    "units": "jaxbody.core.units",
 }
 _NAMES = {  # what is public of each module; `__init__.pyi` says the same to editors and type checkers
-    "jaxbody.attitudes": ("BodyPose", "Orientation"),
-    "jaxbody.base_motions": ("base_motion",),
-    "jaxbody.bodies": ("Body", "Support"),
-    "jaxbody.branches": ("mac", "track"),
-    "jaxbody.cases": ("LoadCase", "load_cases"),
-    "jaxbody.collocations": ("Gauss",),
-    "jaxbody.compilations": ("compile_times",),
-    "jaxbody.confidence_bands": ("bands",),
-    "jaxbody.contacts": ("Contact", "Tyre"),
-    "jaxbody.designs": ("tune",),
-    "jaxbody.diagnoses": ("diagnose",),
-    "jaxbody.elements": ("Bushing", "Element", "Spring", "SpringDamper"),
-    "jaxbody.energies": ("mode_energies",),
-    "jaxbody.equilibria": ("find_equilibria",),
-    "jaxbody.errors": ("JaxbodyError", "JaxbodyWarning", "Status"),
-    "jaxbody.experiments": ("Experiment",),
-    "jaxbody.fits": ("Fit",),
-    "jaxbody.frequency_responses": ("frequency_response",),
-    "jaxbody.fronts": ("Front", "pareto"),
-    "jaxbody.gauges": ("Displacement", "LaserDistance", "LaserVibrometer", "StringPotentiometer", "Velocity"),
-    "jaxbody.identification": ("fit",),
-    "jaxbody.instruments": ("Accelerometer", "ForcePlate", "Gyro", "JointAngle", "LoadCell", "Reaction", "Tilt"),
-    "jaxbody.joints": ("Ball", "Fixed", "Free", "Guide", "HeavePitch", "HeavePitchRoll", "Hinge", "Joint", "Translation"),
-    "jaxbody.kinematics": ("retract",),
-    "jaxbody.linearizations": ("excitation", "linearize"),
-    "jaxbody.loads": ("EngineTorque", "Force", "Load", "Unbalance"),
-    "jaxbody.measured_modes": ("MeasuredModes",),
-    "jaxbody.measured_responses": ("MeasuredResponse",),
-    "jaxbody.measurements": ("Record",),
-    "jaxbody.mechanics": ("dissipation", "kinetic_energy", "lagrangian", "potential_energy"),
-    "jaxbody.models": ("Model",),
-    "jaxbody.motions": ("AtRest", "Delayed", "Harmonic", "Motion", "Sampled"),
-    "jaxbody.mount_axes": ("elastic_axes", "torque_roll_axis"),
-    "jaxbody.multistarts": ("Multistart", "multistart"),
-    "jaxbody.naming": ("paths", "replace"),
-    "jaxbody.nonlinearities": ("backbones",),
-    "jaxbody.options": ("fast_loops", "quick_options"),
-    "jaxbody.orientations": ("Euler",),
-    "jaxbody.plausibilities": ("plausibility",),
-    "jaxbody.poles": ("complex_modes", "whirl"),
-    "jaxbody.ports": ("BaseMotion", "ElementDeformation", "ElementForce", "PointForce", "PointMotion", "SupportReaction"),
-    "jaxbody.preloads": ("preload",),
-    "jaxbody.profiles": ("profile",),
-    "jaxbody.random_responses": ("random_response",),
-    "jaxbody.recordings": ("read_record",),
-    "jaxbody.records": ("measure",),
-    "jaxbody.response_files": ("read_responses",),
-    "jaxbody.road_spectra": ("Unevenness", "road_profile"),
-    "jaxbody.roads": ("Road",),
-    "jaxbody.sensitivity_analyses": ("sensitivities",),
-    "jaxbody.sensors": ("Elongation", "Position", "Sensor"),
-    "jaxbody.shootings": ("multiple_shooting",),
-    "jaxbody.simulations": ("simulate",),
-    "jaxbody.spectra": ("Band", "CrossPSD", "PSD", "PowerLaw", "Spectrum"),
-    "jaxbody.spins": ("linearize_spin",),
-    "jaxbody.splines": ("Spline",),
-    "jaxbody.states": ("State",),
-    "jaxbody.statics": ("equilibrium",),
-    "jaxbody.sweeps": ("sweep",),
-    "jaxbody.tolerance_analyses": ("robust", "tolerances"),
-    "jaxbody.torsions": ("AntiRollBar", "Torsion"),
-    "jaxbody.tunings": ("Tuning",),
-    "jaxbody.validations": ("validate",),
-    "jaxbody.vibrations": ("modes",),
-    "jaxbody.weightings": ("weighted", "weighted_signal", "weighting"),
+    "jaxbody.sensors.attitudes": ("BodyPose", "Orientation"),
+    "jaxbody.inputs.base_motions": ("base_motion",),
+    "jaxbody.models.bodies": ("Body", "Support"),
+    "jaxbody.vibrations.mode_branches": ("mac", "track"),
+    "jaxbody.statics.cases": ("LoadCase", "load_cases"),
+    "jaxbody.numerics.gauss_collocations": ("Gauss",),
+    "jaxbody.core.compilations": ("compile_times",),
+    "jaxbody.inference.confidence_bands": ("bands",),
+    "jaxbody.elements.contacts": ("Contact", "Tyre"),
+    "jaxbody.designs.tuners": ("tune",),
+    "jaxbody.experiments.diagnoses": ("diagnose",),
+    "jaxbody.elements.elements": ("Bushing", "Element", "Spring", "SpringDamper"),
+    "jaxbody.vibrations.modal_energies": ("mode_energies",),
+    "jaxbody.statics.equilibrium_searches": ("find_equilibria",),
+    "jaxbody.core.errors": ("JaxbodyError", "JaxbodyWarning", "Status"),
+    "jaxbody.experiments.experiments": ("Experiment",),
+    "jaxbody.identification.fits": ("Fit",),
+    "jaxbody.responses.frequency_responses": ("frequency_response",),
+    "jaxbody.designs.fronts": ("Front", "pareto"),
+    "jaxbody.sensors.gauges": ("Displacement", "LaserDistance", "LaserVibrometer", "StringPotentiometer", "Velocity"),
+    "jaxbody.identification.fitters": ("fit",),
+    "jaxbody.sensors.instruments": ("Accelerometer", "ForcePlate", "Gyro", "JointAngle", "LoadCell", "Reaction", "Tilt"),
+    "jaxbody.models.joints": ("Ball", "Fixed", "Free", "Guide", "HeavePitch", "HeavePitchRoll", "Hinge", "Joint", "Translation"),
+    "jaxbody.mechanics.kinematics": ("retract",),
+    "jaxbody.vibrations.linearizations": ("excitation", "linearize"),
+    "jaxbody.inputs.loads": ("EngineTorque", "Force", "Load", "Unbalance"),
+    "jaxbody.experiments.measured_modes": ("MeasuredModes",),
+    "jaxbody.experiments.measured_responses": ("MeasuredResponse",),
+    "jaxbody.records.records": ("Record",),
+    "jaxbody.mechanics.energies": ("dissipation", "kinetic_energy", "lagrangian", "potential_energy"),
+    "jaxbody.models.models": ("Model",),
+    "jaxbody.inputs.motions": ("AtRest", "Delayed", "Harmonic", "Motion", "Sampled"),
+    "jaxbody.vibrations.mount_axes": ("elastic_axes", "torque_roll_axis"),
+    "jaxbody.identification.multistarts": ("Multistart", "multistart"),
+    "jaxbody.models.leaf_paths": ("paths", "replace"),
+    "jaxbody.vibrations.backbone_curves": ("backbones",),
+    "jaxbody.core.compile_options": ("fast_loops", "quick_options"),
+    "jaxbody.geometry.orientations": ("Euler",),
+    "jaxbody.experiments.plausibilities": ("plausibility",),
+    "jaxbody.vibrations.damped_modes": ("complex_modes", "whirl"),
+    "jaxbody.vibrations.ports": ("BaseMotion", "ElementDeformation", "ElementForce", "PointForce", "PointMotion", "SupportReaction"),
+    "jaxbody.statics.preloads": ("preload",),
+    "jaxbody.inference.profiles": ("profile",),
+    "jaxbody.responses.random_responses": ("random_response",),
+    "jaxbody.records.record_files": ("read_record",),
+    "jaxbody.simulations.readings": ("measure",),
+    "jaxbody.records.response_files": ("read_responses",),
+    "jaxbody.responses.road_spectra": ("Unevenness", "road_profile"),
+    "jaxbody.inputs.roads": ("Road",),
+    "jaxbody.designs.sensitivity_analyses": ("sensitivities",),
+    "jaxbody.sensors.sensors": ("Elongation", "Position", "Sensor"),
+    "jaxbody.identification.shootings": ("multiple_shooting",),
+    "jaxbody.simulations.simulations": ("simulate",),
+    "jaxbody.responses.spectra": ("Band", "CrossPSD", "PSD", "PowerLaw", "Spectrum"),
+    "jaxbody.vibrations.spins": ("linearize_spin",),
+    "jaxbody.inputs.splines": ("Spline",),
+    "jaxbody.models.states": ("State",),
+    "jaxbody.statics.equilibria": ("equilibrium",),
+    "jaxbody.designs.sweeps": ("sweep",),
+    "jaxbody.designs.tolerance_analyses": ("robust", "tolerances"),
+    "jaxbody.elements.torsions": ("AntiRollBar", "Torsion"),
+    "jaxbody.designs.tunings": ("Tuning",),
+    "jaxbody.inference.validations": ("validate",),
+    "jaxbody.vibrations.natural_modes": ("modes",),
+    "jaxbody.responses.comfort_weightings": ("weighted", "weighted_signal", "weighting"),
 }
 _PLACES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = sorted(_MODULES | _PLACES)  # pyright: ignore[reportUnsupportedDunderAll]

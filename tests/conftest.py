@@ -9,7 +9,7 @@ import jaxlib.version
 import numpy as np
 import pytest
 
-from jaxbody import lanes
+from jaxbody.numerics import lanes
 
 jax.config.update("jax_enable_x64", True)
 # `jaxbody.quick_options` for all programs, else a third of the time of the tests is compiling

@@ -5,9 +5,11 @@ import builtins
 import dis
 import doctest
 import gc
+import graphlib
 import importlib
 import inspect
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -22,69 +24,106 @@ import jaxbody as jb
 
 PACKAGE = Path(jb.__file__).parent
 
-# From the ground up; a module imports only from modules before it.
-ROWS = (
-    "jax_internals progress_lines errors tables results arrays arguments precisions exports compilations recompilations options units texts sources mat_files universal_files formats",
-    "lane_marks symmetric_eigenvalues lanes trigonometry vectors rotations frames linear_solves eigenproblems integrators",
-    "tracings motions samplings repairs measurements recordings response_files base_motions splines signals roads orientations places bodies joints curves laws elements torsions contacts loads element_checks storage states models presets naming checks",
-    "kinematics mechanics dynamics momenta derivatives",
-    "culprits load_paths descents statics cases preloads equilibria linear_readings ports state_spaces linearizations",
-    "mode_names vibrations energies mount_axes spins poles branches nonlinearities",
-    "modal_dampings spectra road_spectra frequency_responses random_responses weightings collocations rests simulations",
-    "channels transducers sensors records attitudes instruments gauges",
-    "experiments diagnoses plausibilities measured_responses measured_modes parametrizations ties free_parameters field_units losses colorings tasks checkpoints beginnings",
-    "autocorrelations noises uncertainties intervals searches fits implicit_fits identification multistarts shootings profiles validations confidence_bands",
-    "design_spaces interior_points optimizers design_programs kinks tunings objectives designs fronts sweeps sensitivity_analyses tolerance_analyses",
-    "canvases annotations model_plots motion_plots mode_plots response_plots fit_plots measured_plots design_plots plots demos",
-)
-LAYERS = " ".join(ROWS).split()
-
-MODULES = sorted(path.stem for path in PACKAGE.glob("*.py") if path.stem != "__init__")
+ORDER = re.findall(r"^    ([a-z]+) +[A-Z]", jb.__doc__ or "", re.M)  # of packages, from the ground up, as `help(jaxbody)` shows them
+MODULES = sorted(".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in PACKAGE.rglob("*.py"))
+NAMED = [module for module in MODULES if not module.endswith("__init__")]
 OPEN = {"laws", "objectives", "plots", "presets", "signals", "units"}  # modules that are public themselves
 EXPORTED = sorted(set(dir(jb)) - OPEN)
+MOST_FILES, MOST_LINES = 14, 640
+NO_MECHANICS = {"core": set(), "numerics": {"core"}, "statistics": {"core", "numerics", "sensors"}}  # and what they may import
+APART = {"designs", "identification"}
+
+
+def path_of(module: str) -> Path:
+    return PACKAGE.joinpath(*module.split(".")).with_suffix(".py")
 
 
 def tree_of(module: str) -> ast.Module:
-    return ast.parse((PACKAGE / f"{module}.py").read_text())
+    return ast.parse(path_of(module).read_text())
 
 
-def imported_modules(tree: ast.AST) -> set[str]:
-    """Modules of this package that a file imports, anywhere in it."""
-    found = set()
+def imported_modules(tree: ast.AST) -> dict[str, int]:
+    """Modules of this package that a file imports, anywhere in it, and at which line; "" for the package itself."""
+    found: dict[str, int] = {}
     for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and node.level == 0 and node.module == "jaxbody":
-            found |= {alias.name if alias.name in MODULES else "__init__" for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and (node.module or "").startswith("jaxbody."):
-            found.add((node.module or "").split(".")[1])
-        elif isinstance(node, ast.ImportFrom) and node.level:
-            found.add("a relative import")
+        names: list[str] = []
+        if isinstance(node, ast.ImportFrom):
+            if node.level:
+                names = ["a relative import"]
+            elif (node.module or "").split(".")[0] == "jaxbody":
+                names = [f"{node.module}.{alias.name}" for alias in node.names]
         elif isinstance(node, ast.Import):
-            found |= {alias.name.partition(".")[2] or "__init__" for alias in node.names if alias.name.split(".")[0] == "jaxbody"}
+            names = [alias.name for alias in node.names if alias.name.split(".")[0] == "jaxbody"]
+        for name in names:
+            inside = name.removeprefix("jaxbody").removeprefix(".")
+            if inside and inside != "a relative import" and inside not in MODULES and f"{inside}.__init__" not in MODULES:
+                inside = inside.rpartition(".")[0]
+            found.setdefault(inside, node.lineno)
     return found
 
 
-def test_every_module_has_its_layer():
-    assert len(set(LAYERS)) == len(LAYERS)
-    assert sorted(set(MODULES) - set(LAYERS)) == [], "give new modules their place in LAYERS"
+def misplaced(module: str, imports: dict[str, int]) -> list[str]:
+    """What a file may not import, and where the thing belongs."""
+    home, said = module.split(".")[0], []
+    for other, line in imports.items():
+        package, place = other.split(".")[0], f"jaxbody/{module.replace('.', '/')}.py:{line} imports"
+        if other == "a relative import":
+            said.append(f"{place} relatively: write the full name")
+            continue
+        place += f" jaxbody.{other}"
+        if package not in ORDER:
+            if home not in ("__init__", "app"):
+                said.append(f"{place}: import the module that defines it, not the public name")
+        elif home in ORDER and ORDER.index(package) > ORDER.index(home):
+            said.append(
+                f"{place}: {package} comes after {home}. What both need belongs into a package before {package}; what needs both, after it"
+            )
+        elif home in NO_MECHANICS and package not in NO_MECHANICS[home] | {home}:
+            said.append(f"{place}: {home} knows no mechanics. Give it numbers, or put this file into {package} or after it")
+        elif {home, package} == APART:
+            said.append(f"{place}: what tuning and fitting share belongs into parameters or numerics")
+    return said
+
+
+def test_every_package_has_its_place_in_the_order():
+    assert sorted(ORDER) == sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py"))
 
 
 @pytest.mark.parametrize("module", MODULES)
 def test_imports_go_down_only(module):
-    allowed = {"__init__"} if module == "demos" else set()  # the first command uses the library as its users do
-    allowed |= set(LAYERS[: LAYERS.index(module)])
-    assert sorted(imported_modules(tree_of(module)) - allowed) == []
+    assert misplaced(module, imported_modules(tree_of(module))) == []
 
 
-def test_an_upward_import_would_be_found():
-    source = "def f():\n    from jaxbody.simulations import simulate\n\nimport jaxbody\nfrom jaxbody import statics\nfrom . import x\n"
-    assert imported_modules(ast.parse(source)) == {"simulations", "__init__", "statics", "a relative import"}
+def test_an_import_that_is_misplaced_would_be_found_and_its_place_is_said():
+    source = "def f():\n    from jaxbody.simulations.simulations import simulate\n\nfrom jaxbody.core import units\nfrom jaxbody import statics\nfrom . import x\n"
+    imports = imported_modules(ast.parse(source))
+    assert imports == {"simulations.simulations": 2, "core.units": 4, "statics": 5, "a relative import": 6}
+    said = "\n".join(misplaced("models.models", imports))
+    assert "jaxbody/models/models.py:2 imports jaxbody.simulations.simulations: simulations comes after models." in said
+    assert "models.py:5 imports jaxbody.statics: statics comes after models" in said and "models.py:6 imports relatively" in said
+    assert "core.units" not in said
+    assert "knows no mechanics" in misplaced("statistics.noises", {"core.errors": 1, "geometry.frames": 2})[0]
+    assert "parameters" in misplaced("designs.fronts", {"identification.fits": 3})[0]
+
+
+@pytest.mark.parametrize("package", ORDER)
+def test_no_cycle_within_a_package_and_few_files_in_it(package):
+    inside = [module for module in NAMED if module.split(".")[0] == package]
+    graph = {module: {other for other in imported_modules(tree_of(module)) if other in inside} for module in inside}
+    assert list(graphlib.TopologicalSorter(graph).static_order())
+    assert len(inside) < MOST_FILES, "split the package: with its __init__ it has too many files to be seen at once"
 
 
 @pytest.mark.parametrize("module", MODULES)
+def test_a_file_is_short(module):
+    assert len(path_of(module).read_text().splitlines()) <= MOST_LINES, "split it"
+
+
+@pytest.mark.parametrize("module", NAMED)
 def test_every_name_that_code_uses_is_there(module):
     """Ruff looks for undefined names in shapes, too, and cannot do it here; annotations are no code."""
     known = set(vars(importlib.import_module(f"jaxbody.{module}"))) | set(dir(builtins))
-    codes, used = [compile((PACKAGE / f"{module}.py").read_text(), module, "exec")], set()
+    codes, used = [compile(path_of(module).read_text(), module, "exec")], set()
     while codes:
         code = codes.pop()
         codes += [const for const in code.co_consts if inspect.iscode(const)]
@@ -92,13 +131,13 @@ def test_every_name_that_code_uses_is_there(module):
     assert sorted(used - known) == []
 
 
-@pytest.mark.parametrize("module", ["__init__", *MODULES])
+@pytest.mark.parametrize("module", MODULES)
 def test_the_first_line_of_a_module_is_its_idea(module):
-    first = (PACKAGE / f"{module}.py").read_text().splitlines()[0]
+    first = path_of(module).read_text().splitlines()[0]
     assert first.startswith('"""') and len(first) > 20 and len(first) <= 140
 
 
-@pytest.mark.parametrize("module", ["__init__", *MODULES])
+@pytest.mark.parametrize("module", MODULES)
 def test_nothing_is_evaluated_executed_or_unpickled(module):
     forbidden = {"eval", "exec", "compile", "__import__"}
     for node in ast.walk(tree_of(module)):
@@ -141,21 +180,22 @@ print(*sorted({"optax", "scipy", "matplotlib", "threadpoolctl"} & set(sys.module
 def test_what_is_not_used_is_not_imported():
     done = subprocess.run([sys.executable, "-c", USED], capture_output=True, text=True, timeout=300, check=True)
     ours, others = done.stdout.splitlines()
-    layers = [LAYERS.index(name.partition(".")[2]) for name in ours.split()]
-    assert "jaxbody.simulations" in ours and max(layers) == LAYERS.index("simulations")
-    assert not {"jaxbody.vibrations", "jaxbody.measurements", "jaxbody.presets"} & set(ours.split())
+    packages = {name.split(".")[1] for name in ours.split()}
+    assert "simulations" in packages and packages <= set(ORDER[: ORDER.index("simulations") + 1])
+    assert "jaxbody.records.records" not in ours.split()
     assert others == ""
 
 
 def test_no_function_has_the_name_of_a_module():
     """Importing the module would put it in the function's place."""
-    assert set(dir(jb)) & set(MODULES) == OPEN
+    last = {module.rpartition(".")[2] for module in NAMED} | set(ORDER)
+    assert set(dir(jb)) & last == OPEN
     assert not any(inspect.ismodule(getattr(jb, name)) for name in EXPORTED)
 
 
 def test_public_names_are_there_however_they_are_asked_for():
     everything: dict[str, object] = {}
-    exec("from jaxbody import *\nfrom jaxbody import Spring as S, laws as l, elements as e", everything)
+    exec("from jaxbody import *\nfrom jaxbody import Spring as S, laws as l\nimport jaxbody.elements.elements as e", everything)
     assert set(EXPORTED) <= set(everything) and everything["laws"] is everything["l"] is jb.laws
     assert everything["Spring"] is everything["S"] is everything["e"].Spring is jb.Spring
     assert not hasattr(jb, "Sprung")
@@ -196,10 +236,12 @@ def test_jaxbody_runs_from_a_zip(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("module", sorted(OPEN))
-def test_a_public_module_lists_what_it_offers_and_nothing_else(module):
+@pytest.mark.parametrize("name", sorted(OPEN))
+def test_a_public_module_lists_what_it_offers_and_nothing_else(name):
     """What has an example in its docstring, and of pictures whatever any module of pictures draws: no imports, no helpers."""
-    sources = [name for name in MODULES if name.endswith("_plots")] if module == "plots" else [module]
+    public = getattr(jb, name)
+    home = public.__name__.removeprefix("jaxbody.")
+    sources = [module for module in NAMED if module.split(".")[0] == home] or [home]
     offered = set()
     for source in sources:
         imported = importlib.import_module(f"jaxbody.{source}")
@@ -209,8 +251,8 @@ def test_a_public_module_lists_what_it_offers_and_nothing_else(module):
             for name, x in own.items()
             if inspect.isfunction(x) and "ax" in inspect.signature(x).parameters and inspect.signature(x).parameters["ax"].default is None
         }
-        offered |= draws if module == "plots" else {name for name, x in own.items() if ">>>" in (x.__doc__ or "")}
-    assert dir(importlib.import_module(f"jaxbody.{module}")) == sorted(offered)
+        offered |= draws if name == "plots" else {name for name, x in own.items() if ">>>" in (x.__doc__ or "")}
+    assert dir(public) == sorted(offered)
 
 
 @pytest.mark.parametrize("name", EXPORTED)
@@ -222,23 +264,23 @@ def test_everything_public_is_explained_by_an_example(name):
 
 # Whose examples take more than five seconds, nearly all of it compiling.
 SLOW = [
-    "branches",
-    "cases",
-    "confidence_bands",
-    "equilibria",
-    "mode_plots",
-    "mount_axes",
-    "multistarts",
-    "nonlinearities",
-    "objectives",
-    "poles",
-    "shootings",
-    "spins",
+    "designs.objectives",
+    "identification.multistarts",
+    "identification.shootings",
+    "inference.confidence_bands",
+    "plots.mode_plots",
+    "statics.cases",
+    "statics.equilibrium_searches",
+    "vibrations.backbone_curves",
+    "vibrations.damped_modes",
+    "vibrations.mode_branches",
+    "vibrations.mount_axes",
+    "vibrations.spins",
 ]
 
 
 @pytest.mark.everywhere  # each public function has an example
-@pytest.mark.parametrize("module", [pytest.param(m, marks=[pytest.mark.long] * (m in SLOW)) for m in MODULES])
+@pytest.mark.parametrize("module", [pytest.param(m, marks=[pytest.mark.long] * (m in SLOW)) for m in NAMED])
 def test_examples_in_docstrings_run(module):
     """With jb, jax, jnp and the public names at hand."""
     imported = importlib.import_module(f"jaxbody.{module}")

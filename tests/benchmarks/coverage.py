@@ -26,12 +26,12 @@ sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 import rigs
 
 import jaxbody as jb
-from jaxbody.experiments import Integration
-from jaxbody.free_parameters import choose
-from jaxbody.intervals import interval_of_u, quantile
-from jaxbody.noises import records_of
-from jaxbody.tasks import Task, residual_and_jacobian
-from jaxbody.uncertainties import assess
+from jaxbody.experiments.experiments import Integration
+from jaxbody.identification.fit_parameters import choose
+from jaxbody.identification.intervals import interval_of_u, quantile
+from jaxbody.identification.residuals import Task, residual_and_jacobian
+from jaxbody.statistics.noises import records_of
+from jaxbody.statistics.uncertainties import assess
 
 SEED, STEP, TOGETHER, CHANGE = 2026, 0.02, 64, 1e-3
 RHO = (0.0, 0.3, 0.6, 0.9)

@@ -1,0 +1,127 @@
+"""Numbers from users: once made float arrays, never touched again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.jax_internals import Tracer
+
+
+def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
+    """A float64 NumPy array of a number, list, array or data frame; where JAX traces something in it, a traced array.
+
+    NumPy, not JAX: building a model then touches no device and does not depend on the x64 switch.
+    """
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
+    if isinstance(value, np.ma.MaskedArray):
+        value = np.ma.filled(value.astype(float), np.nan)  # a gap, not the number behind the mask
+    try:
+        array = jnp.asarray(value) if traced else np.asarray(value)
+    except (TypeError, ValueError, RuntimeError):  # ragged, or of a library that does not hand out its numbers
+        array = np.array(None)
+    if jnp.issubdtype(array.dtype, jnp.complexfloating):
+        raise JaxbodyError(Problem("COMPLEX", where, f"is complex ({array.dtype})", value, "real numbers", "Give real numbers."))
+    if not (jnp.issubdtype(array.dtype, jnp.number) or array.dtype == bool):
+        told = f"is {value!r:.60}".splitlines()[0] + ", which is no array of numbers"
+        raise JaxbodyError(Problem("NOT_A_NUMBER", where, told, value, "numbers", "Give a number, or a list or array of numbers."))
+    return array.astype(float if traced else np.float64)
+
+
+def checked(value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problems: Problems, hint: str = "") -> Any:
+    """A finite float array of one of the shapes; None where it is not, and `problems` says why."""
+    try:
+        array = float_array(value, where)
+    except JaxbodyError as error:
+        problems.found += error.problems
+        return None
+    if array.shape not in shapes:
+        limit = " or ".join(map(str, shapes))
+        hint = hint or f"Give {' or '.join('one number' if shape == () else f'{shape[0]} numbers' for shape in shapes)}."
+        problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=limit, hint=hint)
+        return None
+    known = concrete(array)
+    if known is not None and not np.isfinite(known).all():
+        first = tuple(int(i) for i in np.argwhere(~np.isfinite(known))[0])
+        told = f"is {known.tolist()}" if known.size <= 6 else f"is {known[first]} at {list(first)}"
+        problems.add("NON_FINITE", where, told, value=known, limit="finite", hint="Give finite numbers.")
+        return None
+    return array
+
+
+def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -> Any:
+    """A finite float array of this shape; zeros where it is not, and `problems` says why."""
+    array = checked(value, (shape,), where, problems)
+    return np.zeros(shape) if array is None else array
+
+
+def device_array(value: np.ndarray | jax.Array) -> jax.Array:
+    """The JAX array, float64 or, where x64 is off, float32."""
+    return jnp.asarray(value, dtype=float)
+
+
+def functions_as_nodes(tree: Any) -> Any:
+    """The tree with arrays alone as leaves where else functions are too, as the activations of a network: each is a node that is called as before."""
+    return jax.tree.map(lambda leaf: jax.tree_util.Partial(leaf) if callable(leaf) else leaf, tree)
+
+
+def stack(rows: list[Any]) -> jax.Array:
+    """Rows of equal shape as one JAX array."""
+    if any(isinstance(row, jax.Array) for row in rows):
+        return jnp.stack([device_array(row) for row in rows])
+    return device_array(np.stack(rows))
+
+
+def concrete(value: Any) -> np.ndarray | None:
+    """The value in NumPy where it may be looked at, else None (while it is being traced)."""
+    return None if isinstance(value, Tracer) else np.asarray(value)
+
+
+def scalar(value: Any, where: str, problems: Problems) -> Any:
+    """A number. Error: BAD_SHAPE."""
+    return shaped(value, (), where, problems)
+
+
+def vector(value: Any, where: str, problems: Problems) -> Any:
+    """Three numbers. Error: BAD_SHAPE."""
+    return shaped(value, (3,), where, problems)
+
+
+def check_times(times, problems: Problems, where: str = "times", minimum: int = 1) -> np.ndarray | jax.Array | None:
+    """Increasing, finite, one-dimensional times; what is wrong goes to `problems`."""
+    try:
+        times = float_array(times, where)
+    except JaxbodyError as error:
+        problems.found += error.problems
+        return None
+    known = concrete(times)
+    if times.ndim != 1 or times.shape[0] < minimum:
+        code = "NO_DATA" if times.size == 0 or times.ndim == 1 else "BAD_SHAPE"
+        limit = f"(n,) with n >= {minimum}"
+        problems.add(code, where, f"has shape {times.shape}", value=times.shape, limit=limit, hint=f"Give at least {minimum} times.")
+        return None
+    if known is None:
+        return times
+    if not np.isfinite(known).all():
+        i = int(np.flatnonzero(~np.isfinite(known))[0])
+        hint = "Cut the record, or drop the samples whose time is unknown."
+        problems.add("NAN_TIME", where, f"is {known[i]} at index {i}", value=float(known[i]), limit="finite", hint=hint)
+        return None
+    steps = np.diff(known)
+    if (steps <= 0).any():
+        i = int(np.flatnonzero(steps <= 0)[0])
+        code, word = ("DUPLICATE_TIME", "repeats") if steps[i] == 0 else ("UNSORTED_TIME", "goes back")
+        problems.add(
+            code,
+            where,
+            f"{word} at index {i + 1}: {known[i]:.9g} s, then {known[i + 1]:.9g} s",
+            value=i + 1,
+            limit="increasing",
+            hint="Sort the samples and drop duplicates.",
+        )
+        return None
+    return times

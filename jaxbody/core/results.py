@@ -1,0 +1,81 @@
+"""What every result shares: a status in words, and printing as small tables."""
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxbody.core import tables
+from jaxbody.core.errors import MESSAGES, MOST_PROBLEMS, JaxbodyError, Problem, Status, is_concrete, warn
+from jaxbody.core.jax_internals import Tracer
+
+
+class Result(eqx.Module):
+    """`.status` (one code per sample), `.ok`, `.report()`, `.raise_if_failed()`, and printing as tables."""
+
+    status: eqx.AbstractVar[Any]
+
+    @property
+    def ok(self) -> Any:
+        """True where the status is 0 (an array for batched results)."""
+        return self.status == Status.OK
+
+    def explain(self) -> str:
+        """More about a failure of a single sample, in words; empty where there is nothing to add."""
+        return ""
+
+    def report(self) -> str:
+        """The status in words; for a batch, how many samples ended how; "traced" inside jit or vmap."""
+        if not is_concrete(self.status):
+            return "traced"
+        codes = np.asarray(self.status)
+        if codes.ndim == 0:
+            if not codes:
+                return "ok"
+            message = MESSAGES[Status(int(codes))]
+            known = without_derivatives(self)
+            more = known.explain() if is_concrete(known) else ""
+            return f"{Status(int(codes)).name}: {message}" + (f"; {more}" if more else "")
+        values, counts = np.unique(codes, return_counts=True)
+        return ", ".join(f"{count} {Status(int(value)).name}" for value, count in zip(values, counts, strict=True))
+
+    @abstractmethod
+    def _tables(self) -> list[tables.Table]:
+        """What prints."""
+
+    def __repr__(self) -> str:
+        return tables.text(*self._tables())
+
+    def __str__(self) -> str:
+        return tables.printed(*self._tables())
+
+    def _repr_html_(self) -> str:
+        return tables.html(*self._tables())
+
+    def raise_if_failed(self) -> None:
+        """Raise a JaxbodyError unless every sample is ok; a batch lists the indices that are not. Error inside jit or vmap: TRACED."""
+        where = type(self).__name__.lower()
+        if not is_concrete(self.status):
+            hint = "Call raise_if_failed() on what the compiled or batched function returns."
+            raise JaxbodyError(Problem("TRACED", where, "has no status yet inside jit or vmap", hint=hint))
+        codes = np.asarray(self.status)
+        if not codes.any():
+            return
+        worst = Status(int(codes.flat[np.flatnonzero(codes)[0]]))
+        message = self.report()
+        if codes.ndim:
+            message += f"; failed samples {np.argwhere(codes)[:MOST_PROBLEMS].squeeze(-1).tolist()}"
+        raise JaxbodyError(Problem(worst.name, where, message, value=self.status))
+
+
+def without_derivatives(tree: Any) -> Any:
+    """The values behind what jax.grad, jax.jvp or jax.vjp follow; what jit or vmap traces stays traced."""
+    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, Tracer) else x, tree)
+
+
+def warn_if_failed(result: Result) -> None:
+    """The last act of a public function: warn, where the status has a value, that something failed."""
+    if is_concrete(result.status) and (codes := np.asarray(result.status)).any():
+        warn(Status(int(codes.flat[np.flatnonzero(codes)[0]])).name, f"{type(result).__name__}: {result.report()}")

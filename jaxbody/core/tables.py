@@ -1,0 +1,105 @@
+"""Small tables with units: how results print, in a terminal and in a notebook."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.jax_internals import Tracer
+
+MOST_ROWS = 400  # that print
+ROUND_OFF = 1e-8  # shares below which nothing is said
+
+
+@dataclass
+class Table:
+    """A title, the columns' heads, and rows of names and numbers; `note` stands below."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: list[tuple[Any, ...]]
+    note: str = ""
+
+
+def number(value: Any) -> str:
+    """A number to six digits, a short vector, or the shape of what is larger, batched or being traced."""
+    if value is None or isinstance(value, str):
+        return value or ""
+    if isinstance(value, Tracer):
+        return "traced"
+    array = np.asarray(value)
+    if array.ndim == 0:
+        return f"{array.item():.6g}" if array.dtype.kind == "f" else str(array.item())
+    if array.ndim == 1 and array.size <= 7:
+        return " ".join(f"{x:.6g}" for x in array.tolist())
+    return "array " + " x ".join(map(str, array.shape))
+
+
+def percent(share: Any) -> str:
+    """A share in percent, to two digits; nothing where it is round-off, or no number.
+
+    >>> percent(0.0123), percent(2.1), percent(2e-14)
+    ('1.2 %', '210 %', '')
+    """
+    if not np.isfinite(share) or abs(share) < ROUND_OFF:
+        return ""
+    return f"{float(f'{100 * share:.2g}'):g} %"
+
+
+def counted(count: int, what: str) -> str:
+    """A number of things: "1 line", "2 lines"."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def without_dust(values: Any, unit: Any = None) -> Any:
+    """The numbers with those below 1e-12 of a unit, or of the largest, as zeros, which is what they are but for rounding."""
+    if isinstance(values, Tracer):
+        return values
+    array = np.asarray(values)
+    return np.where(np.abs(array) <= 1e-12 * (np.abs(array).max(initial=0.0) if unit is None else unit), 0.0, array)
+
+
+def text(*shown: Table) -> str:
+    """Aligned columns; a blank line before every title but the first."""
+    blocks = []
+    for table in shown:
+        cells = [table.columns, *([number(cell) for cell in row] for row in table.rows[:MOST_ROWS])]
+        widths = [max(len(row[i]) for row in cells) for i in range(len(table.columns))]
+        lines = [
+            (
+                "  ".join(
+                    cell.ljust(width) if i == 0 else cell.rjust(width) for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+                )
+            ).rstrip()
+            for row in cells
+        ]
+        if len(table.rows) > MOST_ROWS:
+            lines.append(_rest(table))
+        blocks.append(
+            ("\n" if blocks and table.title else "")
+            + "\n".join([line for line in (table.title,) if line] + ["  " + line for line in lines] + ([table.note] if table.note else []))
+        )
+    return "\n".join(blocks)
+
+
+def _rest(table: Table) -> str:
+    return f"... {len(table.rows) - MOST_ROWS} more of {len(table.rows)} rows; the result's attributes have all of them"
+
+
+def printed(*shown: Table) -> str:
+    """What `print` shows, a blank line before and after: results printed one after another, or together, stay apart."""
+    return f"\n{text(*shown)}\n"
+
+
+def html(*shown: Table) -> str:
+    """The same for a notebook."""
+    blocks = []
+    for table in shown:
+        head = "".join(f"<th>{escape(c)}</th>" for c in table.columns)
+        body = "".join("<tr>" + "".join(f"<td>{escape(number(cell))}</td>" for cell in row) + "</tr>" for row in table.rows[:MOST_ROWS])
+        more = f"<p>{_rest(table)}</p>" if len(table.rows) > MOST_ROWS else ""
+        blocks.append(f"<p><b>{escape(table.title)}</b></p><table><tr>{head}</tr>{body}</table>{more}<p>{escape(table.note)}</p>")
+    return "".join(blocks)

@@ -1,0 +1,225 @@
+"""Units by name, as instruments and files state them, and the factors that lead to SI.
+
+    value [SI] = factor * value [unit];   dimension = exponents of (m, kg, s, rad, A)
+
+Angles have a dimension of their own, so that degrees given for meters are found. What is written together is multiplied ("N m", "N.m", "N*m");
+powers are "m/s^2", "m/s2", "m s-2" or "m/s**2"; after a stroke only the next unit is divided by, or what stands in parentheses.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from dataclasses import dataclass
+
+from jaxbody.core.errors import JaxbodyError, Problem
+
+__all__ = [
+    "Unit",
+    "is_unit",
+    "parse",
+]
+
+
+def __dir__():
+    return __all__
+
+
+Dimension = tuple[int, int, int, int, int]
+GRAVITY = 9.80665  # m/s2, the standard one
+POUND = 4.4482216152605  # N
+TURN = 2 * math.pi
+
+LENGTH: Dimension = (1, 0, 0, 0, 0)
+MASS: Dimension = (0, 1, 0, 0, 0)
+TIME: Dimension = (0, 0, 1, 0, 0)
+ANGLE: Dimension = (0, 0, 0, 1, 0)
+RATE: Dimension = (0, 0, -1, 0, 0)
+SPEED: Dimension = (1, 0, -1, 0, 0)
+ANGULAR_RATE: Dimension = (0, 0, -1, 1, 0)
+ACCELERATION: Dimension = (1, 0, -2, 0, 0)
+FORCE: Dimension = (1, 1, -2, 0, 0)
+MOMENT: Dimension = (2, 1, -2, 0, 0)
+VOLTAGE: Dimension = (2, 1, -3, 0, -1)
+PRESSURE: Dimension = (-1, 1, -2, 0, 0)
+CURRENT: Dimension = (0, 0, 0, 0, 1)
+NONE: Dimension = (0, 0, 0, 0, 0)
+
+PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "k": 1e3, "M": 1e6, "G": 1e9}
+PREFIXED = {  # by the prefixes that are in use with them
+    "m": (1.0, LENGTH, "numcdk"),
+    "s": (1.0, TIME, "num"),
+    "N": (1.0, FORCE, "umkM"),
+    "V": (1.0, VOLTAGE, "numkM"),
+    "A": (1.0, CURRENT, "numk"),
+    "Pa": (1.0, PRESSURE, "kMG"),
+    "Hz": (1.0, RATE, "mkM"),
+    "rad": (1.0, ANGLE, "num"),
+    "J": (1.0, MOMENT, "mk"),
+}
+PLAIN = {
+    "kg": (1.0, MASS), "t": (1e3, MASS), "in": (0.0254, LENGTH), "ft": (0.3048, LENGTH), "min": (60.0, TIME), "h": (3600.0, TIME),
+    "deg": (TURN / 360, ANGLE), "rev": (TURN, ANGLE), "rpm": (TURN / 60, ANGULAR_RATE), "g": (GRAVITY, ACCELERATION), "Gal": (0.01, ACCELERATION),
+    "lbf": (POUND, FORCE), "kip": (1e3 * POUND, FORCE), "bar": (1e5, PRESSURE), "psi": (POUND / 0.0254**2, PRESSURE),
+    "%": (0.01, NONE), "1": (1.0, NONE), "-": (1.0, NONE),
+}  # fmt: skip
+ALSO = {
+    "volt": "V", "volts": "V", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "degree": "deg", "degrees": "deg", "°": "deg",
+    "radian": "rad", "radians": "rad", "meter": "m", "meters": "m", "metre": "m", "metres": "m", "newton": "N", "newtons": "N", "g0": "g", "gn": "g",
+    "inch": "in", "inches": "in", "hertz": "Hz", "percent": "%",
+}  # fmt: skip
+KNOWN = {**PLAIN}
+for _name, (_factor, _dimension, _prefixes) in PREFIXED.items():
+    KNOWN[_name] = (_factor, _dimension)
+    KNOWN |= {prefix + _name: (PREFIXES[prefix] * _factor, _dimension) for prefix in _prefixes}
+WORDS = {
+    LENGTH: "m", SPEED: "m/s", ACCELERATION: "m/s2", ANGLE: "rad", ANGULAR_RATE: "rad/s", (0, 0, -2, 1, 0): "rad/s2", TIME: "s", MASS: "kg",
+    RATE: "1/s", FORCE: "N", MOMENT: "N m", (0, 1, -2, 0, 0): "N/m", (0, 1, -1, 0, 0): "N s/m", (2, 1, -2, -1, 0): "N m/rad",
+    VOLTAGE: "V", CURRENT: "A", PRESSURE: "Pa", NONE: "1",
+}  # fmt: skip
+TWOFOLD = {
+    "lb": "lbf or kg",
+    "lbs": "lbf or kg",
+    "mg": "g for gravity, kg for mass",
+    "gal": "Gal",
+    "M": "m",
+    "Sec": "s",
+    "G": "g",
+}
+SUPERSCRIPTS = str.maketrans({"²": "2", "³": "3", "⁴": "4", "⁻": "-", "¹": "1", "µ": "u", "μ": "u", "·": "*", "⋅": "*"})
+TOKEN = re.compile(r"\s*(?:(?P<power>\*\*|\^)|(?P<sign>[*/.()])|(?P<number>[+-]?\d+)|(?P<word>[A-Za-z°%]+\d?(?=$|[^\d])|[A-Za-z°%]+))")
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit: how it was written, its factor to SI, its dimension.
+
+    >>> parse("km/h", "speed").si
+    'm/s'
+    """
+
+    text: str
+    factor: float
+    dimension: Dimension
+
+    @property
+    def si(self) -> str:
+        """The SI unit of its dimension, in words."""
+        return si_words(self.dimension)
+
+
+def si_words(dimension: Dimension) -> str:
+    """The usual name of an SI unit, "m/s2"; else its base units, "kg m s-1"."""
+    if dimension in WORDS:
+        return WORDS[dimension]
+    m, kg, *others = dimension
+    powers = zip(("kg", "m", "s", "rad", "A"), (kg, m, *others), strict=True)
+    parts = [name + (str(n) if n != 1 else "") for name, n in powers if n]
+    return " ".join(parts)
+
+
+def parse(text: str, where: str) -> Unit:
+    """The unit of this name; `where` is what messages call it. Errors: UNKNOWN_UNIT, with the nearest names; NO_UNIT of an empty one.
+
+    >>> parse("mm", "stroke").factor
+    0.001
+    """
+    written = str(text).strip()
+    if not written:
+        raise JaxbodyError(Problem("NO_UNIT", where, "has an empty unit", text, 'such as "m/s2"', 'Say "1" for a number without one.'))
+    if written in PLAIN:
+        return Unit(written, *PLAIN[written])
+    rest = [*_tokens(written.translate(SUPERSCRIPTS), written, where), ("end", "")]
+    factor, dimension = _product(rest, written, where)
+    if rest[0][0] != "end":
+        raise _unknown(written, written, where)
+    return Unit(written, factor, dimension)
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is the name of a unit.
+
+    >>> is_unit("N/mm"), is_unit("left")
+    (True, False)
+    """
+    try:
+        parse(text, "")
+    except JaxbodyError:
+        return False
+    return True
+
+
+def _tokens(text: str, written: str, where: str) -> list[tuple[str, str]]:
+    found, at = [], 0
+    while at < len(text):
+        match = TOKEN.match(text, at)
+        if match is None or len(text) > 60:
+            raise _unknown(written, written, where)
+        found.append((str(match.lastgroup), match.group().strip()))
+        at = match.end()
+    return found
+
+
+def _product(rest: list[tuple[str, str]], written: str, where: str, depth: int = 0) -> tuple[float, Dimension]:
+    """Factors from the left, up to the end or a closing parenthesis, taken off `rest`."""
+    factor, dimension, sign, divided = 1.0, NONE, 1, False
+    while True:
+        f, d = _power(rest, written, where, depth)
+        factor *= f**sign
+        dimension = tuple(a + sign * b for a, b in zip(dimension, d, strict=True))
+        kind, token = rest[0]
+        if kind == "end" or token == ")":
+            return factor, dimension  # pyright: ignore[reportReturnType]
+        sign = -1 if token == "/" else 1
+        if divided and sign == 1:
+            hint = "What is multiplied after a stroke may belong above or below it: use parentheses."
+            raise JaxbodyError(
+                Problem("UNKNOWN_UNIT", where, f"unit '{written}' can be read in two ways", written, "N/(m s) or N s/m", hint)
+            )
+        divided = divided or sign == -1
+        if kind == "sign" and token in "*/.":
+            rest.pop(0)
+
+
+def _power(rest: list[tuple[str, str]], written: str, where: str, depth: int) -> tuple[float, Dimension]:
+    """One unit, or a product in parentheses, with its power."""
+    kind, token = rest.pop(0)
+    power = 1
+    if token == "(" and depth < 5:
+        factor, dimension = _product(rest, written, where, depth + 1)
+        if rest.pop(0)[1] != ")":
+            raise _unknown(written, written, where)
+    elif (kind, token) == ("number", "1"):
+        factor, dimension = 1.0, NONE
+    elif kind == "word":
+        name, digit = (token[:-1], int(token[-1])) if token[-1].isdigit() and token not in ALSO else (token, 1)
+        power = digit
+        name = name if name in KNOWN else ALSO.get(name.lower(), name)
+        if name not in KNOWN:
+            raise _unknown(name, written, where)
+        factor, dimension = KNOWN[name]
+    else:
+        raise _unknown(written, written, where)
+    if rest[0][0] == "power":
+        rest.pop(0)
+        if rest[0][0] != "number":
+            raise _unknown(written, written, where)
+    if rest[0][0] == "number":
+        power = int(rest.pop(0)[1])
+    if not 1 <= abs(power) <= 6:
+        raise _unknown(written, written, where)
+    return factor**power, tuple(power * n for n in dimension)  # pyright: ignore[reportReturnType]
+
+
+def _unknown(name: str, written: str, where: str) -> JaxbodyError:
+    near = difflib.get_close_matches(name, KNOWN, 3, 0.6)
+    hint = (
+        f"Did you mean {TWOFOLD[name]}?"
+        if name in TWOFOLD
+        else f"Did you mean {' or '.join(near)}?"
+        if near
+        else "Convert the numbers first."
+    )
+    told = f"unit '{written:.60}' is unknown" + (f": '{name}'" if name != written else "")
+    return JaxbodyError(Problem("UNKNOWN_UNIT", where, told, written, "m mm in deg rad s g N kN lbf V ... and products of them", hint))

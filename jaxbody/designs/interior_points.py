@@ -1,0 +1,92 @@
+"""Constrained minimization by IPOPT's interior-point method, as CasADi brings it: an extra, since that is 280 MB."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem
+
+At = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray, np.ndarray]]  # u -> f, its gradient, c, its Jacobian
+
+
+def check_ipopt(where: str) -> None:
+    """It is there."""
+    if importlib.util.find_spec("casadi") is None:
+        raise JaxbodyError(
+            Problem("NO_CASADI", where, "needs casadi, which brings IPOPT", hint="pip install jaxbody[ipopt], or pip install casadi.")
+        )
+
+
+def minimize_by_ipopt(
+    at: At, u: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], limits: tuple[np.ndarray, np.ndarray], iterations: int, tolerance: float
+) -> int:
+    """How many iterations it took; what is best among the points asked for is for `at` to keep. Source: A. Waechter, L. Biegler,
+    Mathematical Programming 106 (2006) 25; second derivatives by its limited-memory updates."""
+    import casadi  # pyright: ignore
+
+    n, m = len(u), len(limits[0])
+
+    class Slopes(casadi.Callback):
+        """The derivatives of both in u; CasADi hands over their values too."""
+
+        def __init__(self, name: str, options: Any):
+            casadi.Callback.__init__(self)
+            self.construct(name, options)
+
+        def get_n_in(self):
+            return 3
+
+        def get_n_out(self):
+            return 2
+
+        def get_sparsity_in(self, i):
+            return casadi.Sparsity.dense((n, 1, m)[i], 1)
+
+        def get_sparsity_out(self, i):
+            return casadi.Sparsity.dense((1, m)[i], n)
+
+        def eval(self, given):
+            _, slopes, _, jacobian = at(np.asarray(given[0]).ravel())
+            return [slopes[None], jacobian]
+
+    class Values(casadi.Callback):
+        """f and c."""
+
+        def __init__(self):
+            casadi.Callback.__init__(self)
+            self.construct("values", {})
+
+        def get_n_in(self):
+            return 1
+
+        def get_n_out(self):
+            return 2
+
+        def get_sparsity_in(self, i):
+            return casadi.Sparsity.dense(n, 1)
+
+        def get_sparsity_out(self, i):
+            return casadi.Sparsity.dense((1, m)[i], 1)
+
+        def eval(self, given):
+            f, _, c, _ = at(np.asarray(given[0]).ravel())
+            return [f, c]
+
+        def has_jacobian(self):
+            return True
+
+        def get_jacobian(self, name, inputs, outputs, options):
+            self.slopes = Slopes(name, options)  # kept, as CasADi does not
+            return self.slopes
+
+    values, x = Values(), casadi.MX.sym("u", n)
+    f, c = values(x)
+    quiet = {"print_time": False, "error_on_fail": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+    asked = {"ipopt.max_iter": iterations, "ipopt.tol": tolerance, "ipopt.hessian_approximation": "limited-memory"}
+    solver = casadi.nlpsol("solver", "ipopt", {"x": x, "f": f, "g": c}, quiet | asked)
+    solver(x0=u, lbx=bounds[0], ubx=bounds[1], lbg=limits[0], ubg=limits[1])
+    return int(solver.stats()["iter_count"])

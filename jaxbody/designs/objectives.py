@@ -1,0 +1,236 @@
+"""Quantities that designs are tuned for, smooth where modes cross and maxima change hands: what `tune` minimizes or limits.
+
+Each takes results of the library and returns one number; all differentiate by whatever those depend on.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import concrete, float_array
+from jaxbody.core.errors import JaxbodyError, Problem, is_concrete
+from jaxbody.responses.comfort_weightings import weighted
+from jaxbody.responses.frequency_responses import FrequencyResponse
+from jaxbody.responses.random_responses import RandomResponse
+from jaxbody.vibrations.linearizations import Linearization
+from jaxbody.vibrations.modal_energies import kinetic_shares
+from jaxbody.vibrations.mount_axes import torque_roll_axis
+
+__all__ = [
+    "band_intrusion",
+    "comfort",
+    "coupling_of_modes",
+    "dominant_shares",
+    "peak",
+    "road_holding",
+    "smooth_max",
+    "smooth_min",
+    "stroke",
+    "torque_roll_coupling",
+    "transmitted",
+]
+
+
+def __dir__():
+    return __all__
+
+
+LEAST_SHARE = 1e-6  # below, a share of energy counts as its square, so that there is no kink
+SIGMAS = 3.0
+
+
+def smooth_max(x: Any, width: Any) -> Float[Array, ""]:
+    """The largest of numbers, worst over load cases say, without the kink where another becomes the largest.
+
+        width log(sum of exp(x/width)),   above the largest by at most width log(n)
+
+    `width` in the unit of x. Errors: BAD_WIDTH, NOT_A_NUMBER, NO_DATA.
+
+    >>> round(float(smooth_max([1.0, 2.0, 3.0], 0.1)), 4)
+    3.0
+    """
+    x, width = _numbers(x, "smooth_max.x"), _width(width, "smooth_max.width")
+    return width * jax.scipy.special.logsumexp(x / width)
+
+
+def smooth_min(x: Any, width: Any) -> Float[Array, ""]:
+    """The smallest of numbers without kinks, -smooth_max(-x): below it by at most width log(n). Errors: BAD_WIDTH, NOT_A_NUMBER.
+
+    >>> round(float(smooth_min([1.0, 2.0, 3.0], 0.1)), 4)
+    1.0
+    """
+    return -smooth_max(-_numbers(x, "smooth_min.x"), width)
+
+
+def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
+    """The largest modulus, of a force in an earthquake say, without kinks.
+
+        (sum of |x|^power)^(1/power),   above the largest by at most the factor n^(1/power), n as many as come near it
+
+    NaN where one of them is not finite. Errors: NOT_A_NUMBER, NO_DATA, BAD_NUMBER of a power below 1.
+
+    >>> round(float(peak([-3.0, 1.0, 2.0])), 6)
+    3.0
+    """
+    if not power >= 1:
+        raise JaxbodyError(Problem("BAD_NUMBER", "peak.power", f"is {power}", power, ">= 1"))
+    x = _numbers(jnp.abs(x) if hasattr(x, "dtype") else x, "peak.x")
+    x = jnp.abs(x)
+    largest = jax.lax.stop_gradient(jnp.max(x, initial=0.0))
+    largest = jnp.where(largest > 0, largest, 1.0)  # a factor that cancels, and keeps powers in range
+    total = jnp.sum((x / largest) ** power)
+    return jnp.where(total > 0, largest * jnp.where(total > 0, total, 1.0) ** (1 / power), total)  # 0, or NaN of what is not finite
+
+
+def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
+    """Of each mode the largest share of kinetic energy that one body and direction has [%]; 100 where the mode moves that alone. It has kinks: to look at.
+
+    >>> model = jb.presets.engine_on_mounts()
+    >>> [round(float(x), 2) for x in dominant_shares(linearize(model, model.reference))]
+    [99.4, 98.21, 37.13, 49.36, 65.54, 78.84]
+    """
+    return 100 * jnp.max(kinetic_shares(lin), axis=0)
+
+
+def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
+    """How far the modes are from moving one body in one direction each: decoupling is making it small.
+
+        sum over modes j of sum over i != k of |e_ij| |e_kj|,   e_ij = v_i (M v)_i/(v' M v), shares of kinetic energy as in `mode_energies`
+
+    It is 0 where each mode has but one share, and 5/6 a mode where six have equal ones. Shares may be negative where products of inertia
+    are, so their moduli count, sqrt(e^2 + 1e-12). Modes that coincide are taken along the directions as far as that can be, so that coinciding alone
+    couples nothing. Source: kinetic energy decoupling, T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
+
+    >>> model = jb.presets.isolated_table(at=(0.45, 0.3, 0.0))  # in the plane of its centre of mass
+    >>> round(float(coupling_of_modes(linearize(model, model.reference))), 4)
+    0.0
+    """
+    e = kinetic_shares(lin)
+    size = jnp.sqrt(e**2 + LEAST_SHARE**2) - LEAST_SHARE
+    return jnp.sum(jnp.sum(size, 0) ** 2 - jnp.sum(size**2, 0))
+
+
+def torque_roll_coupling(lin: Linearization, body: str, torque: Any) -> Float[Array, ""]:
+    """How far turning about the torque roll axis is from being a mode, squared so that it is smooth at 0.
+
+        |K r - w^2 M r|^2/(w^2 |M r|)^2 in the norm of M^-1,   r the turn about the torque roll axis, w^2 = r' K r/(r' M r)
+
+    Errors and source: `torque_roll_axis`.
+
+    >>> model = jb.presets.engine_on_mounts()
+    >>> round(float(torque_roll_coupling(linearize(model, model.reference), "engine", [1, 0, 0])), 4)
+    0.1387
+    """
+    return torque_roll_axis(lin, body, torque).coupling ** 2
+
+
+def band_intrusion(frequencies: Any, band: tuple[float, float]) -> Float[Array, ""]:
+    """How far frequencies [Hz] reach into a band that they should keep out of, such as the idle firing of an engine.
+
+        sum of max(0, 1 - ((f - m)/h)^2)^2,   m the middle of the band, h half its width
+
+    It is 0 where all are outside and 1 for one in the middle; being a sum over all, it is smooth where frequencies cross. To keep them inside a band, limit
+    them: limits={"frequency": (6, 18)}. Errors: BAD_BAND, NOT_A_NUMBER.
+
+    >>> [round(float(band_intrusion([f, 40.0], (20.0, 30.0))), 4) for f in (25.0, 29.0, 31.0)]
+    [1.0, 0.1296, 0.0]
+    """
+    f = _numbers(frequencies, "band_intrusion.frequencies")
+    low, high = band
+    if not low < high:
+        raise JaxbodyError(Problem("BAD_BAND", "band_intrusion.band", f"is {band}", band, "lower < upper", "Give (lower, upper) [Hz]."))
+    middle, half = (low + high) / 2, (high - low) / 2
+    return jnp.sum(jnp.maximum(0.0, 1 - ((f - middle) / half) ** 2) ** 2)
+
+
+def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Array, ""]:
+    """How much of an input arrives over the frequencies of a response, as a ratio or in the unit of one: the root of the mean square over the logarithm of frequency.
+
+        sqrt(int |H|^2 d ln f/int d ln f);   the largest is peak(response[output, name])
+
+    Errors: UNKNOWN_NAME, BAD_FREQUENCY of 0 Hz.
+
+    >>> model = jb.presets.quarter_car(damping=1500.0)
+    >>> found = frequency_response(linearize(model, model.reference), jnp.geomspace(5, 50, 100), {"road": BaseMotion("road", "z")}, {"body": PointMotion("body")})
+    >>> round(float(transmitted(found, "body", "road")), 3)
+    0.106
+    """
+    known = concrete(response.frequencies)
+    if known is not None and not known.all():
+        hint = "Its logarithm is infinite: leave it out."
+        raise JaxbodyError(Problem("BAD_FREQUENCY", "transmitted.response", "has a frequency of 0 Hz", 0.0, "> 0", hint))
+    H, x = response[output, name], jnp.log(response.frequencies)
+    return jnp.sqrt(jnp.trapezoid(H.real**2 + H.imag**2, x) / (x[-1] - x[0]))
+
+
+def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
+    """The vibration total value [m/s2] of accelerations in a random response, {output: "Wk" (z) or "Wd" (x, y)}: less is more comfort.
+
+        sqrt(sum of a_w^2),   a_w^2 = int |W|^2 S_a df
+
+    Errors: those of `weighted`. Source: ISO 2631-1:1997, 6.5.
+
+    >>> model = jb.presets.quarter_car(damping=1500.0)
+    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
+    ...                        {"body": PointMotion("body", kind="acceleration"), "travel": ElementDeformation("suspension"), "tyre": ElementForce("tyre")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    >>> round(float(comfort(ride, {"body": "Wk"})), 2)
+    1.19
+    """
+    return _root(jnp.sum(weighted(ride, weights).rms ** 2))
+
+
+def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, ""]:
+    """How much the forces of tyres vary against what they carry, {output, the force of a tyre: its static load [N]}: less is more grip.
+
+        sqrt(mean of (rms of F/load)^2);   a tyre leaves the road where three times that comes to 1
+
+    Errors: UNKNOWN_NAME, BAD_UNIT of what is no force.
+
+    >>> model = jb.presets.quarter_car(damping=1500.0)
+    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
+    ...                        {"body": PointMotion("body", kind="acceleration"), "travel": ElementDeformation("suspension"), "tyre": ElementForce("tyre")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    >>> round(float(road_holding(ride, {"tyre": 450 * 9.81})), 2)
+    0.23
+    """
+    for name in forces:
+        unit = ride.units[ride.outputs.index(name)] if name in ride.outputs else "N"
+        if unit != "N":
+            told, hint = f"is in {unit}", "Ask for the ElementForce of a tyre."
+            raise JaxbodyError(Problem("BAD_UNIT", f"road_holding[{name!r}]", told, unit, "N", hint))
+    shares = jnp.stack([ride[name] / jnp.asarray(load, float) for name, load in forces.items()])
+    return _root(jnp.mean(shares**2))
+
+
+def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Array, ""]:
+    """What an element's deformation, an output of a random response, stays below for 99.7 % of the time [m]: |static| + 3 rms. Error: UNKNOWN_NAME.
+
+    >>> model = jb.presets.quarter_car(damping=1500.0)
+    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
+    ...                        {"body": PointMotion("body", kind="acceleration"), "travel": ElementDeformation("suspension"), "tyre": ElementForce("tyre")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    >>> round(float(stroke(ride, "travel")), 3)
+    0.037
+    """
+    return jnp.abs(jnp.asarray(static, float)) + SIGMAS * ride[output]
+
+
+def _root(square: Float[Array, ""]) -> Float[Array, ""]:
+    return jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0 * square)
+
+
+def _numbers(x: Any, where: str) -> Float[Array, "*n"]:
+    numbers = jnp.atleast_1d(jnp.asarray(float_array(x, where)))
+    if not numbers.size:
+        raise JaxbodyError(Problem("NO_DATA", where, "is empty", x, "one number or more"))
+    return numbers
+
+
+def _width(width: Any, where: str) -> Any:
+    if is_concrete(width) and not width > 0:
+        raise JaxbodyError(
+            Problem("BAD_WIDTH", where, f"is {width}", width, "> 0", "Give what difference counts as none, in the unit of x.")
+        )
+    return width

@@ -1,0 +1,224 @@
+"""Quantities of a design and their exact derivatives as one compiled program, for one u or for a batch of them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
+from jaxbody.designs.searches import Rows, Search
+from jaxbody.models.models import unknown
+from jaxbody.parameters.design_spaces import Space
+
+MOST_FORWARD = 30  # free numbers up to which forward mode is the faster one
+
+Quantities = dict[str, Array]
+Evaluate = Callable[..., Any]
+Limits = dict[str, tuple[float, float]]
+
+
+class Program:
+    """All quantities and their derivatives at a batch of u."""
+
+    def __init__(
+        self,
+        space: Space,
+        evaluate: Evaluate,
+        minimize: str,
+        limits: Limits,
+        *,
+        width: int,
+        reverse: bool | None = None,
+        key: Any = None,
+        progress: bool | None = False,
+        line: Callable[[str], None] = lambda words: None,
+    ):
+        self.space, self.evaluate, self.minimize, self.limits = space, evaluate, minimize, limits
+        self.width, self.reverse, self.key, self.progress, self.line = width, reverse, key, progress, line
+        self.count = 0
+        self.shapes: tuple[tuple[str, tuple[int, ...]], ...] = ()
+        self.origin = np.zeros(0)
+
+    def __call__(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values (b, m) and Jacobians (b, m, n), in batches of the one width that is compiled."""
+        self.count += 1
+        parts = [self._of(U[i : i + self.width]) for i in range(0, len(U), self.width)]
+        values, slopes = np.concatenate([v for v, _ in parts]), np.concatenate([J for _, J in parts])
+        words = f"evaluation {self.count}{self._least(values)}"
+        self.line(words)
+        if self.progress:
+            print(words, file=sys.stderr, flush=True)
+        return values, slopes
+
+    def _least(self, values: np.ndarray) -> str:
+        """Of all starts, in words."""
+        shown = values[:, self.rows.objective] if {self.minimize, *self.limits} <= set(dict(self.shapes)) else np.zeros(0)
+        finite = shown[np.isfinite(shown)]
+        return f", {self.minimize} {finite.min():.6g}" + (f" at least of {len(shown)}" if len(shown) > 1 else "") if len(finite) else ""
+
+    def _of(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        filled = np.concatenate([U, np.repeat(U[-1:], self.width - len(U), 0)])
+        u = jnp.asarray(filled if self.width > 1 else filled[0])
+        values, slopes, self.shapes = values_and_slopes(self.space, self.evaluate, self.reverse, u, self.key)
+        values, slopes = np.asarray(values), np.asarray(slopes)
+        return (values[: len(U)], slopes[: len(U)]) if self.width > 1 else (values[None], slopes[None])
+
+    @property
+    def rows(self) -> Rows:
+        ends = np.cumsum([0] + [int(np.prod(shape)) for _, shape in self.shapes])
+        at = {name: np.arange(i, j) for (name, _), i, j in zip(self.shapes, ends[:-1], ends[1:], strict=True)}
+        rows = [at[name] for name in self.limits]
+        lower, upper = (
+            np.concatenate([np.zeros(0), *(np.full(len(r), limit[k]) for r, limit in zip(rows, self.limits.values(), strict=True))])
+            for k in (0, 1)
+        )
+        return Rows(int(at[self.minimize][0]), np.concatenate([np.zeros(0, int), *rows]).astype(int), lower, upper)
+
+    def labels(self) -> list[str]:
+        """Of every value."""
+        return [
+            name + (str(list(i)).replace(" ", "") if shape else "")
+            for name, shape in self.shapes
+            for i in (np.ndindex(shape) if shape else [()])
+        ]
+
+    def quantities(self, values: np.ndarray) -> Quantities:
+        parts = np.split(values, np.cumsum([int(np.prod(shape)) for _, shape in self.shapes])[:-1], axis=-1)
+        return {name: part.reshape((*values.shape[:-1], *shape)) for (name, shape), part in zip(self.shapes, parts, strict=True)}
+
+
+@jit_quickly
+def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any):
+    """Nothing here knows what is minimized or limited, so that one program serves for all of that."""
+    told: list[tuple[str, tuple[int, ...]]] = []
+
+    def flat(u):
+        found = evaluated(evaluate, space.place(u), *(() if key is None else (key,)))
+        told[:] = [(name, x.shape) for name, x in found.items()]
+        return jnp.concatenate([x.ravel() for x in found.values()])
+
+    def both(u):
+        back = u.size > MOST_FORWARD if reverse is None else reverse
+        if not back:
+            return value_and_forward_slopes(flat, u)
+        values, pull = jax.vjp(needed(flat, u), u)
+        return values, jax.vmap(lambda y: pull(y)[0])(jnp.eye(values.size))
+
+    values, slopes = both(u) if u.ndim == 1 else jax.vmap(both)(u)
+    return values, slopes, tuple(told)
+
+
+def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array, "n"]) -> tuple[Float[Array, "m"], Float[Array, "m n"]]:
+    """The value and the Jacobian: linearized once, or direction by direction through loops of unknown length, such as simulations, which cannot be."""
+    function = needed(function, u)
+    try:
+        values, push = jax.linearize(function, u)
+    except ValueError:
+
+        def both(u):
+            values = function(u)
+            return values, values
+
+        slopes, values = jax.jacfwd(both, has_aux=True)(u)
+        return values, slopes
+    return values, jax.lax.map(push, jnp.eye(u.size)).T  # one after the other: what each needs stays in the cache
+
+
+def needed(function: Callable[[Array], Array], u: Float[Array, "n"]) -> Callable[[Array], Array]:
+    """The function without what its result does not need, of which nothing is then differentiated: to trace that takes as long as to compile the rest."""
+    kept = only_what_is_needed(jax.make_jaxpr(function)(u))
+    return lambda u: jaxpr_as_fun(kept)(u)[0]
+
+
+def evaluated(evaluate: Evaluate, *given: Any) -> Quantities:
+    """{name: array} of evaluate(model), while it is being traced. Error: BAD_OBJECTIVE."""
+    hint = "Return {name: number or array}, or one number, by JAX functions of the model: no float(), no numpy, no if of its numbers."
+    if not callable(evaluate):
+        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", f"is {evaluate!r:.60}", evaluate, "a function of the model", hint))
+    try:
+        found = evaluate(*given)
+    except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
+        told = f"makes a Python or NumPy number of one that JAX is still working with: {str(error).splitlines()[0]}"
+        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", told, hint=hint)) from error
+    named = found if isinstance(found, dict) else {"objective": found}
+    try:
+        quantities = {str(name): jnp.asarray(x, float) for name, x in named.items()}
+    except (TypeError, ValueError):
+        quantities = {}
+    if not quantities:
+        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", f"gives {found!r:.80}", found, "numbers", hint)) from None
+    return quantities
+
+
+def check_names(program: Program) -> None:
+    """What is minimized and limited is there, and one number is minimized."""
+    problems, shapes = Problems(), dict(program.shapes)
+    for where, names in (("tune.minimize", (program.minimize,)), ("tune.limits", program.limits)):
+        problems.found += [unknown(name, where, tuple(shapes)) for name in names if name not in shapes]
+    shape = shapes.get(program.minimize, ())
+    if shape:
+        hint = "Minimize one number; limit the others."
+        problems.add("BAD_OBJECTIVE", f"evaluate[{program.minimize!r}]", f"has shape {shape}", value=shape, limit="one number", hint=hint)
+    problems.raise_if_any()
+
+
+def limits_of(limits: dict[str, Any]) -> Limits:
+    """{name: (lower, upper)}."""
+    problems, found = Problems(), {}
+    if not isinstance(limits, dict):
+        problems.add("BAD_LIMITS", "tune.limits", f"is {limits!r:.60}", value=limits, limit="{name: (lower, upper)}")
+        problems.raise_if_any()
+    for name, given in limits.items():
+        where = f"tune.limits[{name!r}]"
+        try:
+            lower, upper = (given, given) if np.ndim(given) == 0 and not isinstance(given, tuple) else given
+            ends = (-np.inf if lower is None else float(lower), np.inf if upper is None else float(upper))
+        except (TypeError, ValueError):
+            problems.add("BAD_LIMITS", where, f"is {given!r:.60}", value=given, limit="(lower, upper), a number, or None for either")
+            continue
+        if np.isnan(ends).any() or ends == (-np.inf, np.inf):
+            problems.add("BAD_LIMITS", where, f"is {given!r:.60}", value=given, limit="a number at one end or both")
+        elif not ends[0] <= ends[1]:
+            problems.add("BAD_LIMITS", where, f"has lower {ends[0]:g} > upper {ends[1]:g}", value=given, limit="lower <= upper")
+        found[name] = ends
+    problems.raise_if_any()
+    return found
+
+
+def check_start(program: Program, U: np.ndarray) -> None:
+    """Evaluate the starts, of which the first is the model as it is; at least one must be finite. Of the first it is told what is not."""
+    values, _ = program(U)
+    check_names(program)
+    program.origin = values[0]
+    rows = np.r_[program.rows.objective, program.rows.limited]
+    good = np.isfinite(values[:, rows]).all(-1)
+    if good.any():
+        return
+    labels = program.labels()
+    bad = [f"{labels[i]} = {values[0, i]}" for i in dict.fromkeys(rows) if not np.isfinite(values[0, i])]
+    told = f"gives {', '.join(bad)} at the start" + (f", and no numbers at any of {len(U)} starts" if len(U) > 1 else "")
+    hint = "Look at evaluate(model) there: an equilibrium may not exist, a mode be unstable."
+    raise JaxbodyError(Problem("NONFINITE_START", "tune.evaluate", told, values[0], "finite", hint))
+
+
+def check_slopes(program: Program, search: Search) -> None:
+    """No start had derivatives: which are not finite."""
+    labels, names = program.labels(), program.space.labels()
+    rows = np.r_[program.rows.objective, program.rows.limited]
+    bad = [
+        f"'{labels[i]}' by '{name}'"
+        for i in dict.fromkeys(rows)
+        for name, x in zip(names, search.slopes[i], strict=True)
+        if not np.isfinite(x)
+    ]
+    told = f"has derivatives that are not finite at the start: of {', '.join(bad[:4])}" + (", ..." if len(bad) > 4 else "")
+    hint = "Look for roots of zero, norms of zero, or simulate(adjoint=...); smooth quantities are in jb.objectives."
+    raise JaxbodyError(Problem("NONFINITE_START", "tune.evaluate", told, search.slopes, "finite", hint))

@@ -1,0 +1,309 @@
+"""Searches from many starts hand in hand: each is SciPy's optimizer with exact derivatives, and what all of them ask for is one batch.
+
+    minimize f(u),   low <= u <= high,   c_min <= c(u) <= c_max
+
+Searches run as threads of which one is awake at a time, until each waits for an evaluation; then all evaluations are made at once.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+from threadpoolctl import threadpool_limits
+
+from jaxbody.designs.interior_points import minimize_by_ipopt
+
+ACTIVE = 1e-5  # scaled distance from a limit or bound that counts as at it
+MET = 1e-8  # scaled violation that counts as none
+ARRIVED = 1e-4  # slope left of the scaled objective, per unit of u, at which a search has arrived
+ASIDE = 1e-6  # how far in u derivatives are taken aside where they do not exist
+REPELLED = 1e3  # what a trial that is not finite costs, in scaled objectives
+MOST_RESTARTS = 4
+METHODS = ("slsqp", "trust-constr", "ipopt")
+
+Vector = Float[np.ndarray, "n"]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Which row of the values is the objective, and which others have limits."""
+
+    objective: int
+    limited: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    def violation(self, values: np.ndarray, scale: np.ndarray) -> Any:
+        """The largest, scaled."""
+        c = values[..., self.limited]
+        return np.max(np.maximum(self.lower - c, c - self.upper) / scale, axis=-1, initial=0.0)
+
+
+def one_thread() -> threadpool_limits:
+    """A context in which BLAS has one thread: matrices are small here, and threads would wait for each other most of the time."""
+    import scipy.optimize  # noqa: F401  # what is loaded later would not be limited
+
+    return threadpool_limits(1, "blas")
+
+
+class Stopped(Exception):
+    """The others failed; a search ends."""
+
+
+@dataclass
+class Search:
+    """One start between bounds, the best `u` found from it with its `values` and `slopes`, and the `history` of objective and violation."""
+
+    start: Vector
+    low: Vector
+    high: Vector
+    finite: bool = False
+    size: float = 1.0  # of the objective, as far as it is known
+    history: list[tuple[float, float]] = field(default_factory=list)
+    iterations: int = 0
+    error: BaseException | None = None
+    done: bool = False
+    answer: tuple[Vector, np.ndarray] | None = None
+    go: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
+    back: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
+    u: Vector = field(init=False)
+    values: Vector = field(init=False)
+    slopes: np.ndarray = field(init=False)
+    asked: Vector = field(init=False)
+
+    def __post_init__(self):
+        self.u = self.asked = self.start
+
+    def found(self, u: Vector, values: Vector, slopes: np.ndarray) -> None:
+        self.u, self.values, self.slopes = u, values, slopes
+
+    def ask(self, u: Vector) -> tuple[Vector, np.ndarray]:
+        self.asked = np.array(u)
+        self.back.release()
+        self.go.acquire()
+        if self.answer is None:
+            raise Stopped
+        return self.answer
+
+
+def hand_in_hand(
+    evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], searches: list[Search], run: Callable[[Search], None]
+) -> None:
+    """`run(search)` for each; what they `ask` goes to `evaluate` (b, n) -> values (b, m), Jacobians (b, m, n) as one batch."""
+
+    def act(search: Search) -> None:
+        search.go.acquire()
+        try:
+            run(search)
+        except Stopped:
+            pass
+        except BaseException as error:
+            search.error = error
+        search.done = True
+        search.back.release()
+
+    threads = [threading.Thread(target=act, args=(search,), daemon=True) for search in searches]
+    for thread in threads:
+        thread.start()
+    batch = np.stack([search.start for search in searches])
+    try:
+        while True:
+            for search in searches:
+                if not search.done:
+                    search.go.release()
+                    search.back.acquire()
+                if search.error is not None:
+                    raise search.error
+            waiting = [(i, search) for i, search in enumerate(searches) if not search.done]
+            if not waiting:
+                return
+            for i, search in waiting:
+                batch[i] = search.asked
+            values, slopes = evaluate(batch)
+            for i, search in waiting:
+                search.answer = values[i], slopes[i]
+    finally:
+        for search in searches:
+            while not search.done:
+                search.answer = None
+                search.go.release()
+                search.back.acquire()
+        for thread in threads:
+            thread.join()
+
+
+class Scaled:
+    """The problem of one search in scaled numbers: the objective over its size at the start, each limit over its own."""
+
+    def __init__(self, search: Search, rows: Rows):
+        self.search, self.rows = search, rows
+        self.asked = np.r_[rows.objective, rows.limited]
+        values, slopes = self._asked(search.start)
+        search.found(search.start, values, slopes)
+        search.finite = self._finite(values, slopes)
+        self.size = search.size = float(abs(values[rows.objective])) or 1.0
+        self.scale = scales(rows, values)
+        self.near = values, slopes  # of the last trial that was finite
+        self.last: tuple[bytes, Any] = (b"", None)
+
+    def _finite(self, *arrays: np.ndarray) -> bool:
+        return all(np.isfinite(x[self.asked]).all() for x in arrays)
+
+    def _asked(self, u: Vector) -> tuple[Vector, np.ndarray]:
+        """Values and derivatives; where these do not exist, those of a point a little aside."""
+        values, slopes = self.search.ask(u)
+        if self._finite(values) and not self._finite(slopes):
+            step = ASIDE * np.cos(1.0 + np.arange(len(u)))
+            slopes = self.search.ask(np.clip(np.where(u + step > self.search.high, u - step, u + step), self.search.low, self.search.high))[
+                1
+            ]
+        return values, slopes
+
+    def at(self, u: Vector) -> tuple[float, Vector, np.ndarray, np.ndarray]:
+        """f, its gradient, the limited c and their Jacobian, scaled. A trial that is not finite is much worse than the last that was."""
+        key = u.tobytes()
+        if self.last[0] != key:
+            inside = np.clip(u, self.search.low, self.search.high)
+            values, slopes = self._asked(inside)
+            repelled = 0.0
+            if self._finite(values, slopes):
+                self.near = values, slopes
+                self._keep(inside, values, slopes)
+            else:
+                values, slopes = self.near
+                repelled = REPELLED * (1 + abs(values[self.rows.objective]) / self.size)
+            f, c = self.rows.objective, self.rows.limited
+            self.last = key, (
+                float(values[f] / self.size + repelled), slopes[f] / self.size, values[c] / self.scale, slopes[c] / self.scale[:, None],
+            )  # fmt: skip
+        return self.last[1]
+
+    def _keep(self, u: Vector, values: Vector, slopes: np.ndarray) -> None:
+        """Note it, and keep it where it is better than the best so far: nearer to the limits or, where both are within them, lower."""
+        search, f = self.search, self.rows.objective
+        violation, before = (float(self.rows.violation(x, self.scale)) for x in (values, search.values))
+        search.history.append((float(values[f]), violation))
+        lower = values[f] < search.values[f] if max(before, violation) <= MET else violation < before
+        if lower:
+            search.found(u, values, slopes)
+
+
+def scales(rows: Rows, values: np.ndarray) -> np.ndarray:
+    """The size of each limit; of a limit at zero, that of what it limits."""
+    finite = [np.where(np.isfinite(end), np.abs(end), 0.0) for end in (rows.lower, rows.upper)]
+    size = np.maximum(*finite)
+    return np.where(size > 0, size, np.maximum(np.abs(values[rows.limited]), 1e-12))
+
+
+def search_with(method: str, rows: Rows, iterations: int, tolerance: float) -> Callable[[Search], None]:
+    """What a search does: the method again from where it stopped, as long as that gains; where limits are not met, first the least violation."""
+
+    def run(search: Search) -> None:
+        problem = Scaled(search, rows)
+        free = (search.low < search.high).any()  # else all of it is chosen from catalogues
+        for attempt in range(MOST_RESTARTS if search.finite and free else 0):
+            if search.iterations >= iterations:
+                return
+            before = search.values[rows.objective]
+            search.iterations += _minimize(problem, method, iterations - search.iterations, tolerance)
+            if rows.violation(search.values, problem.scale) > MET:
+                if not _restored(problem, iterations - search.iterations):
+                    return
+            elif attempt and before - search.values[rows.objective] <= 10 * tolerance * problem.size:
+                return
+
+    return run
+
+
+def _minimize(problem: Scaled, method: str, iterations: int, tolerance: float) -> int:
+    import scipy.optimize  # slow to import
+
+    rows, u = problem.rows, problem.search.u
+    lower, upper = rows.lower / problem.scale, rows.upper / problem.scale
+    if method == "ipopt":
+        return minimize_by_ipopt(problem.at, u, (problem.search.low, problem.search.high), (lower, upper), iterations, tolerance)
+    bounds = scipy.optimize.Bounds(problem.search.low, problem.search.high, keep_feasible=True)  # pyright: ignore
+    common: dict[str, Any] = dict(jac=lambda u: problem.at(u)[1], bounds=bounds)
+    limits: Any = ()
+    if method == "slsqp":
+        same = lower == upper
+        below, above = np.isfinite(lower) & ~same, np.isfinite(upper) & ~same
+
+        def inequality(k, sign=(1, -1)):
+            return lambda u: np.concatenate([sign[0] * (x := problem.at(u)[k])[below], sign[1] * x[above]])
+
+        ends = np.concatenate([lower[below], -upper[above]])
+        limits = []
+        if len(ends):
+            limits.append(dict(type="ineq", fun=lambda u: inequality(2)(u) - ends, jac=inequality(3)))
+        if same.any():
+            limits.append(dict(type="eq", fun=lambda u: problem.at(u)[2][same] - lower[same], jac=lambda u: problem.at(u)[3][same]))
+        options = dict(maxiter=iterations, ftol=tolerance)
+    else:
+        if len(rows.limited):
+            limits = scipy.optimize.NonlinearConstraint(
+                lambda u: problem.at(u)[2], lower, upper, jac=lambda u: problem.at(u)[3], hess=scipy.optimize.BFGS()
+            )
+        inside = np.isfinite(np.r_[lower[lower != upper], upper[lower != upper], problem.search.low, problem.search.high]).any()
+        gtol = 1e-14 if inside else tolerance**0.8  # it would end at any barrier, however high
+        options = dict(maxiter=iterations, gtol=gtol, xtol=tolerance, barrier_tol=tolerance**0.8)
+        common["hess"] = scipy.optimize.BFGS()
+    found = scipy.optimize.minimize(lambda u: problem.at(u)[0], u, constraints=limits, method=method, options=options, **common)
+    return int(found.nit)
+
+
+def _restored(problem: Scaled, iterations: int) -> bool:
+    """Whether the limits can be met, by the least sum of the squares of violations."""
+    import scipy.optimize
+
+    lower, upper = problem.rows.lower / problem.scale, problem.rows.upper / problem.scale
+    if iterations <= 0:
+        return False
+
+    def squares(u):
+        _, _, c, A = problem.at(u)
+        over = np.maximum(c - upper, 0) - np.maximum(lower - c, 0)
+        return float(over @ over), 2 * over @ A
+
+    bounds = list(zip(problem.search.low, problem.search.high, strict=True))
+    options = dict(maxiter=iterations, ftol=1e-16, gtol=1e-10)
+    found = scipy.optimize.minimize(squares, problem.search.u, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
+    problem.search.iterations += int(found.nit)
+    return float(problem.rows.violation(problem.search.values, problem.scale)) <= MET
+
+
+@dataclass(frozen=True)
+class Multipliers:
+    """Of the optimum: d objective/d limit, in units of each, and the slope left, scaled."""
+
+    limits: np.ndarray
+    bounds: Vector
+    left: float
+
+
+def multipliers(search: Search, rows: Rows) -> Multipliers:
+    """grad f = sum of lambda grad c over the active limits and bounds, lambda of the sign of their side, by least squares."""
+    import scipy.optimize
+
+    values, slopes, u, low, high = search.values, search.slopes, search.u, search.low, search.high
+    scale, size = scales(rows, values), max(abs(values[rows.objective]), search.size)
+    c, A, g = values[rows.limited] / scale, slopes[rows.limited] / scale[:, None], slopes[rows.objective] / size
+    at_lower, at_upper = c - rows.lower / scale <= ACTIVE, rows.upper / scale - c <= ACTIVE
+    n = len(u)
+    sides = [(A[at_lower], np.flatnonzero(at_lower), 1.0, 0), (-A[at_upper], np.flatnonzero(at_upper), -1.0, 0)]
+    for near, sign in ((u - low <= ACTIVE, 1.0), (high - u <= ACTIVE, -1.0)):
+        sides.append((sign * np.eye(n)[near], np.flatnonzero(near), sign, 1))
+    normals = np.concatenate([side[0] for side in sides])
+    weights, _ = scipy.optimize.nnls(normals.T, g) if len(normals) else (np.zeros(0), 0.0)
+    found = np.zeros(len(rows.limited)), np.zeros(n)
+    first = 0
+    for rows_of, where, sign, kind in sides:
+        np.add.at(found[kind], where, sign * weights[first : first + len(rows_of)])
+        first += len(rows_of)
+    left = float(np.abs(g - weights @ normals).max(initial=0.0))
+    return Multipliers(found[0] * size / scale, found[1] * size, left)

@@ -1,0 +1,94 @@
+"""Which parameter moves a quantity most: exact slopes, and what a change of each parameter to either side makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.errors import JaxbodyError, Problem, Status
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.designs.programs import Evaluate, Program
+from jaxbody.designs.searches import one_thread
+from jaxbody.models.models import Model, unknown
+from jaxbody.models.preconditions import check_precision
+from jaxbody.parameters.design_spaces import space_of
+from jaxbody.parameters.transforms import Positive
+
+SHOWN = 5  # of each quantity
+
+
+class Sensitivities(Result):
+    """`nominal` values of `quantities`, `slopes` (quantities, parameters) d q/d x, and what each is with each of the `parameters` lower and higher by the `change`: `low`, `high`.
+    `ranked(quantity)`: the parameters, the strongest first."""
+
+    nominal: Float[np.ndarray, "m"]
+    slopes: Float[np.ndarray, "m n"]
+    low: Float[np.ndarray, "m n"]
+    high: Float[np.ndarray, "m n"]
+    status: Int[np.ndarray, ""]
+    quantities: tuple[str, ...]
+    parameters: tuple[str, ...]
+    change: float
+
+    def row(self, quantity: str) -> int:
+        if quantity not in self.quantities:
+            raise JaxbodyError(unknown(quantity, "sensitivities", self.quantities))
+        return self.quantities.index(quantity)
+
+    def ranked(self, quantity: str) -> tuple[str, ...]:
+        return tuple(self.parameters[i] for i in self.order(quantity))
+
+    def order(self, quantity: str) -> np.ndarray:
+        row = self.row(quantity)
+        return np.argsort(-np.maximum(abs(self.low[row] - self.nominal[row]), abs(self.high[row] - self.nominal[row])), kind="stable")
+
+    def _tables(self) -> list[tables.Table]:
+        rows = []
+        for row, name in enumerate(self.quantities):
+            for k, i in enumerate(self.order(name)[:SHOWN]):
+                first = (name, self.nominal[row]) if not k else ("", "")
+                rows.append((*first, self.parameters[i], self.slopes[row, i], self.low[row, i], self.high[row, i]))
+        heads = ("quantity", "value", "parameter", "slope", f"{100 * self.change:g} % less", f"{100 * self.change:g} % more")
+        return [tables.Table("Sensitivities, the strongest first", heads, rows, self.report() if int(self.status) else "")]
+
+
+def sensitivities(
+    model: Model, evaluate: Evaluate, *, free: str | Iterable[str], change: float = 0.1, progress: bool | None = None
+) -> Sensitivities:
+    """How quantities depend on parameters, one at a time, about the model as it is.
+
+        d q/d x exactly;   q(x (1 - change)),   q(x (1 + change))
+
+    evaluate, free: as of `tune`. What has no size of its own, such as a coordinate that is 0, changes by that share of the model's size, orientations by `change` radians. progress: as of `tune`. Errors: those of `tune`
+    about these, BAD_CHANGE; warns NONFINITE.
+
+    >>> def sag(model):
+    ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
+    >>> found = sensitivities(jb.presets.quarter_car(), sag, free=["suspension.stiffness", "body.mass", "tyre.stiffness"])
+    >>> found.ranked("sag")
+    ('suspension.stiffness', 'body.mass', 'tyre.stiffness')
+    """
+    check_precision("sensitivities", model)
+    if not 0 < change < 1:
+        raise JaxbodyError(Problem("BAD_CHANGE", "sensitivities.change", f"is {change}", change, "between 0 and 1", "0.1 is ten percent."))
+    space, *_ = space_of(model, free, {}, "sensitivities")
+    up, down = np.ones(space.size) * change, -np.ones(space.size) * change
+    for group, at in zip(space.groups, space.ends, strict=True):
+        if isinstance(group.form, Positive):
+            up[at], down[at] = np.log1p(change), np.log1p(-change)
+    U = np.concatenate([np.zeros((1, space.size)), np.diag(down), np.diag(up)])
+    program = Program(space, evaluate, "", {}, width=1, progress=progress)  # the program of `tune` from one start
+    with one_thread(), working("sensitivities", progress) as program.line:
+        values, slopes = program(U)
+    low, high = np.split(values[1:].T, 2, axis=1)
+    bad = not (np.isfinite(values).all() and np.isfinite(slopes[0]).all())
+    result = Sensitivities(
+        values[0], slopes[0] / space.numbers(U[0])[1], low, high, np.asarray(Status.NONFINITE.value if bad else 0), tuple(program.labels()),
+        tuple(space.labels()), change,
+    )  # fmt: skip
+    warn_if_failed(result)
+    return result

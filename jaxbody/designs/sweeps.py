@@ -1,0 +1,156 @@
+"""Sweeps: quantities of many models, on a grid of named parameters or at samples, as labelled arrays, by one program in chunks."""
+
+from __future__ import annotations
+
+import sys
+import weakref
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arguments import check_key, named, whole
+from jaxbody.core.arrays import float_array
+from jaxbody.core.compile_options import quick_options
+from jaxbody.core.datasets import sweep_dataset
+from jaxbody.core.errors import Problems
+from jaxbody.core.progress_lines import Line, working
+from jaxbody.designs.programs import Evaluate, evaluated
+from jaxbody.models.leaf_paths import replace
+from jaxbody.models.models import Model
+from jaxbody.models.preconditions import check_precision
+
+LARGEST_CHUNK = 1024
+MEMORY = 2**30  # bytes that a chunk may take besides its results
+SAMPLERS = {"sobol": "Sobol", "latin": "LatinHypercube"}  # in scipy.stats.qmc
+
+compiled: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
+
+
+def sweep(
+    model: Model,
+    evaluate: Evaluate,
+    over: dict[str, Any],
+    *,
+    samples: int | None = None,
+    sampler: str = "sobol",
+    key: Any = None,
+    chunk: int | None = None,
+    progress: bool | None = None,
+) -> Any:
+    """An xarray.Dataset of quantities of the model with other values of parameters.
+
+    evaluate: model -> {name: number or array} or one number, then called "objective", in JAX. over: {path or pattern: values}, the grid of all their combinations, an axis
+    for each; or, with `samples`, {path or pattern: (low, high)}, so many points between these, spread evenly by scipy.stats.qmc: sampler "sobol" (best with a power of two) or "latin"
+    (hypercube), scrambled by `key`. A value that a pattern means serves all its matches. chunk: how many models at a time; without it as many, up to 1024, as
+    take less than 1 GiB. The same `evaluate` is compiled once. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True tells on stderr at once.
+
+    Errors: those of `replace`, NON_FINITE, WRONG_KIND of a key, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, NO_XARRAY.
+
+    >>> car = jb.presets.quarter_car()
+    >>> def sag(model):
+    ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
+    >>> found = sweep(car, sag, {"suspension.stiffness": [2e4, 4e4], "body.mass": [300.0, 350.0, 400.0]})
+    >>> round(float(found["sag"].sel({"suspension.stiffness": 4e4, "body.mass": 400.0})), 4)
+    0.0981
+    """
+    check_precision("sweep", model)
+    problems = Problems()
+    given = named(over, "sweep.over", "path: [values]", problems)
+    samples = None if samples is None else whole(samples, "sweep.samples", problems)
+    chunk = None if chunk is None else whole(chunk, "sweep.chunk", problems, code="BAD_CHUNK")
+    check_key(key, "sweep.key", problems)
+    columns = {path: problems.gather(lambda path=path: float_array(given[path], f"sweep['{path}']")) for path in given}
+    columns = {path: values for path, values in columns.items() if values is not None}
+    empty = not columns or any(values.ndim < 1 or not len(values) for values in columns.values())
+    if empty and not problems.found:
+        problems.add("EMPTY_SWEEP", "sweep.over", "has no values", value=over, limit="values for each path", hint="Give {path: [values]}.")
+    for path, values in columns.items():
+        if not np.isfinite(values).all():
+            problems.add("NON_FINITE", f"sweep['{path}']", f"is {values[~np.isfinite(values)][0]}", value=values, limit="finite")
+    if sampler not in SAMPLERS:
+        problems.add("BAD_SAMPLER", "sweep.sampler", f"is {sampler!r}", value=sampler, limit=" ".join(SAMPLERS))
+    problems.raise_if_any()
+    if samples is not None:
+        columns = _sampled(columns, samples, sampler, jax.random.key(0) if key is None else key)
+        points = columns
+    else:
+        shape = tuple(len(values) for values in columns.values())
+        index = np.indices(shape).reshape(len(shape), -1)
+        points = {path: values[i] for (path, values), i in zip(columns.items(), index, strict=True)}
+    for ends in (np.argmin, np.argmax):  # what any number is checked for, the least or the largest shows
+        replace(model, {path: _end(values, ends) for path, values in points.items()})
+    with working("sweep", progress) as line:
+        found = _evaluated(model, evaluate, points, chunk, line, progress)
+    return sweep_dataset(columns, found, on_grid=samples is None)
+
+
+def _end(values: np.ndarray, which: Any) -> np.ndarray:
+    """The value that holds the least or the largest number."""
+    return values[np.unravel_index(which(values), values.shape)[0]]
+
+
+def _sampled(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> dict[str, np.ndarray]:
+    import scipy.stats.qmc as qmc  # slow to import
+
+    problems = Problems()
+    for path, values in ranges.items():
+        if len(values) != 2 or not (values[0] < values[1]).all():
+            problems.add(
+                "BAD_RANGE", f"sweep['{path}']", f"is {values.tolist()}", value=values, limit="(low, high)", hint="Samples lie between."
+            )
+    problems.raise_if_any()
+    sizes = [int(np.prod(values.shape[1:])) for values in ranges.values()]
+    seed = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+    draw = getattr(qmc, SAMPLERS[sampler])(d=sum(sizes), seed=seed)
+    unit = draw.random_base2(int(np.log2(samples))) if sampler == "sobol" and not samples & (samples - 1) else draw.random(samples)
+    parts = np.split(unit, np.cumsum(sizes)[:-1], axis=1)
+    return {
+        path: low + (high - low) * part.reshape(samples, *low.shape)
+        for (path, (low, high)), part in zip(ranges.items(), parts, strict=True)
+    }
+
+
+def _evaluated(
+    model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], chunk: int | None, line: Line, progress: bool | None
+) -> dict[str, np.ndarray]:
+    """Of all points, chunk by chunk."""
+    count = len(next(iter(points.values())))
+    program, width = _program(model, evaluate, points, min(count, chunk or LARGEST_CHUNK), chunk is None)
+    numbers = eqx.filter(model, eqx.is_array)
+    parts = []
+    for first in range(0, count, width):
+        rows = np.minimum(np.arange(first, first + width), count - 1)  # the last chunk is filled with its last point
+        found = program(numbers, {path: jnp.asarray(values[rows]) for path, values in points.items()})
+        parts.append(jax.tree.map(lambda x, first=first: np.asarray(x)[: count - first], found))
+        done = min(first + width, count)
+        line(f"{done} of {count} models")
+        if progress:
+            print(f"\rsweep {done} of {count}", end="\n" if done == count else "", file=sys.stderr, flush=True)
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _program(model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], width: int, may_shrink: bool):
+    """The compiled program for chunks of `width` models, of fewer where these would take too much memory, and that width."""
+    numbers, rest = eqx.partition(model, eqx.is_array)
+    shapes = tuple((path, values.shape[1:]) for path, values in points.items())
+    known = compiled.setdefault(evaluate, {})
+    place = jax.tree.structure(model), tuple((x.shape, x.dtype) for x in jax.tree.leaves(numbers)), shapes, width, may_shrink
+    if place not in known:
+
+        def one(numbers, values):
+            return evaluated(evaluate, replace(eqx.combine(numbers, rest), values))
+
+        def built(width):
+            given = {path: jax.ShapeDtypeStruct((width, *shape), float) for path, shape in shapes}
+            return jax.jit(jax.vmap(one, in_axes=(None, 0)), compiler_options=quick_options()).lower(numbers, given).compile()
+
+        program = built(width)
+        taken = getattr(program.memory_analysis(), "temp_size_in_bytes", 0)
+        if may_shrink and taken > MEMORY and width > 1:
+            width = max(1, int(width * MEMORY / taken))
+            program = built(width)
+        known[place] = program, width
+    return known[place]

@@ -1,0 +1,233 @@
+"""Tolerances: how far quantities of a design scatter when its parameters do, to first and second order and by sampling.
+
+x + s xi, xi normal and independent:   first order    mean f,             variance sum (f_i s_i)^2
+                                       second order   mean f + sum f_ii s_i^2/2,   variance the same + sum (f_ij s_i s_j)^2/2
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import check_key, named, positive, whole
+from jaxbody.core.arrays import concrete, float_array
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import JaxbodyError, Problems, Status
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.designs.programs import Evaluate, Quantities, evaluated, value_and_forward_slopes
+from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
+from jaxbody.models.models import Model, unknown
+from jaxbody.models.preconditions import check_precision
+
+CHUNK = 256  # samples side by side
+SHOWN = 3
+
+Scatter = dict[str, Any]
+
+
+class Tolerances(Result):
+    """By quantity, each (m,) over `quantities`: `nominal`; standard deviations to `first` order; `mean` and `deviation` to second; `sampled_mean`, `sampled_deviation`
+    and all `samples` (n, m); `shares` (m, k) of each of the `parameters` in the first variance."""
+
+    nominal: Float[Array, "m"]
+    first: Float[Array, "m"]
+    mean: Float[Array, "m"]
+    deviation: Float[Array, "m"]
+    samples: Float[Array, "n m"]
+    shares: Float[Array, "m k"]
+    status: Int[Array, ""]
+    quantities: tuple[str, ...] = eqx.field(static=True)
+    parameters: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def sampled_mean(self) -> Float[Array, "m"]:
+        return jnp.nanmean(self.samples, 0)
+
+    @property
+    def sampled_deviation(self) -> Float[Array, "m"]:
+        return jnp.nanstd(self.samples, 0, ddof=1)
+
+    def row(self, quantity: str) -> int:
+        if quantity not in self.quantities:
+            raise JaxbodyError(unknown(quantity, "tolerances", self.quantities))
+        return self.quantities.index(quantity)
+
+    def explain(self) -> str:
+        return f"{int(jnp.sum(~jnp.isfinite(self.samples).all(-1)))} of {len(self.samples)} samples have no numbers"
+
+    def _tables(self) -> list[tables.Table]:
+        columns = (self.nominal, self.first, self.mean, self.deviation, self.sampled_mean, self.sampled_deviation)
+        most = [np.argsort(-np.asarray(share))[:SHOWN] for share in self.shares]
+        told = [
+            ", ".join(f"{self.parameters[i]} {100 * float(share[i]):.0f} %" for i in order if share[i] > 0.005)
+            for order, share in zip(most, self.shares, strict=True)
+        ]
+        rows = [(name, *numbers, words) for name, *numbers, words in zip(self.quantities, *columns, told, strict=True)]
+        heads = (
+            "quantity",
+            "nominal",
+            "sigma, first order",
+            "mean, second",
+            "sigma, second",
+            "mean, sampled",
+            "sigma, sampled",
+            "most of it from",
+        )
+        return [tables.Table("Tolerances", heads, rows, f"{len(self.samples)} samples; {self.report()}")]
+
+
+def tolerances(
+    model: Model, evaluate: Evaluate, scatter: Scatter, *, samples: int = 1000, key: Any = None, progress: bool | None = None
+) -> Tolerances:
+    """The spread of quantities when parameters scatter.
+
+    evaluate: as of `tune`. scatter: {path or pattern: standard deviation, in the parameter's unit, one number or one for each of the leaf's}, each number of each parameter by itself, normal. samples:
+    of the Monte Carlo method, drawn with `key`. progress: a line after five seconds on a terminal or in a notebook; False is silent. Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER, WRONG_KIND of a key; warns NONFINITE where samples have no numbers.
+
+    >>> def sag(model):
+    ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
+    >>> found = tolerances(jb.presets.quarter_car(), sag, {"suspension.stiffness": 1750.0})  # 5 %
+    >>> round(float(found.first[0] / found.nominal[0]), 4), round(float(found.mean[0] / found.nominal[0]), 4)
+    (0.05, 1.0025)
+    """
+    check_precision("tolerances", model)
+    problems = Problems()
+    samples = whole(samples, "tolerances.samples", problems, least=2, code="BAD_SCATTER")
+    check_key(key, "tolerances.key", problems)
+    leaves, deviations = problems.gather(lambda: scattering(model, scatter, "tolerances.scatter")) or ((), ())
+    problems.raise_if_any()
+    key = jax.random.key(0) if key is None else key
+    with working("tolerances", progress) as line:
+        line(f"derivatives and {samples} samples, as one program")
+        found, labels = jax.block_until_ready(_tolerances(model, evaluate, leaves, deviations, samples, key))
+    parameters = [
+        leaf.path + (str(list(i)).replace(" ", "") if s.ndim else "")
+        for leaf, s in zip(leaves, deviations, strict=True)
+        for i in np.ndindex(s.shape)
+    ]
+    result = Tolerances(*found, quantities=labels, parameters=tuple(parameters))
+    warn_if_failed(result)
+    return result
+
+
+def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Evaluate:
+    """Quantities for a design that is to be good when made: `tune` it with evaluate = robust(evaluate, scatter).
+
+        "name high", "name low" = mean + k sigma, mean - k sigma, both to second order, k = `sigmas`;   "name" as it was
+
+    scatter: as of `tolerances`. Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER, when it is evaluated.
+
+    >>> def sag(model):
+    ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
+    >>> found = robust(sag, {"suspension.stiffness": 1750.0})(jb.presets.quarter_car())
+    >>> [round(float(found[name]), 4) for name in ("sag", "sag high", "sag low")]
+    [0.1051, 0.1212, 0.0896]
+    """
+
+    problems = Problems()
+    positive(sigmas, "robust.sigmas", problems)
+    problems.raise_if_any()
+
+    def with_scatter(model: Model) -> Quantities:
+        leaves, deviations = scattering(model, scatter, "robust.scatter")
+        moved = Moved(model, evaluate, leaves, deviations)
+        f, J, H = _expanded(moved.flat, moved.size)
+        mean, deviation = _moments(f, J, H)
+        told = dict(moved.parts(f))
+        high, low = moved.parts(mean + sigmas * deviation), moved.parts(mean - sigmas * deviation)
+        return told | {f"{name} high": x for name, x in high.items()} | {f"{name} low": x for name, x in low.items()}
+
+    return with_scatter
+
+
+def scattering(model: Model, scatter: Scatter, where: str) -> tuple[tuple[Leaf, ...], tuple[Array, ...]]:
+    """The leaves that scatter and their standard deviations."""
+    problems, leaves, deviations = Problems(), [], []
+    scatter = named(scatter, where, "path: standard deviation", problems)
+    problems.raise_if_any()
+    arrays = jax.tree.leaves(model)
+    for pattern, found in matching(leaves_of(model), scatter, where).items():
+        given = problems.gather(lambda pattern=pattern: float_array(scatter[pattern], f"{where}[{pattern!r}]"))
+        if given is None:
+            continue
+        for leaf in found:
+            shape = leaf.shape(arrays)
+            known = concrete(given)
+            if given.shape not in ((), shape) or (known is not None and not ((known >= 0).all() and np.isfinite(known).all())):
+                limit, hint = f"one number >= 0, or of shape {shape}", "Give standard deviations."
+                problems.add("BAD_SCATTER", f"{where}['{leaf.path}']", f"is {scatter[pattern]!r:.60}", value=given, limit=limit, hint=hint)
+                continue
+            if leaf in leaves:
+                problems.add("LISTED_TWICE", where, f"names {leaf.path} twice", value=pattern)
+            leaves.append(leaf)
+            deviations.append(jnp.broadcast_to(jnp.asarray(given), shape))
+    if not leaves and not problems.found:
+        problems.add("BAD_SCATTER", where, "is empty", limit="at least one path", hint="Say what scatters.")
+    problems.raise_if_any()
+    return tuple(leaves), tuple(deviations)
+
+
+class Moved:
+    """All quantities as one vector of xi."""
+
+    def __init__(self, model: Model, evaluate: Evaluate, leaves: tuple[Leaf, ...], deviations: tuple[Array, ...]):
+        self.model, self.evaluate, self.leaves, self.deviations = model, evaluate, leaves, deviations
+        self.size = sum(s.size for s in deviations)
+        self.shapes: dict[str, tuple[int, ...]] = {}
+
+    def flat(self, xi: Float[Array, "k"]) -> Float[Array, "m"]:
+        arrays = jax.tree.leaves(self.model)
+        parts = jnp.split(xi, np.cumsum([s.size for s in self.deviations])[:-1])
+        values = {leaf: leaf.read(arrays) + s * x.reshape(s.shape) for leaf, s, x in zip(self.leaves, self.deviations, parts, strict=True)}
+        found = evaluated(self.evaluate, write(self.model, values))
+        self.shapes = {name: x.shape for name, x in found.items()}
+        return jnp.concatenate([x.ravel() for x in found.values()])
+
+    def parts(self, values: Float[Array, "m"]) -> Quantities:
+        ends = np.cumsum([int(np.prod(shape)) for shape in self.shapes.values()])[:-1]
+        return {name: x.reshape(shape) for (name, shape), x in zip(self.shapes.items(), jnp.split(values, ends), strict=True)}
+
+    def labels(self) -> tuple[str, ...]:
+        return tuple(
+            name + (str(list(i)).replace(" ", "") if shape else "")
+            for name, shape in self.shapes.items()
+            for i in (np.ndindex(shape) if shape else [()])
+        )
+
+
+def _expanded(flat: Any, size: int) -> tuple[Array, Array, Array]:
+    """f, its Jacobian and its second derivatives at zero."""
+
+    def first(xi):
+        f, J = value_and_forward_slopes(flat, xi)
+        return jnp.concatenate([f[:, None], J], 1).ravel()
+
+    both, slopes = value_and_forward_slopes(first, jnp.zeros(size))
+    both, slopes = both.reshape(-1, 1 + size), slopes.reshape(-1, 1 + size, size)
+    return both[:, 0], both[:, 1:], slopes[:, 1:]
+
+
+def _moments(f, J, H) -> tuple[Array, Array]:
+    """Mean and standard deviation to second order."""
+    variance = jnp.sum(J**2, 1) + jnp.sum(H**2, (1, 2)) / 2
+    some = variance > 0
+    return f + jnp.trace(H, axis1=1, axis2=2) / 2, jnp.where(some, jnp.sqrt(jnp.where(some, variance, 1.0)), 0.0)
+
+
+@jit_quickly
+def _tolerances(model: Model, evaluate: Evaluate, leaves: tuple[Leaf, ...], deviations: tuple[Array, ...], samples: int, key: Any):
+    moved = Moved(model, evaluate, leaves, deviations)
+    f, J, H = _expanded(moved.flat, moved.size)
+    mean, deviation = _moments(f, J, H)
+    drawn = jax.lax.map(moved.flat, jax.random.normal(key, (samples, moved.size)), batch_size=min(CHUNK, samples))
+    variance = jnp.sum(J**2, 1)
+    shares = J**2 / jnp.where(variance > 0, variance, 1.0)[:, None]
+    status = jnp.where(jnp.isfinite(drawn).all(), Status.OK.value, Status.NONFINITE.value)
+    return (f, jnp.sqrt(variance), mean, deviation, drawn, shares, status), moved.labels()

@@ -1,0 +1,231 @@
+"""Designs: what is free in a model tuned by gradients, one quantity the least that limits on others allow.
+
+    minimize f(x),   lower <= c(x) <= upper,   x between bounds,   f and c any JAX functions of the model
+
+One function of the model gives all quantities: they and their exact derivatives are one compiled program, for one start or for a batch of them.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+
+from jaxbody.core.arguments import check_key, named, positive, whole
+from jaxbody.core.arrays import float_array
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import warn_if_failed
+from jaxbody.designs.interior_points import check_ipopt
+from jaxbody.designs.programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of
+from jaxbody.designs.searches import MET, METHODS, Rows, Search, hand_in_hand, one_thread, scales, search_with
+from jaxbody.designs.tunings import Tuning, tuning_of
+from jaxbody.models.leaf_paths import matching
+from jaxbody.models.models import Model
+from jaxbody.models.preconditions import check_precision
+from jaxbody.parameters.design_spaces import Space, at_value, drawn, space_of
+
+MOST_NEIGHBORS = 6  # parameters of catalogues of which all combinations of neighbors are tried
+
+
+def tune(
+    model: Model,
+    evaluate: Evaluate,
+    *,
+    free: str | Iterable[str],
+    minimize: str = "objective",
+    limits: dict[str, Any] | None = None,
+    bounds: dict[str, tuple[Any, Any]] | None = None,
+    catalogues: dict[str, Iterable[float]] | None = None,
+    starts: int = 1,
+    key: Any = None,
+    method: Any = "slsqp",
+    max_iterations: int = 200,
+    tolerance: float = 1e-10,
+    reverse: bool | None = None,
+    progress: bool | None = None,
+) -> Tuning:
+    """The design of least f within limits, by exact gradients.
+
+    evaluate: model -> {name: number or array}, any JAX functions of a model, or one number, then called "objective". minimize: the name of f. limits:
+    {name: (lower, upper)}, either may be None, one number for equality; of an array for each of its numbers. free: paths or patterns, each
+    parameter by itself; "spring fl.stiffness = spring fr.stiffness" keeps what it names equal, "left.a = right.a * [1, -1, 1]" mirrored, by factors. bounds: {path or pattern: (lower, upper)}, never left. Stiffness,
+    damping and mass move by factors, orientations by turns. catalogues: {path or pattern: values that there are}: all neighbors of
+    the optimum among them are tried, the rest tuned again.
+
+    starts: how many, the model as it is and others drawn between the bounds with `key`; all are evaluated side by side. method: "slsqp" or "trust-constr", SciPy's, or "ipopt", an extra (jaxbody[ipopt])
+    (restarted while that gains; where limits are not met, the least violation is sought first), or an optax optimizer for large or stochastic
+    objectives without limits: there `evaluate` may take a key besides the model, a new one each time, and max_iterations steps are made. reverse: derivatives by reverse mode; without it,
+    forward mode for up to thirty free numbers. A trial that is not finite is a step rejected; where derivatives do not exist, at modes that
+    coincide, they are taken a little aside: smooth quantities (`objectives`) don't need that. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True tells every evaluation on stderr.
+
+    Errors: UNKNOWN_PATH, UNKNOWN_NAME, WRONG_KIND of a key, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE,
+    NONFINITE_START, NO_CASADI, TRACED, FLOAT32. Warns INFEASIBLE, with what is not met, and NOT_CONVERGED.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> def sag(model):
+    ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness, "stiffness": model["suspension"].stiffness}
+    >>> found = tune(car, sag, free=["suspension.stiffness"], minimize="stiffness", limits={"sag": (None, 0.1)})
+    >>> round(float(found.values["suspension.stiffness"]), 1), found.active
+    (36787.5, ('sag <= 0.1',))
+    """
+    check_precision("tune", model, allow_float32=None)
+    if not is_concrete(model):
+        raise JaxbodyError(Problem("TRACED", "tune.model", "is being traced", hint="Tune outside of jit, vmap and grad."))
+    problems = Problems()
+    bounds, catalogues = (
+        named(bounds, "tune.bounds", "path: (lower, upper)", problems),
+        named(catalogues, "tune.catalogues", "path: [values]", problems),
+    )
+    whole(starts, "tune.starts", problems, code="BAD_STARTS")
+    max_iterations = whole(max_iterations, "tune.max_iterations", problems)
+    positive(tolerance, "tune.tolerance", problems)
+    check_key(key, "tune.key", problems)
+    problems.raise_if_any()
+    key = jax.random.key(0) if key is None else key
+    limited = limits_of(limits or {})
+    space, low, high = space_of(model, free, bounds, "tune")
+    shelves = _shelves(space, catalogues, low, high)
+    _check_options(method, limited, shelves)
+    U = drawn(space, low, high, starts, key, "tune.bounds")
+    stochastic = not isinstance(method, str) and len(inspect.signature(evaluate).parameters) > 1
+    program = Program(space, evaluate, minimize, limited, width=starts, reverse=reverse, key=key if stochastic else None, progress=progress)
+    with one_thread(), working("tune", progress) as program.line:
+        program.line("the first evaluation, which compiles")
+        check_start(program, U)
+        searches = [Search(u, low, high) for u in U]
+        if isinstance(method, str):
+            hand_in_hand(program, searches, search_with(method, program.rows, max_iterations, tolerance))
+        else:
+            _descend_all(program, searches, method, max_iterations, key)
+        best = _best(program.rows, searches)
+        if shelves:
+            searches = _neighbors(program.space, best, shelves)
+            hand_in_hand(program, searches, search_with(method, program.rows, max_iterations, tolerance))
+            best = _best(program.rows, searches)
+    if not best.finite:
+        check_slopes(program, best)
+    result = tuning_of(program, searches, best, max_iterations)
+    warn_if_failed(result)
+    return result
+
+
+def _shelves(space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np.ndarray) -> dict[int, np.ndarray]:
+    """{group: u of the values that there are}, and bounds drawn in to them."""
+    problems, shelves = Problems(), {}
+    owner = {leaf: i for i, group in enumerate(space.groups) for leaf in group.leaves}
+    for pattern, leaves in matching(list(owner), catalogues, "tune.catalogues").items():
+        values = problems.gather(lambda path=pattern: _values(catalogues[path], f"tune.catalogues['{path}']"))
+        if values is None:
+            continue
+        for i in dict.fromkeys(owner[leaf] for leaf in leaves):
+            group, at = space.groups[i], space.ends[i]
+            where = f"tune.catalogues['{group.path}']"
+            if group.form.start.ndim or values.ndim != 1 or not values.size or not np.isfinite(values).all() or (values <= 0).any():
+                problems.add("BAD_CATALOGUE", where, f"is {values.tolist()}", value=values, limit="positive numbers, for one number")
+                continue
+            shelf = np.array([at_value(space, i, x)[0] for x in values])
+            inside = (shelf >= low[at] - 1e-12) & (shelf <= high[at] + 1e-12)
+            if not inside.any():
+                problems.add("BAD_CATALOGUE", where, "has no value within the bounds", value=values, hint="Widen the bounds.")
+                continue
+            shelves[i] = shelf[inside]
+            low[at], high[at] = min(shelf[inside].min(), 0.0), max(shelf[inside].max(), 0.0)
+    problems.raise_if_any()
+    return shelves
+
+
+def _values(given: Any, where: str) -> np.ndarray:
+    """What there is, sorted."""
+    values = float_array(list(given) if isinstance(given, Iterable) else given, where)
+    return np.sort(values) if values.ndim == 1 else values  # pyright: ignore
+
+
+def _check_options(method: Any, limits: dict[str, Any], shelves: dict[int, Any]) -> None:
+    problems = Problems()
+    if isinstance(method, optax.GradientTransformation):
+        if limits or shelves:
+            problems.add("BAD_METHOD", "tune.method", "is of optax and keeps no limits", value=method, limit=" ".join(METHODS))
+    elif method not in METHODS:
+        problems.add("BAD_METHOD", "tune.method", f"is {method!r:.60}", value=method, limit=" ".join(METHODS) + " or an optax optimizer")
+    elif method == "ipopt":
+        check_ipopt("tune.method")
+    problems.raise_if_any()
+
+
+def _neighbors(space: Space, best: Search, shelves: dict[int, np.ndarray]) -> list[Search]:
+    """Starts at all combinations of neighbors in the catalogues; beyond a few parameters the nearer neighbor of the clearest is taken at once."""
+    places = [space.ends[i].start for i in shelves]
+    pairs = [_beside(shelf, best.u[at]) for at, shelf in zip(places, shelves.values(), strict=True)]
+    clear = [abs(np.diff(np.abs(pair - best.u[at])).sum()) if len(pair) > 1 else np.inf for at, pair in zip(places, pairs, strict=True)]
+    tried = np.argsort(clear)[:MOST_NEIGHBORS]
+    choices = [pair if i in tried else pair[:1] for i, pair in enumerate(pairs)]
+    searches = []
+    for chosen in np.stack([x.ravel() for x in np.meshgrid(*choices, indexing="ij")], -1):
+        u, low, high = best.u.copy(), best.low.copy(), best.high.copy()
+        for x in (u, low, high):
+            x[places] = chosen
+        searches.append(Search(u, low, high))
+    return searches
+
+
+def _beside(shelf: np.ndarray, u: float) -> np.ndarray:
+    """The neighbors of u, one below and one above, the nearer first."""
+    above = int(np.searchsorted(shelf, u))
+    pair = shelf[max(above - 1, 0) : above + 1]
+    return pair[np.argsort(np.abs(pair - u), kind="stable")]
+
+
+def _descend_all(program: Program, searches: list[Search], method: optax.GradientTransformation, steps: int, key: Any) -> None:
+    """By an optax optimizer, all starts in one program; u is kept between bounds after each step."""
+    U = jnp.asarray(np.stack([search.start for search in searches]))
+    low, high = jnp.asarray(searches[0].low), jnp.asarray(searches[0].high)
+    ends, history = _descend(program.space, program.evaluate, program.minimize, method, steps, program.key is not None, U, low, high, key)
+    program.count += steps
+    values, slopes = program(np.asarray(ends))
+    for i, search in enumerate(searches):
+        search.found(np.asarray(ends[i]), values[i], slopes[i])
+        search.iterations = steps
+        search.finite = bool(np.isfinite(values[i, program.rows.objective]))
+        search.history = [(float(f), 0.0) for f in history[i]]
+        search.size = abs(float(history[i, 0])) or 1.0
+
+
+@jit_quickly
+def _descend(space: Space, evaluate: Evaluate, minimize: str, method, steps: int, stochastic: bool, U, low, high, key):
+    optimizer = optax.with_extra_args_support(method)
+
+    def one(u, key):
+        def value(u, key):
+            return evaluated(evaluate, space.place(u), *((key,) if stochastic else ()))[minimize]
+
+        def step(carry, key):
+            u, state = carry
+            f, g = jax.value_and_grad(value)(u, key)
+            g = jnp.where(jnp.isfinite(g), g, 0.0)
+            change, state = optimizer.update(g, state, u, value=f, grad=g, value_fn=lambda u: value(u, key))
+            tried = jnp.clip(u + change, low, high)
+            return (jnp.where(jnp.isfinite(tried), tried, u), state), f
+
+        (u, _), history = jax.lax.scan(step, (u, optimizer.init(u)), jax.random.split(key, steps))
+        return u, history
+
+    return jax.vmap(one)(U, jax.random.split(key, len(U)))
+
+
+def _best(rows: Rows, searches: list[Search]) -> Search:
+    """Of those within limits the lowest, else the one nearest to them."""
+
+    def rank(search: Search):
+        if not search.finite:
+            return 2, 0.0
+        violation = rows.violation(search.values, scales(rows, search.values))
+        return (0, search.values[rows.objective]) if violation <= 10 * MET else (1, violation)
+
+    return min(searches, key=rank)

@@ -1,0 +1,227 @@
+"""What a tuned design tells: its parameters and quantities before and after, what holds it back, and what more of that would buy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import Status
+from jaxbody.core.results import Result
+from jaxbody.designs.kinks import jumping, setting_in
+from jaxbody.designs.programs import Limits, Program, Quantities
+from jaxbody.designs.searches import ACTIVE, ARRIVED, MET, Multipliers, Rows, Search, multipliers, scales
+from jaxbody.models.models import Model
+from jaxbody.parameters.design_spaces import Space
+from jaxbody.parameters.transforms import Positive
+
+DUST = 1e-12  # of what it was, at a bound of zero
+FAR = 12.0  # in u, a factor of 160 000, where only a bound could hold a search
+BOUND, CHOSEN, GONE = "at its bound", "of its catalogue", "held by nothing"
+
+
+class Runs(eqx.Module):
+    """Every start: `objective`, `violation` (the largest, relative to its limit), `status`, `values` {path: (n, ...)} and `quantities` {name: (n, ...)}."""
+
+    objective: Float[np.ndarray, "n"]
+    violation: Float[np.ndarray, "n"]
+    status: Int[np.ndarray, "n"]
+    values: dict[str, Array]
+    quantities: Quantities
+
+
+class Tuning(Result):
+    """A tuned design: `model`, `values` {path: value}, quantities `before` and `after` {name: value}, `active` limits and bounds in words,
+    `multipliers` {name of a limited quantity or of a parameter at its bound: what one unit more of the limit adds to the objective}, `words` what one percent more of each buys, `history`
+    (evaluations, 2) of the objective and the violation of limits, `evaluations`, and all starts in `runs`. `places` {parameter: "at its bound", "of its catalogue" or "held by nothing"}. `status` INFEASIBLE where limits are not met, `unmet` says which,
+    and NOT_CONVERGED, with the `remedy`.
+
+    >>> import inspect
+    >>> inspect.signature(tune).return_annotation  # tune returns one
+    'Tuning'
+    """
+
+    model: Model
+    values: dict[str, Array]
+    before: Quantities
+    after: Quantities
+    multipliers: dict[str, float]
+    active: tuple[str, ...]
+    words: tuple[str, ...]
+    places: dict[str, str] = eqx.field(static=True)
+    unmet: tuple[str, ...]
+    history: Float[np.ndarray, "k 2"]
+    evaluations: int
+    runs: Runs
+    status: Int[np.ndarray, ""]
+    space: Space
+    minimize: str = eqx.field(static=True)
+    limits: Limits = eqx.field(static=True)
+    remedy: str = eqx.field(static=True)
+
+    def explain(self) -> str:
+        if int(self.status) == Status.INFEASIBLE:
+            return "nearest to all limits " + "; ".join(self.unmet)
+        if int(self.status) == Status.NOT_CONVERGED:
+            gone = [name for name, where in self.places.items() if where == GONE]
+            if gone:
+                return f"{', '.join(gone)} went farther than a factor of {np.exp(FAR):.0f} and nothing holds it; give bounds or limits"
+            return f"after {self.evaluations} evaluations; the best so far is kept; {self.remedy}"
+        return ""
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset over `start`: objective, violation, status, and every quantity and parameter."""
+        from jaxbody.core.datasets import tuning_dataset
+
+        return tuning_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        start = {group.path: group.form.start for group in self.space.groups}
+        rows = [
+            (label, *pair, self.places.get(name, ""))
+            for group in self.space.groups
+            for name, label, *pair in _each(group.path, group.label, start[group.path], self.values[group.path])
+        ]
+        quantities = [
+            (name, label, *pair, _limit(self.limits.get(name)), self.multipliers.get(label, ""))
+            for name, before in self.before.items()
+            for _, label, *pair in _each(name, name, before, self.after[name])
+        ]
+        note = "\n".join([*self.words, f"{self.evaluations} evaluations, best of {len(self.runs.status)} starts; {self.report()}"])
+        heads = ("", "before", "after", "limit", f"{self.minimize} per unit of the limit")
+        return [
+            tables.Table(f"Design of least {self.minimize}", ("parameter", "before", "after", ""), rows),
+            tables.Table("", heads, [row[1:] for row in quantities], note),
+        ]
+
+
+def _each(path: str, label: str, before: Any, after: Any) -> list[tuple[str, str, float, float]]:
+    """Of a scalar or an array, a row for each number."""
+    before, after = np.asarray(before), np.asarray(after)
+    after = np.where(np.abs(after) < DUST * np.abs(before), 0.0, after)
+    index = [""] if before.ndim == 0 else [str(list(i)).replace(" ", "") for i in np.ndindex(before.shape)]
+    return [(path + i, label + i, float(a), float(b)) for i, a, b in zip(index, before.ravel(), after.ravel(), strict=True)]
+
+
+def _limit(limit: tuple[float, float] | None) -> str:
+    if limit is None:
+        return ""
+    lower, upper = limit
+    if lower == upper:
+        return f"= {lower:.6g}"
+    return f"<= {upper:.6g}" if lower == -np.inf else f">= {lower:.6g}" if upper == np.inf else f"{lower:.6g} to {upper:.6g}"
+
+
+def _places(space: Space, search: Search) -> dict[str, str]:
+    """Parameters at a bound, chosen from a catalogue, or gone where no bound is."""
+    at = np.minimum(np.abs(search.u - search.low), np.abs(search.u - search.high)) <= ACTIVE
+    factors = np.concatenate([np.full(group.form.size, isinstance(group.form, Positive)) for group in space.groups])
+    gone = factors & (np.abs(search.u) > FAR) & np.isinf(np.where(search.u < 0, search.low, search.high))
+    words = np.select([search.low == search.high, at, gone], [CHOSEN, BOUND, GONE], "")
+    return {name: str(word) for name, word in zip(space.labels(), words, strict=True) if word}
+
+
+def _judged(search: Search, rows: Rows, space: Space) -> tuple[int, Multipliers | None]:
+    """How a search ended, by the conditions of the optimum and not by what the optimizer says."""
+    if not search.finite:
+        return Status.NONFINITE.value, None
+    found = multipliers(search, rows)
+    if rows.violation(search.values, scales(rows, search.values)) > 10 * MET:
+        return Status.INFEASIBLE.value, found
+    arrived = found.left <= ARRIVED and GONE not in _places(space, search).values()
+    return (Status.OK.value if arrived else Status.NOT_CONVERGED.value), found
+
+
+def _remedy(program: Program, best: Search, iterations: int) -> str:
+    """What to do about a search that has not arrived: more iterations only if it has used all, and where a derivative jumps, none help."""
+    rows, labels = program.rows, program.labels()
+    asked = np.r_[rows.objective, rows.limited].astype(int)
+    along = np.where(best.low < best.high, best.slopes[rows.objective], 0.0)
+    jumps = jumping(lambda U: program(np.clip(U, best.low, best.high))[1][:, asked], best.u, along)
+    if jumps.any():
+        names = ", ".join(dict.fromkeys(labels[i] for i, jump in zip(asked, jumps, strict=True) if jump))
+        stops = [f"'{name}'" for name in setting_in(_placed(program.space, jnp.asarray(best.u))[0])]
+        why = f", as a law sets in just where {', '.join(stops)} is at rest: a stop that touches" if stops else ""
+        return f"derivatives of {names} jump there, a kink{why}; it may be the optimum: bounds that keep to one side of it show that"
+    if best.iterations >= iterations:
+        return "give more max_iterations"
+    return f"no step from there was better, after {best.iterations} of {iterations} iterations; try more starts, or another method"
+
+
+def tuning_of(program: Program, searches: list[Search], best: Search, iterations: int) -> Tuning:
+    """What searches from all starts came to, each of so many iterations at most, told of the best."""
+    rows, space, quantities = program.rows, program.space, program.quantities
+    U, values = (np.stack([getattr(search, name) for search in searches]) for name in ("u", "values"))
+    codes = np.array([_judged(search, rows, space)[0] for search in searches])
+    violation = rows.violation(values, scales(rows, best.values))
+    runs = Runs(values[:, rows.objective], violation, codes, _values(space, jnp.asarray(U)), quantities(values))
+    status, prices = _judged(best, rows, space)
+    told = [] if prices is None or status == Status.INFEASIBLE else _held(program, best, prices)
+    model, values_of = _placed(space, jnp.asarray(best.u))
+    remedy = _remedy(program, best, iterations) if status == Status.NOT_CONVERGED else ""
+    return Tuning(
+        model, values_of, quantities(program.origin), quantities(best.values), {held.name: held.price for held in told},
+        tuple(map(str, told)), tuple(held.worth(program.minimize, best.values[rows.objective]) for held in told), _places(space, best), _unmet(program, best.values),
+        np.array(best.history).reshape(-1, 2), program.count, runs, np.asarray(status), space, program.minimize, program.limits, remedy,
+    )  # fmt: skip
+
+
+@jit_quickly
+def _placed(space: Space, u: Float[Array, "n"]):
+    return space.place(u), space.values(u)
+
+
+@jit_quickly
+def _values(space: Space, U: Float[Array, "b n"]):
+    return jax.vmap(space.values)(U)
+
+
+@dataclass(frozen=True)
+class Held:
+    """A limit or bound that holds the optimum back: d objective/d limit is its `price`."""
+
+    name: str
+    at: float
+    price: float
+    sign: str
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.sign} {self.at:.6g}"
+
+    def worth(self, objective: str, f: float) -> str:
+        """What one percent more of the limit buys."""
+        if not self.at or not f:
+            return f"{self} : one unit more changes {objective} by {self.price:.3g}"
+        return f"{self}: 1 % more ({0.01 * self.at:.3g}) changes {objective} by {self.price * self.at / f:+.3g} %"
+
+
+def _held(program: Program, best: Search, prices: Multipliers) -> list[Held]:
+    rows, space, labels = program.rows, program.space, program.labels()
+    found = []
+    for row, lower, upper, price in zip(rows.limited, rows.lower, rows.upper, prices.limits, strict=True):
+        if price:
+            sign = "=" if lower == upper else ">=" if price > 0 else "<="
+            found.append(Held(labels[row], float(lower if price > 0 else upper), float(price), sign))
+    numbers, slopes = space.numbers(best.u)
+    for name, x, slope, price, chosen in zip(space.labels(), numbers, slopes, prices.bounds, best.low == best.high, strict=True):
+        if price and not chosen:
+            found.append(Held(name, float(x), float(price / slope), ">=" if price > 0 else "<="))
+    return found
+
+
+def _unmet(program: Program, values: np.ndarray) -> tuple[str, ...]:
+    """Limits that are not kept, and by how much."""
+    rows, labels, told = program.rows, program.labels(), []
+    for row, lower, upper, scale in zip(rows.limited, rows.lower, rows.upper, scales(rows, values), strict=True):
+        x = values[row]
+        if max(lower - x, x - upper) > 10 * MET * scale:
+            end = lower if x < lower else upper
+            told.append(f"{labels[row]} is {x:.6g}, {'below' if x < lower else 'above'} {end:.6g} by {abs(x - end):.3g}")
+    return tuple(told)

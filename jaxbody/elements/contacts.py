@@ -1,0 +1,125 @@
+"""What pushes only while it touches: the tyre on its road, and a contact between two points.
+
+With the penetration delta = -e, the elastic push P and a damper that comes in over the engagement w,
+
+    P = k r(delta),  V = int P d delta,   damping: max(c_e delta_dot, -P),  c_e = c delta/w, at least 0, at most c
+
+where r(delta) is 0 for delta < 0, delta^2/(2 w) up to w and then delta - w/2. The push P + max(c_e delta_dot, -P) is never a pull and
+has no jumps.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import scalar
+from jaxbody.core.errors import Problems
+from jaxbody.elements.elements import Element, LineElement
+from jaxbody.geometry.places import ends, unit_vector
+from jaxbody.geometry.vectors import dot, rotate
+from jaxbody.laws.laws import not_negative, positive, ramp, ramp_energy, ramp_slope
+
+
+class Touching(Element):
+    """The base of both: `stiffness` k [N/m], `damping` c [N s/m], `engagement` w [m].
+
+    >>> issubclass(Tyre, Touching) and issubclass(Contact, Touching)
+    True
+    """
+
+    stiffness: Float[Array, ""]
+    damping: Float[Array, ""]
+    engagement: Float[Array, ""]
+
+    def energy(self, e):
+        return self.stiffness * ramp_energy(-e, self.engagement)
+
+    def dissipation(self, e, e_dot):
+        """R = 1/2 c_e e_dot^2 - 1/2 q^2/c_e, q the part of the damper's pull that would exceed P."""
+        c, q = self._damper(e, e_dot)
+        return 0.5 * c * e_dot**2 - 0.5 * jnp.where(c > 0, q**2 / jnp.where(c > 0, c, 1.0), 0.0)
+
+    def damping_force(self, e, e_dot):
+        c, q = self._damper(e, e_dot)
+        return c * e_dot - q
+
+    def force(self, *frames):
+        e, e_dot = self.rates(*frames)
+        return -self._push(e) + self.damping_force(e, e_dot)
+
+    def _push(self, e):
+        return self.stiffness * ramp(-e, self.engagement)
+
+    def _damper(self, e, e_dot):
+        c = self.damping * jnp.clip(-e / self.engagement, 0.0, 1.0)
+        excess = c * e_dot - self._push(e)
+        return c, jnp.where((c > 0) & (excess > 0), excess, 0.0)
+
+
+class Tyre(Touching):
+    """A tyre, vertical: it pushes the hub a from the road b while the hub is lower than the radius, and may leave the ground.
+
+        e = n . (A - B) - radius,   n the road's normal, `axis` in the road's frame; the penetration is -e
+
+    `stiffness` [N/m], `damping` [N s/m], `radius` unloaded [m], `engagement` [m] over which both come in. The road is a support that follows
+    the profile under the wheel (jb.Road, which averages it over the footprint), or the world. Errors: NEGATIVE, NOT_POSITIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE.
+
+    >>> tyre = Tyre(("wheel", [0, 0, 0]), ("road", [0, 0, 0]), stiffness=2e5, damping=50.0, radius=0.31)
+    >>> tyre.between
+    ('wheel', 'road')
+    """
+
+    radius: Float[Array, ""]
+    axis: Float[Array, "3"]
+
+    def __init__(self, hub, road, *, stiffness, damping=0.0, radius, engagement=1e-3, axis=(0, 0, 1)):
+        problems = Problems()
+        self.between, (self.a, self.b) = ends((hub, road), "Tyre", problems, points=False)
+        self.stiffness, self.damping, self.engagement = _numbers("Tyre", stiffness, damping, engagement, problems)
+        self.radius = scalar(radius, "Tyre.radius", problems)
+        not_negative(self.radius, "Tyre.radius", "m", problems)
+        self.axis = unit_vector(axis, "Tyre.axis", problems)
+        problems.raise_if_any()
+
+    def deformation(self, hub, road):
+        return dot(rotate(road.R, self.axis), hub.point(self.a) - road.point(self.b)) - self.radius
+
+
+class Contact(Touching, LineElement):
+    """A stop between two points, or two balls: it pushes them apart while they are nearer than a distance, e = |AB| - distance.
+
+    `stiffness` [N/m], `damping` [N s/m], `distance` [m], `engagement` [m] over which both come in. Errors: NEGATIVE, NOT_POSITIVE, SELF_SPRING,
+    ZERO_LENGTH, BAD_SHAPE, NON_FINITE.
+
+    >>> stop = Contact(("arm", [0.5, 0, 0]), ("base", [0.5, 0, -0.3]), distance=0.05, stiffness=1e6, damping=100.0)
+    >>> float(stop.energy(jnp.array(0.01)))
+    0.0
+    """
+
+    def __init__(self, a, b, *, distance, stiffness, damping=0.0, engagement=1e-3):
+        problems = Problems()
+        self.between, (self.a, self.b) = ends((a, b), "Contact", problems)
+        self.stiffness, self.damping, self.engagement = _numbers("Contact", stiffness, damping, engagement, problems)
+        self.free_length = scalar(distance, "Contact.distance", problems)
+        positive(self.free_length, "Contact.distance", "m", problems, "Give how near the points may come before they touch.")
+        problems.raise_if_any()
+
+    def split(self, L):
+        d = self.free_length - L
+        return jnp.zeros_like(L), -self.stiffness * ramp(d, self.engagement), self.stiffness * ramp_slope(d, self.engagement)
+
+    def damper_tension(self, e, e_dot):
+        return self.damping_force(e, e_dot)
+
+
+def _numbers(kind: str, stiffness: Any, damping: Any, engagement: Any, problems: Problems):
+    """The three that both have."""
+    given = (("stiffness", stiffness, "N/m"), ("damping", damping, "N s/m"), ("engagement", engagement, "m"))
+    found = [scalar(value, f"{kind}.{name}", problems) for name, value, _ in given]
+    for value, (name, _, unit) in zip(found[:2], given[:2], strict=True):
+        not_negative(value, f"{kind}.{name}", unit, problems)
+    positive(found[2], f"{kind}.engagement", "m", problems, "A hundredth of the travel does little harm.")
+    return found

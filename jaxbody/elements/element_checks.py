@@ -1,0 +1,37 @@
+"""What elements and laws of users hold and return, checked when a model is built."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from jaxbody.core.arrays import float_array
+from jaxbody.core.errors import JaxbodyError, Problems
+from jaxbody.core.tracings import check_returned, is_own
+from jaxbody.elements.elements import Element
+from jaxbody.laws.laws import Law, parts
+
+
+def check_leaves(problems: Problems, elements: dict[str, Element]) -> None:
+    """What an element holds is numbers, functions or static."""
+    for name, element in elements.items():
+        for keys, leaf in jax.tree_util.tree_leaves_with_path(element):
+            if not isinstance(leaf, np.ndarray | jax.Array):
+                where = f"elements[{name!r}]{jax.tree_util.keystr(keys)}"
+                try:
+                    float_array(leaf, where)
+                except JaxbodyError as error:
+                    hint = "What is no number is a static field: mode: str = equinox.field(static=True)."
+                    problems.found += [replace(problem, hint=hint) for problem in error.problems]
+
+
+def check_laws(problems: Problems, elements: dict[str, Element]) -> None:
+    """Laws of the user's can be traced and return one number; those of one structure are traced once."""
+    checked = set()
+    for name, element in elements.items():
+        for field, law in vars(element).items():
+            if isinstance(law, Law) and any(map(is_own, parts(law))) and (structure := jax.tree.structure(law)) not in checked:
+                checked.add(structure)
+                check_returned(lambda law, x: law.force(x), law, (), f"elements[{name!r}].{field}", problems)

@@ -1,0 +1,121 @@
+"""Torsion springs at hinges and balls, and the anti-roll bar of an axle."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbody.core.arguments import warn_of_degrees
+from jaxbody.core.arrays import scalar
+from jaxbody.core.errors import Problems
+from jaxbody.elements.elements import Element, turned
+from jaxbody.geometry.orientations import IDENTITY, as_quaternion
+from jaxbody.geometry.places import ends, unit_vector
+from jaxbody.geometry.vectors import dot, rotate
+from jaxbody.laws import laws
+
+
+class LawElement(Element):
+    """The base of elements whose deformation is one number, with a law for it and one for its rate."""
+
+    spring: laws.Law | None
+    damper: laws.Law | None
+
+    def energy(self, e):
+        return laws.potential(self.spring, e)
+
+    def dissipation(self, e, e_dot):
+        return laws.potential(self.damper, e_dot)
+
+    def beyond(self, e, e_dot):
+        return laws.beyond(self.spring, e) | laws.beyond(self.damper, e_dot)
+
+    def damping_force(self, e, e_dot):
+        return laws.force(self.damper, e_dot)
+
+    def force(self, *frames):
+        e, e_dot = self.rates(*frames)
+        return laws.force(self.spring, e) + laws.force(self.damper, e_dot)
+
+
+class Torsion(LawElement):
+    """A torsion spring and damper between two bodies, as at a hinge: the turn of B against A about an axis n of A,
+
+        e = 2 atan2(n . w, 1 + tr R) - e0,   R = R_A' R_B,   w = (R32 - R23, R13 - R31, R21 - R12),   |e + e0| < pi
+
+    of any other turn the part about n (the twist). At half a turn e jumps by 2 pi, and `simulate` warns HALF_TURN. `axis` n in the axes of A; `spring` [rad -> N m] and `damper` [rad/s -> N m]: laws, numbers
+    (N m/rad, N m s/rad) or functions; `free_angle` e0 [rad], counted from where the axes of the two frames coincide; `orientation`,
+    `orientation_b`: of these axes in A and B. At a ball, take a Bushing for all three axes. The ends are names, or (name, point) where it is drawn.
+    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, those of the laws. Warns UNIT of a free angle of more than a turn.
+
+    >>> spring = Torsion("arm", "base", axis=[0, 0, 1], spring=30.0, damper=0.5)
+    >>> spring.between
+    ('arm', 'base')
+    """
+
+    jump = (
+        "HALF_TURN",
+        "is turned by 180 degrees",
+        "a torsion spring is for less than half a turn either way, where its angle jumps: turn `orientation` to the middle of its motion, or put two in series",
+    )
+    axis: Float[Array, "3"]
+    free_angle: Float[Array, ""]
+    orientation: Float[Array, "4"]
+    orientation_b: Float[Array, "4"]
+
+    def __init__(self, a, b, *, axis, spring=None, damper=None, free_angle=0.0, orientation=IDENTITY, orientation_b=IDENTITY):
+        problems = Problems()
+        self.between, (self.a, self.b) = ends((a, b), "Torsion", problems, points=False)
+        self.axis = unit_vector(axis, "Torsion.axis", problems)
+        self.spring = laws.as_law(spring, "Torsion.spring", problems)
+        self.damper = laws.as_law(damper, "Torsion.damper", problems)
+        self.free_angle = scalar(free_angle, "Torsion.free_angle", problems)
+        self.orientation = as_quaternion(orientation, "Torsion.orientation", problems)
+        self.orientation_b = as_quaternion(orientation_b, "Torsion.orientation_b", problems)
+        problems.raise_if_any()
+        warn_of_degrees(self.free_angle, "Torsion.free_angle")
+
+    def deformation(self, A, B):
+        sine, cosine = self._half(A, B)
+        return 2 * jnp.arctan2(sine, cosine) - self.free_angle
+
+    def away_from_jump(self, A, B):
+        return jnp.stack(self._half(A, B)) / 4
+
+    def _half(self, A, B):
+        """Sine and cosine of half the twist, times a number that is zero at half a turn."""
+        _, R = turned(self, A, B)
+        w = jnp.stack([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+        return dot(self.axis, w), 1 + jnp.trace(R)
+
+
+class AntiRollBar(LawElement):
+    """An anti-roll bar: it resists that two wheels travel differently against the body that carries the bar,
+
+        e = n . (P_left - P_right),   n = R_body `axis`
+
+    the points being attached where the drop links are. `spring`: a law or number, N/m at the wheels (torsional stiffness of the bar over the square
+    of its lever arm); `damper` alike; `axis`: up, in body axes. Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
+
+    >>> bar = AntiRollBar(("left wheel", [0, -0.1, 0]), ("right wheel", [0, 0.1, 0]), "car", spring=1.2e4)
+    >>> bar.between
+    ('left wheel', 'right wheel', 'car')
+    """
+
+    c: Float[Array, "3"]
+    axis: Float[Array, "3"]
+
+    def __init__(self, left, right, body, *, axis=(0, 0, 1), spring=None, damper=None):
+        problems = Problems()
+        self.between, (self.a, self.b, self.c) = ends((left, right, body), "AntiRollBar", problems, points=False)
+        self.axis = unit_vector(axis, "AntiRollBar.axis", problems)
+        self.spring = laws.as_law(spring, "AntiRollBar.spring", problems)
+        self.damper = laws.as_law(damper, "AntiRollBar.damper", problems)
+        problems.raise_if_any()
+
+    @property
+    def points(self):
+        return self.a, self.b, self.c
+
+    def deformation(self, left, right, body):
+        return dot(rotate(body.R, self.axis), left.point(self.a) - right.point(self.b))

@@ -1,0 +1,1 @@
+"""What was measured on a rig, and what a model predicts in its place."""

@@ -1,0 +1,291 @@
+"""One run of a rig: when it was sampled, how its base moved, where it started, which sensors read what."""
+
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arguments import named
+from jaxbody.core.arrays import check_times, concrete, device_array, float_array
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, warn
+from jaxbody.inputs.loads import Load, loads_by_name, loads_of
+from jaxbody.inputs.motions import Motion, as_motion
+from jaxbody.mechanics.kinematics import Motions
+from jaxbody.models.models import Model
+from jaxbody.models.states import State
+from jaxbody.records.samplings import warn_of_rails
+from jaxbody.sensors.channels import Measurement
+from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
+from jaxbody.simulations.readings import readings
+from jaxbody.simulations.simulations import Trajectory, check_run, integrate, motions_of
+from jaxbody.statics.rest_states import Rest, as_initial, beginning, rest_at
+
+MANY_MISSING = 0.2
+NEUTRAL = {
+    "gain": "gain=1.0",
+    "bias": "bias=0.0",
+    "delay": "delay=0.0",
+    "lag": "lag=1e-3",
+    "start": "start=0.0",
+}  # of a chain, to set out from
+
+
+class Integration(eqx.Module):
+    """How runs are simulated: options of `simulate`."""
+
+    rtol: Float[Array, ""] = eqx.field(default=1e-8, converter=jnp.asarray)
+    solver: diffrax.AbstractSolver | None = None
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None
+    dt0: Float[Array, ""] | None = eqx.field(default=None, converter=lambda dt: None if dt is None else jnp.asarray(dt, float))
+    max_steps: int = eqx.field(default=10_000, static=True)
+
+
+class Experiment(Measurement):
+    """What was done and what was measured.
+
+    times [s] (nt,); motion {support: motion}; loads {name: load}; initial, the state at times[0] (the reference pose at rest
+    without one), or "rest", in equilibrium on supports as they stand and move at times[0], which follows the model in a fit; leave_out [s], how much of the
+    beginning counts as missing (NaN in `measured`);
+    sensors {name: sensor}; measured {name: (nt, ...)}, NaN where a sample is missing; noise, standard deviations, one number or one for
+    each sensor (of a pose two, in meters and radians), estimated from the residuals where they are not given.
+
+    Errors, all at once: times as in `simulate`, BAD_SHAPE, NO_DATA, ALL_NAN of a channel, NON_FINITE, BAD_QUATERNION, BAD_NOISE,
+    UNKNOWN_NAME, BAD_NAME, DUPLICATE_NAME, WRONG_KIND; warns MISSING above 20 %, DEAD, SATURATED.
+
+    >>> Experiment([0.0, 0.1, 0.2], sensors={"height": Position("mass", axis=[0, 1, 0])}, measured={"height": [0, -0.049, -0.196]}).measured["height"].shape
+    (3,)
+    """
+
+    times: Float[Array, "nt"]
+    motion: dict[str, Motion]
+    loads: dict[str, Load]
+    initial: State | Rest | None
+    sensors: dict[str, Sensor]
+    measured: dict[str, Float[Array, "nt *r"]]
+    noise: dict[str, Float[Array, "*units"]] | None
+
+    def __init__(
+        self,
+        times,
+        *,
+        sensors: dict[str, Sensor],
+        measured: dict[str, Any],
+        motion: dict[str, Any] | None = None,
+        loads: dict[str, Load] | None = None,
+        initial: State | str | None = None,
+        noise: float | dict[str, Any] | None = None,
+        leave_out: float = 0.0,
+    ):
+        problems = Problems()
+        sensors = named(sensors, "Experiment.sensors", "name: jb.Position(...)", problems)
+        measured = named(measured, "Experiment.measured", "name: array", problems)
+        motion = named(motion, "Experiment.motion", "support: jb.Harmonic(...)", problems)
+        motions = {name: problems.gather(lambda m=m, name=name: as_motion(m, f"Experiment.motion['{name}']")) for name, m in motion.items()}
+        loads = loads_by_name(loads, "Experiment.loads", problems)
+        problems.raise_if_any()
+        checked = check_times(times, problems, "Experiment.times", minimum=2)
+        if not sensors:
+            problems.add("NO_DATA", "Experiment.sensors", "is empty", limit="at least one sensor")
+        for name in [n for n in (*sensors, *measured) if (n in sensors) != (n in measured)]:
+            which = "measured" if name in sensors else "sensors"
+            problems.add(
+                "UNKNOWN_NAME",
+                f"Experiment.{which}",
+                f"lacks '{name}'",
+                value=name,
+                hint="Every sensor needs its measured array, under the same name.",
+            )
+        late = _begun(leave_out, checked, problems)
+        arrays = {
+            name: _samples(name, sensor, measured[name], checked, late, problems) for name, sensor in sensors.items() if name in measured
+        }
+        known = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
+        levels = None if noise is None else noise_levels(known, noise, "Experiment.noise", problems, zero=False)
+        taken = {"initial": "is reserved"} | dict.fromkeys(motion, "is the name of a support too")
+        for kind, names in (("loads", loads), ("sensors", sensors)):
+            for name in [name for name in names if name in taken]:
+                where, hint = f"Experiment.{kind}['{name}']", "Paths need different names."
+                problems.add("DUPLICATE_NAME", where, taken[name], value=name, hint=hint)
+            taken |= dict.fromkeys(names, "is the name of a load too")
+        for name in sensors:
+            if not isinstance(name, str) or not name or set(name) & set(".*?[]"):
+                problems.add("BAD_NAME", f"Experiment.sensors[{name!r}]", "is no name", value=name, hint="None of . * ? [ ], for paths.")
+        problems.raise_if_any()
+        self.times = device_array(checked)  # pyright: ignore[reportArgumentType]
+        self.motion = motions
+        self.loads = {name: jax.tree.map(device_array, load) for name, load in loads.items()}
+        self.initial = as_initial(initial)
+        self.sensors = {name: jax.tree.map(device_array, sensor) for name, sensor in sensors.items()}
+        self.measured = {name: device_array(a) for name, a in arrays.items()}
+        self.noise = None if levels is None else {name: device_array(level) for name, level in levels.items()}
+
+    @property
+    def channels(self):
+        return self.sensors
+
+    def start(self, model: Model, motions: Motions) -> State | None:
+        """The state at times[0]; None for the reference pose."""
+        return rest_at(model, motions, self.times[0])[0] if isinstance(self.initial, Rest) else self.initial
+
+    def trajectory(self, model: Model, integration: Integration) -> Trajectory:
+        """The run, simulated."""
+        how, motions = integration, motions_of(model, self.motion)
+        return integrate(model, self.times, motions, tuple(self.loads.values()), self.start(model, motions), how.rtol, how.solver, how.stepsize_controller, diffrax.ForwardMode(), how.dt0, how.max_steps, diffrax.NoProgressMeter())  # fmt: skip
+
+    def readings(self, model, integration):
+        return readings(self.trajectory(model, integration), self.sensors)
+
+    def residual(self, name, reading):
+        return self.sensors[name].misfit(self.times, reading, self.measured[name])
+
+    def explain(self, model, integration):
+        if isinstance(self.initial, Rest):
+            try:
+                beginning(model, motions_of(model, self.motion), self.times[0], self.initial, "initial")
+            except JaxbodyError as error:
+                return str(error)
+        return self.trajectory(model, integration).report()
+
+    def axis(self, channel):
+        return "time", self.times, "s"
+
+    def place(self, row):
+        return f"t = {float(self.times[row]):.6g} s", float(self.times[row])
+
+    def named(self):
+        """What of it has a name in paths: the initial state, the motions, the loads, the sensors."""
+        return {
+            **({} if not isinstance(self.initial, State) else {"initial": {"q": self.initial.q, "v": self.initial.v}}),
+            **self.motion,
+            **self.loads,
+            **self.sensors,
+        }
+
+    def absent(self):
+        hint = "The experiment has no initial state: give it initial=State(q, v), or the .state of an equilibrium, to have one."
+        if isinstance(self.initial, Rest):
+            hint = "The experiment begins at rest, which follows from the model: give it initial=State(q, v) to have one that is free."
+        missing = {} if isinstance(self.initial, State) else {"initial.q": hint, "initial.v": hint}
+        for name, sensor in self.sensors.items():
+            for stage in sensor.stages:
+                if getattr(sensor, stage) is None:
+                    given = NEUTRAL[stage] if stage != "start" or sensor.lag is not None else f"{NEUTRAL['lag']}, {NEUTRAL[stage]}"
+                    missing[f"{name}.{stage}"] = f"Sensor '{name}' has no {stage}: give it {given} to have one."
+        return missing
+
+    def check(self, model: Model, where: str) -> None:
+        """It fits the model."""
+        problems = Problems()
+        problems.gather(lambda: loads_of(self.loads, model.layout.bodies))
+        motions = problems.gather(lambda: motions_of(model, self.motion))
+        if not problems.found:
+            problems.gather(lambda: check_run(model, self.times, motions, self.loads, self.initial))
+        problems.gather(lambda: check_sensors(self.sensors, model, "sensors"))
+        problems.found += [found for name in self.sensors if (found := self._too_late(name)) is not None]
+        problems.found = [_under(where, problem) for problem in problems.found]
+        problems.raise_if_any()
+
+    def _too_late(self, name: str) -> Problem | None:
+        """The delay of a sensor must leave samples that were measured."""
+        sensor = self.sensors[name]
+        if sensor.delay is None or not is_concrete(sensor.delay, self.times, self.measured[name]):
+            return None
+        there = self.present(name).reshape(len(self.times), -1).any(1)
+        if (np.asarray(sensor.weight(self.times)) * there).any():
+            return None
+        length = float(self.times[-1] - self.times[0])
+        told = f"is {float(sensor.delay):.6g} s in a record of {length:.6g} s: no measured sample is left to compare with"
+        hint = "Is it in milliseconds? Give seconds, a small part of the record."
+        return Problem("BAD_DELAY", f"sensors['{name}'].delay", told, float(sensor.delay), f"-{length:.6g} to {length:.6g} s", hint)
+
+
+def check_measurements(experiments: dict[str, Measurement], where: str) -> Problems:
+    """They are there, by name, and each is one: what is wrong, for who has more to tell. Raises WRONG_KIND where they are no dict."""
+    problems = Problems()
+    if not isinstance(experiments, dict):
+        kind = type(experiments).__name__
+        told = f"is one {kind} without a name" if isinstance(experiments, Measurement) else f"is a {kind}"
+        hint = 'Write {"run": experiment}: its name stands in paths and tables.'
+        raise JaxbodyError(Problem("WRONG_KIND", where, told, experiments, "a dict of experiments by name", hint))
+    if not experiments:
+        problems.add("NO_DATA", where, "is empty", limit="at least one Experiment")
+    for name, experiment in experiments.items():
+        if not isinstance(experiment, Measurement):
+            problems.add("WRONG_KIND", f"experiments[{name!r}]", f"is a {type(experiment).__name__}", value=experiment, limit="Experiment")
+    return problems
+
+
+def _under(where: str, problem):
+    return type(problem)(problem.code, f"{where}.{problem.where}", problem.message, problem.value, problem.limit, problem.hint)
+
+
+def _begun(leave_out: Any, times, problems: Problems):
+    """Which samples are after the beginning that is left out; None for all."""
+    lasts = None if times is None or not is_concrete(times) else float(times[-1] - times[0])
+    good = isinstance(leave_out, int | float | np.number) and not isinstance(leave_out, bool) and leave_out >= 0
+    if not good or (lasts is not None and not leave_out < lasts):
+        limit = "0 s or more" + ("" if lasts is None else f", less than the {lasts:.6g} s of the record")
+        hint = "Give the seconds after which the beginning no longer matters."
+        problems.add("BAD_NUMBER", "Experiment.leave_out", f"is {leave_out!r:.40}", value=leave_out, limit=limit, hint=hint)
+        return None
+    return None if times is None or not leave_out else times - times[0] >= leave_out * (1 - 1e-9)
+
+
+def _warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -> None:
+    """Single components may well stand still: of a plane motion, for one."""
+    still = (rows == rows[:1]).all(0)
+    warn_of_rails(rows if still.all() else rows[:, ~still], times, where, unit)
+
+
+def _samples(name: str, sensor: Sensor, value: Any, times, late, problems: Problems):
+    where = f"Experiment.measured['{name}']"
+    if not isinstance(sensor, Sensor):
+        problems.add(
+            "WRONG_KIND", f"Experiment.sensors['{name}']", f"is a {type(sensor).__name__}", value=sensor, limit="a sensor such as Position"
+        )
+        return None
+    try:
+        array = float_array(value, where)
+    except JaxbodyError as error:
+        problems.found += error.problems
+        return None
+    if times is None:
+        return array
+    shape = (len(times), *sensor.shape)
+    if array.size == 0:
+        problems.add("NO_DATA", where, "is empty", value=array.shape, limit=str(shape))
+    elif array.shape != shape:
+        hint = (
+            "It looks transposed: give measured.T."
+            if array.T.shape == shape
+            else f"One row per time; a {type(sensor).__name__} has {sensor.shape or 'one number'}."
+        )
+        problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=str(shape), hint=hint)
+    elif isinstance(array, np.ndarray):
+        missing = np.isnan(array).reshape(len(times), -1)
+        if np.isinf(array).any():
+            problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN where a sample is missing")
+        if (wrong := sensor.misread(array, where)) is not None:
+            problems.found.append(wrong)
+        kept = missing | ~late[:, None] if isinstance(late, np.ndarray) else missing
+        for channel in np.flatnonzero(kept.all(0)):
+            problems.add(
+                "ALL_NAN",
+                where,
+                "has no sample at all" + (f" in component {channel}" if sensor.shape else ""),
+                value=int(channel),
+                hint="Leave the sensor out, or use one that reads what you have.",
+            )
+        if (known := concrete(times)) is not None:
+            _warn_of_rails(array.reshape(len(known), -1), known, where, sensor.unit)
+        share = missing.mean()
+        if MANY_MISSING < share < 1:
+            warn("MISSING", f"{where} lacks {100 * share:.0f} % of its samples")
+    if late is None or array.shape[:1] != late.shape:
+        return array
+    xp = np if isinstance(array, np.ndarray) and isinstance(late, np.ndarray) else jnp
+    return xp.where(late.reshape(-1, *(1,) * (array.ndim - 1)), array, xp.nan)

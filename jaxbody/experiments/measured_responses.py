@@ -1,0 +1,170 @@
+"""Measured frequency responses, to fit a model to: complex numbers by frequency, from named inputs to named outputs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Complex, Float
+
+from jaxbody.core.arrays import concrete, device_array
+from jaxbody.core.errors import Problems, Status
+from jaxbody.models.models import Model, unknown
+from jaxbody.responses.frequency_responses import check_frequencies, check_loss_factors, check_without_force_sensors, frequency_response
+from jaxbody.sensors.channels import Channel, Measurement
+from jaxbody.statics.equilibria import equilibrium
+from jaxbody.vibrations.linearizations import Linearization, linearize
+from jaxbody.vibrations.ports import ports_of
+
+
+class ResponseChannel(Channel):
+    """One complex response; a residual has its real and its imaginary part, each with the noise level as standard deviation."""
+
+    shape = ()
+    unit: str = eqx.field(static=True, default="")  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def residual(self, reading, measured):
+        difference = jnp.where(jnp.isnan(measured), 0.0, reading - measured)
+        return jnp.stack([difference.real, difference.imag], -1)
+
+    def missing(self, measured):
+        one = np if isinstance(measured, np.ndarray) else jnp
+        return one.stack([one.isnan(measured)] * 2, -1)
+
+    def spread(self, level):
+        level = jnp.asarray(level)
+        return level[:, None] if level.size > 1 else level
+
+
+class MeasuredResponse(Measurement):
+    """Frequency responses measured at `frequencies` [Hz] (nf,), from `inputs` to `outputs`, {name: port} as in `frequency_response`.
+
+    measured: {(output, input): complex (nf,)}, any of the pairs, NaN where a line is to be left out. noise: the standard deviation of the real and of the
+    imaginary part, one number, or {(output, input): one number or one for each frequency}; estimated from the residuals where it is not given.
+    From a coherence g2 over n averages it is |H| sqrt((1 - g2)/(2 n g2)). loss_factor: as in `frequency_response`; named in paths
+    "hammer.loss_factor.AB", or ".all".
+
+    Errors, all at once: BAD_FREQUENCY, BAD_SHAPE, NO_DATA, NON_FINITE, ALL_NAN, BAD_NOISE, UNKNOWN_NAME, WRONG_KIND.
+
+    >>> hammer = MeasuredResponse([1.0, 2.0], inputs={"f": PointForce("mass", direction="y")}, outputs={"y": PointMotion("mass", direction="y")},
+    ...                           measured={("y", "f"): [0.02 + 0j, -0.01 - 0.001j]})
+    >>> list(hammer.channels)
+    ['y/f']
+    """
+
+    frequencies: Float[Array, "nf"]
+    inputs: dict[str, Any]
+    outputs: dict[str, Any]
+    loss_factor: dict[str, Array] | None
+    measured: dict[str, Complex[Array, "nf"]]
+    noise: dict[str, Float[Array, "..."]] | None
+    pairs: tuple[tuple[str, str], ...] = eqx.field(static=True)
+
+    def __init__(self, frequencies, *, inputs, outputs, measured, noise=None, loss_factor=None):
+        problems = Problems()
+        checked = problems.gather(lambda: check_frequencies(frequencies, "MeasuredResponse.frequencies"))
+        shape = np.shape(frequencies if checked is None else checked)
+        if not measured:
+            problems.add("NO_DATA", "MeasuredResponse.measured", "is empty", limit="at least one pair (output, input)")
+        arrays, levels = {}, {}
+        for pair, value in measured.items():
+            where = f"MeasuredResponse.measured[{pair!r}]"
+            for name, known in zip(pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, pair), (outputs, inputs), strict=True):
+                if name not in known:
+                    problems.found.append(unknown(str(name), where, tuple(known)))
+            arrays[pair] = _complex(value, shape, where, problems)
+        for pair, value in (noise if isinstance(noise, dict) else {} if noise is None else dict.fromkeys(measured, noise)).items():
+            where = f"MeasuredResponse.noise[{pair!r}]"
+            known: Any = np.asarray(value, float) if concrete(value) is not None else value
+            if pair not in measured:
+                problems.add("UNKNOWN_NAME", where, "is of no measured pair", value=pair, limit=", ".join(map(str, measured)))
+            elif np.shape(known) not in ((), shape):
+                problems.add("BAD_SHAPE", where, f"has shape {np.shape(known)}", value=known, limit=f"() or {shape}")
+            elif isinstance(known, np.ndarray) and not (np.isfinite(known) & (known > 0)).all():
+                problems.add("BAD_NOISE", where, "is not positive", value=known, limit="> 0", hint="Leave noise out to have it estimated.")
+            else:
+                levels[_name(pair)] = device_array(known)
+        problems.raise_if_any()
+        self.frequencies = checked  # pyright: ignore[reportAttributeAccessIssue]
+        self.inputs, self.outputs = dict(inputs), dict(outputs)
+        self.loss_factor = None if loss_factor is None else {name: device_array(x) for name, x in _by_element(loss_factor).items()}
+        self.measured = {_name(pair): jnp.asarray(x) for pair, x in arrays.items()}
+        self.noise = levels if noise is not None else None
+        self.pairs = tuple(arrays)
+
+    @property
+    def channels(self):
+        return {_name(pair): ResponseChannel(_unit(self.outputs[pair[0]], self.inputs[pair[1]])) for pair in self.pairs}
+
+    def named(self):
+        return {**self.inputs, **self.outputs, **({} if self.loss_factor is None else {"loss_factor": self.loss_factor})}
+
+    def check(self, model, where):
+        problems = Problems()
+        for given, what in ((self.inputs, "inputs"), (self.outputs, "outputs")):
+            ports_of(model, given, what, where, problems)
+        problems.raise_if_any()
+        if self.loss_factor is not None:
+            check_loss_factors(self._loss_factors(), model, f"{where}.loss_factor")
+            check_without_force_sensors(self.loss_factor, f"{where}.loss_factor", tuple(self.outputs.values()))
+
+    def readings(self, model, integration):
+        found = frequency_response(rested(model), self.frequencies, self.inputs, self.outputs, loss_factor=self._loss_factors())
+        return {_name(pair): found[pair] for pair in self.pairs}
+
+    def explain(self, model, integration):
+        return told(model)
+
+    def axis(self, channel):
+        return "frequency", self.frequencies, "Hz"
+
+    def place(self, row):
+        return f"{float(self.frequencies[row]):.6g} Hz", float(self.frequencies[row])
+
+    def _loss_factors(self):
+        return self.loss_factor if self.loss_factor is None or "all" not in self.loss_factor else self.loss_factor["all"]
+
+
+def rested(model: Model) -> Linearization:
+    """Small motions about the equilibrium from the reference pose."""
+    return linearize(model, equilibrium(model))
+
+
+def told(model: Model) -> str:
+    """How that ends."""
+    return Status(int(rested(model).status)).name + " at the equilibrium"
+
+
+def _name(pair: tuple[str, str]) -> str:
+    return f"{pair[0]}/{pair[1]}"
+
+
+def _unit(output: Any, source: Any) -> str:
+    """Of a response, "m/N", where the ports say theirs; of a ratio none."""
+    above, below = getattr(output, "unit", ""), getattr(source, "unit", "")
+    if not above or not below or above == below:
+        return ""
+    return f"{f'({above})' if '/' in above else above}/{f'({below})' if set(below) & set('/ ') else below}"
+
+
+def _by_element(loss_factor: Any) -> dict[str, Any]:
+    return loss_factor if isinstance(loss_factor, dict) else {"all": loss_factor}
+
+
+def _complex(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -> Any:
+    if concrete(value) is None:
+        return value
+    try:
+        array = np.asarray(value, complex)
+    except (TypeError, ValueError):
+        problems.add("NOT_A_NUMBER", where, f"is {value!r:.60}", value=value, limit="complex numbers")
+        return np.zeros(shape)
+    if array.shape != shape:
+        problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=str(shape), hint="One for each frequency.")
+    elif np.isinf(array).any():
+        problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN where a line is left out")
+    elif np.isnan(array).all():
+        problems.add("ALL_NAN", where, "has no line at all", hint="Leave the pair out.")
+    return array

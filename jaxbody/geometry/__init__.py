@@ -1,0 +1,1 @@
+"""Rotations, poses and frames; points, directions and orientations as users give them."""

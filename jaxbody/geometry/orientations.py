@@ -1,0 +1,118 @@
+"""Orientations as users give them: unit quaternions, rotation matrices, Euler angles with their sequence."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import checked, concrete
+from jaxbody.core.errors import Problems
+from jaxbody.geometry import rotations
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0)
+AXES = "xyz"
+
+
+class Euler(eqx.Module):
+    """An orientation by successive turns, for any argument that takes one: R = R_1 R_2 R_3 about axes that turn with the frame, R_3 R_2 R_1 about axes that stay.
+
+    `sequence`: the axis of each turn, one to three letters; capitals ("ZYX": yaw, then pitch, then roll) for axes that turn with the frame (intrinsic), small
+    letters ("xyz") for those of the parent, which stay (extrinsic). `angles` [rad], one for each. Errors: BAD_SEQUENCE, BAD_SHAPE, NON_FINITE, DEGREES.
+
+    >>> [round(float(x), 6) for x in np.asarray(Euler("ZYX", [np.pi / 2, 0, 0]))]
+    [0.707107, 0.0, 0.0, 0.707107]
+    """
+
+    sequence: str = eqx.field(static=True)
+    angles: Float[Array, "n"]
+
+    def __init__(self, sequence: str, angles):
+        problems = Problems()
+        known = isinstance(sequence, str) and 1 <= len(sequence) <= 3 and (sequence.islower() or sequence.isupper())
+        if not known or set(sequence.lower()) - set(AXES) or any(a == b for a, b in pairwise(sequence)):
+            hint = 'Capitals turn with the frame ("ZYX": yaw, pitch, roll), small letters stay; no axis twice in a row.'
+            problems.add(
+                "BAD_SEQUENCE", "Euler.sequence", f"is {sequence!r}", value=sequence, limit="one to three of XYZ, or of xyz", hint=hint
+            )
+            problems.raise_if_any()
+        self.sequence = sequence
+        self.angles = checked(angles, ((len(sequence),),), "Euler.angles", problems, "One angle [rad] for each letter of the sequence.")
+        turned = None if self.angles is None else concrete(self.angles)
+        if turned is not None and (np.abs(turned) > 2 * np.pi).any():
+            hint = "Are these degrees? np.deg2rad makes radians of them."
+            problems.add("DEGREES", "Euler.angles", f"is {turned.tolist()} rad", value=turned, limit="2 pi", hint=hint)
+        problems.raise_if_any()
+
+    def _quaternion(self, xp):
+        q = None
+        for letter, angle in zip(self.sequence.lower(), self.angles, strict=True):
+            turn = [xp.cos(angle / 2), *(xp.sin(angle / 2) * (letter == axis) for axis in AXES)]
+            q = turn if q is None else _product(q, turn) if self.sequence.isupper() else _product(turn, q)
+        return xp.stack(q)
+
+    def __array__(self, dtype=None, copy=None):
+        return np.asarray(self._quaternion(np), dtype)
+
+    def __jax_array__(self):
+        return self._quaternion(jnp)
+
+
+def _product(p: list[Any], q: list[Any]) -> list[Any]:
+    """The quaternion product: the rotation q, then p."""
+    (a, b, c, d), (w, x, y, z) = p, q
+    return [a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y, a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w]
+
+
+def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
+    """A unit quaternion of a quaternion (length 1 within 1e-3), a rotation matrix (orthogonal within 1e-12) or Euler angles."""
+    array = checked(
+        value, ((4,), (3, 3)), where, problems, "Give a quaternion w, x, y, z, a rotation matrix or jb.Euler(sequence, angles)."
+    )
+    if array is None:
+        return np.array(IDENTITY)
+    known = concrete(array)
+    if known is None:
+        return array if array.shape == (4,) else rotations.from_matrix(array)
+    if known.shape == (4,):
+        length = np.linalg.norm(known)
+        if abs(length - 1) > 1e-3:
+            hint = "All four numbers are zero." if length == 0 else "Divide it by its length; the order is w, x, y, z."
+            problems.add("BAD_QUATERNION", where, f"has length {length:.6g}", value=known, limit="1 within 1e-3", hint=hint)
+            return np.array(IDENTITY)
+        return known / length
+    error, det = np.linalg.norm(known.T @ known - np.eye(3)), np.linalg.det(known)
+    if error > 1e-12 or det < 0:
+        problems.add(
+            "BAD_ROTATION",
+            where,
+            f"is no rotation: |R'R - I| = {error:.2g}, det R = {det:.6g}",
+            value=known,
+            limit="|R'R - I| <= 1e-12, det R = 1",
+            hint="Make its axes right-handed." if det < 0 else "If it is rounded, orthonormalize it: U V' of its SVD U S V'.",
+        )
+        return np.array(IDENTITY)
+    return _quaternion(known)
+
+
+def _quaternion(R: np.ndarray) -> np.ndarray:
+    """The unit quaternion of a rotation matrix, as the dominant eigenvector of 4 q q' - I; in NumPy, as checks run before any compiler."""
+    x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    S = R + R.T
+    K = np.block([[np.array([[np.trace(R)]]), np.array([[x, y, z]])], [np.array([[x], [y], [z]]), S - np.trace(R) * np.eye(3)]])
+    q = np.linalg.eigh(K)[1][:, -1]
+    return q if q[0] >= 0 else -q
+
+
+def matrix(q: Any) -> Any:
+    """Rotation matrix of a unit quaternion; in NumPy where it is known: a check must not wait for a compiler."""
+    q = known if (known := concrete(q)) is not None else q
+    if not isinstance(q, np.ndarray):
+        return rotations.matrix(q)
+    w, v = q[0], q[1:]
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * cross

@@ -1,0 +1,55 @@
+"""Points and directions as users give them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arguments import plain
+from jaxbody.core.arrays import checked, concrete, vector
+from jaxbody.core.errors import Problems
+
+ORDER = ("first", "second", "third")
+
+
+def unit_vector(axis, where: str, problems: Problems) -> Any:
+    """The unit vector of a direction of any length."""
+    n = checked(axis, ((3,),), where, problems)
+    if n is None:
+        return np.array([0.0, 0, 1])
+    known = concrete(n)
+    if known is None:
+        return n / jnp.linalg.norm(n)
+    if not known.any():
+        problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give a direction, such as [0, 0, 1].")
+        return n
+    return n / np.linalg.norm(known)
+
+
+def ends(given, kind: str, problems: Problems, *, points: bool = True):
+    """((name, ...), [point, ...]) of (name, point) pairs; without `points`, of names that may stand alone."""
+    names, found = [], []
+    for end, order in zip(given, ORDER, strict=False):
+        where = f"{kind}, {order} end"
+        if not points and isinstance(end, str):
+            end = (end, (0, 0, 0))
+        if not (isinstance(end, tuple | list) and len(end) == 2 and isinstance(end[0], str)):
+            problems.add(
+                "BAD_END",
+                where,
+                f"is {end!r:.60}",
+                value=end,
+                limit='("body", [x, y, z])',
+                hint="Give the name of a body, a support or `world`, and a point in its frame.",
+            )
+            end = ("?", (0, 0, 0))
+        names.append(plain(end[0]))
+        found.append(vector(end[1], f"{where} ({end[0]})", problems))
+    twice = [name for i, name in enumerate(names) if name in names[:i] and name != "?"]
+    if twice:
+        hint = "It would do nothing: name another body or support at one end."
+        told = "has both ends" if len(names) == 2 else "has two of its ends"
+        problems.add("SELF_SPRING", kind, f"{told} on '{twice[0]}'", value=twice[0], limit="different bodies or supports", hint=hint)
+    return tuple(names), found

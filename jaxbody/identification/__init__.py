@@ -1,0 +1,1 @@
+"""Fits: residuals, searches, results, several starts, multiple shooting."""

@@ -1,0 +1,51 @@
+"""Columns of a Jacobian that touch different residuals, worked out together: those of u with one color share a tangent.
+
+Parameters of different measurements move different residuals, and so do every other one of the states that segments of a record start from.
+Source: A. Curtis, M. Powell, J. Reid, On the estimation of sparse Jacobian matrices, J. Inst. Math. Appl. 13 (1974) 117.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Int
+
+from jaxbody.identification.fit_parameters import Free
+from jaxbody.sensors.channels import Measurement
+
+PRIORS = "priors"  # what stands for a measurement's name where they are told with them
+
+
+def colors_of(free: tuple[Free, ...], experiments: dict[str, Measurement]) -> Int[np.ndarray, "n"]:
+    """The color of each u: first those of the measurements' own parameters, the same numbers in each of them, then those of shared ones."""
+    used = dict.fromkeys(experiments, 0)
+    colors: dict[str, np.ndarray] = {}
+    for f in (f for f in free if f.run):
+        row = f.form.size // _parts(f, experiments)
+        i = np.arange(f.form.size)
+        colors[f.path] = used[f.run] + i % row + row * (i // row % 2)
+        used[f.run] = colors[f.path].max() + 1
+    shared = max(used.values(), default=0)
+    for f in (f for f in free if not f.run):
+        colors[f.path] = shared + np.arange(f.form.size)
+        shared += f.form.size
+    return np.concatenate([np.zeros(0, int), *(colors[f.path] for f in free)])
+
+
+def moved_rows(free: tuple[Free, ...], experiments: dict[str, Measurement], run: str, channel: str, size: int) -> Bool[Array, "{size} n"]:
+    """Which of the residuals of a channel each u may move."""
+
+    def by(f: Free) -> Array:
+        n = f.form.size
+        if run == PRIORS:
+            return jnp.full((size, n), channel == f.path)
+        rows = experiments[run].moved_rows(f.path, channel) if f.run == run else None
+        if rows is None:
+            return jnp.full((size, n), f.run in ("", run))
+        return jnp.repeat(jnp.repeat(rows, size // rows.shape[0], 0), n // rows.shape[1], 1)
+
+    return jnp.concatenate([by(f) for f in free], 1)
+
+
+def _parts(f: Free, experiments: dict[str, Measurement]) -> int:
+    experiment = experiments[f.run]
+    moved = [experiment.moved_rows(f.path, channel) for channel in experiment.channels]
+    return max(1 if rows is None else rows.shape[1] for rows in moved)

@@ -1,0 +1,280 @@
+"""From measurements to parameters: least squares with exact derivatives, by three families of methods, and what the estimates are worth.
+
+r = (reading(u) - measured)/noise,    minimize 1/2 r'r over u
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+
+from jaxbody.core.arguments import whole
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import warn_if_failed
+from jaxbody.experiments.experiments import Experiment, Integration, check_measurements
+from jaxbody.experiments.initial_transients import far_off
+from jaxbody.experiments.plausibilities import first_frequency
+from jaxbody.identification.checkpoints import resumed, save
+from jaxbody.identification.colorings import PRIORS
+from jaxbody.identification.fit_parameters import choose, limits_of, priors_of
+from jaxbody.identification.fits import Fit
+from jaxbody.identification.least_squares import AT_BOUND, Evaluations, Limits, by_optax, by_scipy
+from jaxbody.identification.residuals import Task, first_noise, noise_found, renoised, residual_and_jacobian
+from jaxbody.identification.traced_fits import solve
+from jaxbody.models.models import Model
+from jaxbody.models.preconditions import check_precision
+from jaxbody.sensors.channels import Measurement
+from jaxbody.simulations.simulations import check_steps
+from jaxbody.statics.equilibria import size_of
+from jaxbody.statistics.losses import check_loss
+from jaxbody.statistics.noises import records_of
+from jaxbody.statistics.uncertainties import assess
+
+EXACT = 100  # times the tolerance of the integration: residuals that are no noise
+SHORT = 0.25  # of the first natural period, that a record must last at least
+ROUNDS = 5  # of estimating the noise of each channel and fitting with it
+
+
+def fit(
+    model: Model,
+    experiments: dict[str, Measurement],
+    *,
+    free: Iterable[str] | str,
+    method: Any = "least_squares",
+    bounds: dict[str, tuple[Any, Any]] | None = None,
+    priors: dict[str, tuple[Any, Any]] | None = None,
+    loss: str | None = None,
+    rtol: float = 1e-8,
+    solver: diffrax.AbstractSolver | None = None,
+    stepsize_controller: diffrax.AbstractStepSizeController | None = None,
+    dt0: float | None = None,
+    max_steps: int = 10_000,
+    max_evaluations: int = 2000,
+    progress: bool | None = None,
+    resume: Fit | str | os.PathLike | None = None,
+    checkpoint: str | os.PathLike | None = None,
+    allow_float32: bool = False,
+) -> Fit:
+    """Least-squares estimates of free parameters from measured motions.
+
+    free: paths or patterns, of the model ("*.stiffness", "plate.mass", "AB.a") or of an experiment ("run1.initial.v", "run1.base.frequency");
+    "left.stiffness = right.stiffness" ties what it names to one number, "left.a = right.a * [1, -1, 1]" by factors, "run1.acc.gain = run2.acc.gain" shares one between experiments.
+    method: any optax optimizer, restarted in whitened coordinates until it has arrived; "least_squares", SciPy's trust-region
+    reflective method, which takes `bounds` {path: (lower, upper)}; or an optimistix least-squares solver, which may also run inside
+    jit and vmap and be differentiated in forward mode.
+    priors: {path: (mean, standard deviation)}, normal, of scalars and vectors; each counts as one more measurement.
+    loss: None for least squares; "soft_l1" or "cauchy" where some samples are outliers (`losses`).
+
+    Stiffness, damping and mass stay positive, orientations unit, inertia that of positive masses. What the data cannot tell is said in words
+    instead of numbers. Noise that an experiment does not state is estimated for each channel from the residuals, and the fit repeated with it. A trial that
+    cannot be simulated is a step rejected. Ctrl-C ends a fit with the best so far and status INTERRUPTED; resume= goes on from such a fit, or
+    from the file that checkpoint= names, which is written at every better trial. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True prints every evaluation.
+
+    rtol, solver, stepsize_controller, dt0: as in `simulate`. Constant steps are several times faster where many experiments run side by side or where
+    an input has kinks at samples on which the steps lie; that they are short enough is then yours to see to.
+
+    Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, BAD_DELAY, NONFINITE_START,
+    NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of `simulate`; inside jit and vmap NO_NOISE, where noise would have to be estimated. Warns by
+    status, of CORRELATED_RESIDUALS, of FAILED_TRIALS, and FAR_OFF of runs that begin far off their own first samples.
+
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
+    >>> times = jnp.linspace(0, 1, 6)
+    >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times)})
+    >>> round(float(fit(model, {"track": track}, free=["spring.stiffness"]).estimates["spring.stiffness"]), 5)  # (2 pi)^2
+    39.47842
+    """
+    check_precision("fit", model, allow_float32=allow_float32)
+    check_loss(loss, "fit.loss")
+    problems = Problems()
+    max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit"))
+    max_evaluations = whole(max_evaluations, "fit.max_evaluations", problems)
+    problems.raise_if_any()
+    _check_runs(model, experiments)
+    parameters = choose(model, experiments, _patterns(free))
+    limits = limits_of(parameters, {} if bounds is None else bounds, method)
+    search = _search(method, limits)
+    known = priors_of(parameters, {} if priors is None else priors)
+    noise, estimated = first_noise(experiments, absolute=bool(known) or loss is not None)
+    task = Task(
+        model,
+        dict(experiments),
+        parameters,
+        noise,
+        Integration(rtol, solver, stepsize_controller, dt0, max_steps),
+        known,
+        loss,
+    )
+    u = np.zeros(task.size)
+    if resume is not None:
+        u, levels = resumed(resume, task)
+        task = eqx.tree_at(lambda t: t.noise, task, levels)
+    if not is_concrete(model, experiments):
+        return _fit_traced(task, u, method, max_evaluations, estimated)
+    keep = (lambda u: None) if checkpoint is None else lambda u: save(checkpoint, task, u)
+    ended = Status.NOT_CONVERGED
+    with working("fit", progress) as line:
+        line("the first evaluation, which compiles")
+        evaluate = Evaluations(
+            partial(residual_and_jacobian, task), max_evaluations, floor=_floor(task), progress=progress, better=keep, line=line
+        )
+        try:
+            _check_start(task, *evaluate(u))
+            for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
+                u, arrived = search(evaluate, task, u)
+                ended = Status.OK if arrived else Status.NOT_CONVERGED
+                if not estimated:
+                    break
+                task, changed = renoised(task, evaluate.more(u))
+                if not changed:
+                    break
+                evaluate.renew(partial(residual_and_jacobian, task), _floor(task))
+        except KeyboardInterrupt:
+            u, ended = u if evaluate.best is None else evaluate.best, Status.INTERRUPTED
+        result = _finish(evaluate, task, u, ended, limits)
+    warn_if_failed(result)
+    if result.ok and result.uncertainty is not None and result.uncertainty.correlated:
+        warn("CORRELATED_RESIDUALS", result.uncertainty.about_noise()[0])
+    if result.ok and result.remarks:
+        warn("FAR_OFF", "; ".join(result.remarks))
+    if evaluate.failed > evaluate.count / 2:
+        warn("FAILED_TRIALS", f"{evaluate.failed} of {evaluate.count} trials of the fit could not be simulated")
+    return result
+
+
+def _patterns(free: Any) -> list[str]:
+    """One pattern, or several, as a list."""
+    if isinstance(free, str):
+        return [free]
+    if not isinstance(free, Iterable):
+        limit, hint = "paths or patterns", 'Say free=["*.stiffness", "mass.mass"], what is to be found.'
+        raise JaxbodyError(Problem("WRONG_KIND", "fit.free", f"is {free!r:.60}", free, limit, hint))
+    return list(free)
+
+
+def _floor(task: Task) -> float:
+    """The norm of a column of the Jacobian that the tolerance of the integration makes: rtol times the size of the model, in every residual."""
+    weights = [(e.measured[name].size, task.noise[run][name]) for run, e in task.experiments.items() for name in e.channels]
+    weight = np.sqrt(sum(n * np.mean(1 / np.asarray(level) ** 2) for n, level in weights))
+    return float(task.integration.rtol * size_of(task.model) * weight)
+
+
+def _search(method: Any, limits: Limits) -> Callable:
+    """A method as a function of Evaluations, the task and a start, which returns the best u and whether it has arrived."""
+    if isinstance(method, str) and method == "least_squares":
+        return lambda evaluate, task, u: by_scipy(evaluate, u, limits)
+    if isinstance(method, optimistix.AbstractLeastSquaresSolver):
+        return lambda evaluate, task, u: _by_optimistix(evaluate, task, u, method)
+    if hasattr(method, "init") and hasattr(method, "update"):
+        return lambda evaluate, task, u: by_optax(evaluate, u, method, limits)
+    allowed = 'an optax optimizer, "least_squares" or an optimistix least-squares solver'
+    raise JaxbodyError(Problem("UNKNOWN_METHOD", "fit.method", f"is {method!r:.60}", method, allowed))
+
+
+def _by_optimistix(evaluate: Evaluations, task: Task, u, method) -> tuple[np.ndarray, bool]:
+    u, status, steps = solve(task, u, method, max(evaluate.most - evaluate.count, 1))
+    evaluate.count += int(steps)
+    return np.asarray(u), int(status) == Status.OK
+
+
+def _fit_traced(task: Task, u, method, most: int, estimated: bool) -> Fit:
+    """Inside jit, vmap and derivatives, where nothing can be looked at."""
+    if not isinstance(method, optimistix.AbstractLeastSquaresSolver):
+        hint = "Use optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8) there."
+        raise JaxbodyError(Problem("TRACED", "fit.method", "works on numbers, not inside jit, vmap or grad", method, hint=hint))
+    if estimated:
+        hint = (
+            "Give every measurement its noise: how the channels weigh against each other is estimated outside of jit, vmap and grad only."
+        )
+        raise JaxbodyError(Problem("NO_NOISE", "fit.experiments", "do not state the noise of all channels", hint=hint))
+    u, status, steps = solve(task, u, method, most)
+    model, experiments = task.scatter(u)
+    r = task.residual(u)
+    return Fit(model, experiments, u, 0.5 * r @ r, status, steps, task, None, {}, {}, [], 0, [])
+
+
+def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Limits) -> Fit:
+    r, J = evaluate(u)
+    runs = evaluate.more(u)
+    G = [np.asarray(g) for g in jax.jacfwd(task.values)(jnp.asarray(u))]
+    inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
+    paths, exact = [f.path for f in task.free], EXACT * _floor(task)
+    uncertainty = assess(*task.linearized(runs, J), G, paths, task.labels, records_of(task.experiments), inside=inside, exact=exact)
+    at_bound = [
+        f"{label} ({side})"
+        for side, limit in zip(("lower", "upper"), limits, strict=True)
+        for label, near in zip(task.labels, np.abs(np.asarray(u) - limit) < AT_BOUND, strict=True)
+        if near
+    ]
+    if status == Status.OK:
+        conditions = ((uncertainty.still, Status.NEVER_MOVED), (uncertainty.rank < task.size, Status.NOT_IDENTIFIABLE), (at_bound, Status.AT_BOUND))  # fmt: skip
+        status = next((found for true, found in conditions if true), Status.OK)
+    remarks = () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
+    model, experiments = task.scatter(jnp.asarray(u))
+    predicted = {run: runs[run][0] for run in task.experiments}
+    if np.linalg.norm(r) > exact:
+        remarks += tuple(far_off(model, experiments, predicted, task.noise, task.integration))
+    return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds), remarks)  # fmt: skip
+
+
+def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, ...]:
+    """Records too short for anything else, or what else may help a search that has not arrived."""
+    runs = {name: run for name, run in task.experiments.items() if isinstance(run, Experiment)}
+    period = 1 / first_frequency(task.model) if runs else np.nan
+    lasts = {name: float(np.ptp(run.times)) for name, run in runs.items()}
+    short = [f"'{name}' lasts {time:.3g} s" for name, time in lasts.items() if time < SHORT * period]
+    if short:
+        return (
+            f"{', '.join(short)}, a small part of the first natural period of {period:.3g} s: record longer, or leave fewer parameters free",
+        )
+    if status != Status.NOT_CONVERGED:
+        return ()
+    return ("start nearer, or give more max_evaluations" if evaluate.spent else "start nearer, or try another method",)
+
+
+def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
+    problems = check_measurements(experiments, "fit.experiments")
+    for name in experiments:
+        taken = {"a body": model.layout.bodies, "a support": model.layout.supports, "an element": model.element_names}
+        what = next((kind for kind, names in taken.items() if name in names), None)
+        marks = "".join(mark for mark in ".*?[]" if isinstance(name, str) and mark in name)
+        told = (
+            "is no text" if not isinstance(name, str) else f"is the name of {what} of the model" if what
+            else "is reserved" if name in ("world", "gravity", PRIORS) else f"has {' '.join(marks)} in it" if marks else ""
+        )  # fmt: skip
+        if told:
+            hint = "Name the experiment otherwise: its name begins paths, none of . * ? [ ]."
+            problems.add("BAD_NAME", f"experiments[{name!r}]", told, value=name, hint=hint)
+    problems.raise_if_any()
+    for name, experiment in experiments.items():
+        problems.gather(partial(experiment.check, model, name))
+    problems.raise_if_any()
+
+
+def _check_start(task: Task, r: np.ndarray, J: np.ndarray) -> None:
+    """The residual must be finite at the start; else say where it is not."""
+    if np.isfinite(r).all():
+        return
+    runs = residual_and_jacobian(task, jnp.zeros(task.size))[2]
+    hint = "Start from parameters that can be simulated."
+    for run, (_, residuals) in runs.items():
+        experiment = task.experiments[run]
+        for name, values in residuals.items():
+            bad = np.argwhere(~np.isfinite(np.asarray(values)))
+            if len(bad):
+                place, value = experiment.place(int(bad[0][0]))
+                component = f", component {bad[0][1]}" if bad.shape[1] > 1 else ""
+                why = experiment.explain(task.model, task.integration)
+                told = f"is not finite from {place} on{component}, at the start of the fit: {why}"
+                raise JaxbodyError(Problem("NONFINITE_START", f"{run}.{name}", told, value, "finite", hint))
+    raise JaxbodyError(Problem("NONFINITE_START", "fit", "has derivatives that are not finite at the start", hint=hint))

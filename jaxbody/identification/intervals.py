@@ -1,0 +1,85 @@
+"""Confidence intervals of estimates: Student's t in the coordinate that a parameter moves in, mapped to its values, which so stay possible.
+
+    value(u - t s) to value(u + t s),    s the standard error of u, t the quantile for the degrees of freedom of s
+
+At a bound the interval has one side, by the likelihood: how far u may go from it until the cost has risen by what a standard error is worth,
+2 g d + h d^2 = t^2 h s^2, g the slope there and h the curvature with all others following.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.identification.fit_parameters import Free
+from jaxbody.parameters.transforms import Positive, Shifted
+from jaxbody.statistics.uncertainties import Uncertainty
+
+Interval = tuple[np.ndarray, np.ndarray]
+FEW = 13  # degrees of freedom, below which Student's t widens intervals of 95 % by more than a tenth
+
+
+def quantile(level: float, freedom: Any, *, sides: int = 2) -> np.ndarray:
+    """Of Student's t."""
+    from scipy.stats import t
+
+    return np.asarray(t.ppf(1 - (1 - level) / sides, freedom))
+
+
+def check_level(level: float, where: str) -> None:
+    """Error: BAD_LEVEL."""
+    if not 0 < level < 1:
+        hint = "0.95 is 95 %."
+        raise JaxbodyError(Problem("BAD_LEVEL", where, f"is {level}", level, "between 0 and 1", hint))
+
+
+def interval_of_u(u: np.ndarray, worth: Uncertainty, level: float) -> Interval:
+    """(lower, upper) of each u, unbounded where the data cannot tell."""
+    error, freedom = worth.spread(np.eye(len(u)))
+    far = quantile(level, freedom) * error
+    low, high = u - far, u + far
+    for i, (slope, curvature, error, freedom) in worth.pressed.items():
+        t = float(quantile(level, freedom, sides=1))
+        away = t**2 * error**2 * curvature / (abs(slope) + np.sqrt(slope**2 + (t * error * curvature) ** 2))
+        low[i], high[i] = (u[i], u[i] + away) if slope > 0 else (u[i] - away, u[i])
+    return low, high
+
+
+def intervals_of(free: tuple[Free, ...], u: np.ndarray, slopes: list[np.ndarray], worth: Uncertainty, level: float) -> dict[str, Interval]:
+    """{path: (lower, upper)}, arrays like the leaf; of a matrix or a direction by its elements' standard errors, which are all it has."""
+    low, high = interval_of_u(u, worth, level)
+    found, first = {}, 0
+    for f, G in zip(free, slopes, strict=True):
+        form, mine = f.form, slice(first, first + f.form.size)
+        first = mine.stop
+        if isinstance(form, Positive | Shifted):
+            with np.errstate(over="ignore"):
+                found[f.path] = tuple(np.asarray(form.value(end[mine])) for end in (low, high))
+            continue
+        error, freedom = worth.spread(G.reshape(-1, len(u)))
+        value, far = np.asarray(form.value(u[mine])), (quantile(level, freedom) * error).reshape(G.shape[:-1])
+        found[f.path] = (value - far, value + far)
+    return found
+
+
+def freedoms_of(free: tuple[Free, ...], slopes: list[np.ndarray], worth: Uncertainty) -> dict[str, np.ndarray]:
+    """{path: degrees of freedom}, arrays like the leaf, of the t in these intervals."""
+    freedoms, first = {}, 0
+    for f, G in zip(free, slopes, strict=True):
+        _, freedom = worth.spread(G.reshape(-1, G.shape[-1]))
+        if isinstance(f.form, Positive | Shifted):
+            freedom = np.array([worth.pressed[first + i][3] if first + i in worth.pressed else x for i, x in enumerate(freedom)])
+        freedoms[f.path] = freedom.reshape(G.shape[:-1])
+        first += f.form.size
+    return freedoms
+
+
+def widening(freedom: Any, level: float) -> str:
+    """What Student's t makes of intervals with few degrees of freedom, in words; nothing where these are many."""
+    least = np.min(freedom, initial=np.inf)
+    if not least < FEW:
+        return ""
+    times, what = quantile(level, least) / quantile(level, np.inf), "degree" if f"{least:.3g}" == "1" else "degrees"
+    return f"intervals are of Student's t: {least:.3g} {what} of freedom, which widen them {times:.2g} times, as the noise is known from few independent numbers"

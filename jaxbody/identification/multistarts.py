@@ -1,0 +1,166 @@
+"""Fits from many starts side by side, and the optima that they end in."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Iterable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import positive, whole
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import Problems, Status, warn, warn_of
+from jaxbody.core.progress_lines import working
+from jaxbody.core.results import Result
+from jaxbody.identification.fit_parameters import limits_of
+from jaxbody.identification.fits import Fit
+from jaxbody.identification.fitters import fit
+from jaxbody.identification.residuals import Task
+from jaxbody.identification.traced_fits import solve
+from jaxbody.models.models import Model
+from jaxbody.sensors.channels import Measurement
+
+TOGETHER = 1e-3  # distance in u, and of costs relative to 1 + cost, of what counts as one optimum
+CLOSE = 2.0  # difference of costs (logarithms of likelihood) up to which another optimum explains the data too
+AT_ONCE = 16  # starts in one program
+
+
+class Multistart(Result):
+    """The optima found, ascending in `cost` (n,): `estimates` {path: (n, ...)}, `found` how many starts ended in each; of `starts` in all
+    `lost` ended in none. `best`, the fit of the lowest.
+
+    >>> import inspect
+    >>> inspect.signature(multistart).return_annotation  # multistart returns one
+    'Multistart'
+    """
+
+    best: Fit
+    cost: Float[np.ndarray, "n"]
+    found: Int[np.ndarray, "n"]
+    estimates: dict[str, Array]
+    starts: int
+    lost: int
+    status: Int[Array, ""]
+
+    def explain(self) -> str:
+        return self.best.explain()
+
+    def _tables(self) -> list[tables.Table]:
+        paths = {path: np.asarray(x).reshape(len(self.cost), -1) for path, x in self.estimates.items()}
+        scalars = [path for path, x in paths.items() if x.shape[1] == 1]
+        rows = [(str(i + 1), cost, str(count), *(float(paths[path][i, 0]) for path in scalars)) for i, (cost, count) in enumerate(zip(self.cost, self.found, strict=True))]  # fmt: skip
+        note = f"{self.starts} starts, {self.lost} of them ended in no optimum; {self.report()}"
+        return [tables.Table("Optima", ("", "cost", "starts", *scalars), rows, note)]
+
+
+def multistart(
+    model: Model,
+    experiments: dict[str, Measurement],
+    *,
+    free: Iterable[str] | str,
+    starts: int = 32,
+    spread: float = 0.5,
+    seed: int = 0,
+    bounds: dict[str, tuple[Any, Any]] | None = None,
+    max_evaluations: int = 200,
+    progress: bool | None = None,
+    **options: Any,
+) -> Multistart:
+    """`fit` from the model's own values, then Levenberg-Marquardt from `starts` others side by side, with the noise that it found; then `fit` from the best.
+
+    Starts are Sobol points: between finite `bounds`, elsewhere within `spread` of the model's own values in the coordinates u that a fit moves (0.5: a
+    factor of 1.65 to both sides for what is positive). Only the fits at both ends keep the bounds. options: those of `fit`. Every AT_ONCE
+    starts are one program: Ctrl-C between them keeps what there is. progress: as of `fit`.
+
+    Errors: those of `fit`, BAD_NUMBER. Warns SEVERAL_OPTIMA where another optimum is within two units of the logarithm of likelihood.
+
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
+    >>> times = jnp.linspace(0, 1, 6)
+    >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times)}, noise=0.01)
+    >>> several = multistart(model, {"track": track}, free=["spring.stiffness"], starts=4)
+    >>> several.estimates["spring.stiffness"].round(4).tolist()
+    [39.4784]
+    """
+    problems = Problems()
+    starts = whole(starts, "multistart.starts", problems)
+    seed = whole(seed, "multistart.seed", problems, least=0)
+    positive(spread, "multistart.spread", problems)
+    problems.raise_if_any()
+    with working("multistart", progress) as line:
+        with warnings.catch_warnings(record=True) as told:  # of an optimum that may not be the best
+            warnings.simplefilter("always")
+            first = fit(model, experiments, free=free, bounds=bounds, progress=progress, **options)
+        task = first.task
+        points = _points(limits_of(task.free, bounds or {}, "least_squares"), starts, spread, seed)
+        ends, costs = [np.asarray(first.u)], [float(first.cost)]
+        lost = 0
+        try:
+            for i in range(0, starts, AT_ONCE):
+                u, status, cost = (np.asarray(x) for x in _searched(task, jnp.asarray(points[i : i + AT_ONCE]), max_evaluations))
+                good = (status == Status.OK) & np.isfinite(cost)
+                ends += list(u[good])
+                costs += list(cost[good])
+                lost += int((~good).sum())
+                line(words := f"starts {min(i + AT_ONCE, starts)} of {starts}: least cost {min(costs):.9g}")
+                if progress:
+                    print(words, flush=True)
+        except KeyboardInterrupt:
+            starts = i  # pyright: ignore[reportPossiblyUnboundVariable]
+        groups = _grouped(np.array(ends), np.array(costs))
+        lowest = groups[0][0]
+        best = first
+        if lowest == 0:
+            for each in told:
+                warn_of(each.message)  # pyright: ignore
+        else:
+            best = fit(model, experiments, free=free, bounds=bounds, progress=progress, resume=dataclasses.replace(first, u=jnp.asarray(ends[lowest])), **options)  # fmt: skip
+    cost = np.array([costs[group[0]] for group in groups])
+    if len(cost) > 1 and cost[1] - cost[0] < CLOSE:
+        warn("SEVERAL_OPTIMA", f"another optimum explains the data about as well: costs {cost[0]:.6g} and {cost[1]:.6g}")
+    values = eqx.filter_vmap(task.values)(jnp.asarray(np.array([ends[group[0]] for group in groups])))
+    estimates = dict(zip((f.path for f in task.free), values, strict=True))
+    return Multistart(best, cost, np.array([len(group) for group in groups]), estimates, starts + 1, lost, best.status)
+
+
+def _points(limits, starts: int, spread: float, seed: int) -> np.ndarray:
+    """Points of a Sobol sequence in the box of u."""
+    from scipy.stats import qmc
+
+    low, high = (np.where(np.isfinite(limit), limit, sign * spread) for limit, sign in zip(limits, (-1, 1), strict=True))
+    unit = qmc.Sobol(len(low), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(starts))))[:starts]
+    return low + (high - low) * unit
+
+
+@jit_quickly
+def _searched(task: Task, points: Float[Array, "n m"], most: int):
+    """u, status and cost of the end of each search."""
+
+    def search(start):
+        u, status, _ = solve(task, start, optimistix.LevenbergMarquardt(rtol=1e-9, atol=1e-9), most)
+        r = task.residual(u)
+        return u, status, 0.5 * r @ r
+
+    return jax.vmap(search)(points)
+
+
+def _grouped(ends: np.ndarray, costs: np.ndarray) -> list[list[int]]:
+    """Which ends are one optimum, the best first in each group, groups by cost."""
+    groups: list[list[int]] = []
+    for i in np.argsort(costs, kind="stable"):
+        for group in groups:
+            near = np.abs(ends[i] - ends[group[0]]).max() < TOGETHER
+            if near and abs(costs[i] - costs[group[0]]) < TOGETHER * (1 + costs[group[0]]):
+                group.append(int(i))
+                break
+        else:
+            groups.append([int(i)])
+    return groups

@@ -1,0 +1,209 @@
+"""What a fit makes small: residuals of all measurements over their noise, as a function of u.
+
+r(u) = (reading(u) - measured)/noise
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.experiments.experiments import Integration
+from jaxbody.identification.colorings import PRIORS, colors_of, moved_rows
+from jaxbody.identification.fit_parameters import Free
+from jaxbody.models.leaf_paths import write
+from jaxbody.models.models import Model
+from jaxbody.sensors.channels import Channel, Measurement
+from jaxbody.statistics.losses import linearized, robust_level, root
+
+PROPORTION = 0.01  # change of the estimated noise of one channel against another's that is worth another round
+
+Levels = dict[str, dict[str, Array]]  # of each measurement the noise of each channel
+Runs = dict[str, tuple[dict[str, Array], dict[str, Array]]]  # of each measurement readings and residuals, by channel
+
+
+class Task(eqx.Module):
+    """A least-squares problem: `runs(u)` and `residual(u)` over all measurements, `scatter(u)` the model and measurements with u in them."""
+
+    model: Model
+    experiments: dict[str, Measurement]
+    free: tuple[Free, ...]
+    noise: Levels
+    integration: Integration
+    priors: dict[str, tuple[Array, Array]] = eqx.field(default_factory=dict)
+    loss: str | None = eqx.field(static=True, default=None)
+
+    @property
+    def size(self) -> int:
+        return sum(f.form.size for f in self.free)
+
+    @property
+    def absolute(self) -> bool:
+        """Whether the optimum depends on how large all noise is, not on its proportions alone."""
+        return self.loss is not None or bool(self.priors)
+
+    @property
+    def labels(self) -> list[str]:
+        """What each u is called."""
+        return [f.name + label for f in self.free for label in f.form.labels()]
+
+    def values(self, u: Float[Array, "n"]) -> list[Array]:
+        """The leaf of each free parameter."""
+        ends = np.cumsum([0] + [f.form.size for f in self.free])
+        return [f.form.value(u[i:j]) for f, i, j in zip(self.free, ends[:-1], ends[1:], strict=True)]
+
+    def scatter(self, u: Float[Array, "n"]) -> tuple[Model, dict[str, Measurement]]:
+        values = list(zip(self.free, self.values(u), strict=True))
+        new = {run: {leaf: x for f, value in values for leaf, x in f.spread(value, run).items()} for run in ("", *self.experiments)}
+        return write(self.model, new[""]), {name: write(measurement, new[name]) for name, measurement in self.experiments.items()}
+
+    def differences(self, model: Model, experiment: Measurement, noise: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Readings, and residuals over noise (zero where a sample is missing), of one measurement."""
+        readings = experiment.readings(model, self.integration)
+        residuals = {
+            name: experiment.residual(name, readings[name]) / channel.spread(noise[name]) for name, channel in experiment.channels.items()
+        }
+        return readings, residuals
+
+    def runs(self, u: Float[Array, "n"]) -> Runs:
+        """`differences` of every measurement, those of equal structure side by side."""
+        model, runs = self.scatter(u)
+        found = {}
+        for names in shared_structure(runs):
+            if len(names) == 1:
+                found[names[0]] = self.differences(model, runs[names[0]], self.noise[names[0]])
+                continue
+            group, noise = (jax.tree.map(lambda *x: jnp.stack(x), *(tree[name] for name in names)) for tree in (runs, self.noise))
+            both = jax.vmap(self.differences, in_axes=(None, 0, 0))(model, group, noise)
+            found |= {name: jax.tree.map(lambda x, i=i: x[i], both) for i, name in enumerate(names)}
+        if self.priors:
+            values = dict(zip((f.path for f in self.free), self.values(u), strict=True))
+            found[PRIORS] = values, {path: (values[path] - mean) / deviation for path, (mean, deviation) in self.priors.items()}
+        return found
+
+    def residual(self, u: Float[Array, "n"]) -> Float[Array, "m"]:
+        return self.losses(self.runs(u))
+
+    def losses(self, runs: Runs) -> Float[Array, "m"]:
+        """All residuals in one row, as the loss has them: by name, as jit sorts dicts, those of priors last."""
+        parts = _rows(runs)
+        return jnp.concatenate([root(r, None if run == PRIORS else self.loss) for run, r in parts.items()])
+
+    def linearized(self, runs: Runs, J) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals and Jacobian of the least-squares problem that has the optimum of the losses and its covariance."""
+        raw = {run: np.asarray(r) for run, r in _rows(runs).items()}
+        prior = raw.pop(PRIORS, np.zeros(0))
+        r, m = np.concatenate(list(raw.values())), len(J) - len(prior)
+        there = [self.experiments[run].present(name).ravel() for run in _order(self.experiments) for name in sorted(runs[run][1])]
+        r, data = linearized(r, J[:m], np.concatenate(there), self.loss)
+        return np.concatenate([r, prior]), np.concatenate([data, J[m:]])
+
+
+def _rows(runs: Runs) -> dict[str, Array]:
+    """The residuals of each measurement in one row."""
+    return {run: jnp.concatenate([runs[run][1][name].ravel() for name in sorted(runs[run][1])]) for run in _order(runs)}
+
+
+def _order(runs: Runs | dict[str, Measurement]) -> list[str]:
+    return sorted(runs, key=lambda run: (run == PRIORS, run))
+
+
+@jit_quickly
+def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, Runs]:
+    """r, dr/du and what they come from, in one program: compiling costs more than running."""
+
+    def evaluate(u):
+        runs = task.runs(u)
+        return task.losses(runs), runs
+
+    colors = colors_of(task.free, task.experiments)
+    seeds = jnp.asarray(colors[:, None] == np.arange(colors.max(initial=-1) + 1), float)
+    r, sums, runs = jax.vmap(lambda seed: jax.jvp(evaluate, (u,), (seed,), has_aux=True), 1, (None, 1, None))(seeds)
+    blocks = [moved_rows(task.free, task.experiments, run, name, runs[run][1][name].size) for run in _order(runs) for name in sorted(runs[run][1])]  # fmt: skip
+    return r, jnp.where(jnp.concatenate(blocks), sums[:, colors], 0.0), runs
+
+
+def shared_structure(experiments: dict[str, Measurement]) -> list[list[str]]:
+    """Names of measurements of equal structure and shapes, which can run side by side."""
+    groups: dict[Any, list[str]] = {}
+    for name, experiment in experiments.items():
+        leaves, treedef = jax.tree.flatten(experiment)
+        groups.setdefault((treedef, tuple(jnp.shape(leaf) for leaf in leaves)), []).append(name)
+    return list(groups.values())
+
+
+def rms(channel: Channel, residuals: list, present: list) -> Array:
+    """Root mean square over all records of a channel, one number or one for each of its units."""
+    squares = sum(channel.pooled(jnp.asarray(r) ** 2) for r in residuals)
+    return jnp.sqrt(squares / sum(channel.pooled(jnp.asarray(there, float)) for there in present))
+
+
+def level(channel: Channel, residuals: list, present: list, loss: str | None) -> Array:
+    """The noise that residuals show: their rms, or with a robust loss what outliers do not raise."""
+    if loss is None:
+        return rms(channel, residuals, present)
+
+    def clipped(s, c):
+        capped = [jnp.minimum((jnp.asarray(r) / channel.spread(s)) ** 2, c**2) for r in residuals]
+        return rms(channel, [jnp.sqrt(x) for x in capped], present) ** 2
+
+    return robust_level(clipped, rms(channel, residuals, present))
+
+
+def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Levels, bool]:
+    """Stated noise; without it the standard deviation of each channel's record, over all runs, and True where it is still to be estimated,
+    be it that its level matters (`absolute`) or the proportions of several."""
+    channels = {name: channel for e in experiments.values() for name, channel in e.channels.items()}
+    spread = {}
+    for name, channel in channels.items():
+        runs = [e for e in experiments.values() if name in e.channels]
+        spread[name] = rms(channel, [away(e, name) for e in runs], [~channel.missing(e.measured[name]) for e in runs])
+        spread[name] = jnp.where(spread[name] > 0, spread[name], 1.0)
+    noise = {run: {name: (e.noise or {}).get(name, spread[name]) for name in e.channels} for run, e in experiments.items()}
+    stated = [name in (e.noise or {}) for e in experiments.values() for name in e.channels]
+    units = sum(np.size(level) for level in spread.values())
+    return noise, not all(stated) and (absolute or units > 1 or any(stated))
+
+
+def away(experiment: Measurement, name: str) -> Array:
+    """Residuals of what would read the mean of a record at all times."""
+    measured = experiment.measured[name]
+    return experiment.channels[name].residual(jnp.broadcast_to(jnp.nanmean(measured, axis=0), measured.shape), measured)
+
+
+def renoised(task: Task, runs: Runs) -> tuple[Task, bool]:
+    """The task with noise as the residuals have it, and whether that changed its proportions by more than PROPORTION."""
+    found: dict[str, tuple[Channel, list, list]] = {}
+    for run, experiment in task.experiments.items():
+        for name, channel in experiment.channels.items():
+            _, residuals, present = found.setdefault(name, (channel, [], []))
+            residuals.append(runs[run][1][name] * channel.spread(task.noise[run][name]))
+            present.append(experiment.present(name))
+    levels = {name: jnp.maximum(level(*parts, task.loss), 1e-12) for name, parts in found.items()}
+    new = {run: {name: (e.noise or {}).get(name, levels[name]) for name in e.channels} for run, e in task.experiments.items()}
+    places = [(run, name) for run in new for name in new[run]]
+    ratio, fitted = (
+        np.concatenate([np.ravel(of(*place) / task.noise[place[0]][place[1]]) for place in places])
+        for of in (lambda run, name: new[run][name], lambda _, name: levels[name])
+    )
+    if fitted.max() < 1e-9:  # an exact fit has no noise to weigh by
+        return task, False
+    if task.absolute:
+        ratio = np.append(ratio, 1.0)
+    return eqx.tree_at(lambda t: t.noise, task, new), bool(ratio.max() / ratio.min() > 1 + PROPORTION)
+
+
+def noise_found(task: Task, runs: Runs) -> Levels:
+    """{measurement: {channel: rms residual}}, with a robust loss what outliers do not raise."""
+
+    def of(run: str, name: str, channel: Channel):
+        residuals = runs[run][1][name] * channel.spread(task.noise[run][name])
+        return level(channel, [residuals], [task.experiments[run].present(name)], task.loss)
+
+    return {run: {name: of(run, name, channel) for name, channel in e.channels.items()} for run, e in task.experiments.items()}

@@ -1,0 +1,1 @@
+"""Uncertainty of fits: profiles, bands, validation."""

@@ -1,0 +1,113 @@
+"""Validation: what a fitted model predicts of runs that it was not fitted to, channel by channel.
+
+    NRMSE = rms(predicted - measured)/std(measured),    fit = 1 - NRMSE
+
+0 % is what the mean of the record would do, 100 % no residual at all; below 0 the mean is better.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxbody.core import tables
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import Status
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.experiments.experiments import check_measurements
+from jaxbody.identification.fits import Fit
+from jaxbody.identification.residuals import Task
+from jaxbody.sensors.channels import Measurement
+from jaxbody.statistics.autocorrelations import Whiteness, whiteness
+from jaxbody.statistics.noises import records_of
+
+WHITE = 0.01  # p-value below which residuals are told not to be white
+
+
+class Validation(Result):
+    """By component of a channel, "run.channel[0]": `nrmse`, `rms` of the residuals in their unit, `excess`, that over the noise that the fit found,
+    and `whiteness` (None of what is short or no record in time); `predicted` and `residuals` {run: {channel: array}}. `status` NONFINITE where a run
+    could not be simulated with the fitted model.
+    """
+
+    nrmse: dict[str, float]
+    rms: dict[str, float]
+    excess: dict[str, float]
+    whiteness: dict[str, Whiteness | None]
+    units: dict[str, str]
+    predicted: dict[str, dict[str, Array]]
+    residuals: dict[str, dict[str, Array]]
+    failed: dict[str, str]
+    status: np.ndarray
+
+    def explain(self) -> str:
+        return "; ".join(f"{run}: {why}" for run, why in self.failed.items())
+
+    def _tables(self) -> list[tables.Table]:
+        rows = []
+        for name, nrmse in self.nrmse.items():
+            test = self.whiteness[name]
+            white = "" if test is None else f"{test.r1:.2f}" + (" (white)" if test.p >= WHITE else "")
+            rows.append(
+                (name, f"{100 * nrmse:.3g} %", f"{100 * (1 - nrmse):.2f} %", self.rms[name], self.units[name], self.excess[name], white)
+            )
+        heads = ("channel", "NRMSE", "fit", "rms residual", "unit", "over noise of the fit", "lag-one correlation")
+        note = f"NRMSE: rms of the residual over the standard deviation of what was measured; {self.report()}"
+        return [tables.Table("Validation", heads, rows, note)]
+
+
+def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
+    """The fitted model on runs held out. What belongs to an experiment, its initial state or the bias of a sensor, is taken as it stands in the experiment.
+
+    Errors: NO_DATA, WRONG_KIND, those of the experiments with this model. Warns NONFINITE, by `status`.
+
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
+    ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
+    >>> def run(times, noise):
+    ...     x = jnp.cos(2 * jnp.pi * times) + noise * jnp.cos(300 * times**2)
+    ...     return Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": x})
+    >>> found = fit(model, {"one": run(jnp.linspace(0, 1, 21), 0.02)}, free=["spring.stiffness"])
+    >>> print(f"{100 * validate(found, {'two': run(jnp.linspace(0, 2, 41), 0.02)}).nrmse['two.x']:.1f} %")
+    2.3 %
+    """
+    check_measurements(experiments, "validate.experiments").raise_if_any()
+    for name, experiment in experiments.items():
+        experiment.check(fit.model, name)
+    noise = {run: {name: jnp.ones(np.shape(channel.spread(0.0))) for name, channel in e.channels.items()} for run, e in experiments.items()}
+    task = Task(fit.model, dict(experiments), (), noise, fit.task.integration)
+    runs = _runs(task)
+    means = {run: ({}, {name: _from_mean(e, name) for name in e.channels}) for run, e in experiments.items()}
+    r, signal = np.asarray(task.losses(runs)), np.asarray(task.losses(means))
+    known = {name: level for levels in fit.noise.values() for name, level in levels.items()}
+    nrmse, rms, excess, tests, units = {}, {}, {}, {}, {}
+    for record in records_of(task.experiments):
+        residual, name, unit = r[record.rows], *record.group.rsplit(" ", 1)
+        spread, size = np.sqrt(np.mean(signal[record.rows] ** 2)), np.sqrt(np.mean(residual**2))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            nrmse[record.name], rms[record.name] = float(size / spread), float(size)
+        level = np.ravel(known[name])[int(unit)] if name in known else np.nan
+        excess[record.name] = float(size / level)
+        tests[record.name] = whiteness(residual) if record.series and np.isfinite(residual).all() else None
+        units[record.name] = experiments[record.run].channels[name].unit.split(",")[int(unit)].strip()
+    failed = {
+        run: e.explain(fit.model, fit.task.integration)
+        for run, e in experiments.items()
+        if not all(np.isfinite(x).all() for x in runs[run][1].values())
+    }
+    status = np.asarray(Status.NONFINITE if failed else Status.OK)
+    predicted, residuals = ({run: both[k] for run, both in runs.items()} for k in (0, 1))
+    found = Validation(nrmse, rms, excess, tests, units, predicted, residuals, failed, status)
+    warn_if_failed(found)
+    return found
+
+
+@jit_quickly
+def _runs(task: Task):
+    return task.runs(jnp.zeros(0))
+
+
+def _from_mean(experiment: Measurement, name: str) -> Array:
+    """Residuals of what would read the mean of the record at all times."""
+    measured = experiment.measured[name]
+    return experiment.channels[name].residual(jnp.broadcast_to(jnp.nanmean(measured, axis=0), measured.shape), measured)

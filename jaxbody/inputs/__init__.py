@@ -1,0 +1,1 @@
+"""What acts on a model from outside, as functions of time: motions, signals, roads, loads."""

@@ -1,0 +1,201 @@
+"""Loads: forces and moments on bodies that no spring exerts, as functions of time. They belong to a run, as the motions of supports do.
+
+A load F, M at a point P of a body enters by its virtual power F . v*_P + M . w*.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arguments import check_kind, named, plain
+from jaxbody.core.arrays import checked, concrete, device_array, scalar
+from jaxbody.core.errors import Problems
+from jaxbody.geometry.frames import Frame, Wrench
+from jaxbody.geometry.places import ends, unit_vector
+from jaxbody.geometry.vectors import cross, dot, rotate
+from jaxbody.inputs.signals import Signal, as_signal
+
+STANDARD_GRAVITY = 9.80665  # m/s2
+
+
+class Load(eqx.Module):
+    """The base of all loads: a load of one's own derives from it and states `at_point`.
+
+    >>> class Thrust(Load):
+    ...     level: jax.Array
+    ...     def at_point(self, t, frame):
+    ...         return self.level * frame.R[:, 2], jnp.zeros(3)
+    >>> Thrust("rocket", jnp.zeros(3), jnp.array(10.0)).on
+    'rocket'
+    """
+
+    on: str = eqx.field(static=True, converter=plain)
+    point: Float[Array, "3"]
+
+    @abstractmethod
+    def at_point(self, t: Float[Array, ""], frame: Frame) -> Wrench:
+        """Force [N] and moment [N m] at the point, world axes."""
+
+    def signals(self) -> tuple[Signal, ...]:
+        """What of it varies with time."""
+        return ()
+
+    def dead_force(self, t: Float[Array, ""]) -> Float[Array, "3"]:
+        """The force [N] at the point, world axes, of a load that is no more than that wherever its body goes; NaN of others."""
+        return jnp.full(3, jnp.nan, t.dtype)
+
+    def wrench(self, t: Float[Array, ""], frame: Frame) -> Wrench:
+        """Force, and moment about the origin of the body, world axes."""
+        F, M = self.at_point(t, frame)
+        return F, M + cross(rotate(frame.R, self.point), F)
+
+
+class Force(Load):
+    """A force and a moment at a point of a body, constant or varying with time, in the axes of the world (dead) or of the body (following).
+
+    `on`: the body, or (body, point). `force` [N] and `moment` [N m]: three numbers each, a Signal (jb.signals) or a function of time. `axes`:
+    "world" or "body". Errors: BAD_AXES, BAD_SHAPE, NON_FINITE.
+
+    >>> pull = Force(("engine", [0, 0, 0.2]), force=[100.0, 0, 0])
+    >>> pull.on
+    'engine'
+    """
+
+    force: Signal
+    moment: Signal
+    axes: str = eqx.field(static=True, converter=plain)
+
+    def __init__(self, on, *, force=(0, 0, 0), moment=(0, 0, 0), axes: str = "world"):
+        problems = Problems()
+        self.on, self.point = _place(on, "Force", problems)
+        self.force, self.moment = (as_signal(x, f"Force.{name}", problems, (3,)) for name, x in (("force", force), ("moment", moment)))
+        if axes not in ("world", "body"):
+            problems.add("BAD_AXES", "Force.axes", f"is {axes!r}", value=axes, limit="world or body", hint="Say which axes it keeps.")
+        self.axes = axes
+        problems.raise_if_any()
+
+    def signals(self):
+        return self.force, self.moment
+
+    def dead_force(self, t):
+        return jnp.where((self.axes == "world") & ~jnp.any(self.moment(t) != 0), self.force(t), jnp.nan)
+
+    def at_point(self, t, frame):
+        F, M = self.force(t), self.moment(t)
+        return (F, M) if self.axes == "world" else (rotate(frame.R, F), rotate(frame.R, M))
+
+
+class Unbalance(Load):
+    """A rotating unbalance u = m e on a shaft of the body, its angle phi = 2 pi (f t + r t^2/2) + p:
+
+        F = u (phi'^2 (n1 cos phi + n2 sin phi) + phi'' (n1 sin phi - n2 cos phi))
+
+    n1, n2 across the shaft, `axis`, right-handed: n1 is the projection of the body's x axis (of y, where the shaft is along x). `on`: the body, or
+    (body, point of the shaft); `unbalance` u [kg m]; `frequency` f [Hz] at t = 0, `run_up` r [Hz/s], `phase` p [rad]. The rotor's mass belongs to the body;
+    what the body's own motion does to the unbalance is left out, as u is small beside m L.
+    Errors: ZERO_AXIS, BAD_SHAPE, NON_FINITE.
+
+    >>> motor = Unbalance("motor", axis=[0, 1, 0], unbalance=1e-3, frequency=50.0)
+    >>> motor.on
+    'motor'
+    """
+
+    axis: Float[Array, "3"]
+    unbalance: Float[Array, ""]
+    frequency: Float[Array, ""]
+    run_up: Float[Array, ""]
+    phase: Float[Array, ""]
+    across: int = eqx.field(static=True)
+
+    def __init__(self, on, *, axis, unbalance, frequency, run_up=0.0, phase=0.0):
+        problems = Problems()
+        self.on, self.point = _place(on, "Unbalance", problems)
+        self.axis = unit_vector(axis, "Unbalance.axis", problems)
+        known = concrete(self.axis)
+        self.across = 1 if known is not None and abs(known[0]) > 0.9 else 0
+        given = {"unbalance": unbalance, "frequency": frequency, "run_up": run_up, "phase": phase}
+        for name, value in given.items():
+            setattr(self, name, scalar(value, f"Unbalance.{name}", problems))
+        problems.raise_if_any()
+
+    def at_point(self, t, frame):
+        phi = 2 * jnp.pi * (self.frequency * t + 0.5 * self.run_up * t**2) + self.phase
+        rate, change = 2 * jnp.pi * (self.frequency + self.run_up * t), 2 * jnp.pi * self.run_up
+        reference = jnp.asarray(np.eye(3)[self.across], frame.p.dtype)
+        n1 = reference - dot(reference, self.axis) * self.axis
+        n1 = n1 / jnp.sqrt(dot(n1, n1))
+        n2 = cross(jnp.asarray(self.axis), n1)
+        c, s = jnp.cos(phi), jnp.sin(phi)
+        F = self.unbalance * (rate**2 * (c * n1 + s * n2) + change * (s * n1 - c * n2))
+        return rotate(frame.R, F), jnp.zeros_like(F)
+
+
+class EngineTorque(Load):
+    """The torque of a running engine on its block by orders of the crank's turning,
+
+        M = -n (T_0 + sum T_i cos(2 pi o_i f t + p_i))
+
+    opposite to the torque on the crank along n = `axis`, body axes. `frequency` f of the crank [Hz] (3000 rpm: 50), `mean` T_0 [N m], `orders` o_i
+    (2, 4, 6 of a four-cylinder four-stroke engine), `amplitudes` T_i [N m], `phases` p_i [rad]. Errors: ZERO_AXIS, BAD_SHAPE, NON_FINITE.
+
+    >>> torque = EngineTorque("engine", axis=[1, 0, 0], frequency=13.0, mean=20.0, orders=[2, 4], amplitudes=[60.0, 15.0])
+    >>> torque.phases.tolist()
+    [0.0, 0.0]
+    """
+
+    axis: Float[Array, "3"]
+    frequency: Float[Array, ""]
+    mean: Float[Array, ""]
+    orders: Float[Array, "n"]
+    amplitudes: Float[Array, "n"]
+    phases: Float[Array, "n"]
+
+    def __init__(self, on, *, axis, frequency, orders, amplitudes, phases=None, mean=0.0):
+        problems = Problems()
+        self.on, self.point = _place(on, "EngineTorque", problems)
+        self.axis = unit_vector(axis, "EngineTorque.axis", problems)
+        self.frequency, self.mean = (scalar(v, f"EngineTorque.{n}", problems) for n, v in (("frequency", frequency), ("mean", mean)))
+        n = np.size(orders)
+        rows = {"orders": orders, "amplitudes": amplitudes, "phases": np.zeros(n) if phases is None else phases}
+        for name, value in rows.items():
+            row = checked(value, ((n,),), f"EngineTorque.{name}", problems, "One number for each order.")
+            setattr(self, name, np.zeros(n) if row is None else row)
+        problems.raise_if_any()
+
+    def at_point(self, t, frame):
+        waves = self.amplitudes * jnp.cos(2 * jnp.pi * self.orders * self.frequency * t + self.phases)
+        M = -(self.mean + jnp.sum(waves)) * rotate(frame.R, self.axis)
+        return jnp.zeros_like(M), M
+
+
+def _place(on: Any, kind: str, problems: Problems):
+    """Body and point of a name or a (name, point)."""
+    (name,), (point,) = ends((on,), kind, problems, points=False)
+    return name, point
+
+
+def loads_of(loads: dict[str, Load] | None, bodies: tuple[str, ...], where: str = "loads") -> tuple[Load, ...]:
+    """The loads of a run, each on a body of the model."""
+    problems = Problems()
+    given = loads_by_name(loads, where, problems)
+    for name, load in given.items():
+        if load.on not in bodies:
+            words = f"is on '{load.on}', which is no body"
+            problems.add("UNKNOWN_BODY", f"{where}[{name!r}]", words, value=load.on, limit=" ".join(bodies), hint="A load acts on a body.")
+    problems.raise_if_any()
+    return tuple(jax.tree.map(device_array, load) for load in given.values())
+
+
+def loads_by_name(loads: Any, where: str, problems: Problems) -> dict[str, Load]:
+    """What of a dict are loads; what is not goes to `problems`."""
+    given = named(loads, where, "name: jb.Force(...)", problems)
+    for name, load in given.items():
+        check_kind(load, Load, f"{where}[{name!r}]", "jb.Force(...) or another Load", problems)
+    return {name: load for name, load in given.items() if isinstance(load, Load)}

@@ -1,0 +1,139 @@
+"""Roads: the imposed motions of the supports under the wheels of a vehicle that drives along a profile of heights."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import checked, concrete, device_array, float_array, shaped
+from jaxbody.core.errors import JaxbodyError, Problems
+from jaxbody.inputs.motions import Motion
+
+FEWEST = 16  # pieces of a profile to look at
+
+
+class Road(Motion):
+    """What a wheel feels of a road that it drives along: Xi = (0, 0, z_f(s), 0, 0, 0) at the station s = position + speed t, with
+
+        z_f(s) = 1/L int_{s - L/2}^{s + L/2} z ds,
+
+    the average over the contact patch of the tyre (its envelopment of short unevenness; Sayers takes L = 0.25 m), z itself where L = 0.
+
+    `heights` z [m] at increasing `distances` [m] along the road, linear between them, level beyond the first and the last; `speed` [m/s];
+    `position` [m] of the wheel ahead of the vehicle's origin, negative behind it: a rear wheel feels what the front wheel felt a wheelbase
+    earlier; `footprint` L [m], the length of the contact patch. The model stands in axes that travel with the vehicle, z up. All numbers may
+    be free; only a patch that has grown since to more than twice its length, over more than 16 pieces of the profile, feels NaN.
+
+    The profile has a kink at every point, which an adaptive step finds by many trials: for a rough road take constant steps, no longer than
+    the time from point to point. Springs and dampers feel it as it is; a joint on the support would miss the jumps of velocity at kinks.
+
+    Errors: NOT_INCREASING distances, BAD_FOOTPRINT below zero, BAD_SHAPE, NON_FINITE, COMPLEX, NOT_A_NUMBER.
+    Source: M. W. Sayers, On the calculation of international roughness index from longitudinal road profile, TRR 1501, 1995.
+
+    >>> front = Road([0.0, 10.0, 20.0], [0.0, 0.0, 0.5], speed=10.0, position=1.5)
+    >>> front(jnp.array(1.05)).tolist()
+    [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
+    """
+
+    distances: Float[Array, "n"]
+    heights: Float[Array, "n"]
+    speed: Float[Array, ""]
+    position: Float[Array, ""]
+    footprint: Float[Array, ""]
+    window: int = eqx.field(static=True)
+
+    def __init__(self, distances, heights, *, speed, position=0.0, footprint=0.0):
+        problems = Problems()
+        s = _points(distances, "Road.distances", problems)
+        z = _points(heights, "Road.heights", problems, None if s is None else len(s))
+        numbers = {
+            name: shaped(value, (), f"Road.{name}", problems)
+            for name, value in dict(speed=speed, position=position, footprint=footprint).items()
+        }
+        _check_increasing(s, problems)
+        length = concrete(numbers["footprint"])
+        if length is not None and length < 0:
+            hint = "Give the length of the contact patch, or 0 for none."
+            problems.add("BAD_FOOTPRINT", "Road.footprint", f"is {length}", value=float(length), limit=">= 0", hint=hint)
+        problems.raise_if_any()
+        self.distances, self.heights = device_array(s), device_array(z)
+        for name, number in numbers.items():
+            setattr(self, name, device_array(number))
+        self.window = _window(s, numbers["footprint"])
+
+    @classmethod
+    def kerb(cls, height, *, at, ramp, speed, position=0.0, footprint=0.0) -> Road:
+        """A level road that rises by `height` [m] (or falls, if negative) on a straight `ramp` [m] long that begins at the distance `at` [m].
+
+        >>> Road.kerb(0.1, at=5.0, ramp=0.02, speed=8.0).heights.tolist()
+        [0.0, 0.1]
+        """
+        problems = Problems()
+        start, length = shaped(at, (), "Road.kerb at", problems), shaped(ramp, (), "Road.kerb ramp", problems)
+        problems.raise_if_any()
+        return cls([start, start + length], [0.0, height], speed=speed, position=position, footprint=footprint)
+
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
+        z = self.felt(self.position + self.speed * t)
+        return jnp.zeros(6, z.dtype).at[2].set(z)
+
+    def felt(self, s: Float[Array, ""]) -> Float[Array, ""]:
+        """z_f at the station s [m] of the middle of the patch: the sum over the pieces of the profile, as far as they are in the patch, of
+        length times height in the middle. Lengths are counted from s: differences of antiderivatives would have no digits left far along a
+        long road."""
+        last, half = len(self.distances) - 1, self.footprint / 2
+        rear = jax.lax.stop_gradient(s - half)
+        behind = jnp.searchsorted(self.distances, rear, side="right", method="scan_unrolled") - 1
+        first = jnp.clip(behind, 0, last - self.window)
+        # by index: a slice that starts where it may copies the whole profile in a loop
+        points, z = (x[first + np.arange(self.window + 1)] for x in (self.distances, self.heights))
+        d = points - s
+        within = jnp.clip(d, -half, half)
+        middles = (within[1:] + within[:-1]) / 2
+        pieces = jnp.diff(within) * (z[:-1] + jnp.diff(z) / jnp.diff(points) * (middles - d[:-1]))
+        area = (within[0] + half) * z[0] + jnp.sum(pieces) + (half - within[-1]) * z[-1]
+        average = area / jnp.where(half > 0, self.footprint, 1.0)
+        seen = (d[-1] >= half) | (first + self.window == last)
+        return jnp.where(seen, jnp.where(half > 0, average, jnp.interp(0.0, d, z)), jnp.nan)
+
+
+def _window(distances, footprint) -> int:
+    """The number of pieces to look at: those under a patch of twice the length, as a power of two for few compilations; all that there are
+    where distances or footprint are being traced."""
+    s, length = concrete(distances), concrete(footprint)
+    last = len(distances) - 1
+    if s is None or length is None:
+        return last
+    under = int(np.max(np.searchsorted(s, s + 2 * length) - np.arange(last + 1))) + 1
+    return min(last, max(FEWEST, 2 ** int(np.ceil(np.log2(under)))))
+
+
+def _points(value, where: str, problems: Problems, n: int | None = None) -> Any:
+    """n finite numbers; without n, two or more."""
+    try:
+        numbers = float_array(value, where)
+    except JaxbodyError as error:
+        problems.found += error.problems
+        return None
+    hint = "Give two points or more." if n is None else "Give one height for each distance."
+    return checked(numbers, ((n or max(2, numbers.size),),), where, problems, hint)
+
+
+def _check_increasing(distances, problems: Problems) -> None:
+    known = None if distances is None else concrete(distances)
+    if known is None or (np.diff(known) > 0).all():
+        return
+    i = int(np.flatnonzero(np.diff(known) <= 0)[0])
+    problems.add(
+        "NOT_INCREASING",
+        "Road.distances",
+        f"has {known[i + 1]:.9g} m after {known[i]:.9g} m, at index {i + 1}",
+        value=i + 1,
+        limit="increasing",
+        hint="Sort the points; give a step a short ramp.",
+    )

@@ -1,0 +1,184 @@
+"""Signals: numbers or vectors that vary with time, of a load or an instrument, as one function of time."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arguments import plain
+from jaxbody.core.arrays import check_times, checked, concrete, device_array, float_array
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.tracings import check_returned
+from jaxbody.inputs.motions import cell, curvatures, is_uniform
+
+__all__ = [
+    "Constant",
+    "Function",
+    "Samples",
+    "Signal",
+    "Sine",
+]
+
+
+def __dir__():
+    return __all__
+
+
+KINDS = ("hold", "linear", "cubic")
+
+
+class Signal(eqx.Module):
+    """A number or a vector as a function of time.
+
+    >>> Sine(amplitude=[0, 0, 5.0], frequency=2.0, phase=0.0)(jnp.array(0.25)).tolist()[2]
+    -5.0
+    """
+
+    @abstractmethod
+    def __call__(self, t: Float[Array, ""]) -> Float[Array, "*k"]: ...
+
+    def covers(self) -> tuple[Any, Any]:
+        """First and last time [s] at which it is known."""
+        return -np.inf, np.inf
+
+    def kinks(self) -> Array | None:
+        """Times [s] between which it is smooth and at which its slope jumps, where steps of an integration had better end."""
+
+
+class Constant(Signal):
+    """The same at all times.
+
+    >>> float(Constant(3.0)(jnp.array(1.0)))
+    3.0
+    """
+
+    value: Float[Array, "*k"]
+
+    def __call__(self, t):
+        return self.value
+
+
+class Sine(Signal):
+    """a cos(2 pi f t + p): `amplitude` a, a number or vector, `frequency` f [Hz], `phase` p [rad].
+
+    >>> float(Sine(amplitude=2.0, frequency=1.0)(jnp.array(0.0)))
+    2.0
+    """
+
+    amplitude: Float[Array, "*k"]
+    frequency: Float[Array, ""]
+    phase: Float[Array, ""]
+
+    def __init__(self, *, amplitude, frequency, phase=0.0):
+        problems = Problems()
+        self.amplitude = device_array(_number_or_vector(amplitude, "Sine.amplitude", problems))
+        for name, value in (("frequency", frequency), ("phase", phase)):
+            array = checked(value, ((),), f"Sine.{name}", problems)
+            setattr(self, name, device_array(np.zeros(()) if array is None else array))
+        problems.raise_if_any()
+
+    def __call__(self, t):
+        return self.amplitude * jnp.cos(2 * jnp.pi * self.frequency * t + self.phase)
+
+
+class Samples(Signal):
+    """Through samples at increasing times [s], as a record was made. `kind`, what is between them:
+
+    "hold"    each value holds until the next sample (a digital source)
+    "linear"  straight lines
+    "cubic"   a C2 cubic spline, as in Sampled motions: nearest to a smooth signal sampled fast enough
+
+    `values` (n,) or (n, k). Asking outside the samples is an error. Errors: times as in `simulate`, BAD_SHAPE, NON_FINITE, BAD_KIND.
+
+    >>> float(Samples([0.0, 1.0, 2.0, 3.0], [0.0, 2.0, 4.0, 6.0], kind="linear")(jnp.array(0.25)))
+    0.5
+    """
+
+    times: Float[Array, "n"]
+    values: Float[Array, "n *k"]
+    curvatures: Float[Array, "n *k"] | None
+    kind: str = eqx.field(static=True, converter=plain)
+    uniform: bool = eqx.field(static=True)
+
+    def __init__(self, times, values, *, kind: str = "cubic"):
+        problems = Problems()
+        if kind not in KINDS:
+            problems.add("BAD_KIND", "Samples.kind", f"is {kind!r}", value=kind, limit=" ".join(KINDS), hint="Give one of these.")
+        known = check_times(times, problems, "Samples.times", minimum=4 if kind == "cubic" else 2)
+        y = _rows(values, known, problems)
+        problems.raise_if_any()
+        self.times, self.values = device_array(known), device_array(y)
+        self.kind, self.uniform = kind, is_uniform(known)
+        flat = self.values.reshape(len(self.values), -1)
+        self.curvatures = curvatures(self.times, flat).reshape(self.values.shape) if kind == "cubic" else None
+
+    def covers(self) -> tuple[Any, Any]:
+        return self.times[0], self.times[-1]
+
+    def kinks(self):
+        return self.times if self.kind == "linear" else None
+
+    def __call__(self, t):
+        i, h, a, b = cell(self.times, self.uniform, t)
+        if self.kind == "hold":
+            return jnp.where(b < 1, self.values[i], self.values[i + 1])
+        line = a * self.values[i] + b * self.values[i + 1]
+        if self.curvatures is None:
+            return line
+        return line + h**2 / 6 * ((a**3 - a) * self.curvatures[i] + (b**3 - b) * self.curvatures[i + 1])
+
+
+class Function(Signal):
+    """Any JAX function of time; one that is made anew is compiled anew (make it a Signal with array leaves to avoid that).
+
+    >>> Function(lambda t: 3.0 * t)(0.5).item()
+    1.5
+    """
+
+    function: Callable[[Array], Array] = eqx.field(static=True)
+
+    def __call__(self, t):
+        return jnp.asarray(self.function(t))
+
+
+def as_signal(value: Any, where: str, problems: Problems, size: tuple[int, ...]) -> Signal:
+    """A signal stays one; a Python function of time, numbers of the size wanted become one."""
+    if isinstance(value, Signal):
+        signal = value
+    elif callable(value):
+        signal = Function(value)
+    else:
+        array = checked(value, (size,), where, problems)
+        return Constant(np.zeros(size) if array is None else array)
+    check_returned(lambda signal, t: signal(t), signal, size, where, problems)
+    return signal
+
+
+def _number_or_vector(value: Any, where: str, problems: Problems) -> Any:
+    found = checked(value, ((), (np.size(value),)), where, problems)
+    return np.zeros(()) if found is None else found
+
+
+def _rows(values: Any, times: Any, problems: Problems) -> Any:
+    try:
+        y = float_array(values, "Samples.values")
+    except JaxbodyError as error:
+        problems.found += error.problems
+        return None
+    if times is None:
+        return y
+    if y.ndim not in (1, 2) or y.shape[0] != len(times):
+        limit = f"({len(times)},) or ({len(times)}, k)"
+        problems.add("BAD_SHAPE", "Samples.values", f"has shape {y.shape}", value=y.shape, limit=limit, hint="One value per time.")
+    known = concrete(y)
+    if known is not None and not np.isfinite(known).all():
+        row = int(np.argwhere(~np.isfinite(known))[0][0])
+        hint = "Cut the record or fill the gap first."
+        problems.found.append(Problem("NON_FINITE", "Samples.values", f"is {known[row]} at row {row}", known[row], "finite", hint))
+    return y

@@ -1,0 +1,42 @@
+"""Measured curves from files: two columns of text with the units that the file states for them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from jaxbody.core import units
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.records.sources import check_file
+from jaxbody.records.text_tables import read_text
+
+LENGTHS = (units.LENGTH, units.ANGLE, units.SPEED, units.ANGULAR_RATE)
+FORCES = (units.FORCE, units.MOMENT)
+
+
+def read_columns(path: Path, *, largest: float, **text: Any) -> list[Any]:
+    """Two columns in SI units."""
+    check_file(path, largest)
+    found, problems = read_text(path.read_bytes(), path.name, **text), Problems()
+    where, width = f"{path.name}:{found.head}", len(found.columns)
+    if width != 2:
+        hint = "First elongation or its rate, then force or moment; separator= is what stands between them."
+        raise JaxbodyError(Problem("BAD_SHAPE", where, f"has {width} column{'s' * (width > 1)}", width, "two", hint))
+    columns, of = [], []
+    for (name, column), dimensions in zip(found.columns.items(), (LENGTHS, FORCES), strict=True):
+        if column.unit is None:
+            hint = "Write a line of names with their units above the numbers."
+            problems.add("NO_UNIT", where, f"states no unit of column '{name}'", limit="elongation [mm], force [N]", hint=hint)
+            continue
+        unit = problems.gather(lambda column=column: units.parse(column.unit or "", where))
+        if unit is not None and unit.dimension not in dimensions:
+            limit = " or ".join(units.si_words(dimension) for dimension in dimensions)
+            hint = "First elongation or its rate, then force or moment."
+            problems.add("WRONG_DIMENSION", where, f"has '{name}' in '{unit.text}'", value=unit.text, limit=limit, hint=hint)
+        columns.append(column.values * (unit.factor if unit else 1.0))
+        of.append(unit and unit.dimension)
+    problems.raise_if_any()
+    if (of[0] in (units.ANGLE, units.ANGULAR_RATE)) != (of[1] == units.MOMENT):
+        words, hint = "has an angle over a force, or a length over a moment", "A turn goes with a moment, an elongation with a force."
+        raise JaxbodyError(Problem("WRONG_DIMENSION", where, words, tuple(found.columns), "[m] and [N], or [rad] and [N m]", hint))
+    return columns

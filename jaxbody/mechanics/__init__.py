@@ -1,0 +1,1 @@
+"""T, V and R, their derivatives, and the equations of motion."""

@@ -1,0 +1,151 @@
+"""The three scalar functions that are a model: kinetic energy T, potential energy V and Rayleigh dissipation R. All else is a derivative.
+
+Each takes the model, a state and, for supports away from their reference poses, Xi and its rate (6 numbers for each support).
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxbody.geometry.frames import Frame
+from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
+from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.kinematics import Coordinates, take
+from jaxbody.models.models import Model
+from jaxbody.models.states import State
+
+Xi = Float[Array, "ns 6"] | None
+FEW_RUNS = 64  # slices that a sum may take; more would cost more to compile than a gather costs to run
+
+
+def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Frame:
+    """The table of frames in a state, supports displaced by Xi."""
+    coordinates, zero = Coordinates(model), jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
+    xi, xi_dot = (zero if x is None else jnp.reshape(x, zero.shape) for x in (xi, xi_dot))
+    return coordinates.frames(state.q, state.v, coordinates.supports_at(xi, xi_dot))
+
+
+def kinetic_energy(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
+    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies [J]. Source: (10), (11) of the paper.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
+    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
+    >>> float(kinetic_energy(model, state))
+    9.0
+    """
+    return kinetic(model, frames_of(model, state, xi, xi_dot))
+
+
+def potential_energy(model: Model, state: State, xi: Xi = None) -> Float[Array, ""]:
+    """V = sum over the elements of their energies - sum of m g . C over the bodies [J]. Source: (22), (60) of the paper.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
+    >>> float(potential_energy(model, model.reference))
+    0.0
+    """
+    return potential(model, frames_of(model, state, xi))
+
+
+def dissipation(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
+    """R = sum over the elements, 1/2 c e_dot^2 for a linear damper [W]; 2 R is the power lost where damping is linear.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
+    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
+    >>> float(dissipation(model, state))
+    0.0
+    """
+    return rayleigh(model, frames_of(model, state, xi, xi_dot))
+
+
+def lagrangian(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
+    """L = T - V [J]. Source: (12) of the paper.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
+    >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
+    >>> float(lagrangian(model, state))
+    9.0
+    """
+    frames = frames_of(model, state, xi, xi_dot)
+    return kinetic(model, frames) - potential(model, frames)
+
+
+def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
+    """T of a table of frames."""
+    bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
+    v_C = moving.velocity(bodies.com)
+    w_B = rotate_back(moving.R, moving.w)
+    return 0.5 * jnp.sum(bodies.mass * dot(v_C, v_C) + dot(w_B, rotate(bodies.inertia, w_B)))
+
+
+def gravity_energy(model: Model, frames: Frame) -> Float[Array, ""]:
+    """-sum of m g . C."""
+    bodies = model.bodies.rows
+    return -jnp.sum(bodies.mass * dot(frames[model.layout.first_body :].point(bodies.com), model.gravity))
+
+
+def potential(model: Model, frames: Frame) -> Float[Array, ""]:
+    """V of a table of frames."""
+    return gravity_energy(model, frames) + sum(jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.potential(*F)))
+
+
+def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
+    """R of a table of frames."""
+    return sum((jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.dissipation(*s.rates(*F)))), jnp.zeros((), frames.p.dtype))
+
+
+def lost_power(model: Model, frames: Frame) -> Float[Array, ""]:
+    """The sum over the elements of dR/de_dot . e_dot."""
+    return sum((jnp.sum(p) for p in each_element(model, frames, lambda s, *F: s.lost_power(*F))), jnp.zeros((), frames.p.dtype))
+
+
+def beyond_laws(model: Model, frames: Frame) -> Bool[Array, "ne"]:
+    """Of every element, in the order of their names, whether it uses a law beyond what it is known for."""
+    return jnp.concatenate([jnp.zeros(0, bool), *each_element(model, frames, lambda s, *F: s.beyond(*s.rates(*F)))])
+
+
+def each_element(model: Model, frames: Frame, function) -> list:
+    """function(element, A, B, ...) of every element and its frames, table by table."""
+    results = []
+    for table in model.elements:
+        rows = [np.array([model.layout.frame(name) for name in end]) for end in zip(*table.links, strict=True)]
+        of_ends = [Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w))) for row in rows]
+        results.append(jax.vmap(function)(table.rows, *of_ends))
+    return results
+
+
+def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t=0.0) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Force and moment about its origin that elements, gravity and loads at time t exert on each frame, world axes.
+
+    Sums over what hangs on a frame by padded gathers; adding into rows would break a compiled loop."""
+    ends, forces, moments = [], [], []
+    for table, of_ends in zip(model.elements, each_element(model, frames, lambda s, *F: s.wrenches(*F)), strict=True):
+        for end, (F, M) in enumerate(of_ends):
+            ends += [model.layout.frame(link[end]) for link in table.links]
+            forces.append(F)
+            moments.append(M)
+    bodies = model.bodies.rows
+    weight = bodies.mass[:, None] * model.gravity
+    forces.append(weight)
+    moments.append(cross(rotate(frames.R[model.layout.first_body :], bodies.com), weight))
+    ends += list(range(model.layout.first_body, len(model.layout.frames)))
+    for load in loads:
+        F, M = load.wrench(t, frames[model.layout.frame(load.on)])
+        ends.append(model.layout.frame(load.on))
+        forces.append(F[None])
+        moments.append(M[None])
+    hanging = [[i for i, end in enumerate(ends) if end == frame] for frame in range(len(model.layout.frames))]
+    return sums(jnp.concatenate(forces), hanging), sums(jnp.concatenate(moments), hanging)
+
+
+def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]:
+    """The sum of the rows of each group: over slices where groups are a few runs of consecutive rows, else by a padded gather."""
+    runs = [np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1) if rows else [] for rows in groups]
+    if sum(map(len, runs)) <= FEW_RUNS:
+        zero = jnp.zeros(x.shape[1], x.dtype)
+        return jnp.stack([sum((jnp.sum(x[run[0] : run[-1] + 1], 0) for run in group), zero) for group in runs])
+    most = max(len(rows) for rows in groups)
+    padded = np.array([rows + [len(x)] * (most - len(rows)) for rows in groups])
+    return jnp.sum(jnp.concatenate([x, jnp.zeros((1, x.shape[1]), x.dtype)])[padded], 1)

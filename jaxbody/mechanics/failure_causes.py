@@ -1,0 +1,158 @@
+"""What is wrong in a motion or a rest, by name: the number that is not finite, what is turned too far, the spring with no length left."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.energies import each_element
+from jaxbody.mechanics.equations_of_motion import acceleration
+from jaxbody.mechanics.hessians import second_order
+from jaxbody.mechanics.kinematics import Coordinates, Motions, table_of
+from jaxbody.models.models import Model
+from jaxbody.models.states import State
+
+AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)  # of the time past, or of a second where that is longer
+DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)  # of the size of a model
+NEAR = 1e-2  # of the free length, or of the cosine of half the angle: 179 degrees
+BEND = 0.5  # of the way between two samples, by which the way at either rate may differ from it
+
+
+def without_number_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], t: Array, state: State) -> str:
+    """The motion, element, load or body that first gives a number that is not finite, at this state or as it moves on; empty without such."""
+    for ahead in np.maximum(np.abs(t), 1.0) * np.array(AHEAD, state.q.dtype):
+        of_motions, of_elements, of_loads = jax.tree.map(np.asarray, _numbers(model, motions, loads, t, state, ahead))
+        moment = f"at t = {float(t + ahead):.6g} s"
+        for name, good in zip(model.layout.supports, of_motions, strict=True):
+            if not good:
+                return f"the motion of '{name}' {moment}"
+        for name, (good, e, rate) in of_elements.items():
+            if not good:
+                at = f", at e = {e:.6g}, e' = {rate:.6g}" if e.ndim == 0 else ""
+                return f"the force of element '{name}' {moment}{at}"
+        for load, good in zip(loads, of_loads, strict=True):
+            if not good:
+                return f"a load, {type(load).__name__}, on '{load.on}' {moment}"
+    bad = [name for name in model.layout.bodies if not np.isfinite(np.asarray(state.q[model.layout.q_slices[name]])).all()]
+    return f"the coordinates of body '{bad[0]}'" if bad else ""
+
+
+@jit_as_it_is
+def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
+    """Which numbers are finite `ahead` of a state: of the motions, of the elements with their e and e_dot, of the loads."""
+    change = acceleration(model, state, t, motions, loads)
+    v = state.v + ahead * jnp.where(jnp.isfinite(change), change, 0.0)
+    moved, moment = State(Coordinates(model).retract(state.q, ahead * state.v), v), t + ahead
+    frames = table_of(model, motions, moment, moved)
+
+    def numbers(element, *frames):
+        e, rate = element.rates(*frames)
+        return jnp.isfinite(element.force(*frames)).all(), e, rate
+
+    on = [frames[model.layout.frame(load.on)] for load in loads]
+    wrenches = [jnp.concatenate(load.wrench(moment, frame)) for load, frame in zip(loads, on, strict=True)]
+    return (
+        [jnp.isfinite(motion(moment)).all() for motion in motions],
+        _rows(model, each_element(model, frames, numbers)),
+        [jnp.isfinite(wrench).all() for wrench in wrenches],
+    )
+
+
+def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
+    """{name: what belongs to that element}."""
+    return {
+        name: jax.tree.map(lambda x, i=i: x[i], value)
+        for table, value in zip(model.elements, values, strict=True)
+        for i, name in enumerate(table.names)
+    }
+
+
+def without_number_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Array, "nv"], size: float) -> list[str]:
+    """The elements whose energy, force or stiffness is not finite at q or, else, a little down the slope."""
+    down = np.where(np.isfinite(slope), -np.asarray(slope), 0.0)
+    down = down * size / max(np.abs(down).max(initial=0.0), np.finfo(down.dtype).tiny)
+    for far in DOWNHILL:
+        good = _finite(model, q, far * down)
+        if bad := [name for name, one in good.items() if not one]:
+            return bad
+    return []
+
+
+@jit_as_it_is
+def _finite(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> dict[str, Bool[Array, ""]]:
+    coordinates = Coordinates(model)
+    frames = coordinates.at_rest(coordinates.retract(q, delta))
+
+    def finite(element, *frames):
+        parts = (element.potential(*(f.pose() for f in frames)), second_order(element, *frames))
+        return jnp.stack([jnp.isfinite(part).all() for part in jax.tree.leaves(parts)]).all()
+
+    return _rows(model, each_element(model, frames, finite))
+
+
+def at_jump(model: Model, motions: Motions, t: Array, state: State) -> str:
+    """The elements that are where their force jumps, shrunk to a point or turned by half a turn; empty without such."""
+    alone = jax.tree.map(lambda x: np.asarray(x)[None], (t, state))
+    near = [np.linalg.norm(x[0], axis=-1) < NEAR for x, _ in _away(model, motions, *alone)]
+    return "; ".join(message for _, message in _in_words(model, [["" if x else None for x in of_table] for of_table in near]))
+
+
+def jumps_passed(model: Model, motions: Motions, times: Array, states: State) -> list[tuple[str, str]]:
+    """Code and message of the elements whose force jumps between these samples, with the time of the first."""
+    if not any(table.rows.jump for table in model.elements):
+        return []
+    away = jax.tree.map(np.asarray, _away(model, motions, times, states))
+    when = [_passing(np.asarray(times), *of_table) for of_table in away]
+    return _in_words(model, [[f" at t = {t:.6g} s" if np.isfinite(t) else None for t in of_table] for of_table in when])
+
+
+@jit_as_it_is
+def _away(model: Model, motions: Motions, times: Float[Array, "nt"], states: State) -> list[tuple[Array, Array]]:
+    """Of every element the vector `away_from_jump` and its rate at these times, table by table."""
+
+    def away(element, *frames):
+        return jax.jvp(element.away_from_jump, tuple(f.pose() for f in frames), tuple(f.rates() for f in frames))
+
+    return jax.vmap(lambda t, state: each_element(model, table_of(model, motions, t, state), away))(times, states)
+
+
+def _in_words(model: Model, moments: list[Any]) -> list[tuple[str, str]]:
+    """Code and message for each table of elements of which some are where their force jumps: of these the moment in words, of others None."""
+    messages = []
+    for table, of_table in zip(model.elements, moments, strict=True):
+        chosen = [(name, moment) for name, moment in zip(table.names, of_table, strict=True) if moment is not None]
+        if chosen:
+            code, what, remedy = table.rows.jump
+            messages.append((code, ", ".join(f"'{name}' {what}{moment}" for name, moment in chosen) + f"; {remedy}"))
+    return messages
+
+
+def _passing(times: np.ndarray, x: Float[np.ndarray, "nt n m"], rate: Float[np.ndarray, "nt n m"]) -> Float[np.ndarray, "n"]:
+    """When first each of n vectors passes by zero between two samples that lie close enough for its path to be nearly straight, else NaN.
+
+    On the cubic through both samples with both rates: x0 + u v0 + u^2 (3 d - 2 v0 - v1) + u^3 (v0 + v1 - 2 d), 0 <= u <= 1.
+    """
+    h = np.diff(times)[:, None, None]
+    x0, d, v0, v1 = x[:-1], np.diff(x, axis=0), h * rate[:-1], h * rate[1:]
+    square, cube = 3 * d - 2 * v0 - v1, v0 + v1 - 2 * d
+
+    def of(a, b):
+        return np.sum(a * b, -1, keepdims=True)
+
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        u = -of(x0, d) / of(d, d)
+        for _ in range(3):
+            place, speed = x0 + u * (v0 + u * (square + u * cube)), v0 + u * (2 * square + 3 * u * cube)
+            u = u - of(place, speed) / of(speed, speed)
+        place = x0 + u * (v0 + u * (square + u * cube))
+        straight = np.maximum(of(v0 - d, v0 - d), of(v1 - d, v1 - d)) <= BEND**2 * of(d, d)
+        passes = (straight & (of(place, place) < NEAR**2) & (np.abs(u - 0.5) <= 0.5 + 1e-6))[..., 0]
+    first = np.argmax(passes, 0)
+    t = times[first] + np.take_along_axis(u[..., 0], first[None], 0)[0] * np.diff(times)[first]
+    return np.where(passes.any(0), t, np.nan)

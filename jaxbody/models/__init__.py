@@ -1,0 +1,1 @@
+"""Bodies, supports and joints by name, kept as arrays; paths to every number."""

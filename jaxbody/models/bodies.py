@@ -1,0 +1,189 @@
+"""Bodies, which have mass, and supports, whose motion is imposed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import checked, concrete, vector
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
+from jaxbody.geometry.orientations import IDENTITY, as_quaternion, matrix
+
+EPS = np.finfo(np.float64).eps
+
+
+class Body(eqx.Module):
+    """A rigid body.
+
+    mass [kg]; inertia about the centre of mass in body axes [kg m2]: three principal moments, six numbers
+    (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries of the matrix, signs included) or the 3 x 3 matrix, without it none, as of a point mass; `com`, the centre of
+    mass in body coordinates [m]; `position` of the reference point O [m] and `orientation` (unit quaternion w, x, y, z, rotation matrix or `jb.Euler`, body to
+    world) in the reference pose, where the search for equilibrium starts. Of several parts: `Body.of_parts`.
+
+    Errors, all found at once: BAD_MASS, NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE, BAD_ROTATION, BAD_QUATERNION, BAD_SHAPE, NON_FINITE,
+    COMPLEX, NOT_A_NUMBER.
+
+    >>> float(Body(mass=3.0, inertia=[0.3, 0.9, 1.2]).inertia[1, 1])
+    0.9
+    """
+
+    mass: Float[Array, ""]
+    inertia: Float[Array, "3 3"]
+    com: Float[Array, "3"]
+    position: Float[Array, "3"]
+    orientation: Float[Array, "4"]
+
+    def __init__(self, mass, inertia=(0, 0, 0), *, com=(0, 0, 0), position=(0, 0, 0), orientation=IDENTITY):
+        problems = Problems()
+        self.mass = _mass(mass, problems)
+        self.com = vector(com, "Body.com", problems)
+        self.inertia = _inertia(inertia, self.mass, self.com, problems)
+        self.position = vector(position, "Body.position", problems)
+        self.orientation = as_quaternion(orientation, "Body.orientation", problems)
+        problems.raise_if_any()
+
+    @classmethod
+    def of_parts(cls, parts: Sequence[Body], *, position=(0, 0, 0), orientation=IDENTITY) -> Body:
+        """The one rigid body that bodies make together; of each part `position` and `orientation` are those in the whole, and no inertia is a point mass.
+
+            m = sum m_i,   c = sum m_i c_i/m,   I = sum R_i I_i R_i' + m_i (|d_i|^2 - d_i d_i'),   d_i = c_i - c
+
+        `position` and `orientation`: of the whole, as of a Body. Error: NO_PARTS.
+
+        >>> hammer = Body.of_parts([Body(mass=0.2, inertia=[0, 2e-3, 2e-3]), Body(mass=0.5, position=[0.15, 0, 0])])
+        >>> round(float(hammer.com[0]), 6), round(float(hammer.inertia[2, 2]), 6)
+        (0.107143, 0.005214)
+        """
+        if not parts or not all(isinstance(part, Body) for part in parts):
+            hint = "Give [jb.Body(...), ...], each with its position and orientation in the whole."
+            raise JaxbodyError(Problem("NO_PARTS", "Body.of_parts", f"has {parts!r:.60}", parts, "one body or more", hint))
+        turns = [matrix(part.orientation) for part in parts]
+        places = [part.position + R @ part.com for part, R in zip(parts, turns, strict=True)]
+        mass = sum(part.mass for part in parts)
+        com = sum(part.mass * place for part, place in zip(parts, places, strict=True)) / mass
+        inertia = 0.0
+        for part, R, d in zip(parts, turns, [place - com for place in places], strict=True):
+            inertia = inertia + R @ part.inertia @ R.T + part.mass * (d @ d * np.eye(3) - d[:, None] * d)
+        return cls(mass, inertia, com=com, position=position, orientation=orientation)
+
+
+class Support(eqx.Module):
+    """A frame whose motion is imposed; `position` [m] and `orientation` (as of a body) are its reference pose, motions count from there.
+
+    >>> Support(position=[0, -1, 0]).position.tolist()
+    [0.0, -1.0, 0.0]
+    """
+
+    position: Float[Array, "3"]
+    orientation: Float[Array, "4"]
+
+    def __init__(self, position=(0, 0, 0), orientation=IDENTITY):
+        problems = Problems()
+        self.position = vector(position, "Support.position", problems)
+        self.orientation = as_quaternion(orientation, "Support.orientation", problems)
+        problems.raise_if_any()
+
+
+def _mass(value: Any, problems: Problems) -> Any:
+    mass = checked(value, ((),), "Body.mass", problems)
+    known = None if mass is None else concrete(mass)
+    if known is not None and known <= 0:
+        hint = "Leave out what has no mass, or give it a small one."
+        problems.add("BAD_MASS", "Body.mass", f"is {known:g} kg", value=float(known), limit="> 0", hint=hint)
+    return np.ones(()) if mass is None else mass
+
+
+def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
+    """The 3 x 3 matrix, of which T sees the symmetric part alone. What round-off may do to it is measured by the inertia about the
+    reference point, I + m (c'c - c c'): that is where an inertia about the centre of mass often comes from."""
+    where = "Body.inertia"
+    hint = "Give three principal moments, (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or the matrix."
+    array = checked(value, ((3,), (6,), (3, 3)), where, problems, hint)
+    if array is None:
+        return np.eye(3)
+    I = _matrix_of(array)
+    known, m, c = concrete(I), concrete(mass), concrete(com)
+    if known is None:
+        return (I + I.T) / 2
+    trace = np.trace(known)
+    round_off = 64 * EPS * (abs(trace) + (2 * abs(m) * c @ c if m is not None and c is not None else 0))
+    difference = known - known.T
+    moments = np.linalg.eigvalsh((known + known.T) / 2)
+    told = ", ".join(f"{m:.6g}" for m in moments)
+    signs = "Are the signs of the products right?" + (
+        " With the other signs it is valid: give entries of the matrix, as Ixy = -sum m x y."
+        if _is_valid(2 * np.diag(np.diag(known)) - known, round_off)
+        else ""
+    )
+    if np.abs(difference).max() > 1e-9 * abs(trace):
+        xy, xz, yz = difference[0, 1], difference[0, 2], difference[1, 2]
+        problems.add(
+            "NOT_SYMMETRIC",
+            where,
+            f"is not symmetric: I - I' = {xy:.3g} (xy), {xz:.3g} (xz), {yz:.3g} (yz)",
+            value=difference,
+            limit=f"{1e-9 * abs(trace):.3g}",
+            hint="Give (I + I')/2 if that is meant.",
+        )
+    elif moments[0] < -round_off:
+        problems.add(
+            "NOT_POSITIVE",
+            where,
+            f"has principal moments {told} kg m2",
+            value=moments,
+            limit=">= 0",
+            hint=f"Is it about the centre of mass? {signs}",
+        )
+    elif moments[0] + moments[1] - moments[2] < -round_off:
+        deficit = moments[2] - moments[0] - moments[1]
+        problems.add(
+            "TRIANGLE",
+            where,
+            f"has principal moments {told} kg m2: the largest exceeds the sum of the others by {deficit:.3g}",
+            value=moments,
+            limit="at most the sum of the two others",
+            hint=f"Is it about the centre of mass? {signs} Are the units one and the same?",
+        )
+    return (I + I.T) / 2
+
+
+def _is_valid(I: np.ndarray, round_off: float) -> bool:
+    low, middle, high = np.linalg.eigvalsh(I)
+    return min(low, low + middle - high) >= -round_off
+
+
+def _matrix_of(array):
+    """The 3 x 3 matrix of three, six or nine numbers."""
+    if array.shape == (3, 3):
+        return array
+    unit = np.zeros((6, 3, 3))
+    for n, (i, j) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]):
+        unit[n, i, j] = unit[n, j, i] = 1
+    return (array[:, None, None] * unit[: array.shape[0]]).sum(0)
+
+
+def warn_of_tiny(names: tuple[str, ...], sizes: np.ndarray, what: str = "mass", unit: str = "kg") -> None:
+    """TINY_MASS: a mass, or an inertia, below 1e-12 of the largest makes the motion stiff."""
+    for name, size in zip(names, sizes, strict=True):
+        if 0 < size < 1e-12 * sizes.max():
+            warn("TINY_MASS", f"{what} of '{name}' is {size:.3g} {unit}, {size / sizes.max():.1g} of the largest: its motion will be stiff")
+
+
+def warn_of_points(bodies: dict[str, Body]) -> None:
+    """ZERO_MOMENT: of these bodies, which are free to turn, those without inertia about an axis."""
+    for name, body in bodies.items():
+        known = concrete(body.inertia)
+        if known is None:
+            continue
+        moments, axes = np.linalg.eigh(known)
+        lost = [
+            np.round(axis + 0.0, 3).tolist() for moment, axis in zip(moments, axes.T, strict=True) if moment <= 64 * EPS * np.trace(known)
+        ]
+        if lost:
+            told = "any axis" if len(lost) == 3 else f"{lost[0]} of its axes"
+            remedy = "statics is right, modes and simulations need an inertia, or a joint that keeps it from turning there"
+            warn("ZERO_MOMENT", f"'{name}' is free to turn and has no inertia about {told}: {remedy}")

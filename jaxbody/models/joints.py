@@ -1,0 +1,306 @@
+"""How a body may move against its parent, which is `world`, a support or another body.
+
+A joint knows four things: how its coordinates q change by an increment (`retract`), their rate for given speeds v (`rate`), the pose
+of the body on a posed parent (`pose`) and the velocity of the body per unit of each speed (`axes`). Everything else follows from these.
+The reference pose of the body on its parent, `rest`, belongs to q at rest. Axes and points are in the parent's frame.
+"""
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arguments import plain
+from jaxbody.core.arrays import vector
+from jaxbody.core.errors import Problems
+from jaxbody.geometry import rotations
+from jaxbody.geometry.frames import Pose
+from jaxbody.geometry.places import unit_vector
+from jaxbody.geometry.vectors import cross, product, rotate
+
+Axes = tuple[Float[Array, "nv 3"], Float[Array, "nv 3"]]
+TURNS = ("turn about x", "turn about y", "turn about z")
+MOVES = ("move along x", "move along y", "move along z")
+
+
+class Joint(eqx.Module):
+    """The base of all joints: nq coordinates, nv speeds; `motions` says in words what each speed does, `turns` which are turns [rad/s];
+    `in_series`, whether an earlier turn turns the axes of the later ones (else the turns of a joint act together).
+
+    A joint of your own states these, `pose` and `axes`; where q is not added up, also `rest`, `retract` and `rate`. A nut on a screw, which
+    falls by g / (1 + I / (m lead^2)):
+
+    >>> from jaxbody.geometry.frames import Pose
+    >>> class Screw(Joint):
+    ...     lead: jax.Array  # m/rad
+    ...     nq, nv, motions, turns = 1, 1, ("turn of the screw",), (True,)
+    ...     def pose(self, q, parent, rest):
+    ...         c, s = jnp.cos(q[0]), jnp.sin(q[0])
+    ...         R = jnp.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    ...         return parent @ Pose(rest.p + jnp.array([0, 0, self.lead * q[0]]), R @ rest.R)
+    ...     def axes(self, q, parent, body):
+    ...         n = parent.R[:, 2]
+    ...         return self.lead * n[None], n[None]
+    >>> model = Model(bodies={"nut": Body(mass=0.3, inertia=[2e-5, 2e-5, 2e-5])}, joints={"nut": Screw("world", jnp.array(0.01))}, gravity=[0, 0, -9])
+    >>> round(float(simulate(model, [0.0, 1.0]).poses["nut"].p[-1, 2]), 9)  # 9 / (1 + 2/3) / 2
+    -2.7
+    """
+
+    parent: str = eqx.field(static=True, converter=plain)
+    nq: eqx.AbstractClassVar[int]
+    nv: eqx.AbstractClassVar[int]
+    motions: eqx.AbstractClassVar[tuple[str, ...]]
+    turns: eqx.AbstractClassVar[tuple[bool, ...]]
+    in_series: ClassVar[bool] = False
+
+    def rest(self, rest: Pose) -> Float[Array, "nq"]:
+        """Coordinates of the reference pose."""
+        return jnp.zeros(self.nq, rest.p.dtype)
+
+    def retract(self, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
+        """q (+) delta."""
+        return q + delta
+
+    def rate(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nq"]:
+        """dq/dt, the derivative of retract(q, t v) at t = 0."""
+        return v
+
+    @abstractmethod
+    def pose(self, q: Float[Array, "nq"], parent: Pose, rest: Pose) -> Pose:
+        """World pose of the body."""
+
+    @abstractmethod
+    def axes(self, q: Float[Array, "nq"], parent: Pose, body: Pose) -> Axes:
+        """Velocity of the body's origin, and angular velocity, per unit of each speed, relative to the parent, world axes."""
+
+
+class Free(Joint):
+    """Six ways to move. q = (position of O, unit quaternion), v = (velocity of O, angular velocity), in the parent's axes.
+
+    >>> Free().parent
+    'world'
+    """
+
+    nq, nv = 7, 6
+    motions = MOVES + TURNS
+    turns = (False,) * 3 + (True,) * 3
+
+    def __init__(self, parent: str = "world"):
+        self.parent = parent
+
+    def rest(self, rest: Pose):
+        return jnp.concatenate([rest.p, rest.quaternion])
+
+    def retract(self, q, delta):
+        return jnp.concatenate([q[:3] + delta[:3], rotations.multiply(rotations.exp_quaternion(delta[3:]), q[3:])])
+
+    def rate(self, q, v):
+        return jnp.concatenate([v[:3], rotations.quaternion_rate(q[3:], v[3:])])
+
+    def pose(self, q, parent, rest):
+        return parent @ Pose(q[:3], rotations.matrix(q[3:]))
+
+    def axes(self, q, parent, body):
+        zero = jnp.zeros((3, 3), parent.R.dtype)
+        return jnp.concatenate([parent.R.T, zero]), jnp.concatenate([zero, parent.R.T])
+
+
+class Fixed(Joint):
+    """No way to move: the body keeps its reference pose on the parent.
+
+    >>> Fixed("base").nq
+    0
+    """
+
+    nq, nv = 0, 0
+    motions, turns = (), ()
+
+    def __init__(self, parent: str):
+        self.parent = parent
+
+    def pose(self, q, parent, rest):
+        return parent @ rest
+
+    def axes(self, q, parent, body):
+        return jnp.zeros((0, 3), parent.R.dtype), jnp.zeros((0, 3), parent.R.dtype)
+
+
+class Guide(Joint):
+    """Sliding along a straight line: q the displacement [m] from the reference pose along `axis` (unit vector, parent's frame).
+
+    >>> Guide("base", axis=[0, 0, 2.0]).axis.tolist()
+    [0.0, 0.0, 1.0]
+    """
+
+    axis: Float[Array, "3"]
+    nq, nv = 1, 1
+    motions = ("move along its guide",)
+    turns = (False,)
+
+    def __init__(self, parent: str, *, axis):
+        problems = Problems()
+        self.parent = parent
+        self.axis = unit_vector(axis, "Guide.axis", problems)
+        problems.raise_if_any()
+
+    def pose(self, q, parent, rest):
+        return parent @ Pose(rest.p + q[0] * self.axis, rest.R)
+
+    def axes(self, q, parent, body):
+        n = rotate(parent.R, self.axis)[None]
+        return n, jnp.zeros_like(n)
+
+
+class Hinge(Joint):
+    """Turning about a line: q the angle [rad] from the reference pose about `axis` (unit vector) through the point `at`,
+    both in the parent's frame; without `at`, through the body's reference point O.
+
+    >>> model = Model(bodies={"arm": Body(mass=1.0, inertia=[1, 1, 1], com=[1, 0, 0])}, joints={"arm": Hinge("world", axis=[0, 0, 1])})
+    >>> model.reference.q.tolist()
+    [0.0]
+    """
+
+    axis: Float[Array, "3"]
+    at: Float[Array, "3"] | None
+    nq, nv = 1, 1
+    motions = ("turn about its hinge",)
+    turns = (True,)
+
+    def __init__(self, parent: str, *, axis, at=None):
+        problems = Problems()
+        self.parent = parent
+        self.axis = unit_vector(axis, "Hinge.axis", problems)
+        self.at = None if at is None else vector(at, "Hinge.at", problems)
+        problems.raise_if_any()
+
+    def pose(self, q, parent, rest):
+        return parent @ _about(self.at, rotations.about(self.axis, q[0]), rest)
+
+    def axes(self, q, parent, body):
+        n = rotate(parent.R, self.axis)[None]
+        return _arms(n, self.at, parent, body), n
+
+
+class Ball(Joint):
+    """Turning about the point `at` (parent's frame; without it, the body's reference point O).
+    q = unit quaternion of the turn from the reference pose, v = angular velocity, in the parent's axes.
+
+    >>> Model(bodies={"top": Body(mass=1.0, inertia=[1, 1, 1])}, joints={"top": Ball("world")}).reference.q.tolist()
+    [1.0, 0.0, 0.0, 0.0]
+    """
+
+    at: Float[Array, "3"] | None
+    nq, nv = 4, 3
+    motions = TURNS
+    turns = (True,) * 3
+
+    def __init__(self, parent: str, *, at=None):
+        problems = Problems()
+        self.parent = parent
+        self.at = None if at is None else vector(at, "Ball.at", problems)
+        problems.raise_if_any()
+
+    def rest(self, rest: Pose):
+        return jnp.array([1.0, 0, 0, 0], rest.p.dtype)
+
+    def retract(self, q, delta):
+        return rotations.multiply(rotations.exp_quaternion(delta), q)
+
+    def rate(self, q, v):
+        return rotations.quaternion_rate(q, v)
+
+    def pose(self, q, parent, rest):
+        return parent @ _about(self.at, rotations.matrix(q), rest)
+
+    def axes(self, q, parent, body):
+        return _arms(parent.R.T, self.at, parent, body), parent.R.T
+
+
+class Series(Joint):
+    """Motions of one degree each, one after another with nothing heavy between them: moves along the parent's axes, then turns about
+    the body's reference point O,
+
+        O = O_rest + sum q_i e_i,    R = R_1(q_j) R_2(q_k) ... R_rest,
+
+    each turn about an axis that the turns before it have turned. q: displacements [m] and angles [rad] from the reference pose, v = q'.
+    A kind states `steps`: the axis of each, 0, 1, 2 for x, y, z.
+    """
+
+    steps: eqx.AbstractClassVar[tuple[int, ...]]
+    in_series = True
+
+    def __init__(self, parent: str):
+        self.parent = parent
+
+    def pose(self, q, parent, rest):
+        e = np.eye(3, dtype=parent.R.dtype)
+        p, R = rest.p, e
+        for axis, turn, x in zip(self.steps, self.turns, q, strict=True):
+            if turn:
+                R = product(R, rotations.about(e[axis], x))
+            else:
+                p = p + x * e[axis]
+        return parent @ Pose(p, product(R, rest.R))
+
+    def axes(self, q, parent, body):
+        R, e, directions = parent.R, np.eye(3, dtype=parent.R.dtype), []
+        for axis, turn, x in zip(self.steps, self.turns, q, strict=True):
+            directions.append(R[:, axis])
+            if turn:
+                R = product(R, rotations.about(e[axis], x))
+        turns = jnp.array(self.turns)[:, None]
+        n = jnp.stack(directions)
+        return jnp.where(turns, 0.0, n), jnp.where(turns, n, 0.0)
+
+
+class Translation(Series):
+    """Moving without turning: q the displacement [m] of the body along the parent's x, y and z from the reference pose.
+
+    >>> Translation("base").motions
+    ('move along x', 'move along y', 'move along z')
+    """
+
+    nq, nv = 3, 3
+    steps, motions, turns = (0, 1, 2), MOVES, (False,) * 3
+
+
+class HeavePitch(Series):
+    """A half car: q = (heave [m] along the parent's z, pitch [rad] about its y), from the reference pose, the turn about the body's
+    reference point O. With x forward and z up, a positive pitch lowers the front.
+
+    >>> HeavePitch("world").motions
+    ('move along z', 'turn about y')
+    """
+
+    nq, nv = 2, 2
+    steps, motions, turns = (2, 1), (MOVES[2], TURNS[1]), (False, True)
+
+
+class HeavePitchRoll(Series):
+    """A full car: q = (heave [m] along the parent's z, pitch [rad] about its y, roll [rad] about the x that the pitch has turned), from the
+    reference pose, the turns about the body's reference point O. With x forward, y to the left and z up (ISO 8855), a positive pitch
+    lowers the front and a positive roll the right.
+
+    >>> HeavePitchRoll("world").motions
+    ('move along z', 'turn about y', 'turn about x')
+    """
+
+    nq, nv = 3, 3
+    steps, motions, turns = (2, 1, 0), (MOVES[2], TURNS[1], TURNS[0]), (False, True, True)
+
+
+def _about(at, R, rest: Pose) -> Pose:
+    """The reference pose turned by R about the point `at`."""
+    if at is None:
+        return Pose(rest.p, product(R, rest.R))
+    return Pose(at + rotate(R, rest.p - at), product(R, rest.R))
+
+
+def _arms(n: Float[Array, "nv 3"], at, parent: Pose, body: Pose) -> Float[Array, "nv 3"]:
+    """Velocity of the body's origin for unit turns about the directions n through `at`."""
+    if at is None:
+        return jnp.zeros_like(n)
+    return cross(n, (body.p - parent.point(at))[None])

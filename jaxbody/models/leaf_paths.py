@@ -1,0 +1,217 @@
+"""Paths: every number of a model or an experiment by name, with wildcards, and back again.
+
+A path is a name and a field, "AB.stiffness", "plate.mass", "AB.a"; `*`, `?` and `[...]` match as in file names. Of an experiment
+"run1.initial.v", "run1.base.frequency" (the motion of a support), "run1.corner.point" (a sensor).
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxbody.core.arguments import named
+from jaxbody.core.arrays import checked, concrete, device_array
+from jaxbody.core.errors import Problems
+from jaxbody.models.models import Model
+
+
+@dataclass(frozen=True)
+class Leaf:
+    """Where a path leads: the path, the number of the array among a tree's arrays, and the row in it (None for the whole)."""
+
+    path: str
+    array: int
+    row: int | None
+    rank: int
+
+    @property
+    def field(self) -> str:
+        """The last part of the path: "stiffness"."""
+        return self.path.rsplit(".", 1)[-1]
+
+    def axis(self, arrays: list[Array]) -> int:
+        """The axis of the rows, after the leading axes of a batch of models."""
+        return arrays[self.array].ndim - 1 - self.rank
+
+    def read(self, arrays: list[Array]) -> Array:
+        array = arrays[self.array]
+        return array if self.row is None else array[(..., self.row, *[slice(None)] * self.rank)]
+
+    def shape(self, arrays: list[Array]) -> tuple[int, ...]:
+        """Of what `read` returns."""
+        shape = arrays[self.array].shape
+        return shape if self.row is None else shape[: self.axis(arrays)] + shape[self.axis(arrays) + 1 :]
+
+
+def numbered(tree: Any) -> Any:
+    """The same tree with the numbers of its arrays in their places."""
+    treedef = jax.tree.structure(tree)
+    return jax.tree.unflatten(treedef, range(treedef.num_leaves))
+
+
+def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
+    """Every leaf of a model; or of an experiment, which says by `named()` what is called how."""
+    numbers = numbered(tree)
+    if not isinstance(tree, Model):
+        return [Leaf(f"{prefix}{name}.{field}", n, None, 0) for name, part in numbers.named().items() for field, n in _fields(part)]
+    found = []
+    for table in (numbers.bodies, numbers.supports, *numbers.joints, *numbers.elements):
+        for (field, n), rank in zip(_fields(table.rows), table.ranks, strict=True):
+            found += [Leaf(f"{prefix}{name}.{field}", n, row, rank) for row, name in enumerate(table.names)]
+    return [*found, Leaf(f"{prefix}gravity", numbers.gravity, None, 1)]
+
+
+def _fields(tree: Any) -> list[tuple[str, int]]:
+    def name(key: Any) -> str:
+        return str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key))))
+
+    return [(".".join(name(key) for key in keys), leaf) for keys, leaf in jax.tree_util.tree_leaves_with_path(tree)]
+
+
+def matching(
+    leaves: list[Leaf], patterns: Iterable[str], where: str, problems: Problems | None = None, absent: dict[str, str] | None = None
+) -> dict[str, list[Leaf]]:
+    """The leaves that each pattern means; a pattern that means nothing is an error with the nearest path, or with what `absent` {path: hint} says
+    of one that there could be. It goes to `problems`, where these are collected, and is raised where not."""
+    collected, found = problems is not None, {}
+    problems = Problems() if problems is None else problems
+    by_path = {leaf.path: leaf for leaf in leaves}
+    for pattern in patterns:
+        exact = by_path.get(pattern)
+        found[pattern] = [leaf for leaf in leaves if fnmatchcase(leaf.path, str(pattern))] if exact is None else [exact]
+        if not found[pattern]:
+            paths = [leaf.path for leaf in leaves]
+            near = difflib.get_close_matches(str(pattern), paths, 3, 0.5) or paths[:3]
+            hint = next(
+                (how for path, how in (absent or {}).items() if fnmatchcase(path, str(pattern))), f"Did you mean {' or '.join(near)}?"
+            )
+            problems.add("UNKNOWN_PATH", where, f"'{pattern}' matches nothing.", value=pattern, hint=hint)
+    if not collected:
+        problems.raise_if_any()
+    return found
+
+
+def write(tree: Any, values: dict[Leaf, Any]) -> Any:
+    """The tree with new values at leaves."""
+    arrays, treedef = jax.tree.flatten(tree)
+    for leaves in by_array(values).values():
+        block = values[leaves[0]] if leaves[0].row is None else jnp.stack([values[leaf] for leaf in leaves], leaves[0].axis(arrays))
+        _put(arrays, leaves, block)
+    return jax.tree.unflatten(treedef, arrays)
+
+
+def by_array(leaves: Iterable[Leaf]) -> dict[int, list[Leaf]]:
+    """Leaves that are rows of one array together."""
+    groups: dict[int, list[Leaf]] = {}
+    for leaf in leaves:
+        groups.setdefault(leaf.array, []).append(leaf)
+    return groups
+
+
+def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
+    """Write a block of rows into their array, by one operation for any number of them."""
+    first, rows = leaves[0], [leaf.row for leaf in leaves]
+    if first.row is None or rows == list(range(arrays[first.array].shape[first.axis(arrays)])):
+        arrays[first.array] = block
+    else:
+        where = (*[slice(None)] * first.axis(arrays), np.array(rows))
+        arrays[first.array] = arrays[first.array].at[where].set(block)
+
+
+def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
+    """{path: value} of everything that a pattern means, in a model or an experiment.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -9.81])
+    >>> list(paths(model, "mass.m*")), float(paths(model, "mass.mass")["mass.mass"])
+    (['mass.mass'], 2.0)
+    """
+    arrays = jax.tree.leaves(tree)
+    return {leaf.path: leaf.read(arrays) for leaf in leaves_of(tree) if fnmatchcase(leaf.path, pattern)}
+
+
+def replace(tree: Any, values: dict[str, Any]) -> Any:
+    """The model or experiment with other values: {path or pattern: value}.
+
+    A value has the shape of one leaf, and then serves every match, or one more leading axis with a value for each match, in the order
+    of `paths`. As when a model is built, an axis may have any length, and masses must be positive and quaternions of unit length.
+    Errors, all at once: UNKNOWN_PATH, BAD_SHAPE, NON_FINITE, NOT_A_NUMBER, COMPLEX, LISTED_TWICE, BAD_MASS, ZERO_AXIS, BAD_QUATERNION.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
+    >>> float(replace(model, {"*.mass": 3.0})["mass"].mass)
+    3.0
+    """
+    arrays, treedef = jax.tree.flatten(tree)
+    problems, taken = Problems(), set()
+    values = named(values, "replace.values", "path: value", problems)
+    problems.raise_if_any()
+    new: dict[int, list[tuple[list[Leaf], Any]]] = {}
+    for pattern, leaves in matching(leaves_of(tree), values, "replace").items():
+        where = f"replace['{pattern}']"
+        for leaf in leaves:
+            if leaf in taken:
+                problems.add("LISTED_TWICE", where, f"means {leaf.path}, which another pattern means too", value=pattern)
+        taken |= set(leaves)
+        shapes = sorted({leaf.shape(arrays) for leaf in leaves})
+        one = (shapes[0],) if len(shapes) == 1 else ()
+        many = tuple((len(leaves), *shape) for shape in one)
+        told = ", ".join(leaf.path for leaf in leaves[:6]) + (", ..." if len(leaves) > 6 else "")
+        hint = f"It means {told}, of shape {' or '.join(map(str, shapes))}." + ("" if one else " Name those of one shape together.")
+        value = checked(values[pattern], one + many, where, problems, hint)
+        if value is None:
+            continue
+        each = value.shape not in one
+        for rows in by_array(leaves).values():
+            block = _block(value, [leaves.index(leaf) for leaf in rows] if each else len(rows), rows[0], arrays)
+            new.setdefault(rows[0].array, []).append((rows, _made(rows[0].field, block, where, problems)))
+    problems.raise_if_any()
+    for parts in new.values():
+        leaves, blocks = [leaf for rows, _ in parts for leaf in rows], [block for _, block in parts]
+        xp = np if all(isinstance(block, np.ndarray) for block in blocks) else jnp
+        joined = blocks[0] if len(blocks) == 1 else xp.concatenate(blocks, leaves[0].axis(arrays))
+        _put(arrays, leaves, device_array(joined))
+    return jax.tree.unflatten(treedef, arrays)
+
+
+def _block(value: Any, rows: list[int] | int, first: Leaf, arrays: list[Array]) -> Any:
+    """Rows of a value, by their numbers in it or the same one repeated, with the axis of rows where the array has it."""
+    xp = np if isinstance(value, np.ndarray) else jnp
+    if first.row is None:
+        return value if isinstance(rows, int) else value[rows[0]]
+    if isinstance(rows, int):
+        return xp.repeat(xp.expand_dims(value, first.axis(arrays)), rows, first.axis(arrays))
+    return xp.moveaxis(value[np.array(rows)], 0, first.axis(arrays))
+
+
+def _made(field: str, value: Any, where: str, problems: Problems) -> Any:
+    """A value as those who make bodies and joints would have it."""
+    if field == "mass" and (known := concrete(value)) is not None and (known <= 0).any():
+        problems.add("BAD_MASS", where, f"is {known.min():g} kg", value=known, limit="> 0", hint="A mass must be positive.")
+    if field != "axis" and not field.startswith("orientation"):
+        return value
+    known = concrete(value)
+    if known is None:
+        return value / jnp.linalg.norm(value, axis=-1, keepdims=True)
+    length = np.linalg.norm(known, axis=-1, keepdims=True)
+    if field == "axis" and not length.all():
+        problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give a direction.")
+    elif field != "axis" and (np.abs(length - 1) > 1e-3).any():
+        worst = float(length.ravel()[np.argmax(np.abs(length - 1))])
+        hint = "Divide it by its length; the order is w, x, y, z."
+        problems.add("BAD_QUATERNION", where, f"has length {worst:.6g}", value=known, limit="1 within 1e-3", hint=hint)
+    else:
+        return np.where(np.abs(length - 1) < 1e-14, known, known / length)
+    return known
+
+
+def by_name(names: tuple[tuple[str, ...], ...], tables: tuple[Array, ...], axis: int = 0) -> dict[str, Array]:
+    """{name: row}, for tables of rows along `axis` and the names of their rows."""
+    lead = (slice(None),) * axis
+    return {name: table[(*lead, i)] for group, table in zip(names, tables, strict=True) for i, name in enumerate(group)}

@@ -1,0 +1,138 @@
+"""Checks that several public functions make before they compute, in NumPy, where values can be looked at."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
+from jaxbody.models.models import WORLD, Model
+from jaxbody.models.states import State
+from jaxbody.numerics.precisions import begin
+
+MOST_MEMORY = 8e9  # bytes that the matrices of a model may take
+PER_ELEMENT = 2000  # bytes: 1400 were measured with 10 000 springs
+_told_of_float32 = False
+
+
+def check_precision(where: str, model: Model, *, allow_float32: bool | None = True) -> None:
+    """Float32 is said once; it is refused where half the digits would be lost, unless allowed (None where it cannot be). A switch that was moved
+    after the model was built is an error."""
+    global _told_of_float32
+    if not isinstance(model, Model):
+        raise JaxbodyError(
+            Problem("WRONG_KIND", f"{where}.model", f"is a {type(model).__name__}", model, "jb.Model", "Give the model first.")
+        )
+    x64 = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+    dtype = model.gravity.dtype
+    if x64 != (dtype == jnp.float64):
+        raise JaxbodyError(
+            Problem(
+                "X64_CHANGED",
+                where,
+                f"the model is {dtype}, but jax_enable_x64 is {x64} now",
+                dtype,
+                "one precision throughout",
+                "Build the model again, or leave the switch alone after building it.",
+            )
+        )
+    if x64:
+        return begin(x64)
+    switch = 'jax.config.update("jax_enable_x64", True) before building the model'
+    if not allow_float32:
+        hint = f"Say {switch}" + ("." if allow_float32 is None else "; or allow_float32=True.")
+        raise JaxbodyError(Problem("FLOAT32", where, "is unreliable in float32", dtype, "float64", hint))
+    begin(x64)
+    if not _told_of_float32:
+        _told_of_float32 = True
+        warn("FLOAT32", f"{where}: computing in float32, with about 7 digits; for 16, say {switch}")
+
+
+def check_memory(where: str, model: Model) -> None:
+    """Matrices of all coordinates, about ten at once, and what every element adds to them, must have room. Error: TOO_LARGE."""
+    coordinates, elements = model.layout.nv, sum(len(table.names) for table in model.elements)
+    needed = 10 * 8 * coordinates**2 + PER_ELEMENT * elements
+    if needed > MOST_MEMORY:
+        words = f"has {coordinates} coordinates and {elements} elements, for whose matrices about {needed / 1e9:.3g} GB are needed"
+        hint = "Join what does not move by itself (jb.Fixed, Body.of_parts), or raise jaxbody.models.preconditions.MOST_MEMORY where there is room."
+        raise JaxbodyError(Problem("TOO_LARGE", f"{where}.model", words, needed, f"{MOST_MEMORY / 1e9:g} GB", hint))
+
+
+def check_attached(model: Model) -> None:
+    """Every body must have a path of elements and joints to the world or a support."""
+    loose = unattached(model)
+    if loose:
+        raise JaxbodyError(*(Problem("UNATTACHED", f"bodies['{name}']", "has no path of elements or joints to world or a support", name, hint="It has no equilibrium; attach it or leave it out.") for name in loose))  # fmt: skip
+
+
+def unattached(model: Model) -> list[str]:
+    """Bodies that nothing ties to the world or a support."""
+    links = [link for table in model.elements for link in table.links]
+    links += [
+        (name, parent)
+        for name, kind, parent in zip(model.layout.bodies, model.layout.kinds, model.layout.parents, strict=True)
+        if kind.nv < 6
+    ]
+    tied, frontier = set(), {WORLD, *model.layout.supports}
+    while frontier:
+        tied |= frontier
+        frontier = {end for link in links for end in link if tied & set(link)} - tied
+    return [name for name in model.layout.bodies if name not in tied]
+
+
+def check_state(model: Model, state: State, where: str) -> None:
+    """q and v of the model's shapes and precision, finite, unit quaternions; everything wrong at once."""
+    problems = Problems()
+    if not isinstance(state, State):
+        raise JaxbodyError(
+            Problem(
+                "WRONG_KIND",
+                where,
+                f"is a {type(state).__name__}",
+                state,
+                "jb.State(q, v)",
+                "model.reference and equilibrium(model).state are such.",
+            )
+        )
+    layout = model.layout
+    for name, count in (("q", layout.nq), ("v", layout.nv)):
+        value = getattr(state, name)
+        if np.shape(value) != (count,):
+            parts = ", ".join(f"{body} {getattr(kind, 'n' + name)}" for body, kind in zip(layout.bodies, layout.kinds, strict=True))
+            problems.add(
+                "BAD_SHAPE",
+                f"{where}.{name}",
+                f"has shape {np.shape(value)}",
+                value=np.shape(value),
+                limit=f"({count},)",
+                hint=f"Expected ({count},): {parts}.",
+            )
+            continue
+        number, one = getattr(value, "dtype", None), model.gravity.dtype
+        if number in (np.float32, np.float64) and jax.dtypes.canonicalize_dtype(number) != one:
+            hint = f"Give jb.State(numpy.asarray(state.q, '{one}'), numpy.asarray(state.v, '{one}'))."
+            problems.add("X64_CHANGED", f"{where}.{name}", f"is {number}, the model {one}", value=number, limit="one precision", hint=hint)
+            continue
+        known = concrete(value)
+        if known is not None and not np.isfinite(known).all():
+            problems.add(
+                "NON_FINITE",
+                f"{where}.{name}",
+                f"is {known[~np.isfinite(known)][0]} at index {np.flatnonzero(~np.isfinite(known))[0]}",
+                value=known,
+                limit="finite",
+            )
+        elif known is not None and name == "q":
+            for body, kind in zip(layout.bodies, layout.kinds, strict=True):
+                part = known[layout.q_slices[body]][-4:]
+                if kind.nq - kind.nv == 1 and abs(np.linalg.norm(part) - 1) > 1e-3:
+                    problems.add(
+                        "BAD_QUATERNION",
+                        f"{where}.q",
+                        f"of '{body}' has a quaternion of length {np.linalg.norm(part):.6g}",
+                        value=part,
+                        limit="1 within 1e-3",
+                    )
+    problems.raise_if_any()

@@ -1,0 +1,80 @@
+"""Things of one kind as one struct of arrays with a static tuple of names; a single thing is a row of it.
+
+(Compiling the gradient of a model of 200 springs takes 14 s when they are separate objects, 2 s as arrays.)
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from jaxbody.core import arrays
+from jaxbody.core.errors import JaxbodyError, Problem
+
+
+class Table(eqx.Module):
+    """Rows of one kind: `rows` is one module whose leaves have a leading axis, `links` what each row hangs on, by name."""
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    links: tuple[Any, ...] = eqx.field(static=True)
+    ranks: tuple[int, ...] = eqx.field(static=True)  # of each leaf of one row, so that batches of models have rows too
+    rows: Any
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def row(self, name: str) -> Any:
+        """One thing by name; leading batch axes stay."""
+        i = self.names.index(name)
+        leaves, treedef = jax.tree.flatten(self.rows)
+        if not all(leaf is None or hasattr(leaf, "__getitem__") for leaf in leaves):
+            raise JaxbodyError(self._no_node(name))
+        picked = [leaf if leaf is None else leaf[(..., i, *[slice(None)] * rank)] for leaf, rank in zip(leaves, self.ranks, strict=True)]
+        return with_link(jax.tree.unflatten(treedef, picked), self.links[i])
+
+    def _no_node(self, name: str) -> Problem:
+        """What is wrong where leaves stand for arrays, as those that equinox.tree_at shows to its function."""
+        paths = [jax.tree_util.keystr(keys, simple=True, separator=".") for keys, _ in jax.tree_util.tree_leaves_with_path(self.rows)]
+        path = next((path for path in paths if path in ("stiffness", "mass")), paths[-1])
+        told = "is a row of arrays and no node of the tree, so equinox.tree_at cannot replace it"
+        hint = f'Use jb.replace(model, {{"{name}.{path}": value}}); it has {", ".join(paths[:8])}{", ..." if len(paths) > 8 else ""}.'
+        return Problem("NO_NODE", f"model['{name}']", told, name, "whole arrays, as model.elements[0].rows.stiffness", hint)
+
+
+def tabulate(things: dict[str, Any], template: Any = None) -> Table:
+    """One table of things of equal structure; `template` gives the structure where there are none."""
+    modules = list(things.values())
+    bare = [with_link(module, None) for module in modules]
+    leaves = [jax.tree.leaves(module) for module in bare]
+    first, treedef = jax.tree.flatten(bare[0] if bare else with_link(template, None))
+    columns = [arrays.stack(list(column)) for column in zip(*leaves, strict=True)] if bare else [
+        arrays.device_array(np.zeros((0, *np.shape(leaf)))) for leaf in first
+    ]  # fmt: skip
+    return Table(
+        tuple(things), tuple(link_of(m) for m in modules), tuple(np.ndim(leaf) for leaf in first), jax.tree.unflatten(treedef, columns)
+    )
+
+
+def tabulate_by_structure(things: dict[str, Any], key=lambda name: None) -> tuple[Table, ...]:
+    """One table for each structure (class, static fields, shapes of leaves) and `key`, in order of first appearance."""
+    kinds: dict[Any, dict[str, Any]] = {}
+    for name, thing in things.items():
+        leaves, treedef = jax.tree.flatten(with_link(thing, None))
+        kinds.setdefault((key(name), treedef, tuple(np.shape(leaf) for leaf in leaves)), {})[name] = thing
+    return tuple(tabulate(group) for group in kinds.values())
+
+
+def link_of(module: Any) -> Any:
+    """The names that a thing hangs on: an element's `between`, a joint's `parent`."""
+    return getattr(module, "between", getattr(module, "parent", None))
+
+
+def with_link(module: Any, link: Any) -> Any:
+    """A copy with another link, which is static and so beyond `eqx.tree_at`."""
+    copy = object.__new__(type(module))
+    for name, value in vars(module).items():  # no more than it has: an attribute of the class on the copy would make another tree structure
+        object.__setattr__(copy, name, link if name in ("between", "parent") else value)
+    return copy

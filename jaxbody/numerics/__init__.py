@@ -1,0 +1,1 @@
+"""Computing without physics: batches in lanes, eigenproblems, Dormand-Prince, Gauss collocation."""

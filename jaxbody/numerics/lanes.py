@@ -1,0 +1,363 @@
+"""Batches on the last axis. `jax.vmap` puts a batch first; vectors of three then leave a processor's wide registers empty.
+
+A function that is `in_lanes` does what it did, but in a batch its operations are rewritten one by one so that arrays (3,) become (3, b), with
+at most so many members at a time. Operations without a rule here are left to jax.vmap; so is the whole function where a rule fails, as it may
+when JAX changes an operation, and on other devices than CPUs. `compile_times` shows both. Custom derivatives stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.dtypes import float0
+from jaxtyping import Array
+
+from jaxbody.core.compilations import note_left_to_vmap
+from jaxbody.core.jax_internals import ClosedJaxpr, Literal, Zero, call_of, jaxpr_as_fun, without_high_operations
+from jaxbody.numerics.lane_marks import as_kept, plain_max, sum_p
+from jaxbody.numerics.symmetric_eigenvalues import eigenvalues
+
+LANES = 32
+ELEMENTWISE = {
+    "abs", "acos", "add", "and", "asin", "atan", "atan2", "cbrt", "ceil", "clamp", "convert_element_type", "copy", "cos", "cosh", "div",
+    "eq", "eq_to", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "le_to", "log", "log1p", "logistic", "lt", "lt_to", "max",
+    "min", "mul", "ne", "neg", "nextafter", "not", "or", "pow", "rem", "round", "rsqrt", "select_n", "sign", "sin", "sinh", "sqrt",
+    "square", "sub", "tan", "tanh", "xor",
+}  # fmt: skip
+SAME_AXES = {
+    "argmax", "argmin", "cummax", "cummin", "cumsum", "reduce_and", "reduce_max", "reduce_min", "reduce_or", "reduce_prod", "reduce_sum",
+    "rev", "split", "squeeze", "sum_in_lanes",
+}  # fmt: skip
+CALLS = {
+    "in_lanes": "jaxpr",
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+}
+APART = {
+    "cholesky", "cond", "custom_linear_solve", "custom_vjp_call", "dot_general", "dynamic_slice", "dynamic_update_slice", "eigh", "gather", "householder_product",
+    "lu", "scatter", "scatter-add", "sort", "stop_gradient", "triangular_solve", "while",
+}  # fmt: skip  # left to jax.vmap as it does them well, or as they are rare
+SWITCHED_OFF = ContextVar("lanes switched off", default=False)
+
+
+@contextmanager
+def switched_off() -> Iterator[None]:
+    """All batches by jax.vmap meanwhile, whose programs are compiled anew."""
+    jax.clear_caches()
+    token = SWITCHED_OFF.set(True)
+    try:
+        yield
+    finally:
+        SWITCHED_OFF.reset(token)
+        jax.clear_caches()
+
+
+def _no_lanes() -> str:
+    """Why there can be none, if so."""
+    platform = jax.default_backend()
+    return "lanes are switched off" if SWITCHED_OFF.get() else "" if platform == "cpu" else f"lanes are for a CPU, this is a {platform}"
+
+
+def in_lanes(function: Callable, *, reversible: bool = False, lanes: int = LANES, name: str = "") -> Callable[..., Any]:
+    """The function, arrays to arrays, in a batch rewritten for chunks of so many lanes. Its derivative in forward mode is in lanes too; where it
+    is to be `reversible`, derivatives are those of the function as it stands."""
+    name = name or f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
+
+    def wrapped(*args):
+        leaves, tree = jax.tree.flatten(args)
+        leaves = [jnp.asarray(x) for x in leaves]
+        traced, out = jax.make_jaxpr(lambda *x: function(*tree.unflatten(x)), return_shape=True)(*leaves)
+        open_jaxpr = traced.jaxpr.replace(constvars=[], invars=[*traced.jaxpr.constvars, *traced.jaxpr.invars])
+        results = _lanes_p.bind(*traced.consts, *leaves, jaxpr=ClosedJaxpr(open_jaxpr, []), reversible=reversible, lanes=lanes, name=name)
+        return jax.tree.unflatten(jax.tree.structure(out), results)
+
+    return wrapped
+
+
+def vmap_last(function: Callable) -> Callable[[Array], Any]:
+    """The function of one array, over the last axis of that array; results have that axis last."""
+
+    def over(x: Array):
+        if _no_lanes():
+            return jax.vmap(function, in_axes=-1, out_axes=-1)(x)
+        traced, out = jax.make_jaxpr(function, return_shape=True)(x[..., 0])
+        traced = without_high_operations(traced)
+        results = Lanes(x.shape[-1]).run(traced, [True], [x], [True] * len(traced.out_avals))
+        return jax.tree.unflatten(jax.tree.structure(out), results)
+
+    return over
+
+
+def _jvp(primals, tangents, *, jaxpr, reversible, lanes, name):
+    moved = [not isinstance(t, Zero) for t in tangents]
+    smooth = [jnp.issubdtype(aval.dtype, jnp.inexact) for aval in jaxpr.out_avals]
+    if not any(smooth):
+        out = _lanes_p.bind(*primals, jaxpr=jaxpr, reversible=reversible, lanes=lanes, name=name)
+        return out, [Zero(aval.to_tangent_aval()) for aval in jaxpr.out_avals]
+
+    push = _pushed(jaxpr_as_fun(jaxpr), moved, smooth)
+    push = push if reversible else in_lanes(push, lanes=lanes, name=name)
+    out, dy = push(list(primals), [t for t in tangents if not isinstance(t, Zero)])
+    dy = iter(dy)
+    return out, [next(dy) if s else Zero(aval.to_tangent_aval()) for s, aval in zip(smooth, jaxpr.out_avals, strict=True)]
+
+
+def _pushed(function: Callable, moved: list[bool], smooth: list[bool]) -> Callable[[list, list], tuple[list, list]]:
+    """Results of arguments and the tangents of those that are smooth, of tangents of the arguments that are moved."""
+
+    def pushed(primals, tangents):
+        def of_moved(*x):
+            given = iter(x)
+            out = function(*(next(given) if m else p for m, p in zip(moved, primals, strict=True)))
+            return [x for x, s in zip(out, smooth, strict=True) if s], out
+
+        _, dy, out = jax.jvp(of_moved, [p for m, p in zip(moved, primals, strict=True) if m], tangents, has_aux=True)
+        return out, dy
+
+    return pushed
+
+
+def _batch(args, axes, *, jaxpr, reversible, lanes, name):
+    """In lanes, else by jax.vmap, which keeps up with JAX."""
+    why = _no_lanes()
+    try:
+        if not why:
+            return _in_chunks(args, axes, without_high_operations(jaxpr), lanes, name)
+    except Exception as error:  # of any kind: it depends on what JAX has changed
+        why = f"{type(error).__name__}: {error}".partition("\n")[0]
+    note_left_to_vmap(name, why)
+    reached = _reach(without_high_operations(jaxpr), [axis is not None for axis in axes])
+    out_axes = [0 if r else None for r in reached]
+    return jax.vmap(jaxpr_as_fun(jaxpr), in_axes=tuple(axes), out_axes=out_axes)(*args), out_axes
+
+
+def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
+    """So that memory does not grow with the batch."""
+    on = [axis is not None for axis in axes]
+    args = [jnp.moveaxis(x, axis, -1) if o else x for x, axis, o in zip(args, axes, on, strict=True)]
+    n = next(x.shape[-1] for x, o in zip(args, on, strict=True) if o)
+    reached = _reach(jaxpr, on)
+    if n <= lanes:
+        out = Lanes(n, name).run(jaxpr, on, args)
+        return out, [x.ndim - 1 if o else None for x, o in zip(out, reached, strict=True)]
+
+    def chunk(i, joined):
+        """The last chunk begins where a whole one is left: some members are then worked out twice, and no array is padded."""
+        begin = jnp.minimum(i * lanes, n - lanes)
+        given = [lax.dynamic_slice_in_dim(x, begin, lanes, -1) if o else x for x, o in zip(args, on, strict=True)]
+        out = Lanes(lanes, name).run(jaxpr, on, given)
+        return [
+            lax.dynamic_update_slice_in_dim(whole, part, begin, -1) if o else part
+            for whole, part, o in zip(joined, out, reached, strict=True)
+        ]
+
+    empty = [jnp.zeros((*a.shape, n) if o else a.shape, a.dtype) for a, o in zip(jaxpr.out_avals, reached, strict=True)]
+    joined = lax.fori_loop(0, -(-n // lanes), chunk, empty)
+    return joined, [x.ndim - 1 if o else None for x, o in zip(joined, reached, strict=True)]
+
+
+_lanes_p = call_of("in_lanes", batch=_batch, jvp=_jvp)
+
+
+def _reach(jaxpr: ClosedJaxpr, on: list[bool]) -> list[bool]:
+    """Which results depend on the lane."""
+    known = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
+    for eqn in jaxpr.jaxpr.eqns:
+        given = [not isinstance(x, Literal) and known.get(x, False) for x in eqn.invars]
+        known |= dict(zip(eqn.outvars, _reach_of(eqn, given), strict=True))
+    return [not isinstance(x, Literal) and known.get(x, False) for x in jaxpr.jaxpr.outvars]
+
+
+def _reach_of(eqn, on: list[bool]) -> list[bool]:
+    name, p = eqn.primitive.name, eqn.params
+    if name in CALLS:
+        return _reach(p[CALLS[name]], on)
+    if name == "while" and any(on):
+        asks, carry = _reach_of_while(p, on)
+        return [True] * len(carry) if asks else carry
+    if name == "scan":
+        consts, end = _parts_of_scan(eqn)
+        carry = _fixpoint(p["jaxpr"], on[:consts], on[consts:end], on[end:])
+        return carry + _reach(p["jaxpr"], on[:consts] + carry + on[end:])[len(carry) :]
+    if name == "cond" and not on[0]:
+        return [any(of) for of in zip(*(_reach(branch, on[1:]) for branch in p["branches"]), strict=True)]
+    return [any(on) and name != "any_of_batch"] * len(eqn.outvars)
+
+
+def _reach_of_while(p, on: list[bool]) -> tuple[bool, list[bool]]:
+    """Whether what the loop asks depends on the lane, and what it carries."""
+    a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
+    carry = _fixpoint(p["body_jaxpr"], on[a:b], on[b:], [])
+    return _reach(p["cond_jaxpr"], on[:a] + carry)[0], carry
+
+
+def _parts_of_scan(eqn) -> tuple[int, int]:
+    """Where the carry begins and ends among the arguments; what is carried has the shape that the body sees, what is mapped has not."""
+
+    def alike(outer, inner):
+        return sum(a.aval.shape == b.aval.shape for a, b in zip(outer, inner, strict=True))
+
+    body = eqn.params["jaxpr"].jaxpr
+    carried, end = alike(eqn.outvars, body.outvars), alike(eqn.invars, body.invars)
+    return end - carried, end
+
+
+def _fixpoint(body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list[bool]) -> list[bool]:
+    while True:
+        after = [a or b for a, b in zip(carry, _reach(body, consts + carry + xs), strict=False)]
+        if after == carry:
+            return carry
+        carry = after
+
+
+class Lanes:
+    """Evaluates jaxprs for n members at once."""
+
+    def __init__(self, n: int, name: str = "vmap_last"):
+        self.n, self.name = n, name
+
+    def run(self, jaxpr: ClosedJaxpr, on: list[bool], args: list[Any], wanted: list[bool] | None = None) -> list[Any]:
+        """Results of arguments of which those `on` have a last axis of lanes; results that `_reach` says, or that are wanted, have it too."""
+        values: dict = dict(zip(jaxpr.jaxpr.constvars, jaxpr.consts, strict=True)) | dict(zip(jaxpr.jaxpr.invars, args, strict=True))
+        lanes = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
+
+        def look(x):
+            return (x.val, False) if isinstance(x, Literal) else (values[x], lanes.get(x, False))
+
+        for eqn in jaxpr.jaxpr.eqns:
+            given, of_lanes = zip(*map(look, eqn.invars), strict=True) if eqn.invars else ((), ())
+            reached = _reach_of(eqn, list(of_lanes))
+            out = self._apply(eqn, list(of_lanes), list(given)) if any(of_lanes) else _bind(eqn, given)
+            values |= dict(zip(eqn.outvars, out, strict=True))
+            lanes |= dict(zip(eqn.outvars, reached, strict=True))
+        found = [look(x) for x in jaxpr.jaxpr.outvars]
+        wanted = [o for _, o in found] if wanted is None else wanted
+        return [self._spread(x, o, v.aval.shape) if w else x for (x, o), v, w in zip(found, jaxpr.jaxpr.outvars, wanted, strict=True)]
+
+    def _spread(self, x, on: bool, shape) -> Array:
+        """x with the given shape and lanes; a scalar, or one for each lane, is repeated."""
+        x = jnp.asarray(x)
+        axes = tuple(range(len(shape))) if x.ndim - on == len(shape) else ()
+        return x if x.shape == (*shape, self.n) else lax.broadcast_in_dim(x, (*shape, self.n), (*axes, len(shape)) if on else axes)
+
+    def _apply(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
+        name, p, n = eqn.primitive.name, dict(eqn.params), self.n
+        if name in CALLS:
+            return self.run(p[CALLS[name]], on, x)
+        if name in ELEMENTWISE:
+            shape = eqn.outvars[0].aval.shape
+            return [eqn.primitive.bind(*(self._spread(a, o, shape) for a, o in zip(x, on, strict=True)), **p)]
+        if name == "kept_in_lanes":
+            return [as_kept(x[0])]
+        if name == "reduce_sum" and jnp.issubdtype(x[0].dtype, jnp.floating):
+            return [sum_p.bind(x[0], axes=tuple(p["axes"]))]
+        if name == "reduce_max" and jnp.issubdtype(x[0].dtype, jnp.floating):
+            return [plain_max(x[0], tuple(p["axes"]))]
+        if name in SAME_AXES:
+            return _bind(eqn, x)
+        if name in ("concatenate", "stack"):
+            parts = [self._spread(a, o, v.aval.shape) for a, o, v in zip(x, on, eqn.invars, strict=True)]
+            return [eqn.primitive.bind(*parts, **p)]
+        if name == "broadcast_in_dim" and len(x) == 1:
+            axes = (*p["broadcast_dimensions"], len(p["shape"]))
+            return [lax.broadcast_in_dim(x[0], (*p["shape"], n), axes)]
+        if name == "reshape" and len(x) == 1:
+            return [lax.reshape(x[0], (*p["new_sizes"], n))]
+        if name == "transpose":
+            return [lax.transpose(x[0], (*p["permutation"], x[0].ndim - 1))]
+        if name == "slice":
+            return [lax.slice(x[0], (*p["start_indices"], 0), (*p["limit_indices"], n), p["strides"] and (*p["strides"], 1))]
+        if name == "pad" and not on[1]:
+            return [lax.pad(x[0], x[1], (*p["padding_config"], (0, 0, 0)))]
+        if name == "dynamic_slice" and not any(on[1:]):
+            return [lax.dynamic_slice(x[0], (*x[1:], jnp.zeros_like(x[1])), (*p["slice_sizes"], n))]
+        if name == "dynamic_update_slice" and not any(on[2:]):
+            whole, part = (self._spread(a, o, v.aval.shape) for a, o, v in zip(x[:2], on, eqn.invars, strict=False))
+            return [lax.dynamic_update_slice(whole, part, (*x[2:], jnp.zeros_like(x[2])))]
+        if name == "gather" and not on[1]:
+            axes = p["dimension_numbers"]
+            axes = axes._replace(offset_dims=(*axes.offset_dims, eqn.outvars[0].aval.ndim))
+            return [lax.gather_p.bind(*x, **p | {"dimension_numbers": axes, "slice_sizes": (*p["slice_sizes"], n)})]
+        if name == "eigh" and x[0].ndim == 3 and jnp.issubdtype(x[0].dtype, jnp.floating):  # vectors, where they are used, by LAPACK
+            traced = jax.make_jaxpr(eigenvalues)(jax.ShapeDtypeStruct(x[0].shape[:-1], x[0].dtype))
+            return [self._by_vmap(eqn, on, x)[0], *self.run(traced, on, x)]
+        if name == "any_of_batch":
+            return [jnp.any(x[0], -1)]
+        if name == "custom_jvp_call":
+            return self._with_own_rule(eqn, on, x)
+        if name == "while" and not _reach_of_while(p, on)[0]:
+            return self._while(p, on, x)
+        if name == "scan":
+            return self._scan(eqn, on, x)
+        if name not in APART:
+            note_left_to_vmap(self.name, f"no rule for {name}, which alone is left")
+        return self._by_vmap(eqn, on, x)
+
+    def _by_vmap(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
+        axes = [-1 if o else None for o in on]
+        out = jax.vmap(lambda *x: _bind(eqn, x), in_axes=axes, out_axes=-1, axis_size=self.n)(*x)
+        return [a if r else a[..., 0] for a, r in zip(out, _reach_of(eqn, on), strict=True)]
+
+    def _with_own_rule(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
+        """An operation with a derivative of its own, which keeps it, in lanes too, where the batch is differentiated."""
+        outs = [v.aval for v in eqn.outvars]
+        moved, smooth = ([jnp.issubdtype(aval.dtype, jnp.inexact) for aval in avals] for avals in ([v.aval for v in eqn.invars], outs))
+
+        @jax.custom_jvp
+        def call(*x):
+            return self.run(eqn.params["call_jaxpr"], on, list(x), [True] * len(outs))
+
+        @call.defjvp
+        def _(primals, tangents):
+            axes = [-1 if o else None for o in on]
+            push = in_lanes(_pushed(lambda *x: _bind(eqn, x), moved, smooth), reversible=True, lanes=self.n, name=self.name)
+            tangents, along = ([x for x, m in zip(of, moved, strict=True) if m] for of in (tangents, axes))
+            out, dy = jax.vmap(push, in_axes=(axes, along), out_axes=-1, axis_size=self.n)(list(primals), tangents)
+            dy = iter(dy)
+            return out, [next(dy) if s else np.zeros(y.shape, float0) for s, y in zip(smooth, out, strict=True)]
+
+        return call(*x)
+
+    def _while(self, p, on, x):
+        a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
+        _, carry = _reach_of_while(p, on)
+        start = [
+            self._spread(v, o, av.shape) if c else v
+            for v, o, c, av in zip(x[b:], on[b:], carry, p["body_jaxpr"].in_avals[b - a :], strict=True)
+        ]
+        return lax.while_loop(
+            lambda c: self.run(p["cond_jaxpr"], on[:a] + carry, [*x[:a], *c])[0],
+            lambda c: self.run(p["body_jaxpr"], on[a:b] + carry, [*x[a:b], *c], carry),
+            start,
+        )
+
+    def _scan(self, eqn, on, x):
+        a, b = _parts_of_scan(eqn)
+        p, body = eqn.params, eqn.params["jaxpr"]
+        carry = _fixpoint(body, on[:a], on[a:b], on[b:])
+        start = [self._spread(v, o, av.shape) if c else v for v, o, c, av in zip(x[a:b], on[a:b], carry, body.in_avals[a:b], strict=True)]
+        inputs = on[:a] + carry + on[b:]
+        wanted = carry + _reach(body, inputs)[len(carry) :]
+
+        def step(c, xs):
+            out = self.run(body, inputs, [*x[:a], *c, *xs], wanted)
+            return out[: len(carry)], out[len(carry) :]
+
+        end, ys = lax.scan(step, start, x[b:], length=p["length"], reverse=p["reverse"], unroll=p["unroll"])
+        return [*end, *ys]
+
+
+def _bind(eqn, x) -> list[Any]:
+    """The equation as it stands."""
+    params = eqn.primitive.get_bind_params(eqn.params)
+    functions, params = params if isinstance(params, tuple) else ((), params)
+    out = eqn.primitive.bind(*functions, *x, **params)
+    return list(out) if eqn.primitive.multiple_results else [out]

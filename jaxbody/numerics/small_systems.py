@@ -1,0 +1,45 @@
+"""Small symmetric systems, without a call into LAPACK, which would break a compiled loop."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import jax.scipy.linalg
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from jaxbody.numerics.lane_marks import kept
+
+LARGEST_UNROLLED = 30
+
+
+def solve_spd(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
+    """x with A x = b for symmetric positive definite A."""
+    return solve_if_definite(A, b)[0]
+
+
+def is_definite(A: Float[Array, "n n"]) -> Bool[Array, ""]:
+    """Whether the symmetric A is positive definite: all pivots of the elimination are positive. In a loop, which compiles sooner than `solve_if_definite`."""
+
+    def clear(k, carry):
+        A, definite = carry
+        row = lax.dynamic_index_in_dim(A, k, keepdims=False)
+        pivot = lax.dynamic_index_in_dim(row, k, keepdims=False)
+        return A - kept(row)[:, None] * kept(row / pivot), definite & (pivot > 0)
+
+    return lax.fori_loop(0, len(A), clear, (A, jnp.array(True)))[1]
+
+
+def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Float[Array, "n"], Bool[Array, ""]]:
+    """x with A x = b, and whether the symmetric A is positive definite, which is when all pivots of the elimination are positive."""
+    n = A.shape[-1]
+    if n > LARGEST_UNROLLED:
+        factor = jnp.linalg.cholesky(A)
+        return jax.scipy.linalg.cho_solve((factor, True), b), jnp.isfinite(factor).all()
+    Ab = jnp.concatenate([A, b[:, None]], -1)
+    pivots = []
+    for i in range(n):  # Gauss-Jordan: clear the first column from all rows but i, and let it go
+        pivots.append(Ab[i, 0])
+        row = Ab[i, 1:] / Ab[i, 0]
+        Ab = jnp.where((np.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row)
+    return kept(Ab[:, 0]), jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)

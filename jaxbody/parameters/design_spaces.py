@@ -1,0 +1,165 @@
+"""Where a search for a design may go: parameters by path, equal ones together, between bounds, as numbers u of the order of one."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.errors import Problem, Problems
+from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
+from jaxbody.models.models import Model
+from jaxbody.parameters.ties import ALIKE, Factor, Tie, bounds_of_first, check_alike, equation, ties, times
+from jaxbody.parameters.transforms import Parametrization, Positive, Rotation, Shifted, pair_of, parametrize, sound_bounds
+from jaxbody.statics.equilibria import size_of
+
+SPREAD = 0.3  # of random starts of what has no bounds of its own: directions, matrices
+
+
+class Group(eqx.Module):
+    """Leaves tied to one value, that of the first, by factors, and how it moves."""
+
+    leaves: tuple[Leaf, ...] = eqx.field(static=True)
+    factors: tuple[Factor, ...] = eqx.field(static=True)
+    form: Parametrization
+
+    @property
+    def path(self) -> str:
+        return self.leaves[0].path
+
+    @property
+    def label(self) -> str:
+        return equation([leaf.path for leaf in self.leaves[:2]], self.factors) + (" = ..." if len(self.leaves) > 2 else "")
+
+
+class Space(eqx.Module):
+    """A model as a function of u, zero at the start: `place(u)`, between `low` and `high`."""
+
+    model: Model
+    groups: tuple[Group, ...]
+
+    @property
+    def size(self) -> int:
+        return sum(group.form.size for group in self.groups)
+
+    @property
+    def ends(self) -> list[slice]:
+        """Which numbers of u each group has."""
+        at = np.cumsum([0] + [group.form.size for group in self.groups])
+        return [slice(i, j) for i, j in itertools.pairwise(at)]
+
+    def values(self, u: Float[Array, "n"]) -> dict[str, Array]:
+        """{path of each group's first leaf: value}."""
+        return {group.path: group.form.value(u[at]) for group, at in zip(self.groups, self.ends, strict=True)}
+
+    def place(self, u: Float[Array, "n"]) -> Model:
+        values = self.values(u)
+        tied = [(group, *pair) for group in self.groups for pair in zip(group.leaves, group.factors, strict=True)]
+        return write(self.model, {leaf: times(values[group.path], factor) for group, leaf, factor in tied})
+
+    def labels(self) -> list[str]:
+        """What each u belongs to: "AB.stiffness", "mount 1.a[0]"."""
+        return [group.path + suffix for group in self.groups for suffix in group.form.labels()]
+
+    def numbers(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """What each u stands for, and its derivative in u: the parameter's number; where it has none, an orientation's or a matrix's, u itself."""
+        x, slopes = np.array(u), np.ones(len(u))
+        for group, at in zip(self.groups, self.ends, strict=True):
+            if isinstance(group.form, Positive | Shifted):
+                x[at] = np.asarray(group.form.value(jnp.asarray(u[at]))).ravel()
+                slopes[at] = x[at] if isinstance(group.form, Positive) else float(group.form.scale)
+                x[at] = np.where(np.abs(x[at]) < 1e-12 * np.abs(slopes[at]), 0.0, x[at])
+        return x, slopes
+
+
+def space_of(model: Model, free: str | Iterable[str], bounds: dict[str, Any], where: str) -> tuple[Space, np.ndarray, np.ndarray]:
+    """The space of the free parameters, and the bounds of u."""
+    groups = _grouped(model, [free] if isinstance(free, str) else list(free), where)
+    return _bounded(Space(model, groups), bounds, f"{where}.bounds")
+
+
+def _grouped(model: Model, free: list[str], where: str) -> tuple[Group, ...]:
+    problems = Problems()
+    arrays, size = jax.tree.leaves(model), size_of(model)
+    found = ties(leaves_of(model), free, f"{where}.free", problems)
+    groups = [_group(tie, arrays, model, size, problems) for tie in found]
+    problems.raise_if_any()
+    return tuple(group for group in groups if group is not None)
+
+
+def _group(tie: Tie, arrays, model: Model, size, problems: Problems) -> Group | None:
+    starts = [leaf.read(arrays) for leaf in tie]
+    form = parametrize(next(iter(tie)).path, starts[0], model, size)
+    if isinstance(form, Problem):
+        problems.found.append(form)
+        return None
+    check_alike(tie, starts, form, problems)
+    return Group(tuple(tie), tuple(tie.values()), form)
+
+
+def _bounded(space: Space, bounds: dict[str, Any], where: str) -> tuple[Space, np.ndarray, np.ndarray]:
+    problems = Problems()
+    owner = {leaf: (i, factor) for i, group in enumerate(space.groups) for leaf, factor in zip(group.leaves, group.factors, strict=True)}
+    low, high = np.full(space.size, -np.inf), np.full(space.size, np.inf)
+    forms = [group.form for group in space.groups]
+    asked: dict[int, list[tuple[str, Factor]]] = {}
+    for pattern, leaves in matching(list(owner), bounds, where).items():
+        for i, factor in (owner[leaf] for leaf in leaves):
+            asked.setdefault(i, []).append((pattern, factor))
+    for i, named in asked.items():
+        path, form, at, given = space.groups[i].path, forms[i], space.ends[i], bounds[named[0][0]]
+        ends = _within([(pair_of(bounds[pattern], form.start.shape), factor) for pattern, factor in named])
+        largest = max(float(np.where(np.isfinite(end), np.abs(end), 0.0).max()) for end in ends or [np.asarray(form.start)])
+        slack = ALIKE * largest  # what a tuned model comes with
+        if sound_bounds(form, ends, given, f"{where}['{path}']", problems, slack):
+            lower, upper = ends  # pyright: ignore
+            if isinstance(form, Shifted) and np.isfinite(upper - lower).all():
+                forms[i] = form = Shifted(form.start, jnp.asarray((upper - lower).max() / 2))
+            low[at], high[at] = form.inverse(lower), form.inverse(upper)  # pyright: ignore
+    problems.raise_if_any()
+    return Space(space.model, tuple(Group(g.leaves, g.factors, form) for g, form in zip(space.groups, forms, strict=True))), low, high
+
+
+def _within(pairs: list[tuple[list[np.ndarray] | None, Factor]]) -> list[np.ndarray] | None:
+    """All bounds of what is tied, as bounds of the first."""
+    if any(pair is None for pair, _ in pairs):
+        return None
+    lower, upper = zip(*(bounds_of_first(pair, factor) for pair, factor in pairs if pair is not None), strict=True)
+    return [np.maximum.reduce(lower), np.minimum.reduce(upper)]
+
+
+def at_value(space: Space, group: int, x: Any) -> np.ndarray:
+    """u of a group at a value."""
+    form: Any = space.groups[group].form
+    return form.inverse(np.broadcast_to(x, form.start.shape))
+
+
+def drawn(space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any, where: str) -> np.ndarray:
+    """Starts (count, n): the model as it is, and others at random, evenly between the bounds of u; orientations anywhere."""
+    problems = Problems()
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+    u = np.zeros((count, space.size))
+    for group, at in zip(space.groups, space.ends, strict=True):
+        if isinstance(group.form, Rotation):
+            q = rng.normal(size=(count, 4))
+            q = q / np.linalg.norm(q, axis=1, keepdims=True)
+            angle = 2 * np.arctan2(np.linalg.norm(q[:, 1:], axis=1), q[:, 0])
+            u[:, at] = (
+                q[:, 1:] / np.linalg.norm(q[:, 1:], axis=1, keepdims=True) * np.where(angle > np.pi, angle - 2 * np.pi, angle)[:, None]
+            )
+        elif not isinstance(group.form, Positive | Shifted):
+            u[:, at] = SPREAD * rng.normal(size=(count, group.form.size))
+        elif count > 1 and not np.isfinite(high[at] - low[at]).all():
+            limit, hint = "finite, both", "Random starts lie between bounds."
+            problems.add("NO_BOUNDS", f"{where}['{group.path}']", "is missing", limit=limit, hint=hint)
+        elif count > 1:
+            u[:, at] = rng.uniform(low[at], high[at], (count, group.form.size))
+    problems.raise_if_any()
+    u[0] = 0.0
+    return u

@@ -1,0 +1,253 @@
+"""How a free parameter is moved in a fit: by numbers u that are zero at the start, unbounded and of the order of one.
+
+positive        x = x0 exp(u)                         stiffness, damping, mass
+definite        X = L(u) L(u)'                        6 x 6 stiffness and damping; L lower, logarithms on its diagonal
+inertia         I = tr(S) 1 - S, S definite           so that masses of no sign but plus can have it (log-Cholesky of the pseudo-inertia)
+rotation        q = exp(u) q0                         orientations; coordinates of an initial state
+direction       n = (n0 + B u)/|n0 + B u|             axes of joints
+of instruments  x = x0 + s u                          gain (either sign) and bias, s of the order of the record where x0 is smaller; delay, of a sample
+anything else   x = x0 + s u                          s the largest of |x0|, or a size of the model where x0 is zero
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import concrete
+from jaxbody.core.errors import Problem, Problems
+from jaxbody.geometry import rotations
+from jaxbody.geometry.vectors import cross, dot
+from jaxbody.mechanics.kinematics import Chart
+from jaxbody.models.models import Model
+
+POSITIVE = ("stiffness", "damping", "mass")
+
+
+class Parametrization(eqx.Module):
+    """A leaf as a function of u."""
+
+    start: Float[Array, "*x"]
+
+    @property
+    def size(self) -> int:
+        """How many numbers u has."""
+        return self.start.size
+
+    @abstractmethod
+    def value(self, u: Float[Array, "n"]) -> Float[Array, "*x"]: ...
+
+    def labels(self) -> list[str]:
+        """The suffix of each u: "", or its index."""
+        return [""] if self.start.ndim == 0 else [str(list(i)).replace(" ", "") for i in np.ndindex(self.start.shape)]
+
+
+class Positive(Parametrization):
+    """x = x0 exp(u)."""
+
+    def value(self, u):
+        return self.start * jnp.exp(u.reshape(self.start.shape))
+
+    def inverse(self, x: Any) -> np.ndarray:
+        """u of a value, -inf at zero and below."""
+        with np.errstate(divide="ignore"):
+            return np.log(np.maximum(np.asarray(x, float), 0.0) / np.asarray(self.start)).ravel()
+
+
+class Shifted(Parametrization):
+    """x = x0 + s u."""
+
+    scale: Float[Array, ""]
+
+    def value(self, u):
+        return self.start + self.scale * u.reshape(self.start.shape)
+
+    def inverse(self, x: Any) -> np.ndarray:
+        """u of a value."""
+        return ((np.asarray(x, float) - np.asarray(self.start)) / float(self.scale)).ravel()
+
+
+class Definite(Parametrization):
+    """X = L(u) L(u)'."""
+
+    @property
+    def size(self) -> int:
+        n = self.start.shape[0]
+        return n * (n + 1) // 2
+
+    def value(self, u):
+        n = self.start.shape[0]
+        L0 = jnp.linalg.cholesky(self.start)
+        diagonal = jnp.diag(L0)
+        rows, columns = np.tril_indices(n, -1)
+        below = L0[rows, columns] + u[n:] * jnp.sqrt(diagonal[rows] * diagonal[columns])
+        L = jnp.zeros((n, n), u.dtype).at[rows, columns].set(below) + jnp.diag(diagonal * jnp.exp(u[:n]))
+        return L @ L.T
+
+    def labels(self):
+        n = self.start.shape[0]
+        rows, columns = np.tril_indices(n, -1)
+        return [f"[{i},{i}]" for i in range(n)] + [f"[{i},{j}]" for i, j in zip(rows, columns, strict=True)]
+
+
+class Inertia(Parametrization):
+    """About the center of mass I = tr(S) 1 - S, with S = sum of m x x' the second moment of mass.
+
+    S is definite if and only if I is of masses that are positive everywhere (P. Wensing, S. Kim, J.-J. Slotine, IEEE Robotics and Automation
+    Letters 3 (2018) 60): then its principal moments hold the triangle inequality."""
+
+    @property
+    def size(self) -> int:
+        return 6
+
+    def value(self, u):
+        S = Definite(0.5 * jnp.trace(self.start) * jnp.eye(3) - self.start).value(u)
+        return jnp.trace(S) * jnp.eye(3) - S
+
+    def labels(self):
+        return [f"[second moment {label[1:]}" for label in Definite(self.start).labels()]
+
+
+class Rotation(Parametrization):
+    """q = exp(u) q0."""
+
+    @property
+    def size(self) -> int:
+        return 3
+
+    def value(self, u):
+        return rotations.multiply(rotations.exp_quaternion(u), self.start)
+
+    def labels(self):
+        return ["[turn x]", "[turn y]", "[turn z]"]
+
+
+class Direction(Parametrization):
+    """n = (n0 + B u)/|n0 + B u|."""
+
+    @property
+    def size(self) -> int:
+        return 2
+
+    def value(self, u):
+        least = jnp.eye(3, dtype=u.dtype)[jnp.argmin(jnp.abs(self.start))]
+        b = cross(self.start, least)
+        b = b / jnp.sqrt(dot(b, b))
+        moved = self.start + u[0] * b + u[1] * cross(self.start, b)
+        return moved / jnp.sqrt(dot(moved, moved))
+
+    def labels(self):
+        return ["[tilt 1]", "[tilt 2]"]
+
+
+class Configuration(Parametrization):
+    """The coordinates of an initial state, moved in the chart."""
+
+    model: Model
+
+    @property
+    def size(self) -> int:
+        return self.model.layout.nv
+
+    def value(self, u):
+        return Chart(self.model).retract(self.start, u)
+
+    def labels(self):
+        return [f"[{name}]" for name in self.model.layout.coordinates]
+
+
+class Configurations(Configuration):
+    """Several of them, a row each."""
+
+    @property
+    def size(self) -> int:
+        return len(self.start) * self.model.layout.nv
+
+    def value(self, u):
+        return jax.vmap(Chart(self.model).retract)(self.start, u.reshape(len(self.start), -1))
+
+    def labels(self):
+        return [f"[{row}, {name}]" for row in range(len(self.start)) for name in self.model.layout.coordinates]
+
+
+def parametrize(path: str, start: Array, model: Model, size: Array) -> Parametrization | Problem:
+    """The parametrization that suits a leaf, or what is wrong with its start."""
+    field = path.rsplit(".", 1)[-1]
+    known = concrete(start)
+    if path.endswith("nodes.q"):
+        return Configurations(start, model)
+    if path.endswith("initial.q"):
+        return Configuration(start, model)
+    if field in POSITIVE and start.ndim < 2:
+        if known is not None and (known <= 0).any():
+            return Problem(
+                "START_ON_BOUND",
+                path,
+                f"starts at {known}, where its logarithm has no value",
+                known,
+                "> 0",
+                "Start at a small positive number.",
+            )
+        return Positive(start)
+    if field == "inertia":
+        moments = None if known is None else np.linalg.eigvalsh(known)
+        if moments is not None and moments[0] + moments[1] - moments[2] <= 1e-9 * moments.sum():
+            told = f"starts at principal moments {moments}, those of a flat or thin body"
+            hint = "Give it some thickness: masses on both sides of its plane or line."
+            return Problem("START_ON_BOUND", path, told, known, "each less than the sum of the other two", hint)
+        return Inertia(start)
+    if field in POSITIVE:
+        if known is not None and np.linalg.eigvalsh(known).min() <= 0:
+            return Problem(
+                "START_ON_BOUND",
+                path,
+                "starts at a matrix that is not positive definite",
+                known,
+                "eigenvalues > 0",
+                "Start at a definite matrix.",
+            )
+        return Definite(start)
+    if field.startswith("orientation"):
+        return Rotation(start)
+    if field == "axis":
+        return Direction(start)
+    largest = jnp.max(jnp.abs(start))
+    return Shifted(start, jnp.where(largest > 0, largest, size))
+
+
+def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
+    """A pair, (lower, upper) or (mean, deviation), as arrays of the shape; None where it is not one."""
+    try:
+        lower, upper = given
+        return [np.broadcast_to(np.asarray(end, float), shape) for end in (lower, upper)]
+    except (TypeError, ValueError):
+        return None
+
+
+def sound_bounds(
+    form: Parametrization, ends: list[np.ndarray] | None, given: Any, where: str, problems: Problems, slack: float = 0.0
+) -> bool:
+    """Whether bounds, as given and as a pair of arrays, are some and hold the start; what is wrong goes to `problems`."""
+    start = np.asarray(form.start)
+    if not isinstance(form, Positive | Shifted):
+        problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
+    elif ends is None:
+        problems.add("BAD_BOUNDS", where, f"is {given!r:.60}", value=given, limit="(lower, upper)")
+    elif np.isnan(ends).any():
+        hint = "A side without a bound is -inf or inf."
+        problems.add("BAD_BOUNDS", where, f"is {given!r:.60}, which has a NaN", value=given, limit="numbers", hint=hint)
+    elif not (ends[0] < ends[1]).all():
+        problems.add("BAD_BOUNDS", where, f"has lower {given[0]} >= upper {given[1]}", value=given, limit="lower < upper")
+    elif ((start < ends[0] - slack) | (start > ends[1] + slack)).any():
+        distance = np.maximum(ends[0] - start, start - ends[1]).max()
+        told, limit = f"does not hold the start {start}, by {distance:.4g}", f"{given[0]} to {given[1]}"
+        problems.add("START_OUTSIDE", where, told, value=start, limit=limit, hint="Move the start or the bound.")
+    else:
+        return True
+    return False

@@ -1,0 +1,97 @@
+"""Pictures of designs: the course of a search, a front, sensitivities as a tornado, tolerances as a histogram, each into `ax`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.designs.fronts import Front
+from jaxbody.designs.sensitivity_analyses import Sensitivities
+from jaxbody.designs.tolerance_analyses import Tolerances
+from jaxbody.designs.tunings import Tuning
+from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT, axes_or_new, legend
+
+MOST_BARS = 15
+BINS = 40
+
+
+def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
+    """The objective at every trial of the best start that gave numbers: full circles within all limits, open ones outside."""
+    ax = axes_or_new(ax, 5.0, 3.0)
+    objective, violation = tuning.history.T
+    kept = violation <= 1e-6
+    count = np.arange(1, len(objective) + 1)
+    ax.plot(count, objective, color=COLORS[0], lw=1.0, alpha=0.5)
+    ax.plot(count[kept], objective[kept], "o", ms=4, color=COLORS[0], label="within the limits")
+    if not kept.all():
+        ax.plot(count[~kept], objective[~kept], "o", ms=4, mfc="white", color=COLORS[1], label="not within them")
+    ax.set(xlabel="trial", ylabel=tuning.minimize)
+    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.legend(frameon=False, fontsize=8)
+    return ax
+
+
+def plot_front(front: Front, *, ax: Any = None) -> Any:
+    """The front of two objectives as a line with its designs, of three as points with the third as color.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> def trade(model):
+    ...     c = model["suspension"].damping / 1500.0
+    ...     return {"shake": c + 1 / c, "travel": 1 / c}
+    >>> ax = plot_front(pareto(car, trade, minimize=["shake", "travel"], free=["suspension.damping"], bounds={"*.damping": (500.0, 5000.0)}, points=4))
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('travel', 'shake')
+    """
+    ax = axes_or_new(ax, 5.0, 3.6)
+    names = list(front.objectives)
+    y, x = (np.asarray(front.objectives[name]) for name in names[:2])
+    if len(names) == 2:
+        ax.plot(x, y, "o-", ms=4, lw=1.4, color=COLORS[0])
+    else:
+        points = ax.scatter(x, y, c=front.objectives[names[2]], cmap="viridis", s=28)
+        ax.figure.colorbar(points, ax=ax, label=names[2])
+    ax.set(xlabel=names[1], ylabel=names[0])
+    return ax
+
+
+def plot_tornado(found: Sensitivities, quantity: str | None = None, *, ax: Any = None) -> Any:
+    """What each parameter, changed to either side, makes of a quantity (the first, if none is named), the strongest 15 from above. Error: UNKNOWN_NAME."""
+    quantity = quantity or found.quantities[0]
+    row, every = found.row(quantity), found.order(quantity)
+    order = every[:MOST_BARS]
+    ax = axes_or_new(ax, 6.0, 0.8 + 0.3 * len(order))
+    nominal = found.nominal[row]
+    place = np.arange(len(order))
+    for ends, sign, color in ((found.low, "less", COLORS[0]), (found.high, "more", COLORS[1])):
+        change = ends[row, order] - nominal
+        ax.barh(place, change, left=nominal, color=color, height=0.65, label=f"{100 * found.change:g} % {sign}")
+    ax.axvline(nominal, color=INK, lw=0.8)
+    ax.set_yticks(place, [found.parameters[i] for i in order], fontsize=8)
+    ax.invert_yaxis()
+    if len(every) > len(order):
+        ax.set_title(f"the strongest {len(order)} of {len(every)} parameters", fontsize=9)
+    ax.set_xlabel(quantity)
+    ax.legend(frameon=False, fontsize=8, loc="lower right")
+    return ax
+
+
+def plot_tolerances(found: Tolerances, quantity: str | None = None, *, ax: Any = None) -> Any:
+    """The samples of a quantity (the first, if none is named), and the normal densities to first and second order. Error: UNKNOWN_NAME."""
+    quantity = quantity or found.quantities[0]
+    row = found.row(quantity)
+    ax = axes_or_new(ax, 5.0, 3.2)
+    samples = np.asarray(found.samples)[:, row]
+    samples = samples[np.isfinite(samples)]
+    ax.hist(samples, BINS, density=True, color=LIGHT, edgecolor=GRAY, lw=0.4, label=f"{len(samples)} samples")
+    x = np.linspace(samples.min(), samples.max(), 200)
+    for i, (name, mean, deviation) in enumerate(
+        (("first order", found.nominal, found.first), ("second order", found.mean, found.deviation))
+    ):
+        m, s = float(mean[row]), float(deviation[row])
+        if s > 0:
+            ax.plot(x, np.exp(-0.5 * ((x - m) / s) ** 2) / (s * np.sqrt(2 * np.pi)), color=COLORS[i], lw=1.4, label=name)
+    ax.axvline(float(found.nominal[row]), color=INK, lw=0.8, label="nominal")
+    ax.set(xlabel=quantity, ylabel="density")
+    legend(ax, 4)
+    return ax

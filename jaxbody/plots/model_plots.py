@@ -1,0 +1,332 @@
+"""Pictures of models: bodies as outlines through their attachment points, springs as zigzags, supports hatched; and their modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.tables import without_dust
+from jaxbody.elements.contacts import Tyre
+from jaxbody.elements.elements import LineElement
+from jaxbody.geometry.frames import Pose
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.joints import Guide
+from jaxbody.models.models import WORLD, Model
+from jaxbody.models.states import State
+from jaxbody.plots.annotations import Label, annotate
+from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT, axes_or_new, check_known
+from jaxbody.vibrations.damped_modes import ComplexModes
+from jaxbody.vibrations.linearizations import Linearization
+from jaxbody.vibrations.natural_modes import Modes
+from jaxbody.vibrations.spins import SpinLinearization
+
+AXES = "xyz"
+RIM = 8.0  # points: width of the rounded rim of an outline
+MARGIN = 0.06  # around what is drawn, in its longer side
+SLIM = 0.35  # least ratio of the sides of the frame
+SWING = 1 / 8  # largest displacement of a drawn mode, in sizes of the model
+
+
+def draw_model(
+    model: Model,
+    state: State | None = None,
+    *,
+    displaced: dict[str, Any] | None = None,
+    view: str | None = None,
+    names: bool = True,
+    ax: Any = None,
+) -> Any:
+    """The model in a state (without one, the reference pose), supports displaced by {name: Xi}.
+
+    view: two of x, y, z, right and up ("xy"), with meters at the axes, or "oblique", with the three axes and a length; if none is given, gravity
+    points down, and the view is oblique unless the model is flat. Tyres are circles of their radius.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, -9.81, 0],
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9)})
+    >>> draw_model(model).get_ylabel()
+    'y [m]'
+    """
+    state = model.reference if state is None else state
+    xi = np.zeros((len(model.layout.supports), 6))
+    check_known(tuple(displaced or ()), model.layout.supports, "draw_model.displaced")
+    for name, value in (displaced or {}).items():
+        xi[model.layout.supports.index(name)] = value
+    scene = Scene(model, _poses_at(model, state.q, np.zeros(model.layout.nv), xi))
+    look = projection(view, model, [scene])
+    ax = _axes(ax, [scene], look)
+    _draw(ax, scene, look, scene.size(look))
+    _frame(ax, look, scene.size(look))
+    if names:
+        annotate(ax, _names(scene, look))
+    return ax
+
+
+def draw_mode(
+    lin: Linearization | SpinLinearization, modes: Modes | ComplexModes, number: int = 1, *, view: str | None = None, ax: Any = None
+) -> Any:
+    """Mode `number` (from 1, ascending) in both extremes over the state at rest, with its name; the amplitude is an eighth of the model's size.
+
+    A complex mode is drawn where its largest component is extreme."""
+    model, count = lin.model, modes.frequency.shape[0]
+    if not 1 <= number <= count:
+        raise JaxbodyError(
+            Problem("UNKNOWN_MODE", "draw_mode.number", f"is {number}; there are modes 1 to {count}", number, f"1 to {count}")
+        )
+    shape = np.real(np.asarray(modes.shapes)[:, number - 1])
+    still = np.zeros((len(model.layout.supports), 6))
+    q = lin.state.q
+    rest = Scene(model, _poses_at(model, q, 0 * shape, still))
+    size = rest.size(np.eye(3))
+    trial = 1e-6 * size / np.abs(shape).max()
+    moved = Scene(model, _poses_at(model, q, trial * shape, still))
+    largest = max(np.abs(moved.points[name] - rest.points[name]).max() for name in model.layout.bodies) / trial
+    largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)  # where nothing is attached off O
+    extremes = [Scene(model, _poses_at(model, q, sign * size * SWING / largest * shape, still)) for sign in (-1, 1)]
+    look = projection(view, model, [rest, *extremes])
+    ax = _axes(ax, [rest, *extremes], look)
+    _draw(ax, rest, look, size, color=LIGHT, edge=GRAY, springs=GRAY, alpha=0.5)
+    for scene, color in zip(extremes, COLORS, strict=False):
+        _draw(ax, scene, look, size, color=color, edge=color, springs=color, alpha=0.3, ground=False)
+    frequency, ratio = (float(x[number - 1]) for x in (np.asarray(modes.frequency), without_dust(modes.damping_ratio, 1.0)))
+    title = f"mode {number}: {frequency:.4g} Hz" + (f", damping ratio {ratio:.2g}" if ratio > 0 else "")
+    ax.set_title(f"{title}\n{modes.names[number - 1]}", fontsize=9)
+    _frame(ax, look, size)
+    return ax
+
+
+@dataclass
+class Scene:
+    """A posed model: for each frame the world positions of what is attached to it."""
+
+    model: Model
+    frames: tuple[np.ndarray, np.ndarray]  # origins and orientations
+    points: dict[str, np.ndarray] = field(init=False)
+    pivots: dict[str, tuple[np.ndarray, str]] = field(init=False)  # of each jointed body where, and on what
+    ends: dict[str, tuple[np.ndarray, np.ndarray]] = field(init=False)
+    centers: dict[str, np.ndarray] = field(init=False)  # of mass
+
+    def __post_init__(self):
+        layout = self.model.layout
+        pose = {name: (p, R) for name, p, R in zip(layout.frames, *self.frames, strict=True)}
+        points: dict[str, list[np.ndarray]] = {name: [] for name in layout.frames}
+        self.ends, self.pivots, self.centers = {}, {}, {}
+        for table in self.model.elements:
+            for name, link, a, b in zip(table.names, table.links, *(np.asarray(x) for x in table.rows.points[:2]), strict=True):
+                A, B = (pose[end][0] + pose[end][1] @ point for end, point in zip(link[:2], (a, b), strict=True))
+                self.ends[name] = (A, B)
+                points[link[0]].append(A)
+                points[link[1]].append(B)
+        for name, kind, parent in zip(layout.bodies, layout.kinds, layout.parents, strict=True):
+            p, R = pose[name]
+            self.centers[name] = p + R @ np.asarray(self.model[name].com)
+            points[name].append(self.centers[name])
+            if kind.nv < 6:
+                at = getattr(self.model.joint(name), "at", None)
+                pivot = p if at is None else pose[parent][0] + pose[parent][1] @ np.asarray(at)
+                self.pivots[name] = (pivot, parent)
+                points[name].append(pivot)
+                points[parent].append(pivot)
+        self.points = {name: np.array(rows) if rows else pose[name][0][None] for name, rows in points.items()}
+
+    def all_points(self) -> np.ndarray:
+        return np.concatenate([rows for name, rows in self.points.items() if name != WORLD or len(self.ends) + len(self.pivots)])
+
+    def size(self, look: np.ndarray) -> float:
+        """The longer side of the box around everything, as seen."""
+        return float(np.ptp(self.all_points() @ look.T, axis=0).max()) or 1.0
+
+
+def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarray:
+    """(2, 3): what is drawn to the right and up of a displacement along the world axes."""
+    if view is not None and view != "oblique" and not (len(view) == 2 and view[0] != view[1] and set(view) <= set(AXES)):
+        raise JaxbodyError(
+            Problem("BAD_VIEW", "view", f"is {view!r}", view, "two of x, y, z", "Give two axes, right and up, as 'xy', or 'oblique'.")
+        )
+    if view is not None and view != "oblique":
+        return np.eye(3)[[AXES.index(axis) for axis in view]]
+    points = np.concatenate([scene.all_points() for scene in scenes])
+    spread = np.ptp(points, axis=0)
+    weight = np.abs(np.asarray(model.gravity))
+    up = int(np.argmax(weight)) if weight.any() else int(np.argsort(spread)[1])
+    rest = [i for i in range(3) if i != up]
+    right = rest[0] if spread[rest[0]] >= 0.5 * spread[rest[1]] else rest[1]
+    away = 3 - up - right
+    look = np.eye(3)[[right, up]]
+    if view == "oblique" or spread[away] > 1e-6 * spread.max():
+        look[:, away] = (-0.45, -0.28) if (right, up) in ((0, 1), (1, 2), (2, 0)) else (0.45, 0.28)
+    return look
+
+
+def _axes(ax: Any, scenes: list[Scene], look: np.ndarray) -> Any:
+    """The axes given, or those of a new figure of the shape of what will be drawn."""
+    width, height = np.ptp(np.concatenate([scene.all_points() for scene in scenes]) @ look.T, axis=0) + 1e-9
+    ratio = np.clip((height + 0.1 * width) / (width + 0.1 * height), 0.25, 2.0)
+    return axes_or_new(ax, *((6.4, 1.0 + 5.2 * ratio) if ratio < 1 else (1.4 + 5.0 / ratio, 5.8)))
+
+
+def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, alpha=1.0, ground=True) -> None:
+    layout = scene.model.layout
+    for i, name in enumerate(layout.bodies):
+        fill = color or COLORS[i % len(COLORS)]
+        seen = scene.points[name] @ look.T
+        _outline(ax, seen, size, fill, edge, alpha if color else 0.35, color is not None)
+        if color is None:
+            ax.plot(*(scene.centers[name] @ look.T), "o", ms=6, mfc="white", mec=INK, mew=1.0, zorder=6)
+    for table in scene.model.elements:
+        if isinstance(table.rows, Tyre):
+            _wheels(ax, scene, table, look, size, edge, alpha, ground)
+            continue
+        zigzag = isinstance(table.rows, LineElement)
+        for name, link in zip(table.names, table.links, strict=True):
+            A, B = (end @ look.T for end in scene.ends[name])
+            path = _zigzag(A, B, 0.022 * size) if zigzag else np.array([A, B])
+            ax.plot(*path.T, color=springs, lw=1.1 if zigzag else 3.0, alpha=alpha, solid_joinstyle="round", zorder=4)
+            ax.plot(*np.array([A, B]).T, "." if zigzag else "s", color=springs, ms=4, alpha=alpha, zorder=5)
+            for end, here, there in zip(link[:2], (A, B), (B, A), strict=True):
+                if ground and end not in layout.bodies:
+                    _ground(ax, here, here - there, 0.035 * size)
+    for name, (at, parent) in scene.pivots.items():
+        pivot, joint = at @ look.T, scene.model.joint(name)
+        if isinstance(joint, Guide):
+            axis = scene.frames[1][layout.frame(parent)] @ np.asarray(joint.axis)
+            along = axis @ look.T * 0.12 * size
+            ax.plot(*np.array([pivot - along, pivot + along]).T, "-.", color=GRAY, lw=0.9, zorder=1)
+        elif not joint.in_series:
+            ax.plot(*pivot, "o", ms=6, mfc="white", mec=edge, mew=1.2, alpha=alpha, zorder=6)
+            if ground and parent not in layout.bodies:
+                _ground(ax, pivot - np.array([0, 0.02 * size]), np.array([0.0, -1.0]), 0.035 * size)
+
+
+def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
+    """Circles of their radius about the hubs, and the ground below where the road's normal is seen."""
+    from matplotlib.patches import Circle
+
+    rows = zip(table.names, table.links, np.asarray(table.rows.radius), np.asarray(table.rows.axis), strict=True)
+    for name, link, radius, axis in rows:
+        hub, road = (end @ look.T for end in scene.ends[name])
+        up = scene.frames[1][scene.model.layout.frame(link[1])] @ axis @ look.T
+        if up.any():
+            ax.add_patch(Circle(hub, radius, fill=False, edgecolor=edge, lw=1.6, alpha=alpha, zorder=1))
+            if ground:
+                _ground(ax, road, -up, 0.035 * size)
+
+
+def _names(scene: Scene, look) -> list[Label]:
+    """The names of bodies and elements where they belong."""
+    labels = [Label(name, at @ look.T, np.array([1.0, 1.0]), 9, INK) for name, at in scene.centers.items()]
+    for name, ends in scene.ends.items():
+        A, B = (end @ look.T for end in ends)
+        labels.append(Label(name, (A + B) / 2, np.array([abs((B - A)[1]), -(B - A)[0] * np.sign((B - A)[1] or 1.0)]), 8, GRAY))
+    return labels
+
+
+def _outline(ax, seen, size, fill, edge, alpha, ghost) -> None:
+    """The convex hull of the points with a rounded rim; a disk for a single point."""
+    from matplotlib.colors import to_rgba
+    from matplotlib.patches import Circle, Polygon
+
+    hull = _hull(seen, 1e-9 * size)
+    if len(hull) == 1:
+        ax.add_patch(Circle(hull[0], 0.035 * size, facecolor=to_rgba(fill, alpha), edgecolor=edge, lw=1.2, zorder=2))
+    elif ghost:
+        ax.add_patch(Polygon(hull, closed=True, facecolor=to_rgba(fill, alpha), edgecolor=edge, lw=1.6, joinstyle="round", zorder=3))
+    else:
+        pale = tuple(1 - 0.35 * (1 - c) for c in to_rgba(fill)[:3])
+        for color, width in ((edge, RIM), (pale, RIM - 2.2)):
+            rim = {"lw": width, "zorder": 2, "snap": False}
+            if len(hull) == 2:
+                ax.plot(*hull.T, color=color, solid_capstyle="round", **rim)
+            else:
+                ax.add_patch(Polygon(hull, closed=True, facecolor=color, edgecolor=color, joinstyle="round", **rim))
+
+
+def _hull(points: np.ndarray, tolerance: float) -> np.ndarray:
+    """Convex hull in the plane, counterclockwise (A. M. Andrew, Information Processing Letters 9 (1979) 216)."""
+    points = points[np.lexsort(points.T[::-1])]
+    points = points[np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > tolerance])]
+    if len(points) < 3:
+        return points
+
+    def half(points):
+        chain: list[np.ndarray] = []
+        for p in points:
+            while len(chain) > 1 and _area(chain[-2], chain[-1], p) <= 0:
+                chain.pop()
+            chain.append(p)
+        return chain[:-1]
+
+    return np.array(half(points) + half(points[::-1]))
+
+
+def _area(a, b, c) -> float:
+    return float((b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0])
+
+
+def _zigzag(A, B, width: float, coils: int = 7) -> np.ndarray:
+    """A spring from A to B: straight ends of an eighth of the length, teeth between."""
+    along = B - A
+    length = np.linalg.norm(along)
+    if length == 0:
+        return np.array([A, B])
+    side = np.array([-along[1], along[0]]) / length * min(width, length / 4)
+    s = np.concatenate([[0, 0.12], 0.12 + 0.76 * (np.arange(2 * coils) + 0.5) / (2 * coils), [0.88, 1]])
+    teeth = np.concatenate([[0, 0], np.where(np.arange(2 * coils) % 2, -1, 1), [0, 0]])
+    return A + s[:, None] * along + teeth[:, None] * side
+
+
+def _ground(ax, at, outward, half: float) -> None:
+    """A bar across the direction `outward`, hatched on its far side."""
+    length = np.linalg.norm(outward)
+    n = outward / length if length else np.array([0.0, -1.0])
+    t = np.array([-n[1], n[0]])
+    ax.plot(*np.array([at - half * t, at + half * t]).T, color=INK, lw=1.6, solid_capstyle="butt", zorder=4)
+    for x in np.linspace(-0.8, 1.0, 6):
+        start = at + half * x * t
+        ax.plot(*np.array([start, start + half * (0.5 * n - 0.4 * t)]).T, color=INK, lw=0.7, zorder=3)
+
+
+def _frame(ax, look, size: float) -> None:
+    """Around what is drawn; with meters at the axes, or, as those of an oblique view would be true of one plane alone, with the three axes."""
+    if np.count_nonzero(look) > 2:
+        _triad(ax, look, size)
+        ax.set_axis_off()
+    else:
+        right, up = (int(np.argmax(np.abs(row))) for row in look)
+        ax.set(xlabel=f"{AXES[right]} [m]", ylabel=f"{AXES[up]} [m]")
+    (x0, y0), (x1, y1) = ax.dataLim.get_points()
+    width, height = np.array([x1 - x0, y1 - y0]) + 2 * MARGIN * max(x1 - x0, y1 - y0)
+    width, height = max(width, SLIM * height), max(height, SLIM * width)
+    ax.set_xlim((x0 + x1 - width) / 2, (x0 + x1 + width) / 2)
+    ax.set_ylim((y0 + y1 - height) / 2, (y0 + y1 + height) / 2)
+    ax.set_aspect("equal", adjustable="box")
+    ax.apply_aspect()
+
+
+def _triad(ax, look, size: float) -> None:
+    """The world's axes as they are seen, each as long as is written below them, at the lower left."""
+    length = 10.0 ** np.floor(np.log10(size / 7))
+    length *= max(k for k in (1, 2, 5) if k * length <= size / 7)
+    low = ax.dataLim.get_points()[0]
+    origin = low - length * (look * (look > 0)).sum(1) * [1.3, 0] - length * (look * (look < 0)).sum(1) * [1, 1] * [0, 1]
+    for name, direction in zip(AXES, look.T, strict=True):
+        ax.plot(*np.array([origin, origin + length * direction]).T, color=GRAY, lw=1.2, gid=f"axis {name}")
+        ax.text(*(origin + 1.25 * length * direction), name, fontsize=8, color=GRAY, ha="center", va="center")
+    ax.annotate(f"{length:g} m", origin, xytext=(0, -12), textcoords="offset points", fontsize=8, color=GRAY, ha="left", va="center")
+
+
+@jit_as_it_is
+def _poses(model: Model, q, delta, xi) -> Pose:
+    coordinates = Coordinates(model)
+    zero = jnp.zeros_like(delta)
+    return coordinates.frames(coordinates.retract(q, delta), zero, coordinates.supports_at(xi, jnp.zeros_like(xi))).pose()
+
+
+def _poses_at(model: Model, q, delta, xi) -> tuple[np.ndarray, np.ndarray]:
+    dtype = model.gravity.dtype
+    frames = _poses(model, jnp.asarray(q), jnp.asarray(delta, dtype), jnp.asarray(xi, dtype))
+    return np.asarray(frames.p), np.asarray(frames.R)

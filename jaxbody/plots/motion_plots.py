@@ -1,0 +1,122 @@
+"""Pictures of motions: where bodies go over time, the forces of the elements, the path of loads up to an equilibrium."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.elements.torsions import Torsion
+from jaxbody.plots.canvases import COLORS, GRAY, axes_below, axes_or_new, check_known, legend, style
+from jaxbody.simulations.simulations import Trajectory
+from jaxbody.statics.equilibria import Equilibrium
+
+AXES = "xyz"
+
+
+def plot_trajectory(trajectory: Trajectory, *, bodies: tuple[str, ...] | None = None, ax: Any = None) -> Any:
+    """Displacements of bodies and supports from the reference pose [m] and, below, their turns [rad], over time; supports dashed.
+
+    What stays still is left out. bodies: names of bodies and supports, all of them if none are given.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9)})
+    >>> ax = plot_trajectory(simulate(model, jnp.linspace(0, 1, 11)))
+    >>> ax.get_ylabel()
+    'displacement [m]'
+    """
+    ax = axes_or_new(ax, 7.0, 4.2)
+    layout, t = trajectory.model.layout, np.asarray(trajectory.times)
+    poses = trajectory.poses
+    names = bodies or (*layout.bodies, *layout.supports)
+    check_known(names, tuple(poses), "plot_trajectory.bodies")
+    moves, turns = {}, {}
+    for name in names:
+        p, R = np.asarray(poses[name].p), np.asarray(poses[name].R)
+        start = trajectory.model[name]
+        moves |= {f"{name} {axis}": p[:, i] - float(start.position[i]) for i, axis in enumerate(AXES)}
+        turns |= {f"{name} about {axis}": angle for axis, angle in zip(AXES, _turns(R, np.asarray(start.orientation)).T, strict=True)}
+    dashed = tuple(f"{name} " for name in layout.supports)
+    moves, turns = _moving(moves), _moving(turns)
+    _lines(ax, t, moves, dashed)
+    ax.set_ylabel("displacement [m]")
+    below = ax
+    if turns:
+        (below,) = axes_below(ax, 0.6)
+        _lines(below, t, turns, dashed)
+        below.set_ylabel("turn [rad]")
+    below.set_xlabel("time [s]")
+    return ax
+
+
+def plot_forces(trajectory: Trajectory, *, elements: tuple[str, ...] | None = None, ax: Any = None) -> Any:
+    """The tension of every spring [N] over time, its damper's part included, of a bushing its three forces; below them moments [N m],
+    of torsion springs and of bushings that have any.
+    """
+    forces = trajectory.forces
+    names = elements or tuple(forces)
+    check_known(names, tuple(forces), "plot_forces.elements")
+    pulls, moments = {}, {}
+    for name in names:
+        force = np.asarray(forces[name])
+        if force.ndim == 1:
+            (moments if isinstance(trajectory.model[name], Torsion) else pulls)[name] = force
+        else:
+            pulls |= {f"{name} {axis}": force[:, i] for i, axis in enumerate(AXES)}
+            moments |= {f"{name} about {axis}": force[:, i + 3] for i, axis in enumerate(AXES) if np.any(force[:, i + 3])}
+    panels = {"force, tension positive [N]": pulls, "moment [N m]": moments}
+    panels = {label: lines for label, lines in panels.items() if lines}
+    ax = axes_or_new(ax, 7.0, 0.6 + 2.4 * len(panels))
+    all_axes = [ax, *axes_below(ax, *[1.0] * (len(panels) - 1))]
+    for axes, (label, lines) in zip(all_axes, panels.items(), strict=True):
+        _lines(axes, np.asarray(trajectory.times), lines)
+        axes.set_ylabel(label)
+    all_axes[-1].set_xlabel("time [s]")
+    return ax
+
+
+def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
+    """The smallest eigenvalue of K, relative to the largest without loads, over the load factor: at a limit point it goes to zero.
+
+    eq: an equilibrium under loads. Error: NO_PATH where it has none.
+    """
+    if eq.path is None or np.all(eq.descended):
+        how, hint = (
+            ("without loads", "Give an equilibrium(model, loads=...).") if eq.path is None else ("by descent", "Its path could not begin.")
+        )
+        raise JaxbodyError(Problem("NO_PATH", "load_path.eq", f"was found {how}", eq.path, "a load path", hint))
+    ax = axes_or_new(ax, 5.0, 3.4)
+    factor, smallest = (np.asarray(x) for x in (eq.path.factor, eq.path.smallest))
+    ax.plot(factor, smallest, "o-", ms=4, color=COLORS[0])
+    ax.axhline(0, color=GRAY, lw=0.8)
+    ax.set(xlabel="load factor", ylabel="smallest eigenvalue of K", title=eq.report().split(";")[0] if int(eq.status) else "")
+    return ax
+
+
+def _lines(ax, t, lines: dict[str, np.ndarray], dashed: tuple[str, ...] = ()) -> None:
+    for i, (name, values) in enumerate(lines.items()):
+        support = bool(dashed) and name.startswith(dashed)
+        ax.plot(t, values, label=name, **style(i) | ({"ls": "--", "lw": 1.0} if support else {"lw": 1.5}))
+    legend(ax, len(lines))
+
+
+def _moving(lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Without what stays still, to a millionth of what moves most."""
+    widths = {name: np.ptp(values[np.isfinite(values)]) if np.isfinite(values).any() else 0.0 for name, values in lines.items()}
+    return {name: values for name, values in lines.items() if widths[name] > 1e-6 * max(widths.values()) and widths[name] > 1e-12}
+
+
+def _turns(R: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Rotation vectors from an orientation (quaternion w, x, y, z), world axes, continued through whole turns."""
+    from scipy.spatial.transform import Rotation
+
+    good = np.isfinite(R).all((1, 2))
+    out = np.full((len(R), 3), np.nan)
+    if good.any():
+        out[good] = (Rotation.from_matrix(R[good]) * Rotation.from_quat(start[[1, 2, 3, 0]]).inv()).as_rotvec()
+    for i in range(1, len(out)):
+        angle = np.linalg.norm(out[i])
+        if np.isfinite(angle) and angle > 0:
+            out[i] *= 1 + 2 * np.pi * np.round((out[i - 1] @ out[i] / angle - angle) / (2 * np.pi)) / angle
+    return out

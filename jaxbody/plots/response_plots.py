@@ -1,0 +1,125 @@
+"""Pictures of responses: frequency response, transmissibility and power spectral density; each draws into `ax` and returns the axes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.plots.canvases import COLORS, DASHES, GRAY, LIGHT, axes_below, axes_or_new, legend, style
+from jaxbody.responses.frequency_responses import FrequencyResponse
+from jaxbody.responses.random_responses import RandomResponse
+
+MANY = 16  # lines whose names need a wider picture
+
+
+def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> Any:
+    """Magnitudes over frequency, both on logarithmic scales, in one panel for each unit, and below them the phases; returns the uppermost axes.
+
+    >>> model = jb.presets.quarter_car(damping=1500.0)
+    >>> found = frequency_response(linearize(model, equilibrium(model)), jnp.geomspace(0.1, 50, 100), {"road": BaseMotion("road", "z")}, {"body": PointMotion("body")})
+    >>> ax = plot_frequency_response(found)
+    >>> ax.get_ylabel()
+    'magnitude'
+    """
+    f, size, phase = _above_0_hz(response)
+    pairs = _pairs(response)
+    panels: dict[str, list[int]] = {}
+    for k, (i, j, _) in enumerate(pairs):
+        panels.setdefault(response.unit(response.outputs[i], response.inputs[j]), []).append(k)
+    ax = axes_or_new(ax, 7.0 if len(pairs) <= MANY else 9.0, 2.2 + 2.2 * len(panels))
+    *others, below = axes_below(ax, *[1.0] * (len(panels) - 1), 0.55)
+    for axes, (unit, members) in zip((ax, *others), panels.items(), strict=True):
+        for k in members:
+            i, j, name = pairs[k]
+            turns = np.round(phase[i, j, 0] / (2 * np.pi))
+            axes.loglog(f, size[i, j], label=name, lw=1.5, **look(response, i, j))
+            below.semilogx(f, np.rad2deg(phase[i, j] - 2 * np.pi * turns), lw=1.5, **look(response, i, j))
+        axes.set_ylabel(f"magnitude [{unit}]" if unit else "magnitude")
+        legend(axes, len(members))
+    hertz(below, f)
+    below.set_ylabel("phase [degrees]")
+    below.yaxis.get_major_locator().set_params(steps=[1, 1.8, 3.6, 4.5, 9, 10])
+    return ax
+
+
+def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any:
+    """Magnitudes that are ratios, of a motion over a like motion or of a force over a force, over frequency; what is above 1 is shaded.
+
+    Error: BAD_UNIT where the response has no ratios.
+    """
+    ratios = [(i, j, name) for i, j, name in _pairs(response) if not response.unit(response.outputs[i], response.inputs[j])]
+    if not ratios:
+        told, hint = "has no output in the unit of an input", "Ask for displacements of displacements, or forces of forces."
+        raise JaxbodyError(Problem("BAD_UNIT", "plot_transmissibility.response", told, response, "a ratio", hint))
+    ax = axes_or_new(ax, 7.0 if len(ratios) <= MANY else 9.0, 3.4)
+    f, size, _ = _above_0_hz(response)
+    for i, j, name in ratios:
+        ax.loglog(f, size[i, j], lw=1.5, label=name, **look(response, i, j))
+    top = max(size[i, j].max() for i, j, _ in ratios)
+    ax.axhspan(1.0, max(2.0, 2 * top), color=LIGHT, alpha=0.4, lw=0, zorder=0)
+    ax.axhline(1.0, color=GRAY, lw=0.8)
+    ax.set(ylabel="transmissibility", ylim=(None, max(2.0, 2 * top)))
+    hertz(ax, f)
+    legend(ax, len(ratios))
+    return ax
+
+
+def plot_psd(response: RandomResponse, *, outputs: tuple[str, ...] | None = None, ax: Any = None) -> Any:
+    """Power spectral densities of outputs of one unit (those of the first, if none are named) on logarithmic scales, with their rms.
+
+    Errors: UNKNOWN_NAME; BAD_UNIT where the outputs are in several units.
+    """
+    names = outputs or tuple(name for name, unit in zip(response.outputs, response.units, strict=True) if unit == response.units[0])
+    values = {name: float(response[name]) for name in names}
+    units = {response.units[response.outputs.index(name)] for name in names}
+    if len(units) > 1:
+        told, hint = f"are in {', '.join(sorted(units))}", "Draw those of one unit together."
+        raise JaxbodyError(Problem("BAD_UNIT", "plot_psd.outputs", told, units, "one unit", hint))
+    ax = axes_or_new(ax, 7.0, 3.4)
+    (unit,) = units
+    f, psd = np.asarray(response.frequencies), np.asarray(response.psd)
+    for i, (name, value) in enumerate(values.items()):
+        label = f"{name}, rms {value:.3g} {unit}"
+        ax.loglog(f, psd[response.outputs.index(name)], lw=1.5, label=label, **style(i))
+    shown = unit if unit.isalpha() else f"({unit})"
+    ax.set_ylabel(f"power spectral density [{shown}$^2$/Hz]")
+    hertz(ax, f)
+    top = max(np.nanmax(psd[response.outputs.index(name)]) for name in names)
+    ax.set_ylim(bottom=max(ax.get_ylim()[0], top * 1e-8))
+    legend(ax, len(names))
+    return ax
+
+
+def _above_0_hz(response: FrequencyResponse) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Frequencies that a logarithmic scale has, magnitudes and phases."""
+    f = np.asarray(response.frequencies)
+    values = np.asarray(response.values)[..., f > 0]
+    return f[f > 0], np.abs(values), np.unwrap(np.angle(values))
+
+
+def _pairs(response: FrequencyResponse) -> list[tuple[int, int, str]]:
+    """Places of outputs and inputs that have to do with each other, and what to call the pair."""
+    size = np.asarray(response.magnitude).max(-1)
+    several = len(response.inputs) > 1
+    pairs = [(i, j, f"{y} of {u}" if several else y) for i, y in enumerate(response.outputs) for j, u in enumerate(response.inputs)]
+    return [(i, j, name) for i, j, name in pairs if not size[i, j] <= 1e-12 * size[i].max()] or pairs
+
+
+def look(response: FrequencyResponse, i: int, j: int) -> dict[str, Any]:
+    """A color for each output and a dash for each input, where there are enough of both."""
+    if len(response.outputs) <= len(COLORS) and len(response.inputs) <= len(DASHES):
+        return {"color": COLORS[i], "ls": DASHES[j]}
+    return style(i * len(response.inputs) + j)
+
+
+def hertz(ax: Any, f: np.ndarray) -> None:
+    """Frequencies below, as plain numbers: all of 1, 2, 5 where there are few decades."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    subs = (1.0, 2.0, 5.0) if f[-1] / f[0] < 3000 else (1.0,)
+    ax.set(xlabel="frequency [Hz]", xlim=(f[0], f[-1]))
+    ax.xaxis.set_major_locator(LogLocator(subs=subs))
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_formatter(NullFormatter())

@@ -1,0 +1,29 @@
+"""Ready models; public as jaxbody.presets."""
+
+from jaxbody.presets.presets import (
+    coupled_gliders,
+    double_pendulum,
+    elastic_pendulum,
+    engine_on_mounts,
+    full_car,
+    half_car,
+    isolated_table,
+    quarter_car,
+    stewart_table,
+)
+
+__all__ = [
+    "coupled_gliders",
+    "double_pendulum",
+    "elastic_pendulum",
+    "engine_on_mounts",
+    "full_car",
+    "half_car",
+    "isolated_table",
+    "quarter_car",
+    "stewart_table",
+]
+
+
+def __dir__():
+    return __all__

@@ -1,0 +1,1 @@
+"""Measured data: files, formats, units, sampling, repairs."""

@@ -1,0 +1,229 @@
+"""Measurement files by format: the columns that are wanted, with the units and times that the file itself states.
+
+    .csv .txt .tsv .dat .asc, also .gz     a table of text
+    .parquet .pq                           pyarrow      unit in the field's metadata or the name
+    .mat                                   scipy; h5py for version 7.3
+    .h5 .hdf5                              h5py         unit in the attribute `unit` or `units`
+    .uff .unv .uf                          pyuff        functions of time (sets 58)
+    .tdms                                  npTDMS       unit and times in the channel's properties
+    .mf4 .mdf                              asammdf      unit and times in the file
+    .at2 .vt2 .dt2                         PEER ground motions
+
+Readers are imported where they are used, and said by name where they are missing. Nothing is unpickled, no network is used, and nothing is read but the
+file itself. How many numbers a file holds is looked up, and compared with the limit, before they are read: a little can hold a lot.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+import zlib
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.records.matlab_files import read_matlab
+from jaxbody.records.sources import Asked, Pick, check_numbers, check_size, find_name, kind_of, needed, numeric, told_of
+from jaxbody.records.text_tables import Column, Contents, read_text, split_unit
+from jaxbody.records.universal_files import read_uff
+
+MOST_INFLATED = 1032  # times its size is what zlib can make of a text
+DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3  # HDF5's numbers of its filters
+
+
+def read_columns(path: Any, wanted: list[Asked], *, format: str | None = None, largest: float = 1e9, **text: Any) -> Contents:
+    """The columns that are wanted of a file, under the names that they were asked for.
+
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA, UNREADABLE, UNKNOWN_CHANNEL,
+    NOT_A_NUMBER, EXTERNAL_DATA and those of text tables.
+    """
+    path = Path(path)
+    kind = kind_of(path, format, largest)
+
+    def pick(names: list[str], aliases: list[str] | None = None) -> dict[Asked, str]:
+        problems = Problems()
+        found = {name: problems.gather(partial(find_name, name, names, path.name, aliases)) for name in wanted}
+        problems.raise_if_any()
+        return found
+
+    with told_of(path, kind):
+        return READERS[kind](path, pick, largest, **(text if kind == "text" else {}))
+
+
+def _text(path: Path, pick: Pick, largest: float, **how: Any) -> Contents:
+    data = path.read_bytes()
+    if data[:2] == b"\x1f\x8b":
+        with gzip.open(path) as file:
+            data = file.read(int(largest) + 1)
+        check_size(path.name, len(data), largest)
+    found = read_text(data, path.name, **how)
+    return Contents({asked: found.columns[name] for asked, name in pick(list(found.columns)).items()}, found.notes)
+
+
+def _parquet(path: Path, pick: Pick, largest: float) -> Contents:
+    parquet = needed("pyarrow.parquet", "pyarrow", "files", path.name)
+    file = parquet.ParquetFile(path)
+    schema = file.schema_arrow
+    names = pick(list(schema.names))
+    for name in names.values():
+        if re.match(r"(dictionary<values=)?(u?int|half|float|double|bool|timestamp|date)", str(schema.field(name).type)) is None:
+            raise _no_number(path, name, schema.field(name).type)
+    check_numbers(path.name, len(set(names.values())) * file.metadata.num_rows, largest)
+    table = file.read(columns=list(dict.fromkeys(names.values())))
+    columns = {}
+    for asked, name in names.items():
+        values, meta = table.column(name).to_numpy(), schema.field(name).metadata or {}
+        unit = next((meta[key].decode("utf-8", "replace") for key in (b"unit", b"units") if key in meta), split_unit(name)[1])
+        if values.dtype.kind == "M":
+            values, unit = (values - values[0]) / np.timedelta64(1, "s"), "s"
+        columns[asked] = Column(numeric(values, name, path.name), unit)
+    return Contents(columns)
+
+
+def _mat(path: Path, pick: Pick, largest: float) -> Contents:
+    with path.open("rb") as file:
+        start = file.read(1024)
+    if b"\x89HDF" in start:
+        return _hdf5(path, pick, largest, transposed=True)
+    found = read_matlab(path, largest)
+    return Contents({asked: Column(numeric(found[name], name, path.name)) for asked, name in pick(list(found)).items()})
+
+
+def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> Contents:
+    h5py = needed("h5py", "h5py", "files", path.name)
+    names: list[str] = []
+    elsewhere: list[str] = []
+
+    def note(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in "biuf" and item.ndim in (1, 2) and not name.startswith("#"):
+            (elsewhere if item.external or item.is_virtual else names).append(name)
+
+    columns = {}
+    with h5py.File(path, "r") as file:
+        file.visititems(note)
+        file.visititems_links(lambda name, link: elsewhere.append(name) if isinstance(link, h5py.ExternalLink) else None)
+        found = pick([*names, *elsewhere])
+        for name in elsewhere:
+            if name in found.values():
+                hint = "Read that file, or copy the numbers into one: h5repack does."
+                raise JaxbodyError(
+                    Problem("EXTERNAL_DATA", path.name, f"has '{name}' in another file", name, "data in the file itself", hint)
+                )
+        sizes = [(file[name].size, np.prod(file[name].chunks or (0,), dtype=float)) for name in set(found.values())]
+        check_numbers(path.name, sum(size for size, _ in sizes) + max((chunk for _, chunk in sizes), default=0.0), largest)
+        for name in set(found.values()):
+            _check_chunks(path.name, file[name], largest)
+        for asked, name in found.items():
+            data = file[name]
+            unit = next((data.attrs[key] for key in ("unit", "units", "Unit", "Units") if key in data.attrs), None)
+            values = numeric(data[()], name, path.name)
+            if transposed and values.ndim == 2:
+                values = values.T[:, 0] if 1 in values.shape and values.shape[0] == 1 else values.T
+                values = values[0] if values.ndim == 2 and values.shape[0] == 1 else values
+            columns[asked] = Column(values, unit.decode() if isinstance(unit, bytes) else None if unit is None else str(unit))
+    return Contents(columns)
+
+
+def _check_chunks(where: str, data: Any, largest: float) -> None:
+    """That no chunk inflates beyond the size that is stated: HDF5 looks when it has done so. Only those are tried that could pass the limit."""
+    plan = data.id.get_create_plist()
+    filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
+    most = MOST_INFLATED ** filters.count(DEFLATE)
+    stated = np.prod(data.chunks or (0,), dtype=float) * data.dtype.itemsize + 4 * len(filters)  # with sums of Fletcher
+    suspects: list[Any] = []
+    if data.chunks and most > 1:
+        data.id.chunk_iter(lambda chunk: suspects.append(chunk.chunk_offset) if most * chunk.size > largest else None)
+    for at in suspects:
+        skipped, packed = data.id.read_direct_chunk(at)
+        for i in reversed([i for i in range(len(filters)) if not skipped >> i & 1]):
+            if filters[i] == DEFLATE:
+                packed = zlib.decompressobj().decompress(packed, int(stated) + 1)
+                if len(packed) > stated:
+                    told = f"has a chunk of '{data.name}' that inflates to more than the {stated:.4g} bytes that the file states for it"
+                    raise JaxbodyError(
+                        Problem("TOO_LARGE", where, told, at, f"{stated:.4g} bytes", "It is damaged, or made to fill the memory.")
+                    )
+            elif filters[i] == FLETCHER:
+                packed = packed[:-4]
+            elif filters[i] != SHUFFLE:
+                break  # of another kind: h5py's own grow a hundredfold at most
+
+
+def _tdms(path: Path, pick: Pick, largest: float) -> Contents:
+    nptdms = needed("nptdms", "npTDMS", "files", path.name)
+    with nptdms.TdmsFile.open(path) as file:
+        channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
+        columns, found = {}, pick(list(channels))
+        for name in set(found.values()):
+            if channels[name].dtype.kind not in "biuf":
+                raise _no_number(path, name, channels[name].dtype)
+        check_numbers(path.name, sum(len(channels[name]) for name in set(found.values())), largest)
+        for asked, name in found.items():
+            channel = channels[name]
+            unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
+            times = np.asarray(channel.time_track(), float) if "wf_increment" in channel.properties else None
+            columns[asked] = Column(numeric(channel[:], name, path.name), unit or None, times)
+    return Contents(columns)
+
+
+def _mdf(path: Path, pick: Pick, largest: float) -> Contents:
+    asammdf = needed("asammdf", "asammdf", "mdf", path.name)
+    with asammdf.MDF(path) as file:
+        places = {}
+        for name, found in file.channels_db.items():
+            found = [place for place in found if file.masters_db.get(place[0]) != place[1]]
+            places |= {name if len(found) == 1 else f"{name}#{place[0]}": place for place in found}
+        columns, wanted = {}, pick(list(places))
+        groups = [file.groups[places[name][0]].channel_group for name in set(wanted.values())]
+        check_numbers(path.name, sum(2 * group.cycles_nr for group in groups), largest)
+        check_size(
+            path.name, max((group.samples_byte_nr * group.cycles_nr for group in groups), default=0), largest, "bytes of samples in a group"
+        )
+        for asked, name in wanted.items():
+            group, index = places[name]
+            signal = file.get(group=group, index=index)
+            columns[asked] = Column(numeric(signal.samples, name, path.name), signal.unit or None, np.asarray(signal.timestamps, float))
+    return Contents(columns)
+
+
+def _peer(path: Path, pick: Pick, largest: float) -> Contents:
+    """Four lines of heading, of which the third states the unit and the fourth number and step; then the samples, row by row."""
+    lines = path.read_text(encoding="latin-1").splitlines()
+    heading = " ".join(lines[2:4]).upper()
+    unit = re.search(r"UNITS OF\s+([A-Z/0-9]+)", heading)
+    number = re.search(r"NPTS\s*=\s*(\d+)", heading) or re.search(
+        r"^\s*(\d+)\s+[\d.E+-]+\s+NPTS", lines[3].upper() if len(lines) > 3 else ""
+    )
+    step = re.search(r"DT\s*=\s*([\d.E+-]+)", heading) or re.search(
+        r"^\s*\d+\s+([\d.E+-]+)\s+NPTS", lines[3].upper() if len(lines) > 3 else ""
+    )
+    if unit is None or number is None or step is None:
+        told = "lacks its heading: 'UNITS OF G' in line 3, 'NPTS= 4000, DT= .005 SEC' in line 4"
+        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, told, heading[:60], hint='If it is another table, say format="text".'))
+    values, count = [], int(number[1])
+    for i, line in enumerate(lines[4:], 5):
+        try:
+            values += [float(cell) for cell in line.split()]
+        except ValueError:
+            raise JaxbodyError(
+                Problem("BAD_LINE", f"{path.name}:{i}", f"is {line!r:.60}", i, "numbers", "Cut what is no sample.")
+            ) from None
+    if len(values) != count:
+        code, hint = ("TRUNCATED", "Copy it again.") if len(values) < count else ("RAGGED_LINE", "Is the heading that of this record?")
+        raise JaxbodyError(Problem(code, path.name, f"has {len(values)} samples", len(values), f"{count}, as its heading says", hint))
+    times = float(step[1]) * np.arange(count)
+    column = Column(np.array(values), unit[1].lower(), times)
+    return Contents({asked: column for asked in pick(["motion"])})
+
+
+def _no_number(path: Path, name: str, kind: Any) -> JaxbodyError:
+    return JaxbodyError(Problem("NOT_A_NUMBER", path.name, f"'{name}' holds {kind}", kind, "numbers", "Read another channel."))
+
+
+READERS: dict[str, Callable[..., Contents]] = {
+    "text": _text, "parquet": _parquet, "mat": _mat, "hdf5": _hdf5, "uff": read_uff, "tdms": _tdms, "mdf": _mdf, "peer": _peer,
+}  # fmt: skip

@@ -1,0 +1,178 @@
+"""A measured record: times and channels in SI units, checked and as they were measured; repairs on request only."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core import tables, units
+from jaxbody.core.arrays import float_array
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.records.repairs import FILLS, filled, without_duplicates, without_empty
+from jaxbody.records.samplings import Sampling, check_sampling, check_values, sampling_of
+
+
+class Record:
+    """What instruments wrote down: `times` [s] (n,), `channels` {name: (n,) or (n, k)} in SI units, NaN where a sample is missing;
+    `units` {name: SI unit}, `stated` {name: unit given}, `sampling` (step, jitter, missing), `notes` on what was done. `record["acc"]` is a
+    channel, `record.part(0, 2)` the samples from 0 to 2 s. Prints as a table.
+
+    channels {name: (values, unit)}; times, in `time_unit`, or None and `rate` [Hz], the first sample then at 0. With both, they must agree
+    within 0.1 %. `highest` [Hz], the highest frequency that matters, is compared with the rate. The times must be even to 5 % and 95 % of
+    the samples there, unless `irregular=True` says that they are true as they are.
+
+    Nothing is repaired unless asked for, and then it stands in the notes: `drop_duplicates` (rows that repeat one before), `fill` "linear" or
+    "spline" (gaps of up to `max_gap` samples, in a channel or of whole rows), `drop="all_nan"` (channels without a sample).
+
+    Errors, all at once: NO_DATA, NAN_TIME, UNSORTED_TIME, DUPLICATE_TIME, RATE_MISMATCH, JITTER, GAPS, NO_TIME, NO_UNIT, UNKNOWN_UNIT,
+    WRONG_DIMENSION, BAD_SHAPE, NON_FINITE, ALL_NAN, BAD_OPTION. Warns MISSING, DEAD, SATURATED, UNIT (g for m/s2, degrees for radians),
+    TIME_UNIT, LOW_RATE.
+
+    >>> Record([0, 10, 20, 30], {"acc": ([0.1, 0.2, 0.0, -0.1], "g")}, time_unit="ms")["acc"].round(3).tolist()
+    [0.981, 1.961, 0.0, -0.981]
+    """
+
+    times: np.ndarray
+    channels: dict[str, np.ndarray]
+    units: dict[str, str]
+    stated: dict[str, str]
+    sampling: Sampling
+    notes: tuple[str, ...]
+
+    def __init__(
+        self,
+        times: Any,
+        channels: dict[str, tuple[Any, str]],
+        *,
+        time_unit: str = "s",
+        rate: float | None = None,
+        highest: float | None = None,
+        irregular: bool = False,
+        drop_duplicates: bool = False,
+        fill: str | None = None,
+        max_gap: int = 3,
+        drop: str | None = None,
+        name: str = "Record",
+    ):
+        problems, notes = Problems(), []
+        _check_options(rate, fill, max_gap, drop, problems)
+        given = _channels(channels, name, problems)
+        t = _times(times, time_unit, rate, given, name, problems)
+        problems.raise_if_any()
+        for key in [key for key, (x, _) in given.items() if len(x) != len(t)]:
+            told, limit = f"has {len(given[key][0])} samples", f"{len(t)}, as the times have"
+            hint = "It looks transposed: give values.T." if given[key][0].shape[-1] == len(t) else "One row per time."
+            problems.add("BAD_SHAPE", f"{name}['{key}']", told, value=given[key][0].shape, limit=limit, hint=hint)
+        problems.raise_if_any()
+        if drop_duplicates:
+            t, given = without_duplicates(t, given, name, notes)
+        sampling = check_sampling(t, problems, f"{name}.times", rate=rate, irregular=irregular, highest=highest, dropped=drop_duplicates)
+        for key, (x, unit) in given.items():
+            check_values(x, unit, t, problems, f"{name}['{key}']", may_lack=drop is not None)
+        problems.raise_if_any()
+        assert sampling is not None
+        if drop is not None:
+            given = without_empty(given, notes, name)
+        if fill is not None:
+            t, given = filled(t, given, fill, max_gap, notes)
+        self.times, self.sampling = t, sampling_of(t)
+        self.channels = {key: x * unit.factor for key, (x, unit) in given.items()}
+        self.units = {key: unit.si for key, (_, unit) in given.items()}
+        self.stated = {key: unit.text for key, (_, unit) in given.items()}
+        self.notes = tuple(notes)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self.channels:
+            told = f"has no channel '{name}'"
+            raise JaxbodyError(Problem("UNKNOWN_CHANNEL", "Record", told, name, hint=f"It has: {', '.join(self.channels)}."))
+        return self.channels[name]
+
+    def part(self, start: float, stop: float) -> Record:
+        """The samples from start to stop [s], both counted. Error: NO_DATA of fewer than two."""
+        inside = (self.times >= start) & (self.times <= stop)
+        if inside.sum() < 2:
+            told, limit = f"has {inside.sum()} samples from {start:.6g} to {stop:.6g} s", f"{self.times[0]:.6g} to {self.times[-1]:.6g} s"
+            raise JaxbodyError(Problem("NO_DATA", "Record.part", told, (start, stop), limit, "Give a longer part."))
+        new = object.__new__(Record)
+        new.times, new.sampling = self.times[inside], sampling_of(self.times[inside])
+        new.channels = {name: x[inside] for name, x in self.channels.items()}
+        new.units, new.stated, new.notes = self.units, self.stated, self.notes
+        return new
+
+    def _tables(self) -> list[tables.Table]:
+        s, rows = self.sampling, []
+        for name, x in self.channels.items():
+            for k, column in enumerate(x.reshape(len(x), -1).T):
+                label = name + (f"[{k}]" if x.ndim == 2 else "")
+                gone = int(np.isnan(column).sum())
+                rows.append((label, self.units[name], self.stated[name], len(x) - gone, gone, np.nanmin(column), np.nanmax(column)))
+        jitter = tables.percent(s.jitter / s.step)
+        note = f"{len(self.times)} times, {self.times[0]:.6g} to {self.times[-1]:.6g} s: {s.rate:.6g} Hz, {f'jitter {jitter}, ' if jitter else ''}{s.missing} missing"
+        heads = ("channel", "unit", "stated in", "samples", "gaps", "least", "largest")
+        return [tables.Table("Record", heads, rows, "\n".join([note, *self.notes]))]
+
+    def __repr__(self) -> str:
+        return tables.text(*self._tables())
+
+    def __str__(self) -> str:
+        return tables.printed(*self._tables())
+
+    def _repr_html_(self) -> str:
+        return tables.html(*self._tables())
+
+
+def _check_options(rate: Any, fill: Any, max_gap: Any, drop: Any, problems: Problems) -> None:
+    for option, value, good, limit in (
+        ("rate", rate, rate is None or (isinstance(rate, int | float) and 0 < rate < np.inf), "Hz, > 0"),
+        ("fill", fill, fill is None or fill in FILLS, " or ".join(FILLS)),
+        ("max_gap", max_gap, isinstance(max_gap, int) and max_gap > 0, "a number of samples, > 0"),
+        ("drop", drop, drop in (None, "all_nan"), '"all_nan"'),
+    ):
+        if not good:
+            problems.add(
+                "BAD_OPTION", f"Record.{option}", f"is {value!r:.40}", value=value, limit=limit, hint="Give such, or leave it out."
+            )
+
+
+def _channels(channels: Any, name: str, problems: Problems) -> dict[str, tuple[np.ndarray, units.Unit]]:
+    given = {}
+    if not isinstance(channels, dict) or not channels:
+        hint = 'Give channels={"acc": (values, "m/s2")}.'
+        problems.add("NO_DATA", f"{name}.channels", "is empty or no dict", value=channels, limit="at least one channel", hint=hint)
+        return given
+    for key, pair in channels.items():
+        where = f"{name}['{key}']"
+        if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], str):
+            problems.add("NO_UNIT", where, "has no unit", limit='(values, "m/s2")', hint='State it; "1" is a number without one.')
+            continue
+        try:
+            x, unit = np.asarray(float_array(pair[0], where)), units.parse(pair[1], where)
+        except JaxbodyError as error:
+            problems.found += error.problems
+            continue
+        if x.ndim not in (1, 2) or x.size == 0:
+            code = "NO_DATA" if x.size == 0 else "BAD_SHAPE"
+            problems.add(code, where, f"has shape {x.shape}", value=x.shape, limit="(n,) or (n, k)", hint="One row per time.")
+            continue
+        given[key] = (x, unit)
+    return given
+
+
+def _times(times: Any, time_unit: str, rate: Any, given: dict[str, Any], name: str, problems: Problems) -> np.ndarray:
+    where = f"{name}.times"
+    if times is None:
+        if rate is None:
+            problems.add("NO_TIME", where, "are not there", limit="times or rate=", hint="Give one of them.")
+        n = len(next(iter(given.values()))[0]) if given else 0
+        return np.arange(n) / (rate or 1.0)
+    try:
+        t, unit = np.asarray(float_array(times, where)), units.parse(time_unit, where)
+    except JaxbodyError as error:
+        problems.found += error.problems
+        return np.zeros(0)
+    if unit.dimension != units.TIME:
+        problems.add("WRONG_DIMENSION", where, f"is in '{time_unit}'", value=time_unit, limit="s ms us min h", hint="Give a unit of time.")
+    if t.ndim != 1:
+        problems.add("BAD_SHAPE", where, f"has shape {t.shape}", value=t.shape, limit="(n,)", hint="Give one time per row.")
+    return t * unit.factor

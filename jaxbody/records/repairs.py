@@ -1,0 +1,66 @@
+"""What may be done to a record when it is asked for, and is then noted: repeated rows, empty channels, short gaps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.tables import counted
+from jaxbody.records.samplings import counts_of
+
+FILLS = ("linear", "spline")
+
+
+def without_duplicates(t: np.ndarray, given: dict[str, Any], name: str, notes: list[str]) -> tuple[np.ndarray, dict[str, Any]]:
+    """Without rows that repeat the one before, time and values; a time with other values is left for the check to find."""
+    same = np.diff(t) == 0
+    for x, _ in given.values():
+        rows = x.reshape(len(x), -1)
+        same &= ((rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1]))).all(1)
+    keep = np.concatenate([[True], ~same])
+    if same.any():
+        notes.append(
+            f"dropped {counted(int(same.sum()), 'row')} that {'repeats' if same.sum() == 1 else 'repeat'} the one before, the first at {t[1:][same][0]:.9g} s"
+        )
+    return t[keep], {key: (x[keep], unit) for key, (x, unit) in given.items()}
+
+
+def without_empty(given: dict[str, Any], notes: list[str], name: str) -> dict[str, Any]:
+    """Without channels that lack every sample. Error: NO_DATA where none is left."""
+    empty = [key for key, (x, _) in given.items() if np.isnan(x.reshape(len(x), -1)).all(0).any()]
+    if len(empty) == len(given):
+        raise JaxbodyError(Problem("NO_DATA", name, "has no channel with samples", empty, "at least one", "Was anything connected?"))
+    notes += [f"dropped channel '{key}', which has no sample" for key in empty]
+    return {key: pair for key, pair in given.items() if key not in empty}
+
+
+def filled(t: np.ndarray, given: dict[str, Any], fill: str, max_gap: int, notes: list[str]) -> tuple[np.ndarray, dict[str, Any]]:
+    """Rows put in where up to `max_gap` are missing, and numbers where up to so many in a row are; longer gaps stay as they are."""
+    from scipy.interpolate import CubicSpline
+
+    counts = counts_of(t).astype(int)
+    fits = (counts > 1) & (counts <= max_gap + 1)
+    added = [t[i] + (t[i + 1] - t[i]) * np.arange(1, counts[i]) / counts[i] for i in np.flatnonzero(fits)]
+    places = np.repeat(np.flatnonzero(fits) + 1, counts[fits] - 1)
+    new = np.insert(t, places, np.concatenate(added)) if added else t
+    if added:
+        notes.append(f"put in {counted(len(places), 'row')} that {'was' if len(places) == 1 else 'were'} missing")
+    out = {}
+    for key, (x, unit) in given.items():
+        rows = np.insert(x.reshape(len(x), -1), places, np.nan, axis=0)
+        for k, column in enumerate(rows.T):
+            gone = np.isnan(column)
+            edges = np.flatnonzero(np.diff(np.concatenate([[0], gone.astype(int), [0]]))).reshape(-1, 2)
+            short = [np.arange(i, j) for i, j in edges if j - i <= max_gap and i > 0 and j < len(column)]
+            if not short or (~gone).sum() < 4:
+                continue
+            at = np.concatenate(short)
+            between = (
+                CubicSpline(new[~gone], column[~gone]) if fill == "spline" else lambda s, c=column, g=gone: np.interp(s, new[~g], c[~g])
+            )
+            rows[at, k] = between(new[at])
+            notes.append(f"filled {counted(len(at), 'sample')} of '{key}'" + (f"[{k}]" if x.ndim == 2 else "") + f" by {fill}")
+        out[key] = (rows.reshape(len(new), *x.shape[1:]), unit)
+    return new, out

@@ -1,0 +1,131 @@
+"""How a record was sampled and what its samples look like: rate, jitter, gaps, dead and saturated channels, numbers in other units."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core import units
+from jaxbody.core.arrays import check_times
+from jaxbody.core.errors import Problems, warn
+
+MISMATCH = 1e-3  # of a stated rate against the times
+IRREGULAR = 0.05  # largest share of jitter in a step, and of missing samples
+MANY_MISSING = 0.2
+AT_THE_RAILS = 0.01  # share of samples
+RUN = 4  # equal samples in a row that count as at a rail
+USUAL_RATES = (2.0, 1e7)  # Hz
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Mean step between neighbors [s], rms of the steps about whole numbers of it, and how many samples are missing."""
+
+    step: float
+    jitter: float
+    missing: int
+
+    @property
+    def rate(self) -> float:
+        return 1 / self.step
+
+
+def counts_of(times: np.ndarray) -> np.ndarray:
+    """How many sampling steps lie between neighbors: 1, or more where samples are missing."""
+    steps = np.diff(times)
+    return np.maximum(np.round(steps / np.median(steps)), 1)
+
+
+def sampling_of(times: np.ndarray) -> Sampling:
+    """Of increasing times, two or more."""
+    counts = counts_of(times)
+    step = float((times[-1] - times[0]) / counts.sum())
+    jitter = float(np.sqrt(np.mean((np.diff(times) - counts * step) ** 2)))
+    return Sampling(step, jitter, int(counts.sum()) - len(counts))
+
+
+def check_sampling(
+    times: Any, problems: Problems, where: str, *, rate: float | None, irregular: bool, highest: float | None, dropped: bool
+) -> Sampling | None:
+    """Errors: those of times, RATE_MISMATCH, JITTER, GAPS; warns TIME_UNIT, LOW_RATE."""
+    known = check_times(times, problems, where, minimum=2)
+    if known is None:
+        if problems.found[-1].code == "DUPLICATE_TIME":
+            hint = "Rows of one time differ in their values: which of them is right?" if dropped else "Say drop_duplicates=True to leave out rows that repeat the one before."  # fmt: skip
+            problems.found[-1] = replace(problems.found[-1], hint=hint)
+        return None
+    s = sampling_of(np.asarray(known))
+    told = f"jitters by {100 * s.jitter / s.step:.2g} % of a step (rms), {s.missing} of {len(known) + s.missing} samples missing"
+    if rate is not None and abs(rate * s.step - 1) > MISMATCH:
+        hint = "Leave rate= out to take the times as they are, or time= to take the rate."
+        problems.add("RATE_MISMATCH", where, f"says {s.rate:.6g} Hz, not the {rate:.6g} Hz stated", value=s.rate, limit="0.1 %", hint=hint)
+    hint = "Say irregular=True if the times are true as they are."
+    if not irregular and s.jitter > IRREGULAR * s.step:
+        problems.add("JITTER", where, told, value=s.jitter / s.step, limit="5 %", hint=hint)
+    elif not irregular and s.missing > IRREGULAR * len(known):
+        problems.add("GAPS", where, told, value=s.missing, limit="5 %", hint=hint)
+    if not USUAL_RATES[0] <= s.rate <= USUAL_RATES[1]:
+        unit = "milliseconds or microseconds" if s.rate < 1 else "milliseconds"
+        unit = unit if s.rate < USUAL_RATES[0] else "seconds"
+        warn(
+            "TIME_UNIT", f"{where}: {len(known)} samples from {known[0]:.6g} to {known[-1]:.6g} s are {s.rate:.4g} Hz; are they in {unit}?"
+        )
+    if highest is not None and s.rate < 10 * highest:
+        bad = "too few for any spectrum" if s.rate < 2.5 * highest else "few for a spline and its derivatives (10 per period)"
+        warn("LOW_RATE", f"{where}: {s.rate:.4g} Hz for frequencies up to {highest:.4g} Hz is {bad}")
+    return s
+
+
+def check_values(values: np.ndarray, unit: units.Unit, times: np.ndarray, problems: Problems, where: str, *, may_lack: bool) -> None:
+    """Of one channel (n,) or (n, k), before conversion. Errors: NON_FINITE, ALL_NAN; warns MISSING, DEAD, SATURATED, UNIT."""
+    if np.isinf(values).any():
+        i = int(np.argwhere(np.isinf(values))[0][0])
+        problems.add("NON_FINITE", where, f"is {values[i]} at index {i}", value=i, limit="finite, or NaN where a sample is missing")
+        return
+    rows = values.reshape(len(values), -1)
+    for k, x in enumerate(rows.T):
+        name = where + (f"[{k}]" if values.ndim == 2 else "")
+        here = x[~np.isnan(x)]
+        if not len(here):
+            if not may_lack:
+                problems.add("ALL_NAN", name, "has no sample at all", value=k, hint='Leave it out; drop="all_nan" leaves out all such.')
+            continue
+        if len(here) < (1 - MANY_MISSING) * len(x):
+            warn("MISSING", f"{name} lacks {100 * (1 - len(here) / len(x)):.0f} % of its samples")
+    warn_of_rails(rows, times, where, unit.text)
+    _check_unit(rows, unit, where)
+
+
+def warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -> None:
+    """DEAD: a channel that does not change; SATURATED: one that stays at its largest or smallest number."""
+    for k, x in enumerate(rows.T):
+        name = where + (f"[{k}]" if rows.shape[1] > 1 else "")
+        here = x[np.isfinite(x)]
+        if len(here) > 2 and here.min() == here.max():
+            warn("DEAD", f"{name} is {here[0]:.6g} {unit} throughout, {times[0]:.6g} to {times[-1]:.6g} s")
+        elif len(here):
+            _warn_of_rails(x, unit, times, name)
+
+
+def _warn_of_rails(x: np.ndarray, unit: str, times: np.ndarray, where: str) -> None:
+    for rail in (np.nanmax(x), np.nanmin(x)):
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], (x == rail).astype(int), [0]])))
+        runs = edges.reshape(-1, 2)[np.diff(edges.reshape(-1, 2), axis=1)[:, 0] >= RUN]
+        if (count := int(np.diff(runs, axis=1).sum())) > AT_THE_RAILS * len(x):
+            when = ", ".join(f"{times[i]:.6g} to {times[j - 1]:.6g} s" for i, j in runs[:3]) + (", ..." if len(runs) > 3 else "")
+            warn("SATURATED", f"{where} stays at {rail:.6g} {unit} for {count} of {len(x)} samples: {when}")
+
+
+def _check_unit(rows: np.ndarray, unit: units.Unit, where: str) -> None:
+    """Numbers that look like those of another unit than the one stated."""
+    largest = float(np.nanmax(np.abs(rows))) if np.isfinite(rows).any() else 0.0
+    if unit.dimension == units.ANGLE and unit.factor == 1.0 and largest > 2 * np.pi:
+        warn("UNIT", f"{where} reaches {largest:.4g} rad, more than a turn; is it in degrees?")
+    if unit.dimension == units.ACCELERATION and np.isfinite(rows).any():
+        steady = float(np.linalg.norm(np.nanmean(rows, 0)))
+        if unit.factor == 1.0 and abs(steady - 1) < 0.05:
+            warn("UNIT", f"{where} has the mean {steady:.4g} m/s2; is it in g, gravity included?")
+        elif unit.factor == units.GRAVITY and abs(steady / units.GRAVITY - 1) < 0.05:
+            warn("UNIT", f"{where} has the mean {steady:.4g} g; is it in m/s2, gravity included?")

@@ -1,0 +1,138 @@
+"""A measurement file before and while it is read: that it is there, of which format it is, which of its names is meant, what went wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import importlib
+import re
+import stat
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.records.text_tables import split_unit
+
+Asked = str | int  # a name, or the number of one
+Pick = Callable[..., dict[Asked, str]]  # {name as asked for: name in the file}, of all names in the file, and of other names that they have
+MAGIC = {b"\x89HDF": "hdf5", b"PAR1": "parquet", b"TDSm": "tdms", b"MDF ": "mdf", b"MATLAB": "mat", b"PK\x03\x04": "zip or xlsx", b"\x1f\x8b": "gzip"}  # fmt: skip
+SUFFIXES = {
+    "text": ".csv .txt .tsv .dat .asc", "parquet": ".parquet .pq", "mat": ".mat", "hdf5": ".h5 .hdf5 .hdf", "uff": ".uff .unv .uf",
+    "tdms": ".tdms", "mdf": ".mf4 .mdf", "peer": ".at2 .vt2 .dt2",
+}  # fmt: skip
+
+
+def kind_of(path: Path, format: str | None, largest: float) -> str:
+    """The format of a file that is there, by its suffix or as stated, and not against its first bytes."""
+    if format is not None and format not in SUFFIXES:
+        raise JaxbodyError(Problem("UNKNOWN_FORMAT", "format", f"is {format!r}", format, " ".join(SUFFIXES), "Give one of these."))
+    check_file(path, largest)
+    with path.open("rb") as file:
+        start = file.read(8)
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    suffix = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else suffixes[-1] if suffixes else ""
+    kind = format or next((kind for kind, known in SUFFIXES.items() if suffix in known.split()), None)
+    if kind is None:
+        hint = f'If you know what it is, say format="text", or another of {" ".join(SUFFIXES)}.'
+        raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the ending '{suffix}'", suffix, " ".join(SUFFIXES.values()), hint))
+    found = next((word for magic, word in MAGIC.items() if start.startswith(magic)), None)
+    expected = {"text": {None, "gzip"} if suffixes[-1:] == [".gz"] else {None}, "uff": {None}, "peer": {None}, "mat": {"mat", "hdf5", None}}.get(kind, {kind})  # fmt: skip
+    if found not in expected:
+        told = f"is taken for {kind}, but begins like {found or 'something else'}"
+        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, told, start, hint='Is the ending right? If it is not, say format="...".'))
+    return kind
+
+
+def check_file(path: Path, largest: float = np.inf) -> None:
+    """That a path is a regular file, not empty, of at most `largest` bytes, and may be read. A pipe or a device is refused before it is opened: it may
+    block for ever, or never end. Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
+    try:
+        found = path.stat()
+        if stat.S_ISREG(found.st_mode):
+            path.open("rb").close()
+    except (OSError, ValueError) as error:
+        message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
+        raise JaxbodyError(Problem("NO_FILE", str(path)[-200:], message, path, hint="Give the path of a file.")) from None
+    if stat.S_ISDIR(found.st_mode):
+        raise JaxbodyError(Problem("IS_DIRECTORY", str(path), "is a directory", path, "a file", "Give the path of one file in it."))
+    if not stat.S_ISREG(found.st_mode):
+        hint = "Write what comes out of it into a file first."
+        raise JaxbodyError(Problem("NOT_A_FILE", str(path), "is a pipe, a socket or a device", path, "a regular file", hint))
+    if found.st_size == 0:
+        raise JaxbodyError(Problem("EMPTY_FILE", path.name, "has no bytes", 0, "> 0", "Was it copied before it was written?"))
+    check_size(path.name, found.st_size, largest)
+
+
+def check_size(name: str, size: float, largest: float, what: str = "bytes") -> None:
+    """That a file, or the numbers in it, 8 bytes each, take at most `largest` bytes. Error: TOO_LARGE."""
+    if size > largest:
+        hint = f"Say largest={max(1, round(size * 1.1 / 1e9))}e9 if there is memory for about five times that, or cut the file."
+        raise JaxbodyError(Problem("TOO_LARGE", name, f"has {size:.4g} {what}", size, f"{largest:.4g} bytes", hint))
+
+
+def check_numbers(name: str, count: float, largest: float) -> None:
+    """The same of so many numbers that are to be read."""
+    check_size(name, 8.0 * count, largest, f"bytes of numbers ({count:.4g})")
+
+
+def find_name(asked: str | int, names: list[str], where: str, aliases: list[str] | None = None) -> str:
+    """The name in the file of a channel, or one of `aliases` of channels: itself, without its unit, without an index such as [2]; a number counts
+    the names from 0."""
+    if isinstance(asked, int):
+        if 0 <= asked < len(names):
+            return names[asked]
+        told = f"has no channel of number {asked}: it has {len(names)}, counted from 0"
+        raise JaxbodyError(Problem("UNKNOWN_CHANNEL", where, told, asked, f"0 to {len(names) - 1}", _shown(names)))
+    names = [*names, *(aliases or ())]
+    for name in (str(asked), re.sub(r"\[\d+\]$", "", str(asked))):
+        matches = [known for known in names if known == name] or [known for known in names if split_unit(known)[0] == split_unit(name)[0]]
+        if len(matches) == 1:
+            return matches[0]
+    near = difflib.get_close_matches(str(asked), names, 3, 0.5)
+    hint = (f"Did you mean {' or '.join(near)}? " if near else "") + _shown(names)
+    raise JaxbodyError(Problem("UNKNOWN_CHANNEL", where, f"has no channel '{asked}'", asked, hint=hint))
+
+
+def _shown(names: list[str]) -> str:
+    return f"It has: {', '.join(names[:12]) or 'nothing that can be read'}{', ...' if len(names) > 12 else ''}."
+
+
+def needed(module: str, package: str, extra: str, what: str) -> Any:
+    """A module of an extra. Error: MISSING_EXTRA."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        hint = f"pip install 'jaxbody[{extra}]'"
+        raise JaxbodyError(
+            Problem("MISSING_EXTRA", what, f"needs the package {package}, which is not installed", package, hint=hint)
+        ) from None
+
+
+@contextlib.contextmanager
+def told_of(path: Path, kind: str) -> Iterator[None]:
+    """Whatever a reader of another project raises on a broken file becomes an error that says so."""
+    try:
+        yield
+    except JaxbodyError:
+        raise
+    except MemoryError:
+        raise JaxbodyError(
+            Problem("TOO_LARGE", path.name, "does not fit into memory", hint="Read fewer channels, or cut the file.")
+        ) from None
+    except Exception as error:
+        told = f"cannot be read as {kind}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"[:200]
+        raise JaxbodyError(
+            Problem("UNREADABLE", path.name, told, path, hint="Is it whole? Was it closed by the program that wrote it?")
+        ) from None
+
+
+def numeric(values: Any, name: str, where: str) -> np.ndarray:
+    """Float64 numbers (n,) or (n, k); what is no number is an error."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "biuf" or array.ndim not in (1, 2):
+        told = f"'{name}' holds {array.dtype} of shape {array.shape}"
+        raise JaxbodyError(Problem("NOT_A_NUMBER", where, told, array.dtype, "numbers, (n,) or (n, k)", "Read another channel."))
+    return array.astype(np.float64)

@@ -1,0 +1,260 @@
+"""Tables of numbers in text files: lines of equal length under a line of names, read as they stand or refused with the line.
+
+What is before the numbers is looked at for names and units, "acc [g]" or a line of units below the names, and said in the notes. Nothing
+is guessed about the numbers: a decimal comma, a footer, a line of another length is an error until it is stated.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import MOST_PROBLEMS, JaxbodyError, Problem, Problems
+from jaxbody.core.tables import counted
+from jaxbody.core.units import is_unit
+
+NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?|nan|NaN|NAN|NA|")  # nothing, or no number, is a missing sample
+COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
+THOUSANDS = re.compile(r"[+-]?\d{1,3}([,' ]\d{3})+(\.\d*)?|[+-]?\d{1,3}(\.\d{3})+(,\d*)?")
+COMMENTS = ("#", "%", "!")
+LONGEST_PREAMBLE = 1000
+
+
+@dataclass
+class Column:
+    """What a file holds of one channel: values (n,) or (n, k), the unit that the file states, times [s] where it has them itself."""
+
+    values: np.ndarray
+    unit: str | None = None
+    times: np.ndarray | None = None
+
+
+@dataclass
+class Contents:
+    """Columns by name, what was done to read them, and of text the line of their names, or of the first numbers where there are none."""
+
+    columns: dict[Any, Column]
+    notes: list[str] = field(default_factory=list)
+    head: int = 1
+
+
+def decoded(data: bytes, name: str, encoding: str) -> str:
+    """Text of bytes; a byte order mark of UTF-8 is taken off. Error: ENCODING, with byte and offset."""
+    hint = 'Say encoding="latin-1", or whichever it was written in.'
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff") and encoding == "utf-8":
+        raise JaxbodyError(Problem("ENCODING", name, "is UTF-16", data[:2], encoding, 'Say encoding="utf-16".'))
+    try:
+        text = data.decode("utf-8-sig" if encoding == "utf-8" else encoding)
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        told = f"has byte 0x{data[error.start]:02x} at offset {error.start} (line {line})"
+        raise JaxbodyError(Problem("ENCODING", name, told + f", which is no {encoding}", error.start, encoding, hint)) from None
+    except (LookupError, UnicodeError):
+        raise JaxbodyError(Problem("ENCODING", name, f"cannot be read as {encoding!r}", encoding, "an encoding", hint)) from None
+    if "\0" in text:
+        told, hint = f"has a zero byte at offset {text.index(chr(0))}", "Is it a text file? Name its format, or its encoding."
+        raise JaxbodyError(Problem("WRONG_FORMAT", name, told, limit="text", hint=hint))
+    return text
+
+
+def read_text(
+    data: bytes, name: str, *, encoding="utf-8", separator: str | None = None, decimal: str = ".", skip: int = 0, footer: int = 0
+) -> Contents:
+    """The columns of a text table. `separator` as the first line of numbers has it, unless stated; `skip` and `footer` lines are left out.
+
+    Errors, each with its line: ENCODING, NO_NUMBERS, BAD_LINE, RAGGED_LINE, DECIMAL_COMMA, TRUNCATED, NON_FINITE.
+    """
+    text = decoded(data, name, encoding)
+    lines = [(i, line.strip(" \r")) for i, line in enumerate(re.split(r"\r\n|\n|\r", text), 1)]
+    lines = [(i, line) for i, line in lines[skip:] if line.strip()]
+    lines = lines[: len(lines) - footer] if footer else lines
+    first = next((k for k, (_, line) in enumerate(lines[:LONGEST_PREAMBLE]) if _is_data(line, separator, decimal)), None)
+    if first is None:
+        raise _no_numbers(lines, name, separator, decimal)
+    separator = separator or _separator(lines[first][1])
+    rows = [(i, line) for i, line in lines[first:] if not line.startswith(COMMENTS)]
+    values = _numbers(rows, name, separator, decimal, complete=text.endswith(("\n", "\r")))
+    if first and not _fits_head(lines[first - 1][1], separator, values.shape[1]):
+        (i, head), width = lines[first - 1], values.shape[1]
+        told, limit = f"names {len(_cells(head, separator))} columns: {head!r:.50}", f"{width}, as line {lines[first][0]} has"
+        raise JaxbodyError(
+            Problem("RAGGED_LINE", f"{name}:{i}", told, head, limit, _ragged_hint(width, len(_cells(head, separator)), separator))
+        )
+    names, units, used = _heads([line for _, line in lines[:first]], separator, values.shape[1])
+    if any(NUMBER.fullmatch(cell) and cell for cell in names) and used:
+        i, line = lines[first - used]
+        hint = _thousands(_cells(line, separator)) or f"If it is neither names nor numbers, say skip={i}."
+        raise JaxbodyError(Problem("BAD_LINE", f"{name}:{i}", f"is {line!r:.60}", line, "names or numbers", hint))
+    often = Counter(names)
+    names = [head if head and often[head] == 1 else f"{head}#{k}" if head else str(k) for k, head in enumerate(names)]
+    columns = {head: Column(values[:, k], unit) for k, (head, unit) in enumerate(zip(names, units, strict=True))}
+    notes = [f"left out {counted(count, 'line')} {where}" for count, where in ((skip, "at the start"), (footer, "at the end")) if count]
+    if first - used > 0:
+        notes.append(f"passed over {counted(first - used, 'line')} before the table")
+    return Contents(columns, notes, lines[first - used][0])
+
+
+def _cells(line: str, separator: str) -> list[str]:
+    if '"' in line:
+        cells = next(csv.reader([line], delimiter=separator if separator.strip() or separator == "\t" else " ", skipinitialspace=True))
+    else:
+        cells = line.split(None if separator == " " else separator)
+    return [cell.strip() for cell in cells]
+
+
+def _fits_head(head: str, separator: str, width: int) -> bool:
+    """Whether a line above the numbers may stand there: as many names as columns, or a comment, or a line of something else."""
+    cells = _cells(head, separator)
+    return head.startswith(COMMENTS) or separator == " " or len(cells) in (1, width) or (len(cells) == width + 1 and not cells[-1])
+
+
+def _separator(line: str) -> str:
+    return next((mark for mark in ("\t", ";", ",") if mark in line), " ")
+
+
+def _is_data(line: str, separator: str | None, decimal: str) -> bool:
+    if line.startswith(COMMENTS):
+        return False
+    separator = separator or _separator(line)
+    cells = _cells(line, separator)
+    looks = [NUMBER.fullmatch(_pointed(cell, decimal)) or (separator != "," and COMMA_NUMBER.fullmatch(cell)) for cell in cells]
+    return all(looks) and any(cell[:1].isdigit() or cell[:1] in ("+", "-", ".") for cell in cells)
+
+
+def _pointed(cell: str, decimal: str) -> str:
+    return cell if decimal == "." else cell.replace(".", "?").replace(decimal, ".")
+
+
+def _thousands(cells: list[str]) -> str:
+    """What is told of a number in groups of three digits; "" where there is none."""
+    cell = next((cell for cell in cells if THOUSANDS.fullmatch(cell) and not NUMBER.fullmatch(cell)), None)
+    return "" if cell is None else f"{cell!r} has separators of thousands, or quotes around them: write numbers without."
+
+
+def _no_numbers(lines: list[tuple[int, str]], name: str, separator: str | None, decimal: str) -> JaxbodyError:
+    i, line = lines[0] if lines else (1, "")
+    hint = f"Numbers, separated by {separator or 'commas, semicolons, tabs or blanks'}, with '{decimal}' in them, below one line of names."
+    grouped = (_thousands(_cells(row, separator or _separator(row))) for _, row in lines[:LONGEST_PREAMBLE])
+    hint = next((told for told in grouped if told), hint)
+    told = f"has no line of numbers alone; line {i} is {line!r:.60}" if lines else "has no line that is not blank"
+    return JaxbodyError(Problem("NO_NUMBERS", name, told, i, "a table of numbers", hint))
+
+
+def _numbers(rows: list[tuple[int, str]], name: str, separator: str, decimal: str, *, complete: bool) -> np.ndarray:
+    """(n, k) numbers; NaN where a cell is empty."""
+    try:  # nearly all files are read by this
+        if decimal != "." or any('"' in line for _, line in rows[:1]):
+            raise ValueError
+        values = np.loadtxt([line for _, line in rows], delimiter=None if separator == " " else separator, comments=None, ndmin=2)
+        if np.isfinite(values).all():
+            return values
+    except (ValueError, OverflowError):
+        pass
+    problems = Problems()
+    cells = [_cells(line, separator) for _, line in rows]
+    width = len(cells[0])
+    no_numbers = [[cell for cell in row if not NUMBER.fullmatch(_pointed(cell, decimal))] for row in cells]
+    last_good = max((k for k, row in enumerate(cells) if len(row) == width and not no_numbers[k]), default=0)
+    for k, ((i, line), row) in enumerate(zip(rows, cells, strict=True)):
+        where = f"{name}:{i}"
+        wrong = no_numbers[k]
+        comma = next((cell for cell in wrong if COMMA_NUMBER.fullmatch(cell)), None)
+        if len(row) != width:
+            last = k == len(rows) - 1 and not complete and len(row) < width
+            hint = "The file ends within a line: copy it again, or footer=1." if last else _ragged_hint(len(row), width, separator)
+            told, limit = f"has {len(row)} cells: {line!r:.50}", f"{width}, as line {rows[0][0]} has"
+            problems.add("TRUNCATED" if last else "RAGGED_LINE", where, told, value=len(row), limit=limit, hint=hint)
+        elif comma is not None:
+            hint = f'It may be a decimal comma: say decimal=",", separator="{separator}".'
+            hint += " If it separates thousands, write numbers without." if THOUSANDS.fullmatch(comma) else ""
+            problems.add("DECIMAL_COMMA", where, f"has {comma!r}", value=comma, limit="a decimal point", hint=hint)
+        elif wrong and wrong[0].lower().lstrip("+-") in ("inf", "infinity", "1.#inf"):
+            problems.add(
+                "NON_FINITE", where, f"has {wrong[0]!r}", value=wrong[0], limit="finite", hint="Leave the cell empty for no sample."
+            )
+        elif wrong:
+            at_end = k > last_good
+            if at_end and k > last_good + 1:
+                continue  # told with the first line of the footer
+            hint = _thousands(wrong) or (
+                f"If the table ends before it, say footer={len(rows) - k}; where it stands for a missing sample, leave the cell empty or write nan."
+                if at_end
+                else "Numbers follow: where it stands for a missing sample, leave the cell empty or write nan."
+            )
+            told = f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}"
+            problems.add("BAD_LINE", where, told, value=wrong[0], limit="numbers", hint=hint)
+        if len(problems.found) >= MOST_PROBLEMS:
+            break
+    problems.raise_if_any()
+    values = np.array([[_number(_pointed(cell, decimal)) for cell in row] for row in cells])
+    if width > 1 and all(row[-1] == "" for row in cells):  # a separator at the end of every line
+        values = values[:, :-1]
+    huge = np.argwhere(np.isinf(values))
+    if len(huge):
+        i = rows[huge[0][0]][0]
+        raise JaxbodyError(Problem("NON_FINITE", f"{name}:{i}", "has a number beyond all bounds", i, "finite", "Leave the cell empty."))
+    return values
+
+
+def _number(cell: str) -> float:
+    return float(cell.replace("d", "e").replace("D", "e")) if cell[-1:].isdigit() or cell[-1:] == "." else np.nan
+
+
+def _ragged_hint(found: int, width: int, separator: str) -> str:
+    if separator == "," and found % 2 == 0 and 2 * width in (found, 2 * found):
+        return 'Are there decimal commas? A file with them needs another separator: decimal=",", separator=";".'
+    return "Every line of the table needs as many cells; footer= leaves lines at the end out."
+
+
+def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], list[str | None], int]:
+    """Names and units from the lines above the numbers, and how many lines they took; numbers for names where there are none."""
+    rows = []
+    for line in reversed(lines[-2:]):
+        row = _cells(line.lstrip("".join(COMMENTS)).strip(), separator)
+        row = row[:width] if len(row) == width + 1 and not row[-1] else row
+        if len(row) != width and separator != " ":
+            row = _cells(line.lstrip("".join(COMMENTS)).strip(), " ")
+        if len(row) != width:
+            break
+        rows.insert(0, row)
+    units: list[str | None] = [None] * width
+    below = [cell.strip("[]() ") for cell in rows[-1]] if len(rows) == 2 else []
+    if below and any(below) and all(cell in ("", "-") or is_unit(cell) for cell in below):
+        units = [cell or None for cell in below]
+        names = [split_unit(cell)[0] for cell in rows[0]]
+    elif rows:
+        names, units = (list(part) for part in zip(*(split_unit(cell) for cell in rows[-1]), strict=True))
+        rows = rows[-1:]
+    else:
+        names = [""] * width
+    return names, units, len(rows)
+
+
+def split_unit(head: str) -> tuple[str, str | None]:
+    """ "acc [g]" as name and unit; parentheses count where they hold a unit.
+
+    >>> split_unit("acc [g]"), split_unit("speed (m/s)"), split_unit("x (left)")
+    (('acc', 'g'), ('speed', 'm/s'), ('x (left)', None))
+    """
+    head = head.strip()
+    start = _opening(head)
+    name, unit = head[:start].rstrip(), head[start + 1 : -1].strip()
+    if start <= 0 or not name or unit.isdigit() or not (head.endswith("]") or is_unit(unit)):
+        return head, None
+    return name, unit or None
+
+
+def _opening(head: str) -> int:
+    """Where the bracket opens that closes at the end; -1 where none does."""
+    opens = {"]": "[", ")": "("}.get(head[-1:])
+    depth = 0
+    for at in range(len(head) - 1, -1, -1) if opens else ():
+        depth += (head[at] == head[-1]) - (head[at] == opens)
+        if depth == 0:
+            return at
+    return -1

@@ -1,0 +1,1 @@
+"""Responses to harmonic and random excitation, spectra, roads and comfort."""

@@ -1,0 +1,379 @@
+"""Frequency response of small motions: from motions of supports and forces to motions of points, forces of elements and reactions.
+
+    D(w) Delta = (K~ + i w C~ - w^2 M~ + i H~) Xi + F f,    D = K + i w C - w^2 M + i H
+
+H is hysteretic (structural) damping, the sum over the elements of eta V''(e) de de: a loss factor times the stiffness of the material, not that of
+gravity or tension. Frequencies are the last axis of all arrays, so that few operations go along many of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import Module, field
+from jaxtyping import Array, Bool, Complex, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.arrays import checked, concrete, device_array, float_array
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.mechanics.energies import each_element
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.models import Model, unknown
+from jaxbody.models.preconditions import check_precision
+from jaxbody.numerics.eigenproblems import ZERO, natural
+from jaxbody.numerics.precisions import reachable
+from jaxbody.responses.modal_dampings import NO_MODES, with_modal_damping
+from jaxbody.statics.equilibria import NOT_AT_REST
+from jaxbody.vibrations.linearizations import Linearization
+from jaxbody.vibrations.ports import Wiring, check_ports, whole_matrices, wired
+
+LARGEST_UNROLLED = 16  # coordinates; beyond, LAPACK's elimination at each frequency costs less than it costs to compile this one
+GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, that is growth and not rounding
+INVERTED = 1e-7  # error of the modes' inverse, relative, above which their sum lacks digits
+FAILED = (*NOT_AT_REST, *NO_MODES)
+METHODS = ("direct", "modal")
+
+
+class FrequencyResponse(Result):
+    """`values` (outputs, inputs, frequencies), complex: what an output does per unit of an input that is exp(i 2 pi f t).
+
+    `response["seat", "road"]` is one of them over `frequencies` [Hz]; `magnitude`, and `phase` [rad], continued over the frequencies.
+    From a displacement of a support to a displacement, the magnitude is the transmissibility. `status` UNSTABLE (values NaN), SINGULAR_K where
+    something free to move has no response at 0 Hz (NaN there), or that of the equilibrium."""
+
+    frequencies: Float[Array, "nf"]
+    values: Complex[Array, "ny nu nf"]
+    status: Int[Array, ""]
+    inputs: tuple[str, ...] = field(static=True)
+    outputs: tuple[str, ...] = field(static=True)
+    input_units: tuple[str, ...] = field(static=True)
+    output_units: tuple[str, ...] = field(static=True)
+
+    @property
+    def magnitude(self) -> Float[Array, "ny nu nf"]:
+        return jnp.abs(self.values)
+
+    @property
+    def phase(self) -> Float[Array, "ny nu nf"]:
+        angle = jnp.angle(self.values)
+        return jnp.where(jnp.isnan(angle), jnp.nan, jnp.unwrap(jnp.nan_to_num(angle), axis=-1))
+
+    def __getitem__(self, pair: tuple[str, str]) -> Complex[Array, "nf"]:
+        output, name = pair
+        for given, known in ((output, self.outputs), (name, self.inputs)):
+            if given not in known:
+                raise JaxbodyError(unknown(given, "response", known))
+        return self.values[..., self.outputs.index(output), self.inputs.index(name), :]
+
+    def explain(self) -> str:
+        return "NaN at 0 Hz; jb.modes of the linearization names it" if Status(int(self.status)) == Status.SINGULAR_K else ""
+
+    def unit(self, output: str, name: str) -> str:
+        """Of one of them: "" for a ratio."""
+        above, below = self.output_units[self.outputs.index(output)], self.input_units[self.inputs.index(name)]
+        return "" if above == below else f"{above} per {below}"
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: the complex response by `output`, `input` and `frequency`, with units by output and input."""
+        from jaxbody.core.datasets import frequency_response_dataset
+
+        return frequency_response_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        heads = ("output", "input", "unit", "at first frequency", "largest", "at [Hz]")
+        if self.values.ndim > 3 or not is_concrete(self.values):
+            return [tables.Table("Frequency response", ("", ""), [("values", self.values)])]
+        f, size = np.asarray(self.frequencies), np.abs(np.asarray(self.values))
+        largest = np.argmax(np.nan_to_num(size, nan=-1.0), -1)
+        rows = [
+            (y, u, self.unit(y, u) or "-", size[i, j, 0], size[i, j, largest[i, j]], f[largest[i, j]])
+            for i, y in enumerate(self.outputs)
+            for j, u in enumerate(self.inputs)
+        ]
+        note = "" if int(self.status) == 0 else self.report()
+        return [tables.Table(f"Frequency response, {f[0]:.6g} to {f[-1]:.6g} Hz", heads, rows, note)]
+
+
+def frequency_response(
+    lin: Linearization,
+    frequencies: Any,
+    inputs: dict[str, Any],
+    outputs: dict[str, Any],
+    *,
+    loss_factor: Any = None,
+    modal_damping: Any = None,
+    method: str = "direct",
+) -> FrequencyResponse:
+    """The response at `frequencies` [Hz] from named inputs to named outputs, {name: port}, of small motions about an equilibrium.
+
+        D(w) Delta = (K~ + i w C~ - w^2 M~) Xi + F f,   D(w) = K + i w C - w^2 M
+
+    At 0 Hz it is the static response, K^-1. Differentiable by either method, coinciding modes included, with respect to the model, the points
+    of ports, loss factors, modal damping and frequencies.
+
+    Args:
+        frequencies: 0 or more, in one row [Hz].
+        inputs: {name: BaseMotion or PointForce}.
+        outputs: {name: PointMotion, ElementForce, ElementDeformation, SupportReaction, or a sensor that reads one number, with no chain}.
+        loss_factor: hysteretic damping, i eta times the stiffness V''(e) of elements, one number for all or {element: eta}. It exists for
+            harmonic motion only, so it is an option here and no property of a model: nothing that simulates can meet it.
+        modal_damping: damping ratios that are added to those of the dampers, one for all natural modes or one for each, ascending; of the
+            motion relative to what bodies do when supports move slowly. Those of modes that coincide are averaged.
+        method: "direct", by elimination at each frequency, or "modal", the sum over all complex modes, the same to rounding.
+
+    Errors: BAD_FREQUENCY below 0 Hz, and at 0 Hz of an input that is a velocity or an acceleration, UNKNOWN_NAME, WRONG_KIND, BAD_COMPONENT,
+    BAD_METHOD, BAD_SHAPE, NON_FINITE, NEGATIVE loss factors or damping ratios, BAD_OPTION of either with sensors of forces; warns UNSTABLE,
+    SINGULAR_K at 0 Hz, DEFECTIVE (modes), NONFINITE (an undamped resonance), and of modal damping NOT_SYMMETRIC, SINGULAR_M.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> lin = linearize(model, equilibrium(model))
+    >>> found = frequency_response(lin, [2.0], {"base": BaseMotion("base", "y")}, {"mass": PointMotion("mass", direction="y")})
+    >>> round(float(found["mass", "base"][0].real * (1 - (2.0 * 2 * jnp.pi) ** 2 / 25)), 12)
+    1.0
+    """
+    check_precision("frequency_response", lin.model)
+    f = check_frequencies(frequencies, "frequency_response.frequencies", static=True)
+    (u, ins, u_units), (y, outs, y_units) = check_ports(lin, inputs, outputs, "frequency_response")
+    for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
+        check_without_force_sensors(option, f"frequency_response.{what}", outs)
+    eta = check_loss_factors(loss_factor, lin.model, "frequency_response.loss_factor")
+    if method not in METHODS:
+        problems = Problems()
+        problems.add("BAD_METHOD", "frequency_response.method", f"is {method!r}", value=method, limit=" ".join(METHODS))
+        problems.raise_if_any()
+    static = is_concrete(f) and not np.asarray(f).all()
+    if static:
+        _check_bounded_at_rest(u, ins)
+    lin = with_modal_damping(lin, modal_damping, "frequency_response.modal_damping")
+    values, status = response_values(lin, f, wired(lin, ins, outs), eta, method, static)
+    result = FrequencyResponse(f, values, status, u, y, u_units, y_units)
+    warn_if_failed(result)
+    return result
+
+
+def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:
+    """Frequencies in one row, positive, or `static` too, which are 0."""
+    problems = Problems()
+    array = float_array(given, where)
+    array = checked(array, ((max(array.size, 1),),), where, problems, "Give frequencies [Hz] in one row.")
+    known = None if array is None else concrete(array)
+    if known is not None and (wrong := known < 0 if static else known <= 0).any():
+        i, limit = int(np.flatnonzero(wrong)[0]), ">= 0" if static else "> 0"
+        hint = "Give their magnitudes." if known[i] < 0 else "Leave 0 out."
+        problems.add("BAD_FREQUENCY", where, f"is {known[i]:g} Hz at index {i}", value=float(known[i]), limit=limit, hint=hint)
+    problems.raise_if_any()
+    return device_array(array)
+
+
+def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> None:
+    """At 0 Hz a velocity or an acceleration goes on for ever."""
+    problems = Problems()
+    for name, port in zip(names, inputs, strict=True):
+        if (kind := getattr(port, "kind", "displacement")) != "displacement":
+            told, hint = f"is given as {kind}, and there is a frequency of 0 Hz", 'Take kind="displacement", or leave 0 Hz out.'
+            problems.add("BAD_FREQUENCY", f"frequency_response.inputs[{name!r}]", told, value=kind, limit="displacement at 0 Hz", hint=hint)
+    problems.raise_if_any()
+
+
+def check_without_force_sensors(given: Any, where: str, outputs: tuple[Any, ...]) -> None:
+    """Damping that is no property of a model is not part of what its sensors of forces read. Error: BAD_OPTION."""
+    problems = Problems()
+    for port in outputs if given is not None else ():
+        if hasattr(port, "reading") and port.unit in ("N", "N m"):
+            hint = "Take ElementForce or SupportReaction, or dampers in place of it."
+            what = f"is not part of what a {type(port).__name__} on '{port.on}' reads"
+            problems.add("BAD_OPTION", where, what, value=given, limit="sensors of motion", hint=hint)
+    problems.raise_if_any()
+
+
+def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne"] | None:
+    """One loss factor for each element, from one for all or {element: factor}. Errors: UNKNOWN_NAME, BAD_SHAPE, NEGATIVE."""
+    if given is None:
+        return None
+    problems, names = Problems(), model.element_names
+    for name in given if isinstance(given, dict) else ():
+        if name not in names:
+            problems.found.append(unknown(name, where, names))
+    each = [checked(given.get(name, 0.0) if isinstance(given, dict) else given, ((),), where, problems) for name in names]
+    for name, value in zip(names, each, strict=True):
+        known = None if value is None else concrete(value)
+        if known is not None and known < 0:
+            problems.add("NEGATIVE", where, f"of '{name}' is {known:g}", value=float(known), limit=">= 0", hint="It would add energy.")
+    problems.raise_if_any()
+    return jnp.stack([device_array(value) for value in each]) if each else jnp.zeros(0)
+
+
+@jit_quickly
+def response_values(
+    lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, eta: Float[Array, "ne"] | None, method: str = "direct", static: bool = False
+):
+    """(values (ny, nu, nf), status); `static` where 0 Hz is among the frequencies."""
+    nv, X = lin.M.shape[-1], wiring.X
+    s = 2j * jnp.pi * f
+    whole = _Matrices(*whole_matrices(lin), None if eta is None else hysteretic(lin, eta))
+    scale = s[None] ** -jnp.array(wiring.orders, f.dtype)[:, None].astype(int) if any(wiring.orders) else jnp.ones((len(wiring.orders), 1))
+    own = jax.tree.map(lambda A: A[:nv, :nv], whole)
+    right = wiring.F[:nv, :, None] - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale
+    Delta, complete = _solved(own, s, jnp.broadcast_to(right, (nv, X.shape[1], f.shape[0])), method)
+    Y = wiring.Y
+    rows = _Matrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, wiring, lin, eta))
+    on_bodies, on_supports = jax.tree.map(lambda A: A[:, :nv], rows), jax.tree.map(lambda A: A[:, nv:] @ X, rows)
+    values = on_bodies.times(s, Delta) + on_supports.at(s) * scale + wiring.G[:, :, None]
+    free = jnp.array(False)
+    if static:
+        squares = jnp.abs(jax.lax.stop_gradient(natural(lin.K, lin.M)[0]))
+        free = jnp.min(squares, initial=jnp.inf) <= ZERO * jnp.max(squares, initial=0.0)
+        values = jnp.where(free & (f == 0), jnp.nan, values)
+    status = jnp.select(
+        [jnp.isin(lin.status, jnp.array(FAILED)), grows(own), ~complete, free, ~jnp.isfinite(values).all()],
+        [lin.status, Status.UNSTABLE.value, Status.DEFECTIVE.value, Status.SINGULAR_K.value, Status.NONFINITE.value],
+        Status.OK.value,
+    )
+    bad = (status != Status.OK) & (status != Status.NONFINITE) & (status != Status.SINGULAR_K)
+    return values * jnp.where(bad, jnp.nan, 1.0), status
+
+
+class _Matrices(Module):
+    """Of D = K + s C + s^2 M + i H, s = i w."""
+
+    K: Float[Array, "k n"]
+    C: Float[Array, "k n"]
+    M: Float[Array, "k n"]
+    H: Float[Array, "k n"] | None
+
+    def moved(self, left: Array, right: Array) -> _Matrices:
+        return jax.tree.map(lambda A: left @ A @ right, self)
+
+    def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "k n nf"]:
+        K = self.K if self.H is None else self.K + 1j * self.H
+        return K[:, :, None] + self.C[:, :, None] * s + self.M[:, :, None] * s**2
+
+    def times(self, s: Complex[Array, "nf"], x: Complex[Array, "n m nf"]) -> Complex[Array, "k m nf"]:
+        """D(s) x by real products."""
+        parts = jax.tree.leaves(self)
+        re, im = (jnp.split(jnp.tensordot(jnp.concatenate(parts), part, 1), len(parts)) for part in (x.real, x.imag))
+        product = [re_ + 1j * im_ for re_, im_ in zip(re, im, strict=True)]
+        return sum((a * b for a, b in zip(product[1:], (s, s**2, 1j), strict=False)), product[0])
+
+
+def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tuple[Complex[Array, "n m nf"], Bool[Array, ""]]:
+    """D(s)^-1 b, with the derivatives of the linear systems whichever way they are solved; and whether the way is good."""
+    frozen, at = jax.lax.stop_gradient((own, s))
+    if method == "modal":
+        left, poles, right, complete = _complex_modes(frozen)
+
+        def solve(b, transposed):
+            L, R = (right.T, left.T) if transposed else (left, right)
+            return jnp.tensordot(L, jnp.tensordot(R, b, 1) / (at - poles[:, None])[:, None], 1)
+    else:
+        complete, eliminated = jnp.array(True), _eliminated(frozen, at)
+
+        def solve(b, transposed):
+            return eliminated(b, transposed)
+
+    return jax.lax.custom_linear_solve(lambda x: own.times(s, x), b, lambda _, b: solve(b, False), lambda _, b: solve(b, True)), complete
+
+
+def _eliminated(A: _Matrices, s) -> Callable[[Complex[Array, "n m nf"], bool], Complex[Array, "n m nf"]]:
+    """b -> D^-1 b or its transpose, eliminated once for all that is asked. There is no search for pivots, in the coordinates of the real modes:
+    there D is diagonal but for damping, where rows need no exchange, as no entry of C is larger than the mean of two on its diagonal."""
+    n = len(A.M)
+    if n > LARGEST_UNROLLED:
+        factors = jax.scipy.linalg.lu_factor(jnp.moveaxis(A.at(s), -1, 0))
+        return lambda b, transposed: jax.vmap(lambda LU, b: jax.scipy.linalg.lu_solve(LU, b, trans=int(transposed)), (0, -1), -1)(
+            factors, b
+        )
+    L = jnp.linalg.cholesky((A.M + A.M.T) / 2)
+    half = jax.scipy.linalg.solve_triangular(L, (A.K + A.K.T) / 2, lower=True)
+    whitened = jax.scipy.linalg.solve_triangular(L, half.T, lower=True)
+    shapes = jax.scipy.linalg.solve_triangular(L, jnp.linalg.eigh((whitened + whitened.T) / 2)[1], lower=True, trans=1)
+    D = A.moved(shapes.T, shapes).at(s)
+    D = jnp.concatenate([D, jnp.broadcast_to(shapes.T[:, :, None], D.shape)], 1)
+    for i in range(n):  # of the columns not yet cleared
+        row = D[i, 1:] / D[i, 0]
+        D = jnp.where((jnp.arange(n) == i)[:, None, None], row, D[:, 1:] - D[:, :1] * row)
+    inverse = jnp.tensordot(shapes, D, 1)
+    return lambda b, transposed: _product(jnp.swapaxes(inverse, 0, 1) if transposed else inverse, b)
+
+
+def _product(A: Complex[Array, "k n nf"], x: Complex[Array, "n m nf"]) -> Complex[Array, "k m nf"]:
+    """At each frequency, by sums along these."""
+    pairs = [(A[:, j, None], x[j]) for j in range(len(x))]
+    none = jnp.zeros((len(A), *x.shape[1:]), A.real.dtype)
+    re = sum((a.real * b.real - a.imag * b.imag for a, b in pairs), none)
+    return re + 1j * sum((a.real * b.imag + a.imag * b.real for a, b in pairs), none)
+
+
+def _companion(A: _Matrices) -> Array:
+    """(Delta, Delta')' = A (Delta, Delta')."""
+    n = len(A.M)
+    K = A.K if A.H is None else A.K + 1j * A.H
+    lower = jnp.linalg.solve(A.M.astype(K.dtype), jnp.concatenate([-K, -A.C.astype(K.dtype)], 1))
+    return jnp.concatenate([jnp.concatenate([jnp.zeros((n, n), K.dtype), jnp.eye(n, dtype=K.dtype)], 1), lower])
+
+
+def _complex_modes(A: _Matrices):
+    """D(s)^-1 = left diag(1/(s - pole)) right, and whether the modes are a basis."""
+    n = len(A.M)
+    matrix = _companion(A)
+    unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n:, :n])))  # of time, so that displacements and rates are alike
+    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)])
+    balanced = matrix * scale / scale[:, None]
+    poles, vectors = jnp.linalg.eig(balanced)
+    inverse = jnp.linalg.inv(vectors)
+    error = jnp.max(jnp.abs((vectors * poles) @ inverse - balanced)) / jnp.max(jnp.abs(balanced))
+    right = inverse[:, n:] @ jnp.linalg.inv(A.M) / unit
+    return vectors[:n], poles, right, error < reachable(INVERTED, error.dtype, 1024)
+
+
+def grows(A: _Matrices) -> Bool[Array, ""]:
+    """Whether a free motion grows."""
+    values = jnp.linalg.eigvals(_companion(jax.lax.stop_gradient(_Matrices(A.K, A.C, A.M, None))))
+    return jnp.max(values.real) > reachable(GROWS, values.real.dtype, 256) * jnp.max(jnp.abs(values))
+
+
+def hysteretic(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Array, "n n"]:
+    """H of (Delta, Xi): the sum over the elements of eta V''(e) de de."""
+    H = jnp.zeros(())
+    first = 0
+    for curvature, J in _elastic(lin):
+        own = eta[first : first + len(J)]
+        first += len(J)
+        H = H + jnp.einsum("e,eai,eab,ebj->ij", own, J, curvature, J)
+    return H + jnp.zeros((lin.model.layout.nv + lin.model.layout.nxi,) * 2)
+
+
+def _elastic(lin: Linearization):
+    """V''(e) (elements, k, k) and de/d(Delta, Xi) (elements, k, n) of every table of elements."""
+    model, layout, q = lin.model, lin.model.layout, lin.state.q
+
+    def deformations(x):
+        coordinates, delta, xi = Coordinates(model), x[: layout.nv], x[layout.nv :].reshape(-1, 6)
+        frames = coordinates.frames(coordinates.retract(q, delta), jnp.zeros_like(delta), coordinates.supports_at(xi, jnp.zeros_like(xi)))
+        return tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F))))
+
+    zero = jnp.zeros(layout.nv + layout.nxi, q.dtype)
+    for table, e, J in zip(model.elements, deformations(zero), jax.jacfwd(deformations)(zero), strict=True):
+        count = len(table.names)
+        k = int(np.prod(e.shape[1:], dtype=int))
+        curvature = jax.vmap(lambda s, e: jax.hessian(s.energy)(e))(table.rows, e)
+        yield curvature.reshape(count, k, k), J.reshape(count, k, len(zero))
+
+
+def _elastic_rows(Y, H, wiring: Wiring, lin: Linearization, eta) -> Float[Array, "ny n"]:
+    """What i H adds to outputs: eta times the elastic part of an element's force, -H of a reaction."""
+    nv = lin.M.shape[-1]
+    rows = [jnp.zeros(Y.shape[-1], Y.dtype)] * Y.shape[1]
+    for i, (element, support) in enumerate(zip(wiring.elements, wiring.reactions, strict=True)):
+        if element >= 0:
+            rows[i] = eta[element] * Y[0, i]
+        if support >= 0:
+            rows[i] = -H[nv + support]
+    return jnp.stack(rows)

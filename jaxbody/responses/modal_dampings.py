@@ -1,0 +1,67 @@
+"""Modal damping: a damping ratio for each natural mode, as damping of the motion relative to what bodies do when supports move slowly.
+
+With K phi = w^2 M phi, phi' M phi = 1 and x = Delta - K^-1 K~ Xi, the power 2 zeta w (phi' M x')^2 is lost in each mode, so that to C, C~ and C_bb come
+
+    M phi (2 zeta w) phi' M,    M phi (2 zeta/w) phi' K~,    K~' phi (2 zeta/w^3) phi' K~
+
+summed over the modes that have a frequency. Source: A. K. Chopra, Dynamics of Structures (2012), 11.4.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import checked, concrete, device_array, float_array
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import Problems, Status
+from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, together
+from jaxbody.vibrations.linearizations import Linearization
+from jaxbody.vibrations.natural_modes import _modes
+
+NO_MODES = (Status.UNSTABLE, Status.NOT_SYMMETRIC, Status.SINGULAR_M, Status.NONFINITE)
+
+
+def with_modal_damping(lin: Linearization, ratios: Any, where: str) -> Linearization:
+    """The linearization with damping ratios added to its modes, one for all or one for each, ascending; its status is that of modes which do not exist.
+
+    Errors: BAD_SHAPE, NON_FINITE, NEGATIVE."""
+    if ratios is None:
+        return lin
+    problems, n = Problems(), lin.M.shape[-1]
+    given = checked(float_array(ratios, where), ((), (n,)), where, problems, f"Give one for all modes or one for each of {n}.")
+    known = None if given is None else concrete(given)
+    if known is not None and (known < 0).any():
+        problems.add("NEGATIVE", where, f"has {known.min():g}", value=float(known.min()), limit=">= 0", hint="It would add energy.")
+    problems.raise_if_any()
+    C, C_tilde, C_bb, status = _added(lin, jnp.broadcast_to(device_array(given), (n,)))
+    return dataclasses.replace(lin, C=C, C_tilde=C_tilde, C_bb=C_bb, status=status)
+
+
+@jit_quickly
+def _added(lin: Linearization, ratios: Float[Array, "nv"]) -> tuple[Array, ...]:
+    *_, status = _modes(lin)
+    values, shapes = natural(lin.K, lin.M)
+    cluster, top = clusters(values), jnp.max(jnp.abs(values), initial=0.0)
+    moves = values > ZERO * top
+    zeta = averaged(ratios, cluster)
+    fixed, phi = jax.lax.stop_gradient((values, shapes))
+    shared = together(cluster) & (jnp.sum(together(cluster), 0) > 1)
+    # zero, with the derivative of phi' K phi - w^2 phi' M phi within a cluster, where that of its values is not enough
+    turned = jnp.where(shared, phi.T @ (lin.K @ phi) - phi.T @ (lin.M @ phi) * fixed, 0.0)
+    turned = turned - jax.lax.stop_gradient(turned)
+
+    def weights(power: float) -> Float[Array, "nv nv"]:
+        """2 zeta w^power of the modes, as a matrix between those that coincide."""
+        w2 = jnp.where(moves, jnp.where(shared.any(0), fixed, values), 1.0)
+        slope = zeta * power * w2 ** (power / 2 - 1)
+        return jnp.where(moves, jnp.diag(2 * zeta * w2 ** (power / 2)) + slope * turned, 0.0)
+
+    left, right = lin.M @ shapes, lin.K_tilde.T @ shapes
+    C, C_tilde, C_bb = (a @ weights(p) @ b.T for a, p, b in ((left, 1.0, left), (left, -1.0, right), (right, -3.0, right)))
+    status = jnp.where(jnp.isin(status, jnp.array(NO_MODES)), status, lin.status)
+    return lin.C + C, lin.C_tilde + C_tilde, lin.C_bb + C_bb, status

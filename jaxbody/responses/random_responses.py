@@ -1,0 +1,202 @@
+"""Random response: from power spectral densities of inputs to those of outputs, and their root mean squares over a band.
+
+S_y(f) = sum_ij H_i S_ij conj(H_j),   rms^2 = int S_y df,   H the frequency response from each input
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import field
+from jaxtyping import Array, Complex, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.models.models import unknown
+from jaxbody.models.preconditions import check_precision
+from jaxbody.responses.frequency_responses import check_frequencies, check_loss_factors, check_without_force_sensors, response_values
+from jaxbody.responses.modal_dampings import with_modal_damping
+from jaxbody.responses.spectra import Band, CrossPSD, Spectrum, check_spectra, trapezoids
+from jaxbody.vibrations.linearizations import Linearization
+from jaxbody.vibrations.ports import KINDS, UNITS, Wiring, check_ports, wired
+
+COARSE = 0.03  # change of an rms, relative, when every other frequency is left out: four times the error, nearly
+
+
+class RandomResponse(Result):
+    """One-sided power spectral densities `psd` (outputs, frequencies), per hertz, of outputs in their `units`, over `frequencies` [Hz], and
+    `rms` over these. `response["seat"]` is the rms of one. `status` COARSE where the rms changes by more than 3 % without every other
+    frequency, NOT_POSITIVE where coherences cannot be, or that of the frequency response."""
+
+    frequencies: Float[Array, "nf"]
+    psd: Float[Array, "ny nf"]
+    rms: Float[Array, "ny"]
+    weights: Float[Array, "nf"]
+    coarse: Float[Array, "nf"]
+    status: Int[Array, ""]
+    outputs: tuple[str, ...] = field(static=True)
+    units: tuple[str, ...] = field(static=True)
+
+    def __getitem__(self, output: str) -> Float[Array, ""]:
+        if output not in self.outputs:
+            raise JaxbodyError(unknown(output, "response", self.outputs))
+        return self.rms[..., self.outputs.index(output)]
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: psd by `output` and `frequency`, rms by `output`."""
+        from jaxbody.core.datasets import random_response_dataset
+
+        return random_response_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        if self.rms.ndim > 1 or not is_concrete(self.rms):
+            return [tables.Table("Random response", ("", ""), [("rms", self.rms)])]
+        f = np.asarray(self.frequencies)
+        rows = [(name, value, unit) for name, value, unit in zip(self.outputs, self.rms, self.units, strict=True)]
+        note = "" if int(self.status) == 0 else self.report()
+        return [tables.Table(f"Random response, {f[0]:.6g} to {f[-1]:.6g} Hz", ("output", "rms", "unit"), rows, note)]
+
+
+def random_response(
+    lin: Linearization,
+    frequencies: Any,
+    inputs: dict[str, Any],
+    outputs: dict[str, Any],
+    spectra: dict[str, Spectrum] | CrossPSD,
+    *,
+    loss_factor: Any = None,
+    modal_damping: Any = None,
+) -> RandomResponse:
+    """Power spectral densities and rms of outputs under stationary random inputs, of small motions about an equilibrium.
+
+        S_y(f) = sum_ij H_i S_ij conj(H_j),   rms^2 = int S_y df
+
+    frequencies: a Band, or frequencies [Hz], integrated by trapezoids: close enough together to show each resonance. inputs, outputs,
+    loss_factor, modal_damping: as of `frequency_response`. spectra: {input: PSD or PowerLaw}, not correlated, or a CrossPSD. The spectrum of a motion may be that of
+    its displacement, velocity or acceleration, whichever the port is: it is converted by powers of 2 pi f.
+
+    Errors: those of `frequency_response`, UNKNOWN_NAME or missing (NO_SPECTRUM) of a spectrum, BAD_UNIT of one that does not go with its input;
+    warns COARSE, NOT_POSITIVE, UNSTABLE.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0)})
+    >>> found = random_response(linearize(model, equilibrium(model)), Band(1e-7, 1e3), {"pull": PointForce("mass", direction="y")},
+    ...                         {"stroke": ElementDeformation("s")}, {"pull": PowerLaw(3.0, unit="N2/Hz")})
+    >>> round(float(found["stroke"] ** 2 / (3.0 / (4 * 2.0 * 50.0))), 6)
+    1.0
+    """
+    check_precision("random_response", lin.model)
+    (names, ins, _), (y, outs, y_units) = check_ports(lin, inputs, outputs, "random_response")
+    _check_match(inputs, spectra)
+    if isinstance(frequencies, Band):
+        f, weights, coarse = frequencies.frequencies, frequencies.weights, frequencies.coarse
+    else:
+        f = check_frequencies(frequencies, "random_response.frequencies")
+        _check_band(f)
+        weights, coarse = trapezoids(f)
+    for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
+        check_without_force_sensors(option, f"random_response.{what}", outs)
+    eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor")
+    lin = with_modal_damping(lin, modal_damping, "random_response.modal_damping")
+    psd, rms, status = _random_response(lin, f, weights, coarse, wired(lin, ins, outs), ins, names, spectra, eta)
+    result = RandomResponse(f, psd, rms, weights, coarse, status, y, y_units)
+    warn_if_failed(result)
+    return result
+
+
+def root_mean_square(psd: Float[Array, "ny nf"], weights: Float[Array, "nf"]) -> Float[Array, "ny"]:
+    """The root of the integral; its derivative at zero is zero."""
+    square = jnp.sum(psd * weights, -1)
+    some = square > 0
+    return jnp.where(jnp.isnan(square), square, jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0))
+
+
+def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
+    """COARSE where an rms changes without every other frequency."""
+    fine, rough = root_mean_square(psd, weights), root_mean_square(psd, coarse)
+    return jnp.where(jnp.any(jnp.abs(fine - rough) > COARSE * fine), Status.COARSE.value, Status.OK.value)
+
+
+@jit_quickly
+def _random_response(lin: Linearization, f, weights, coarse, wiring: Wiring, inputs: tuple, names, spectra, eta):
+    H, status = response_values(lin, f, wiring, eta)
+    each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
+    S = jnp.stack([each[name](f) * (2 * jnp.pi * f) ** _order(each[name], port) for name, port in zip(names, inputs, strict=True)])
+    if isinstance(spectra, CrossPSD):
+        order = np.array([spectra.names.index(name) for name in names])
+        R = spectra.correlation(f)[order][:, order]
+        psd = hermitian_form(H * jnp.sqrt(S), R)
+        positive = spectra.positive(f)
+    else:
+        psd = jnp.sum((H.real**2 + H.imag**2) * S, 1)
+        positive = jnp.array(True)
+    psd = psd * jnp.where(positive, 1.0, jnp.nan)
+    good = jnp.where(positive, resolution(psd, weights, coarse), Status.NOT_POSITIVE.value)
+    return psd, root_mean_square(psd, weights), jnp.where(status == Status.OK, good, status)
+
+
+@jax.custom_jvp
+def hermitian_form(x: Complex[Array, "ny n nf"], R: Complex[Array, "n n nf"]) -> Float[Array, "ny nf"]:
+    """sum_ij x_i R_ij conj(x_j), R = R^H, whose change with x is 2 Re sum_i dx_i w_i, w = R conj(x)."""
+    return _real_sum(x, _weighted(R, x))
+
+
+@hermitian_form.defjvp
+def _hermitian_form_jvp(primals, tangents):
+    (x, R), (dx, dR) = primals, tangents
+    w = _weighted(R, x)
+    return _real_sum(x, w), 2 * _real_sum(dx, w) + _real_sum(x, _weighted(dR, x))
+
+
+def _weighted(R, x):
+    return sum((R[:, j] * x[:, j, None].conj() for j in range(x.shape[1])), jnp.zeros_like(x))
+
+
+def _real_sum(x, w):
+    return jnp.sum(x.real * w.real - x.imag * w.imag, 1)
+
+
+def _order(spectrum: Spectrum, port: Any) -> int:
+    """The power of 2 pi f between the spectrum of a motion and that of the port: 2 for each derivative."""
+    if spectrum.quantity == port.unit:
+        return 0
+    return 2 * (KINDS.index(port.kind) - UNITS[len(port.direction) - 1].index(spectrum.quantity))
+
+
+def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
+    """Each input has a spectrum that goes with it, and no other has."""
+    problems = Problems()
+    each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
+    if not isinstance(each, dict):
+        problems.add("WRONG_KIND", "spectra", f"is a {type(each).__name__}", value=each, limit="{input: Spectrum} or CrossPSD")
+        problems.raise_if_any()
+    known = check_spectra(each, "spectra", problems)
+    for name in set(each) - set(inputs):
+        problems.found.append(unknown(name, "spectra", tuple(inputs)))
+    for name, port in inputs.items():
+        if name not in each:
+            problems.add("NO_SPECTRUM", f"spectra[{name!r}]", "is missing", limit="one for each input", hint="Give a PSD or a PowerLaw.")
+        elif name in known:
+            family = (port.unit,) if not hasattr(port, "kind") else UNITS[len(port.direction) - 1]
+            if known[name].quantity not in family:
+                told, limit = f"is of {known[name].quantity}, the input is in {port.unit}", " or ".join(family)
+                problems.add(
+                    "BAD_UNIT", f"spectra[{name!r}]", told, value=known[name].quantity, limit=limit, hint="Say the unit of what is given."
+                )
+    problems.raise_if_any()
+
+
+def _check_band(f: Float[Array, "nf"]) -> None:
+    problems = Problems()
+    if len(f) < 2:
+        problems.add(
+            "EMPTY_BAND", "random_response.frequencies", f"has {len(f)} frequency", value=len(f), limit=">= 2", hint="Give a Band."
+        )
+    elif is_concrete(f) and (np.diff(np.asarray(f)) <= 0).any():
+        problems.add("EMPTY_BAND", "random_response.frequencies", "do not increase", limit="increasing", hint="Sort them.")
+    problems.raise_if_any()

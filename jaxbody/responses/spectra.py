@@ -1,0 +1,328 @@
+"""Power spectral densities with their units, what correlates several of them, and bands to integrate over.
+
+Inside, all are one-sided and per hertz: the variance of a signal is int_0^inf S(f) df. What is given per rad/s is 2 pi times as much per hertz,
+per cycle/m it is divided by the speed; a two-sided one counts twice.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Complex, Float
+
+from jaxbody.core.arrays import checked, concrete, device_array, float_array, scalar, shaped
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.units import ANGULAR_RATE, RATE, parse
+from jaxbody.models.models import unknown
+
+QUANTITIES = ("m", "m/s", "m/s2", "rad", "rad/s", "rad/s2", "N", "N m")
+MEASURES = {"Hz": RATE, "rad/s": ANGULAR_RATE, "cycle/m": (-1, 0, 0, 0, 0), "rad/m": (-1, 0, 0, 1, 0)}
+DENSITIES = {  # dimension -> of what, per what
+    tuple(2 * a - b for a, b in zip(parse(quantity, "").dimension, measure, strict=True)): (quantity, per)
+    for quantity in QUANTITIES
+    for per, measure in MEASURES.items()
+}
+CYCLES = re.compile(r"\bcycles?\b")
+LAST = re.compile(r".*[^/]/\s*(\([^()]*\)|[^/()\s*.]+)\s*")  # what a unit is divided by at its end
+BARELY = 1e-9  # smallest eigenvalue of a matrix of coherences that is rounding
+LOWEST = -700.0  # logarithm of nothing
+
+
+class Spectrum(eqx.Module):
+    """The base of power spectral densities: `spectrum(f)` at frequencies f [Hz] is one-sided, per hertz, of a signal in `quantity`.
+
+    >>> PowerLaw(2.0, unit="(m/s)2/Hz")(jnp.array([1.0, 3.0])).tolist()
+    [2.0, 2.0]
+    """
+
+    quantity: eqx.AbstractVar[str]
+
+    def __call__(self, f: Float[Array, "nf"]) -> Float[Array, "nf"]:
+        raise TypeError("a spectrum says what it is by __call__(f)")  # pragma: no cover
+
+
+class PowerLaw(Spectrum):
+    """S(x) = level (x/reference)^-exponent, x the frequency in the unit's own measure: white noise with exponent 0, a road with 2.
+
+    `unit`: as in "m2/Hz", "(m/s2)^2/Hz", "m2/s4/Hz", "g2/Hz", "m2/(rad/s)", "m3" or "m2/(cycle/m)": of any length, angle, force or moment, their rates
+    and accelerations, over Hz, rad/s, cycle/m or rad/m; a spectrum over distance needs the `speed` [m/s]. `sides`: 1, or 2 where half of the power is
+    at negative frequencies. Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY of a reference of 0 or less, BAD_SHAPE, NON_FINITE.
+
+    >>> road = PowerLaw(64e-6, exponent=2.0, reference=0.1, unit="m2/(cycle/m)", speed=20.0)
+    >>> round(float(road(jnp.array([2.0]))[0]) * 1e6, 9)
+    3.2
+    """
+
+    level: Float[Array, ""]
+    exponent: Float[Array, ""]
+    reference: Float[Array, ""]
+    speed: Float[Array, ""]
+    quantity: str = eqx.field(static=True)
+    factor: float = eqx.field(static=True)  # to the square of the quantity
+    per: str = eqx.field(static=True)
+    sides: int = eqx.field(static=True)
+
+    def __init__(self, level, *, unit: str, exponent=0.0, reference=1.0, sides: int = 1, speed=None):
+        problems = Problems()
+        self.quantity, self.per, self.factor = _unit(unit, "PowerLaw.unit", problems)
+        self.sides, self.speed = _measure(self.per, sides, speed, "PowerLaw", problems)
+        self.level = scalar(level, "PowerLaw.level", problems)
+        self.exponent = scalar(exponent, "PowerLaw.exponent", problems)
+        self.reference = scalar(reference, "PowerLaw.reference", problems)
+        _check_not_negative(self.level, "PowerLaw.level", problems)
+        known = concrete(self.reference)
+        if known is not None and known <= 0:
+            hint = "Give the frequency at which the density is `level`."
+            problems.add("BAD_FREQUENCY", "PowerLaw.reference", f"is {known:g}", value=float(known), limit="> 0", hint=hint)
+        problems.raise_if_any()
+
+    def __call__(self, f):
+        x, density = _in_hertz(f, self.per, self.speed)
+        return self.factor * self.sides * density * self.level * (x / self.reference) ** -self.exponent
+
+
+class PSD(Spectrum):
+    """A power spectral density through points, straight lines in a log-log plot, as test specifications are; zero outside the points.
+
+    `frequencies`, in the unit's own measure (Hz, rad/s, cycle/m or rad/m), and `values` at these; `unit`, `sides`, `speed` as of a PowerLaw.
+    `PSD.from_record` estimates one. Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, BAD_FREQUENCY, NEGATIVE, BAD_SHAPE, NON_FINITE.
+
+    >>> psd = PSD([10.0, 100.0], [0.01, 0.1], unit="g2/Hz")
+    >>> round(float(psd(jnp.array([31.6227766]))[0]) / 9.80665**2, 9)
+    0.031622777
+    """
+
+    frequencies: Float[Array, "n"]
+    values: Float[Array, "n"]
+    speed: Float[Array, ""]
+    quantity: str = eqx.field(static=True)
+    factor: float = eqx.field(static=True)  # to the square of the quantity
+    per: str = eqx.field(static=True)
+    sides: int = eqx.field(static=True)
+
+    def __init__(self, frequencies, values, *, unit: str, sides: int = 1, speed=None):
+        problems = Problems()
+        self.quantity, self.per, self.factor = _unit(unit, "PSD.unit", problems)
+        self.sides, self.speed = _measure(self.per, sides, speed, "PSD", problems)
+        count = max(2, np.size(frequencies))
+        x = checked(frequencies, ((count,),), "PSD.frequencies", problems, "Give two points or more.")
+        y = checked(values, ((count,),), "PSD.values", problems, "One value for each frequency.")
+        known = None if x is None else concrete(x)
+        if known is not None and ((known <= 0).any() or (np.diff(known) <= 0).any()):
+            problems.add("BAD_FREQUENCY", "PSD.frequencies", f"is {known}", value=known, limit="positive, increasing", hint="Leave 0 out.")
+        if y is not None:
+            _check_not_negative(y, "PSD.values", problems)
+        problems.raise_if_any()
+        self.frequencies, self.values = device_array(x), device_array(y)
+
+    @classmethod
+    def from_record(cls, times, values, *, unit: str, segment: int = 1024) -> PSD:
+        """Welch's estimate from a record, with scipy.signal.welch: Hann windows of `segment` samples, half overlapping.
+
+        unit: of the record, m, m/s, m/s2, g, rad, ... Times [s] must be equally spaced. Errors: BAD_UNIT, BAD_SHAPE, NOT_UNIFORM, NON_FINITE."""
+        from scipy.signal import welch
+
+        problems = Problems()
+        step = sampling_step(times, "PSD.from_record times", problems)
+        y = checked(values, ((np.size(times),),), "PSD.from_record values", problems, "One value for each time.")
+        problems.raise_if_any()
+        f, S = welch(np.asarray(y), 1 / float(step), nperseg=min(segment, np.size(times)))
+        return cls(f[1:], S[1:], unit=f"({unit})2/Hz")
+
+    def __call__(self, f):
+        x, density = _in_hertz(f, self.per, self.speed)
+        some = self.values > 0
+        logarithms = jnp.where(some, jnp.log(jnp.where(some, self.values, 1.0)), LOWEST)
+        inside = jnp.exp(jnp.interp(jnp.log(x), jnp.log(self.frequencies), logarithms))
+        margin = 1e-12 * x
+        known = (x >= self.frequencies[0] - margin) & (x <= self.frequencies[-1] + margin)
+        return self.factor * self.sides * density * jnp.where(known, inside, 0.0)
+
+
+class CrossPSD(eqx.Module):
+    """Several inputs that are correlated, S_ij = coherence_ij sqrt(S_i S_j) exp(-i 2 pi f (d_i - d_j)), by the names of the inputs.
+
+    `spectra`: {input: Spectrum}; `delays` d: {input: seconds}, such as what a rear wheel lags behind a front wheel; `coherence`: {(input, input): a
+    number from 0 to 1, or a function of the frequencies [Hz]}, the ratio |S_ij|/sqrt(S_i S_j), whose square coherence estimators give. Pairs not named
+    are not correlated. The matrix must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, BAD_PAIR of an input with itself or of two given
+    twice, NOT_POSITIVE, BAD_SHAPE, NON_FINITE.
+
+    >>> road = PowerLaw(1e-6, unit="m2/Hz", exponent=2.0)
+    >>> axles = CrossPSD({"front": road, "rear": road}, delays={"rear": 0.125}, coherence={("front", "rear"): 1.0})
+    >>> [round(float(abs(x)), 9) for x in axles.correlation(jnp.array([2.0]))[0, :, 0]], round(float(axles.correlation(jnp.array([2.0]))[1, 0, 0].imag), 9)
+    ([1.0, 1.0], -1.0)
+    """
+
+    spectra: dict[str, Spectrum]
+    delays: dict[str, Array]
+    levels: tuple[Array, ...]
+    pairs: tuple[tuple[int, int, Any], ...] = eqx.field(static=True)  # of inputs, and a function or the place in `levels`
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(self, spectra: dict[str, Spectrum], *, delays: dict[str, Any] | None = None, coherence: dict[Any, Any] | None = None):
+        problems = Problems()
+        self.names, self.spectra = tuple(spectra), check_spectra(spectra, "CrossPSD.spectra", problems)
+        given = delays or {}
+        for name in {*given, *(name for pair in coherence or {} for name in pair)} - set(self.names):
+            problems.found.append(unknown(name, "CrossPSD", self.names))
+        self.delays = {name: device_array(shaped(given.get(name, 0.0), (), f"CrossPSD.delays[{name!r}]", problems)) for name in self.names}
+        problems.raise_if_any()
+        levels, pairs = [], []
+        for (one, other), value in (coherence or {}).items():
+            if one == other or (self.names.index(other), self.names.index(one)) in [pair[:2] for pair in pairs]:
+                told = "is of an input with itself, which is 1" if one == other else "is given in both orders"
+                limit, hint = "two inputs, each pair once", "Leave it out."
+                problems.add("BAD_PAIR", f"CrossPSD.coherence[{(one, other)}]", told, value=(one, other), limit=limit, hint=hint)
+            place = value if callable(value) else len(levels)
+            if not callable(value):
+                levels.append(device_array(shaped(value, (), f"CrossPSD.coherence[{(one, other)}]", problems)))
+            pairs.append((self.names.index(one), self.names.index(other), place))
+        self.levels, self.pairs = tuple(levels), tuple(pairs)
+        problems.raise_if_any()
+        if all(isinstance(place, int) for *_, place in pairs) and all(concrete(level) is not None for level in levels):
+            smallest = np.linalg.eigvalsh(np.asarray(self._coherences(jnp.ones(1)))[:, :, 0]).min()
+            if smallest < -BARELY:
+                hint = "Coherences of 1 of one input with two others make these coherent too."
+                told = f"make a matrix with eigenvalue {smallest:.3g}"
+                problems.add("NOT_POSITIVE", "CrossPSD.coherence", told, value=float(smallest), limit=">= 0", hint=hint)
+                problems.raise_if_any()
+
+    def _coherences(self, f: Float[Array, "nf"]) -> Float[Array, "nu nu nf"]:
+        rows = [[jnp.full(f.shape, float(i == j)) for j in range(len(self.names))] for i in range(len(self.names))]
+        for i, j, place in self.pairs:
+            value = self.levels[place] if isinstance(place, int) else place(f)
+            rows[i][j] = rows[j][i] = jnp.broadcast_to(value, f.shape)
+        return jnp.stack([jnp.stack(row) for row in rows])
+
+    def correlation(self, f: Float[Array, "nf"]) -> Complex[Array, "nu nu nf"]:
+        """S_ij/sqrt(S_i S_j)."""
+        d = jnp.stack([self.delays[name] for name in self.names])
+        return self._coherences(f) * jnp.exp(-2j * jnp.pi * f * (d[:, None] - d)[:, :, None])
+
+    def positive(self, f: Float[Array, "nf"]) -> Bool[Array, ""]:
+        """Whether the matrix is positive semidefinite at all frequencies."""
+        if all(isinstance(place, int) for *_, place in self.pairs):
+            f = f[:1]
+        return jnp.linalg.eigvalsh(jnp.moveaxis(self._coherences(f), -1, 0)).min() >= -BARELY
+
+
+class Band(eqx.Module):
+    """A band from `low` to `high` [Hz], in `points` equal steps of the logarithm, with weights for integrals over it: of a smooth function
+    the error falls with the fourth power of the step. Errors: EMPTY_BAND, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE.
+
+    >>> band = Band(1.0, 100.0)
+    >>> round(float(jnp.sum(band.weights / band.frequencies**2)), 9)
+    0.99
+    """
+
+    frequencies: Float[Array, "n"]
+    weights: Float[Array, "n"]
+    coarse: Float[Array, "n"]  # weights of every other point, zero between them
+
+    def __init__(self, low, high, *, points: int = 1001):
+        problems = Problems()
+        low, high = shaped(low, (), "Band.low", problems), shaped(high, (), "Band.high", problems)
+        first, last = concrete(low), concrete(high)
+        if first is not None and last is not None and not problems.found:
+            if first <= 0:
+                problems.add("BAD_FREQUENCY", "Band.low", f"is {low:g} Hz", value=float(low), limit="> 0", hint="Take a small one.")
+            elif first >= last:
+                told, hint = f"goes from {low:g} to {high:g} Hz", "Give the lower end first."
+                problems.add("EMPTY_BAND", "Band", told, value=(float(low), float(high)), limit="low < high", hint=hint)
+        if points < 17:
+            problems.add("EMPTY_BAND", "Band.points", f"is {points}", value=points, limit=">= 17", hint="Give more points.")
+        problems.raise_if_any()
+        n = points | 1
+        step = jnp.log(device_array(high) / low) / (n - 1)
+        self.frequencies = low * jnp.exp(step * np.arange(n))
+        ends = np.array([3 / 8, 7 / 6, 23 / 24])  # Gregory's, of the third order
+
+        def weights(count):
+            w = np.ones(count)
+            w[:3], w[-3:] = ends, ends[::-1]
+            return w
+
+        skipping = np.zeros(n)
+        skipping[::2] = 2 * weights(n // 2 + 1)
+        self.weights, self.coarse = (step * self.frequencies * w for w in (weights(n), skipping))
+
+
+def trapezoids(f: Float[Array, "n"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
+    """Weights of the trapezoidal rule, and of that through every other point and the last."""
+    kept = np.append(np.arange(0, len(f) - 1, 2), len(f) - 1)
+
+    def weights(f):
+        half = jnp.diff(f) / 2
+        return jnp.concatenate([half, jnp.zeros(1)]) + jnp.concatenate([jnp.zeros(1), half])
+
+    return weights(f), jnp.zeros_like(f).at[kept].set(weights(f[kept]))
+
+
+def check_spectra(given: Any, where: str, problems: Problems) -> dict[str, Spectrum]:
+    """What of a dict are spectra; what is not goes to `problems`."""
+    for name, spectrum in given.items():
+        if not isinstance(spectrum, Spectrum):
+            hint = "Give a PSD, a PowerLaw or a Spectrum of your own, which have units."
+            problems.add("WRONG_KIND", f"{where}[{name!r}]", f"is a {type(spectrum).__name__}", value=spectrum, limit="Spectrum", hint=hint)
+    return {name: spectrum for name, spectrum in given.items() if isinstance(spectrum, Spectrum)}
+
+
+def sampling_step(times: Any, where: str, problems: Problems) -> Any:
+    """The step between equally spaced times."""
+    t = checked(float_array(times, where), ((max(2, np.size(times)),),), where, problems, "Give two times or more.")
+    known = None if t is None else concrete(t)
+    if known is None:
+        return 1.0 if t is None else (t[-1] - t[0]) / (len(t) - 1)
+    steps = np.diff(known)
+    if steps.min() <= 0 or np.ptp(steps) > 1e-6 * steps.mean():
+        told = f"has steps from {steps.min():.6g} to {steps.max():.6g} s"
+        problems.add("NOT_UNIFORM", where, told, value=steps, limit="equal steps", hint="Resample the record first.")
+    return steps.mean()
+
+
+def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
+    """Of what, per what, and the factor to the square of that in SI per measure."""
+    try:
+        text = CYCLES.sub("1", str(unit))
+        whole, last = parse(text, where), LAST.fullmatch(text)
+        measure = whole if last is None else parse(last[1], where)
+        if whole.dimension in DENSITIES and (measure if measure.dimension in MEASURES.values() else whole).factor == 1:
+            return *DENSITIES[whole.dimension], whole.factor
+        hint = 'Such as "(m/s2)2/Hz", "m2/s4/Hz", "g2/Hz" or "m2/(cycle/m)"; square what is per root of Hz.'
+        problem = Problem(
+            "BAD_UNIT", where, f"is {unit!r}", unit, f"the square of {', '.join(QUANTITIES)} over {', '.join(MEASURES)}", hint
+        )
+    except JaxbodyError as error:
+        problem = Problem("BAD_UNIT", where, f"is {unit!r}", unit, error.limit, error.hint)
+    problems.found.append(problem)
+    return "", "Hz", 1.0
+
+
+def _measure(per: str, sides: Any, speed: Any, where: str, problems: Problems) -> tuple[int, Any]:
+    """Sides and speed."""
+    if sides not in (1, 2):
+        problems.add("BAD_SIDES", f"{where}.sides", f"is {sides!r}", value=sides, limit="1 or 2", hint="Say 2 for a two-sided density.")
+    if per.endswith("/m") != (speed is not None):
+        told = "is missing" if speed is None else "is given, but the spectrum is over time"
+        problems.add("NO_SPEED", f"{where}.speed", told, value=speed, limit="for cycle/m and rad/m only", hint="Give the speed in m/s.")
+    U = scalar(1.0 if speed is None else speed, f"{where}.speed", problems)
+    known = concrete(U)
+    if known is not None and known <= 0:
+        problems.add("NO_SPEED", f"{where}.speed", f"is {known:g} m/s", value=float(known), limit="> 0", hint="Give the speed in m/s.")
+    return sides, U
+
+
+def _in_hertz(f: Array, per: str, speed: Array) -> tuple[Array, Any]:
+    """The frequency in its own measure, and the density per hertz of one per that measure."""
+    rate = (2 * jnp.pi if per.startswith("rad") else 1.0) / (speed if per.endswith("/m") else 1.0)
+    return f * rate, rate
+
+
+def _check_not_negative(value: Any, where: str, problems: Problems) -> None:
+    known = concrete(value)
+    if known is not None and (known < 0).any():
+        problems.add("NEGATIVE", where, f"is {known.min():g}", value=float(known.min()), limit=">= 0", hint="A density is not negative.")

@@ -1,0 +1,1 @@
+"""What instruments on bodies read, with gain, bias, delay and lag."""

@@ -1,0 +1,225 @@
+"""Instruments between two points, and laser beams from the world to a body: displacement, velocity, length of a wire, vibrometer."""
+
+from typing import Any, Unpack
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arguments import plain
+from jaxbody.core.arrays import concrete, vector
+from jaxbody.core.errors import Problem, Problems
+from jaxbody.geometry.frames import Frame, Pose
+from jaxbody.geometry.places import ends, unit_vector
+from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
+from jaxbody.models.models import WORLD, Model, body_poses, support_poses
+from jaxbody.sensors.sensors import Chain, Sensor
+
+GRAZING = 1e-6  # cosine of beam and surface's normal below which there is no spot
+
+
+class Gauge(Sensor):
+    """The base of instruments between the point a of one body or support and the point b of another; `between` names the two."""
+
+    between: tuple[str, str] = eqx.field(static=True)
+    a: Float[Array, "3"]
+    b: Float[Array, "3"]
+    axis: Float[Array, "3"] | None
+
+    def spanned(self, a: Any, b: Any, axis: Any, chain: Chain) -> None:
+        kind, problems = type(self).__name__, Problems()
+        self.between, (self.a, self.b) = ends((a, b), kind, problems, points=False)
+        self.axis = None if axis is None else unit_vector(axis, f"{kind}.axis", problems)
+        self.chained(problems, **chain)
+        problems.raise_if_any()
+
+    @property
+    def on(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.between[0]
+
+    @property
+    def names(self):
+        return self.between
+
+    def ends_of(self, model: Model, frames: Frame) -> tuple[Frame, Frame]:
+        A, B = (frames[model.layout.frame(name)] for name in self.between)
+        return A, B
+
+
+class Displacement(Gauge):
+    """Displacement [m] of a point against a body or support, in the axes of that one: R_B' (a - b), as an LVDT or a ruler on it reads.
+
+    `a`, `b`: (name, point), or a name for its origin; without b against the world. `axis`: the one direction in the axes of b that is
+    read, one number; without it three. The chain: see Sensor; its `bias` sets the zero. Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_AXIS,
+    BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> Displacement(("plate", [0.1, 0, 0]), "base", axis=[0, 0, 1]).shape
+    ()
+    """
+
+    unit = "m"
+
+    def __init__(self, a, b=WORLD, *, axis=None, **chain: Unpack[Chain]):
+        self.spanned(a, b, axis, chain)
+
+    @property
+    def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return (3,) if self.axis is None else ()
+
+    def seen(self, A: Pose, B: Pose) -> Float[Array, "*r"]:
+        """The displacement that B sees."""
+        d = rotate_back(B.R, A.point(self.a) - B.p) - self.b
+        return d if self.axis is None else dot(jnp.asarray(self.axis), d)
+
+    def reading(self, model, frames):
+        A, B = self.ends_of(model, frames)
+        return self.seen(A.pose(), B.pose())
+
+
+class Velocity(Displacement):
+    """Velocity [m/s] of a point against a body or support, in the axes of that one: the rate of a Displacement with the same arguments, errors and chain.
+
+    Against the world it is what a geophone's or velocity transducer's record is meant to be.
+
+    >>> Velocity(("plate", [0.1, 0, 0])).unit
+    'm/s'
+    """
+
+    unit = "m/s"
+
+    def reading(self, model, frames):
+        A, B = self.ends_of(model, frames)
+        return jax.jvp(self.seen, (A.pose(), B.pose()), (A.rates(), B.rates()))[1]
+
+
+class StringPotentiometer(Gauge):
+    """Distance |AB| [m] of two points, as a wire between them reads; at zero length, where it has no direction, its derivatives are zero.
+
+    `a`, `b`: (name, point). The chain: see Sensor. Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_LENGTH in the reference pose, BAD_SHAPE,
+    NON_FINITE, BAD_LAG.
+
+    >>> StringPotentiometer(("plate", [0.1, 0, 0]), ("base", [0, 0, 1])).between
+    ('plate', 'base')
+    """
+
+    shape = ()
+    unit = "m"
+
+    def __init__(self, a, b, **chain: Unpack[Chain]):
+        self.spanned(a, b, None, chain)
+
+    def reading(self, model, frames):
+        A, B = self.ends_of(model, frames)
+        return _length(B.point(self.b) - A.point(self.a))
+
+    def problem(self, model, where):
+        if (found := super().problem(model, where)) is not None:
+            return found
+        known = [concrete(x) for x in (*_at_reference(model, self.between[0], self.a), *_at_reference(model, self.between[1], self.b))]
+        if any(x is None for x in known):
+            return None
+        p, _, other, _ = map(np.asarray, known)
+        length, size = np.linalg.norm(p - other), np.abs(p).max()
+        told = f"has length {length:.3g} m in the reference pose, so no direction"
+        hint = "Move one of its points."
+        return Problem("ZERO_LENGTH", where, told, length, "> 0", hint) if length <= 1e-12 * size else None
+
+
+def _length(d: Float[Array, "3"]) -> Float[Array, ""]:
+    square = dot(d, d)
+    long = square > 1e-80
+    return jnp.where(long, jnp.sqrt(jnp.where(long, square, 1.0)), 0.0)
+
+
+def _at_reference(model: Model, name: str, point) -> tuple[Array, Array]:
+    """The place of a point and the orientation of its frame in the reference pose."""
+    if name == WORLD:
+        return jnp.asarray(point), jnp.eye(3)
+    layout = model.layout
+    poses, names = (support_poses(model), layout.supports) if name in layout.supports else (body_poses(model), layout.bodies)
+    i = names.index(name)
+    return poses.p[i] + rotate(poses.R[i], point), poses.R[i]
+
+
+class LaserLine(Sensor):
+    """The base of instruments with a beam that stays in the world: through `origin` along the unit vector `axis`, n. It meets a plane surface of
+    the body, through `point` with `normal` N, both in body axes, at the spot
+
+        S = origin + d n,   d = (P - origin) . R N/(n . R N)
+    """
+
+    on: str = eqx.field(static=True, converter=plain)
+    point: Float[Array, "3"]
+    axis: Float[Array, "3"]
+    origin: Float[Array, "3"] | None
+    normal: Float[Array, "3"] | None
+    shape = ()
+
+    def aimed(self, on: str, point: Any, axis: Any, origin: Any, normal: Any, chain: Chain) -> None:
+        kind, problems = type(self).__name__, Problems()
+        self.on, self.point = on, vector(point, f"{kind}.point", problems)
+        self.axis = unit_vector(axis, f"{kind}.axis", problems)
+        if (origin is None) != (normal is None):
+            problems.add("NO_SURFACE", kind, "has an origin of its beam or a normal of its surface, not both", hint="Give both or none.")
+        self.origin = None if origin is None else vector(origin, f"{kind}.origin", problems)
+        self.normal = None if normal is None else unit_vector(normal, f"{kind}.normal", problems)
+        self.chained(problems, **chain)
+        problems.raise_if_any()
+
+    def distance(self, frame: Pose) -> Float[Array, ""]:
+        """d, from the beam's origin to the spot."""
+        N = rotate(frame.R, jnp.asarray(self.normal))
+        return dot(frame.point(self.point) - jnp.asarray(self.origin), N) / dot(jnp.asarray(self.axis), N)
+
+    def problem(self, model, where):
+        if (found := super().problem(model, where)) is not None or self.normal is None:
+            return found
+        R = concrete(_at_reference(model, self.on, self.point)[1])
+        axis, normal = concrete(self.axis), concrete(self.normal)
+        if R is None or axis is None or normal is None or abs(cosine := axis @ R @ normal) > GRAZING:
+            return None
+        told = "has a beam along the surface in the reference pose"
+        return Problem("GRAZING", where, told, cosine, f"|cosine to the normal| > {GRAZING:g}", "Turn the beam or the normal.")
+
+
+class LaserVibrometer(LaserLine):
+    """Velocity [m/s] of a body along a beam that stays in the world, n . v, positive along `axis` n.
+
+    Without `origin` and `normal`, v is the velocity of `point`: right as long as the body moves little across the beam. With both, it is that of the spot
+    that the beam meets: `origin` of the beam [m], `normal` of the plane surface through `point`, body axes. The chain: see Sensor. Errors: ZERO_AXIS,
+    NO_SURFACE, GRAZING, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_LAG.
+
+    >>> LaserVibrometer("plate", [0.1, 0, 0], axis=[0, 0, 1]).unit
+    'm/s'
+    """
+
+    unit = "m/s"
+
+    def __init__(self, on: str, point=(0, 0, 0), *, axis, origin=None, normal=None, **chain: Unpack[Chain]):
+        self.aimed(on, point, axis, origin, normal, chain)
+
+    def reading(self, model, frames):
+        frame, n = frames[model.layout.frame(self.on)], jnp.asarray(self.axis)
+        if self.normal is None:
+            return dot(n, frame.velocity(self.point))
+        spot = jnp.asarray(self.origin) + self.distance(frame) * n
+        return dot(n, frame.v + cross(frame.w, spot - frame.p))
+
+
+class LaserDistance(LaserLine):
+    """Distance d [m] along a beam that stays in the world, from its `origin` along `axis` to the plane surface of a body through `point`
+    with `normal`, body axes; as of a triangulation sensor. The chain: see Sensor. Errors: as of a LaserVibrometer.
+
+    >>> LaserDistance("plate", [0, 0, 0.1], origin=[0, 0, 1], axis=[0, 0, -1], normal=[0, 0, 1]).unit
+    'm'
+    """
+
+    unit = "m"
+
+    def __init__(self, on: str, point=(0, 0, 0), *, origin, axis, normal, **chain: Unpack[Chain]):
+        self.aimed(on, point, axis, origin, normal, chain)
+
+    def reading(self, model, frames):
+        return self.distance(frames[model.layout.frame(self.on)].pose())

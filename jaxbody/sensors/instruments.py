@@ -1,0 +1,306 @@
+"""Instruments that are carried along: accelerometer, gyro, inclinometer, and what reads forces and joints."""
+
+from typing import Any, Unpack
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbody.core.arguments import plain
+from jaxbody.core.arrays import concrete, vector
+from jaxbody.core.errors import Problem, Problems
+from jaxbody.geometry import rotations
+from jaxbody.geometry.orientations import IDENTITY, as_quaternion
+from jaxbody.geometry.places import unit_vector
+from jaxbody.geometry.vectors import cross, dot, rotate_back
+from jaxbody.models.joints import Free
+from jaxbody.models.models import unknown
+from jaxbody.sensors.sensors import Chain, Sensor
+
+
+class Mounted(Sensor):
+    """The base of instruments with axes of their own: `orientation`, quaternion or rotation matrix, of the instrument in its body, three components; or
+    `axis`, the one sensitive direction in body axes, one number."""
+
+    on: str = eqx.field(static=True, converter=plain)
+    point: Float[Array, "3"]
+    axis: Float[Array, "3"] | None
+    orientation: Float[Array, "4"] | None
+
+    def mounted(self, on: str, point: Any, axis: Any, orientation: Any, chain: Chain) -> None:
+        kind, problems = type(self).__name__, Problems()
+        self.on, self.point = on, vector(point, f"{kind}.point", problems)
+        if axis is not None and orientation is not None:
+            problems.add("TWO_AXES", kind, "has an axis and an orientation", value=axis, hint="Give one of them: one number or three.")
+        self.axis = None if axis is None else unit_vector(axis, f"{kind}.axis", problems)
+        turned = IDENTITY if orientation is None else orientation
+        self.orientation = None if axis is not None else as_quaternion(turned, f"{kind}.orientation", problems)
+        self.chained(problems, **chain)
+        problems.raise_if_any()
+
+    @property
+    def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return (3,) if self.axis is None else ()
+
+    def along(self, R: Float[Array, "3 3"], x: Float[Array, "3"]) -> Float[Array, "*r"]:
+        """A world vector in the axes of the instrument, or its component along the one that it has."""
+        x_B = rotate_back(R, x)
+        if self.axis is not None:
+            return dot(jnp.asarray(self.axis), x_B)
+        return rotate_back(rotations.matrix(jnp.asarray(self.orientation)), x_B)
+
+
+class Accelerometer(Mounted):
+    """Specific force [m/s2] at a point of a body or support, in the axes of the instrument:
+
+        f = R_S' R' (a_P - g),   a_P = a_O + alpha x r + w x (w x r),   r = R point
+
+    At rest it reads +9.81 upwards. `point` in body axes; `orientation` R_S of the instrument in its body (quaternion or matrix; without it, body axes), three
+    numbers, or `axis`, one number along that direction of the body. Accelerations are those of the equations of motion, loads included.
+    `gain`, `bias`, `delay`, `lag`, `start`: see Sensor. Errors: TWO_AXES, ZERO_AXIS, BAD_QUATERNION, BAD_ROTATION, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> model = Model(bodies={"box": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"box": Hinge("world", axis=[0, 0, 1])}, gravity=[0, 0, -9.81])
+    >>> measure(simulate(model, [0.0, 0.1]), {"acc": Accelerometer("box", [0.1, 0, 0])})["acc"][0].tolist()
+    [0.0, 0.0, 9.81]
+    """
+
+    unit = "m/s2"
+    accelerations = True
+
+    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, orientation=None, **chain: Unpack[Chain]):
+        self.mounted(on, point, axis, orientation, chain)
+
+    def reading(self, model, frames):
+        row = model.layout.frame(self.on)
+        return self.along(frames.R[row], frames.acceleration(row, self.point) - model.gravity)
+
+
+class Gyro(Mounted):
+    """Angular velocity [rad/s] of a body or support in the axes of the instrument, w_S = R_S' R' w.
+
+    `axis`, `orientation` and the chain as of an Accelerometer, and the same errors.
+
+    >>> Gyro("box", axis=[0, 0, 1]).shape, Gyro("box").shape
+    ((), (3,))
+    """
+
+    unit = "rad/s"
+
+    def __init__(self, on: str, *, axis=None, orientation=None, **chain: Unpack[Chain]):
+        self.mounted(on, (0, 0, 0), axis, orientation, chain)
+
+    def reading(self, model, frames):
+        row = model.layout.frame(self.on)
+        return self.along(frames.R[row], frames.w[row])
+
+
+class Tilt(Mounted):
+    """An inclinometer: the angles [rad] of its x and y axes above the horizontal plane, or of its one `axis`, positive upwards,
+
+        theta = atan2(e . u, |e x u|),   u = -g/|g|
+
+    Its axes as of an Accelerometer. It sees the direction of gravity alone: of one whose mass feels accelerations too, take the Accelerometer.
+    Errors: NO_GRAVITY where a model has none, and those of an Accelerometer.
+
+    >>> Tilt("box").shape, Tilt("box", axis=[1, 0, 0]).shape
+    ((2,), ())
+    """
+
+    unit = "rad"
+
+    def __init__(self, on: str, *, axis=None, orientation=None, **chain: Unpack[Chain]):
+        self.mounted(on, (0, 0, 0), axis, orientation, chain)
+
+    @property
+    def shape(self):
+        return (2,) if self.axis is None else ()
+
+    def reading(self, model, frames):
+        g = model.gravity
+        u = rotate_back(frames.R[model.layout.frame(self.on)], -g / jnp.sqrt(dot(g, g)))
+        if self.axis is not None:
+            return _elevation(jnp.asarray(self.axis), u)
+        return _elevation(rotations.matrix(jnp.asarray(self.orientation)).T[:2], u)
+
+    def problem(self, model, where):
+        g = concrete(model.gravity)
+        if g is not None and not g.any():
+            return Problem("NO_GRAVITY", where, "needs gravity for its direction", g, "not 0", "Give the model its gravity.")
+        return super().problem(model, where)
+
+
+def _elevation(e: Float[Array, "*n 3"], u: Float[Array, "3"]) -> Float[Array, "*n"]:
+    """The angle of e above the plane across u; its derivatives are finite upright, where they have no direction."""
+    across = cross(e, jnp.broadcast_to(u, e.shape))
+    return jnp.arctan2(dot(e, u), jnp.sqrt(jnp.maximum(dot(across, across), 1e-24)))
+
+
+class Components(Sensor):
+    """The base of sensors that read several numbers, or one `component` of them."""
+
+    on: str = eqx.field(static=True, converter=plain)
+    component: int | None = eqx.field(static=True)
+
+    def __init__(self, on: str, *, component: int | None = None, **chain: Unpack[Chain]):
+        problems = Problems()
+        self.on, self.component = on, component
+        self.chained(problems, **chain)
+        problems.raise_if_any()
+
+
+class LoadCell(Components):
+    """The force in an element [N], tension positive, with its damper's part; of a bushing `component` 0 to 5: three forces [N], three
+    moments [N m] against its deformation, in the axes of its end a. The chain: see Sensor.
+
+    Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_LAG.
+
+    >>> LoadCell("AB").unit, LoadCell("mount", component=5).unit
+    ('N', 'N m')
+    """
+
+    shape = ()
+
+    @property
+    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return "N" if (self.component or 0) < 3 else "N m"
+
+    def reading(self, model, frames):
+        element = model[self.on]
+        force = element.force(*(frames[model.layout.frame(end)] for end in element.between))
+        return force if self.component is None else force[self.component]
+
+    def problem(self, model, where):
+        if self.on not in model.element_names:
+            return unknown(self.on, where, model.element_names)
+        size = model[self.on].size
+        return _component_problem(self.component, None if size == 1 else size, f"'{self.on}'", where)
+
+
+class Wrench(Components):
+    """The base of sensors that read a force [N] and a moment [N m]: six numbers, or `component` 0 to 5 of them."""
+
+    accelerations = reactions = True
+
+    @property
+    def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return (6,) if self.component is None else ()
+
+    @property
+    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return "N, N m" if self.component is None else "N" if self.component < 3 else "N m"
+
+    @property
+    def parts(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return ("force", "moment") if self.component is None else ()
+
+    def picked(self, R: Float[Array, "3 3"], F: Float[Array, "3"], M: Float[Array, "3"]) -> Float[Array, "*r"]:
+        """World vectors in the axes R, all six numbers or the one that is read."""
+        both = jnp.concatenate([rotate_back(R, F), rotate_back(R, M)])
+        return both if self.component is None else both[self.component]
+
+    def problem(self, model, where):
+        return None if self.component is None else _component_problem(self.component, 6, f"'{self.on}'", where)
+
+
+class ForcePlate(Wrench):
+    """Force [N] and moment [N m] about its origin that everything on a support exerts on it, in the support's axes: six numbers, or `component` 0 to 5 of them.
+
+    What the base feels of bodies, springs and loads, as a force plate or a shaker's table does; `world` is one too. As an output of responses it needs a component.
+    Noise is one number for both, or two. The chain: see Sensor. Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> ForcePlate("base").shape, ForcePlate("base", component=2).unit
+    ((6,), 'N')
+    """
+
+    def reading(self, model, frames):
+        row = model.layout.frame(self.on)
+        return self.picked(frames.R[row], *(jnp.asarray(x)[row] for x in (frames.F, frames.M)))
+
+    def problem(self, model, where):
+        known = model.layout.frames[: model.layout.first_body]
+        return super().problem(model, where) if self.on in known else unknown(self.on, where, known)
+
+
+class Reaction(Wrench):
+    """Force [N] and moment [N m] that a joint exerts on the body that it carries, in the axes of its parent: six numbers, or `component` 0 to 5 of them.
+
+        F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;  M likewise, about the joint
+
+    `on`: the body, whose name its joint has. The moment is about the point `at` of a hinge or ball, for other joints about the body's reference point O; with
+    `point` (body axes) about that. Along what a joint leaves free it is zero. What a support or `world` carries in all, elements included: ForcePlate. As an output of
+    responses it needs a component. Noise is one number for both, or two. The chain: see Sensor.
+
+    Errors: UNKNOWN_NAME, NO_JOINT of a free body, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> model = Model(bodies={"box": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"box": Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81])
+    >>> measure(simulate(model, [0.0, 0.1]), {"up": Reaction("box", component=2)})["up"].tolist()
+    [19.62, 19.62]
+    """
+
+    point: Float[Array, "3"] | None
+
+    def __init__(self, on: str, point=None, *, component: int | None = None, **chain: Unpack[Chain]):
+        problems = Problems()
+        self.point = None if point is None else vector(point, "Reaction.point", problems)
+        problems.gather(lambda: Components.__init__(self, on, component=component, **chain))
+        problems.raise_if_any()
+
+    def reading(self, model, frames):
+        row, joint = model.layout.frame(self.on), model.joint(self.on)
+        parent, at, point = model.layout.frame(joint.parent), getattr(joint, "at", None), self.point
+        body = frames[row]
+        place = body.point(point) if point is not None else body.p if at is None else frames[parent].point(at)
+        F, M = (-jnp.asarray(x)[row] for x in (frames.F, frames.M))
+        return self.picked(frames.R[parent], F, M + cross(body.p - place, F))
+
+    def problem(self, model, where):
+        layout = model.layout
+        if self.on not in layout.bodies:
+            return unknown(self.on, where, layout.bodies)
+        if layout.kinds[layout.bodies.index(self.on)] is Free:
+            return Problem("NO_JOINT", where, f"is of '{self.on}', which is free", self.on, "a body on a joint", "LoadCell reads elements.")
+        return super().problem(model, where)
+
+
+class JointAngle(Sensor):
+    """An encoder: the coordinate of the joint that carries a body, from its reference pose, whole turns counted: of a hinge its angle [rad]; of a
+    joint with several, `component`, counted from 0, which must be a turn. The chain: see Sensor.
+
+    Errors: UNKNOWN_NAME, BAD_COMPONENT (a free body and a ball have no angle: take Orientation), BAD_SHAPE, NON_FINITE, BAD_LAG.
+
+    >>> JointAngle("arm").unit
+    'rad'
+    """
+
+    on: str = eqx.field(static=True, converter=plain)
+    component: int | None = eqx.field(static=True)
+    shape = ()
+    unit = "rad"
+
+    def __init__(self, on: str, *, component: int | None = None, **chain: Unpack[Chain]):
+        problems = Problems()
+        self.on, self.component = on, component
+        self.chained(problems, **chain)
+        problems.raise_if_any()
+
+    def reading(self, model, frames):
+        return frames.state.q[model.layout.q_slices[self.on]][self.component or 0]
+
+    def problem(self, model, where):
+        layout = model.layout
+        if self.on not in layout.bodies:
+            return unknown(self.on, where, layout.bodies)
+        kind = layout.kinds[layout.bodies.index(self.on)]
+        turns = [i for i in range(kind.nv) if kind.turns[i]] if kind.nq == kind.nv else []
+        if (self.component is None and kind.nv == 1 and turns) or self.component in turns:
+            return None
+        told = f"reads component {self.component} of the joint of '{self.on}', a {kind.__name__}"
+        return Problem("BAD_COMPONENT", where, told, self.component, f"one of {turns}" if turns else "a joint that turns", "Say which one.")
+
+
+def _component_problem(component: int | None, size: int | None, what: str, where: str) -> Problem | None:
+    """A component is said where there are several, and is one of them."""
+    if (component is None) == (size is None) and (component is None or component in range(size or 0)):
+        return None
+    limit = "no component" if size is None else f"0 to {size - 1}"
+    return Problem("BAD_COMPONENT", where, f"is component {component} of {what}", component, limit, "Say which one.")

@@ -1,0 +1,1 @@
+"""Trajectories by the equations of motion, and what sensors read along them."""

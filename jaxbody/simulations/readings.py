@@ -1,0 +1,96 @@
+"""Records: what sensors read along a trajectory, and noise on it."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, PRNGKeyArray
+
+from jaxbody.core.arguments import check_key, check_kind
+from jaxbody.core.arrays import concrete
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import Problems
+from jaxbody.geometry.frames import Frame
+from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.kinematics import Motions, table_of
+from jaxbody.models.models import Model
+from jaxbody.models.states import Instant, State
+from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
+from jaxbody.simulations.simulations import Trajectory
+
+
+def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sensor], loads: tuple[Load, ...] = ()) -> dict[str, Array]:
+    """What all sensors measure at one time, before their chains; accelerations are worked out once, where any of them needs some."""
+    if any(sensor.accelerations for sensor in sensors.values()):
+        now = Dynamics(model, motions, loads).instant(t, state, reactions=any(sensor.reactions for sensor in sensors.values()))
+    else:
+        now = at_instant(table_of(model, motions, t, state), state)
+    return {name: sensor.reading(model, now) for name, sensor in sensors.items()}
+
+
+def at_instant(frames: Frame, state: State) -> Instant:
+    """Frames with their state, without accelerations."""
+    return Instant(frames.p, frames.R, frames.v, frames.w, state)
+
+
+def readings(trajectory: Trajectory, sensors: dict[str, Sensor]) -> dict[str, Array]:
+    """The record of each sensor along a trajectory, its chain included."""
+    measured = trajectory.at_samples(_read, sensors, loads=True)
+    return _transduced(sensors, trajectory.times, measured)
+
+
+def _read(model, motions, t, state, loads, sensors):
+    return read(model, motions, t, state, sensors, loads)
+
+
+@jit_quickly
+def _transduced(sensors: dict[str, Sensor], times: Array, measured: dict[str, Array]) -> dict[str, Array]:
+    def over_batch(times, measured):
+        return {name: sensor.transduced(times, measured[name]) for name, sensor in sensors.items()}
+
+    for _ in range(times.ndim - 1):
+        over_batch = jax.vmap(over_batch)
+    return over_batch(times, measured)
+
+
+def measure(
+    trajectory: Trajectory, sensors: dict[str, Sensor], *, noise: float | dict[str, Any] = 0.0, key: PRNGKeyArray | None = None
+) -> dict[str, Array]:
+    """{sensor: readings (nt, ...)} of a trajectory, with white Gaussian noise of the standard deviation `noise` (one number, or one for each sensor).
+
+    A delayed instrument has NaN where it would read what was before or after the trajectory. Noise on a pose is in meters on its position and in radians on its orientation; it may be two numbers. Leading axes of a batch of
+    trajectories stay. Errors, all at once: WRONG_KIND, UNKNOWN_NAME, BAD_NOISE, BAD_SHAPE, NON_FINITE, NO_KEY.
+
+    >>> import jax, jax.numpy as jnp
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, gravity=[0, -9.81, 0])
+    >>> measured = measure(simulate(model, jnp.linspace(0, 1, 5)), {"place": Position("mass")}, noise=1e-3, key=jax.random.key(0))
+    >>> measured["place"].shape
+    (5, 3)
+    """
+    problems = Problems()
+    check_kind(trajectory, Trajectory, "measure.trajectory", "a Trajectory, as jb.simulate(...) returns", problems)
+    problems.raise_if_any()
+    check_sensors(sensors, trajectory.model, "sensors")
+    levels = noise_levels(sensors, noise, "noise", problems, zero=True)
+    noisy = any(concrete(level) is None or np.any(level) for level in levels.values())
+    check_key(key, "measure.key", problems, "Noise needs" if noisy else "")
+    problems.raise_if_any()
+    found = {name: _unless_unknown(sensors[name], trajectory.times, x) for name, x in readings(trajectory, sensors).items()}
+    if key is None or not noisy:
+        return found
+    keys = dict(zip(sensors, jax.random.split(key, len(sensors)), strict=True))
+    lead = trajectory.times.shape
+    return {
+        name: sensor.disturbed(found[name], sensor.spread(levels.get(name, 0.0)) * jax.random.normal(keys[name], (*lead, *sensor.noise_shape)))
+        for name, sensor in sensors.items()
+    }  # fmt: skip
+
+
+def _unless_unknown(sensor: Sensor, times: Array, x: Array) -> Array:
+    """NaN for delayed samples that lie outside the trajectory."""
+    if sensor.delay is None:
+        return x
+    inside = jnp.vectorize(sensor.weight, signature="(n)->(n)")(times) > 0
+    return jnp.where(inside.reshape(*times.shape, *[1] * (x.ndim - times.ndim)), x, jnp.nan)

@@ -1,0 +1,1 @@
+"""Equilibria and their stability, load paths, load cases, preload, rest on a moving base."""

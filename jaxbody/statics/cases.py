@@ -1,0 +1,219 @@
+"""Quasi-static load cases, the daily work of who mounts engines: accelerations in g, torques and forces, all cases side by side."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import check_kind, named
+from jaxbody.core.arrays import device_array, stack, vector
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import Problems, Status, is_concrete
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.geometry import rotations
+from jaxbody.geometry.frames import Pose
+from jaxbody.geometry.vectors import product
+from jaxbody.inputs.loads import STANDARD_GRAVITY, Load, loads_by_name, loads_of
+from jaxbody.mechanics.energies import each_element, frames_of
+from jaxbody.mechanics.hessians import placed
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.leaf_paths import by_name
+from jaxbody.models.models import Model
+from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
+from jaxbody.models.states import State
+from jaxbody.statics.equilibria import DESCENDED, Ended, Equilibrium, ended_under, equilibrium_of, scale_of, size_of, standing
+from jaxbody.statics.load_paths import Raised, residual
+
+MAX_STEPS = 200  # of a search
+UNFELT = 1e-9  # of what is applied: less than this in every coordinate is round-off
+BY_JOINTS = (
+    "carried by the joints alone, so nothing moves and no spring feels it; if it should tilt a body, put the point O, "
+    "about which that body turns, and its centre of mass (com) at their own heights"
+)
+
+
+class LoadCase(eqx.Module):
+    """One case: a steady `acceleration` of the whole rig in g = 9.80665 m/s2, world axes, which every body answers with -m a (a rig that brakes
+    along -x presses its bodies forward, +x; cornering to the left, +y, presses them to the right), and `loads` {name: load}, as at time 0.
+
+    >>> LoadCase(acceleration=[0, 0, 3]).acceleration.tolist()
+    [0.0, 0.0, 3.0]
+    """
+
+    acceleration: Float[Array, "3"]
+    loads: dict[str, Load]
+
+    def __init__(self, *, acceleration=(0, 0, 0), loads: dict[str, Load] | None = None):
+        problems = Problems()
+        self.acceleration = vector(acceleration, "LoadCase.acceleration", problems)
+        self.loads = loads_by_name(loads, "LoadCase.loads", problems)
+        problems.raise_if_any()
+
+
+class LoadCases(Result):
+    """What every case does, beside the equilibrium without it, `unloaded`: by body `displacements` of its origin [m] and `rotations` (vector
+    [rad]), both world axes, (cases, 3); by element `strokes`, the changes of its deformation, and `forces`, in all [m, N; of a bushing six each], (cases, ...);
+    `state`, and for each case `status`, `load_factor`, `descended` (as of an Equilibrium) and `by_joints`, whether joints carry the whole of it, so that nothing moves."""
+
+    status: Int[Array, "nc"]
+    load_factor: Float[Array, "nc"]
+    state: State
+    unloaded: Equilibrium
+    displaced: Float[Array, "nc nb 3"]
+    turned: Float[Array, "nc nb 3"]
+    stroked: tuple[Array, ...]
+    loaded: tuple[Array, ...]
+    descended: Bool[Array, "nc"]
+    by_joints: Bool[Array, "nc"]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def displacements(self) -> dict[str, Float[Array, "nc 3"]]:
+        return {name: self.displaced[..., i, :] for i, name in enumerate(self.unloaded.layout.bodies)}
+
+    @property
+    def rotations(self) -> dict[str, Float[Array, "nc 3"]]:
+        return {name: self.turned[..., i, :] for i, name in enumerate(self.unloaded.layout.bodies)}
+
+    @property
+    def strokes(self) -> dict[str, Float[Array, "nc *m"]]:
+        return self._of_elements(self.stroked)
+
+    @property
+    def forces(self) -> dict[str, Float[Array, "nc *m"]]:
+        return self._of_elements(self.loaded)
+
+    def _of_elements(self, rows: tuple[Array, ...]) -> dict[str, Array]:
+        return by_name(tuple(table.names for table in self.unloaded.model.elements), rows, axis=1)
+
+    def report(self) -> str:
+        codes = np.asarray(self.status)
+        failed = [
+            f"'{name}' {Status(int(code)).name} at load factor {float(factor):.4g}"
+            for name, code, factor in zip(self.names, codes, np.asarray(self.load_factor), strict=True)
+            if code
+        ]
+        notes = [
+            f"{', '.join(repr(name) for name, yes in zip(self.names, np.asarray(marks), strict=True) if yes)} {words}"
+            for marks, words in ((self.descended, DESCENDED), (self.by_joints, BY_JOINTS))
+            if np.any(marks)
+        ]
+        return "; ".join([*(failed or ["ok"]), *notes])
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset by `case`: displacement and rotation by `body`, stroke and force by element."""
+        from jaxbody.core.datasets import load_cases_dataset
+
+        return load_cases_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        if self.status.ndim != 1 or not is_concrete(self.status):
+            return [tables.Table("Load cases", ("", ""), [("displacements [m]", self.displaced)])]
+        rows = []
+        for i, case in enumerate(self.names):
+            label = case
+            for name in self.unloaded.layout.bodies:
+                rows.append((label, name, _scaled(self.displacements[name][i]), _scaled(self.rotations[name][i]), "", ""))
+                label = ""
+            for name, stroke in self.strokes.items():
+                s, f = np.atleast_1d(stroke[i]), np.atleast_1d(self.forces[name][i])
+                turn, moment = (s[3:], f[3:]) if len(s) == 6 and np.any(f[3:]) else ("", "")
+                rows.append(("", name, _scaled(s[:3]), _scaled(turn), _rounded(f[:3]), _rounded(moment)))
+        columns = ("case", "", "displacement or stroke [m]", "rotation [rad]", "force [N]", "moment [N m]")
+        return [tables.Table("Load cases", columns, rows, self.report())]
+
+
+def _scaled(values: Any) -> str:
+    """To thousandths of millimeters."""
+    return "" if isinstance(values, str) else " ".join(f"{float(x):.6f}" for x in values)
+
+
+def _rounded(values: Any) -> str:
+    return "" if isinstance(values, str) else " ".join(f"{float(x):.1f}" for x in values)
+
+
+def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | State | None = None) -> LoadCases:
+    """The equilibrium of every load case, all at once: displacement and rotation of every body against the equilibrium without it,
+    stroke and force of every element.
+
+        dV/dDelta = Q - m a,   raised from nothing along the stable branch of each case
+
+    `at`: where the search for the equilibrium without the cases starts. A case that is not carried in full keeps the last load factor that is, and says NO_EQUILIBRIUM or
+    LIMIT_POINT; the report names cases that joints carry alone. Differentiable. Errors: NO_CASE, UNKNOWN_BODY, UNATTACHED, WRONG_KIND.
+
+    >>> model = Model(bodies={"engine": Body(mass=150.0, inertia=[8, 4, 7])}, gravity=[0, 0, -9.81], joints={"engine": Guide("world", axis=[0, 0, 1])},
+    ...               elements={"mount": Spring(("engine", [0, 0, 0]), ("world", [0, 0, -1]), stiffness=8e5, free_length=1.0)})
+    >>> found = load_cases(model, {"bump": LoadCase(acceleration=[0, 0, 3]), "pull": LoadCase(loads={"chain": Force("engine", force=[0, 0, 800.0])})})
+    >>> [round(float(z), 6) for z in found.displacements["engine"][:, 2]]
+    [-0.005516, 0.001]
+    """
+    check_precision("load_cases", model)
+    check_memory("load_cases", model)
+    check_attached(model)
+    problems = Problems()
+    cases = named(cases, "load_cases.cases", "name: jb.LoadCase(...)", problems)
+    if not cases and not problems.found:
+        problems.add("NO_CASE", "load_cases", "has no case", value=cases, limit="at least one", hint="Give {name: jb.LoadCase(...)}.")
+    for name, case in cases.items():
+        check_kind(case, LoadCase, f"cases[{name!r}]", "jb.LoadCase(acceleration=..., loads=...)", problems)
+    start = at.state if isinstance(at, Equilibrium) else at
+    if start is not None:
+        problems.gather(lambda: check_state(model, start, "at"))
+    each = [
+        problems.gather(lambda name=name, case=case: loads_of(case.loads, model.layout.bodies, f"cases[{name!r}].loads"))
+        for name, case in cases.items()
+        if isinstance(case, LoadCase)
+    ]
+    problems.raise_if_any()
+    loads = tuple(load for group in each for load in group)
+    owner = np.repeat(np.arange(len(each)), [len(group) for group in each])
+    weights = (np.arange(len(each))[:, None] == owner).astype(float)
+    changes = stack([-STANDARD_GRAVITY * case.acceleration for case in cases.values()])
+    q = None if start is None else start.q
+    unloaded = equilibrium_of(model, q, MAX_STEPS)
+    warn_if_failed(unloaded)
+    raised = Raised(loads, device_array(weights), changes)
+    result = _load_cases(model, unloaded, ended_under(model, unloaded, q, raised, MAX_STEPS, many=True), raised, tuple(cases))
+    warn_if_failed(result)
+    return result
+
+
+@jit_as_it_is
+def _load_cases(model: Model, unloaded: Equilibrium, ended: Ended, raised: Raised, names: tuple[str, ...]) -> LoadCases:
+    coordinates = Coordinates(model)
+    rest = placed(coordinates, unloaded.state.q, base=False)
+    scale = scale_of(model, size_of(model))
+
+    def one(raised, ended):
+        found = standing(coordinates, ended, raised)
+        felt = jnp.max(jnp.abs(residual(rest, raised) - residual(rest, raised, 0.0)) * scale, initial=0.0)
+        applied = jnp.sum(model.bodies.rows.mass) * jnp.max(jnp.abs(raised.gravity))
+        for load, weight in zip(raised.loads, raised.weights, strict=True):
+            force, moment = load.wrench(jnp.zeros((), scale.dtype), rest.frames[model.layout.frame(load.on)])
+            applied = applied + weight * jnp.maximum(jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment)) / size_of(model))
+        by_joints = (felt <= UNFELT * applied) & (applied > 0)
+        return found.status, found.load_factor, found.state, _placed(model, found.state), found.descended, by_joints
+
+    status, factor, state, (pose, deformations, forces), descended, by_joints = jax.vmap(one, in_axes=(Raised(None, 0, 0), 0))(
+        raised, ended
+    )
+    failed = unloaded.status * ~(unloaded.ok | (unloaded.status == Status.SINGULAR_K) | (unloaded.status == Status.TABLE_RANGE))
+    status = jnp.where(failed > 0, failed, status)
+    still, relaxed, _ = _placed(model, unloaded.state)
+    turned = rotations.log(product(pose.R, jnp.swapaxes(still.R, -1, -2)))
+    strokes = tuple(e - e0 for e, e0 in zip(deformations, relaxed, strict=True))
+    return LoadCases(status, factor, state, unloaded, pose.p - still.p, turned, strokes, forces, descended, by_joints, names)
+
+
+def _placed(model: Model, state: State) -> tuple[Pose, tuple[Array, ...], tuple[Array, ...]]:
+    """Poses of the bodies, deformations and forces of the elements in a state."""
+    frames = frames_of(model, state)
+    both = each_element(model, frames, lambda s, *F: (s.deformation(*(f.pose() for f in F)), s.force(*F)))
+    bodies = frames[model.layout.first_body :].pose()
+    return bodies, tuple(e for e, _ in both), tuple(f for _, f in both)

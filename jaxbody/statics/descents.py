@@ -1,0 +1,98 @@
+"""Descent: Newton's method whose every step lowers the potential energy, K + lambda I with lambda raised until it is positive definite.
+
+It works on nondimensional increments, rotations times a length.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbody.mechanics.hessians import expansion, placed
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.numerics.lane_marks import any_of_batch
+from jaxbody.numerics.lanes import LANES, in_lanes
+from jaxbody.numerics.precisions import NEWTON, reachable
+from jaxbody.numerics.small_systems import is_definite, solve_if_definite
+from jaxbody.statics.load_paths import Raised, dead_forces, under
+
+TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the error left is its square
+SINGULAR = 1e-10  # eigenvalues of the nondimensional K, relative to the largest, that count as zero
+LEAST_SHIFT = 1e-11  # keeps a free motion from making the system singular
+TINY = 1e-6  # a step, relative to the size, whose fall of energy may be hidden by rounding
+
+
+def descend(coordinates: Coordinates, q, scale, size, max_steps, raised: Raised | None = None):
+    """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step go down, under dead forces."""
+    numbers, rest = eqx.partition((coordinates, raised), eqx.is_array)
+    lanes = 2 * LANES if len(scale) <= 6 else LANES  # more share the calls of a loop, fewer keep all of K near the processor
+    return in_lanes(lambda numbers, *given: _descend(*eqx.combine(numbers, rest), *given), lanes=lanes)(numbers, q, scale, size, max_steps)
+
+
+def _descend(coordinates, raised, q, scale, size, max_steps):
+    tolerance, least = reachable(TOLERANCE, q.dtype, NEWTON), reachable(LEAST_SHIFT, q.dtype, 8)
+    tiny_step, still = reachable(TINY, q.dtype, 8 * NEWTON), reachable(1e-14, q.dtype)
+
+    def expand(at):
+        return expansion(at) if raised is None else expansion(under(at, raised), dead_forces(at, raised))
+
+    def step(carry):
+        """Judge the configuration tried, keep the better one, try the next."""
+        best, tried, shift, expected, tiny, _, n = carry
+        value, slope, K = expand(placed(coordinates, tried, base=False))
+        # below `tiny` the energy's rounding hides its fall
+        falls = (expected > 0) & (best[1] - value >= 1e-4 * expected)
+        accept = jnp.isfinite(value) & (falls | tiny | (n == 0))
+        best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (tried, value, slope * scale, K * scale * scale[:, None]), best)
+        shift = jnp.where(accept, jnp.where(shift > 1e-3, shift / 10, 0.0), jnp.maximum(4 * shift, 0.1))
+        _, _, slope, K = best
+        unit = jnp.max(jnp.abs(K), initial=0.0)
+        unit = jnp.where(unit > 0, unit, 1.0)
+        y, definite = solve_if_definite(K + (shift + least) * unit * np.eye(len(scale), dtype=K.dtype), -slope)
+        longest = jnp.max(jnp.abs(y), initial=0.0)
+        y = jnp.where(definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0)  # else no step, and a larger shift next
+        expected = -jnp.sum(y * slope) - 0.5 * jnp.sum(y * jnp.sum(K * y, -1))
+        at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= still * unit * size  # on a saddle too, where no step is worth anything
+        near = accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= tolerance * size)
+        done = definite & (near | at_rest) & jnp.isfinite(best[1])
+        tried = coordinates.retract(best[0], scale * y)
+        return best, tried, shift, expected, definite & (longest < tiny_step * size), done, n + 1
+
+    n = len(scale)
+    zero = jnp.zeros((), q.dtype)
+    start = (
+        (q, jnp.full_like(zero, jnp.nan), jnp.zeros(n, q.dtype), jnp.zeros((n, n), q.dtype)),
+        q,
+        zero,
+        zero,
+        jnp.array(False),
+        jnp.array(n == 0),
+        jnp.array(0),
+    )
+
+    def active(carry):
+        return ~carry[5] & (carry[6] < max_steps)
+
+    def masked(carry):
+        return jax.tree.map(lambda new, old: jnp.where(active(carry), new, old), step(carry), carry)
+
+    best, tried, _, _, _, done, steps = jax.lax.while_loop(lambda carry: any_of_batch(active(carry)), masked, start)
+    return jnp.where(done, tried, best[0]), signs(best[3]), done, steps
+
+
+def signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
+    """How many eigenvalues of K are negative, and whether one is zero; eigenvalues are asked for only where elimination finds K not definite."""
+
+    zero = reachable(SINGULAR, K.dtype)
+
+    def by_eigenvalues():
+        values = jnp.linalg.eigvalsh(K)
+        tolerance = zero * jnp.max(jnp.abs(values), initial=0.0)
+        return jnp.sum(values < -tolerance), jnp.any(jnp.abs(values) <= tolerance)
+
+    largest = jnp.sqrt(jnp.sum(K * K))  # or more
+    definite = is_definite(K - zero * largest * np.eye(len(K), dtype=K.dtype))
+    return jax.lax.cond(any_of_batch(~definite), by_eigenvalues, lambda: (jnp.zeros((), int), jnp.array(False)))

@@ -1,0 +1,386 @@
+"""Equilibrium: the configuration of least potential energy near the start, its stability, and its derivatives by the implicit
+function theorem.
+
+    dV/dDelta = 0,    dq/dp = -K^-1 d2V/dDelta dp
+
+The search descends (descents). Loads, which may have no potential, are then raised step by step (load_paths); where that cannot begin, as K is
+singular without them, the potential of dead loads and weights is descended.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import whole
+from jaxbody.core.arrays import device_array
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import Problems, Status, is_concrete
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.inputs.loads import Load, loads_of
+from jaxbody.laws.laws import has_range
+from jaxbody.mechanics.energies import beyond_laws, each_element, potential
+from jaxbody.mechanics.failure_causes import without_number_downhill
+from jaxbody.mechanics.hessians import placed, stiffness
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.leaf_paths import by_name
+from jaxbody.models.models import Layout, Model
+from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
+from jaxbody.models.states import State
+from jaxbody.numerics.eigenproblems import MASSLESS
+from jaxbody.numerics.lane_marks import any_of_batch
+from jaxbody.numerics.precisions import in_float64, reachable
+from jaxbody.statics.descents import SINGULAR, descend, signs
+from jaxbody.statics.load_paths import Path, Raised, dead_forces, follow, residual, tangent, under, with_gravity
+
+RUNAWAY = 20  # sizes of the model from the start, beyond which a search is falling
+NOT_AT_REST = (
+    Status.NOT_CONVERGED,
+    Status.NO_EQUILIBRIUM,
+    Status.LIMIT_POINT,
+    Status.STALE,
+)  # small motions about such a state mean nothing
+SOFTEST = 1e-7  # smallest eigenvalue of K over the largest, from which a path may begin; where springs resist by their cube alone, a search ends at 1e-9
+DESCENDED = "by descent of the potential of the loads, whose path cannot begin: K is singular without them"
+
+
+class Equilibrium(Result):
+    """A configuration of rest: `state`, `residual` dV/dDelta - Q [N, N m], `energy` V [J], `stable`, `negative` (how many eigenvalues
+    of K are), `steps`, `elongations` by name; `status` NOT_CONVERGED, UNSTABLE, SINGULAR_K, TABLE_RANGE, NO_EQUILIBRIUM or LIMIT_POINT where it is not
+    good. Under loads, `load_factor` is how much of them is carried, `path` how K changed on the way; `descended`, whether the path could not begin and the
+    potential of the loads was descended instead."""
+
+    state: State
+    residual: Float[Array, "nv"]
+    energy: Float[Array, ""]
+    negative: Int[Array, ""]
+    stable: Bool[Array, ""]
+    status: Int[Array, ""]
+    steps: Int[Array, ""]
+    deformations: tuple[Array, ...]
+    model: Model
+    loads: tuple[Load, ...]
+    load_factor: Float[Array, ""]
+    path: Path | None
+    descended: Bool[Array, ""]
+
+    @property
+    def elongations(self) -> dict[str, Array]:
+        """Of each spring the elongation [m], tension positive; of a bushing its six deformations."""
+        return by_name(tuple(table.names for table in self.model.elements), self.deformations)
+
+    @property
+    def layout(self) -> Layout:
+        return self.model.layout
+
+    def explain(self) -> str:
+        status = Status(int(self.status))
+        if status == Status.SINGULAR_K:
+            return "; ".join(zero_modes(self.model, self.state))
+        if status == Status.UNSTABLE:
+            return f"{int(self.negative)} negative eigenvalue(s) of K; start from a state moved along that mode to descend"
+        if status == Status.TABLE_RANGE:
+            return "; ".join(
+                f"'{name}'" for name, out in zip(self.model.element_names, _beyond(self.model, self.state), strict=True) if out
+            )
+        if status in (Status.NO_EQUILIBRIUM, Status.LIMIT_POINT):
+            return self._how_much()
+        if status == Status.NOT_CONVERGED:
+            worst = int(np.argmax(np.abs(np.asarray(self.residual)))) if np.isfinite(np.asarray(self.residual)).all() else 0
+            unit = "N m" if self.layout.turns[worst] else "N"
+            if bad := without_number_downhill(self.model, self.state.q, self.residual, float(size_of(self.model))):
+                return f"energy, force or stiffness of element '{bad[0]}' is not finite after {int(self.steps)} steps or just further down: its law has no number there"
+            remedy = in_float64(self.state.q.dtype) or "start nearer, or give more max_steps"
+            return (
+                f"after {int(self.steps)} steps the largest residual is {float(np.abs(self.residual[worst])):.3g} {unit} "
+                f"in '{self.layout.motions[worst][0]}' ({self.layout.motions[worst][1]}); {remedy}"
+            )
+        return ""
+
+    def _how_much(self) -> str:
+        """How much of the loads, or of the weights, is carried."""
+        if self.descended:
+            return (
+                "none was found by raising the loads, as K is singular without them, nor by descent of their potential from the start, "
+                "which a moment or a load that turns with its body has not"
+            )
+        if self.path is not None:
+            smallest = np.asarray(self.path.smallest)
+            last = smallest[np.isfinite(smallest)][-1]
+            return (
+                f"none was found by raising the loads beyond load factor {float(self.load_factor):.4g} of 1, where the state is; "
+                f"the smallest eigenvalue of K, relative to the largest without loads, went from {smallest[0]:.3g} to {last:.3g} (plots.load_path draws it)"
+            )
+        weightless = with_gravity(self.model, -self.model.gravity)
+        start = equilibrium_of(weightless, None, 200)
+        if int(start.status) not in (Status.OK, Status.SINGULAR_K):
+            return "none was found by descent, nor without the weights"
+        raised = Raised((), np.zeros(0), self.model.gravity)
+        return f"none was found by descent; {100 * float(_along_path(weightless, start, raised, False)[0].factor):.4g} % of the weights is carried"
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: q by part, residual by coordinate, elongation by spring, energy, status."""
+        from jaxbody.core.datasets import equilibrium_dataset
+
+        return equilibrium_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        q, layout = tables.without_dust(self.state.q), self.layout
+        rows = [
+            (name, kind.__name__.lower(), q[..., layout.q_slices[name]]) for name, kind in zip(layout.bodies, layout.kinds, strict=True)
+        ]
+        note = self.report() if is_concrete(self.status) else ""
+        note += ", a local one" if note == "ok" else ""
+        if is_concrete(self.descended) and np.any(self.descended):
+            note += f"; {DESCENDED}"
+        elements = [(name, tables.without_dust(e)) for name, e in self.elongations.items()]
+        largest = np.abs(self.residual).max() if is_concrete(self.residual) and self.residual.size else None
+        return [
+            tables.Table("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows),
+            tables.Table("", ("element", "elongation [m]"), elements, f"largest residual {tables.number(largest)} N or N m; {note}"),
+        ]
+
+
+def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Load] | None = None, max_steps: int = 200) -> Equilibrium:
+    """The stable configuration of rest that descent from `start` (without it, the reference pose) leads to, supports at their reference poses.
+
+    dV/dDelta = 0 with positive definite K = d2V/dDelta2. `loads` {name: load}, as at time 0, are then raised from nothing along the stable
+    branch: dV/dDelta = Q; where that path cannot begin, as K is singular without loads (an unstressed string pushed sideways), V less the work of dead
+    forces is descended from `start`, and the result is `descended`. Differentiable with respect to the model in forward and reverse mode, to
+    any order; the derivative of a search that failed, or through a singular K, is NaN. Errors: UNATTACHED, BAD_SHAPE, UNKNOWN_BODY of a load; warns by status.
+    Source: (63) of the paper.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, -9.81, 0], joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=981.0, free_length=1.0)})
+    >>> round(float(equilibrium(model).elongations["s"]), 12)
+    0.02
+    """
+    check_precision("equilibrium", model)
+    check_memory("equilibrium", model)
+    check_attached(model)
+    problems = Problems()
+    if start is not None:
+        problems.gather(lambda: check_state(model, start, "start"))
+    acting = problems.gather(lambda: loads_of(loads, model.layout.bodies))
+    max_steps = whole(max_steps, "equilibrium.max_steps", problems, least=0)
+    problems.raise_if_any()
+    q = None if start is None else start.q
+    result = equilibrium_of(model, q, max_steps)
+    if acting:
+        result = under_loads(model, result, q, Raised(acting, device_array(np.ones(len(acting))), device_array(np.zeros(3))), max_steps)
+    warn_if_failed(result)
+    return result
+
+
+class Ended(eqx.Module):
+    """Where a search ended: the configuration, how many eigenvalues of K are negative there and whether one is zero, the status but for stability."""
+
+    q: Float[Array, "nq"]
+    negative: Int[Array, ""]
+    singular: Bool[Array, ""]
+    status: Int[Array, ""]
+    steps: Int[Array, ""]
+    factor: Float[Array, ""]
+    path: Path | None = None
+    descended: Any = False
+
+
+@jit_as_it_is
+def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, max_steps: int) -> Equilibrium:
+    """The jitted core of `equilibrium` without loads."""
+    coordinates = Coordinates(model)
+    return standing(coordinates, downhill(coordinates, start, max_steps), nothing(model.gravity.dtype))
+
+
+def downhill(coordinates: Coordinates, start: Float[Array, "nq"] | None, max_steps, raised: Raised | None = None) -> Ended:
+    """By descent from the start, or from the reference pose."""
+    frozen, raised = jax.lax.stop_gradient((coordinates, raised))
+    start = frozen.reference.q if start is None else jax.lax.stop_gradient(start)
+    size = size_of(frozen.model)
+    q, (negative, singular), converged, steps = descend(frozen, start, scale_of(frozen.model, size), size, max_steps, raised)
+    moved = jnp.max(jnp.abs(q - start) * jnp.where(frozen.model.layout.angular, size, 1.0), initial=0.0)
+    runaway = ~converged & (moved > RUNAWAY * size)
+    status = jnp.select([runaway, ~converged], [Status.NO_EQUILIBRIUM.value, Status.NOT_CONVERGED.value], Status.OK.value)
+    return Ended(q, negative, singular, status, steps, jnp.ones((), q.dtype))
+
+
+def under_loads(model: Model, unloaded: Equilibrium, start: Float[Array, "nq"] | None, raised: Raised, max_steps: int) -> Equilibrium:
+    """The equilibrium under loads."""
+    return _standing(model, ended_under(model, unloaded, start, raised, max_steps), raised)
+
+
+def ended_under(model: Model, unloaded: Equilibrium, start, raised: Raised, max_steps: int, *, many: bool = False) -> Ended:
+    """The search under loads, by their path or by descent; `many`: of each row of the weights and changes of gravity.
+
+    Two programs, as few models need the second; where the first is being traced, both."""
+    ended, settled = _along_path(model, unloaded, raised, many)
+
+    def descended():
+        return _by_descent(model, start, raised, max_steps, many, ended, settled)
+
+    if is_concrete(settled):
+        return ended if np.asarray(settled).all() else descended()
+    return jax.lax.cond(any_of_batch(~jnp.all(settled)), descended, lambda: ended)
+
+
+def _each(function, many: bool):
+    """Over rows of weights and changes of gravity."""
+    return jax.vmap(function, in_axes=(Raised(None, 0, 0), 0)) if many else function
+
+
+@jit_as_it_is
+def _along_path(model: Model, unloaded: Equilibrium, raised: Raised, many: bool) -> tuple[Ended, Bool[Array, "*n"]]:
+    """By the path of the loads from the unloaded equilibrium, and whether that settles it: it does not where K is singular at its beginning, unless
+    the path came to its end or to a limit point."""
+    frozen, still, q0 = jax.lax.stop_gradient((Coordinates(model), raised, unloaded.state.q))
+    size = size_of(frozen.model)
+    fit = jnp.isin(unloaded.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
+
+    def one(raised, _):
+        q, K, factor, path, ahead = follow(frozen, q0, raised, scale_of(frozen.model, size), size)
+        carried = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
+        negative, singular = signs((K + K.T) / 2)
+        ended = Ended(q, negative, singular, carried, unloaded.steps, factor, path, jnp.array(False))
+        return ended, fit & ((factor >= 1) | (ahead & (factor > 0)) | (path.smallest[0] > reachable(SOFTEST, q0.dtype)))
+
+    return _each(one, many)(still, jnp.zeros(len(raised.gravity)))
+
+
+@jit_as_it_is
+def _by_descent(model: Model, start, raised: Raised, max_steps: int, many: bool, ended: Ended, settled: Bool[Array, "*n"]) -> Ended:
+    """By descent of the potential of model and loads, where the path settles nothing."""
+    coordinates = Coordinates(model)
+
+    def one(raised, others):
+        ended, settled = others
+        found = downhill(coordinates, start, max_steps, raised)
+        dead = jnp.isfinite(dead_forces(placed(coordinates, found.q, base=False), raised).V)
+        status = jnp.where(dead, found.status, Status.NO_EQUILIBRIUM.value)
+        ok = status == Status.OK
+        factor = jnp.where(ok, found.factor, 0.0)
+        found = Ended(found.q, found.negative, found.singular, status, found.steps, factor, ended.path, jnp.array(True))
+        return jax.tree.map(lambda a, b: jnp.where(settled | (~ok & (ended.factor > 0)), a, b), ended, found)
+
+    return _each(one, many)(jax.lax.stop_gradient(raised), (ended, settled))
+
+
+@jit_as_it_is
+def _standing(model: Model, ended: Ended, raised: Raised) -> Equilibrium:
+    return standing(Coordinates(model), ended, raised)
+
+
+def standing(coordinates: Coordinates, ended: Ended, raised: Raised) -> Equilibrium:
+    """What stands where a search ended: its stability, its derivative, what the springs do."""
+    failed = ended.status != Status.OK
+    q = _implicit((coordinates, raised), ended.q, ~failed & ~ended.singular)
+    model, at = coordinates.model, placed(coordinates, q, base=False)
+    zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
+    beyond = jnp.any(beyond_laws(model, frames)) if has_range(model.elements) else jnp.array(False)
+    status = jnp.select(
+        [failed, ended.negative > 0, ended.singular, beyond], [ended.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
+    )  # fmt: skip
+    return Equilibrium(
+        State(q, zero), residual(at, raised, ended.factor), potential(under(at, raised).model, frames), ended.negative,
+        ~failed & (ended.negative == 0), status, ended.steps,
+        tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), model, raised.loads, ended.factor, ended.path,
+        jnp.asarray(ended.descended),
+    )  # fmt: skip
+
+
+def nothing(dtype) -> Raised:
+    """Nothing to raise."""
+    return Raised((), jnp.zeros(0, dtype), jnp.zeros(3, dtype))
+
+
+def apart(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> Float[Array, ""]:
+    """The farthest that a body is between two configurations [m], turns times the size of the model."""
+    both = jax.vmap(Coordinates(model).at_rest)(jnp.stack([one, other]))
+    moved, turned = (jnp.sqrt(jnp.sum((x[0] - x[1]) ** 2, axes)) for x, axes in ((both.p, -1), (both.R, (-2, -1))))
+    return jnp.max(jnp.maximum(moved, size_of(model) * turned))
+
+
+@jit_as_it_is
+def _beyond(model: Model, state: State) -> Bool[Array, "ne"]:
+    return beyond_laws(model, Coordinates(model).at_rest(state.q, state.v))
+
+
+def size_of(model: Model) -> Float[Array, ""]:
+    """A length of the model: the farthest that an element is attached, or a centre of mass lies, from a body's origin; else the longest
+    distance from the world's origin; else 1 m."""
+    on_bodies, anywhere = [jnp.zeros((1, 3), model.gravity.dtype), model.bodies.rows.com], [model.bodies.rows.position]
+    for table in model.elements:
+        for end, points in enumerate(table.rows.points):
+            on_body = np.array([link[end] in model.layout.bodies for link in table.links])
+            on_bodies.append(jnp.where(on_body[:, None], points, 0.0))
+            anywhere.append(points)
+    near, far = (jnp.max(jnp.linalg.norm(jnp.concatenate(points), axis=-1)) for points in (on_bodies, anywhere))
+    return jnp.where(near > 0, near, jnp.where(far > 0, far, 1.0))
+
+
+def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
+    """Delta per nondimensional increment: 1 for translations, 1/size for rotations (both in meters then)."""
+    return jnp.where(model.layout.turns, 1 / size, 1.0)
+
+
+@jax.custom_jvp
+def _implicit(given: tuple[Coordinates, Raised], q: Float[Array, "nq"], valid: Bool[Array, ""]) -> Float[Array, "nq"]:
+    """q, with the derivative that an equilibrium has; NaN where there is none."""
+    return q
+
+
+@_implicit.defjvp
+def _implicit_jvp(primals, tangents):
+    (coordinates, raised), _, valid = primals
+    q = _implicit(*primals)
+
+    def unbalanced(given):
+        return residual(placed(given[0], q, base=False), given[1])
+
+    _, change = jax.jvp(unbalanced, (primals[0],), (tangents[0],))
+    K = tangent(placed(coordinates, q, base=False), raised)
+    delta = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), change)
+    return q, coordinates.rate(q, delta)
+
+
+@jit_as_it_is
+def _stiffness(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nv nv"]:
+    return stiffness(placed(Coordinates(model), q, base=False))
+
+
+def zero_modes(model: Model, state: State) -> list[str]:
+    """The motions that K does not resist at a state, in words: "'plate' free to turn about z"; those of single coordinates first."""
+    layout = model.layout
+    scale = np.asarray(scale_of(model, size_of(model)))
+    K = np.asarray(_stiffness(model, state.q))
+    return in_words(layout, K * scale * scale[:, None], reachable(SINGULAR, K.dtype), "free to")
+
+
+def without_inertia(layout: Layout, M: Any) -> list[str]:
+    """The motions that a mass matrix does not resist, in words."""
+    M = np.asarray(M)
+    size = np.sqrt(np.where(np.diagonal(M) > 0, np.diagonal(M), 1.0))
+    return in_words(layout, M / size / size[:, None], MASSLESS, "has no inertia to")
+
+
+def in_words(layout: Layout, matrix: np.ndarray, tolerance: float, what: str) -> list[str]:
+    """The motions whose eigenvalues are zero, relative to the largest; those of single coordinates first."""
+    values, vectors = np.linalg.eigh(matrix)
+    null = vectors[:, np.abs(values) <= tolerance * max(np.abs(values).max(initial=0.0), 1e-300)]
+    words, left = [], null
+    for i, (body, motion) in enumerate(layout.motions):
+        unit = np.eye(layout.nv)[i]
+        if np.linalg.norm(unit - null @ (null.T @ unit)) < 1e-5:
+            words.append(f"'{body}' {what} {motion}")
+            left = left - np.outer(unit, unit @ left)
+    u, s, _ = np.linalg.svd(left, full_matrices=False)
+    for vector in u.T[s > 1e-3]:
+        largest = [int(i) for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.1][:4]
+        parts = [f"{np.sign(vector[largest[0]]) * vector[i]:+.2f} ('{layout.motions[i][0]}' {layout.motions[i][1]})" for i in largest]
+        words.append(f"{what} move together: " + " ".join(parts))
+    return words

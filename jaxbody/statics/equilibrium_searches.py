@@ -1,0 +1,149 @@
+"""Several equilibria: searches from many starts at once, what they find sorted by energy, with the stability of each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import check_key, positive, whole
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import Problems, Status
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.mechanics.hessians import expansion, placed, stiffness
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.models import Model
+from jaxbody.models.preconditions import check_attached, check_memory, check_precision
+from jaxbody.statics.descents import SINGULAR, descend, signs
+from jaxbody.statics.equilibria import Ended, Equilibrium, apart, nothing, scale_of, size_of, standing
+
+SAME = 1e-9  # of the spread of energies, within which two may be one
+DESCENT, ROOTED = 200, 60  # steps of a search
+
+
+class Equilibria(Result):
+    """What many searches found, by rising energy: `found`, each an Equilibrium; `energies` [J], `stable`, `negative` (eigenvalues of K), `distances`
+    [m, the farthest that a body is from the reference pose], `hits` (how many searches ended there), (n,) each; `status` NOT_CONVERGED where nothing was found."""
+
+    status: Any
+    found: tuple[Equilibrium, ...]
+    distances: np.ndarray
+    hits: np.ndarray
+    searches: int = eqx.field(static=True)
+
+    @property
+    def energies(self) -> np.ndarray:
+        return np.array([float(eq.energy) for eq in self.found])
+
+    @property
+    def stable(self) -> np.ndarray:
+        return np.array([bool(eq.stable) for eq in self.found])
+
+    @property
+    def negative(self) -> np.ndarray:
+        return np.array([int(eq.negative) for eq in self.found])
+
+    def __len__(self) -> int:
+        return len(self.found)
+
+    def __getitem__(self, i: int):
+        return self.found[i]
+
+    def _tables(self) -> list[tables.Table]:
+        rows = [
+            (str(i), eq.energy, "stable" if eq.stable else f"unstable ({int(eq.negative)})", d, str(int(n)))
+            for i, (eq, d, n) in enumerate(zip(self.found, self.distances, self.hits, strict=True))
+        ]
+        note = f"{int(self.hits.sum())} of {self.searches} searches ended in these; there may be more"
+        return [tables.Table("Equilibria", ("", "energy [J]", "stability", "distance [m]", "searches"), rows, note)]
+
+
+def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key: Array | None = None) -> Equilibria:
+    """Equilibria near and far, stable and not, from `starts` configurations at once, the reference pose and others at random: from each, one search
+    descends and one follows Newton's method on dV/dDelta = 0 to whatever is near.
+
+    Random displacements are normal, with `spread` sizes of the model (turns: twice `spread` rad) for standard deviation. Nothing guarantees that all are
+    found. Those that a free motion connects (singular K, equal energy) count as one. Errors: UNATTACHED, WRONG_KIND of a key; warns NOT_CONVERGED where nothing is found.
+
+    >>> model = Model(bodies={"rod": Body(mass=1.0, inertia=[0.1, 0.1, 0.01], com=[0, 0, -0.5])}, gravity=[0, 0, -9.81], joints={"rod": Hinge("world", axis=[0, 1, 0])})
+    >>> find_equilibria(model, starts=16).stable.tolist()
+    [True, False]
+    """
+    check_precision("find_equilibria", model)
+    check_memory("find_equilibria", model)
+    check_attached(model)
+    problems = Problems()
+    starts = whole(starts, "find_equilibria.starts", problems)
+    positive(spread, "find_equilibria.spread", problems)
+    check_key(key, "find_equilibria.key", problems)
+    problems.raise_if_any()
+    batch = _search(model, jax.random.key(0) if key is None else key, starts, float(spread))
+    status, energies = np.asarray(batch.status), np.asarray(batch.energy)
+    good = [int(i) for i in np.argsort(energies) if status[i] != Status.NOT_CONVERGED and status[i] != Status.NO_EQUILIBRIUM]
+    tolerance = SAME * (np.ptp(energies[good]) if good else 0.0) + 1e-300
+    found: list[Equilibrium] = []
+    hits: list[int] = []
+    for i in good:
+        eq = jax.tree.map(lambda x, i=i: x[i], batch)
+        same = [j for j, other in enumerate(found) if _same(eq, other, tolerance)]
+        if same:
+            hits[same[0]] += 1
+        else:
+            found.append(eq)
+            hits.append(1)
+    distances = [float(apart(model, eq.state.q, model.reference.q)) for eq in found]
+    code = Status.OK if found else Status.NOT_CONVERGED
+    result = Equilibria(np.array(code.value), tuple(found), np.array(distances), np.array(hits), len(status))
+    warn_if_failed(result)
+    return result
+
+
+def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
+    """At the same place; or of the same energy with a motion free, which leads from one to the other."""
+    if abs(float(one.energy) - float(other.energy)) > tolerance:
+        return False
+    near = float(apart(one.model, one.state.q, other.state.q)) <= 1e-5 * float(size_of(one.model))
+    return near or int(one.status) == int(other.status) == Status.SINGULAR_K
+
+
+@jit_quickly
+def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium:
+    size, coordinates = size_of(model), Coordinates(model)
+    scale = scale_of(model, size)
+    moves = spread * size * scale * jnp.where(model.layout.turns, 2.0, 1.0) * jax.random.normal(key, (starts, len(scale)), size.dtype)
+    q0 = coordinates.reference.q
+    q = jax.vmap(lambda move: coordinates.retract(q0, move))(moves.at[0].set(0.0))
+
+    def descended(q):
+        return descend(coordinates, q, scale, size, DESCENT)
+
+    def rooted(q):
+        """Newton's method on dV/dDelta, which stops at saddles and maxima as well."""
+
+        def step(carry, _):
+            q, _ = carry
+            _, g, K = expansion(placed(coordinates, q, base=False))
+            K, g = K * scale * scale[:, None], g * scale
+            y = -jnp.linalg.pinv(K, rtol=SINGULAR, hermitian=True) @ g
+            longest = jnp.max(jnp.abs(y), initial=0.0)
+            y = y * jnp.where(longest > size / 4, size / 4 / longest, 1.0)
+            unit = jnp.max(jnp.abs(K), initial=0.0)
+            done = (longest <= 1e-9 * size) & (jnp.max(jnp.abs(g), initial=0.0) <= 1e-9 * unit * size)
+            return (coordinates.retract(q, scale * y), done), None
+
+        (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=ROOTED)
+        K = stiffness(placed(coordinates, q, base=False))
+        return q, signs(K * scale * scale[:, None]), done, jnp.array(ROOTED)
+
+    def judged(q, signs_of_K, converged, steps):
+        status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)
+        negative, singular = signs_of_K
+        return standing(coordinates, Ended(q, negative, singular, status, steps, jnp.ones((), q.dtype)), nothing(q.dtype))
+
+    both = [jax.vmap(search)(q) for search in (descended, rooted)]
+    return jax.vmap(judged)(*jax.tree.map(lambda *x: jnp.concatenate(x), *both))

@@ -1,0 +1,176 @@
+"""Load paths: equilibrium under loads that are raised step by step from nothing, Newton's method at each step.
+
+    dV/dDelta = lambda Q,   K = d2V/dDelta2 - lambda dQ/dDelta,   lambda from 0 to 1
+
+Q is the generalized force of the loads in the chart. A step is taken where Newton's method converges, with K positive at
+every iteration, so that the path stays on the stable branch that the unloaded equilibrium is on; else it is quartered.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxbody.geometry.frames import Pose
+from jaxbody.geometry.vectors import cross, dot, product, rotate, skew
+from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.hessians import DeadForces, Placed, placed, slope, stiffness, turning
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.models import Model
+from jaxbody.numerics.precisions import NEWTON, reachable
+
+FIRST, LEAST, MOST = 0.25, 1e-5, 64  # steps of lambda: the first, the smallest, how many
+ITERATIONS = 10  # of Newton's method, within a step
+CONVERGED = 1e-10  # its last move, relative to the size of the model
+FARTHEST = 0.25  # sizes of the model that one iteration may move; farther, another branch may be near
+SHIFT = 1e-11  # keeps a free motion from making the system singular
+SINGULAR = 1e-10
+
+
+class Raised(eqx.Module):
+    """What is raised with lambda: loads, each times its weight (as at time 0), and a change of gravity."""
+
+    loads: tuple[Load, ...]
+    weights: Float[Array, "n"]
+    gravity: Float[Array, "3"]
+
+
+class Path(eqx.Module):
+    """The steps taken: lambda and the smallest eigenvalue of the nondimensional K over its largest without loads; NaN after the last."""
+
+    factor: Float[Array, "n"]
+    smallest: Float[Array, "n"]
+
+
+def with_gravity(model: Model, change: Float[Array, "3"]) -> Model:
+    """The model with g + change."""
+    return eqx.tree_at(lambda m: m.gravity, model, model.gravity + change)
+
+
+def under(at: Placed, raised: Raised, factor=1.0) -> Placed:
+    """The model placed as it is, with as much of the change of gravity."""
+    return at._replace(model=with_gravity(at.model, factor * raised.gravity))
+
+
+def generalized(model: Model, q, loads: tuple[Load, ...], weights: Float[Array, "n"], delta: Float[Array, "nv"]) -> Float[Array, "nv"]:
+    """Q at q (+) Delta, in the rates of Delta: the virtual power sum of F . v* + M . w*, supports at their reference poses."""
+    layout = model.layout
+    if not loads:
+        return jnp.zeros_like(delta)
+
+    def poses(delta):
+        coordinates = Coordinates(model)
+        return coordinates.at_rest(coordinates.retract(q, delta)).pose()
+
+    at, pull = jax.vjp(poses, delta)
+    p, R = jnp.zeros_like(at.p), jnp.zeros_like(at.R)
+    t = jnp.zeros((), q.dtype)
+    for load, weight in zip(loads, weights, strict=True):
+        i = layout.frame(load.on)
+        F, M = load.wrench(t, Pose(at.p[i], at.R[i]).at_rest())
+        p = p.at[i].add(weight * F)
+        R = R.at[i].add(weight * product(skew(M), at.R[i]) / 2)  # as <[M] R, [w] R>/2 = M . w
+    return pull(Pose(p, R))[0]
+
+
+def stiffness_of_loads(model: Model, q, loads: tuple[Load, ...], weights: Float[Array, "n"]) -> Float[Array, "nv nv"]:
+    """dQ/dDelta."""
+    zero = jnp.zeros(model.layout.nv, q.dtype)
+    if not loads:
+        return jnp.zeros((len(zero), len(zero)), q.dtype)
+    return jax.jacfwd(lambda delta: generalized(model, q, loads, weights, delta))(zero)
+
+
+def residual(at: Placed, raised: Raised, factor=1.0) -> Float[Array, "nv"]:
+    """dV/dDelta - lambda Q of a model placed without its base."""
+    Q = generalized(at.model, at.q, raised.loads, raised.weights, jnp.zeros(at.model.layout.nv, at.q.dtype))
+    return slope(under(at, raised, factor)) - factor * Q
+
+
+def tangent(at: Placed, raised: Raised, factor=1.0) -> Float[Array, "nv nv"]:
+    """K = d2V/dDelta2 - lambda dQ/dDelta of a model placed without its base."""
+    return stiffness(under(at, raised, factor)) - factor * stiffness_of_loads(at.model, at.q, raised.loads, raised.weights)
+
+
+def dead_forces(at: Placed, raised: Raised) -> DeadForces:
+    """What the loads at time 0 add; NaN where one of them is not dead."""
+    layout, t = at.model.layout, jnp.zeros((), at.q.dtype)
+    V, G, Q = t, [jnp.zeros(6, t.dtype)] * len(layout.bodies), [jnp.zeros((3, 3), t.dtype)] * len(layout.bodies)
+    for load, weight in zip(raised.loads, raised.weights, strict=True):
+        i, frame = layout.bodies.index(load.on), at.frames[layout.frame(load.on)]
+        arm, pull = rotate(frame.R, load.point), jnp.where(weight == 0, 0.0, -weight * load.dead_force(t))
+        V = V + dot(pull, frame.p + arm)
+        G[i] = G[i] + jnp.concatenate([pull, cross(arm, pull)])
+        Q[i] = Q[i] + turning(arm, pull)
+    return DeadForces(V, jnp.stack(G), jnp.stack(Q))
+
+
+class _At(eqx.Module):
+    """A point of the path, or on the way to it: configuration, lambda, nondimensional K."""
+
+    q: Float[Array, "nq"]
+    factor: Float[Array, ""]
+    K: Float[Array, "nv nv"]
+
+
+def follow(coordinates: Coordinates, q, raised: Raised, scale: Float[Array, "nv"], size: Float[Array, ""]):
+    """(q, K, lambda, path, whether K turns negative ahead): as far along the path from the unloaded equilibrium q as it goes.
+
+    One loop, whose body is one iteration of Newton's method, so that K is compiled once."""
+    n, dtype = len(scale), q.dtype
+    converged, shift, zero_stiffness = reachable(CONVERGED, dtype, NEWTON), reachable(SHIFT, dtype, 8), reachable(SINGULAR, dtype)
+
+    def nondimensional(q, factor):
+        at = placed(coordinates, q, base=False)
+        return residual(at, raised, factor) * scale, tangent(at, raised, factor) * scale * scale[:, None]
+
+    def iterate(carry):
+        at, q, target, length, iteration, steps, top, path = carry
+        r, K = nondimensional(q, target)
+        unit = jnp.max(jnp.abs(K), initial=0.0)
+        y = -jnp.linalg.solve(K + shift * jnp.where(unit > 0, unit, 1.0) * np.eye(n, dtype=dtype), r)
+        longest = jnp.max(jnp.abs(y), initial=0.0)
+        moved = coordinates.retract(q, scale * y)
+        values = jnp.linalg.eigvalsh((K + K.T) / 2)
+        top = jnp.where(steps == 0, jnp.max(jnp.abs(values), initial=0.0), top)
+        smallest = jnp.min(values, initial=jnp.inf) / jnp.where(top > 0, top, 1.0)
+        arrived = longest <= converged * size
+        good = arrived & (smallest > -zero_stiffness)
+        ended = arrived | (smallest < -zero_stiffness) | (iteration >= ITERATIONS) | ~(longest <= FARTHEST * size)
+        path = Path(*(x.at[steps].set(jnp.where(good, new, x[steps])) for x, new in ((path.factor, target), (path.smallest, smallest))))
+        at = jax.tree.map(lambda new, old: jnp.where(good, new, old), _At(moved, target, K), at)
+        length = jnp.where(ended, jnp.where(good, 2 * length, length / 4), length)
+        return (
+            at, jnp.where(ended, at.q, moved), jnp.where(ended, jnp.minimum(1.0, at.factor + length), target), length,
+            jnp.where(ended, 0, iteration + 1), steps + good, top, path,
+        )  # fmt: skip
+
+    def unfinished(carry):
+        at, _, _, length, _, steps, _, _ = carry
+        return (at.factor < 1) & (length > LEAST) & (steps < MOST)
+
+    zero = jnp.zeros((), dtype)
+    empty = jnp.full(MOST, jnp.nan, dtype)
+    start = _At(q, zero, jnp.zeros((n, n), dtype))
+    at, *_, path = jax.lax.while_loop(
+        unfinished, iterate, (start, q, zero, jnp.asarray(FIRST / 2, dtype), 0, jnp.array(0), zero, Path(empty, empty))
+    )
+    return at.q, at.K, at.factor, path, _negative_ahead(nondimensional, coordinates, at, scale, size)
+
+
+def _negative_ahead(nondimensional, coordinates: Coordinates, at: _At, scale, size) -> Bool[Array, ""]:
+    """Whether K turns negative within a size of the model along its softest motion: behind a limit point it does, under a force
+    that is too large for any displacement it does not."""
+    vectors = jnp.linalg.eigh(at.K + at.K.T)[1]
+    softest = vectors[:, 0] / jnp.max(jnp.abs(vectors[:, 0]), initial=1e-300)
+    moves = size * jnp.concatenate([s := jnp.logspace(-4, 0, 9, dtype=at.q.dtype), -s])
+
+    def smallest(s):
+        K = nondimensional(coordinates.retract(at.q, scale * s * softest), at.factor)[1]
+        values = jnp.linalg.eigvalsh((K + K.T) / 2)
+        return jnp.min(values, initial=jnp.inf) / jnp.max(jnp.abs(values), initial=1e-300)
+
+    return jnp.any(jax.vmap(smallest)(moves) < -reachable(SINGULAR, at.q.dtype))

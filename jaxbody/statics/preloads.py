@@ -1,0 +1,153 @@
+"""Preload: the free lengths that make a given pose the equilibrium, and heights that follow from them.
+
+    dV/dDelta(q; l) = 0,   least |l - l_0|,   by Gauss-Newton steps  l <- l - A^+ dV/dDelta,   A = d2V/dDelta dl
+
+With n springs and fewer equations than springs the change is the least there is (the pseudo-inverse); what no free length can balance is left
+over and said. Coordinates that may move are unknowns beside the free lengths.
+"""
+
+from __future__ import annotations
+
+from fnmatch import fnmatchcase
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import check_kind
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.mechanics.hessians import placed, slope
+from jaxbody.mechanics.kinematics import Chart, Coordinates
+from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
+from jaxbody.models.models import Model, unknown
+from jaxbody.models.preconditions import check_precision, check_state
+from jaxbody.models.states import State
+from jaxbody.numerics.precisions import reachable
+from jaxbody.statics.equilibria import scale_of, size_of
+
+ITERATIONS = 50
+RANK = 1e-10  # singular values of A, relative to the largest, that count as zero
+BALANCED = 1e-9  # residual, relative to the largest force that the springs and weights exert on a coordinate
+
+
+class Preload(Result):
+    """Free lengths for a pose: `free_lengths` {path: m} (of torsion springs `free_angle` [rad]), their `changes`, the `model` with them, the pose, `state`, with the
+    coordinates that were to move, `moved` {coordinate: change [m, rad]}, what is left over, `residual` [N, N m]; status UNBALANCED where it is not nothing, NEGATIVE_LENGTH where a length would have to be negative."""
+
+    status: Int[Array, ""]
+    values: Float[Array, "n"]
+    change: Float[Array, "n"]
+    moves: Float[Array, "m"]
+    residual: Float[Array, "nv"]
+    state: State
+    model: Model
+    paths: tuple[str, ...] = eqx.field(static=True)
+    moving: tuple[str, ...] = eqx.field(static=True)
+
+    @property
+    def free_lengths(self) -> dict[str, Array]:
+        return dict(zip(self.paths, self.values, strict=True))
+
+    @property
+    def changes(self) -> dict[str, Array]:
+        return dict(zip(self.paths, self.change, strict=True))
+
+    @property
+    def moved(self) -> dict[str, Array]:
+        return dict(zip(self.moving, self.moves, strict=True))
+
+    def explain(self) -> str:
+        if int(self.status) == Status.NEGATIVE_LENGTH:
+            return ", ".join(f"{path} = {float(v):.6g} m" for path, v in self.free_lengths.items() if v < 0)
+        layout, left = self.model.layout, np.asarray(self.residual)
+        worst = [i for i in np.argsort(-np.abs(left)) if abs(left[i]) > 1e-6 * np.abs(left).max()][:4]
+        told = [f"{-left[i]:.4g} {'N m' if layout.turns[i] else 'N'} on {layout.coordinates[i]}" for i in worst]
+        heights = [name for name in (layout.coordinates[i] for i in worst) if name not in self.moving]
+        remedy = f", or let it move: moving={heights!r}" if heights else ""
+        return f"no free length of these balances {', '.join(told)}; free a length that acts on it{remedy}, or take that load away"
+
+    def _tables(self) -> list[tables.Table]:
+        rows = [(path, value, change) for path, value, change in zip(self.paths, self.values, self.change, strict=True)]
+        rows += [(name, "", change) for name, change in self.moved.items()]
+        note = self.report() if is_concrete(self.status) else ""
+        return [tables.Table("Preload", ("", "free length [m, rad]", "change"), rows, note)]
+
+
+def preload(model: Model, pose: State | None = None, *, free=("*.free_length",), moving=()) -> Preload:
+    """The free lengths that make a pose (without one, the reference pose) an equilibrium, with the least change of those that are `free` (paths or patterns of
+    `free_length`, or `free_angle` of torsion springs).
+
+    `moving`: coordinates of the pose that change too, names or patterns of `model.layout.coordinates`: the height of a wheel, say, whose tyre is as it is. Use
+    `preload(...).model`, whose equilibrium is at `preload(...).state`; whether it is stable, `equilibrium` says. Differentiable. Errors: UNKNOWN_PATH,
+    UNKNOWN_NAME of a coordinate, NOT_A_LENGTH, BAD_SHAPE of the pose; warns UNBALANCED, NEGATIVE_LENGTH.
+
+    >>> model = Model(bodies={"car": Body(mass=400.0, inertia=[1, 1, 1])}, joints={"car": Guide("world", axis=[0, 0, 1])}, gravity=[0, 0, -10.0],
+    ...               elements={"spring": Spring(("car", [0, 0, 0]), ("world", [0, 0, -0.5]), stiffness=2e4, free_length=0.5)})
+    >>> round(float(preload(model).free_lengths["spring.free_length"]), 9)
+    0.7
+    """
+    check_precision("preload", model)
+    state = model.reference if pose is None else pose
+    check_state(model, state, "pose")
+    problems = Problems()
+    check_kind(free, (str, list, tuple), "preload.free", "paths or patterns", problems)
+    check_kind(moving, (str, list, tuple), "preload.moving", "names or patterns of coordinates", problems)
+    problems.raise_if_any()
+    found = matching(leaves_of(model), [free] if isinstance(free, str) else free, "free")
+    leaves = tuple(dict.fromkeys(leaf for group in found.values() for leaf in group))
+    wrong = [leaf.path for leaf in leaves if leaf.field not in ("free_length", "free_angle")]
+    if wrong:
+        raise JaxbodyError(
+            *(Problem("NOT_A_LENGTH", "free", f"{path} is no free length", path, "free_length, free_angle") for path in wrong)
+        )
+    rows: list[int] = []
+    for pattern in [moving] if isinstance(moving, str) else moving:
+        named = [i for i, name in enumerate(model.layout.coordinates) if fnmatchcase(name, str(pattern))]
+        if not named:
+            raise JaxbodyError(unknown(pattern, "preload.moving", model.layout.coordinates))
+        rows += named
+    result = _preload(model, state, leaves, tuple(dict.fromkeys(rows)))
+    warn_if_failed(result)
+    return result
+
+
+@jit_as_it_is
+def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[int, ...]) -> Preload:
+    arrays, layout, n = jax.tree.leaves(model), model.layout, len(leaves)
+    start = jnp.stack([*(leaf.read(arrays) for leaf in leaves), *jnp.zeros(len(rows), state.q.dtype)])
+    frozen = jax.lax.stop_gradient(model)
+    scale = scale_of(frozen, size_of(frozen))
+
+    def changed(u):
+        """Model and coordinates; turns among these count times the size of the model."""
+        made = write(model, dict(zip(leaves, u[:n], strict=True)))
+        delta = jnp.zeros(layout.nv, u.dtype).at[np.array(rows, int)].set(u[n:]) * scale
+        return made, Chart(made).retract(state.q, delta), delta
+
+    def unbalanced(u):
+        made, q, _ = changed(u)
+        return slope(placed(Coordinates(made), q, base=False)) * scale
+
+    def step(u, _):
+        A = jax.jacfwd(unbalanced)(u)
+        return u - jnp.linalg.pinv(A, rtol=reachable(RANK, A.dtype)) @ unbalanced(u), None
+
+    u, _ = jax.lax.scan(step, start, None, length=ITERATIONS)
+    left = unbalanced(u)
+    weights = jnp.sum(model.bodies.rows.mass) * jnp.linalg.norm(model.gravity)
+    largest = jnp.maximum(jnp.maximum(weights, jnp.max(jnp.abs(unbalanced(start)), initial=0.0)), 1e-300)
+    angles = np.array([leaf.field == "free_angle" for leaf in leaves], bool)
+    status = jnp.select(
+        [~(jnp.max(jnp.abs(left), initial=0.0) <= reachable(BALANCED, left.dtype, 256) * largest), jnp.any((u[:n] < 0) & ~angles)],
+        [Status.UNBALANCED.value, Status.NEGATIVE_LENGTH.value],
+        Status.OK.value,
+    )
+    made, q, delta = changed(u)
+    there, moving = State(q, jnp.zeros(layout.nv, q.dtype)), tuple(layout.coordinates[i] for i in rows)
+    paths = tuple(leaf.path for leaf in leaves)
+    return Preload(status, u[:n], (u - start)[:n], delta[np.array(rows, int)], left / scale, there, made, paths, moving)

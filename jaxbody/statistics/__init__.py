@@ -1,0 +1,1 @@
+"""What residuals say of estimates: noise models, covariance, robust losses. No mechanics."""

@@ -1,0 +1,1 @@
+"""Small motions: matrices, ports, state space, modes of every kind."""

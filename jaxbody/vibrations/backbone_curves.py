@@ -1,0 +1,256 @@
+"""How far the linear model is good: the curvature of each mode's backbone, frequency over amplitude, by Lindstedt and Poincaré.
+
+With x the chart about the equilibrium, L = T - V and K phi = w^2 M phi, the periodic motion that begins as the mode is
+
+    x = a phi cos(s) + a^2 (c0 + c2 cos(2 s)) + O(a^3),   s = w (1 + gamma a^2) t
+
+It makes the average of L over s stationary (Whitham). At order a^4 this is A + B0' c0 + B2' c2 - c0' K c0/2 - c2' (K - 4 w^2 M) c2/4,
+
+    A  = w^2 T2/16 - V4/64                     V3, V4, T1, T2: derivatives of V and T along the motion at constant speeds phi
+    B0 = (w^2 (t - b) - g)/4                   g = grad V3/3,  t = grad T1   (V3 and T1 as cubic forms of phi)
+    B2 = (w^2 (t + 3 b) - g)/8                 b the inertial force at constant speeds phi
+
+so that K c0 = B0, (K - 4 w^2 M) c2 = 2 B2, and with m = phi' M phi
+
+    gamma = -2 (2 A + B0' c0 + B2' c2)/(w^2 m)
+
+(B0 and B2 are (w^2 d - g)/4 and (4 w^2 p - w^2 d - g)/8 with d the gradient of phi' M(x) phi, p the derivative of M(x) phi along phi;
+t = d/2 + p and b = p - d/2.) Straight lines x = a u of the chart are motions at constant speeds u: all comes from derivatives along such.
+For x'' + w^2 x + alpha x^2 + beta x^3 = 0 gamma is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4). Source: Nayfeh and Mook, Nonlinear
+Oscillations (1979), 2.3.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import field
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import MESSAGES, Status, is_concrete
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.geometry.vectors import rotate, rotate_back
+from jaxbody.mechanics.energies import kinetic, potential
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.models import Layout
+from jaxbody.models.preconditions import check_precision
+from jaxbody.numerics.eigenproblems import ZERO
+from jaxbody.statics.equilibria import scale_of, size_of
+from jaxbody.vibrations.linearizations import Linearization
+from jaxbody.vibrations.natural_modes import _modes
+
+RESONANT = 1e-3  # relative distance of w_j^2 from 4 w^2 below which mode j answers the second harmonic without bound
+COUPLED = 1e-9  # nondimensional force on a mode, above rounding, that makes it answer
+AT_REST = 1e-6  # distance from the equilibrium, relative to the size of the model, that a state may have
+
+
+class Backbones(Result):
+    """The backbone of each mode, ascending: w(a) = w (1 + gamma a^2), a the amplitude of the mode's largest component, m or rad.
+
+    `frequency` [Hz], of small motions; `shapes` (columns phi, the largest component 1), `largest` which that is (rotations weighted with
+    the size of the model), `curvature` gamma [1/m2 or 1/rad2], negative where the mode softens; `drift` c0 and
+    `second_harmonic` c2 (columns), what the mean and the second harmonic of the motion are per a^2; `stiffness`, `third` and `fourth`, the
+    derivatives of V along the straight line a phi of the chart. `status` is one of each mode: UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE or NOT_CONVERGED, and gamma NaN, where the mode
+    has no backbone of its own."""
+
+    frequency: Float[Array, "nv"]
+    shapes: Float[Array, "nv nv"]
+    largest: Int[Array, "nv"]
+    curvature: Float[Array, "nv"]
+    drift: Float[Array, "nv nv"]
+    second_harmonic: Float[Array, "nv nv"]
+    stiffness: Float[Array, "nv"]
+    third: Float[Array, "nv"]
+    fourth: Float[Array, "nv"]
+    status: Int[Array, "nv"]
+    layout: Layout = field(static=True)
+
+    def at(self, amplitude: Any) -> Float[Array, "nv"]:
+        """The frequencies [Hz] at amplitudes a (one, or one of each mode), to second order."""
+        return self.frequency * (1 + self.curvature * jnp.asarray(amplitude) ** 2)
+
+    def force_within(self, percent: float) -> Float[Array, "nv"]:
+        """The amplitudes up to which the restoring force along phi is within a percentage of the linear one:
+
+        |V'''| a/(2 V'') + |V''''| a^2/(6 V'') = percent/100; it depends on the chart where bodies turn about several axes."""
+        b, c, p = jnp.abs(self.third) / (2 * self.stiffness), jnp.abs(self.fourth) / (6 * self.stiffness), percent / 100
+        square = b**2 + 4 * c * p
+        bent = square > 0
+        return jnp.where(bent, 2 * p / (b + jnp.sqrt(jnp.where(bent, square, 1.0))), jnp.where(jnp.isnan(square), jnp.nan, jnp.inf))
+
+    def frequency_within(self, percent: float) -> Float[Array, "nv"]:
+        """The amplitudes up to which the frequency is within a percentage of that of small motions, sqrt(percent/100/|gamma|)."""
+        return jnp.sqrt(percent / 100 / jnp.abs(self.curvature))
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: frequency, curvature and the derivatives of V by mode, shapes by mode and named coordinate."""
+        from jaxbody.core.datasets import backbones_dataset
+
+        return backbones_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        if self.frequency.ndim > 1 or not is_concrete(self.frequency):
+            return [tables.Table("Backbones", ("", ""), [("curvature [1/m2, 1/rad2]", self.curvature)])]
+        rows = []
+        for i, (force, frequency) in enumerate(zip(self.force_within(5), self.frequency_within(5), strict=True)):
+            largest, status = int(self.largest[i]), Status(int(self.status[i]))
+            unit = "rad" if self.layout.turns[largest] else "m"
+            change = status.name if status else f"{self.curvature[i]:+.4g} /{unit}2"
+            limits = ("", "") if status else (_amplitude(force, unit), _amplitude(frequency, unit))
+            rows.append((str(i + 1), self.frequency[i], self.layout.coordinates[largest], change, *limits))
+        failed = sorted({Status(int(code)) for code in self.status if code})
+        heads = ("mode", "frequency [Hz]", "largest component", "change of frequency", "force within 5 %", "frequency within 5 %")
+        note = "; ".join(["amplitudes of the largest component", *(f"{status.name}: {MESSAGES[status]}" for status in failed)])
+        return [tables.Table("Backbones", heads, rows, note)]
+
+
+def _amplitude(value: Any, unit: str) -> str:
+    if not np.isfinite(value):
+        return "at any"
+    return f"up to {value:.3g} {unit}"
+
+
+def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
+    """How the natural frequencies change with amplitude, and up to which amplitude the linear model is good, without damping.
+
+        w(a) = w (1 + gamma a^2 + ...),   a the amplitude of the largest component of the mode [m or rad]
+
+    The coefficient is exact: it has what quadratic forces and inertia add through all other modes. The mode must move alone: where its
+    frequency is another's too, or its double is and they are coupled, there is no such coefficient (a 3:1 resonance is not looked for);
+    near such a resonance it holds for small amplitudes only. Differentiable with respect to the model in forward and reverse mode.
+    Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE, and NOT_CONVERGED where the state is not an
+    equilibrium. Source: Nayfeh and Mook, Nonlinear Oscillations (1979), 2.3 and 6.
+
+    A pendulum softens as 1 - a^2/16:
+
+    >>> bob = Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
+    >>> model = Model(bodies={"bob": bob}, joints={"bob": Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81])
+    >>> found = backbones(linearize(model, equilibrium(model)))
+    >>> round(float(found.curvature[0]), 12), round(float(found.frequency_within(1.0)[0]), 12)
+    (-0.0625, 0.4)
+    """
+    check_precision("backbones", lin.model, allow_float32=allow_float32)
+    result = _backbones(lin)
+    warn_if_failed(result)
+    return result
+
+
+@jit_as_it_is
+def _backbones(lin: Linearization) -> Backbones:
+    model, K, M = lin.model, (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2
+    frozen = jax.lax.stop_gradient(lin)
+    (of_modes, shapes, _, values, cluster, _), size = _modes(frozen), size_of(frozen.model)
+    scale = scale_of(frozen.model, size)
+    MS = frozen.M @ shapes
+    top = jnp.max(jnp.abs(values))
+    alone = jnp.sum(cluster[:, None] == cluster, 0) == 1
+    oscillates = values > ZERO * top
+    valid, still = alone & oscillates, jnp.abs(values) <= ZERO * top
+    largest = jnp.argmax(jnp.abs(shapes) / scale[:, None], axis=0)
+
+    def solve(D, near, B):
+        """x with D x = B; modes near to a null vector of D are left out of x, as they may be where B does not drive them."""
+        kept = D + top * (MS * near) @ MS.T
+        return jnp.linalg.solve(kept, B)
+
+    def one(phi, value, i, good):
+        phi, value = _mode(K, M, phi / phi[i], value, i, good)
+        square = jnp.where(good, value, 1.0)  # w^2
+        m = jnp.sum(phi * (M @ phi))
+        force, V3, V4, g = _stiffening(lin, phi, scale / scale[i])
+        T2, t, b = _inertia(lin, phi)
+        A = square * T2 / 16 - V4 / 64
+        B0 = (square * (t - b) - g) / 4
+        B2 = (square * (t + 3 * b) - g) / 8
+        doubled = jnp.abs(values - 4 * square) <= RESONANT * 4 * square
+        c0, c2 = solve(K, still, B0), solve(K - 4 * square * M, doubled, 2 * B2)
+        gamma = -2 * (2 * A + jnp.sum(B0 * c0) + jnp.sum(B2 * c2)) / (square * m)
+        least = COUPLED * square * jnp.sqrt(m) / (size * scale[i])
+        drifts = jnp.any(still & (jnp.abs(shapes.T @ B0) > least))
+        resonates = jnp.any(doubled & (jnp.abs(shapes.T @ B2) > least))
+        near = jnp.max(jnp.abs(solve(K, still, force)) / scale) <= AT_REST * size  # the equilibrium is
+        return phi, value, gamma, c0, c2, jnp.sum(phi * (K @ phi)), V3, V4, near, drifts, resonates
+
+    phi, value, gamma, c0, c2, V2, V3, V4, near, drifts, resonates = jax.vmap(one, in_axes=(1, 0, 0, 0))(shapes, values, largest, valid)
+    failures = {
+        Status.NOT_CONVERGED: (lin.status == Status.NOT_CONVERGED) | ~near,
+        Status.UNSTABLE: values < -ZERO * top,
+        Status.SINGULAR_K: ~oscillates | drifts,
+        Status.INTERNAL_RESONANCE: ~alone | resonates,
+    }
+    status = jnp.select(list(failures.values()), [code.value for code in failures], Status.OK.value)
+    ok = status == Status.OK
+    gamma, c0, c2, V2, V3, V4 = (jnp.where(ok if x.ndim == 1 else ok[:, None], x, jnp.nan) for x in (gamma, c0, c2, V2, V3, V4))
+    frequency = jnp.where(valid, jnp.sqrt(jnp.where(valid, value, 1.0)) / (2 * jnp.pi), of_modes)
+    return Backbones(frequency, phi.T, largest, gamma, c0.T, c2.T, V2, V3, V4, status, model.layout)
+
+
+@jax.custom_jvp
+def _mode(K, M, phi, value, i, alone):
+    """(phi, w^2) with the derivatives that a mode has where it is alone and phi_i = 1:
+
+    (K - w^2 M) dphi - M phi dw^2 = -(dK - w^2 dM) phi,   dphi_i = 0. Those of `eigh` are NaN where other frequencies coincide."""
+    return phi, value
+
+
+@_mode.defjvp
+def _mode_jvp(primals, tangents):
+    K, M, _, _, i, alone = primals
+    phi, value = _mode(*primals)
+    n = len(phi)
+    unit = (jnp.arange(n) == i).astype(phi.dtype)
+    bordered = jnp.block([[K - value * M, -(M @ phi)[:, None]], [unit[None], jnp.zeros((1, 1), phi.dtype)]])
+    bordered = jnp.where(alone, bordered, jnp.eye(n + 1, dtype=phi.dtype))
+    right = -(tangents[0] @ phi - value * (tangents[1] @ phi))
+    change = jnp.linalg.solve(bordered, jnp.concatenate([right, jnp.zeros(1, phi.dtype)]))
+    return (phi, value), (change[:n], change[n])
+
+
+def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, "nv"]):
+    """grad V, V3, V4 and g, its components the third derivatives along phi, phi and unit vectors e, by polarization (steps: alike numbers):
+
+    6 V3(u, u, e) = V3(u + e) - V3(u - e) - 2 V3(e)"""
+    coordinates, q = Coordinates(lin.model), lin.state.q
+    e = jnp.diag(step)
+
+    def derivatives(u):
+        return _along(lambda q: potential(lin.model, coordinates.at_rest(q)), coordinates, q, u, 4)
+
+    _, V1, _, V3, V4 = jax.vmap(derivatives)(jnp.concatenate([phi[None], phi + e, phi - e, e]))
+    plus, minus, own = jnp.split(V3[1:], 3)
+    return V1[1 + 2 * len(phi) :] / step, V3[0], V4[0], (plus - minus - 2 * own) / (6 * step)
+
+
+def _inertia(lin: Linearization, phi: Float[Array, "nv"]):
+    """T2, t = grad T1, and b, by Newton and Euler: the rates of momentum and moment of momentum of each body on its virtual velocities."""
+    model, coordinates, q = lin.model, Coordinates(lin.model), lin.state.q
+    bodies = model.bodies.rows
+
+    def velocities(v):
+        frames = coordinates.at_rest(q, v)[model.layout.first_body :]
+        return frames.velocity(bodies.com), frames.w
+
+    def momenta(q):
+        frames = coordinates.at_rest(q, phi)[model.layout.first_body :]
+        return bodies.mass[:, None] * frames.velocity(bodies.com), rotate(frames.R, rotate(bodies.inertia, rotate_back(frames.R, frames.w)))
+
+    def along(u, order):
+        return _along(lambda q: kinetic(model, coordinates.at_rest(q, u)), coordinates, q, u, order)[-1]
+
+    rates = jax.jvp(momenta, (q,), (coordinates.rate(q, phi),))[1]
+    (b,) = jax.vjp(velocities, jnp.zeros_like(phi))[1](rates)
+    return along(phi, 2), jax.grad(lambda u: along(u, 1))(phi), b
+
+
+def _along(function, coordinates: Coordinates, q: Float[Array, "nq"], u: Float[Array, "nv"], order: int) -> tuple[Array, ...]:
+    """The value of function(q) and its derivatives up to an order along the motion at constant speeds u, a straight line of the chart."""
+
+    if order == 0:
+        return (function(q),)
+    found, rates = jax.jvp(lambda q: _along(function, coordinates, q, u, order - 1), (q,), (coordinates.rate(q, u),))
+    return (*found, rates[-1])

@@ -1,0 +1,273 @@
+"""Small motions about a state: mass, damping and stiffness matrices with their blocks towards the base, as second derivatives.
+
+M | -M~ | M_bb   Hessian of T in (v, Xi')         M Delta'' + C Delta' + K Delta = K~ Xi + C~ Xi' + M~ Xi''
+C | -C~ | C_bb   Hessian of R in (v, Xi')
+K | -K~ | K_bb   Hessian of V in (Delta, Xi)      (41), (42), (49), (66) of the paper
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import named
+from jaxbody.core.arrays import shaped, stack
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.geometry.frames import Frame
+from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.energies import each_element, gravity_energy, potential
+from jaxbody.mechanics.hessians import damping, expansion, mass, placed
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.leaf_paths import by_name
+from jaxbody.models.models import Model, unknown
+from jaxbody.models.preconditions import check_memory, check_precision, check_state
+from jaxbody.models.states import State
+from jaxbody.numerics.lanes import in_lanes
+from jaxbody.statics.equilibria import NOT_AT_REST, Equilibrium, scale_of, size_of, zero_modes
+from jaxbody.statics.load_paths import generalized, stiffness_of_loads
+from jaxbody.vibrations.state_spaces import StateSpace, state_space
+
+
+class Linearization(Result):
+    """The matrices of small motions about `state`, rows and columns as in `coordinates` and `base_coordinates`.
+
+    The chart: Delta of a free body is the displacement of its O and a rotation vector, world axes; of other joints what moves them, parent's axes. Away
+    from equilibrium K depends on the chart, and so do the parts of its split everywhere."""
+
+    M: Float[Array, "nv nv"]
+    C: Float[Array, "nv nv"]
+    K: Float[Array, "nv nv"]
+    M_tilde: Float[Array, "nv nxi"]
+    C_tilde: Float[Array, "nv nxi"]
+    K_tilde: Float[Array, "nv nxi"]
+    M_bb: Float[Array, "nxi nxi"]
+    C_bb: Float[Array, "nxi nxi"]
+    K_bb: Float[Array, "nxi nxi"]
+    status: Int[Array, ""]
+    state: State
+    model: Model
+    loads: tuple[Load, ...]
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """What each row of M, C, K is."""
+        return self.model.layout.coordinates
+
+    @property
+    def base_coordinates(self) -> tuple[str, ...]:
+        """What each component of Xi is."""
+        return self.model.layout.base_coordinates
+
+    @property
+    def K_elastic(self) -> Float[Array, "nv nv"]:
+        """sum of V''(e) de de over the elements."""
+        return sum(self.K_elastic_by_element.values(), jnp.zeros_like(self.K))
+
+    @property
+    def K_geometric(self) -> Float[Array, "nv nv"]:
+        """sum of V'(e) d2e over the elements: what tension adds."""
+        return sum(self.K_geometric_by_element.values(), jnp.zeros_like(self.K))
+
+    @property
+    def K_gravity(self) -> Float[Array, "nv nv"]:
+        """Hessian of the potential energy of the weights; (40) of the paper."""
+        return _gravity_stiffness(self.model, self.state)
+
+    @property
+    def K_loads(self) -> Float[Array, "nv nv"]:
+        """-dQ/dDelta of the loads of the equilibrium; not symmetric where they have no potential."""
+        return -_load_stiffness(self.model, self.state, self.loads)
+
+    @property
+    def K_elastic_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
+        return by_name(_names(self.model), _split(self.model, self.state)[0])
+
+    @property
+    def K_geometric_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
+        return by_name(_names(self.model), _split(self.model, self.state)[1])
+
+    def explain(self) -> str:
+        if int(self.status) == Status.SINGULAR_K:
+            return "; ".join(zero_modes(self.model, self.state))
+        if int(self.status) == Status.STALE:
+            return "work out the equilibrium again, of the model as it is now"
+        return "the state is not a good equilibrium" if int(self.status) else ""
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: M, C, K and their blocks towards the base, by named coordinates."""
+        from jaxbody.core.datasets import linearization_dataset
+
+        return linearization_dataset(self)
+
+    def state_space(self, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
+        """A, B, C, D from named inputs to named outputs, {name: port}, as python-control takes them.
+
+        States: Delta and Delta', but for terms in u which keep derivatives of inputs out; and, of a base motion given as velocity, its
+        displacement, given as acceleration, its displacement and velocity. An output that needs more than u, as the acceleration of a
+        damped body of a base's displacement, has no state space: IMPROPER, D NaN there; take kind="acceleration".
+        Errors: WRONG_KIND, UNKNOWN_NAME, BAD_COMPONENT.
+
+        >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
+        ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+        >>> s = linearize(model, equilibrium(model)).state_space({"base": BaseMotion("base", "y")}, {"mass": PointMotion("mass", direction="y")})
+        >>> s.A.tolist(), s.B.tolist()
+        ([[0.0, 1.0], [-25.0, 0.0]], [[0.0], [25.0]])
+        """
+        return state_space(self, inputs, outputs)
+
+    def _tables(self) -> list[tables.Table]:
+        heads = [str(i) for i in range(self.K.shape[-1])]
+        few = self.K.ndim == 2 and len(heads) <= 12
+        shown = []
+        for name, unit in (("M", "kg, kg m, kg m2"), ("C", "N s/m, ..."), ("K", "N/m, N, N m")):
+            matrix = tables.without_dust(getattr(self, name))
+            rows = [(c, *(matrix[i] if few else ["..."])) for i, c in enumerate(self.coordinates)]
+            shown.append(tables.Table(f"{name} [{unit}]", ("", *(heads if few else [""])), rows))
+        shown[-1].note = "chart: displacement of O and rotation vector, world axes (joints: their own motion, parent's axes)"
+        return shown
+
+
+def check_linearization(lin: Any, where: str) -> None:
+    """Small motions about rest: of another kind, such as those about a spin, not all would be seen."""
+    if not isinstance(lin, Linearization):
+        told = f"is a {type(lin).__name__}"
+        hint = "Give linearize(model, equilibrium(model)); for what linearize_spin gives, complex_modes."
+        raise JaxbodyError(Problem("WRONG_KIND", f"{where}.lin", told, lin, "a Linearization", hint))
+
+
+def linearize(model: Model, at: Equilibrium | State) -> Linearization:
+    """M, C, K and the blocks towards the supports, at an equilibrium or any state, supports at their reference poses.
+
+    Loads of the equilibrium act on: K = d2V/dDelta2 - dQ/dDelta. Errors: BAD_SHAPE, NON_FINITE of a state, OTHER_MODEL. A failed equilibrium's status is
+    carried on; STALE, with a warning, where it is none of this model, as its numbers have changed.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> lin = linearize(model, equilibrium(model))
+    >>> float(lin.K[0, 0]), float(lin.M[0, 0])
+    (50.0, 2.0)
+    """
+    check_precision("linearize", model)
+    check_memory("linearize", model)
+    if isinstance(at, Equilibrium):
+        if at.layout != model.layout:
+            hint = "Give the equilibrium of this model, or a state."
+            told = "is of a model with other bodies, supports or joints"
+            raise JaxbodyError(Problem("OTHER_MODEL", "linearize.at", told, at.layout, "an equilibrium of this model", hint))
+        result = _linearize(model, at.state, at.status, at.loads)
+        if is_concrete(result.status) and np.any(np.asarray(result.status) == Status.STALE):
+            warn_if_failed(result)
+        return result
+    check_state(model, at, "state")
+    return _linearize(model, at, None, ())
+
+
+def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nv"]:
+    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, bodies held where they are:
+
+        F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
+
+    Errors: UNKNOWN_NAME of a support, BAD_SHAPE.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> force = excitation(model, model.reference, {"base": [0, 0.1, 0, 0, 0, 0]})
+    >>> round(float(force[0]), 9)
+    5.0
+    """
+    check_precision("excitation", model)
+    state = at.state if isinstance(at, Equilibrium) else at
+    check_state(model, state, "state")
+    problems = Problems()
+    given = named(displaced, "excitation.displaced", "support: 6 numbers", problems)
+    problems.found += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
+    known = [name for name in model.layout.supports if name in given]
+    xi = {name: shaped(given[name], (6,), f"excitation[{name!r}]", problems) for name in known}
+    problems.raise_if_any()
+    return _excitation(model, state, stack([xi.get(name, np.zeros(6)) for name in model.layout.supports]))
+
+
+def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
+    coordinates = Coordinates(model)
+    return coordinates.frames(coordinates.retract(state.q, delta), v, coordinates.supports_at(xi.reshape(-1, 6), xi_dot.reshape(-1, 6)))
+
+
+@jit_as_it_is
+def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
+    """`status`: of the equilibrium that the state is from; None of any state."""
+    n = model.layout.nv
+    numbers, rest = eqx.partition(model, eqx.is_array)
+
+    def matrices(numbers, q, v):
+        at = placed(Coordinates(eqx.combine(numbers, rest)), q, v)
+        _, slope, stiffness = expansion(at)
+        return [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in (mass(at), damping(at), stiffness)], slope[:n]
+
+    ((M, M_tilde, M_bb), (C, C_tilde, C_bb), (K, K_tilde, K_bb)), slope = in_lanes(matrices, reversible=True)(numbers, state.q, state.v)
+    K = K - _load_stiffness(model, state, loads)
+    if status is None:
+        status = jnp.array(Status.OK.value)
+    else:
+        size = size_of(model)
+        scale = scale_of(model, size)
+        left = slope - generalized(model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros_like(slope))
+        largest = jnp.max(jnp.abs(K * scale * scale[:, None]), initial=0.0) * size
+        stale = jnp.max(jnp.abs(left * scale), initial=0.0) > jnp.finfo(left.dtype).eps ** 0.5 * largest
+        status = jnp.where(stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status)
+    return Linearization(M, C, K, M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, status, state, model, loads)
+
+
+@jit_as_it_is
+def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nv"]:
+    still = jnp.zeros(model.layout.nv, xi.dtype)
+
+    def slope(xi):
+        return jax.grad(lambda d: potential(model, _frames(model, state, d, still, xi, jnp.zeros_like(xi))))(still)
+
+    return slope(jnp.zeros_like(xi)) - slope(xi)
+
+
+def _load_stiffness(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv nv"]:
+    return stiffness_of_loads(model, state.q, loads, jnp.ones(len(loads), state.q.dtype))
+
+
+def _names(model: Model) -> tuple[tuple[str, ...], ...]:
+    return tuple(table.names for table in model.elements)
+
+
+@jit_as_it_is
+def _gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
+    still, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
+    return jax.hessian(lambda d: gravity_energy(model, _frames(model, state, d, still, rest, rest)))(still)
+
+
+@jit_as_it_is
+def _split(model: Model, state: State):
+    """Elastic and geometric stiffness of every element, table by table: V'' de de, and what of the Hessian remains, V' d2e."""
+    still, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
+
+    def each(function):
+        return lambda d: tuple(
+            each_element(model, _frames(model, state, d, still, rest, rest), lambda s, *F: function(s, *(f.pose() for f in F)))
+        )
+
+    deformation = each(lambda s, *poses: s.deformation(*poses))
+    slopes = jax.jacfwd(deformation)(still)
+    curvatures = [
+        jax.vmap(lambda s, e: jax.hessian(s.energy)(e))(table.rows, e) for table, e in zip(model.elements, deformation(still), strict=True)
+    ]
+    whole = jax.hessian(each(lambda s, *poses: s.potential(*poses)))(still)
+    elastic = []
+    for J, c in zip(slopes, curvatures, strict=True):
+        J = J.reshape(J.shape[0], -1, len(still))
+        c = c.reshape(c.shape[0], J.shape[1], J.shape[1])
+        elastic.append(jnp.einsum("nai,nab,nbj->nij", J, c, J))
+    return tuple(elastic), tuple(k - e for k, e in zip(whole, elastic, strict=True))

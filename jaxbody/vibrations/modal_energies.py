@@ -1,0 +1,227 @@
+"""Where the energy of each mode is, in percent: kinetic by body and direction, strain by element, dissipation by damper."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from equinox import field
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import Problems, is_concrete
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.geometry.frames import Frame
+from jaxbody.geometry.vectors import rotate, rotate_back
+from jaxbody.mechanics.energies import each_element
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.models import Model
+from jaxbody.models.preconditions import check_precision
+from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
+from jaxbody.vibrations.linearizations import Linearization, check_linearization
+from jaxbody.vibrations.mode_names import AXES, against_gravity, direction_words, meaning, mode_names
+from jaxbody.vibrations.natural_modes import _modes
+
+LEAST_LOSS = 1e-12  # of the largest decay of a mode, below which a mode dissipates nothing
+UNTIED = 1e-8  # far above rounding, far below what counts as coinciding
+MOST_MODES = 12  # that a table has room for
+
+
+class ModeEnergies(Result):
+    """Shares in percent, a column for each mode, ascending. Where frequencies coincide they are those of the sums over their space, alike for each mode of it.
+
+    `kinetic` {body: (6, n)}: translation of the centre of mass and rotation, world axes; all sum to 100. `strain` {element: (n,)}: V''(e) de de; with `other_strain`,
+    {"tension", "gravity", "loads"}: what tension, weights and loads add to K, the sum is 100 (NaN for a mode of zero frequency). `dissipation` {element: (n,)}:
+    sums to 100, or to 0 where nothing is dissipated. `velocities` (bodies, 6, n), whose they are: of centers of mass and of turning, along the shape. `names`: each mode by
+    what has most of its kinetic energy."""
+
+    frequency: Float[Array, "n"]
+    kinetic_shares: Float[Array, "nb 6 n"]
+    strain_shares: Float[Array, "ne n"]
+    other_shares: Float[Array, "3 n"]
+    dissipation_shares: Float[Array, "ne n"]
+    velocities: Float[Array, "nb 6 n"]
+    cluster: Int[Array, "n"]
+    status: Int[Array, ""]
+    model: Model
+    directions: tuple[str, ...] = field(static=True)
+
+    @property
+    def kinetic(self) -> dict[str, Float[Array, "6 n"]]:
+        return {name: self.kinetic_shares[..., i, :, :] for i, name in enumerate(self.model.layout.bodies)}
+
+    @property
+    def strain(self) -> dict[str, Float[Array, "n"]]:
+        return {name: self.strain_shares[..., i, :] for i, name in enumerate(self.model.element_names)}
+
+    @property
+    def other_strain(self) -> dict[str, Float[Array, "n"]]:
+        return {name: self.other_shares[..., i, :] for i, name in enumerate(OTHERS)}
+
+    @property
+    def dissipation(self) -> dict[str, Float[Array, "n"]]:
+        return {name: self.dissipation_shares[..., i, :] for i, name in enumerate(self.model.element_names)}
+
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """Body and direction of each row of kinetic energy."""
+        return tuple(f"{body} {direction}" for body in self.model.layout.bodies for direction in self.directions)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Each mode by the body and direction with most of its kinetic energy, and how much that is; several bodies where they share it, with whether they
+        move in phase or against each other. "~" marks frequencies that nearly coincide."""
+        return mode_names(self.model.layout.bodies, self.directions, self.kinetic_shares, self.velocities, self.cluster, self.frequency)
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: shares [%] by mode, body and direction, element."""
+        from jaxbody.core.datasets import mode_energies_dataset
+
+        return mode_energies_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        count = self.frequency.shape[-1]
+        if self.frequency.ndim > 1 or not is_concrete(self.frequency) or count > MOST_MODES:
+            return [tables.Table("Energies of modes [%]", ("", ""), [("kinetic", self.kinetic_shares), ("strain", self.strain_shares)])]
+        heads = tuple(f"{f:.4g} Hz" for f in self.frequency)
+        parts = {
+            "Kinetic energy [%]": dict(zip(self.rows, self.kinetic_shares.reshape(-1, count), strict=True)),
+            "Strain energy [%]": self.strain | {name: x for name, x in self.other_strain.items() if jnp.abs(x).max() > 1e-6},
+            "Dissipation [%]": {name: x for name, x in self.dissipation.items() if jnp.any(x > 0)},
+        }
+        shown = [
+            tables.Table(
+                title,
+                ("", *heads),
+                [
+                    (name, *(f"{round(float(x), 2) + 0.0:.2f}" for x in row))
+                    for name, row in rows.items()
+                    if not jnp.max(jnp.abs(row)) < 0.005
+                ],
+            )
+            for title, rows in parts.items()
+            if rows
+        ]
+        notes = [*(f"{i + 1}: {name}" for i, name in enumerate(self.names)), self.report() if self.status else "", meaning(self.names)]
+        shown[-1].note = "; ".join(filter(None, notes))
+        return shown
+
+
+OTHERS = ("tension", "gravity", "loads")
+
+
+def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | None = None, allow_float32: bool = False) -> ModeEnergies:
+    """The shares of bodies, elements and dampers in the energies of each natural mode [%].
+
+        kinetic      100 v_i (M v)_i/(phi' M phi)         v: velocity of a body's centre of mass and its angular velocity along phi, M: its mass and inertia
+        strain       100 e_dot' V'' e_dot/(phi' K phi)    e_dot: change of an element's deformation along phi
+        dissipation  100 e_dot' R'' e_dot/(phi' C phi)
+
+    Axes are those of the world. Where `up` is known, given ("z") or from gravity along an axis, a mode along it is named bounce and about it yaw; with `forward` ("x")
+    also fore-aft, lateral, roll and pitch. Where frequencies coincide energies are summed over their space first: that has derivatives where single shapes have none.
+    Errors: BAD_DIRECTION, FLOAT32 unless `allow_float32`; warns as `modes` does.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> mode_energies(linearize(model, equilibrium(model)), up="y").names
+    ('mass bounce 100 %',)
+    """
+    check_linearization(lin, "mode_energies")
+    check_precision("mode_energies", lin.model, allow_float32=allow_float32)
+    directions = _directions(lin.model, forward, up)
+    result = ModeEnergies(*_energies(lin), model=lin.model, directions=directions)
+    warn_if_failed(result)
+    return result
+
+
+def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str, ...]:
+    """What three translations and three rotations are called."""
+    problems = Problems()
+    for name, axis in (("forward", forward), ("up", up)):
+        if axis is not None and axis not in AXES:
+            problems.add(
+                "BAD_DIRECTION", f"mode_energies.{name}", f"is {axis!r}", value=axis, limit="x, y or z", hint="Give one axis of the world."
+            )
+    up = up or against_gravity(model)
+    if forward is not None and up is None:
+        problems.add("BAD_DIRECTION", "mode_energies.up", "is missing, and gravity is along no axis", hint="Give up='z', say.")
+    if forward is not None and forward == up:
+        problems.add("BAD_DIRECTION", "mode_energies.forward", "is upwards", value=forward, limit="another axis than `up`")
+    problems.raise_if_any()
+    return direction_words(model, forward, up)
+
+
+@jit_as_it_is
+def _energies(lin: Linearization) -> tuple[Array, ...]:
+    frequency, *_, status = _modes(lin)
+    values, shapes = natural(lin.K, lin.M)
+    cluster = clusters(values)
+
+    def share(part, whole, least):
+        """In percent, averaged over clusters; where there is nothing to share, nothing."""
+        good = jnp.abs(whole) > least
+        return 100 * averaged(part, cluster) / jnp.where(good, averaged(whole, cluster), 1.0) * good
+
+    second = _curvatures(lin)
+    kinetic, moving, elastic, loss = (jnp.moveaxis(x, 0, -1) for x in jax.vmap(lambda phi: _of_motion(lin, second, phi), in_axes=1)(shapes))
+    gravity, loads = (jnp.sum(shapes * (K @ shapes), 0) for K in (lin.K_gravity, lin.K_loads))
+    strain, lost = jnp.sum(shapes * (lin.K @ shapes), 0), jnp.sum(loss, 0)
+    others = jnp.stack([strain - jnp.sum(elastic, 0) - gravity - loads, gravity, loads])
+    velocities = refused_in_clusters(moving.reshape(-1, len(values)), cluster).reshape(moving.shape)
+    top = jnp.max(jnp.abs(values), initial=0.0)
+    stiff = jnp.where(jnp.abs(values) > ZERO * top, 1.0, jnp.nan)
+    return (
+        frequency, share(kinetic, jnp.sum(kinetic, (0, 1)), 0.0), stiff * share(elastic, strain, 0.0), stiff * share(others, strain, 0.0),
+        share(loss, lost, LEAST_LOSS * jnp.max(jnp.abs(lost), initial=0.0)), velocities, cluster, status,
+    )  # fmt: skip
+
+
+def _curvatures(lin: Linearization) -> list[tuple[Array, Array]]:
+    """V''(e) and R''(e, e_dot) of the elements, table by table."""
+
+    def of(element, *frames):
+        e, e_dot = element.rates(*frames)
+        n = e.size
+        second = jax.hessian(element.energy)(e), jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot)
+        return tuple(x.reshape(n, n) for x in second)
+
+    return each_element(lin.model, Coordinates(lin.model).at_rest(lin.state.q, lin.state.v), of)
+
+
+def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
+    """Shares, summing to 1, of bodies and directions (6 for each body) in the kinetic energy of each mode. Where frequencies coincide the modes are taken along the
+    coordinates as far as that can be: those of a K whose diagonal is raised by up to UNTIED, differently for each coordinate."""
+    untied = UNTIED * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))
+    _, shapes = natural(lin.K + jnp.diag(untied), lin.M)
+    kinetic = jax.vmap(lambda phi: _kinetic(lin.model, _moving(lin, phi))[0], in_axes=1, out_axes=-1)(shapes)
+    return kinetic.reshape(-1, kinetic.shape[-1])  # phi' M phi = 1
+
+
+def _moving(lin: Linearization, phi: Float[Array, "nv"]) -> Frame:
+    return Coordinates(lin.model).at_rest(lin.state.q, phi)
+
+
+def _kinetic(model: Model, frames: Frame) -> tuple[Float[Array, "nb 6"], Float[Array, "nb 6"]]:
+    """Twice the kinetic energy by body and direction, and the velocities of centers of mass and of turning that have it."""
+    bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
+    v_C = moving.velocity(bodies.com)
+    w_B = rotate_back(moving.R, moving.w)
+    inertia = (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2
+    momenta = jnp.concatenate([bodies.mass[:, None] * v_C, rotate(moving.R, rotate(inertia, w_B))], -1)
+    velocities = jnp.concatenate([v_C, moving.w], -1)
+    return velocities * momenta, velocities
+
+
+def _of_motion(lin: Linearization, curvatures: list[tuple[Array, Array]], phi: Float[Array, "nv"]):
+    """Twice the kinetic energy by body and direction, velocities, twice the elastic energy and the power lost by element, of a motion along phi."""
+    frames = _moving(lin, phi)
+    changes = [e_dot.reshape(len(e_dot), -1) for _, e_dot in each_element(lin.model, frames, lambda element, *F: element.rates(*F))]
+    none = jnp.zeros(0, phi.dtype)
+
+    def quadratic(i):
+        pairs = zip(changes, curvatures, strict=True)
+        return jnp.concatenate([none, *(jnp.einsum("ni,nij,nj->n", change, both[i], change) for change, both in pairs)])
+
+    return *_kinetic(lin.model, frames), quadratic(0), quadratic(1)

@@ -1,0 +1,207 @@
+"""The axes of a mounted body: about which it turns under a torque, and along which a force moves it without turning it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from equinox import field
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.arguments import plain
+from jaxbody.core.arrays import shaped
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back, skew
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.joints import Free
+from jaxbody.models.models import unknown
+from jaxbody.models.preconditions import check_precision
+from jaxbody.numerics.eigenproblems import natural
+from jaxbody.vibrations.linearizations import Linearization, check_linearization
+
+
+class ElasticAxes(Result):
+    """Elastic axes of a body on its mounts, world axes, the softest first.
+
+    `directions` (columns), `stiffness` [N/m] along each, `points` (rows): where each axis comes nearest to `center`, `pitch` [m]: moment per force that must go with the
+    force, 0 for an axis in the strict sense. `center`: of stiffness; all axes pass through it, and pitches vanish, where the mounts decouple translation from
+    rotation. `torsional_directions` (columns) and `torsional_stiffness` [N m/rad]: axes along which a pure couple turns the body about a parallel axis."""
+
+    center: Float[Array, "3"]
+    directions: Float[Array, "3 3"]
+    stiffness: Float[Array, "3"]
+    points: Float[Array, "3 3"]
+    pitch: Float[Array, "3"]
+    torsional_directions: Float[Array, "3 3"]
+    torsional_stiffness: Float[Array, "3"]
+    status: Int[Array, ""]
+    body: str = field(static=True, converter=plain)
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: direction, stiffness, point and pitch of each axis."""
+        from jaxbody.core.datasets import elastic_axes_dataset
+
+        return elastic_axes_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        if self.stiffness.ndim > 1 or not is_concrete(self.stiffness):
+            return [tables.Table("Elastic axes", ("", ""), [("stiffness [N/m]", self.stiffness)])]
+        columns = zip(self.directions.T, self.stiffness, self.points, self.pitch, strict=True)
+        rows = [(str(i + 1), tables.without_dust(d), k, tables.without_dust(p), h) for i, (d, k, p, h) in enumerate(columns)]
+        turns = [
+            (str(i + 1), tables.without_dust(d), k)
+            for i, (d, k) in enumerate(zip(self.torsional_directions.T, self.torsional_stiffness, strict=True))
+        ]
+        note = f"center of stiffness {tables.number(self.center)} m; {self.report()}"
+        return [
+            tables.Table(f"Elastic axes of {self.body}", ("axis", "direction", "stiffness [N/m]", "through [m]", "pitch [m]"), rows),
+            tables.Table("", ("torsional axis", "direction", "stiffness [N m/rad]"), turns, note),
+        ]
+
+
+class TorqueRollAxis(Result):
+    """The axis through `point`, the centre of mass, along `direction` (unit), about which a free body turns under a torque, world axes.
+
+    `inertia` [kg m2] and `stiffness` [N m/rad] of turning about it, `frequency` [Hz] that they give, and `coupling`, 0 where that motion is a mode: then a torque
+    excites no other."""
+
+    point: Float[Array, "3"]
+    direction: Float[Array, "3"]
+    inertia: Float[Array, ""]
+    stiffness: Float[Array, ""]
+    frequency: Float[Array, ""]
+    coupling: Float[Array, ""]
+    status: Int[Array, ""]
+    body: str = field(static=True, converter=plain)
+
+    def _tables(self) -> list[tables.Table]:
+        rows = [
+            ("direction", tables.without_dust(self.direction), ""),
+            ("through", tables.without_dust(self.point), "m"),
+            ("inertia", self.inertia, "kg m2"),
+            ("stiffness", self.stiffness, "N m/rad"),
+            ("frequency", self.frequency, "Hz"),
+            ("coupling", self.coupling, "-"),
+        ]
+        note = self.report() if is_concrete(self.status) and np.any(self.status) else ""
+        return [tables.Table(f"Torque roll axis of {self.body}", ("quantity", "value", "unit"), rows, note)]
+
+
+def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
+    """The elastic axes and the center of stiffness of a free body, everything else held, from its 6 x 6 stiffness [[A, B], [B', D]] about its origin.
+
+        A n = k n,   m = B' n:   force k n with moment m moves the body along n and does not turn it;
+        it acts on the line through O + n x m/k, with pitch n . m/k
+        center O + p, where B' - [p] A is symmetric:   (tr(A) I - A) p = axial vector of B' - B, (P32 - P23, P13 - P31, P21 - P12)
+        D - B' A^-1 B = the torsional stiffness, about any point
+
+    Preload and gravity count as far as they are in K. Errors: UNKNOWN_NAME of the body, NOT_FREE; a NaN with SINGULAR_K where the mounts do not resist
+    every translation. Source: J. Loncaric, IEEE Journal of Robotics and Automation 3 (1987) 567; T. Patterson, H. Lipkin, Journal of Mechanical Design 115 (1993) 576.
+
+    >>> legs = {f"leg{i}": Bushing(("box", [x, y, -0.2]), ("world", [x, y, -0.2]), stiffness=[1e4, 2e4, 3e4]) for i, (x, y) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)])}
+    >>> model = Model(bodies={"box": Body(mass=50.0, inertia=[4, 5, 6])}, elements=legs)
+    >>> axes = elastic_axes(linearize(model, model.reference), "box")
+    >>> axes.stiffness.tolist(), [round(float(x), 9) for x in axes.center]
+    ([40000.0, 80000.0, 120000.0], [0.0, 0.0, -0.2])
+    """
+    check_linearization(lin, "elastic_axes")
+    check_precision("elastic_axes", lin.model)
+    result = _elastic_axes(lin, _free(lin, body, "elastic_axes"))
+    warn_if_failed(result)
+    return result
+
+
+def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAxis:
+    """The axis about which a free body, on no or on very soft mounts, turns under a torque (3,) of fixed direction (world axes), of the crankshaft say.
+
+        J n ~ torque,   through the centre of mass,   J: moment of inertia about it
+        r = (displacement of O, n) of that turn:   frequency = sqrt(r' K r/(r' M r))/(2 pi),
+        coupling = |K r - w^2 M r|/(w^2 |M r|) in the norm of M^-1
+
+    Where r is a mode, the coupling being 0, the mounts are decoupled about this axis. Errors: UNKNOWN_NAME of the body, NOT_FREE, BAD_SHAPE, NON_FINITE, ZERO_AXIS of the torque.
+    Source: T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
+
+    >>> model = jb.presets.engine_on_mounts()
+    >>> axis = torque_roll_axis(linearize(model, model.reference), "engine", [1, 0, 0])
+    >>> [round(float(x), 4) for x in axis.direction]
+    [0.9445, 0.3279, -0.0191]
+    """
+    check_linearization(lin, "torque_roll_axis")
+    check_precision("torque_roll_axis", lin.model)
+    problems = Problems()
+    along = shaped(torque, (3,), "torque_roll_axis.torque", problems)
+    problems.raise_if_any()
+    if is_concrete(along) and not np.any(along):
+        raise JaxbodyError(Problem("ZERO_AXIS", "torque_roll_axis.torque", "is zero", along, "> 0", "Give the direction of the torque."))
+    result = _torque_roll_axis(lin, jnp.asarray(along), _free(lin, body, "torque_roll_axis"))
+    warn_if_failed(result)
+    return result
+
+
+def _free(lin: Linearization, body: str, where: str) -> str:
+    layout = lin.model.layout
+    if body not in layout.bodies:
+        raise JaxbodyError(unknown(body, where, layout.bodies))
+    if layout.kinds[layout.bodies.index(body)] is not Free:
+        raise JaxbodyError(
+            Problem(
+                "NOT_FREE",
+                where,
+                f"'{body}' is on a joint",
+                body,
+                "a body without a joint",
+                "Such axes are those of a body that moves in six ways.",
+            )
+        )
+    return body
+
+
+@jit_as_it_is
+def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
+    rows = lin.model.layout.v_slices[body]
+    K = (lin.K[rows, rows] + lin.K[rows, rows].T) / 2
+    A, P, D = K[:3, :3], K[3:, :3], K[3:, 3:]  # a translation n needs the moment P n
+    axial = jnp.stack([P[2, 1] - P[1, 2], P[0, 2] - P[2, 0], P[1, 0] - P[0, 1]])
+    p = jnp.linalg.solve(jnp.trace(A) * jnp.eye(3, dtype=A.dtype) - A, axial)
+    stiffness, n = natural(A, jnp.eye(3, dtype=A.dtype))
+    about_p = (P - skew(p) @ A) @ n
+    points = cross(n.T, about_p.T) / stiffness[:, None]
+    pitch = jnp.sum(n * about_p, 0) / stiffness
+    left = D - P @ jnp.linalg.solve(A, P.T)
+    torsional, turns = natural(left, jnp.eye(3, dtype=A.dtype))
+    origin = _origin(lin, body)[0]
+    least = jnp.min(stiffness) > 1e-10 * jnp.max(jnp.abs(stiffness))
+    status = jnp.where(least, Status.OK.value, Status.SINGULAR_K.value)
+    center, points, pitch, torsional = (jnp.where(least, x, jnp.nan) for x in (origin + p, origin + p + points, pitch, torsional))
+    return ElasticAxes(center, n, stiffness, points, pitch, turns, torsional, status, body)
+
+
+@jit_as_it_is
+def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) -> TorqueRollAxis:
+    rows, row = lin.model.layout.v_slices[body], lin.model.bodies.rows
+    i = lin.model.layout.bodies.index(body)
+    M, K = lin.M[rows, rows], (lin.K[rows, rows] + lin.K[rows, rows].T) / 2
+    p, R = _origin(lin, body)
+    inertia = (row.inertia[i] + row.inertia[i].T) / 2
+    n = rotate(R, jnp.linalg.solve(inertia, rotate_back(R, torque)))
+    n = n / jnp.linalg.norm(n)
+    arm = rotate(R, row.com[i])
+    r = jnp.concatenate([-cross(n, arm), n])
+    m, k = dot(r, M @ r), dot(r, K @ r)
+    force = K @ r - k / m * (M @ r)
+    square = dot(force, jnp.linalg.solve(M, force)) / m
+    coupling = jnp.where(square > 0, jnp.sqrt(jnp.where(square > 0, square, 1.0)), 0.0) / jnp.abs(k / m)
+    frequency = jnp.where(k > 0, jnp.sqrt(jnp.where(k > 0, k / m, 1.0)), jnp.nan) / (2 * jnp.pi)
+    status = jnp.where(k > 0, Status.OK.value, Status.UNSTABLE.value)
+    return TorqueRollAxis(p + arm, n, m, k, frequency, coupling, status, body)
+
+
+def _origin(lin: Linearization, body: str):
+    """Where the body's origin is and how the body is turned."""
+    layout = lin.model.layout
+    frames = Coordinates(lin.model).at_rest(lin.state.q, lin.state.v)
+    return frames.p[layout.frame(body)], frames.R[layout.frame(body)]

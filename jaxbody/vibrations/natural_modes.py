@@ -1,0 +1,123 @@
+"""Natural frequencies and modes of small motions: K phi = w^2 M phi."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import Status, is_concrete
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.models.models import Layout, Model
+from jaxbody.models.preconditions import check_precision
+from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
+from jaxbody.numerics.lanes import in_lanes
+from jaxbody.numerics.precisions import reachable
+from jaxbody.statics.equilibria import NOT_AT_REST, without_inertia
+from jaxbody.vibrations.linearizations import Linearization, check_linearization
+from jaxbody.vibrations.mode_names import meaning, names_of_shapes
+
+SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
+
+
+class Modes(Result):
+    """Natural modes, ascending: `frequency` [Hz], `shapes` (columns, phi' M phi = 1, largest component positive), `damping_ratio`, `eigenvalues` w^2
+    [rad2/s2], and `cluster`, equal numbers for frequencies that coincide; `names`: each mode by what has most of its kinetic energy. A negative eigenvalue has
+    frequency NaN and status UNSTABLE, a zero one 0 and SINGULAR_K. All are NaN where something moves without inertia (SINGULAR_M; `M` is the mass matrix) or a
+    matrix is not finite (NONFINITE).
+
+    Modes that coincide have no shapes of their own, only a space: `shapes` are some basis of it, and each has the mean of their damping ratios. The frequency
+    of one has a derivative to each side: `jax.jvp` and `jacfwd` give the one along the direction, while `jax.grad` gives NaN for it, as for what is made of one shape.
+    Sums over a cluster, and what depends on its space alone, have their derivatives in both; second derivatives are those of modes that are alone."""
+
+    frequency: Float[Array, "nv"]
+    shapes: Float[Array, "nv nv"]
+    damping_ratio: Float[Array, "nv"]
+    eigenvalues: Float[Array, "nv"]
+    cluster: Int[Array, "nv"]
+    status: Int[Array, ""]
+    M: Float[Array, "nv nv"]
+    model: Model
+    q: Float[Array, "nq"]
+
+    @property
+    def layout(self) -> Layout:
+        return self.model.layout
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Each mode by the body and direction with most of its kinetic energy, several where they share it, as in `mode_energies`."""
+        return names_of_shapes(self.model, self.q, self.shapes, self.cluster, self.frequency)
+
+    def explain(self) -> str:
+        status = Status(int(self.status))
+        if status == Status.UNSTABLE:
+            return f"{tables.counted(int(np.isnan(self.frequency).sum()), 'mode')} of growing motion"
+        if status == Status.SINGULAR_K:
+            return f"{tables.counted(int((np.asarray(self.frequency) == 0).sum()), 'mode')} of zero frequency"
+        if status == Status.SINGULAR_M:
+            return "; ".join(without_inertia(self.layout, self.M))
+        return ""
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: frequency, damping ratio and shape by mode and named coordinate."""
+        from jaxbody.core.datasets import modes_dataset
+
+        return modes_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        if self.frequency.ndim > 1 or not is_concrete(self.frequency):
+            return [tables.Table("Modes", ("", ""), [("frequency [Hz]", self.frequency)])]
+        names, ratio = self.names, tables.without_dust(self.damping_ratio, 1.0)
+        rows = [(str(i + 1), *row) for i, row in enumerate(zip(np.asarray(self.frequency), ratio, names, strict=True))]
+        notes = [self.report() if int(self.status) else "", meaning(names)]
+        return [tables.Table("Modes", ("mode", "frequency [Hz]", "damping ratio", "most energy in"), rows, "; ".join(filter(None, notes)))]
+
+
+def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
+    """Natural frequencies, mass-normalized shapes and damping ratios of small motions.
+
+        K phi = w^2 M phi,   frequency = w/(2 pi),   damping ratio = phi' C phi/(2 w)
+
+    The damping ratio is exact where C is diagonal in the modes and right to first order in C otherwise. Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE, SINGULAR_K, SINGULAR_M,
+    NONFINITE.
+
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0)})
+    >>> found = modes(linearize(model, equilibrium(model)))
+    >>> round(float(found.frequency[0]), 6), round(float(found.damping_ratio[0]), 6)
+    (0.795775, 0.1)
+    """
+    check_linearization(lin, "modes")
+    check_precision("modes", lin.model, allow_float32=allow_float32)
+    result = Modes(*_modes(lin), M=lin.M, model=lin.model, q=lin.state.q)
+    warn_if_failed(result)
+    return result
+
+
+@jit_as_it_is
+def _modes(lin: Linearization) -> tuple[Array, ...]:
+    """Frequency, shapes, damping ratio, eigenvalues, cluster and status."""
+    values, shapes = natural(lin.K, lin.M)
+    cluster = clusters(values)
+    top = jnp.max(jnp.abs(values), initial=0.0)
+    zero = reachable(ZERO, values.dtype) * top
+    positive, negative = values > zero, values < -zero
+    w = jnp.sqrt(jnp.where(positive, values, 1.0))
+    finite, lost = jnp.isfinite(lin.M).all() & jnp.isfinite(lin.K).all(), jnp.isnan(values)
+    frequency = jnp.where(positive, w / (2 * jnp.pi), jnp.where(negative | lost, jnp.nan, 0.0))
+    damping = jnp.where(positive, averaged(jnp.sum(shapes * (lin.C @ shapes), 0), cluster) / (2 * w), jnp.nan)
+    here = jnp.select(
+        [~finite, lost.any(), negative.any(), (~positive).any()],
+        [Status.NONFINITE.value, Status.SINGULAR_M.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,
+    )  # fmt: skip
+    skew = in_lanes(lambda K: jnp.max(jnp.abs(K - K.T), initial=0.0) > SYMMETRIC * jnp.max(jnp.abs(K), initial=0.0))(lin.K)
+    frequency = jnp.where(skew, jnp.nan, frequency)
+    here = jnp.where(skew, Status.NOT_SYMMETRIC.value, here)
+    failed = jnp.isin(lin.status, jnp.array(NOT_AT_REST))
+    status = jnp.where(failed, lin.status, here)
+    return frequency, refused_in_clusters(shapes, cluster), damping, values, cluster, status

@@ -1,0 +1,398 @@
+"""Ports: what drives small motions and what is asked of them: motions of supports and forces; motions of points, elements, reactions.
+
+About an equilibrium, with x = (Delta, Xi), each output is y = Y0 x + Y1 x' + Y2 x'' + G f and each force enters as F f, F = G' of the
+speed of its point: the rows of a point are its Jacobian, those of an element the derivatives of its force or deformation, those of
+a reaction the rows of K, C and M that belong to its support.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arguments import plain
+from jaxbody.core.arrays import float_array, vector
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import Problem, Problems
+from jaxbody.elements.elements import Element
+from jaxbody.elements.torsions import Torsion
+from jaxbody.geometry.frames import Frame, Pose
+from jaxbody.geometry.places import unit_vector
+from jaxbody.geometry.vectors import cross, skew
+from jaxbody.mechanics.hessians import Placed, placed, slope
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.mechanics.linear_readings import reading_rows
+from jaxbody.models.models import Model, unknown
+
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  # along and about world axes
+KINDS = ("displacement", "velocity", "acceleration")
+UNITS = (("m", "m/s", "m/s2"), ("rad", "rad/s", "rad/s2"))
+
+
+class BaseMotion(eqx.Module):
+    """An input: the motion of a support along or about a world axis through its origin, `direction` x, y, z, rx, ry or rz.
+
+    `kind`: displacement [m, rad], velocity or acceleration, what the input is measured in. Errors: BAD_DIRECTION, BAD_KIND.
+
+    >>> BaseMotion("base", "z", kind="acceleration").unit
+    'm/s2'
+    """
+
+    on: str = eqx.field(static=True, converter=plain)
+    direction: str = eqx.field(static=True, converter=plain)
+    kind: str = eqx.field(static=True, converter=plain)
+
+    def __init__(self, on: str, direction: str, *, kind: str = "displacement"):
+        problems = Problems()
+        _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", "BaseMotion.direction", problems)
+        _check_one_of(kind, KINDS, "BAD_KIND", "BaseMotion.kind", problems)
+        problems.raise_if_any()
+        self.on, self.direction, self.kind = on, direction, kind
+
+    @property
+    def unit(self) -> str:
+        return UNITS[len(self.direction) - 1][KINDS.index(self.kind)]
+
+    def problem(self, model: Model, where: str) -> Problem | None:
+        known = model.layout.supports
+        return None if self.on in known else unknown(self.on, where, known)
+
+
+class PointForce(eqx.Module):
+    """An input: a force [N] at a point of a body along x, y, z or a vector, world axes; or a moment [N m] about them: rx, ry, rz.
+
+    `point` is in the axes of the body. Errors: BAD_DIRECTION, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
+
+    >>> PointForce("engine", [0, 0, 0.2], "z").unit, PointForce("engine", direction="rx").unit
+    ('N', 'N m')
+    """
+
+    on: str = eqx.field(static=True, converter=plain)
+    point: Float[Array, "3"]
+    axis: Float[Array, "3"]
+    turns: bool = eqx.field(static=True)
+
+    def __init__(self, on: str, point=(0, 0, 0), direction: Any = "z"):
+        problems = Problems()
+        self.on, self.point = on, vector(point, "PointForce.point", problems)
+        self.axis, self.turns = _direction(direction, "PointForce.direction", problems)
+        problems.raise_if_any()
+
+    @property
+    def unit(self) -> str:
+        return "N m" if self.turns else "N"
+
+    def problem(self, model: Model, where: str) -> Problem | None:
+        known = model.layout.bodies
+        return None if self.on in known else unknown(self.on, where, known)
+
+
+class PointMotion(eqx.Module):
+    """An output: the absolute motion of a point of a body or support along x, y, z or a vector, world axes, or its turn about rx, ry, rz.
+
+    `kind`: displacement [m, rad], velocity or acceleration. With `relative_to` (a support or body) the motion against the point of that
+    frame which coincides with this one at equilibrium. Errors: BAD_DIRECTION, BAD_KIND, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
+
+    >>> PointMotion("cabin", [0.1, 0, 0], "z", kind="acceleration").unit
+    'm/s2'
+    """
+
+    on: str = eqx.field(static=True, converter=plain)
+    point: Float[Array, "3"]
+    axis: Float[Array, "3"]
+    turns: bool = eqx.field(static=True)
+    kind: str = eqx.field(static=True, converter=plain)
+    relative_to: str | None = eqx.field(static=True, converter=plain)
+
+    def __init__(self, on: str, point=(0, 0, 0), direction: Any = "z", *, kind: str = "displacement", relative_to: str | None = None):
+        problems = Problems()
+        self.on, self.point = on, vector(point, "PointMotion.point", problems)
+        self.axis, self.turns = _direction(direction, "PointMotion.direction", problems)
+        _check_one_of(kind, KINDS, "BAD_KIND", "PointMotion.kind", problems)
+        problems.raise_if_any()
+        self.kind, self.relative_to = kind, relative_to
+
+    @property
+    def unit(self) -> str:
+        return UNITS[self.turns][KINDS.index(self.kind)]
+
+    def problem(self, model: Model, where: str) -> Problem | None:
+        known = model.layout.frames
+        wrong = [name for name in (self.on, self.relative_to) if name is not None and name not in known]
+        return unknown(wrong[0], where, known) if wrong else None
+
+
+class ElementForce(eqx.Module):
+    """An output: what an element exerts against its deformation, spring and damper, from its value at equilibrium: of a spring the tension [N].
+
+    Of a bushing `component` (0 to 5) says which of three forces [N] and moments [N m] in its own axes.
+
+    >>> ElementForce("mount", component=2).component
+    2
+    """
+
+    on: str = eqx.field(static=True, converter=plain)
+    component: int | None = eqx.field(static=True, default=None)
+
+    def unit_on(self, model: Model) -> str:
+        return "N m" if _turning(self, model) else "N"
+
+    def problem(self, model: Model, where: str) -> Problem | None:
+        return _element_problem(self, model, where)
+
+
+class ElementDeformation(eqx.Module):
+    """An output: the deformation of an element from its value at equilibrium: of a spring its elongation [m], of a bushing
+    `component` (0 to 5) of its displacement [m] and turn [rad].
+
+    >>> ElementDeformation("AB").on
+    'AB'
+    """
+
+    on: str = eqx.field(static=True, converter=plain)
+    component: int | None = eqx.field(static=True, default=None)
+
+    def unit_on(self, model: Model) -> str:
+        return "rad" if _turning(self, model) else "m"
+
+    def problem(self, model: Model, where: str) -> Problem | None:
+        return _element_problem(self, model, where)
+
+
+class SupportReaction(eqx.Module):
+    """An output: the force [N] along x, y, z or the moment [N m] about its origin, rx, ry, rz, that everything on a support exerts on it,
+    world axes, from its value at equilibrium.
+
+    >>> SupportReaction("base", "z").unit
+    'N'
+    """
+
+    on: str = eqx.field(static=True, converter=plain)
+    direction: str = eqx.field(static=True, converter=plain)
+
+    def __init__(self, on: str, direction: str):
+        problems = Problems()
+        _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", "SupportReaction.direction", problems)
+        problems.raise_if_any()
+        self.on, self.direction = on, direction
+
+    @property
+    def unit(self) -> str:
+        return "N m" if len(self.direction) == 2 else "N"
+
+    def problem(self, model: Model, where: str) -> Problem | None:
+        known = model.layout.supports
+        return None if self.on in known else unknown(self.on, where, known)
+
+
+Input = BaseMotion | PointForce
+OUTPUTS = (PointMotion, ElementForce, ElementDeformation, SupportReaction)
+
+
+class Wiring(eqx.Module):
+    """The matrices of ports: forces enter (Delta, Xi) as F f, motions are Xi = X u; outputs Y0 x + Y1 x' + Y2 x'' + G f; `orders` says
+    which derivative of Xi each input is (0 for forces), `elements` whose force and `reactions` along which component of Xi an output is (-1 for none)."""
+
+    F: Float[Array, "n nu"]
+    X: Float[Array, "nxi nu"]
+    Y: Float[Array, "3 ny n"]
+    G: Float[Array, "ny nu"]
+    orders: tuple[int, ...] = eqx.field(static=True)
+    elements: tuple[int, ...] = eqx.field(static=True)
+    reactions: tuple[int, ...] = eqx.field(static=True)
+
+
+@jit_as_it_is
+def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiring:
+    """The matrices of these ports on a linearization."""
+    model, layout, q = lin.model, lin.model.layout, lin.state.q
+    n, dtype = layout.nv + layout.nxi, q.dtype
+    zero = jnp.zeros(n, dtype)
+    at = placed(Coordinates(model), q)
+    frames, twists = at.frames, frame_twists(at)
+    points = iter(
+        [_point_row(port, frames, twists, layout.frame) for port in (*inputs, *outputs) if isinstance(port, PointForce | PointMotion)]
+    )
+    bending, deformed = {}, {}
+    for name in {port.on for port in outputs if isinstance(port, ElementForce | ElementDeformation)}:
+        ends = [layout.frame(end) for end in model[name].between]
+        slopes, deformed[name] = _bending(model[name], [frames[end].pose() for end in ends])
+        bending[name] = sum(slope @ twists[end].T for slope, end in zip(slopes, ends, strict=True))
+    turned = any(isinstance(port, SupportReaction) and len(port.direction) == 2 for port in outputs)
+    held = slope(at)[layout.nv :] if turned else zero
+    sensors = [port for port in outputs if hasattr(port, "reading")]
+    readings = iter(zip(*reading_rows(lin, sensors, _pushes(inputs, frames, layout)), strict=True) if sensors else ())
+    whole = whole_matrices(lin)
+    forces = [next(points) if isinstance(port, PointForce) else zero for port in inputs]
+    moved = [_unit(layout, port, dtype) if isinstance(port, BaseMotion) else jnp.zeros(layout.nxi, dtype) for port in inputs]
+    F, X = (jnp.reshape(jnp.asarray(columns, dtype), (len(inputs), -1)).T if inputs else jnp.zeros((size, 0), dtype) for columns, size in ((forces, n), (moved, layout.nxi)))  # fmt: skip
+    rows, direct = [], []
+    for port in outputs:
+        G = jnp.zeros(len(inputs), dtype)
+        if isinstance(port, PointMotion):
+            place = jnp.asarray(np.eye(3)[KINDS.index(port.kind)], dtype)
+            row = place[:, None] * next(points)
+        elif isinstance(port, SupportReaction):
+            unit = jnp.concatenate([jnp.zeros(layout.nv, dtype), _unit(layout, port, dtype)])
+            K, C, M = (unit @ matrix for matrix in whole)
+            row, G = -jnp.stack([K + _turned_moment(layout, held, port), C, M]), unit @ F
+        elif isinstance(port, ElementForce):
+            e, i = deformed[port.on], port.component or 0
+            row = jnp.stack([k[i] @ bending[port.on] for k in _rates_of_force(model[port.on], e)] + [zero])
+        elif isinstance(port, ElementDeformation):
+            row = jnp.stack([bending[port.on][port.component or 0], zero, zero])
+        else:
+            row, G = next(readings)
+        rows.append(row)
+        direct.append(G)
+    names = model.element_names
+    return Wiring(
+        F, X, jnp.stack(rows, 1), jnp.stack(direct),
+        tuple(KINDS.index(port.kind) if isinstance(port, BaseMotion) else 0 for port in inputs),
+        tuple(names.index(port.on) if isinstance(port, ElementForce) else -1 for port in outputs),
+        tuple(_place(layout, port) if isinstance(port, SupportReaction) else -1 for port in outputs),
+    )  # fmt: skip
+
+
+def whole_matrices(lin: Any) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, "n n"]]:
+    """K, C and M of (Delta, Xi)."""
+    blocks = ((lin.K, lin.K_tilde, lin.K_bb), (lin.C, lin.C_tilde, lin.C_bb), (lin.M, lin.M_tilde, lin.M_bb))
+    return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)
+
+
+def ports_of(
+    model: Model, given: Any, what: str, where: str, problems: Problems
+) -> tuple[tuple[str, ...], tuple[Any, ...], tuple[str, ...]]:
+    """Names, ports and units of a dict of them; what is wrong goes to `problems`."""
+    limit = "{name: BaseMotion or PointForce}" if what == "inputs" else "{name: PointMotion, ElementForce, ...}"
+    if not isinstance(given, dict) or not given:
+        problems.add("WRONG_KIND", f"{where}.{what}", f"is {given!r:.60}", value=given, limit=limit, hint="Name each port.")
+        return (), (), ()
+    for name, port in given.items():
+        there = f"{where}.{what}[{name!r}]"
+        scalar_sensor = hasattr(port, "reading") and getattr(port, "shape", None) == () and port.plain
+        if not (isinstance(port, Input) if what == "inputs" else isinstance(port, OUTPUTS) or scalar_sensor):
+            problems.add(
+                "WRONG_KIND",
+                there,
+                f"is a {type(port).__name__}",
+                value=port,
+                limit=limit,
+                hint="A sensor must read one number, with no chain.",
+            )
+        elif (found := port.problem(model, there)) is not None:
+            problems.found.append(found)
+    if problems.found:
+        return (), (), ()
+    ports = tuple(given.values())
+    return tuple(given), ports, tuple(port.unit_on(model) if hasattr(port, "unit_on") else port.unit for port in ports)
+
+
+def _check_one_of(value: Any, known: tuple[str, ...], code: str, where: str, problems: Problems) -> None:
+    if value not in known:
+        problems.add(code, where, f"is {value!r}", value=value, limit=" ".join(known), hint="Give one of these.")
+
+
+def _direction(direction: Any, where: str, problems: Problems) -> tuple[Any, bool]:
+    """A unit vector, and whether it is turned about."""
+    if not isinstance(direction, str):
+        return unit_vector(float_array(direction, where), where, problems), False
+    _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", where, problems)
+    return np.eye(3)["xyz".find(direction[-1:])], len(direction) == 2
+
+
+def frame_twists(at: Placed) -> Float[Array, "nf n 6"]:
+    """What a unit of each of (Delta, Xi) moves every frame by: displacement of the origin and turn."""
+    bodies, n, dtype = len(at.model.layout.bodies), len(at.turns), at.q.dtype
+    J = jnp.swapaxes(jnp.eye(n, dtype=dtype).reshape(-1, 6, n), 1, 2) if at.J is None else at.J
+    return jnp.concatenate([jnp.zeros((1, n, 6), dtype), J[bodies:], J[:bodies]])
+
+
+def _point_row(port: PointForce | PointMotion, frames: Frame, twists, row_of) -> Float[Array, "n"]:
+    """The displacement or turn of a port's point by each of (Delta, Xi)."""
+    place, axis = frames[row_of(port.on)].point(port.point), jnp.asarray(port.axis)
+
+    def moved(name: str):
+        row = row_of(name)
+        if port.turns:
+            return twists[row, :, 3:] @ axis
+        return twists[row, :, :3] @ axis + twists[row, :, 3:] @ cross(place - frames.p[row], axis)
+
+    other = getattr(port, "relative_to", None)
+    return moved(port.on) if other is None else moved(port.on) - moved(other)
+
+
+def _bending(element: Element, poses: list[Pose]):
+    """The derivative of an element's deformation in the displacement of each of its frames, and the deformation."""
+
+    def deformation(moves):
+        e = element.deformation(*(pose.displaced(move) for pose, move in zip(poses, moves, strict=True))).reshape(-1)
+        return e, e
+
+    return jax.jacfwd(deformation, has_aux=True)([jnp.zeros(6, poses[0].p.dtype)] * len(poses))
+
+
+def _pushes(inputs: tuple[Input, ...], frames: Frame, layout) -> Float[Array, "nu nb 6"]:
+    """Force and moment about the origin of each body that a unit of each input is."""
+    pushes = jnp.zeros((len(inputs), len(layout.bodies), 6), frames.p.dtype)
+    for i, port in enumerate(inputs):
+        if isinstance(port, PointForce):
+            row, axis = layout.frame(port.on), jnp.asarray(port.axis)
+            F = jnp.zeros(3) if port.turns else axis
+            M = axis if port.turns else cross(frames[row].point(port.point) - frames.p[row], axis)
+            pushes = pushes.at[i, row - layout.first_body].set(jnp.concatenate([F, M]))
+    return pushes
+
+
+def _place(layout, port: Any) -> int:
+    return 6 * layout.supports.index(port.on) + DIRECTIONS.index(port.direction)
+
+
+def _unit(layout, port: Any, dtype) -> Float[Array, "nxi"]:
+    return jnp.zeros(layout.nxi, dtype).at[_place(layout, port)].set(1.0)
+
+
+def _turned_moment(layout, held: Float[Array, "nxi"], port: SupportReaction) -> Float[Array, "n"]:
+    """phi x m/2: the moment m of the equilibrium is dV/dphi for a rotation vector phi = 0 only; further on m = J(phi)^-T dV/dphi."""
+    first = 6 * layout.supports.index(port.on) + 3
+    row = jnp.zeros(layout.nv + layout.nxi, held.dtype)
+    if len(port.direction) == 1:
+        return row
+    turned = -skew(held[first : first + 3])[DIRECTIONS.index(port.direction) - 3] / 2
+    return row.at[layout.nv + first : layout.nv + first + 3].set(turned)
+
+
+def _rates_of_force(element: Element, e: Float[Array, "k"]) -> tuple[Float[Array, "k k"], Float[Array, "k k"]]:
+    """V''(e) and R''(e, 0)."""
+    k = e.shape[0]
+    e = e if element.size > 1 else e[0]
+    stiffness = jax.hessian(element.energy)(e)
+    damping = jax.jacfwd(lambda rate: element.damping_force(e, rate))(jnp.zeros_like(e))
+    return stiffness.reshape(k, k), damping.reshape(k, k)
+
+
+def _turning(port: Any, model: Model) -> bool:
+    return isinstance(model[port.on], Torsion) or (port.component or 0) >= 3
+
+
+def _element_problem(port: Any, model: Model, where: str) -> Problem | None:
+    if port.on not in model.element_names:
+        return unknown(port.on, where, model.element_names)
+    size = model[port.on].size
+    if (size == 1) == (port.component is None) and (port.component is None or 0 <= port.component < size):
+        return None
+    limit = "no component" if size == 1 else f"0 to {size - 1}"
+    return Problem("BAD_COMPONENT", where, f"is component {port.component} of '{port.on}'", port.component, limit, "Say which one.")
+
+
+def check_ports(lin: Any, inputs: Any, outputs: Any, where: str):
+    """(names, ports, units) of inputs and outputs; raises with all that is wrong."""
+    problems = Problems()
+    found = [ports_of(lin.model, given, what, where, problems) for given, what in ((inputs, "inputs"), (outputs, "outputs"))]
+    problems.raise_if_any()
+    return found

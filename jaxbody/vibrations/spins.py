@@ -1,0 +1,149 @@
+"""Small motions about a steady spin: the Jacobian of the equations of motion, with its gyroscopic and centrifugal parts.
+
+With q = q0(t) (+) delta, v = v0 + nu along the motion q0(t) at constant speeds v0, the equations of motion are, to first order,
+
+    delta' = E delta + nu,   nu' = A delta + B nu        so   M delta'' + (C + G) delta' + K delta = 0,
+    C + G = -M (E + B),   K = -M (A - B E)
+
+E is how the chart turns with the motion (w x for a free body). It is steady where v0' = 0 and these matrices are the same all along it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import Status
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.inputs.motions import AtRest
+from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.hessians import damping, mass, placed, stiffness
+from jaxbody.models.models import Model
+from jaxbody.models.preconditions import check_precision, check_state
+from jaxbody.models.states import State
+from jaxbody.numerics.precisions import reachable
+from jaxbody.statics.equilibria import scale_of, size_of
+
+STEADY = 1e-8  # change of speeds and of matrices, relative to what they are made of, below which it is round-off
+ALONG = (0.7, 1.9, 4.1)  # rad into the spin where the matrices must be the same; no two in a simple ratio
+
+
+class SpinLinearization(Result):
+    """M delta'' + (C + G) delta' + K delta = 0 about a steady motion `state`; rows and columns as in `coordinates`.
+
+    The chart is that of `linearize`, about the moving body. `G`: gyroscopic, skew; `K`: all of the stiffness, `K_centrifugal` the part that is there because of the
+    motion. `status` NOT_STEADY where the state is no steady motion, the matrices then being those of an instant."""
+
+    M: Float[Array, "nv nv"]
+    C: Float[Array, "nv nv"]
+    G: Float[Array, "nv nv"]
+    K: Float[Array, "nv nv"]
+    K_centrifugal: Float[Array, "nv nv"]
+    acceleration: Float[Array, "nv"]
+    status: Int[Array, ""]
+    state: State
+    model: Model
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """What each row of M, C, G, K is."""
+        return self.model.layout.coordinates
+
+    def explain(self) -> str:
+        if not int(self.status):
+            return ""
+        worst = int(jnp.argmax(jnp.abs(self.acceleration)))
+        told = f"the largest change of speed is {float(self.acceleration[worst]):.3g} /s2 in '{self.coordinates[worst]}'"
+        return told + "; spin a body about its axis of symmetry, in equilibrium, with nothing on it that turns with it or brakes it"
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: M, C, G and K by named coordinates."""
+        from jaxbody.core.datasets import spin_dataset
+
+        return spin_dataset(self)
+
+    def _tables(self) -> list[tables.Table]:
+        heads = [str(i) for i in range(self.K.shape[-1])]
+        few = self.K.ndim == 2 and len(heads) <= 12
+        shown = []
+        for name, unit in (("M", "kg, kg m, kg m2"), ("C", "N s/m, ..."), ("G", "N s/m, ..."), ("K", "N/m, N, N m")):
+            matrix = tables.without_dust(getattr(self, name))
+            rows = [(c, *(matrix[i] if few else ["..."])) for i, c in enumerate(self.coordinates)]
+            shown.append(tables.Table(f"{name} [{unit}]", ("", *(heads if few else [""])), rows))
+        shown[-1].note = self.report()
+        return shown
+
+
+def linearize_spin(model: Model, at: State) -> SpinLinearization:
+    """Mass, damping, gyroscopic and stiffness matrix of small motions about a state that moves steadily, supports at rest: a rotor that spins.
+
+        M delta'' + (C + G) delta' + K delta = 0
+
+    The Jacobian of the equations of motion at (q, v). It must not depend on time: what spins must be of revolution about its axis, free or on a hinge, and what is
+    attached to it must be so on that axis. Errors: BAD_SHAPE, NON_FINITE of the state; warns NOT_STEADY.
+    Source: G. Genta, Dynamics of Rotating Systems (2005), 2.3.
+
+    A disk with 0.2 kg m2 about its axis z that spins at 30 rad/s: moments 0.2 x 30 across.
+
+    >>> model = Model(bodies={"disk": Body(mass=1.0, inertia=[0.1, 0.1, 0.2])}, elements={"s": Spring(("disk", [0, 0, 0.5]), ("world", [0, 0, 1]), stiffness=10.0)})
+    >>> lin = linearize_spin(replace(model, {"s.free_length": 0.5}), State(model.reference.q, jnp.array([0, 0, 0, 0, 0, 30.0])))
+    >>> round(float(lin.G[3, 4]), 9)
+    6.0
+    """
+    check_precision("linearize_spin", model)
+    check_state(model, at, "at")
+    result = _linearize_spin(model, at)
+    warn_if_failed(result)
+    return result
+
+
+@jit_as_it_is
+def _linearize_spin(model: Model, state: State) -> SpinLinearization:
+    q, v = state.q, state.v
+    dynamics = Dynamics(model, tuple(AtRest() for _ in model.layout.supports))
+    M, D, K, v_dot = _second_order(dynamics, q, v)
+    at = placed(dynamics.coordinates, q, v, base=False)
+    C, K_rest = damping(at), stiffness(at)
+    size = size_of(model)
+    scale = scale_of(model, size)
+    fastest = jnp.max(jnp.abs(v / scale) / size, initial=0.0)  # rad/s, or what a translation is to the size of the model
+    period = jnp.where(fastest > 0, 1 / jnp.where(fastest > 0, fastest, 1.0), 0.0)
+
+    def matrices(angle):
+        return _second_order(dynamics, dynamics.coordinates.retract(q, v * period * angle), v)[1:3]
+
+    def largest(X):
+        return jnp.max(jnp.abs(X * scale * scale[:, None]), (-2, -1), initial=0.0)
+
+    later_D, later_K = jax.vmap(matrices)(jnp.array(ALONG, q.dtype))
+    inertia = largest(M)
+    stiff = jnp.maximum(largest(K), inertia * fastest**2)
+    steady = reachable(STEADY, M.dtype, 1024)
+    changes = (largest(later_D - D) > steady * (largest(D) + inertia * fastest)) | (largest(later_K - K) > steady * stiff)
+    slows = jnp.max(jnp.abs(M @ v_dot * scale), initial=0.0) > steady * stiff * size
+    status = jnp.where(slows | changes.any(), Status.NOT_STEADY.value, Status.OK.value)
+    return SpinLinearization(M, C, D - C, K, K - K_rest, v_dot, status, state, model)
+
+
+def _second_order(dynamics: Dynamics, q: Float[Array, "nq"], v: Float[Array, "nv"]):
+    """M, C + G, K and v', at any state."""
+    coordinates, n = dynamics.coordinates, len(v)
+    zero = jnp.zeros_like(v)
+
+    def rates(x):
+        delta, nu = x[:n], x[n:]
+        moved, along = jax.jvp(lambda q: coordinates.retract(q, delta), (q,), (coordinates.rate(q, v),))
+        v_dot = dynamics.acceleration(jnp.zeros((), q.dtype), moved, v + nu)
+        return (coordinates.rate(moved, v + nu) - along, v_dot), v_dot
+
+    (chart, J), v_dot = jax.jacfwd(rates, has_aux=True)(jnp.concatenate([zero, zero]))
+    turns = jax.jacfwd(lambda delta: coordinates.retract(q, delta))(zero)
+    E = jnp.linalg.solve(turns.T @ turns, turns.T @ chart[:, :n])
+    A, B = J[:, :n], J[:, n:]
+    M = mass(placed(coordinates, q, base=False))
+    return M, -M @ (E + B), -M @ (A - B @ E), v_dot

@@ -1,0 +1,141 @@
+"""State space of small motions: x' = A x + B u, y = C x + D u between named ports, as python-control and scipy.signal take it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+from equinox import field
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.errors import Status
+from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.statics.equilibria import NOT_AT_REST
+from jaxbody.vibrations.ports import Wiring, check_ports, wired
+
+
+class StateSpace(Result):
+    """x' = A x + B u, y = C x + D u; `inputs`, `outputs` and `states` are names, `input_units` and `output_units` go with them.
+
+    `control.ss(s.A, s.B, s.C, s.D, inputs=s.inputs, outputs=s.outputs, states=s.states)` is python-control's form of it."""
+
+    A: Float[Array, "nx nx"]
+    B: Float[Array, "nx nu"]
+    C: Float[Array, "ny nx"]
+    D: Float[Array, "ny nu"]
+    status: Int[Array, ""]
+    inputs: tuple[str, ...] = field(static=True)
+    outputs: tuple[str, ...] = field(static=True)
+    states: tuple[str, ...] = field(static=True)
+    input_units: tuple[str, ...] = field(static=True)
+    output_units: tuple[str, ...] = field(static=True)
+
+    def explain(self) -> str:
+        if int(self.status) != Status.IMPROPER:
+            return ""
+        pairs = [(self.outputs[i], self.inputs[j]) for i, j in jnp.argwhere(jnp.isnan(self.D)).tolist()]
+        told = ", ".join(f"'{output}' of '{name}'" for output, name in pairs[:4])
+        return f'{told}: make the input the acceleration of the support, kind="acceleration"'
+
+    def _tables(self) -> list[tables.Table]:
+        return [
+            tables.Table(
+                f"State space, {len(self.states)} states",
+                ("port", "name", "unit"),
+                [("input", name, unit) for name, unit in zip(self.inputs, self.input_units, strict=True)]
+                + [("output", name, unit) for name, unit in zip(self.outputs, self.output_units, strict=True)],
+            )
+        ]
+
+
+def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
+    """See `Linearization.state_space`."""
+    (u, ins, u_units), (y, outs, y_units) = check_ports(lin, inputs, outputs, "state_space")
+    A, B, C, D, status = _state_space(lin, wired(lin, ins, outs))
+    own = lin.model.layout.coordinates
+    kept = [(name, port.kind) for name, port in zip(u, ins, strict=True) if getattr(port, "kind", "displacement") != "displacement"]
+    states = (
+        *own,
+        *(f"rate of {name}" for name in own),
+        *(f"displacement of {name}" for name, _ in kept),
+        *(f"velocity of {name}" for name, kind in kept if kind == "acceleration"),
+    )
+    result = StateSpace(A, B, C, D, status, u, y, states, u_units, y_units)
+    warn_if_failed(result)
+    return result
+
+
+@jit_as_it_is
+def _state_space(lin: Any, wiring: Wiring):
+    """The states are p = Delta - g u and r = Delta' - g u' - h u, so that no derivative of u is needed, then Xi and Xi' of inputs that are
+    velocities (Xi) and accelerations (both):
+
+    Delta'' = M^-1 (F f + K~ Xi + C~ Xi' + M~ Xi'' - C Delta' - K Delta),   u = Xi:   g = M^-1 M~,  h = M^-1 (C~ - C g)
+                                                                            u = Xi':  g = 0,        h = M^-1 M~"""
+    signals = _Signals(lin, wiring)
+    x, rate, acceleration, slopes = signals.motion()
+    whole = [jnp.concatenate(pair) for pair in zip((x, rate, acceleration), signals.base, strict=True)]
+    y = jnp.einsum("kyn,knw->yw", wiring.Y, jnp.stack(whole))
+    n = signals.n_states
+    m = len(wiring.orders)
+    C, D, first, second = y[:, :n], y[:, n : n + m] + wiring.G, y[:, n + m : n + 2 * m], y[:, n + 2 * m :]
+    size = jnp.max(jnp.abs(wiring.Y), axis=(0, 2))[:, None] * 1e-12
+    improper = (jnp.abs(first) > size) | (jnp.abs(second) > size)
+    status = jnp.where(improper.any(), Status.IMPROPER.value, Status.OK.value)
+    failed = jnp.isin(lin.status, jnp.array([*NOT_AT_REST, Status.NONFINITE]))
+    return slopes[:, :n], slopes[:, n : n + m], C, jnp.where(improper, jnp.nan, D), jnp.where(failed, lin.status, status)
+
+
+class _Signals:
+    """Signals as rows of coefficients of (states, u, u', u'')."""
+
+    def __init__(self, lin: Any, wiring: Wiring):
+        self.lin, self.wiring = lin, wiring
+        self.nv, self.m = lin.M.shape[-1], len(wiring.orders)
+        orders = wiring.orders
+        integrated = [(j, k) for k in (1, 2) for j in range(self.m) if orders[j] >= k]  # columns of Xi, then of Xi'
+        self.n_states = 2 * self.nv + len(integrated)
+        self.width = self.n_states + 3 * self.m
+        place = {pair: 2 * self.nv + i for i, pair in enumerate(integrated)}
+        u = [self.n_states + i * self.m for i in range(3)]
+        # the derivatives of Xi of input j: states while they are below its order, then u, u', u''
+        self.chain = [
+            [place[j, k + 1] if k < orders[j] else u[k - orders[j]] + j for k in range(3)]  # Xi, Xi', Xi''
+            for j in range(self.m)
+        ]
+        self.integrated, self.place = integrated, place
+        self.base = [self._base(k) for k in range(3)]
+
+    def _base(self, k: int) -> Float[Array, "nxi width"]:
+        rows = jnp.zeros((self.wiring.X.shape[0], self.width), self.wiring.X.dtype)
+        for j in range(self.m):
+            rows = rows.at[:, self.chain[j][k]].add(self.wiring.X[:, j])
+        return rows
+
+    def motion(self):
+        """Delta, Delta', Delta'' and the rates of the states."""
+        lin, nv, n, m = self.lin, self.nv, self.n_states, self.m
+        dtype = lin.M.dtype
+
+        def solved(B):
+            return jnp.linalg.solve(lin.M, B)
+
+        eye, still = jnp.eye(nv, dtype=dtype), jnp.zeros((nv, self.width), dtype)
+        driven = lin.K_tilde @ self.base[0] + lin.C_tilde @ self.base[1] + lin.M_tilde @ self.base[2]
+        driven = solved(driven.at[:, n : n + m].add(self.wiring.F[:nv]))
+        damping = solved(lin.C)
+        # M^-1 (K~ Xi + ...) = ... + d0 u + d1 u' + d2 u'';  g = d2, h = d1 - M^-1 C g
+        g = driven[:, n + 2 * m :]
+        h = driven[:, n + m : n + 2 * m] - damping @ g
+        p, r, u, du, ddu = (slice(i, j) for i, j in ((0, nv), (nv, 2 * nv), (n, n + m), (n + m, n + 2 * m), (n + 2 * m, n + 3 * m)))
+        x = still.at[:, p].set(eye).at[:, u].set(g)
+        rate = still.at[:, r].set(eye).at[:, u].set(h).at[:, du].set(g)
+        acceleration = driven - damping @ rate - solved(lin.K) @ x
+        slopes = jnp.concatenate([
+            rate.at[:, du].set(0.0),  # p' = Delta' - g u'
+            acceleration.at[:, du].add(-h).at[:, ddu].add(-g),
+            *(jnp.zeros((1, self.width), dtype).at[0, self.chain[j][k]].set(1.0) for j, k in self.integrated),
+        ])  # fmt: skip
+        return x, rate, acceleration, slopes

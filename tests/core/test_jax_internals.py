@@ -1,0 +1,124 @@
+"""What is taken from the inside of JAX does what it is taken for, and there is a way back where it is gone."""
+
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from jaxbody.core import jax_internals
+
+pytestmark = pytest.mark.everywhere
+
+TWO_DEVICES = """
+import os
+os.environ["XLA_FLAGS"] = "--xla_force_host_platform_device_count=2"
+import jax, jax.numpy as jnp, numpy as np
+jax.config.update("jax_enable_x64", True)
+from jax.sharding import PartitionSpec as P
+mesh = jax.make_mesh((2,), ("devices",), axis_types=(jax.sharding.AxisType.Auto,))
+on_two = lambda function, given, **options: jax.shard_map(function, mesh=mesh, in_specs=given, out_specs=P("devices"), **options)
+"""
+
+LOOPS_ON_TWO = """
+from jaxbody.core.jax_internals import without_manual_axes
+
+@jax.jit
+@without_manual_axes
+def looped(x, c):
+    "A loop that begins with a constant, which does not vary over the devices."
+    return jax.lax.fori_loop(0, 3, lambda i, y: y * jnp.sin(x) * c + 1, jnp.ones(()))
+
+x = jnp.arange(1.0, 5.0)
+a = np.sin(x)
+batch = lambda x, c: jax.vmap(looped, (0, None))(x, c)
+for check in (True, False):
+    np.testing.assert_allclose(on_two(batch, (P("devices"), P()), check_vma=check)(x, 2.0), 8 * a**3 + 4 * a**2 + 2 * a + 1, rtol=1e-14)
+total = lambda c: jnp.sum(on_two(batch, (P("devices"), P()))(x, c))
+np.testing.assert_allclose(jax.grad(total)(2.0), np.sum(a + 4 * a**2 + 12 * a**3), rtol=1e-14)
+inside = on_two(lambda x, c: jax.vmap(jax.grad(looped), (0, None))(x, c), (P("devices"), P()))
+np.testing.assert_allclose(inside(x, 2.0), np.cos(x) * (24 * a**2 + 8 * a + 2), rtol=1e-14)
+"""
+
+FREQUENCIES_ON_TWO = """
+import jaxbody as jb
+K = jnp.array([40.0, 90.0, 160.0, 250.0])
+
+def frequency(k):
+    spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 2.0, 0]), stiffness=k, free_length=2.0)
+    model = jb.Model(bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": jb.Guide("world", axis=[0, 1, 0])},
+                     elements={"spring": spring}, gravity=[0, -9.81, 0])
+    return jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
+
+both = lambda k: jnp.stack(jax.vmap(jax.value_and_grad(frequency))(k), -1)
+f = np.sqrt(K / 2.0) / (2 * np.pi)
+np.testing.assert_allclose(jax.jit(on_two(both, P("devices")))(K), np.stack([f, f / (2 * K)], -1), rtol=1e-10)
+"""
+
+
+def run_on_two(program: str) -> None:
+    done = subprocess.run([sys.executable, "-c", TWO_DEVICES + program], capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr[-2000:]
+
+
+def test_loops_in_shard_map_may_begin_with_constants_and_have_derivatives():
+    run_on_two(LOOPS_ON_TWO)
+
+
+def test_frequencies_and_their_slopes_in_shard_map():
+    """f = sqrt(k/m)/2 pi and df/dk = f/2k, two stiffnesses on each of two devices."""
+    run_on_two(FREQUENCIES_ON_TWO)
+
+
+def test_programs_lose_what_only_jax_itself_can_compile(monkeypatch):
+    table = jnp.arange(5.0)
+    traced = jax.make_jaxpr(lambda x: jnp.interp(x, table, table**2))(1.5)
+    for forget in ((), ("lower_jaxpr2",)):
+        for name in forget:
+            monkeypatch.delattr(jax_internals.partial_eval, name, raising=False)
+        lowered = jax_internals.without_high_operations(traced)
+        assert not getattr(lowered, "is_high", False)
+        assert jax.core.eval_jaxpr(lowered.jaxpr, lowered.consts, 1.5) == [2.5]
+
+
+def test_whether_anything_is_being_traced(monkeypatch):
+    inside = []
+    jax.make_jaxpr(lambda x: inside.append(jax_internals.outermost()) or x)(1.0)
+    assert jax_internals.outermost() and inside == [False]
+    monkeypatch.delattr("jax._src.core.trace_state_clean")
+    assert not jax_internals.outermost()
+
+
+def test_whether_jax_has_looked_for_devices(monkeypatch):
+    program = "import jax; from jaxbody.core.jax_internals import started; print(started()); jax.devices(); print(started())"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
+    assert done.stdout.split() == ["False", "True"], done.stderr
+    monkeypatch.delattr("jax._src.xla_bridge.backends_are_initialized")
+    assert not jax_internals.started()
+
+
+def test_programs_lose_what_their_results_do_not_need(monkeypatch):
+    traced = jax.make_jaxpr(lambda x: (jnp.sin(x), jnp.cos(x))[0])(1.0)
+    kept = jax_internals.only_what_is_needed(traced)
+    assert [eqn.primitive.name for eqn in kept.jaxpr.eqns] == ["sin"]
+    monkeypatch.delattr(jax_internals.partial_eval, "dce_jaxpr")
+    assert jax_internals.only_what_is_needed(traced) is traced
+
+
+def test_a_linear_function_has_the_transpose_that_it_is_given():
+    """y = k x by a loop of unknown length, which JAX cannot transpose: forward, reverse, in batches of either argument, second derivatives."""
+
+    def times(k, x):
+        return jax.lax.while_loop(lambda c: c[0] < 3, lambda c: (c[0] + 1, c[1] + k * x / 3), (0, jnp.zeros_like(k * x)))[1]
+
+    def scaled(k, x):
+        return jax_internals.linear_with_transpose(lambda k, x: times(k, x[0]), lambda k, y: [times(k, y)], k, [x], x)
+
+    k, x = jnp.array([2.0, 3.0]), jnp.array([5.0, 7.0])
+    both = lambda k, x: (scaled(k, x), jax.jacfwd(scaled, 1)(k, x), jax.grad(scaled, 1)(k, x), jax.jacfwd(scaled)(k, x))  # noqa: E731
+    for found in (jax.jit(jax.vmap(both))(k, x), jax.tree.map(lambda *p: jnp.stack(p), *(both(*p) for p in zip(k, x, strict=True)))):
+        assert jnp.allclose(jnp.stack(found), jnp.stack([k * x, k, k, x]), rtol=1e-15)
+    assert jnp.allclose(jax.grad(lambda x: jnp.sum(jax.vmap(scaled, (0, None))(k, x)))(5.0), 5.0, rtol=1e-15)  # 2 + 3
+    mixed = jax.jacfwd(jax.grad(lambda x, k: scaled(k, x) * x), 1)  # d/dk of d(k x2)/dx = 2 x
+    assert jnp.allclose(mixed(5.0, 2.0), 10.0, rtol=1e-15)

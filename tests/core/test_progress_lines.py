@@ -1,0 +1,138 @@
+"""Progress: what takes longer than five seconds says how far it is on a terminal or in a notebook, and nowhere else."""
+
+import io
+import re
+import sys
+import time
+import types
+import warnings
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody.core import progress_lines
+from jaxbody.core.progress_lines import Line, working
+
+TIMES = np.linspace(0, 1, 21)
+
+
+class Screen(io.StringIO):
+    """A terminal, which keeps what was written."""
+
+    def isatty(self):
+        return True
+
+
+def at_terminal(monkeypatch):
+    """A terminal on which lines come at once."""
+    monkeypatch.setattr(progress_lines, "AFTER", 0.0)
+    monkeypatch.setattr(progress_lines, "EVERY", 0.005)
+    monkeypatch.setattr(sys, "stderr", Screen())
+    return sys.stderr
+
+
+def until_written(stream, words):
+    end = time.monotonic() + 20
+    while words not in stream.getvalue() and time.monotonic() < end:
+        time.sleep(0.005)
+    return stream.getvalue()
+
+
+def test_the_line_of_a_long_computation_comes_and_goes(monkeypatch):
+    terminal = at_terminal(monkeypatch)
+    with working("fit") as line:
+        line("evaluation 7")
+        with working("simulate"):
+            until_written(terminal, " s, fit: evaluation 7, simulate")
+        line("evaluation 8")
+        until_written(terminal, " s, fit: evaluation 8" + " " * len(", simulate"))  # as wide as the line that it replaces
+    written = terminal.getvalue()
+    assert re.search(r"\r\d+ s, fit: evaluation 7, simulate\r", written) and "evaluation 8" in written and "\n" not in written
+    assert re.search(r"\r +\r$", written)
+
+
+def test_a_warning_stands_on_a_line_of_its_own(monkeypatch):
+    terminal = at_terminal(monkeypatch)
+    with working("fit"), pytest.warns(jb.JaxbodyWarning, match="MISSING"):
+        until_written(terminal, " s, fit")
+        monkeypatch.setattr(progress_lines, "AFTER", 1e9)  # no further line
+        time.sleep(0.05)
+        jb.errors.warn("MISSING", "something")
+        assert re.search(r"fit\r +\r$", terminal.getvalue())
+
+
+@pytest.mark.parametrize("progress", [False, True])
+def test_it_is_switched_off_with_all_that_is_within_it(monkeypatch, progress):
+    terminal = at_terminal(monkeypatch)
+    with working("tune", progress), working("simulate"):
+        time.sleep(0.05)
+    assert terminal.getvalue() == ""
+
+
+def test_nothing_before_five_seconds_and_nothing_without_a_terminal(monkeypatch):
+    assert progress_lines.AFTER == 5.0
+    monkeypatch.setattr(progress_lines, "EVERY", 0.005)
+    for stream, after in ((Screen(), 5.0), (io.StringIO(), 0.0)):
+        monkeypatch.setattr(sys, "stderr", stream)
+        monkeypatch.setattr(progress_lines, "AFTER", after)
+        with working("fit"):
+            time.sleep(0.05)
+        assert stream.getvalue() == ""
+
+
+def test_a_notebook_shows_it_and_a_shell_of_ipython_only_at_a_terminal(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    for shell, seen in ((types.SimpleNamespace(kernel=1), sys.stdout), (types.SimpleNamespace(), None), (None, None)):
+        monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda shell=shell: shell))
+        assert progress_lines.screen() is seen
+
+
+def on_guide():
+    spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0, free_length=1.0, damping=0.3)
+    body = jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])
+    return jb.Model(bodies={"mass": body}, joints={"mass": jb.Guide("world", axis=[1, 0, 0])}, elements={"spring": spring})
+
+
+def run():
+    x = 1 + 0.1 * np.cos(6 * TIMES) + 1e-3 * np.sin(40 * TIMES)
+    initial = jb.State(jnp.array([0.1]), jnp.array([0.0]))
+    return {"run": jb.Experiment(TIMES, initial=initial, sensors={"x": jb.Position("mass", axis=[1, 0, 0])}, measured={"x": x})}
+
+
+def stiff(model):
+    k = model["spring"].stiffness
+    return {"f": (k - 40) ** 2, "g": (k - 20) ** 2}
+
+
+BOUNDS = {"spring.stiffness": (10.0, 100.0)}
+FREE = ["spring.stiffness"]
+CALLS = {
+    "simulate": (lambda: jb.simulate(on_guide(), TIMES), "simulate"),
+    "fit": (lambda: jb.fit(on_guide(), run(), free=FREE), "fit: evaluation 1: cost"),
+    "multistart": (lambda: jb.multistart(on_guide(), run(), free=FREE, starts=2), "multistart: starts 2 of 2: least cost"),
+    "multiple_shooting": (lambda: jb.multiple_shooting(on_guide(), run(), free=FREE, segments=2), "multiple shooting: segments together, slack"),
+    "profile": (lambda: jb.profile(jb.fit(on_guide(), run(), free=FREE), FREE[0]), "profile: point 1 below the estimate, tau"),
+    "diagnose": (lambda: jb.diagnose(on_guide(), run()), "diagnose: 'run'"),
+    "tune": (lambda: jb.tune(on_guide(), stiff, free=FREE, minimize="f", bounds=BOUNDS), "tune: evaluation 1, f 100"),
+    "pareto": (lambda: jb.pareto(on_guide(), stiff, free=FREE, minimize=["f", "g"], bounds=BOUNDS, points=3), "pareto: design 4 of about 5"),
+    "sweep": (lambda: jb.sweep(on_guide(), stiff, {FREE[0]: [1.0, 2.0, 3.0]}), "sweep: 3 of 3 models"),
+    "sensitivities": (lambda: jb.sensitivities(on_guide(), stiff, free=FREE), "sensitivities: evaluation 1"),
+    "tolerances": (lambda: jb.tolerances(on_guide(), stiff, {FREE[0]: 1.0}, samples=5), "tolerances: derivatives and 5 samples"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.long] if name == "multiple_shooting" else []) for name in CALLS])
+def test_every_long_computation_says_how_far_it_is(name, monkeypatch, capsys):
+    """What the line would show, said or not; without a terminal it is not."""
+    said = []
+    make, tell = Line.__init__, Line.__call__
+    monkeypatch.setattr(Line, "__init__", lambda self, what: (said.append(what), make(self, what))[1])
+    monkeypatch.setattr(Line, "__call__", lambda self, words: (said.append(f"{self.what}: {words}"), tell(self, words))[1])
+    call, words = CALLS[name]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        call()
+    assert any(one.startswith(words) for one in said), said
+    assert capsys.readouterr() == ("", "")
