@@ -19,12 +19,12 @@ from jaxbody.designs.tolerance_analyses import robust as robust
 from jaxbody.designs.tolerance_analyses import tolerances as tolerances
 from jaxbody.designs.tuners import tune as tune
 from jaxbody.designs.tunings import Tuning as Tuning
+from jaxbody.elements.bushings import Bushing as Bushing
 from jaxbody.elements.contacts import Contact as Contact
 from jaxbody.elements.contacts import Tyre as Tyre
-from jaxbody.elements.elements import Bushing as Bushing
 from jaxbody.elements.elements import Element as Element
-from jaxbody.elements.elements import Spring as Spring
-from jaxbody.elements.elements import SpringDamper as SpringDamper
+from jaxbody.elements.springs import Spring as Spring
+from jaxbody.elements.springs import SpringDamper as SpringDamper
 from jaxbody.elements.torsions import AntiRollBar as AntiRollBar
 from jaxbody.elements.torsions import Torsion as Torsion
 from jaxbody.experiments.diagnoses import diagnose as diagnose

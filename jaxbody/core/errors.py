@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import enum
 import sys
 import warnings
@@ -174,3 +175,11 @@ MESSAGES = {
 def is_concrete(*trees: Any) -> bool:
     """True when nothing in the trees is being traced, so that values may be looked at."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
+
+
+def unknown(name: str, where: str, known: tuple[str, ...]) -> Problem:
+    """The problem of a name that is not there, with the nearest one that is."""
+    known = tuple(map(str, known))
+    near = difflib.get_close_matches(str(name), known, 1)
+    hint = (f"Did you mean '{near[0]}'? " if near else "") + "Known: " + ", ".join(known[:12]) + (", ..." if len(known) > 12 else "") + "."
+    return Problem("UNKNOWN_NAME", where, f"'{name}' is unknown.", name, hint=hint)

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole
+from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
@@ -48,9 +49,13 @@ class Front(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset over `point`: every quantity, parameter and slope."""
-        from jaxbody.core.datasets import front_dataset
-
-        return front_dataset(self)
+        variables = {"status": (("point",), self.status, "")}
+        for name, values in {**self.quantities, **self.values}.items():
+            axes = tuple(f"{name}_{i}" for i in range(np.ndim(values) - 1))
+            variables.setdefault(name, (("point", *axes), values, ""))
+        for name, slope in zip(list(self.objectives)[1:], self.slopes.T, strict=True):
+            variables[f"slope over {name}"] = (("point",), slope, "")
+        return dataset(variables, {"point": np.arange(1, 1 + len(self.status))}, "front")
 
     def _tables(self) -> list[tables.Table]:
         names = tuple(self.objectives)

@@ -14,7 +14,8 @@ import numpy as np
 from jaxbody.core.compile_options import jit_as_it_is
 from jaxbody.core.errors import Status
 from jaxbody.models.models import Model
-from jaxbody.statics.equilibria import equilibrium_of, size_of
+from jaxbody.models.sizes import size_of
+from jaxbody.statics.equilibria import equilibrium_of
 
 ASIDE = np.array([-2.0, -1.0, 1.0, 2.0])
 NEAR = 1e-3  # h in u, where a search has stopped

@@ -12,10 +12,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody.core.compile_options import jit_quickly
-from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
 from jaxbody.designs.searches import Rows, Search
-from jaxbody.models.models import unknown
 from jaxbody.parameters.design_spaces import Space
 
 MOST_FORWARD = 30  # free numbers up to which forward mode is the faster one

@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.errors import JaxbodyError, Problem, Status
+from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.designs.programs import Evaluate, Program
 from jaxbody.designs.searches import one_thread
-from jaxbody.models.models import Model, unknown
+from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.parameters.design_spaces import space_of
 from jaxbody.parameters.transforms import Positive

@@ -14,7 +14,7 @@ import numpy as np
 from jaxbody.core.arguments import check_key, named, whole
 from jaxbody.core.arrays import float_array
 from jaxbody.core.compile_options import quick_options
-from jaxbody.core.datasets import sweep_dataset
+from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.progress_lines import Line, working
 from jaxbody.designs.programs import Evaluate, evaluated
@@ -154,3 +154,21 @@ def _program(model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], wi
             program = built(width)
         known[place] = program, width
     return known[place]
+
+
+def sweep_dataset(columns: dict[str, Any], found: dict[str, Any], *, on_grid: bool) -> Any:
+    """Of a sweep: each quantity over the axes of the grid, or over `sample`."""
+    axes = tuple(columns) if on_grid else ("sample",)
+    lengths = tuple(len(values) for values in columns.values()) if on_grid else (len(next(iter(columns.values()))),)
+    variables = {}
+    for name, values in found.items():
+        own = values.shape[1:]
+        variables[name] = ((*axes, *(f"{name}_{i}" for i in range(len(own)))), values.reshape(*lengths, *own), "")
+    coordinates = {}
+    for path, values in columns.items():
+        over = path if on_grid else "sample"
+        flat = np.ndim(values) == 1
+        coordinates[path] = (over, values) if flat else (over, np.arange(len(values)))
+        if not flat:
+            coordinates[f"{path} values"] = ((over, *(f"{path}_{i}" for i in range(np.ndim(values) - 1))), values)
+    return dataset(variables, coordinates, "sweep")

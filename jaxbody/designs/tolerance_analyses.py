@@ -18,12 +18,12 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, named, positive, whole
 from jaxbody.core.arrays import concrete, float_array
 from jaxbody.core.compile_options import jit_quickly
-from jaxbody.core.errors import JaxbodyError, Problems, Status
+from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.designs.programs import Evaluate, Quantities, evaluated, value_and_forward_slopes
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
-from jaxbody.models.models import Model, unknown
+from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 
 CHUNK = 256  # samples side by side

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
 from jaxbody.designs.kinks import jumping, setting_in
@@ -78,9 +79,16 @@ class Tuning(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset over `start`: objective, violation, status, and every quantity and parameter."""
-        from jaxbody.core.datasets import tuning_dataset
-
-        return tuning_dataset(self)
+        runs = self.runs
+        variables = {
+            "objective": (("start",), runs.objective, ""),
+            "violation": (("start",), runs.violation, ""),
+            "status": (("start",), runs.status, ""),
+        }
+        for name, values in {**runs.quantities, **runs.values}.items():
+            axes = tuple(f"{name}_{i}" for i in range(np.ndim(values) - 1))
+            variables.setdefault(name, (("start", *axes), values, ""))
+        return dataset(variables, {"start": np.arange(len(runs.status))}, f"design of least {self.minimize}")
 
     def _tables(self) -> list[tables.Table]:
         start = {group.path: group.form.start for group in self.space.groups}

@@ -20,7 +20,8 @@ from jaxbody.core.errors import Problems
 from jaxbody.elements.elements import Element, LineElement
 from jaxbody.geometry.places import ends, unit_vector
 from jaxbody.geometry.vectors import dot, rotate
-from jaxbody.laws.laws import not_negative, positive, ramp, ramp_energy, ramp_slope
+from jaxbody.laws.laws import not_negative, positive
+from jaxbody.laws.spring_laws import ramp, ramp_energy, ramp_slope
 
 
 class Touching(Element):

@@ -12,17 +12,13 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.core.arrays import checked, concrete, scalar
+from jaxbody.core.arrays import concrete, scalar
 from jaxbody.core.errors import Problems, warn
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Pose, Wrench
-from jaxbody.geometry.orientations import IDENTITY, as_quaternion
-from jaxbody.geometry.places import ends
-from jaxbody.geometry.vectors import cross, dot, product, rotate, rotate_back
-from jaxbody.laws import laws
+from jaxbody.geometry.vectors import cross, dot, product, rotate
 from jaxbody.numerics.elementary_functions import inverse_root
 from jaxbody.numerics.lane_marks import kept
 
@@ -172,152 +168,11 @@ class LineElement(Element):
         return (force, cross(arm_a, force)), (-force, cross(force, arm_b))
 
 
-class Spring(LineElement):
-    """A line spring with viscous damping between the point a of one body and the point b of another.
-
-        V = 1/2 k (|AB| - l0)^2,   R = 1/2 c (d|AB|/dt)^2,   tension = k (|AB| - l0) + c d|AB|/dt
-
-    `stiffness` k [N/m], `free_length` l0 [m], `damping` c [N s/m]. With l0 = 0 the spring is exact down to zero length, where
-    its damper has no direction and exerts nothing. Errors: NEGATIVE_STIFFNESS, NEGATIVE_DAMPING (warnings with `allow_negative`),
-    NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE. Source: (20)-(28) of the paper.
-
-    >>> spring = Spring(("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8)
-    """
-
-    stiffness: Float[Array, ""]
-    damping: Float[Array, ""]
-
-    def __init__(self, a, b, *, stiffness, free_length=0.0, damping=0.0, allow_negative: bool = False):
-        problems = Problems()
-        self.between, (self.a, self.b) = ends((a, b), "Spring", problems)
-        self.stiffness = scalar(stiffness, "Spring.stiffness", problems)
-        self.free_length = free_length_of(free_length, "Spring", problems)
-        self.damping = scalar(damping, "Spring.damping", problems)
-        for name, unit in (("stiffness", "N/m"), ("damping", "N s/m")):
-            value = concrete(getattr(self, name))
-            if value is not None and value < 0:
-                _negative("Spring", name, f"is {value:g} {unit}", float(value), allow_negative, problems)
-        problems.raise_if_any()
-
-    def energy(self, e):
-        return 0.5 * self.stiffness * e**2
-
-    def dissipation(self, e, e_dot):
-        return 0.5 * self.damping * e_dot**2
-
-    def split(self, L):
-        return self.stiffness, -self.stiffness * self.free_length, jnp.zeros_like(L)
-
-    def damper_tension(self, e, e_dot):
-        return self.damping * e_dot
-
-    def has_no_direction(self):
-        return bool(self.damping == 0)
-
-
-class SpringDamper(LineElement):
-    """A line element whose spring and damper follow laws: a strut with its bump stop, a rope, an air spring.
-
-        V = U_s(|AB| - l0),   R = U_d(d|AB|/dt),   tension = F_s(|AB| - l0) + F_d(d|AB|/dt)
-
-    `spring` and `damper`: laws (jb.laws), numbers for linear ones [N/m], [N s/m], or JAX functions x -> F; either may be missing. `free_length` l0
-    [m], the length at which the spring's law has x = 0. Errors: NEGATIVE, NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
-
-    >>> strut = SpringDamper(("car", [1.4, 0.7, 0]), ("wheel", [0, 0, 0]), free_length=0.5,
-    ...                      spring=laws.Linear(2e4) + laws.Stop(gap=0.08, stiffness=1e5, engagement=0.01), damper=laws.TwoSided(bump=900.0, rebound=2100.0))
-    >>> float(strut.spring.force(jnp.array(-0.1)))
-    -3500.0
-    """
-
-    spring: laws.Law | None
-    damper: laws.Law | None
-
-    def __init__(self, a, b, *, spring=None, damper=None, free_length=0.0):
-        problems = Problems()
-        self.between, (self.a, self.b) = ends((a, b), "SpringDamper", problems)
-        self.free_length = free_length_of(free_length, "SpringDamper", problems)
-        self.spring = laws.as_law(spring, "SpringDamper.spring", problems)
-        self.damper = laws.as_law(damper, "SpringDamper.damper", problems)
-        problems.raise_if_any()
-
-    def energy(self, e):
-        return laws.potential(self.spring, e)
-
-    def dissipation(self, e, e_dot):
-        return laws.potential(self.damper, e_dot)
-
-    def beyond(self, e, e_dot):
-        return laws.beyond(self.spring, e) | laws.beyond(self.damper, e_dot)
-
-    def split(self, L):
-        e = L - self.free_length
-        k0 = jnp.where(self.free_length == 0, laws.slope(self.spring, jnp.zeros_like(L)), 0.0)
-        return k0, laws.force(self.spring, e) - k0 * L, laws.slope(self.spring, e) - k0
-
-    def damper_tension(self, e, e_dot):
-        return laws.force(self.damper, e_dot)
-
-    def has_no_direction(self):
-        return self.damper is None and bool(laws.force(self.spring, jnp.zeros(())) == 0)
-
-
 def length_and_direction(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[Array, "3"]]:
     """|d| and d/|d|, both zero with zero derivatives at d = 0."""
     square = dot(d, d)
     inverse = inverse_root(square)
     return square * inverse, d * inverse
-
-
-class Bushing(Element):
-    """A linear bushing between a frame at a on one body and a frame at b on another.
-
-        V = 1/2 e' K e,   R = 1/2 e_dot' C e_dot,   e = log(X_A^-1 X_B) = (translation, rotation vector), axes of the frame at a
-
-    `stiffness` K and `damping` C: 6 x 6 matrices, symmetric and positive semidefinite, or three numbers: translational along the
-    bushing's axes [N/m], [N s/m], no resistance to turning. `orientation` (of the frame at a in its body) and `orientation_b`
-    give the axes; the bushing is relaxed where the two frames coincide. e is the logarithm of SE(3): exchanging the ends changes only its sign.
-    Errors: NOT_SYMMETRIC, NEGATIVE_STIFFNESS, NEGATIVE_DAMPING, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION.
-
-    >>> mount = Bushing(("engine", [0.4, 0, 0]), ("base", [0.4, 0, 0]), stiffness=[9e4, 2e5, 5e5], damping=[900.0, 2000.0, 200.0])
-    >>> mount.stiffness.shape
-    (3,)
-    """
-
-    size = 6
-    jump = (
-        "HALF_TURN",
-        "is turned by 180 degrees",
-        "a bushing is for less than half a turn, where its deformation jumps: let a joint (jb.Hinge, jb.Ball) guide what turns further, or hold it by springs",
-    )
-    stiffness: Float[Array, "*k"]
-    damping: Float[Array, "*k"]
-    orientation: Float[Array, "4"]
-    orientation_b: Float[Array, "4"]
-
-    def __init__(self, a, b, *, stiffness, damping=None, orientation=IDENTITY, orientation_b=IDENTITY, allow_negative: bool = False):
-        problems = Problems()
-        self.between, (self.a, self.b) = ends((a, b), "Bushing", problems)
-        self.stiffness = _coefficients(stiffness, "stiffness", allow_negative, problems)
-        damping = np.zeros(self.stiffness.shape) if damping is None else damping
-        self.damping = _coefficients(damping, "damping", allow_negative, problems)
-        self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
-        self.orientation_b = as_quaternion(orientation_b, "Bushing.orientation_b", problems)
-        problems.raise_if_any()
-
-    def deformation(self, A, B):
-        R_A, R = turned(self, A, B)
-        p = rotate_back(R_A, (B.p - A.p) + (rotate(B.R, self.b) - rotate(A.R, self.a)))
-        theta = rotations.log_below_half_turn(R)
-        return jnp.concatenate([rotations.inverse_left_jacobian(theta, p), theta])
-
-    def away_from_jump(self, A, B):
-        return rotations.away_from_half_turn(turned(self, A, B)[1]) / 4
-
-    def energy(self, e):
-        return 0.5 * jnp.sum(e * _times(self.stiffness, e))
-
-    def dissipation(self, e, e_dot):
-        return 0.5 * jnp.sum(e_dot * _times(self.damping, e_dot))
 
 
 def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
@@ -326,43 +181,7 @@ def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[A
     return R_A, product(jnp.swapaxes(R_A, -1, -2), R_B)
 
 
-def _times(coefficients: Float[Array, "*k"], e: Float[Array, "6"]) -> Float[Array, "6"]:
-    """K e for a 6 x 6 matrix or for three translational coefficients."""
-    if coefficients.shape == (3,):
-        return jnp.concatenate([coefficients * e[:3], jnp.zeros_like(e[3:])])
-    return jnp.sum(coefficients * e, -1)
-
-
-def _coefficients(value: Any, name: str, allow_negative: bool, problems: Problems) -> Any:
-    where = f"Bushing.{name}"
-    array = checked(value, ((3,), (6, 6)), where, problems, "Give three translational coefficients or a 6 x 6 matrix.")
-    if array is None:
-        return np.zeros(3)
-    known = concrete(array)
-    if known is None:
-        return array
-    if known.ndim == 2:
-        asymmetry = np.abs(known - known.T).max()
-        if asymmetry > 1e-9 * np.abs(known).max():
-            hint = "No potential energy belongs to such a matrix; give (K + K')/2 if that is meant."
-            problems.add(
-                "NOT_SYMMETRIC",
-                where,
-                f"is not symmetric: largest |K - K'| = {asymmetry:.3g}",
-                value=known - known.T,
-                limit=f"{1e-9 * np.abs(known).max():.3g}",
-                hint=hint,
-            )
-            return array
-    smallest = known if known.ndim == 1 else np.linalg.eigvalsh(known)
-    if smallest.min() < -1e-12 * np.abs(smallest).max():
-        told = ", ".join(f"{v:.6g}" for v in smallest)
-        what = "coefficients" if known.ndim == 1 else "eigenvalues"
-        _negative("Bushing", name, f"has {what} {told}", smallest, allow_negative, problems)
-    return array
-
-
-def _negative(kind: str, name: str, told: str, value: Any, allowed: bool, problems: Problems) -> None:
+def check_negative(kind: str, name: str, told: str, value: Any, allowed: bool, problems: Problems) -> None:
     """Negative coefficients are a problem or, where they are meant, a warning."""
     code, where = f"NEGATIVE_{name.upper()}", f"{kind}.{name}"
     if allowed:

@@ -12,13 +12,13 @@ from jaxtyping import Array, Float
 from jaxbody.core.arguments import named
 from jaxbody.core.arrays import check_times, concrete, device_array, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, warn
+from jaxbody.experiments.measurements import Measurement
 from jaxbody.inputs.loads import Load, loads_by_name, loads_of
 from jaxbody.inputs.motions import Motion, as_motion
 from jaxbody.mechanics.kinematics import Motions
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.records.samplings import warn_of_rails
-from jaxbody.sensors.channels import Measurement
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations.readings import readings
 from jaxbody.simulations.simulations import Trajectory, check_run, integrate, motions_of

@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 from jaxbody.core.arrays import concrete, device_array, float_array
 from jaxbody.core.errors import Problems
 from jaxbody.experiments.measured_responses import rested, told
-from jaxbody.sensors.channels import Channel, Measurement
+from jaxbody.experiments.measurements import Measurement
+from jaxbody.sensors.channels import Channel
 from jaxbody.vibrations.mode_branches import mac
 from jaxbody.vibrations.natural_modes import modes
 from jaxbody.vibrations.ports import PointMotion, ports_of, wired

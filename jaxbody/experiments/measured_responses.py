@@ -10,10 +10,11 @@ import numpy as np
 from jaxtyping import Array, Complex, Float
 
 from jaxbody.core.arrays import concrete, device_array
-from jaxbody.core.errors import Problems, Status
-from jaxbody.models.models import Model, unknown
+from jaxbody.core.errors import Problems, Status, unknown
+from jaxbody.experiments.measurements import Measurement
+from jaxbody.models.models import Model
 from jaxbody.responses.frequency_responses import check_frequencies, check_loss_factors, check_without_force_sensors, frequency_response
-from jaxbody.sensors.channels import Channel, Measurement
+from jaxbody.sensors.channels import Channel
 from jaxbody.statics.equilibria import equilibrium
 from jaxbody.vibrations.linearizations import Linearization, linearize
 from jaxbody.vibrations.ports import ports_of

@@ -18,8 +18,8 @@ from jaxbody.mechanics.energies import potential_energy
 from jaxbody.mechanics.kinematics import retract
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
+from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
-from jaxbody.statics.equilibria import size_of
 from jaxbody.vibrations.linearizations import linearize
 
 GYRATION = (0.02, 5.0)  # of the extent of what is attached

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int
 
+from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.fit_parameters import Free
-from jaxbody.sensors.channels import Measurement
 
 PRIORS = "priors"  # what stands for a measurement's name where they are told with them
 

@@ -12,12 +12,12 @@ from jaxtyping import Array
 
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.experiments.experiments import Experiment
+from jaxbody.experiments.measurements import Measurement
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching
 from jaxbody.models.models import Model
+from jaxbody.models.sizes import size_of
 from jaxbody.parameters.ties import Factor, bounds_of_first, check_alike, equation, ties, times
 from jaxbody.parameters.transforms import Parametrization, Positive, Shifted, pair_of, parametrize, sound_bounds
-from jaxbody.sensors.channels import Measurement
-from jaxbody.statics.equilibria import size_of
 
 OF_CHAINS = ("gain", "bias", "start", "delay", "lag")  # of instruments
 

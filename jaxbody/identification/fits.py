@@ -10,14 +10,16 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
+from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.core.results import Result
-from jaxbody.identification.intervals import FEW, Interval, check_level, freedoms_of, intervals_of, widening
+from jaxbody.experiments.measurements import Measurement
+from jaxbody.identification.intervals import FEW, Interval, freedoms_of, intervals_of, widening
 from jaxbody.identification.residuals import Task
 from jaxbody.models.models import Model
 from jaxbody.parameters.field_units import units_of
 from jaxbody.parameters.transforms import Direction, Rotation
-from jaxbody.sensors.channels import Measurement
+from jaxbody.statistics.quantiles import check_level
 from jaxbody.statistics.uncertainties import Uncertainty
 
 LEVEL = 0.95  # of the intervals that print
@@ -141,9 +143,32 @@ class Fit(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset of estimates and standard errors by path."""
-        from jaxbody.core.datasets import fit_dataset
-
-        return fit_dataset(self)
+        names, estimates, errors, intervals = [], [], [], self.intervals(0.95)
+        ends = [np.concatenate([np.ravel(interval[side]) for interval in intervals.values()]) for side in (0, 1)]
+        for path, value in self.estimates.items():
+            value = np.asarray(value)
+            names += [path] if value.ndim == 0 else [path + str(list(i)).replace(" ", "") for i in np.ndindex(value.shape)]
+            estimates += value.ravel().tolist()
+            errors += np.asarray(self.standard_errors[path]).ravel().tolist()
+        variables: dict[str, tuple[tuple[str, ...], Any, str]] = {
+            "estimate": (("parameter",), estimates, ""),
+            "standard_error": (("parameter",), errors, ""),
+            "lower": (("parameter",), ends[0], ""),
+            "upper": (("parameter",), ends[1], ""),
+            "singular_value": (("direction",), self.singular_values, ""),
+            "status": ((), self.status, ""),
+        }
+        coordinates: dict[str, Any] = {"parameter": names}
+        for run, sensors in self.predicted.items():
+            experiment = self.experiments[run]
+            for name, values in sensors.items():
+                over, where, unit = experiment.axis(name)
+                row = f"{run}_{over}"
+                coordinates[row] = (row, np.asarray(where), {"units": unit})
+                dimensions, unit = (row, *(f"{run}_{name}_component",) * (np.ndim(values) - 1)), experiment.channels[name].unit
+                variables[f"{run}_{name}_predicted"] = (dimensions, values, unit)
+                variables[f"{run}_{name}_measured"] = (dimensions, experiment.measured[name], unit)
+        return dataset(variables, coordinates, "fit")
 
     def _tables(self) -> list[tables.Table]:
         if self.uncertainty is None or not is_concrete(self.u):

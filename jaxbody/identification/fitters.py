@@ -23,7 +23,9 @@ from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
 from jaxbody.experiments.experiments import Experiment, Integration, check_measurements
 from jaxbody.experiments.initial_transients import far_off
+from jaxbody.experiments.measurements import Measurement
 from jaxbody.experiments.plausibilities import first_frequency
+from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.checkpoints import resumed, save
 from jaxbody.identification.colorings import PRIORS
 from jaxbody.identification.fit_parameters import choose, limits_of, priors_of
@@ -33,11 +35,9 @@ from jaxbody.identification.residuals import Task, first_noise, noise_found, ren
 from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
-from jaxbody.sensors.channels import Measurement
+from jaxbody.models.sizes import size_of
 from jaxbody.simulations.simulations import check_steps
-from jaxbody.statics.equilibria import size_of
 from jaxbody.statistics.losses import check_loss
-from jaxbody.statistics.noises import records_of
 from jaxbody.statistics.uncertainties import assess
 
 EXACT = 100  # times the tolerance of the integration: residuals that are no noise

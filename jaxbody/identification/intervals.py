@@ -12,27 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.identification.fit_parameters import Free
 from jaxbody.parameters.transforms import Positive, Shifted
+from jaxbody.statistics.quantiles import quantile
 from jaxbody.statistics.uncertainties import Uncertainty
 
 Interval = tuple[np.ndarray, np.ndarray]
 FEW = 13  # degrees of freedom, below which Student's t widens intervals of 95 % by more than a tenth
-
-
-def quantile(level: float, freedom: Any, *, sides: int = 2) -> np.ndarray:
-    """Of Student's t."""
-    from scipy.stats import t
-
-    return np.asarray(t.ppf(1 - (1 - level) / sides, freedom))
-
-
-def check_level(level: float, where: str) -> None:
-    """Error: BAD_LEVEL."""
-    if not 0 < level < 1:
-        hint = "0.95 is 95 %."
-        raise JaxbodyError(Problem("BAD_LEVEL", where, f"is {level}", level, "between 0 and 1", hint))
 
 
 def interval_of_u(u: np.ndarray, worth: Uncertainty, level: float) -> Interval:

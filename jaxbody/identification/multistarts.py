@@ -20,13 +20,13 @@ from jaxbody.core.compile_options import jit_quickly
 from jaxbody.core.errors import Problems, Status, warn, warn_of
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
+from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.fit_parameters import limits_of
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.fitters import fit
 from jaxbody.identification.residuals import Task
 from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
-from jaxbody.sensors.channels import Measurement
 
 TOGETHER = 1e-3  # distance in u, and of costs relative to 1 + cost, of what counts as one optimum
 CLOSE = 2.0  # difference of costs (logarithms of likelihood) up to which another optimum explains the data too

@@ -15,11 +15,12 @@ from jaxtyping import Array, Float
 
 from jaxbody.core.compile_options import jit_quickly
 from jaxbody.experiments.experiments import Integration
+from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.colorings import PRIORS, colors_of, moved_rows
 from jaxbody.identification.fit_parameters import Free
 from jaxbody.models.leaf_paths import write
 from jaxbody.models.models import Model
-from jaxbody.sensors.channels import Channel, Measurement
+from jaxbody.sensors.channels import Channel
 from jaxbody.statistics.losses import linearized, robust_level, root
 
 PROPORTION = 0.01  # change of the estimated noise of one channel against another's that is worth another round

@@ -23,12 +23,13 @@ from jaxtyping import Array, Float
 from jaxbody.core.errors import JaxbodyError, JaxbodyWarning, Problem
 from jaxbody.core.progress_lines import working
 from jaxbody.experiments.experiments import Experiment, Integration, check_measurements
+from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.fitters import fit
 from jaxbody.identification.residuals import first_noise
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
-from jaxbody.sensors.channels import Channel, Measurement
+from jaxbody.sensors.channels import Channel
 from jaxbody.simulations.readings import readings
 from jaxbody.simulations.simulations import Trajectory, integrate, motions_of
 from jaxbody.statics.rest_states import Rest

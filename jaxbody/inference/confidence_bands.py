@@ -21,8 +21,9 @@ from jaxbody.core.arguments import check_key
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.identification.fits import Fit
-from jaxbody.identification.intervals import check_level, quantile, widening
+from jaxbody.identification.intervals import widening
 from jaxbody.models.models import Model
+from jaxbody.statistics.quantiles import check_level, quantile
 
 
 class Bands(Result):

@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.errors import JaxbodyError, Problem, Status
+from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
 from jaxbody.core.progress_lines import Line, working
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.identification.fits import Fit
-from jaxbody.identification.intervals import check_level, quantile, widening
+from jaxbody.identification.intervals import widening
 from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_scipy
 from jaxbody.identification.residuals import residual_and_jacobian
-from jaxbody.models.models import unknown
 from jaxbody.parameters.transforms import Positive, Shifted
+from jaxbody.statistics.quantiles import check_level, quantile
 
 STEPS = 4  # to the end of the interval, on each side
 FARTHEST = 3.0  # times the step before that the next may be

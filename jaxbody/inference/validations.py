@@ -16,11 +16,11 @@ from jaxbody.core.compile_options import jit_quickly
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.experiments.experiments import check_measurements
+from jaxbody.experiments.measurements import Measurement
+from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.residuals import Task
-from jaxbody.sensors.channels import Measurement
 from jaxbody.statistics.autocorrelations import Whiteness, whiteness
-from jaxbody.statistics.noises import records_of
 
 WHITE = 0.01  # p-value below which residuals are told not to be white
 

@@ -15,7 +15,7 @@ from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import check_times, checked, concrete, device_array, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.tracings import check_returned
-from jaxbody.inputs.motions import cell, curvatures, is_uniform
+from jaxbody.inputs.samples import cell, curvatures, is_uniform
 
 __all__ = [
     "Constant",

@@ -13,12 +13,12 @@ from jaxtyping import Array, Bool, Float
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.kinematics import Coordinates, take
+from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
+from jaxbody.numerics.row_sums import sums, take
 
 Xi = Float[Array, "ns 6"] | None
-FEW_RUNS = 64  # slices that a sum may take; more would cost more to compile than a gather costs to run
 
 
 def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Frame:
@@ -138,14 +138,3 @@ def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t=0.0) -
         moments.append(M[None])
     hanging = [[i for i, end in enumerate(ends) if end == frame] for frame in range(len(model.layout.frames))]
     return sums(jnp.concatenate(forces), hanging), sums(jnp.concatenate(moments), hanging)
-
-
-def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]:
-    """The sum of the rows of each group: over slices where groups are a few runs of consecutive rows, else by a padded gather."""
-    runs = [np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1) if rows else [] for rows in groups]
-    if sum(map(len, runs)) <= FEW_RUNS:
-        zero = jnp.zeros(x.shape[1], x.dtype)
-        return jnp.stack([sum((jnp.sum(x[run[0] : run[-1] + 1], 0) for run in group), zero) for group in runs])
-    most = max(len(rows) for rows in groups)
-    padded = np.array([rows + [len(x)] * (most - len(rows)) for rows in groups])
-    return jnp.sum(jnp.concatenate([x, jnp.zeros((1, x.shape[1]), x.dtype)])[padded], 1)

@@ -23,7 +23,8 @@ from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, r
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.energies import wrenches
 from jaxbody.mechanics.kinematics import Coordinates, Motions
-from jaxbody.models.models import Layout, Model
+from jaxbody.models.layouts import Layout
+from jaxbody.models.models import Model
 from jaxbody.models.states import Instant, State
 from jaxbody.numerics.small_systems import solve_spd
 

@@ -10,10 +10,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.elements.second_derivatives import second_order
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.energies import each_element
 from jaxbody.mechanics.equations_of_motion import acceleration
-from jaxbody.mechanics.hessians import second_order
 from jaxbody.mechanics.kinematics import Coordinates, Motions, table_of
 from jaxbody.models.models import Model
 from jaxbody.models.states import State

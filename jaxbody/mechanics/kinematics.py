@@ -15,19 +15,9 @@ from jaxbody.inputs.motions import Motion
 from jaxbody.models.models import Model, at_rest_in, body_poses, rest_poses, support_poses
 from jaxbody.models.states import State
 from jaxbody.models.storage import Table
+from jaxbody.numerics.row_sums import take
 
 Motions = tuple[Motion, ...]  # one per support, in their order
-
-
-def take(x: Array, rows: np.ndarray) -> Array:
-    """x[rows] for rows known beforehand; slices where they follow one another or are all the same, which a compiled loop can fuse."""
-    if len(rows) and (np.diff(rows) == 1).all():
-        if len(rows) == len(x):
-            return x
-        return x[int(rows[0]) : int(rows[-1]) + 1]
-    if len(rows) and (rows == rows[0]).all():
-        return jnp.broadcast_to(x[int(rows[0]) : int(rows[0]) + 1], (len(rows), *x.shape[1:]))
-    return x[rows]
 
 
 class Chart(eqx.Module):

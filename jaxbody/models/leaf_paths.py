@@ -215,3 +215,8 @@ def by_name(names: tuple[tuple[str, ...], ...], tables: tuple[Array, ...], axis:
     """{name: row}, for tables of rows along `axis` and the names of their rows."""
     lead = (slice(None),) * axis
     return {name: table[(*lead, i)] for group, table in zip(names, tables, strict=True) for i, name in enumerate(group)}
+
+
+def springs_of(model: Any) -> list[str]:
+    """Elements whose deformation is one number."""
+    return [name for table in model.elements if table.rows.size == 1 for name in table.names]

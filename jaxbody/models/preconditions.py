@@ -8,7 +8,8 @@ import numpy as np
 
 from jaxbody.core.arrays import concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
-from jaxbody.models.models import WORLD, Model
+from jaxbody.models.layouts import WORLD
+from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.numerics.precisions import begin
 

@@ -15,9 +15,9 @@ from jaxtyping import Array, Float
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
 from jaxbody.models.models import Model
+from jaxbody.models.sizes import size_of
 from jaxbody.parameters.ties import ALIKE, Factor, Tie, bounds_of_first, check_alike, equation, ties, times
 from jaxbody.parameters.transforms import Parametrization, Positive, Rotation, Shifted, pair_of, parametrize, sound_bounds
-from jaxbody.statics.equilibria import size_of
 
 SPREAD = 0.3  # of random starts of what has no bounds of its own: directions, matrices
 

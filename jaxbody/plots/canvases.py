@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from jaxbody.core.errors import JaxbodyError
-from jaxbody.models.models import unknown
+from jaxbody.core.errors import JaxbodyError, unknown
 
 COLORS = ("#1f6fb4", "#d9661f", "#2f8f4e", "#8a4fbf", "#b8344a", "#7a6a4f", "#1c9a9a", "#c79a1a")
 GRAY, LIGHT, INK = "#8a8f98", "#dfe4ea", "#2b2f36"

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.errors import JaxbodyError, Problem, unknown
+from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.residuals import residual_and_jacobian
 from jaxbody.inference.profiles import Profile
-from jaxbody.models.models import unknown
 from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT, axes_or_new, legend
 from jaxbody.statistics.autocorrelations import FEWEST, most_lags, products
-from jaxbody.statistics.noises import Record, records_of
+from jaxbody.statistics.noises import Record
 
 COMPLEX = ("real", "imaginary")
 DARK = 0.6  # correlations above which numbers are white

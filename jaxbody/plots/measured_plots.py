@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from jaxbody.identification.fits import Fit
-from jaxbody.identification.intervals import quantile
 from jaxbody.plots.canvases import COLORS, INK, LIGHT, axes_below, axes_or_new, legend, pale
 from jaxbody.plots.fit_plots import chosen, linearized, records_about
 from jaxbody.plots.response_plots import hertz
 from jaxbody.sensors.channels import Channel
+from jaxbody.statistics.quantiles import quantile
 
 BAND = 0.95  # level of the bands
 FEW = 400  # samples up to which points are large

@@ -16,7 +16,8 @@ from jaxbody.elements.elements import LineElement
 from jaxbody.geometry.frames import Pose
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.joints import Guide
-from jaxbody.models.models import WORLD, Model
+from jaxbody.models.layouts import WORLD
+from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.plots.annotations import Label, annotate
 from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT, axes_or_new, check_known

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxbody.elements.elements import Bushing, Spring
+from jaxbody.elements.bushings import Bushing
+from jaxbody.elements.springs import Spring
 from jaxbody.elements.torsions import AntiRollBar
 from jaxbody.models.bodies import Body, Support
 from jaxbody.models.joints import Guide, HeavePitch, HeavePitchRoll, Hinge, Translation

@@ -235,6 +235,17 @@ def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], lis
     return names, units, len(rows)
 
 
+def _opening(head: str) -> int:
+    """Where the bracket opens that closes at the end; -1 where none does."""
+    opens = {"]": "[", ")": "("}.get(head[-1:])
+    depth = 0
+    for at in range(len(head) - 1, -1, -1) if opens else ():
+        depth += (head[at] == head[-1]) - (head[at] == opens)
+        if depth == 0:
+            return at
+    return -1
+
+
 def split_unit(head: str) -> tuple[str, str | None]:
     """ "acc [g]" as name and unit; parentheses count where they hold a unit.
 
@@ -247,14 +258,3 @@ def split_unit(head: str) -> tuple[str, str | None]:
     if start <= 0 or not name or unit.isdigit() or not (head.endswith("]") or is_unit(unit)):
         return head, None
     return name, unit or None
-
-
-def _opening(head: str) -> int:
-    """Where the bracket opens that closes at the end; -1 where none does."""
-    opens = {"]": "[", ")": "("}.get(head[-1:])
-    depth = 0
-    for at in range(len(head) - 1, -1, -1) if opens else ():
-        depth += (head[at] == head[-1]) - (head[at] == opens)
-        if depth == 0:
-            return at
-    return -1

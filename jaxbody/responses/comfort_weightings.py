@@ -16,10 +16,9 @@ from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import checked
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
 from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.results import Result
-from jaxbody.models.models import unknown
 from jaxbody.responses.frequency_responses import check_frequencies
 from jaxbody.responses.random_responses import RandomResponse, root_mean_square
 from jaxbody.responses.spectra import sampling_step

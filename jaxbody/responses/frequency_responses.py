@@ -20,11 +20,12 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from jaxbody.core import tables
 from jaxbody.core.arrays import checked, concrete, device_array, float_array
 from jaxbody.core.compile_options import jit_quickly
-from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete
+from jaxbody.core.datasets import dataset
+from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.energies import each_element
 from jaxbody.mechanics.kinematics import Coordinates
-from jaxbody.models.models import Model, unknown
+from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import ZERO, natural
 from jaxbody.numerics.precisions import reachable
@@ -81,9 +82,19 @@ class FrequencyResponse(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: the complex response by `output`, `input` and `frequency`, with units by output and input."""
-        from jaxbody.core.datasets import frequency_response_dataset
-
-        return frequency_response_dataset(self)
+        units = [[self.unit(y, u) for u in self.inputs] for y in self.outputs]
+        variables = {
+            "response": (("output", "input", "frequency"), self.values, ""),
+            "unit": (("output", "input"), np.array(units), ""),
+            "status": ((), self.status, ""),
+        }
+        f = np.asarray(self.frequencies)
+        coordinates = {
+            "output": list(self.outputs),
+            "input": list(self.inputs),
+            "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"}),
+        }
+        return dataset(variables, coordinates, "frequency response")
 
     def _tables(self) -> list[tables.Table]:
         heads = ("output", "input", "unit", "at first frequency", "largest", "at [Hz]")

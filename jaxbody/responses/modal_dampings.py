@@ -21,7 +21,7 @@ from jaxbody.core.compile_options import jit_quickly
 from jaxbody.core.errors import Problems, Status
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, together
 from jaxbody.vibrations.linearizations import Linearization
-from jaxbody.vibrations.natural_modes import _modes
+from jaxbody.vibrations.natural_modes import modes_of
 
 NO_MODES = (Status.UNSTABLE, Status.NOT_SYMMETRIC, Status.SINGULAR_M, Status.NONFINITE)
 
@@ -44,7 +44,7 @@ def with_modal_damping(lin: Linearization, ratios: Any, where: str) -> Lineariza
 
 @jit_quickly
 def _added(lin: Linearization, ratios: Float[Array, "nv"]) -> tuple[Array, ...]:
-    *_, status = _modes(lin)
+    *_, status = modes_of(lin)
     values, shapes = natural(lin.K, lin.M)
     cluster, top = clusters(values), jnp.max(jnp.abs(values), initial=0.0)
     moves = values > ZERO * top

@@ -15,9 +15,9 @@ from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.compile_options import jit_quickly
-from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete
+from jaxbody.core.datasets import dataset
+from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.models.models import unknown
 from jaxbody.models.preconditions import check_precision
 from jaxbody.responses.frequency_responses import check_frequencies, check_loss_factors, check_without_force_sensors, response_values
 from jaxbody.responses.modal_dampings import with_modal_damping
@@ -49,9 +49,15 @@ class RandomResponse(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: psd by `output` and `frequency`, rms by `output`."""
-        from jaxbody.core.datasets import random_response_dataset
-
-        return random_response_dataset(self)
+        variables = {
+            "psd": (("output", "frequency"), self.psd, "unit^2/Hz"),
+            "rms": (("output",), self.rms, "unit"),
+            "unit": (("output",), np.array(self.units), ""),
+            "status": ((), self.status, ""),
+        }
+        f = np.asarray(self.frequencies)
+        coordinates = {"output": list(self.outputs), "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"})}
+        return dataset(variables, coordinates, "random response")
 
     def _tables(self) -> list[tables.Table]:
         if self.rms.ndim > 1 or not is_concrete(self.rms):

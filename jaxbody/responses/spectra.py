@@ -15,9 +15,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float
 
 from jaxbody.core.arrays import checked, concrete, device_array, float_array, scalar, shaped
-from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.units import ANGULAR_RATE, RATE, parse
-from jaxbody.models.models import unknown
 
 QUANTITIES = ("m", "m/s", "m/s2", "rad", "rad/s", "rad/s2", "N", "N m")
 MEASURES = {"Hz": RATE, "rad/s": ANGULAR_RATE, "cycle/m": (-1, 0, 0, 0, 0), "rad/m": (-1, 0, 0, 1, 0)}

@@ -14,7 +14,8 @@ from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.geometry.places import ends, unit_vector
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
-from jaxbody.models.models import WORLD, Model, body_poses, support_poses
+from jaxbody.models.layouts import WORLD
+from jaxbody.models.models import Model, body_poses, support_poses
 from jaxbody.sensors.sensors import Chain, Sensor
 
 GRAZING = 1e-6  # cosine of beam and surface's normal below which there is no spot

@@ -8,13 +8,12 @@ from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import concrete, vector
-from jaxbody.core.errors import Problem, Problems
+from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.geometry import rotations
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.places import unit_vector
 from jaxbody.geometry.vectors import cross, dot, rotate_back
 from jaxbody.models.joints import Free
-from jaxbody.models.models import unknown
 from jaxbody.sensors.sensors import Chain, Sensor
 
 

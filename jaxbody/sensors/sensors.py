@@ -10,11 +10,11 @@ from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import check_kind, named, plain
 from jaxbody.core.arrays import checked, concrete, vector
-from jaxbody.core.errors import Problem, Problems
+from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.elements.elements import Element
 from jaxbody.geometry.places import unit_vector
 from jaxbody.geometry.vectors import dot, rotate
-from jaxbody.models.models import Model, unknown
+from jaxbody.models.models import Model
 from jaxbody.models.states import Instant
 from jaxbody.sensors import delays_and_lags
 from jaxbody.sensors.channels import Channel

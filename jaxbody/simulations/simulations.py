@@ -18,13 +18,14 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind, named, positive, whole
 from jaxbody.core.arrays import check_times, concrete, device_array, float_array
 from jaxbody.core.compile_options import jit_quickly
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed, without_derivatives
 from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.loads import Load, loads_of
-from jaxbody.inputs.motions import AtRest, Motion, as_motion, check_motion, kinks_of
-from jaxbody.laws.laws import has_range
+from jaxbody.inputs.motions import AtRest, Motion, as_motion, check_motion
+from jaxbody.inputs.samples import kinks_of
+from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.canonical_equations import Canonical
 from jaxbody.mechanics.energies import beyond_laws, each_element, kinetic, lost_power, potential
 from jaxbody.mechanics.equations_of_motion import Dynamics, table_of_free
@@ -32,14 +33,15 @@ from jaxbody.mechanics.failure_causes import at_jump, jumps_passed, without_numb
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Coordinates, Motions, table_of
 from jaxbody.models.leaf_paths import by_name
-from jaxbody.models.models import Model, unknown
+from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, check_state, unattached
+from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
 from jaxbody.numerics import dormand_prince_steps
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import in_float64, reachable
-from jaxbody.statics.equilibria import size_of, without_inertia
+from jaxbody.statics.equilibria import without_inertia
 from jaxbody.statics.rest_states import Rest, as_initial, beginning
 
 MAX_STEPS = 100_000

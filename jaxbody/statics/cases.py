@@ -14,6 +14,7 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind, named
 from jaxbody.core.arrays import device_array, stack, vector
 from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.datasets import AXES, dataset, rows_of
 from jaxbody.core.errors import Problems, Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry import rotations
@@ -23,11 +24,12 @@ from jaxbody.inputs.loads import STANDARD_GRAVITY, Load, loads_by_name, loads_of
 from jaxbody.mechanics.energies import each_element, frames_of
 from jaxbody.mechanics.hessians import placed
 from jaxbody.mechanics.kinematics import Coordinates
-from jaxbody.models.leaf_paths import by_name
+from jaxbody.models.leaf_paths import by_name, springs_of
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
+from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
-from jaxbody.statics.equilibria import DESCENDED, Ended, Equilibrium, ended_under, equilibrium_of, scale_of, size_of, standing
+from jaxbody.statics.equilibria import DESCENDED, Ended, Equilibrium, ended_under, equilibrium_of, standing
 from jaxbody.statics.load_paths import Raised, residual
 
 MAX_STEPS = 200  # of a search
@@ -108,9 +110,24 @@ class LoadCases(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset by `case`: displacement and rotation by `body`, stroke and force by element."""
-        from jaxbody.core.datasets import load_cases_dataset
-
-        return load_cases_dataset(self)
+        model = self.unloaded.model
+        springs = springs_of(model)
+        variables = {
+            "displacement": (("case", "body", "axis"), self.displaced, "m"),
+            "rotation": (("case", "body", "axis"), self.turned, "rad"),
+            "status": (("case",), self.status, ""),
+            "load_factor": (("case",), self.load_factor, ""),
+        }
+        coordinates = {"case": list(self.names), "body": list(model.layout.bodies), "axis": AXES}
+        strokes, forces = self.strokes, self.forces
+        if springs:
+            variables["stroke"] = (("case", "spring"), rows_of([strokes[name] for name in springs], -1), "m")
+            variables["force"] = (("case", "spring"), rows_of([forces[name] for name in springs], -1), "N")
+            coordinates["spring"] = springs
+        for name in (name for name in strokes if name not in springs):
+            variables[f"{name}_stroke"] = (("case", "component"), strokes[name], "m, rad")
+            variables[f"{name}_force"] = (("case", "component"), forces[name], "N, N m")
+        return dataset(variables, coordinates, "load cases")
 
     def _tables(self) -> list[tables.Table]:
         if self.status.ndim != 1 or not is_concrete(self.status):

@@ -21,17 +21,20 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import whole
 from jaxbody.core.arrays import device_array
 from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.datasets import dataset, rows_of
 from jaxbody.core.errors import Problems, Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.loads import Load, loads_of
-from jaxbody.laws.laws import has_range
+from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.energies import beyond_laws, each_element, potential
 from jaxbody.mechanics.failure_causes import without_number_downhill
 from jaxbody.mechanics.hessians import placed, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
-from jaxbody.models.leaf_paths import by_name
-from jaxbody.models.models import Layout, Model
+from jaxbody.models.layouts import Layout
+from jaxbody.models.leaf_paths import by_name, springs_of
+from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
+from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.eigenproblems import MASSLESS
 from jaxbody.numerics.lane_marks import any_of_batch
@@ -126,9 +129,20 @@ class Equilibrium(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: q by part, residual by coordinate, elongation by spring, energy, status."""
-        from jaxbody.core.datasets import equilibrium_dataset
-
-        return equilibrium_dataset(self)
+        layout, springs = self.model.layout, springs_of(self.model)
+        parts = [f"{name} {i}" for name, kind in zip(layout.bodies, layout.kinds, strict=True) for i in range(kind.nq)]
+        variables = {
+            "q": (("part",), self.state.q, ""),
+            "residual": (("coordinate",), self.residual, "N or N m"),
+            "energy": ((), self.energy, "J"),
+            "stable": ((), self.stable, ""),
+            "status": ((), self.status, ""),
+        }
+        coordinates = {"part": parts, "coordinate": list(layout.coordinates)}
+        if springs:
+            variables["elongation"] = (("spring",), rows_of([self.elongations[name] for name in springs], -1), "m")
+            coordinates["spring"] = springs
+        return dataset(variables, coordinates, "equilibrium")
 
     def _tables(self) -> list[tables.Table]:
         q, layout = tables.without_dust(self.state.q), self.layout
@@ -308,24 +322,6 @@ def apart(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> F
 @jit_as_it_is
 def _beyond(model: Model, state: State) -> Bool[Array, "ne"]:
     return beyond_laws(model, Coordinates(model).at_rest(state.q, state.v))
-
-
-def size_of(model: Model) -> Float[Array, ""]:
-    """A length of the model: the farthest that an element is attached, or a centre of mass lies, from a body's origin; else the longest
-    distance from the world's origin; else 1 m."""
-    on_bodies, anywhere = [jnp.zeros((1, 3), model.gravity.dtype), model.bodies.rows.com], [model.bodies.rows.position]
-    for table in model.elements:
-        for end, points in enumerate(table.rows.points):
-            on_body = np.array([link[end] in model.layout.bodies for link in table.links])
-            on_bodies.append(jnp.where(on_body[:, None], points, 0.0))
-            anywhere.append(points)
-    near, far = (jnp.max(jnp.linalg.norm(jnp.concatenate(points), axis=-1)) for points in (on_bodies, anywhere))
-    return jnp.where(near > 0, near, jnp.where(far > 0, far, 1.0))
-
-
-def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
-    """Delta per nondimensional increment: 1 for translations, 1/size for rotations (both in meters then)."""
-    return jnp.where(model.layout.turns, 1 / size, 1.0)
 
 
 @jax.custom_jvp

@@ -19,8 +19,9 @@ from jaxbody.mechanics.hessians import expansion, placed, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision
+from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.statics.descents import SINGULAR, descend, signs
-from jaxbody.statics.equilibria import Ended, Equilibrium, apart, nothing, scale_of, size_of, standing
+from jaxbody.statics.equilibria import Ended, Equilibrium, apart, nothing, standing
 
 SAME = 1e-9  # of the spread of energies, within which two may be one
 DESCENT, ROOTED = 200, 60  # steps of a search

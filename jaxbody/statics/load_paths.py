@@ -14,10 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxbody.elements.second_derivatives import turning
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import cross, dot, product, rotate, skew
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.hessians import DeadForces, Placed, placed, slope, stiffness, turning
+from jaxbody.mechanics.hessians import DeadForces, Placed, placed, slope, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.numerics.precisions import NEWTON, reachable

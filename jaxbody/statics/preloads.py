@@ -19,16 +19,16 @@ from jaxtyping import Array, Float, Int
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind
 from jaxbody.core.compile_options import jit_as_it_is
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.hessians import placed, slope
 from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
-from jaxbody.models.models import Model, unknown
+from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, check_state
+from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.precisions import reachable
-from jaxbody.statics.equilibria import scale_of, size_of
 
 ITERATIONS = 50
 RANK = 1e-10  # singular values of A, relative to the largest, that count as zero

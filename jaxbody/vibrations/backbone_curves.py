@@ -32,17 +32,18 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import MESSAGES, Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import rotate, rotate_back
 from jaxbody.mechanics.energies import kinetic, potential
 from jaxbody.mechanics.kinematics import Coordinates
-from jaxbody.models.models import Layout
+from jaxbody.models.layouts import Layout
 from jaxbody.models.preconditions import check_precision
+from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.numerics.eigenproblems import ZERO
-from jaxbody.statics.equilibria import scale_of, size_of
 from jaxbody.vibrations.linearizations import Linearization
-from jaxbody.vibrations.natural_modes import _modes
+from jaxbody.vibrations.natural_modes import modes_of
 
 RESONANT = 1e-3  # relative distance of w_j^2 from 4 w^2 below which mode j answers the second harmonic without bound
 COUPLED = 1e-9  # nondimensional force on a mode, above rounding, that makes it answer
@@ -89,9 +90,20 @@ class Backbones(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: frequency, curvature and the derivatives of V by mode, shapes by mode and named coordinate."""
-        from jaxbody.core.datasets import backbones_dataset
-
-        return backbones_dataset(self)
+        layout, largest = self.layout, np.asarray(self.largest)
+        variables = {
+            "frequency": (("mode",), self.frequency, "Hz"),
+            "curvature": (("mode",), self.curvature, "1/m2 or 1/rad2"),
+            "stiffness": (("mode",), self.stiffness, "N/m or N m"),
+            "third": (("mode",), self.third, "N/m2 or N m"),
+            "fourth": (("mode",), self.fourth, "N/m3 or N m"),
+            "largest": (("mode",), np.asarray(layout.coordinates)[largest], ""),
+            "shape": (("coordinate", "mode"), self.shapes, "largest component 1"),
+            "drift": (("coordinate", "mode"), self.drift, "per amplitude^2"),
+            "second_harmonic": (("coordinate", "mode"), self.second_harmonic, "per amplitude^2"),
+            "status": (("mode",), self.status, ""),
+        }
+        return dataset(variables, {"mode": list(range(1, largest.shape[-1] + 1)), "coordinate": list(layout.coordinates)}, "backbones")
 
     def _tables(self) -> list[tables.Table]:
         if self.frequency.ndim > 1 or not is_concrete(self.frequency):
@@ -144,7 +156,7 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
 def _backbones(lin: Linearization) -> Backbones:
     model, K, M = lin.model, (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2
     frozen = jax.lax.stop_gradient(lin)
-    (of_modes, shapes, _, values, cluster, _), size = _modes(frozen), size_of(frozen.model)
+    (of_modes, shapes, _, values, cluster, _), size = modes_of(frozen), size_of(frozen.model)
     scale = scale_of(frozen.model, size)
     MS = frozen.M @ shapes
     top = jnp.max(jnp.abs(values))

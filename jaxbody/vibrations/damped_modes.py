@@ -11,16 +11,19 @@ from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import cross
 from jaxbody.mechanics.kinematics import Coordinates
-from jaxbody.models.models import Layout, Model
+from jaxbody.models.layouts import Layout
+from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
+from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.numerics.eigenproblems import cholesky_of_mass, pole_clusters, poles, refused_if_shared
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.descents import SINGULAR
-from jaxbody.statics.equilibria import NOT_AT_REST, scale_of, size_of, without_inertia
+from jaxbody.statics.equilibria import NOT_AT_REST, without_inertia
 from jaxbody.vibrations.linearizations import Linearization, check_linearization
 from jaxbody.vibrations.mode_names import meaning, names_of_shapes
 from jaxbody.vibrations.spins import SpinLinearization
@@ -71,9 +74,18 @@ class ComplexModes(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: frequencies, damping ratio, decay rate, poles and shapes by mode."""
-        from jaxbody.core.datasets import complex_modes_dataset
-
-        return complex_modes_dataset(self)
+        variables = {
+            "frequency": (("mode",), self.frequency, "Hz"),
+            "natural_frequency": (("mode",), self.natural_frequency, "Hz"),
+            "damping_ratio": (("mode",), self.damping_ratio, ""),
+            "decay_rate": (("mode",), self.decay_rate, "1/s"),
+            "pole": (("mode", "pair"), self.poles, "1/s"),
+            "shape": (("coordinate", "mode"), self.shapes, "mass-normalized"),
+            "cluster": (("mode",), self.cluster, ""),
+            "status": ((), self.status, ""),
+        }
+        count = np.shape(self.frequency)[-1]
+        return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(self.layout.coordinates)}, "complex modes")
 
     def _tables(self) -> list[tables.Table]:
         if self.frequency.ndim > 1 or not is_concrete(self.frequency):

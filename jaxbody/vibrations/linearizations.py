@@ -19,7 +19,8 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import named
 from jaxbody.core.arrays import shaped, stack
 from jaxbody.core.compile_options import jit_as_it_is
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete
+from jaxbody.core.datasets import dataset
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load
@@ -27,11 +28,12 @@ from jaxbody.mechanics.energies import each_element, gravity_energy, potential
 from jaxbody.mechanics.hessians import damping, expansion, mass, placed
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name
-from jaxbody.models.models import Model, unknown
+from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_memory, check_precision, check_state
+from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.lanes import in_lanes
-from jaxbody.statics.equilibria import NOT_AT_REST, Equilibrium, scale_of, size_of, zero_modes
+from jaxbody.statics.equilibria import NOT_AT_REST, Equilibrium, zero_modes
 from jaxbody.statics.load_paths import generalized, stiffness_of_loads
 from jaxbody.vibrations.state_spaces import StateSpace, state_space
 
@@ -103,9 +105,15 @@ class Linearization(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: M, C, K and their blocks towards the base, by named coordinates."""
-        from jaxbody.core.datasets import linearization_dataset
-
-        return linearization_dataset(self)
+        own, base = list(self.coordinates), list(self.base_coordinates)
+        variables = {}
+        for name, unit in (("M", "kg, kg m, kg m2"), ("C", "N s/m, N s, N m s"), ("K", "N/m, N, N m")):
+            variables[name] = (("coordinate", "coordinate_2"), getattr(self, name), unit)
+            if base:
+                variables[f"{name}_tilde"] = (("coordinate", "base"), getattr(self, f"{name}_tilde"), unit)
+                variables[f"{name}_bb"] = (("base", "base_2"), getattr(self, f"{name}_bb"), unit)
+        coordinates = {"coordinate": own, "coordinate_2": own} | ({"base": base, "base_2": base} if base else {})
+        return dataset(variables | {"status": ((), self.status, "")}, coordinates, "linearization")
 
     def state_space(self, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
         """A, B, C, D from named inputs to named outputs, {name: port}, as python-control takes them.

@@ -6,11 +6,13 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Frame
@@ -22,7 +24,7 @@ from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.vibrations.linearizations import Linearization, check_linearization
 from jaxbody.vibrations.mode_names import AXES, against_gravity, direction_words, meaning, mode_names
-from jaxbody.vibrations.natural_modes import _modes
+from jaxbody.vibrations.natural_modes import modes_of
 
 LEAST_LOSS = 1e-12  # of the largest decay of a mode, below which a mode dissipates nothing
 UNTIED = 1e-8  # far above rounding, far below what counts as coinciding
@@ -77,9 +79,23 @@ class ModeEnergies(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: shares [%] by mode, body and direction, element."""
-        from jaxbody.core.datasets import mode_energies_dataset
-
-        return mode_energies_dataset(self)
+        variables = {
+            "frequency": (("mode",), self.frequency, "Hz"),
+            "kinetic": (("body", "direction", "mode"), self.kinetic_shares, "%"),
+            "strain": (("element", "mode"), self.strain_shares, "%"),
+            "other_strain": (("other", "mode"), self.other_shares, "%"),
+            "dissipation": (("element", "mode"), self.dissipation_shares, "%"),
+            "status": ((), self.status, ""),
+        }
+        model, count = self.model, np.shape(self.frequency)[-1]
+        coordinates = {
+            "mode": list(range(1, count + 1)),
+            "body": list(model.layout.bodies),
+            "direction": list(self.directions),
+            "element": list(model.element_names),
+            "other": list(self.other_strain),
+        }
+        return dataset(variables, coordinates, "energies of modes")
 
     def _tables(self) -> list[tables.Table]:
         count = self.frequency.shape[-1]
@@ -155,7 +171,7 @@ def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str,
 
 @jit_as_it_is
 def _energies(lin: Linearization) -> tuple[Array, ...]:
-    frequency, *_, status = _modes(lin)
+    frequency, *_, status = modes_of(lin)
     values, shapes = natural(lin.K, lin.M)
     cluster = clusters(values)
 

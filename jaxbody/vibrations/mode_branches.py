@@ -17,9 +17,10 @@ from jaxtyping import Array, Float, Int
 from jaxbody.core import tables
 from jaxbody.core.arrays import concrete, float_array
 from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.models.models import Layout
+from jaxbody.models.layouts import Layout
 from jaxbody.numerics.eigenproblems import together
 from jaxbody.vibrations.damped_modes import ComplexModes, complex_modes
 from jaxbody.vibrations.linearizations import Linearization
@@ -56,9 +57,17 @@ class Branches(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: frequency, damping ratio, MAC and shape by value and mode."""
-        from jaxbody.core.datasets import branches_dataset
-
-        return branches_dataset(self)
+        variables = {
+            "frequency": (("value", "mode"), self.frequency, "Hz"),
+            "damping_ratio": (("value", "mode"), self.damping_ratio, ""),
+            "mac": (("value", "mode"), self.mac, ""),
+            "order": (("value", "mode"), self.order, ""),
+            "shape": (("value", "coordinate", "mode"), self.shapes, "mass-normalized"),
+            "status": (("value",), self.status, ""),
+        }
+        count = np.shape(self.frequency)[-1]
+        coordinates = {"value": np.asarray(self.values), "mode": list(range(1, count + 1)), "coordinate": list(self.layout.coordinates)}
+        return dataset(variables, coordinates, "branches")
 
     def _tables(self) -> list[tables.Table]:
         if self.frequency.ndim > 2 or not is_concrete(self.frequency) or self.frequency.shape[1] > 12:

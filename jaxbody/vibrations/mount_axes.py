@@ -13,12 +13,12 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import shaped
 from jaxbody.core.compile_options import jit_as_it_is
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete
+from jaxbody.core.datasets import AXES, dataset
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back, skew
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.joints import Free
-from jaxbody.models.models import unknown
 from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import natural
 from jaxbody.vibrations.linearizations import Linearization, check_linearization
@@ -43,9 +43,17 @@ class ElasticAxes(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: direction, stiffness, point and pitch of each axis."""
-        from jaxbody.core.datasets import elastic_axes_dataset
-
-        return elastic_axes_dataset(self)
+        variables = {
+            "center": (("axis",), self.center, "m"),
+            "direction": (("axis", "elastic_axis"), self.directions, ""),
+            "stiffness": (("elastic_axis",), self.stiffness, "N/m"),
+            "point": (("elastic_axis", "axis"), self.points, "m"),
+            "pitch": (("elastic_axis",), self.pitch, "m"),
+            "torsional_direction": (("axis", "elastic_axis"), self.torsional_directions, ""),
+            "torsional_stiffness": (("elastic_axis",), self.torsional_stiffness, "N m/rad"),
+            "status": ((), self.status, ""),
+        }
+        return dataset(variables, {"axis": AXES, "elastic_axis": [1, 2, 3]}, f"elastic axes of {self.body}")
 
     def _tables(self) -> list[tables.Table]:
         if self.stiffness.ndim > 1 or not is_concrete(self.stiffness):

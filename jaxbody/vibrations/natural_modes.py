@@ -10,9 +10,11 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.models.models import Layout, Model
+from jaxbody.models.layouts import Layout
+from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.numerics.lanes import in_lanes
@@ -65,9 +67,16 @@ class Modes(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: frequency, damping ratio and shape by mode and named coordinate."""
-        from jaxbody.core.datasets import modes_dataset
-
-        return modes_dataset(self)
+        variables = {
+            "frequency": (("mode",), self.frequency, "Hz"),
+            "damping_ratio": (("mode",), self.damping_ratio, ""),
+            "eigenvalue": (("mode",), self.eigenvalues, "rad2/s2"),
+            "shape": (("coordinate", "mode"), self.shapes, "mass-normalized"),
+            "cluster": (("mode",), self.cluster, ""),
+            "status": ((), self.status, ""),
+        }
+        count = np.shape(self.frequency)[-1]
+        return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(self.layout.coordinates)}, "modes")
 
     def _tables(self) -> list[tables.Table]:
         if self.frequency.ndim > 1 or not is_concrete(self.frequency):
@@ -94,13 +103,13 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     """
     check_linearization(lin, "modes")
     check_precision("modes", lin.model, allow_float32=allow_float32)
-    result = Modes(*_modes(lin), M=lin.M, model=lin.model, q=lin.state.q)
+    result = Modes(*modes_of(lin), M=lin.M, model=lin.model, q=lin.state.q)
     warn_if_failed(result)
     return result
 
 
 @jit_as_it_is
-def _modes(lin: Linearization) -> tuple[Array, ...]:
+def modes_of(lin: Linearization) -> tuple[Array, ...]:
     """Frequency, shapes, damping ratio, eigenvalues, cluster and status."""
     values, shapes = natural(lin.K, lin.M)
     cluster = clusters(values)

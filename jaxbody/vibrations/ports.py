@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import float_array, vector
 from jaxbody.core.compile_options import jit_as_it_is
-from jaxbody.core.errors import Problem, Problems
+from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.elements.elements import Element
 from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry.frames import Frame, Pose
@@ -27,7 +27,7 @@ from jaxbody.geometry.vectors import cross, skew
 from jaxbody.mechanics.hessians import Placed, placed, slope
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.mechanics.linear_readings import reading_rows
-from jaxbody.models.models import Model, unknown
+from jaxbody.models.models import Model
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  # along and about world axes
 KINDS = ("displacement", "velocity", "acceleration")

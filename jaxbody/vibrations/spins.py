@@ -18,6 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.motions import AtRest
@@ -25,9 +26,9 @@ from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.mechanics.hessians import damping, mass, placed, stiffness
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, check_state
+from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.precisions import reachable
-from jaxbody.statics.equilibria import scale_of, size_of
 
 STEADY = 1e-8  # change of speeds and of matrices, relative to what they are made of, below which it is round-off
 ALONG = (0.7, 1.9, 4.1)  # rad into the spin where the matrices must be the same; no two in a simple ratio
@@ -63,9 +64,18 @@ class SpinLinearization(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: M, C, G and K by named coordinates."""
-        from jaxbody.core.datasets import spin_dataset
-
-        return spin_dataset(self)
+        units = {
+            "M": "kg, kg m, kg m2",
+            "C": "N s/m, N s, N m s",
+            "G": "N s/m, N s, N m s",
+            "K": "N/m, N, N m",
+            "K_centrifugal": "N/m, N, N m",
+        }
+        variables: dict[str, Any] = {name: (("coordinate", "coordinate_2"), getattr(self, name), unit) for name, unit in units.items()}
+        names = list(self.coordinates)
+        return dataset(
+            variables | {"status": ((), self.status, "")}, {"coordinate": names, "coordinate_2": names}, "linearization about a spin"
+        )
 
     def _tables(self) -> list[tables.Table]:
         heads = [str(i) for i in range(self.K.shape[-1])]

@@ -27,10 +27,11 @@ import rigs
 
 import jaxbody as jb
 from jaxbody.experiments.experiments import Integration
+from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.fit_parameters import choose
-from jaxbody.identification.intervals import interval_of_u, quantile
+from jaxbody.identification.intervals import interval_of_u
 from jaxbody.identification.residuals import Task, residual_and_jacobian
-from jaxbody.statistics.noises import records_of
+from jaxbody.statistics.quantiles import quantile
 from jaxbody.statistics.uncertainties import assess
 
 SEED, STEP, TOGETHER, CHANGE = 2026, 0.02, 64, 1e-3

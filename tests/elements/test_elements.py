@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
 from jaxbody import laws
+from jaxbody.elements.second_derivatives import second_order
 from jaxbody.geometry import rotations, vectors
 from jaxbody.geometry.frames import Frame, Pose, Wrench
 from jaxbody.mechanics.energies import frames_of, wrenches
 from jaxbody.mechanics.equations_of_motion import Dynamics
-from jaxbody.mechanics.hessians import second_order
 
 RNG = np.random.default_rng(42)
 N = 200

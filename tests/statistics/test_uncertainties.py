@@ -9,9 +9,10 @@ from scipy.optimize import root
 from scipy.signal import lfilter
 from scipy.stats import chi2, kstest
 
-from jaxbody.identification.intervals import interval_of_u, quantile
+from jaxbody.identification.intervals import interval_of_u
 from jaxbody.statistics.autocorrelations import Autoregression, autocovariances, autoregressions, chosen_order, products, whiteness
 from jaxbody.statistics.noises import Record
+from jaxbody.statistics.quantiles import quantile
 from jaxbody.statistics.uncertainties import assess, in_words
 
 N, CHANNELS, LABELS = 250, 3, list("abcde")

@@ -1,0 +1,105 @@
+"""Bushings: six numbers of one frame in another, with stiffness and damping for each or as a matrix."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import checked, concrete
+from jaxbody.core.errors import Problems
+from jaxbody.elements.elements import Element, check_negative, turned
+from jaxbody.geometry import rotations
+from jaxbody.geometry.orientations import IDENTITY, as_quaternion
+from jaxbody.geometry.places import ends
+from jaxbody.geometry.vectors import rotate, rotate_back
+
+
+class Bushing(Element):
+    """A linear bushing between a frame at a on one body and a frame at b on another.
+
+        V = 1/2 e' K e,   R = 1/2 e_dot' C e_dot,   e = log(X_A^-1 X_B) = (translation, rotation vector), axes of the frame at a
+
+    `stiffness` K and `damping` C: 6 x 6 matrices, symmetric and positive semidefinite, or three numbers: translational along the
+    bushing's axes [N/m], [N s/m], no resistance to turning. `orientation` (of the frame at a in its body) and `orientation_b`
+    give the axes; the bushing is relaxed where the two frames coincide. e is the logarithm of SE(3): exchanging the ends changes only its sign.
+    Errors: NOT_SYMMETRIC, NEGATIVE_STIFFNESS, NEGATIVE_DAMPING, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION.
+
+    >>> mount = Bushing(("engine", [0.4, 0, 0]), ("base", [0.4, 0, 0]), stiffness=[9e4, 2e5, 5e5], damping=[900.0, 2000.0, 200.0])
+    >>> mount.stiffness.shape
+    (3,)
+    """
+
+    size = 6
+    jump = (
+        "HALF_TURN",
+        "is turned by 180 degrees",
+        "a bushing is for less than half a turn, where its deformation jumps: let a joint (jb.Hinge, jb.Ball) guide what turns further, or hold it by springs",
+    )
+    stiffness: Float[Array, "*k"]
+    damping: Float[Array, "*k"]
+    orientation: Float[Array, "4"]
+    orientation_b: Float[Array, "4"]
+
+    def __init__(self, a, b, *, stiffness, damping=None, orientation=IDENTITY, orientation_b=IDENTITY, allow_negative: bool = False):
+        problems = Problems()
+        self.between, (self.a, self.b) = ends((a, b), "Bushing", problems)
+        self.stiffness = _coefficients(stiffness, "stiffness", allow_negative, problems)
+        damping = np.zeros(self.stiffness.shape) if damping is None else damping
+        self.damping = _coefficients(damping, "damping", allow_negative, problems)
+        self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
+        self.orientation_b = as_quaternion(orientation_b, "Bushing.orientation_b", problems)
+        problems.raise_if_any()
+
+    def deformation(self, A, B):
+        R_A, R = turned(self, A, B)
+        p = rotate_back(R_A, (B.p - A.p) + (rotate(B.R, self.b) - rotate(A.R, self.a)))
+        theta = rotations.log_below_half_turn(R)
+        return jnp.concatenate([rotations.inverse_left_jacobian(theta, p), theta])
+
+    def away_from_jump(self, A, B):
+        return rotations.away_from_half_turn(turned(self, A, B)[1]) / 4
+
+    def energy(self, e):
+        return 0.5 * jnp.sum(e * _times(self.stiffness, e))
+
+    def dissipation(self, e, e_dot):
+        return 0.5 * jnp.sum(e_dot * _times(self.damping, e_dot))
+
+
+def _times(coefficients: Float[Array, "*k"], e: Float[Array, "6"]) -> Float[Array, "6"]:
+    """K e for a 6 x 6 matrix or for three translational coefficients."""
+    if coefficients.shape == (3,):
+        return jnp.concatenate([coefficients * e[:3], jnp.zeros_like(e[3:])])
+    return jnp.sum(coefficients * e, -1)
+
+
+def _coefficients(value: Any, name: str, allow_negative: bool, problems: Problems) -> Any:
+    where = f"Bushing.{name}"
+    array = checked(value, ((3,), (6, 6)), where, problems, "Give three translational coefficients or a 6 x 6 matrix.")
+    if array is None:
+        return np.zeros(3)
+    known = concrete(array)
+    if known is None:
+        return array
+    if known.ndim == 2:
+        asymmetry = np.abs(known - known.T).max()
+        if asymmetry > 1e-9 * np.abs(known).max():
+            hint = "No potential energy belongs to such a matrix; give (K + K')/2 if that is meant."
+            problems.add(
+                "NOT_SYMMETRIC",
+                where,
+                f"is not symmetric: largest |K - K'| = {asymmetry:.3g}",
+                value=known - known.T,
+                limit=f"{1e-9 * np.abs(known).max():.3g}",
+                hint=hint,
+            )
+            return array
+    smallest = known if known.ndim == 1 else np.linalg.eigvalsh(known)
+    if smallest.min() < -1e-12 * np.abs(smallest).max():
+        told = ", ".join(f"{v:.6g}" for v in smallest)
+        what = "coefficients" if known.ndim == 1 else "eigenvalues"
+        check_negative("Bushing", name, f"has {what} {told}", smallest, allow_negative, problems)
+    return array

@@ -1,0 +1,101 @@
+"""Springs and dampers along a line."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import concrete, scalar
+from jaxbody.core.errors import Problems
+from jaxbody.elements.elements import LineElement, check_negative, free_length_of
+from jaxbody.geometry.places import ends
+from jaxbody.laws import laws
+
+
+class Spring(LineElement):
+    """A line spring with viscous damping between the point a of one body and the point b of another.
+
+        V = 1/2 k (|AB| - l0)^2,   R = 1/2 c (d|AB|/dt)^2,   tension = k (|AB| - l0) + c d|AB|/dt
+
+    `stiffness` k [N/m], `free_length` l0 [m], `damping` c [N s/m]. With l0 = 0 the spring is exact down to zero length, where
+    its damper has no direction and exerts nothing. Errors: NEGATIVE_STIFFNESS, NEGATIVE_DAMPING (warnings with `allow_negative`),
+    NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE. Source: (20)-(28) of the paper.
+
+    >>> spring = Spring(("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8)
+    """
+
+    stiffness: Float[Array, ""]
+    damping: Float[Array, ""]
+
+    def __init__(self, a, b, *, stiffness, free_length=0.0, damping=0.0, allow_negative: bool = False):
+        problems = Problems()
+        self.between, (self.a, self.b) = ends((a, b), "Spring", problems)
+        self.stiffness = scalar(stiffness, "Spring.stiffness", problems)
+        self.free_length = free_length_of(free_length, "Spring", problems)
+        self.damping = scalar(damping, "Spring.damping", problems)
+        for name, unit in (("stiffness", "N/m"), ("damping", "N s/m")):
+            value = concrete(getattr(self, name))
+            if value is not None and value < 0:
+                check_negative("Spring", name, f"is {value:g} {unit}", float(value), allow_negative, problems)
+        problems.raise_if_any()
+
+    def energy(self, e):
+        return 0.5 * self.stiffness * e**2
+
+    def dissipation(self, e, e_dot):
+        return 0.5 * self.damping * e_dot**2
+
+    def split(self, L):
+        return self.stiffness, -self.stiffness * self.free_length, jnp.zeros_like(L)
+
+    def damper_tension(self, e, e_dot):
+        return self.damping * e_dot
+
+    def has_no_direction(self):
+        return bool(self.damping == 0)
+
+
+class SpringDamper(LineElement):
+    """A line element whose spring and damper follow laws: a strut with its bump stop, a rope, an air spring.
+
+        V = U_s(|AB| - l0),   R = U_d(d|AB|/dt),   tension = F_s(|AB| - l0) + F_d(d|AB|/dt)
+
+    `spring` and `damper`: laws (jb.laws), numbers for linear ones [N/m], [N s/m], or JAX functions x -> F; either may be missing. `free_length` l0
+    [m], the length at which the spring's law has x = 0. Errors: NEGATIVE, NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
+
+    >>> strut = SpringDamper(("car", [1.4, 0.7, 0]), ("wheel", [0, 0, 0]), free_length=0.5,
+    ...                      spring=laws.Linear(2e4) + laws.Stop(gap=0.08, stiffness=1e5, engagement=0.01), damper=laws.TwoSided(bump=900.0, rebound=2100.0))
+    >>> float(strut.spring.force(jnp.array(-0.1)))
+    -3500.0
+    """
+
+    spring: laws.Law | None
+    damper: laws.Law | None
+
+    def __init__(self, a, b, *, spring=None, damper=None, free_length=0.0):
+        problems = Problems()
+        self.between, (self.a, self.b) = ends((a, b), "SpringDamper", problems)
+        self.free_length = free_length_of(free_length, "SpringDamper", problems)
+        self.spring = laws.as_law(spring, "SpringDamper.spring", problems)
+        self.damper = laws.as_law(damper, "SpringDamper.damper", problems)
+        problems.raise_if_any()
+
+    def energy(self, e):
+        return laws.potential(self.spring, e)
+
+    def dissipation(self, e, e_dot):
+        return laws.potential(self.damper, e_dot)
+
+    def beyond(self, e, e_dot):
+        return laws.beyond(self.spring, e) | laws.beyond(self.damper, e_dot)
+
+    def split(self, L):
+        e = L - self.free_length
+        k0 = jnp.where(self.free_length == 0, laws.slope(self.spring, jnp.zeros_like(L)), 0.0)
+        return k0, laws.force(self.spring, e) - k0 * L, laws.slope(self.spring, e) - k0
+
+    def damper_tension(self, e, e_dot):
+        return laws.force(self.damper, e_dot)
+
+    def has_no_direction(self):
+        return self.damper is None and bool(laws.force(self.spring, jnp.zeros(())) == 0)

@@ -1,0 +1,149 @@
+"""Laws through measured points, of tables and of files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import concrete
+from jaxbody.core.errors import Problems
+from jaxbody.laws.curve_files import read_columns
+from jaxbody.laws.laws import Law, row_of_numbers
+
+
+class Table(Law):
+    """Through measured points by monotone cubics (Fritsch, Carlson, SIAM J. Numer. Anal. 17 (1980) 238, slopes of Fritsch and Butland):
+    between x_i and x_{i+1}, h apart, with u = (x - x_i)/h,
+
+        F = (1 + 2u)(1 - u)^2 F_i + u^2 (3 - 2u) F_{i+1} + h u (1 - u)^2 m_i - h u^2 (1 - u) m_{i+1}
+
+    U is its exact integral. Beyond the points F goes on straight with the end slope, and results say TABLE_RANGE. `x` [m or m/s]
+    increasing, `forces` [N] not falling, at least four. `Table.read` takes them from a file with units. Errors, all at once: TABLE_SHORT,
+    TABLE_UNSORTED, TABLE_DUPLICATE, TABLE_FALLS, BAD_SHAPE, NON_FINITE.
+
+    >>> float(Table([-1, 0, 1, 2], [-10, 0, 10, 40]).force(jnp.array(3.0))) > 70
+    True
+    """
+
+    x: Float[Array, "n"]
+    forces: Float[Array, "n"]
+
+    def __init__(self, x, forces):
+        problems = Problems()
+        self.x, self.forces = (row_of_numbers(v, f"Table.{name}", problems, least=1) for name, v in (("x", x), ("forces", forces)))
+        _check_table(self.x, self.forces, problems)
+        problems.raise_if_any()
+
+    @classmethod
+    def read(
+        cls,
+        path,
+        *,
+        separator: str | None = None,
+        decimal: str = ".",
+        encoding: str = "utf-8",
+        skip: int = 0,
+        footer: int = 0,
+        largest: float = 1e8,
+    ) -> Table:
+        """From a file of two columns with their names and units above them, `elongation [mm], force [kN]`; lines that start with # are comments.
+
+        Units of length or angle or their rates, then of force or moment. `separator`, as the first line of numbers has it unless stated; `decimal`, "," of
+        decimal commas; `encoding`, `skip` and `footer`, lines left out at the start and at the end; `largest`, of the file [bytes]: as of `read_record`.
+        Errors: those of a table of text in `read_record`, NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, BAD_SHAPE of other than two columns, and those of the table.
+        """
+        text = {"separator": separator, "decimal": decimal, "encoding": encoding, "skip": skip, "footer": footer}
+        return cls(*read_columns(Path(path), largest=largest, **text))
+
+    def force(self, x):
+        u, h, (F0, F1, m0, m1), before, after = self._cell(x)
+        inside = (1 + 2 * u) * (1 - u) ** 2 * F0 + u**2 * (3 - 2 * u) * F1 + h * u * (1 - u) ** 2 * m0 - h * u**2 * (1 - u) * m1
+        slopes = self._slopes()
+        return inside + slopes[0] * before + slopes[-1] * after
+
+    def potential(self, x):
+        return self._from_start(x) - self._from_start(jnp.zeros_like(x))
+
+    def beyond(self, x):
+        return (x < self.x[0]) | (x > self.x[-1])
+
+    def _from_start(self, x):
+        """The integral of F from the first point."""
+        u, h, (F0, F1, m0, m1), before, after = self._cell(x)
+        inside = h * (
+            (u - u**3 + u**4 / 2) * F0
+            + (u**3 - u**4 / 2) * F1
+            + h * (u**2 / 2 - 2 * u**3 / 3 + u**4 / 4) * m0
+            - h * (u**3 / 3 - u**4 / 4) * m1
+        )
+        steps, m = jnp.diff(self.x), self._slopes()
+        cells = steps * (self.forces[1:] + self.forces[:-1]) / 2 + steps**2 * (m[:-1] - m[1:]) / 12
+        whole = jnp.sum(jnp.where(jnp.arange(len(cells)) < self._index(x), cells, 0.0))
+        F_first, F_last = self.forces[0], self.forces[-1]
+        return whole + inside + F_first * before + m[0] * before**2 / 2 + F_last * after + m[-1] * after**2 / 2
+
+    def _index(self, x):
+        return jnp.clip(jnp.sum(self.x <= jax.lax.stop_gradient(x)) - 1, 0, self.x.shape[0] - 2)
+
+    def _cell(self, x):
+        """Place u within its cell, width, forces and slopes at both ends; and how far x lies before the first, after the last point."""
+        i, m = self._index(x), self._slopes()
+        inside = jnp.where(x < self.x[0], self.x[0], jnp.where(x > self.x[-1], self.x[-1], x))
+        x_of, F_of = jnp.asarray(self.x), jnp.asarray(self.forces)
+        h = x_of[i + 1] - x_of[i]
+        before, after = jnp.where(x < self.x[0], x - self.x[0], 0.0), jnp.where(x > self.x[-1], x - self.x[-1], 0.0)
+        return (inside - x_of[i]) / h, h, (F_of[i], F_of[i + 1], m[i], m[i + 1]), before, after
+
+    def _slopes(self) -> Float[Array, "n"]:
+        """Inside, the weighted harmonic mean of the chords' slopes beside a point; at the ends, of the parabola through three points, kept
+        within the bounds that make the curve monotone."""
+        h, d = jnp.diff(self.x), jnp.diff(self.forces) / jnp.diff(self.x)
+        rising = d[:-1] * d[1:] > 0
+        left, right = jnp.where(rising, d[:-1], 1.0), jnp.where(rising, d[1:], 1.0)
+        w1, w2 = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
+        inner = jnp.where(rising, (w1 + w2) / (w1 / left + w2 / right), 0.0)
+        first = _end_slope(h[0], h[1], d[0], d[1])
+        last = _end_slope(h[-1], h[-2], d[-1], d[-2])
+        return jnp.concatenate([first[None], inner, last[None]])
+
+
+def _end_slope(h0, h1, d0, d1):
+    m = ((2 * h0 + h1) * d0 - h0 * d1) / (h0 + h1)
+    bounded = jnp.where((jnp.sign(d0) != jnp.sign(d1)) & (jnp.abs(m) > 3 * jnp.abs(d0)), 3 * d0, m)
+    return jnp.where(jnp.sign(m) != jnp.sign(d0), 0.0, bounded)
+
+
+def has_range(tree: Any) -> bool:
+    """True when a law in the tree is known for a range only."""
+    return any(isinstance(leaf, Table) for leaf in jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, Table)))
+
+
+def _check_table(x: Any, forces: Any, problems: Problems) -> None:
+    x, F = concrete(x), concrete(forces)
+    if problems.found or x is None or F is None:
+        return
+    if len(x) != len(F):
+        problems.add("BAD_SHAPE", "Table.forces", f"has {len(F)} numbers for {len(x)} of x", value=len(F), limit=f"{len(x)}")
+        return
+    if len(x) < 4:
+        problems.add("TABLE_SHORT", "Table.x", f"has {len(x)} points", value=len(x), limit="at least 4", hint="Measure more points.")
+    steps, rises = np.diff(x), np.diff(F)
+    for code, bad, told, hint in (
+        ("TABLE_DUPLICATE", steps == 0, "repeats", "Keep one force for each x, their mean perhaps."),
+        ("TABLE_UNSORTED", steps < 0, "goes back", "Sort the points by x."),
+    ):
+        if bad.any():
+            i = int(np.flatnonzero(bad)[0])
+            problems.add(
+                code, "Table.x", f"{told} at index {i + 1}: {x[i]:g}, then {x[i + 1]:g}", value=i + 1, limit="increasing", hint=hint
+            )
+    if (steps > 0).all() and (rises < 0).any():
+        i = int(np.flatnonzero(rises < 0)[0])
+        told = f"falls from {F[i]:g} to {F[i + 1]:g} N between x = {x[i]:g} and {x[i + 1]:g}"
+        hint = "Is the sign that of tension? Smooth a noisy record; a law that is meant to fall is a Polynomial or a function."
+        problems.add("TABLE_FALLS", "Table.forces", told, value=i + 1, limit="not falling", hint=hint)

@@ -1,0 +1,172 @@
+"""Laws of springs: polynomials, stops, ropes, gas."""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import scalar
+from jaxbody.core.errors import Problems
+from jaxbody.laws.laws import Law, Number, not_negative, positive, row_of_numbers
+
+ATMOSPHERE = 101325.0  # Pa
+
+
+class Polynomial(Law):
+    """F = c1 x + c2 x^2 + c3 x^3 + ...,  U = c1 x^2/2 + c2 x^3/3 + ... `coefficients` c1, c2, ... [N/m], [N/m2] ... Hardening where c3 > 0.
+
+    >>> float(Polynomial([100.0, 0.0, 5.0]).force(jnp.array(2.0)))
+    240.0
+    """
+
+    coefficients: Float[Array, "n"]
+
+    def __init__(self, coefficients):
+        problems = Problems()
+        self.coefficients = row_of_numbers(coefficients, "Polynomial.coefficients", problems, least=1)
+        problems.raise_if_any()
+
+    def _sum(self, x, divisors):
+        c = self.coefficients / np.asarray(divisors)
+        total = c[..., -1]
+        for i in range(c.shape[-1] - 2, -1, -1):
+            total = total * x + c[..., i]
+        return total
+
+    def force(self, x):
+        return self._sum(x, np.ones(self.coefficients.shape[-1])) * x
+
+    def potential(self, x):
+        return self._sum(x, np.arange(2, self.coefficients.shape[-1] + 2)) * x**2
+
+
+class Stop(Law):
+    """A stop that is met after a gap: with the penetration d = -x - gap (an `extension` stop: d = x - gap), w the engagement,
+
+        |F| = 0 for d < 0,   k d^2/(2 w) for 0 < d < w,   k (d - w/2) for d > w
+
+    `stiffness` k [N/m], `gap` [m], `engagement` w [m] over which the stiffness comes in: the force has no kink, and its slope at d = 0 is 0.
+    Errors: NEGATIVE of gap or stiffness, NOT_POSITIVE of the engagement.
+
+    >>> round(float(Stop(gap=0.06, stiffness=2e5, engagement=0.01).force(jnp.array(-0.1))))
+    -7000
+    """
+
+    gap: Number
+    stiffness: Number
+    engagement: Number
+    extension: bool = eqx.field(static=True)
+
+    def __init__(self, *, gap, stiffness, engagement=1e-3, extension: bool = False):
+        problems = Problems()
+        self.gap, self.stiffness, self.engagement = (
+            scalar(v, f"Stop.{name}", problems) for name, v in (("gap", gap), ("stiffness", stiffness), ("engagement", engagement))
+        )
+        self.extension = bool(extension)
+        not_negative(self.gap, "Stop.gap", "m", problems, "A stop that is pressed at x = 0 is preload: change the free length.")
+        not_negative(self.stiffness, "Stop.stiffness", "N/m", problems)
+        positive(self.engagement, "Stop.engagement", "m", problems, "A hundredth of the travel does little harm.")
+        problems.raise_if_any()
+
+    def force(self, x):
+        d, side = self._penetration(x)
+        return side * self.stiffness * ramp(d, self.engagement)
+
+    def potential(self, x):
+        return self.stiffness * ramp_energy(self._penetration(x)[0], self.engagement)
+
+    def _penetration(self, x):
+        side = 1.0 if self.extension else -1.0
+        return side * x - self.gap, side
+
+
+def ramp(d: Number, w: Number) -> Number:
+    """0 for d < 0, d^2/(2 w) up to w, then d - w/2."""
+    return jnp.where(d <= 0, 0.0, jnp.where(d < w, d**2 / (2 * w), d - w / 2))
+
+
+def ramp_energy(d: Number, w: Number) -> Number:
+    """The integral of the ramp."""
+    return jnp.where(d <= 0, 0.0, jnp.where(d < w, d**3 / (6 * w), d**2 / 2 - d * w / 2 + w**2 / 6))
+
+
+def ramp_slope(d: Number, w: Number) -> Number:
+    """The derivative of the ramp."""
+    return jnp.clip(d / w, 0.0, 1.0)
+
+
+class TensionOnly(Law):
+    """A rope: F = k x for x > 0, nothing for x < 0; its slope at 0 is k/2. `stiffness` k [N/m]. Error: NEGATIVE.
+
+    >>> float(TensionOnly(100.0).force(jnp.array(-0.1))), float(TensionOnly(100.0).force(jnp.array(0.1)))
+    (0.0, 10.0)
+    """
+
+    stiffness: Number
+
+    def __init__(self, stiffness):
+        problems = Problems()
+        self.stiffness = scalar(stiffness, "TensionOnly.stiffness", problems)
+        not_negative(self.stiffness, "TensionOnly.stiffness", "N/m", problems)
+        problems.raise_if_any()
+
+    def force(self, x):
+        return 0.5 * self.stiffness * (x + x * jnp.sign(x))  # |x|, with slope 0 at 0
+
+    def potential(self, x):
+        return 0.25 * self.stiffness * (x**2 + x**2 * jnp.sign(x))
+
+
+class AirSpring(Law):
+    """A gas in a cylinder, polytropic: F = A (p_a - p0 (1 + x/h)^-n).
+
+    `pressure` p0 [Pa, absolute] and `height` h of the column of gas [m] at x = 0, `area` A [m2], `exponent` n (1 isothermal, 1.4 adiabatic),
+    `ambient` p_a. Stiffness at x = 0: n p0 A/h. There is no force for x <= -h: NaN, which results report. Error: NOT_POSITIVE.
+    `AirSpring.carrying(load, ...)` is one that bears a load at x = 0.
+
+    >>> spring = AirSpring.carrying(2000.0, area=0.02, height=0.15)
+    >>> round(float(spring.force(jnp.array(0.0))), 6), round(float(spring.slope(jnp.array(0.0))))
+    (-2000.0, 37581)
+    """
+
+    pressure: Number
+    area: Number
+    height: Number
+    exponent: Number
+    ambient: Number
+
+    def __init__(self, *, pressure, area, height, exponent=1.4, ambient=ATMOSPHERE):
+        problems = Problems()
+        given = {"pressure": pressure, "area": area, "height": height, "exponent": exponent, "ambient": ambient}
+        for (name, v), unit in zip(given.items(), ("Pa", "m2", "m", "", "Pa"), strict=True):
+            setattr(self, name, scalar(v, f"AirSpring.{name}", problems))
+            if name == "ambient":
+                not_negative(getattr(self, name), "AirSpring.ambient", unit, problems)
+            else:
+                positive(getattr(self, name), f"AirSpring.{name}", unit, problems)
+        problems.raise_if_any()
+
+    @classmethod
+    def carrying(cls, load, *, area, height, exponent=1.4, ambient=ATMOSPHERE) -> AirSpring:
+        """p0 = p_a + load/A: the spring that pushes with `load` [N] at x = 0."""
+        return cls(pressure=ambient + load / area, area=area, height=height, exponent=exponent, ambient=ambient)
+
+    def force(self, x):
+        return self.area * (self.ambient - self.pressure * jnp.exp(-self.exponent * jnp.log1p(x / self.height)))
+
+    def potential(self, x):
+        """A (p_a x - p0 h (1 - (1 + x/h)^(1-n))/(n - 1)), the logarithm at n = 1."""
+        y = jnp.log1p(x / self.height)
+        return self.area * (self.ambient * x - self.pressure * self.height * y * _expm1_over((1 - self.exponent) * y))
+
+
+def _expm1_over(z):
+    """(exp(z) - 1)/z, by its series near z = 0."""
+    small = jnp.abs(z) < 0.5
+    near, far = jnp.where(small, z, 0.0), jnp.where(small, 1.0, z)
+    series = jnp.ones_like(near)
+    for n in range(18, 1, -1):
+        series = 1 + near / n * series
+    return jnp.where(small, series, jnp.expm1(far) / far)

@@ -1,0 +1,154 @@
+"""What a model must be: names that exist, links that end at the world, lines with a direction in the reference pose."""
+
+from __future__ import annotations
+
+import unicodedata
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxbody.core.arguments import check_kind
+from jaxbody.core.arrays import concrete
+from jaxbody.core.errors import Problems, unknown, warn
+from jaxbody.elements.bushings import Bushing
+from jaxbody.elements.elements import LineElement
+from jaxbody.elements.torsions import Torsion
+from jaxbody.geometry.orientations import matrix
+from jaxbody.models.bodies import warn_of_tiny
+from jaxbody.models.layouts import WORLD
+
+LARGEST_TURN = 179.0  # degrees, of a bushing in the reference pose
+
+
+def check_names(problems: Problems, **groups: dict[str, Any]) -> None:
+    seen: dict[str, str] = {}
+    folded: dict[str, str] = {}
+    for group, things in groups.items():
+        for name in things:
+            where = f"{group}[{name!r}]"
+            if (
+                not isinstance(name, str)
+                or not name
+                or len(name) > 200
+                or not name.isprintable()
+                or set(name) & set(".*?[]")
+                or name == WORLD
+            ):
+                problems.add(
+                    "BAD_NAME",
+                    where,
+                    "is no name",
+                    value=name,
+                    limit="1 to 200 printable characters",
+                    hint="Not `world`, and none of . * ? [ ].",
+                )
+                continue
+            if name in seen:
+                problems.add(
+                    "DUPLICATE_NAME",
+                    where,
+                    f"is also the name of one of the {seen[name]}",
+                    value=name,
+                    limit="one name, one thing",
+                    hint="Rename one of them.",
+                )
+            alike = unicodedata.normalize("NFKC", name).casefold()
+            if folded.get(alike, name) != name:
+                warn("LOOK_ALIKE", f"the names '{folded[alike]}' and '{name}' look alike")
+            seen[name], folded[alike] = group, name
+
+
+def of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) -> dict[str, Any]:
+    """The things that are of their kind; those that are not go to `problems`."""
+    for name, thing in things.items():
+        check_kind(thing, kind, f"{group}[{name!r}]", f"a jb.{kind.__name__}", problems)
+    if group == "bodies" and not things:
+        problems.add("NO_BODY", "bodies", "is empty", value=things, limit="at least one body", hint="Give a body.")
+    return {name: thing for name, thing in things.items() if isinstance(thing, kind)}
+
+
+def check_links(problems: Problems, bodies, supports, elements, joints) -> None:
+    frames = (*bodies, *supports, WORLD)
+    for name, element in elements.items():
+        for end in element.between:
+            if end not in frames:
+                found = unknown(end, f"elements[{name!r}]", frames)
+                limit = "a body, a support or world"
+                problems.add("UNKNOWN_BODY", found.where, f"body or support {found.message}", value=end, limit=limit, hint=found.hint)
+    for name, joint in joints.items():
+        if name not in bodies:
+            found = unknown(name, f"joints[{name!r}]", tuple(bodies))
+            problems.add("UNKNOWN_BODY", found.where, f"body {found.message}", value=name, limit="a body", hint=found.hint)
+        if joint.parent not in frames:
+            found = unknown(joint.parent, f"joints[{name!r}]", frames)
+            limit = "a body, a support or world"
+            problems.add("UNKNOWN_BODY", found.where, f"parent {found.message}", value=joint.parent, limit=limit, hint=found.hint)
+    for name in joints:
+        chain = [name]
+        while chain[-1] in joints and len(chain) <= len(joints) + 1:
+            chain.append(joints[chain[-1]].parent)
+        if chain[-1] in joints:
+            problems.add(
+                "LOOP",
+                f"joints[{name!r}]",
+                f"hangs on itself: {' on '.join(chain[: chain.index(name, 1) + 1] if name in chain[1:] else chain[:4])}",
+                value=name,
+                limit="a tree that ends at world or a support",
+                hint="Give one of them another parent, and close the loop by a stiff Bushing in place of that joint.",
+            )
+
+
+def check_reference(problems: Problems, bodies, supports, elements) -> None:
+    """In the reference pose every line must have a direction and every bushing and torsion spring be short of half a turn, where its
+    deformation jumps."""
+    places = {WORLD: (np.zeros(3), np.array([1.0, 0, 0, 0])), **{n: (b.position, b.orientation) for n, b in {**supports, **bodies}.items()}}
+    for name, element in elements.items():
+        check = next((check for kind, check in CHECKS if isinstance(element, kind)), None)
+        if check is None or not set(element.between) <= set(places):
+            continue
+        numbers = [concrete(x) for x in jax.tree.leaves((element, [places[end] for end in element.between]))]
+        if all(x is not None for x in numbers):
+            check(problems, f"elements[{name!r}]", element, *((p, matrix(o)) for p, o in (places[end] for end in element.between)))
+
+
+def _check_length(problems: Problems, where: str, line: LineElement, A, B) -> None:
+    """Zero length is for springs of zero free length that have no damper and pull with no force there."""
+    ends = [p + R @ point for (p, R), point in zip((A, B), (line.a, line.b), strict=True)]
+    length, size = np.linalg.norm(ends[1] - ends[0]), np.abs(ends).max() or 1.0
+    if length <= 1e-12 * size and not (line.free_length == 0 and line.has_no_direction()):
+        problems.add(
+            "ZERO_LENGTH",
+            where,
+            f"has length {length:.3g} m in the reference pose, so no direction",
+            value=length,
+            limit="> 0",
+            hint=f"Use a Bushing, a free length and damping of 0, or move a point by more than {1e-6 * size:.1g} m.",
+        )
+
+
+def _check_turn(problems: Problems, where: str, element: Bushing | Torsion, A, B) -> None:
+    R_A, R_B = A[1] @ matrix(element.orientation), B[1] @ matrix(element.orientation_b)
+    angle = np.rad2deg(np.arccos(np.clip((np.sum(R_A * R_B) - 1) / 2, -1, 1)))
+    if angle > LARGEST_TURN:
+        problems.add(
+            "HALF_TURN",
+            where,
+            f"is turned by {angle:.4g} degrees in the reference pose",
+            value=angle,
+            limit=f"{LARGEST_TURN:g} degrees",
+            hint="It is relaxed where the axes at its ends coincide: turn `orientation` or `orientation_b`.",
+        )
+
+
+def warn_of_oddities(bodies, supports, elements) -> None:
+    masses, inertias = ([concrete(getattr(body, name)) for body in bodies.values()] for name in ("mass", "inertia"))
+    if all(x is not None for x in masses + inertias):
+        warn_of_tiny(tuple(bodies), np.array(masses))
+        warn_of_tiny(tuple(bodies), np.trace(np.array(inertias), axis1=1, axis2=2), "inertia", "kg m2")
+    for name, element in elements.items():
+        if not set(element.between) & set(bodies):
+            warn("USELESS_SPRING", f"elements['{name}'] joins {' and '.join(element.between)}: no body feels it")
+
+
+CHECKS = ((LineElement, _check_length), (Bushing, _check_turn), (Torsion, _check_turn))

@@ -1,0 +1,23 @@
+"""Quantiles of Student's t, and levels of confidence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem
+
+
+def quantile(level: float, freedom: Any, *, sides: int = 2) -> np.ndarray:
+    """Of Student's t."""
+    from scipy.stats import t
+
+    return np.asarray(t.ppf(1 - (1 - level) / sides, freedom))
+
+
+def check_level(level: float, where: str) -> None:
+    """Error: BAD_LEVEL."""
+    if not 0 < level < 1:
+        hint = "0.95 is 95 %."
+        raise JaxbodyError(Problem("BAD_LEVEL", where, f"is {level}", level, "between 0 and 1", hint))
