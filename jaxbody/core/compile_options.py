@@ -11,9 +11,9 @@ import equinox as eqx
 import jax
 import jaxlib.version
 
+from jaxbody.core.compilations import Compiled
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import outermost, started, without_manual_axes
-from jaxbody.core.recompilations import Compiled
 
 TESTED = tuple((0, minor) for minor in range(7, 13))  # of jaxlib: XLA ends the process on an option that it does not know
 HOLDER = "--xla_backend_extra_options="

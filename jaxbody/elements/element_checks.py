@@ -7,9 +7,9 @@ from dataclasses import replace
 import jax
 import numpy as np
 
+from jaxbody.core.arguments import check_returned, is_own
 from jaxbody.core.arrays import float_array
 from jaxbody.core.errors import JaxbodyError, Problems
-from jaxbody.core.tracings import check_returned, is_own
 from jaxbody.elements.elements import Element
 from jaxbody.laws.laws import Law, parts
 

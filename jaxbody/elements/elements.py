@@ -1,4 +1,4 @@
-"""Springs and bushings. An element states one geometric function, its deformation e(A, B) between two frames (or more), its potential
+"""What every element is: it states one geometric function, its deformation e(A, B) between two frames (or more), its potential
 energy V(e) and its dissipation R(e, e_dot); forces, stiffness and the rest are derivatives.
 
 Points and orientations of an element are in the frame of the body or support that its end is on.

@@ -20,8 +20,10 @@ from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.records.samplings import warn_of_rails
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
+from jaxbody.simulations.integrations import integrate
 from jaxbody.simulations.readings import readings
-from jaxbody.simulations.simulations import Trajectory, check_run, integrate, motions_of
+from jaxbody.simulations.simulations import check_run, motions_of
+from jaxbody.simulations.trajectories import Trajectory
 from jaxbody.statics.rest_states import Rest, as_initial, beginning, rest_at
 
 MANY_MISSING = 0.2

@@ -30,8 +30,10 @@ from jaxbody.identification.residuals import first_noise
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.sensors.channels import Channel
+from jaxbody.simulations.integrations import integrate
 from jaxbody.simulations.readings import readings
-from jaxbody.simulations.simulations import Trajectory, integrate, motions_of
+from jaxbody.simulations.simulations import motions_of
+from jaxbody.simulations.trajectories import Trajectory
 from jaxbody.statics.rest_states import Rest
 
 MOST = 50  # evaluations to find the state that a segment starts from

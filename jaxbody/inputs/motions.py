@@ -17,10 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.arguments import kind_of, warn_of_degrees
+from jaxbody.core.arguments import check_returned, is_own, kind_of, warn_of_degrees
 from jaxbody.core.arrays import check_times, checked, concrete, device_array, float_array, functions_as_nodes, shaped
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
-from jaxbody.core.tracings import check_returned, is_own
 from jaxbody.geometry import rotations
 from jaxbody.inputs.samples import cell, curvatures, is_uniform, kinks_of
 from jaxbody.numerics.elementary_functions import sincos

@@ -11,10 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.arguments import plain
+from jaxbody.core.arguments import check_returned, plain
 from jaxbody.core.arrays import check_times, checked, concrete, device_array, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.core.tracings import check_returned
 from jaxbody.inputs.samples import cell, curvatures, is_uniform
 
 __all__ = [

@@ -9,7 +9,7 @@ import numpy as np
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.elements.torsions import Torsion
 from jaxbody.plots.canvases import COLORS, GRAY, axes_below, axes_or_new, check_known, legend, style
-from jaxbody.simulations.simulations import Trajectory
+from jaxbody.simulations.trajectories import Trajectory
 from jaxbody.statics.equilibria import Equilibrium
 
 AXES = "xyz"

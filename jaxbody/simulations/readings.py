@@ -18,7 +18,7 @@ from jaxbody.mechanics.kinematics import Motions, table_of
 from jaxbody.models.models import Model
 from jaxbody.models.states import Instant, State
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
-from jaxbody.simulations.simulations import Trajectory
+from jaxbody.simulations.trajectories import Trajectory
 
 
 def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sensor], loads: tuple[Load, ...] = ()) -> dict[str, Array]:

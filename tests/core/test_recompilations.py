@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.core import recompilations
+from jaxbody.core import compilations
 from jaxbody.core.compile_options import jit_as_it_is
 from jaxbody.inputs.motions import as_motion
 
@@ -110,7 +110,7 @@ def test_a_compilation_of_more_than_a_minute_is_mentioned(case):
 
 
 def test_the_seconds_of_a_compilation_are_those_that_jax_reports(monkeypatch):
-    monkeypatch.setattr(recompilations, "LONG", 0.0)
+    monkeypatch.setattr(compilations, "LONG", 0.0)
 
     def tripled(x):
         return 3 * x

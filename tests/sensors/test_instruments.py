@@ -18,7 +18,7 @@ from jaxbody.identification.fit_parameters import choose
 from jaxbody.sensors import delays_and_lags
 from jaxbody.sensors.sensors import check_sensors
 from jaxbody.simulations.readings import read, readings
-from jaxbody.simulations.simulations import Trajectory
+from jaxbody.simulations.trajectories import Trajectory
 
 G = 9.81
 RANDOM = np.random.default_rng(7)

@@ -1,0 +1,158 @@
+"""The integration itself, by steps of our own in blocks or by diffrax: tolerances, statuses, samples."""
+
+from __future__ import annotations
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import optimistix
+from jaxtyping import Array, Bool, Float
+
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.errors import Status
+from jaxbody.inputs.samples import kinks_of
+from jaxbody.laws.measured_curves import has_range
+from jaxbody.mechanics.canonical_equations import Canonical
+from jaxbody.mechanics.energies import beyond_laws, each_element
+from jaxbody.mechanics.equations_of_motion import Dynamics, table_of_free
+from jaxbody.mechanics.kinematics import Coordinates, table_of
+from jaxbody.models.sizes import size_of
+from jaxbody.numerics import dormand_prince_steps
+from jaxbody.numerics.gauss_collocations import Gauss
+from jaxbody.numerics.precisions import reachable
+from jaxbody.simulations.trajectories import Trajectory
+
+FINEST = {"float64": 0.0, "float32": 1.5e-5}  # local error, below which float32 takes ever shorter steps for nothing
+SAFETY = 0.1  # local error over rtol, as solvers interpolate between steps to a lower order than they step
+CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
+OWN_STEPS = diffrax.ConstantStepSize | None
+STATUSES = (
+    (diffrax.RESULTS.successful, Status.OK),
+    (diffrax.RESULTS.max_steps_reached, Status.MAX_STEPS),
+    (diffrax.RESULTS.dt_min_reached, Status.DT_MIN),
+)
+
+
+@jit_quickly
+def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
+    """The jitted core of `simulate`: it knows arrays only, and never raises."""
+    dynamics = Dynamics(model, motions, loads)
+    initial = dynamics.coordinates.reference if initial is None else initial
+    own = solver is None and isinstance(stepsize_controller, OWN_STEPS) and isinstance(adjoint, diffrax.ForwardMode | None) and isinstance(meter, diffrax.NoProgressMeter)  # fmt: skip
+    by = _by_blocks if own else _by_diffrax
+    form = Canonical(dynamics) if isinstance(solver, Gauss) else dynamics
+    y0 = form.pack(initial, times[0])
+    samples, t_end, y_end, code, accepted, rejected = by(form, y0, times, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)  # fmt: skip
+    finite = jnp.isfinite(samples).all(1)
+    blown = (code == Status.OK.value) & ~finite.all()  # which constant steps do not notice
+    last = jnp.maximum(jnp.argmin(finite) - 1, 0)
+    t_end, y_end = jnp.where(blown, times[last], t_end), jnp.where(blown, samples[last], y_end)
+    code = jnp.where(blown, Status.NONFINITE.value, code)
+    good = (finite & (times <= t_end))[:, None]
+    y = jnp.concatenate([_nan_unless(good, jnp.where(good, samples, y_end)), y_end[None]])
+    unpacked = jax.vmap(form.unpack)(y, jnp.append(times, t_end))
+    state, ended = jax.tree.map(lambda x: x[:-1], unpacked), jax.tree.map(lambda x: x[-1], unpacked)
+    if has_range(model.elements):
+        beyond = jax.vmap(lambda t, state: jnp.any(beyond_laws(model, table_of(model, motions, t, state))))(times, state)
+        code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
+    statistics = {"num_accepted_steps": accepted, "num_rejected_steps": rejected}
+    return Trajectory(times, state, code, statistics, (t_end, ended), model, motions, loads)
+
+
+@jax.custom_jvp
+def _nan_unless(good: Bool[Array, "nt 1"], y: Float[Array, "nt ny"]) -> Float[Array, "nt ny"]:
+    """y where it is good, else NaN; the derivatives too, of which `jnp.where` alone makes zeros in reverse mode."""
+    return jnp.where(good, y, jnp.nan)
+
+
+@_nan_unless.defjvp
+def _nan_unless_jvp(primals, tangents):
+    good, y = primals
+
+    def backward(_, slope):
+        return jnp.where(good | (slope == 0), slope, jnp.nan)
+
+    change = jax.lax.custom_linear_solve(lambda x: x, tangents[1], lambda _, x: jnp.where(good, x, jnp.nan), backward)
+    return _nan_unless(good, y), change
+
+
+def _tolerances(coordinates: Coordinates, span, rtol):
+    """rtol and atol of the local error, and the least step: constants to both modes."""
+    coordinates, span, local = jax.lax.stop_gradient((coordinates, span, SAFETY * rtol))
+    local = jnp.maximum(local, FINEST[local.dtype.name])
+    return local, local / 100 * _scales(coordinates, span), reachable(1e-13, span.dtype, 1) * span
+
+
+def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
+    """By the steps of `integrators`."""
+    limits = _tolerances(dynamics.coordinates, times[-1] - times[0], rtol)
+    signals = [signal for load in dynamics.loads for signal in load.signals()]
+    constant = isinstance(controller, diffrax.ConstantStepSize)
+    kinks = None if constant else kinks_of((*dynamics.motions, *signals))
+    most = max_steps + (0 if kinks is None else len(kinks))
+    first, kinks = jax.lax.stop_gradient((dt0, kinks))
+    problem = dormand_prince_steps.Problem(Dynamics.drive, Dynamics.driven, *limits, first, most, kinks, constant)
+    forward = isinstance(adjoint, diffrax.ForwardMode)
+    ended = (
+        dormand_prince_steps.solve(problem, dynamics, y0, times)
+        if forward
+        else dormand_prince_steps.solve_both_ways((dynamics, y0, times), problem=problem)
+    )
+    course = ended.course
+    return ended.samples, times[0] + ended.tau, ended.y, course.code, course.accepted, course.rejected
+
+
+def _by_diffrax(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
+    """By the objects that the user gave, with defaults for what is missing."""
+    adjoint = adjoint or (diffrax.DirectAdjoint() if isinstance(controller, CONSTANT) else diffrax.RecursiveCheckpointAdjoint())
+    if controller is None:
+        local, atol, shortest = _tolerances(dynamics.coordinates, times[-1] - times[0], rtol)
+        controller = diffrax.PIDController(rtol=local, atol=atol, norm=optimistix.max_norm, dtmin=shortest, force_dtmin=False)
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, y, dynamics: dynamics.rate(t, y)),
+        solver or diffrax.Dopri8(),
+        times[0],
+        times[-1],
+        dt0,
+        y0,
+        dynamics,
+        saveat=diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)]),
+        stepsize_controller=controller,
+        adjoint=adjoint,
+        max_steps=max_steps,
+        throw=False,
+        progress_meter=meter,
+    )
+    assert solution.ys is not None and solution.ts is not None
+    code = jnp.select(
+        [solution.result == result for result, _ in STATUSES], [status.value for _, status in STATUSES], Status.NOT_CONVERGED.value
+    )
+    t_end, y_end = solution.ts[1][-1], solution.ys[1][-1]
+    ahead = t_end + (times[-1] - times[0]) * jnp.array([0.0, 1e-12, 1e-9, 1e-6])
+    stuck = (code != Status.OK.value) & ~jnp.isfinite(jax.vmap(lambda t: dynamics.rate(t, y_end))(ahead)).all()
+    steps = (solution.stats[f"num_{kind}_steps"] for kind in ("accepted", "rejected"))
+    return solution.ys[0].at[0].set(y0), t_end, y_end, jnp.where(stuck, Status.NONFINITE.value, code), *steps
+
+
+def _scales(coordinates: Coordinates, span) -> Float[Array, "ny"]:
+    """What is small for each component of y: the size of the model, 1 for angles; for velocities these times a fast frequency."""
+    model = coordinates.model
+    layout = model.layout
+    size = size_of(model)
+    rate = jnp.sqrt(_stiffness_sum(coordinates) / jnp.sum(model.bodies.rows.mass) + jnp.linalg.norm(model.gravity) / size) + 1 / span
+    if not layout.floating:
+        return jnp.concatenate([jnp.where(layout.angular, 1.0, size), rate * jnp.where(layout.turns, 1.0, size)])
+    n = len(layout.bodies)
+    return jnp.concatenate([jnp.full(3 * n, size), jnp.ones(4 * n, size.dtype), jnp.full(3 * n, rate * size), jnp.full(3 * n, rate)])
+
+
+def _stiffness_sum(coordinates: Coordinates) -> Float[Array, ""]:
+    """The sum over the elements of the largest second derivative of V(e) in the reference pose."""
+
+    def stiffest(element, *frames):
+        e = element.deformation(*(f.pose() for f in frames))
+        return jnp.max(jnp.abs(jax.hessian(element.energy)(e)))
+
+    reference = table_of_free(coordinates.supports.at_rest(), coordinates.bodies.at_rest())
+    found = each_element(coordinates.model, reference, stiffest)
+    return sum((jnp.sum(k) for k in found), jnp.zeros((), coordinates.model.gravity.dtype))

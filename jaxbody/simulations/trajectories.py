@@ -1,0 +1,239 @@
+"""Trajectories: what a simulation returns, and what is evaluated along it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from equinox import combine, is_array, partition
+from jaxtyping import Array, Float, Int
+
+from jaxbody.core import tables
+from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.datasets import AXES, QUATERNION, dataset, rows_of
+from jaxbody.core.errors import Status, is_concrete
+from jaxbody.core.results import Result
+from jaxbody.geometry.frames import Pose
+from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.energies import beyond_laws, each_element, kinetic, lost_power, potential
+from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.failure_causes import at_jump, jumps_passed, without_number_ahead
+from jaxbody.mechanics.hessians import matrices
+from jaxbody.mechanics.kinematics import Motions, table_of
+from jaxbody.models.leaf_paths import by_name, springs_of
+from jaxbody.models.models import Model
+from jaxbody.models.states import State
+from jaxbody.numerics.lanes import in_lanes
+from jaxbody.numerics.precisions import in_float64
+from jaxbody.statics.equilibria import without_inertia
+
+
+class Trajectory(Result):
+    """A motion at `times` [s]: `state`, and by name `poses`, `elongations` [m], `forces` [N], `energies` [J], `powers` [W],
+    `reactions` [N, N m]. `status` MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED where the integration ended early; samples after that are NaN; TABLE_RANGE where a table was left.
+    `statistics`: steps taken and rejected."""
+
+    times: Float[Array, "nt"]
+    state: State
+    status: Int[Array, ""]
+    statistics: dict[str, Any]
+    end: tuple[Array, State]
+    model: Model
+    motions: Motions
+    loads: tuple[Load, ...] = ()
+
+    @property
+    def poses(self) -> dict[str, Pose]:
+        """Of every body and support: `.p` (nt, 3) position of its origin, `.R` (nt, 3, 3) orientation, `.quaternion`."""
+        frames = self.at_samples(_frames)
+        names = self.model.layout.frames[1:]
+        return {name: jax.tree.map(lambda x, i=i: jnp.take(x, i + 1, axis=self.times.ndim), frames) for i, name in enumerate(names)}
+
+    @property
+    def elongations(self) -> dict[str, Array]:
+        """Of each spring (nt,), tension positive; of a bushing its deformations (nt, 6)."""
+        return self._of_elements(_deformations)
+
+    @property
+    def forces(self) -> dict[str, Array]:
+        """Of each spring the tension (nt,) with its damper's part; of a bushing its six forces and moments (nt, 6)."""
+        return self._of_elements(_forces)
+
+    @property
+    def energies(self) -> dict[str, Array]:
+        """kinetic, potential and total [J], each (nt,)."""
+        T, V = self.at_samples(_energies)
+        return {"kinetic": T, "potential": V, "total": T + V}
+
+    @property
+    def powers(self) -> dict[str, Array]:
+        """damping: power lost in dampers, the sum of dR/de_dot . e_dot; supports, loads: power that the imposed motions and
+        the loads put in [W], each (nt,)."""
+        return {
+            "damping": self.at_samples(_damping_power),
+            "supports": self.at_samples(_support_power, loads=True),
+            "loads": self.at_samples(_load_power, loads=True),
+        }
+
+    @property
+    def reactions(self) -> dict[str, tuple[Array, Array]]:
+        """Of each support the force and the moment about its origin, world axes, that everything on it exerts, each (nt, 3)."""
+        force, moment = self.at_samples(_reactions, loads=True)
+        axis = self.times.ndim
+        return {name: (jnp.take(force, i, axis=axis), jnp.take(moment, i, axis=axis)) for i, name in enumerate(self.model.layout.supports)}
+
+    def _of_elements(self, function: Callable) -> dict[str, Array]:
+        return by_name(tuple(table.names for table in self.model.elements), self.at_samples(function), axis=self.times.ndim)
+
+    def at_samples(self, function: Callable, *more: Any, loads: bool = False) -> Any:
+        """function(model, motions, t, state, *more) at every sample, with `loads` (..., state, loads, *more); leading axes of a batch kept;
+        compiled once for each function."""
+        with_loads = (self.loads,) if loads else ()
+        return _evaluate(function, self.times.ndim - 1, self.model, self.motions, with_loads, self.times, self.state, more)
+
+    def explain(self) -> str:
+        t, status = float(self.end[0]), Status(int(self.status))
+        taken, rejected = (int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
+        told = f"at t = {t:.6g} s of {float(self.times[-1]):.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
+        if status in (Status.MAX_STEPS, Status.DT_MIN):
+            jump = at_jump(self.model, self.motions, *self.end)
+            usual = in_float64(self.state.q.dtype) or "try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
+            told += "; " + (jump or usual)
+        if status == Status.TABLE_RANGE:
+            return self._beyond()
+        if status == Status.NONFINITE:
+            told += "; first bad: " + (without_number_ahead(self.model, self.motions, self.loads, *self.end) or self._accelerations())
+        return told
+
+    def _accelerations(self) -> str:
+        """What is bad where all that acts is finite."""
+        layout, q = self.model.layout, self.end[1].q
+        massless = without_inertia(layout, matrices(self.model, State(q, np.zeros(layout.nv)))[0])
+        return "the accelerations: " + "; ".join(massless) if massless else f"the state of '{layout.bodies[0]}'"
+
+    def _beyond(self) -> str:
+        """Which elements leave their tables, and when first."""
+        beyond = np.asarray(self.at_samples(_beyond_laws))
+        parts = [
+            f"'{name}' first at t = {float(self.times[np.argmax(column)]):.6g} s, in {column.sum()} of {len(column)} samples"
+            for name, column in zip(self.model.element_names, beyond.T, strict=True)
+            if column.any()
+        ]
+        return "; ".join(parts) + ": its law went on straight with its end slope"
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset over time: positions and quaternions of bodies, elongations and forces of springs, energies."""
+        model, poses, energies = self.model, self.poses, self.energies
+        elongations, forces, reactions = self.elongations, self.forces, self.reactions if model.layout.supports else {}
+        springs = springs_of(model)
+        variables = {
+            "position": (("time", "frame", "axis"), rows_of([pose.p for pose in poses.values()], -2), "m"),
+            "quaternion": (("time", "frame", "part"), rows_of([pose.quaternion for pose in poses.values()], -2), ""),
+            "kinetic_energy": (("time",), energies["kinetic"], "J"),
+            "potential_energy": (("time",), energies["potential"], "J"),
+        }
+        coordinates = {"frame": list(poses), "axis": AXES, "part": QUATERNION}
+        if springs:
+            variables["elongation"] = (("time", "spring"), rows_of([elongations[name] for name in springs], -1), "m")
+            variables["force"] = (("time", "spring"), rows_of([forces[name] for name in springs], -1), "N")
+            coordinates["spring"] = springs
+        if reactions:
+            variables["reaction_force"] = (("time", "support", "axis"), rows_of([force for force, _ in reactions.values()], -2), "N")
+            variables["reaction_moment"] = (("time", "support", "axis"), rows_of([moment for _, moment in reactions.values()], -2), "N m")
+            coordinates["support"] = list(reactions)
+        for name in (name for name, e in elongations.items() if name not in springs):
+            variables[f"{name}_deformation"] = (("time", "component"), elongations[name], "m, rad")
+            variables[f"{name}_force"] = (("time", "component"), forces[name], "N, N m")
+        times = np.asarray(self.times)
+        if times.ndim == 1:
+            coordinates["time"] = ("time", times, {"units": "s"})
+        else:
+            variables["times"] = (("time",), times, "s")
+        made = dataset(variables, coordinates, "trajectory")
+        return made.assign(status=(made["kinetic_energy"].dims[:-1], np.asarray(self.status)))
+
+    def _tables(self) -> list[tables.Table]:
+        if self.times.ndim > 1 or not is_concrete(self.state.q):
+            return [
+                tables.Table(
+                    "Trajectories",
+                    ("", ""),
+                    [("states", self.state.q), ("status", self.report() if is_concrete(self.status) else "traced")],
+                )
+            ]
+        rows = [
+            (name, *(f"{low:.4g} .. {high:.4g}" for low, high in zip(np.nanmin(p, 0), np.nanmax(p, 0), strict=True)))
+            for name, p in ((name, np.asarray(pose.p)) for name, pose in self.poses.items())
+        ]  # fmt: skip
+        springs = [
+            (name, f"{np.nanmin(e):.4g} .. {np.nanmax(e):.4g}", f"{np.nanmin(f):.4g} .. {np.nanmax(f):.4g}")
+            for name, e, f in ((name, np.asarray(e), np.asarray(self.forces[name])) for name, e in self.elongations.items())
+            if e.ndim == 1
+        ]
+        jumps = [message for _, message in jumps_passed(self.model, self.motions, self.times, self.state)]
+        title = f"Trajectory, {len(self.times)} samples, {float(self.times[0]):.4g} to {float(self.times[-1]):.4g} s"
+        return [
+            tables.Table(title, ("frame", "x [m]", "y [m]", "z [m]"), rows),
+            tables.Table("", ("spring", "elongation [m]", "tension [N]"), springs, "; ".join([self.report(), *jumps])),
+        ]
+
+
+def _frames(model, motions, t, state) -> Pose:
+    return table_of(model, motions, t, state).pose()
+
+
+def _deformations(model, motions, t, state):
+    return tuple(each_element(model, table_of(model, motions, t, state), lambda s, *F: s.deformation(*(f.pose() for f in F))))
+
+
+def _forces(model, motions, t, state):
+    return tuple(each_element(model, table_of(model, motions, t, state), lambda s, *F: s.force(*F)))
+
+
+def _energies(model, motions, t, state):
+    frames = table_of(model, motions, t, state)
+    return kinetic(model, frames), potential(model, frames)
+
+
+def _beyond_laws(model, motions, t, state):
+    return beyond_laws(model, table_of(model, motions, t, state))
+
+
+def _damping_power(model, motions, t, state):
+    return lost_power(model, table_of(model, motions, t, state))
+
+
+def _reactions(model, motions, t, state, loads):
+    return Dynamics(model, motions, loads).reactions(t, state.q, state.v)
+
+
+def _load_power(model, motions, t, state, loads):
+    frames = table_of(model, motions, t, state)
+    on = [frames[model.layout.frame(load.on)] for load in loads]
+    done = [(*load.wrench(t, frame), frame) for load, frame in zip(loads, on, strict=True)]
+    return sum((jnp.sum(F * frame.v) + jnp.sum(M * frame.w) for F, M, frame in done), jnp.zeros((), state.q.dtype))
+
+
+def _support_power(model, motions, t, state, loads):
+    dynamics = Dynamics(model, motions, loads)
+    force, moment = dynamics.reactions(t, state.q, state.v)
+    supports = dynamics.coordinates.supports_moving(motions, t)
+    return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
+
+
+@jit_quickly
+def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
+    given, rest = partition((model, motions, loads), is_array)
+    others, fixed = partition(more, is_array)
+
+    def one(given, t, state, others):
+        model, motions, loads = combine(given, rest)
+        return function(model, motions, t, state, *loads, *combine(others, fixed))
+
+    over_batch = jax.vmap(in_lanes(one), in_axes=(None, 0, 0, None))
+    for _ in range(batch_axes):
+        over_batch = jax.vmap(over_batch, in_axes=(0, 0, 0, None))
+    return over_batch(given, times, state, others)
