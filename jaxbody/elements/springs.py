@@ -64,7 +64,8 @@ class SpringDamper(LineElement):
     [m], the length at which the spring's law has x = 0. Errors: NEGATIVE, NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
 
     >>> strut = SpringDamper(("car", [1.4, 0.7, 0]), ("wheel", [0, 0, 0]), free_length=0.5,
-    ...                      spring=laws.Linear(2e4) + laws.Stop(gap=0.08, stiffness=1e5, engagement=0.01), damper=laws.TwoSided(bump=900.0, rebound=2100.0))
+    ...                      spring=jb.laws.Linear(2e4) + jb.laws.Stop(gap=0.08, stiffness=1e5, engagement=0.01),
+    ...                      damper=jb.laws.TwoSided(bump=900.0, rebound=2100.0))
     >>> float(strut.spring.force(jnp.array(-0.1)))
     -3500.0
     """

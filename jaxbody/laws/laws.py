@@ -115,7 +115,7 @@ class Function(Law):
 class Sum(Law):
     """F = the sum of the forces of its laws: a spring and its bump stop.
 
-    >>> float((Linear(100.0) + Stop(gap=0.1, stiffness=1000.0, engagement=0.01)).force(jnp.array(-0.2)))
+    >>> float((Linear(100.0) + jb.laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.01)).force(jnp.array(-0.2)))
     -115.0
     """
 

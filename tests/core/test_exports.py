@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.core import datasets
+from jaxbody.simulations.trajectories import Trajectory
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def trajectory(model):
 
 
 def test_a_trajectory(trajectory):
-    made = datasets.trajectory_dataset(trajectory)
+    made = Trajectory.to_xarray(trajectory)
     np.testing.assert_array_equal(made["time"], trajectory.times)
     np.testing.assert_array_equal(made["position"].sel(frame="mass", axis="y"), trajectory.poses["mass"].p[:, 1])
     np.testing.assert_array_equal(made["quaternion"].sel(frame="base", part="w"), trajectory.poses["base"].quaternion[:, 0])
@@ -54,7 +54,7 @@ def test_a_batch_of_trajectories_has_samples_and_bushings_their_components(rng):
         reactions={"base": (some(3), some(3))},
         status=np.array([0, 0, 4]),
     )
-    made = datasets.trajectory_dataset(batch)
+    made = Trajectory.to_xarray(batch)
     assert made["position"].dims == ("sample", "time", "frame", "axis") and made["status"].dims == ("sample",)
     np.testing.assert_array_equal(made["position"].sel(frame="mass"), batch.poses["mass"].p)
     np.testing.assert_array_equal(made["elongation"].sel(spring="t"), batch.elongations["t"])
@@ -92,7 +92,7 @@ def test_a_fit():
         experiments={"run1": experiment},
         status=jnp.array(7),
     )
-    made = datasets.fit_dataset(fit)
+    made = jb.Fit.to_xarray(fit)
     assert float(made["estimate"].sel(parameter="mass.com[1]")) == 2.0
     assert float(made["standard_error"].sel(parameter="mass.com[2]")) == np.inf
     np.testing.assert_array_equal(made["upper"], [51.0, 1.2, 2.4, np.inf])

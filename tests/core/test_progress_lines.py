@@ -13,6 +13,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.core import progress_lines
+from jaxbody.core.errors import warn
 from jaxbody.core.progress_lines import Line, working
 
 TIMES = np.linspace(0, 1, 21)
@@ -59,7 +60,7 @@ def test_a_warning_stands_on_a_line_of_its_own(monkeypatch):
         until_written(terminal, " s, fit")
         monkeypatch.setattr(progress_lines, "AFTER", 1e9)  # no further line
         time.sleep(0.05)
-        jb.errors.warn("MISSING", "something")
+        warn("MISSING", "something")
         assert re.search(r"fit\r +\r$", terminal.getvalue())
 
 

@@ -6,6 +6,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody import presets
+from jaxbody.geometry import rotations
 
 exudyn = pytest.importorskip("exudyn", reason="needs exudyn: pip install 'jaxbody[judges]'")
 SIX = [
@@ -37,7 +38,7 @@ def by_exudyn(damping, end, scale, intrinsic=True):
     body = system.CreateRigidBody(
         inertia=inertia, nodeType=exudyn.NodeType.RotationRotationVector, returnDict=True,
         referencePosition=[0, 0, 0], initialDisplacement=list(scale * START[:3]),
-        initialRotationMatrix=jb.rotations.exp(jnp.asarray(scale * START[3:])).tolist(),
+        initialRotationMatrix=rotations.exp(jnp.asarray(scale * START[3:])).tolist(),
     )  # fmt: skip
     ground = system.CreateGround()
     for p, k in zip(presets.MOUNTS, SIX, strict=True):

@@ -11,6 +11,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
+from jaxbody.geometry import rotations
 
 RATE, LAST = 400.0, 12.0
 TIMES = np.arange(int(RATE * LAST) + 1) / RATE
@@ -27,10 +28,10 @@ def truth(times):
 
     def place(t):
         xi = SHAKING(t)
-        return xi[:3] + jb.frames.rotations.exp(xi[3:]) @ AT
+        return xi[:3] + rotations.exp(xi[3:]) @ AT
 
     def rotation(t):
-        return jb.frames.rotations.exp(SHAKING(t)[3:])
+        return rotations.exp(SHAKING(t)[3:])
 
     def all_of(t):
         R, R_dot = jax.jvp(rotation, (t,), (1.0,))

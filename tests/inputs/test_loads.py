@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 import jaxbody as jb
 from jaxbody import Status, laws, plots
 from jaxbody.inputs.signals import Samples, Sine
+from jaxbody.presets import presets
 
 G = 9.81
 MASS, INERTIA, COM = 3.0, np.diag([0.2, 0.3, 0.4]), np.array([0.05, -0.02, 0.03])
@@ -147,7 +148,7 @@ def test_bad_loads_are_refused():
 
 TABLE = jb.presets.stewart_table(gravity=G)
 ENGINE = jb.presets.engine_on_mounts(gravity=G)
-POINTS, STIFFNESS = jb.presets.MOUNTS, jb.presets.MOUNT_STIFFNESS
+POINTS, STIFFNESS = presets.MOUNTS, presets.MOUNT_STIFFNESS
 CASES = {
     "3 g bump": jb.LoadCase(acceleration=[0, 0, 3]),
     "braking": jb.LoadCase(acceleration=[-1, 0, 0]),

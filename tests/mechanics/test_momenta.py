@@ -13,6 +13,7 @@ from jax.flatten_util import ravel_pytree
 from test_collocations import STEPS, has_no_trend
 
 import jaxbody as jb
+from jaxbody.geometry import rotations
 from jaxbody.mechanics.canonical_equations import Canonical
 from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.mechanics.kinematics import Coordinates
@@ -105,7 +106,7 @@ def chart(name, around):
 
     def state(delta, rate):
         q, q_dot = jax.jvp(partial(coordinates.retract, around), (delta,), (rate,))
-        w = 2 * jb.rotations.multiply(q_dot[here], q[here] * jnp.array([1, -1, -1, -1]))[1:]
+        w = 2 * rotations.multiply(q_dot[here], q[here] * jnp.array([1, -1, -1, -1]))[1:]
         return jb.State(q, jnp.concatenate([q_dot[: here.start], w, q_dot[here.stop :]]))
 
     def momenta(delta, rate):
@@ -116,7 +117,7 @@ def chart(name, around):
         return state(delta, jnp.linalg.solve(jax.jacfwd(partial(momenta, delta))(delta), p))
 
     def to_canonical(found):
-        turn = jb.rotations.log_quaternion(jb.rotations.multiply(found.q[here], around[here] * jnp.array([1, -1, -1, -1])))
+        turn = rotations.log_quaternion(rotations.multiply(found.q[here], around[here] * jnp.array([1, -1, -1, -1])))
         delta = jnp.concatenate([(found.q - around)[: here.start], turn, (found.q - around)[here.stop :]])
         per_rate = jax.jacfwd(lambda rate: state(delta, rate).v)(delta)
         return jnp.concatenate([delta, momenta(delta, jnp.linalg.solve(per_rate, found.v))])

@@ -475,6 +475,16 @@ def test_sound_records_are_not_warned_of():
         jb.Record(TIMES, {"x": (x, unit)}, highest=20.0)
 
 
+def test_a_rounded_record_is_not_saturated_where_the_motion_turns():
+    """A sine of 2 Hz and amplitude 102, rounded to whole numbers, stays at its largest number for 2 acos(101.5/102)/(2 pi 2) = 16 ms, 8 samples of 500 Hz."""
+    times = np.arange(500) / 500
+    turning = np.round(102 * np.sin(4 * np.pi * times))
+    assert (turning == 102).sum() == 16
+    jb.Record(times, {"x": (turning, "mm")}, highest=20.0)
+    with pytest.warns(jb.JaxbodyWarning, match="stays at 90 mm"):
+        jb.Record(times, {"x": (np.minimum(turning, 90), "mm")}, highest=20.0)
+
+
 # Repairs
 
 

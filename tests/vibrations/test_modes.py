@@ -12,6 +12,7 @@ from rigs import POWERTRAIN_ENERGIES, apart
 import jaxbody as jb
 from jaxbody.mechanics.energies import frames_of
 from jaxbody.numerics.eigenproblems import natural
+from jaxbody.presets import presets
 
 RNG = np.random.default_rng(5)
 
@@ -30,7 +31,7 @@ def rig():
 
 def mounted(coefficients):
     """Of each mount of the powertrain the 6 x 6 matrix of three coefficients along the axes."""
-    arms = [np.hstack([np.eye(3), -np.cross(np.eye(3), r)]) for r in jb.presets.MOUNTS]  # displacement of a point: delta + theta x r
+    arms = [np.hstack([np.eye(3), -np.cross(np.eye(3), r)]) for r in presets.MOUNTS]  # displacement of a point: delta + theta x r
     return [arm.T @ np.diag(k) @ arm for arm, k in zip(arms, coefficients, strict=True)]
 
 
@@ -48,8 +49,8 @@ def test_kinetic_energies_of_the_published_powertrain(engine):
     named = ("fore-aft 99", "lateral 98", "yaw 37", "bounce 49", "pitch 66", "roll 79")
     assert found.names == tuple(f"engine {name} %" for name in named)
     assert "engine roll" in str(found) and "mount 2" in str(found)
-    phi = scipy.linalg.eigh(sum(mounted(jb.presets.MOUNT_STIFFNESS)), inertia_of(engine))[1]
-    for shares, coefficients in ((found.strain, jb.presets.MOUNT_STIFFNESS), (found.dissipation, jb.presets.MOUNT_DAMPING)):
+    phi = scipy.linalg.eigh(sum(mounted(presets.MOUNT_STIFFNESS)), inertia_of(engine))[1]
+    for shares, coefficients in ((found.strain, presets.MOUNT_STIFFNESS), (found.dissipation, presets.MOUNT_DAMPING)):
         parts = np.array([np.diag(phi.T @ k @ phi) for k in mounted(coefficients)])
         assert apart(np.array(list(shares.values())), 100 * parts / parts.sum(0)) < 1e-9
     assert max(float(jnp.abs(x).max()) for x in found.other_strain.values()) < 1e-9

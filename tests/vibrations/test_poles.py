@@ -9,6 +9,7 @@ from rigs import apart
 import jaxbody as jb
 from jaxbody.core.errors import Status
 from jaxbody.numerics.eigenproblems import poles
+from jaxbody.presets import presets
 
 
 def refused(function, *args, **options):
@@ -313,12 +314,12 @@ def test_mounts_inclined_towards_a_point_decouple_there():
 def test_the_torque_roll_axis(engine):
     """J n ~ torque; a spin about it needs no other torque; decoupled where K is proportional to M."""
     found = jb.torque_roll_axis(engine, "engine", [2.0, 0, 0])
-    n = np.linalg.solve(jb.presets.ENGINE, [1.0, 0, 0])
+    n = np.linalg.solve(presets.ENGINE, [1.0, 0, 0])
     n /= np.linalg.norm(n)
     assert apart(found.direction, n) < 1e-12 and apart(found.point, np.zeros(3)) == 0
     K = np.asarray(engine.K)[3:, 3:]
-    assert abs(found.inertia - n @ jb.presets.ENGINE @ n) < 1e-12 and abs(found.stiffness - n @ K @ n) < 1e-8
-    assert abs(found.frequency - np.sqrt(n @ K @ n / (n @ jb.presets.ENGINE @ n)) / (2 * np.pi)) < 1e-12
+    assert abs(found.inertia - n @ presets.ENGINE @ n) < 1e-12 and abs(found.stiffness - n @ K @ n) < 1e-8
+    assert abs(found.frequency - np.sqrt(n @ K @ n / (n @ presets.ENGINE @ n)) / (2 * np.pi)) < 1e-12
     r, M = np.concatenate([np.zeros(3), n]), np.asarray(engine.M)
     left = np.asarray(engine.K) @ r - float(found.stiffness / found.inertia) * M @ r
     expected = np.sqrt(left @ np.linalg.solve(M, left) / (r @ M @ r)) / float(found.stiffness / found.inertia)
