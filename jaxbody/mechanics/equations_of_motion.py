@@ -49,7 +49,7 @@ class Dynamics(eqx.Module):
         return self.coordinates.model
 
     def pack(self, state: State, t: Any = None) -> Float[Array, "ny"]:
-        """y of a state; at which time is asked where y holds momenta (`momenta`)."""
+        """y of a state; at which time is asked where y holds momenta (`canonical_equations`)."""
         if not self.model.layout.floating:
             return jnp.concatenate([state.q, state.v])
         q, v = state.q.reshape(-1, 7), state.v.reshape(-1, 2, 3)

@@ -35,7 +35,7 @@ class Gauss(AbstractSolver):
 
         k_i = f(t + c_i h, y + h sum_j A_ij k_j),   y_new = y + h sum_i b_i k_i,   order 2 stages; 1 stage is the implicit midpoint rule
 
-    `simulate` gives it Hamilton's equations, y = (q, p) with quaternions and their momenta (`momenta`). There it is symplectic and symmetric in
+    `simulate` gives it Hamilton's equations, y = (q, p) with quaternions and their momenta (`canonical_equations`). There it is symplectic and symmetric in
     time, so energy keeps to a bound in chaotic motion too, turning over any number of times. To rounding it keeps quadratic invariants: the length of quaternions, the
     energy of linear systems, momentum and moment of momentum where nothing acts on them. Stages are iterated until rounding stops them,
     which takes steps of less than 2 over the fastest rate [rad/s]; NOT_CONVERGED where they do not settle. A tenth of its period for the

@@ -84,7 +84,7 @@ def _tolerances(coordinates: Coordinates, span, rtol):
 
 
 def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
-    """By the steps of `integrators`."""
+    """By the steps of `dormand_prince_steps`."""
     limits = _tolerances(dynamics.coordinates, times[-1] - times[0], rtol)
     signals = [signal for load in dynamics.loads for signal in load.signals()]
     constant = isinstance(controller, diffrax.ConstantStepSize)

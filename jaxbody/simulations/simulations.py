@@ -56,7 +56,7 @@ def simulate(
     initial: a State, or "rest", in equilibrium on supports as they stand and move at times[0], loads left out.
     motion: {support: motion}; a support without one is at rest. loads: {name: load} on bodies. rtol (in float32 1.5e-4 at least): ten times the relative local error that
     the step control allows in any component, so that samples between steps hold it too; absolute errors a hundredth of it times the size of the model (velocities: size times its fastest frequency, roughly). Without
-    solver the method is Dopri8 in loops of our own (`integrators`), with steps of its own choice or, with stepsize_controller=diffrax.ConstantStepSize(), of dt0 [s];
+    solver the method is Dopri8 in loops of our own (`dormand_prince_steps`), with steps of its own choice or, with stepsize_controller=diffrax.ConstantStepSize(), of dt0 [s];
     with other solvers, stepsize_controllers and adjoints, which are diffrax's objects, diffrax integrates. dt0 is else the first step. Both modes
     work by default, and forward over reverse; for few parameters adjoint=diffrax.ForwardMode() is faster, and with other solvers forward mode needs it. A batch by jax.vmap runs in chunks of 40, each member with steps of its own;
     with constant steps it takes half the time, but nothing controls the error: compare with a shorter dt0. progress: how long it has taken, on a terminal or in a

@@ -79,7 +79,7 @@ def _basis(shapes: np.ndarray, M: np.ndarray) -> np.ndarray:
 
 @jit_as_it_is
 def _placed(model: Model, q: Float[Array, "nq"]):
-    """The orientations of the bodies and J of `derivatives`."""
+    """The orientations of the bodies and J of `hessians`."""
     at = placed(Coordinates(model), q, base=False)
     return at.frames.R[model.layout.first_body :], at.J
 
