@@ -32,7 +32,7 @@ def kind_of(value: Any) -> str:
     return f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"
 
 
-def named(things: Any, where: str, kind: str, problems: Problems) -> dict[str, Any]:
+def checked_dict(things: Any, where: str, kind: str, problems: Problems) -> dict[str, Any]:
     """Things by name, their names as Python's text; none where they are no dict, and `problems` says so."""
     if things is None:
         return {}
@@ -43,7 +43,7 @@ def named(things: Any, where: str, kind: str, problems: Problems) -> dict[str, A
     return {plain(name): thing for name, thing in things.items()}
 
 
-def whole(value: Any, where: str, problems: Problems, least: int = 1, code: str = "BAD_NUMBER") -> Any:
+def whole_number(value: Any, where: str, problems: Problems, least: int = 1, code: str = "BAD_NUMBER") -> Any:
     """A whole number, `least` or more; 1e5 is one. What jit traces stays as it is."""
     if isinstance(value, Tracer):
         return value
@@ -58,7 +58,7 @@ def whole(value: Any, where: str, problems: Problems, least: int = 1, code: str 
     return number
 
 
-def positive(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER") -> Any:
+def positive_number(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER") -> Any:
     """One finite number above zero; None where it is not, and `problems` says so."""
     number = checked(value, ((),), where, problems)
     known = None if number is None else concrete(number)

@@ -37,7 +37,7 @@ def checked(value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problem
     try:
         array = float_array(value, where)
     except JaxbodyError as error:
-        problems.found += error.problems
+        problems.collected += error.problems
         return None
     if array.shape not in shapes:
         limit = " or ".join(map(str, shapes))
@@ -96,7 +96,7 @@ def check_times(times, problems: Problems, where: str = "times", minimum: int = 
     try:
         times = float_array(times, where)
     except JaxbodyError as error:
-        problems.found += error.problems
+        problems.collected += error.problems
         return None
     known = concrete(times)
     if times.ndim != 1 or times.shape[0] < minimum:

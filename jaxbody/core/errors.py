@@ -87,22 +87,22 @@ def warn_of(warning: Warning) -> None:
 class Problems:
     """Collects problems, so that one error holds all of them."""
 
-    found: list[Problem] = field(default_factory=list)
+    collected: list[Problem] = field(default_factory=list)
 
     def add(self, code: str, where: str, message: str, *, value: Any = None, limit: str = "", hint: str = "") -> None:
-        self.found.append(Problem(code, where, message, value, limit, hint))
+        self.collected.append(Problem(code, where, message, value, limit, hint))
 
     def gather(self, look: Callable[[], Any]) -> Any:
         """What `look` returns; None where it raises, and what is wrong is collected."""
         try:
             return look()
         except JaxbodyError as error:
-            self.found += error.problems
+            self.collected += error.problems
             return None
 
     def raise_if_any(self) -> None:
-        if self.found:
-            raise JaxbodyError(*self.found)
+        if self.collected:
+            raise JaxbodyError(*self.collected)
 
 
 class Status(enum.IntEnum):

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.arguments import whole
+from jaxbody.core.arguments import whole_number
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.progress_lines import working
@@ -94,7 +94,7 @@ def pareto(
     if len(set(names)) != len(names) or len(names) not in (2, 3):
         words = f"has the objectives {', '.join(map(str, names))}"
         problems.add("BAD_FRONT", "pareto.minimize", words, value=names, limit="two or three different names")
-    points = whole(points, "pareto.points", problems, least=3, code="BAD_FRONT")
+    points = whole_number(points, "pareto.points", problems, least=3, code="BAD_FRONT")
     problems.raise_if_any()
 
     counts = itertools.count(1)

@@ -161,7 +161,7 @@ def check_names(program: Program) -> None:
     """What is minimized and limited is there, and one number is minimized."""
     problems, shapes = Problems(), dict(program.shapes)
     for where, names in (("tune.minimize", (program.minimize,)), ("tune.limits", program.limits)):
-        problems.found += [unknown(name, where, tuple(shapes)) for name in names if name not in shapes]
+        problems.collected += [unknown(name, where, tuple(shapes)) for name in names if name not in shapes]
     shape = shapes.get(program.minimize, ())
     if shape:
         hint = "Minimize one number; limit the others."

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arguments import check_key, named, whole
+from jaxbody.core.arguments import check_key, checked_dict, whole_number
 from jaxbody.core.arrays import float_array
 from jaxbody.core.compile_options import quick_options
 from jaxbody.core.datasets import dataset
@@ -58,14 +58,14 @@ def sweep(
     """
     check_precision("sweep", model)
     problems = Problems()
-    given = named(over, "sweep.over", "path: [values]", problems)
-    samples = None if samples is None else whole(samples, "sweep.samples", problems)
-    chunk = None if chunk is None else whole(chunk, "sweep.chunk", problems, code="BAD_CHUNK")
+    given = checked_dict(over, "sweep.over", "path: [values]", problems)
+    samples = None if samples is None else whole_number(samples, "sweep.samples", problems)
+    chunk = None if chunk is None else whole_number(chunk, "sweep.chunk", problems, code="BAD_CHUNK")
     check_key(key, "sweep.key", problems)
     columns = {path: problems.gather(lambda path=path: float_array(given[path], f"sweep['{path}']")) for path in given}
     columns = {path: values for path, values in columns.items() if values is not None}
     empty = not columns or any(values.ndim < 1 or not len(values) for values in columns.values())
-    if empty and not problems.found:
+    if empty and not problems.collected:
         problems.add("EMPTY_SWEEP", "sweep.over", "has no values", value=over, limit="values for each path", hint="Give {path: [values]}.")
     for path, values in columns.items():
         if not np.isfinite(values).all():

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.arguments import check_key, named, positive, whole
+from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import concrete, float_array
 from jaxbody.core.compile_options import jit_quickly
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
@@ -99,7 +99,7 @@ def tolerances(
     """
     check_precision("tolerances", model)
     problems = Problems()
-    samples = whole(samples, "tolerances.samples", problems, least=2, code="BAD_SCATTER")
+    samples = whole_number(samples, "tolerances.samples", problems, least=2, code="BAD_SCATTER")
     check_key(key, "tolerances.key", problems)
     leaves, deviations = problems.gather(lambda: scattering(model, scatter, "tolerances.scatter")) or ((), ())
     problems.raise_if_any()
@@ -132,7 +132,7 @@ def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Eval
     """
 
     problems = Problems()
-    positive(sigmas, "robust.sigmas", problems)
+    positive_number(sigmas, "robust.sigmas", problems)
     problems.raise_if_any()
 
     def with_scatter(model: Model) -> Quantities:
@@ -150,7 +150,7 @@ def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Eval
 def scattering(model: Model, scatter: Scatter, where: str) -> tuple[tuple[Leaf, ...], tuple[Array, ...]]:
     """The leaves that scatter and their standard deviations."""
     problems, leaves, deviations = Problems(), [], []
-    scatter = named(scatter, where, "path: standard deviation", problems)
+    scatter = checked_dict(scatter, where, "path: standard deviation", problems)
     problems.raise_if_any()
     arrays = jax.tree.leaves(model)
     for pattern, found in matching(leaves_of(model), scatter, where).items():
@@ -168,7 +168,7 @@ def scattering(model: Model, scatter: Scatter, where: str) -> tuple[tuple[Leaf, 
                 problems.add("LISTED_TWICE", where, f"names {leaf.path} twice", value=pattern)
             leaves.append(leaf)
             deviations.append(jnp.broadcast_to(jnp.asarray(given), shape))
-    if not leaves and not problems.found:
+    if not leaves and not problems.collected:
         problems.add("BAD_SCATTER", where, "is empty", limit="at least one path", hint="Say what scatters.")
     problems.raise_if_any()
     return tuple(leaves), tuple(deviations)

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from jaxbody.core.arguments import check_key, named, positive, whole
+from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import float_array
 from jaxbody.core.compile_options import jit_quickly
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete
@@ -80,12 +80,12 @@ def tune(
         raise JaxbodyError(Problem("TRACED", "tune.model", "is being traced", hint="Tune outside of jit, vmap and grad."))
     problems = Problems()
     bounds, catalogues = (
-        named(bounds, "tune.bounds", "path: (lower, upper)", problems),
-        named(catalogues, "tune.catalogues", "path: [values]", problems),
+        checked_dict(bounds, "tune.bounds", "path: (lower, upper)", problems),
+        checked_dict(catalogues, "tune.catalogues", "path: [values]", problems),
     )
-    whole(starts, "tune.starts", problems, code="BAD_STARTS")
-    max_iterations = whole(max_iterations, "tune.max_iterations", problems)
-    positive(tolerance, "tune.tolerance", problems)
+    whole_number(starts, "tune.starts", problems, code="BAD_STARTS")
+    max_iterations = whole_number(max_iterations, "tune.max_iterations", problems)
+    positive_number(tolerance, "tune.tolerance", problems)
     check_key(key, "tune.key", problems)
     problems.raise_if_any()
     key = jax.random.key(0) if key is None else key

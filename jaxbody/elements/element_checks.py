@@ -24,7 +24,7 @@ def check_leaves(problems: Problems, elements: dict[str, Element]) -> None:
                     float_array(leaf, where)
                 except JaxbodyError as error:
                     hint = "What is no number is a static field: mode: str = equinox.field(static=True)."
-                    problems.found += [replace(problem, hint=hint) for problem in error.problems]
+                    problems.collected += [replace(problem, hint=hint) for problem in error.problems]
 
 
 def check_laws(problems: Problems, elements: dict[str, Element]) -> None:

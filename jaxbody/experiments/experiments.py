@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.arguments import named
+from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import check_times, concrete, device_array, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, warn
 from jaxbody.experiments.measurements import Measurement
@@ -83,9 +83,9 @@ class Experiment(Measurement):
         leave_out: float = 0.0,
     ):
         problems = Problems()
-        sensors = named(sensors, "Experiment.sensors", "name: jb.Position(...)", problems)
-        measured = named(measured, "Experiment.measured", "name: array", problems)
-        motion = named(motion, "Experiment.motion", "support: jb.Harmonic(...)", problems)
+        sensors = checked_dict(sensors, "Experiment.sensors", "name: jb.Position(...)", problems)
+        measured = checked_dict(measured, "Experiment.measured", "name: array", problems)
+        motion = checked_dict(motion, "Experiment.motion", "support: jb.Harmonic(...)", problems)
         motions = {name: problems.gather(lambda m=m, name=name: as_motion(m, f"Experiment.motion['{name}']")) for name, m in motion.items()}
         loads = loads_by_name(loads, "Experiment.loads", problems)
         problems.raise_if_any()
@@ -184,11 +184,11 @@ class Experiment(Measurement):
         problems = Problems()
         problems.gather(lambda: loads_of(self.loads, model.layout.bodies))
         motions = problems.gather(lambda: motions_of(model, self.motion))
-        if not problems.found:
+        if not problems.collected:
             problems.gather(lambda: check_run(model, self.times, motions, self.loads, self.initial))
         problems.gather(lambda: check_sensors(self.sensors, model, "sensors"))
-        problems.found += [found for name in self.sensors if (found := self._too_late(name)) is not None]
-        problems.found = [_under(where, problem) for problem in problems.found]
+        problems.collected += [found for name in self.sensors if (found := self._too_late(name)) is not None]
+        problems.collected = [_under(where, problem) for problem in problems.collected]
         problems.raise_if_any()
 
     def _too_late(self, name: str) -> Problem | None:
@@ -253,7 +253,7 @@ def _samples(name: str, sensor: Sensor, value: Any, times, late, problems: Probl
     try:
         array = float_array(value, where)
     except JaxbodyError as error:
-        problems.found += error.problems
+        problems.collected += error.problems
         return None
     if times is None:
         return array
@@ -272,7 +272,7 @@ def _samples(name: str, sensor: Sensor, value: Any, times, late, problems: Probl
         if np.isinf(array).any():
             problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN where a sample is missing")
         if (wrong := sensor.misread(array, where)) is not None:
-            problems.found.append(wrong)
+            problems.collected.append(wrong)
         kept = missing | ~late[:, None] if isinstance(late, np.ndarray) else missing
         for channel in np.flatnonzero(kept.all(0)):
             problems.add(

@@ -74,7 +74,7 @@ class MeasuredResponse(Measurement):
             where = f"MeasuredResponse.measured[{pair!r}]"
             for name, known in zip(pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, pair), (outputs, inputs), strict=True):
                 if name not in known:
-                    problems.found.append(unknown(str(name), where, tuple(known)))
+                    problems.collected.append(unknown(str(name), where, tuple(known)))
             arrays[pair] = _complex(value, shape, where, problems)
         for pair, value in (noise if isinstance(noise, dict) else {} if noise is None else dict.fromkeys(measured, noise)).items():
             where = f"MeasuredResponse.noise[{pair!r}]"

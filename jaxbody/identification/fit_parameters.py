@@ -70,7 +70,7 @@ def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str
         else:
             form = parametrize(leaf.path, starts[0], model, size)
         if isinstance(form, Problem):
-            problems.found.append(form)
+            problems.collected.append(form)
         else:
             check_alike(tie, starts, form, problems)
             free.append(Free(tuple((owner[leaf], leaf) for leaf in group), tuple(tie.values()), form))

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 
-from jaxbody.core.arguments import whole
+from jaxbody.core.arguments import whole_number
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
@@ -98,7 +98,7 @@ def fit(
     check_loss(loss, "fit.loss")
     problems = Problems()
     max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit"))
-    max_evaluations = whole(max_evaluations, "fit.max_evaluations", problems)
+    max_evaluations = whole_number(max_evaluations, "fit.max_evaluations", problems)
     problems.raise_if_any()
     _check_runs(model, experiments)
     parameters = choose(model, experiments, _patterns(free))

@@ -15,7 +15,7 @@ import optimistix
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.arguments import positive, whole
+from jaxbody.core.arguments import positive_number, whole_number
 from jaxbody.core.compile_options import jit_quickly
 from jaxbody.core.errors import Problems, Status, warn, warn_of
 from jaxbody.core.progress_lines import working
@@ -91,9 +91,9 @@ def multistart(
     [39.4784]
     """
     problems = Problems()
-    starts = whole(starts, "multistart.starts", problems)
-    seed = whole(seed, "multistart.seed", problems, least=0)
-    positive(spread, "multistart.spread", problems)
+    starts = whole_number(starts, "multistart.starts", problems)
+    seed = whole_number(seed, "multistart.seed", problems, least=0)
+    positive_number(spread, "multistart.spread", problems)
     problems.raise_if_any()
     with working("multistart", progress) as line:
         with warnings.catch_warnings(record=True) as told:  # of an optimum that may not be the best

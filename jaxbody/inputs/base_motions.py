@@ -122,7 +122,7 @@ def _channel(record: Record, name: str, dimension: units.Dimension, axis: Any, p
     try:
         x = record[name]
     except JaxbodyError as error:
-        problems.found += error.problems
+        problems.collected += error.problems
         return nothing
     if record.units[name] != (wanted := units.si_words(dimension)):
         problems.add(
@@ -149,7 +149,7 @@ def _channel(record: Record, name: str, dimension: units.Dimension, axis: Any, p
 
 def _axes(axes: Any, problems: Problems) -> np.ndarray:
     A = shaped(axes, (3, 3), "base_motion.axes", problems)
-    if not problems.found and (np.abs(A.T @ A - np.eye(3)).max() > 1e-6 or np.linalg.det(A) < 0):
+    if not problems.collected and (np.abs(A.T @ A - np.eye(3)).max() > 1e-6 or np.linalg.det(A) < 0):
         told = f"is no rotation: |A'A - 1| = {np.abs(A.T @ A - np.eye(3)).max():.2g}, determinant {np.linalg.det(A):.3g}"
         problems.add(
             "BAD_AXES", "base_motion.axes", told, value=A, limit="orthogonal, right-handed", hint="Columns: the instrument's axes."

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.arguments import check_kind, named, plain
+from jaxbody.core.arguments import check_kind, checked_dict, plain
 from jaxbody.core.arrays import checked, concrete, device_array, scalar
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame, Wrench
@@ -195,7 +195,7 @@ def loads_of(loads: dict[str, Load] | None, bodies: tuple[str, ...], where: str 
 
 def loads_by_name(loads: Any, where: str, problems: Problems) -> dict[str, Load]:
     """What of a dict are loads; what is not goes to `problems`."""
-    given = named(loads, where, "name: jb.Force(...)", problems)
+    given = checked_dict(loads, where, "name: jb.Force(...)", problems)
     for name, load in given.items():
         check_kind(load, Load, f"{where}[{name!r}]", "jb.Force(...) or another Load", problems)
     return {name: load for name, load in given.items() if isinstance(load, Load)}

@@ -232,7 +232,7 @@ def check_motion(motion: Motion, where: str, problems: Problems) -> None:
     if any(map(is_own, _parts(motion))):
         leaves, structure = jax.tree.flatten(functions_as_nodes(motion))
         kinds = tuple(jax.ShapeDtypeStruct(np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-        problems.found += [replace(problem, where=where) for problem in _faults(structure, kinds)]
+        problems.collected += [replace(problem, where=where) for problem in _faults(structure, kinds)]
 
 
 def _parts(motion: Motion) -> list[Motion]:
@@ -245,7 +245,7 @@ def _parts(motion: Motion) -> list[Motion]:
 def _faults(structure: Any, kinds: tuple[Any, ...]) -> list[Problem]:
     problems = Problems()
     check_returned(lambda motion, t: motion(t), structure.unflatten(kinds), (6,), "motion", problems)
-    return problems.found
+    return problems.collected
 
 
 def _samples(times, translation, rotation, problems: Problems, minimum: int, turns: bool = True):
@@ -286,7 +286,7 @@ def _rows(value: Any, n: int | None, widths: tuple[int, ...], where: str, proble
     try:
         array = float_array(value, where)
     except JaxbodyError as error:
-        problems.found += error.problems
+        problems.collected += error.problems
         return nothing
     if array.ndim != 2 or array.shape[1] not in widths or n not in (None, array.shape[0]):
         limit = " or ".join(f"({n or 'n'}, {width})" for width in widths)

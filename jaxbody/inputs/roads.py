@@ -118,7 +118,7 @@ def _points(value, where: str, problems: Problems, n: int | None = None) -> Any:
     try:
         numbers = float_array(value, where)
     except JaxbodyError as error:
-        problems.found += error.problems
+        problems.collected += error.problems
         return None
     hint = "Give two points or more." if n is None else "Give one height for each distance."
     return checked(numbers, ((n or max(2, numbers.size),),), where, problems, hint)

@@ -168,7 +168,7 @@ def _rows(values: Any, times: Any, problems: Problems) -> Any:
     try:
         y = float_array(values, "Samples.values")
     except JaxbodyError as error:
-        problems.found += error.problems
+        problems.collected += error.problems
         return None
     if times is None:
         return y
@@ -179,5 +179,5 @@ def _rows(values: Any, times: Any, problems: Problems) -> Any:
     if known is not None and not np.isfinite(known).all():
         row = int(np.argwhere(~np.isfinite(known))[0][0])
         hint = "Cut the record or fill the gap first."
-        problems.found.append(Problem("NON_FINITE", "Samples.values", f"is {known[row]} at row {row}", known[row], "finite", hint))
+        problems.collected.append(Problem("NON_FINITE", "Samples.values", f"is {known[row]} at row {row}", known[row], "finite", hint))
     return y

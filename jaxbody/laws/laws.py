@@ -193,7 +193,7 @@ def _made(kind: type, **fields) -> Any:
 
 def law_of(value: Any, where: str, problems: Problems) -> Law:
     law = as_law(value, where, problems)
-    if law is None and not problems.found:
+    if law is None and not problems.collected:
         problems.add("WRONG_KIND", where, "is None", limit="a law or a number", hint="Give 0 for no force.")
     return _made(Linear, coefficient=np.zeros(())) if law is None else law
 
@@ -215,7 +215,7 @@ def not_negative(value: Any, where: str, unit: str, problems: Problems, hint: st
 def positive(value: Any, where: str, unit: str, problems: Problems, hint: str = "") -> None:
     """Error: NOT_POSITIVE."""
     known = concrete(value)
-    if known is not None and not any(p.where == where for p in problems.found) and (known <= 0).any():
+    if known is not None and not any(p.where == where for p in problems.collected) and (known <= 0).any():
         problems.add("NOT_POSITIVE", where, f"is {known.min():g} {unit}".rstrip(), value=float(known.min()), limit="> 0", hint=hint)
 
 

@@ -125,7 +125,7 @@ def has_range(tree: Any) -> bool:
 
 def _check_table(x: Any, forces: Any, problems: Problems) -> None:
     x, F = concrete(x), concrete(forces)
-    if problems.found or x is None or F is None:
+    if problems.collected or x is None or F is None:
         return
     if len(x) != len(F):
         problems.add("BAD_SHAPE", "Table.forces", f"has {len(F)} numbers for {len(x)} of x", value=len(F), limit=f"{len(x)}")

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxbody.core.arguments import named
+from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import checked, concrete, device_array
 from jaxbody.core.errors import Problems
 from jaxbody.models.models import Model
@@ -58,7 +58,7 @@ def numbered(tree: Any) -> Any:
 
 
 def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
-    """Every leaf of a model; or of an experiment, which says by `named()` what is called how."""
+    """Every leaf of a model; or of an experiment, which says by `checked_dict()` what is called how."""
     numbers = numbered(tree)
     if not isinstance(tree, Model):
         return [Leaf(f"{prefix}{name}.{field}", n, None, 0) for name, part in numbers.named().items() for field, n in _fields(part)]
@@ -150,7 +150,7 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
     """
     arrays, treedef = jax.tree.flatten(tree)
     problems, taken = Problems(), set()
-    values = named(values, "replace.values", "path: value", problems)
+    values = checked_dict(values, "replace.values", "path: value", problems)
     problems.raise_if_any()
     new: dict[int, list[tuple[list[Leaf], Any]]] = {}
     for pattern, leaves in matching(leaves_of(tree), values, "replace").items():

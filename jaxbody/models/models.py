@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody.core import tables
-from jaxbody.core.arguments import named
+from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import device_array, functions_as_nodes, vector
 from jaxbody.core.compile_options import jit_as_it_is
 from jaxbody.core.errors import JaxbodyError, Problems, unknown
@@ -59,12 +59,12 @@ class Model(eqx.Module):
     ):
         problems = Problems()
         bodies, supports = (
-            named(bodies, "bodies", "name: jb.Body(...)", problems),
-            named(supports, "supports", "name: jb.Support(...)", problems),
+            checked_dict(bodies, "bodies", "name: jb.Body(...)", problems),
+            checked_dict(supports, "supports", "name: jb.Support(...)", problems),
         )
         elements, joints = (
-            named(elements, "elements", "name: jb.Spring(...)", problems),
-            named(joints, "joints", "name: jb.Hinge(...)", problems),
+            checked_dict(elements, "elements", "name: jb.Spring(...)", problems),
+            checked_dict(joints, "joints", "name: jb.Hinge(...)", problems),
         )
         problems.raise_if_any()
         check_names(problems, bodies=bodies, supports=supports, elements=elements)

@@ -97,7 +97,7 @@ def _group(tie: Tie, arrays, model: Model, size, problems: Problems) -> Group | 
     starts = [leaf.read(arrays) for leaf in tie]
     form = parametrize(next(iter(tie)).path, starts[0], model, size)
     if isinstance(form, Problem):
-        problems.found.append(form)
+        problems.collected.append(form)
         return None
     check_alike(tie, starts, form, problems)
     return Group(tuple(tie), tuple(tie.values()), form)

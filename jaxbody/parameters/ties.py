@@ -43,7 +43,7 @@ def ties(leaves: list[Leaf], free: Iterable[str], where: str, problems: Problems
         ratios: Tie = {leaf: _ratio(first, factor) for leaf, factor in meant.items()}
         apart: list[Tie] = [{leaf: 1.0} for leaf in meant]
         found += [ratios] if len(parts) > 1 else apart
-    if not found and not problems.found:
+    if not found and not problems.collected:
         problems.add("NOTHING_FREE", where, "is empty", limit="at least one path", hint='Name what may change: free=["*.stiffness"].')
     return found
 

@@ -149,7 +149,7 @@ def _channels(channels: Any, name: str, problems: Problems) -> dict[str, tuple[n
         try:
             x, unit = np.asarray(float_array(pair[0], where)), units.parse(pair[1], where)
         except JaxbodyError as error:
-            problems.found += error.problems
+            problems.collected += error.problems
             continue
         if x.ndim not in (1, 2) or x.size == 0:
             code = "NO_DATA" if x.size == 0 else "BAD_SHAPE"
@@ -169,7 +169,7 @@ def _times(times: Any, time_unit: str, rate: Any, given: dict[str, Any], name: s
     try:
         t, unit = np.asarray(float_array(times, where)), units.parse(time_unit, where)
     except JaxbodyError as error:
-        problems.found += error.problems
+        problems.collected += error.problems
         return np.zeros(0)
     if unit.dimension != units.TIME:
         problems.add("WRONG_DIMENSION", where, f"is in '{time_unit}'", value=time_unit, limit="s ms us min h", hint="Give a unit of time.")

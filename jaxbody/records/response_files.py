@@ -47,7 +47,7 @@ def _factor(stated: str | None, said: str | None, where: str, problems: Problems
         try:
             found += [] if text is None else [units.parse(text, where)]
         except JaxbodyError as error:
-            problems.found += error.problems
+            problems.collected += error.problems
             return 1.0
     if not found:
         problems.add("NO_UNIT", where, "has no unit in the file", limit="one each", hint='State them: ("4+Z/1+Z", "m/s2", "N").')

@@ -52,9 +52,9 @@ def check_sampling(
     """Errors: those of times, RATE_MISMATCH, JITTER, GAPS; warns TIME_UNIT, LOW_RATE."""
     known = check_times(times, problems, where, minimum=2)
     if known is None:
-        if problems.found[-1].code == "DUPLICATE_TIME":
+        if problems.collected[-1].code == "DUPLICATE_TIME":
             hint = "Rows of one time differ in their values: which of them is right?" if dropped else "Say drop_duplicates=True to leave out rows that repeat the one before."  # fmt: skip
-            problems.found[-1] = replace(problems.found[-1], hint=hint)
+            problems.collected[-1] = replace(problems.collected[-1], hint=hint)
         return None
     s = sampling_of(np.asarray(known))
     told = f"jitters by {100 * s.jitter / s.step:.2g} % of a step (rms), {s.missing} of {len(known) + s.missing} samples missing"

@@ -188,7 +188,7 @@ def _numbers(rows: list[tuple[int, str]], name: str, separator: str, decimal: st
             )
             told = f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}"
             problems.add("BAD_LINE", where, told, value=wrong[0], limit="numbers", hint=hint)
-        if len(problems.found) >= MOST_PROBLEMS:
+        if len(problems.collected) >= MOST_PROBLEMS:
             break
     problems.raise_if_any()
     values = np.array([[_number(_pointed(cell, decimal)) for cell in row] for row in cells])

@@ -118,7 +118,7 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
     problems = Problems()
     for output, name in weights.items():
         if output not in response.outputs:
-            problems.found.append(unknown(output, "weighted", response.outputs))
+            problems.collected.append(unknown(output, "weighted", response.outputs))
             continue
         if name not in WEIGHTINGS:
             problems.add("BAD_WEIGHTING", f"weighted[{output!r}]", f"is {name!r}", value=name, limit=" ".join(WEIGHTINGS), hint=HINT)

@@ -211,7 +211,7 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
     problems, names = Problems(), model.element_names
     for name in given if isinstance(given, dict) else ():
         if name not in names:
-            problems.found.append(unknown(name, where, names))
+            problems.collected.append(unknown(name, where, names))
     each = [checked(given.get(name, 0.0) if isinstance(given, dict) else given, ((),), where, problems) for name in names]
     for name, value in zip(names, each, strict=True):
         known = None if value is None else concrete(value)

@@ -183,7 +183,7 @@ def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
         problems.raise_if_any()
     known = check_spectra(each, "spectra", problems)
     for name in set(each) - set(inputs):
-        problems.found.append(unknown(name, "spectra", tuple(inputs)))
+        problems.collected.append(unknown(name, "spectra", tuple(inputs)))
     for name, port in inputs.items():
         if name not in each:
             problems.add("NO_SPECTRUM", f"spectra[{name!r}]", "is missing", limit="one for each input", hint="Give a PSD or a PowerLaw.")

@@ -167,7 +167,7 @@ class CrossPSD(eqx.Module):
         self.names, self.spectra = tuple(spectra), check_spectra(spectra, "CrossPSD.spectra", problems)
         given = delays or {}
         for name in {*given, *(name for pair in coherence or {} for name in pair)} - set(self.names):
-            problems.found.append(unknown(name, "CrossPSD", self.names))
+            problems.collected.append(unknown(name, "CrossPSD", self.names))
         self.delays = {name: device_array(shaped(given.get(name, 0.0), (), f"CrossPSD.delays[{name!r}]", problems)) for name in self.names}
         problems.raise_if_any()
         levels, pairs = [], []
@@ -226,7 +226,7 @@ class Band(eqx.Module):
         problems = Problems()
         low, high = shaped(low, (), "Band.low", problems), shaped(high, (), "Band.high", problems)
         first, last = concrete(low), concrete(high)
-        if first is not None and last is not None and not problems.found:
+        if first is not None and last is not None and not problems.collected:
             if first <= 0:
                 problems.add("BAD_FREQUENCY", "Band.low", f"is {low:g} Hz", value=float(low), limit="> 0", hint="Take a small one.")
             elif first >= last:
@@ -297,7 +297,7 @@ def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
         )
     except JaxbodyError as error:
         problem = Problem("BAD_UNIT", where, f"is {unit!r}", unit, error.limit, error.hint)
-    problems.found.append(problem)
+    problems.collected.append(problem)
     return "", "Hz", 1.0
 
 

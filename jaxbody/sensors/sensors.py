@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.arguments import check_kind, named, plain
+from jaxbody.core.arguments import check_kind, checked_dict, plain
 from jaxbody.core.arrays import checked, concrete, vector
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.elements.elements import Element
@@ -207,10 +207,10 @@ class Elongation(Sensor):
 def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:
     """Every sensor is one, and on something that the model has."""
     problems = Problems()
-    for name, sensor in named(sensors, where, "name: jb.Position(...)", problems).items():
+    for name, sensor in checked_dict(sensors, where, "name: jb.Position(...)", problems).items():
         check_kind(sensor, Sensor, f"{where}['{name}']", "a sensor, as jb.Position(...)", problems)
         problem = sensor.problem(model, f"{where}['{name}']") if isinstance(sensor, Sensor) else None
-        problems.found += [] if problem is None else [problem]
+        problems.collected += [] if problem is None else [problem]
     problems.raise_if_any()
 
 

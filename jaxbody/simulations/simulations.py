@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.arguments import check_kind, named, positive, whole
+from jaxbody.core.arguments import check_kind, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import check_times, concrete, device_array, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, unknown, warn
 from jaxbody.core.progress_lines import working
@@ -159,9 +159,9 @@ def check_steps(
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
         problems.add("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds.")
     if dt0 is not None:
-        positive(dt0, f"{where}.dt0", problems)
-    positive(rtol, f"{where}.rtol", problems)
-    steps = whole(max_steps, f"{where}.max_steps", problems)
+        positive_number(dt0, f"{where}.dt0", problems)
+    positive_number(rtol, f"{where}.rtol", problems)
+    steps = whole_number(max_steps, f"{where}.max_steps", problems)
     problems.raise_if_any()
     return steps
 
@@ -182,8 +182,8 @@ def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax
 def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion") -> Motions:
     """One motion for each support, in their order."""
     problems, supports = Problems(), model.layout.supports
-    given = named(motion, where, "support: jb.Harmonic(...)", problems)
-    problems.found += [unknown(name, where, supports) for name in given if name not in supports]
+    given = checked_dict(motion, where, "support: jb.Harmonic(...)", problems)
+    problems.collected += [unknown(name, where, supports) for name in given if name not in supports]
     motions = {name: problems.gather(lambda name=name: as_motion(given.get(name, AtRest()), f"{where}['{name}']")) for name in supports}
     problems.raise_if_any()
     for name, one in motions.items():

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.arguments import check_kind, named
+from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import device_array, stack, vector
 from jaxbody.core.compile_options import jit_as_it_is
 from jaxbody.core.datasets import AXES, dataset, rows_of
@@ -174,8 +174,8 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     check_memory("load_cases", model)
     check_attached(model)
     problems = Problems()
-    cases = named(cases, "load_cases.cases", "name: jb.LoadCase(...)", problems)
-    if not cases and not problems.found:
+    cases = checked_dict(cases, "load_cases.cases", "name: jb.LoadCase(...)", problems)
+    if not cases and not problems.collected:
         problems.add("NO_CASE", "load_cases", "has no case", value=cases, limit="at least one", hint="Give {name: jb.LoadCase(...)}.")
     for name, case in cases.items():
         check_kind(case, LoadCase, f"cases[{name!r}]", "jb.LoadCase(acceleration=..., loads=...)", problems)

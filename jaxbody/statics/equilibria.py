@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.arguments import whole
+from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import device_array
 from jaxbody.core.compile_options import jit_as_it_is
 from jaxbody.core.datasets import dataset, rows_of
@@ -182,7 +182,7 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     if start is not None:
         problems.gather(lambda: check_state(model, start, "start"))
     acting = problems.gather(lambda: loads_of(loads, model.layout.bodies))
-    max_steps = whole(max_steps, "equilibrium.max_steps", problems, least=0)
+    max_steps = whole_number(max_steps, "equilibrium.max_steps", problems, least=0)
     problems.raise_if_any()
     q = None if start is None else start.q
     result = equilibrium_of(model, q, max_steps)

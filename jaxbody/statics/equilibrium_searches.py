@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxbody.core import tables
-from jaxbody.core.arguments import check_key, positive, whole
+from jaxbody.core.arguments import check_key, positive_number, whole_number
 from jaxbody.core.compile_options import jit_quickly
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
@@ -79,8 +79,8 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
     check_memory("find_equilibria", model)
     check_attached(model)
     problems = Problems()
-    starts = whole(starts, "find_equilibria.starts", problems)
-    positive(spread, "find_equilibria.spread", problems)
+    starts = whole_number(starts, "find_equilibria.starts", problems)
+    positive_number(spread, "find_equilibria.spread", problems)
     check_key(key, "find_equilibria.key", problems)
     problems.raise_if_any()
     batch = _search(model, jax.random.key(0) if key is None else key, starts, float(spread))

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.arguments import named
+from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import shaped, stack
 from jaxbody.core.compile_options import jit_as_it_is
 from jaxbody.core.datasets import dataset
@@ -195,8 +195,8 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
     state = at.state if isinstance(at, Equilibrium) else at
     check_state(model, state, "state")
     problems = Problems()
-    given = named(displaced, "excitation.displaced", "support: 6 numbers", problems)
-    problems.found += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
+    given = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
+    problems.collected += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
     known = [name for name in model.layout.supports if name in given]
     xi = {name: shaped(given[name], (6,), f"excitation[{name!r}]", problems) for name in known}
     problems.raise_if_any()

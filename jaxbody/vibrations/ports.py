@@ -286,8 +286,8 @@ def ports_of(
                 hint="A sensor must read one number, with no chain.",
             )
         elif (found := port.problem(model, there)) is not None:
-            problems.found.append(found)
-    if problems.found:
+            problems.collected.append(found)
+    if problems.collected:
         return (), (), ()
     ports = tuple(given.values())
     return tuple(given), ports, tuple(port.unit_on(model) if hasattr(port, "unit_on") else port.unit for port in ports)
