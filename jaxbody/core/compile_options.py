@@ -1,4 +1,4 @@
-"""Options of XLA: one for fast simulations of small models on a CPU, when a user asks for it, and those to compile quickly."""
+"""How XLA compiles: with optimization or without, both in less time than by default; and, if the user asks for it, fast loops on a CPU."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ TESTED = tuple((0, minor) for minor in range(7, 13))  # of jaxlib: XLA ends the 
 HOLDER = "--xla_backend_extra_options="
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
 WIDTH = "--xla_cpu_prefer_vector_width="  # in bits: all that the processor has; XLA's own choice is half of 512
-QUICKLY = {"xla_cpu_use_fusion_emitters": False}  # two thirds of the time of compiling or less, and programs run as fast
-AS_IT_IS = {"xla_backend_optimization_level": 0}  # half of what then remains, and programs take up to three times as long
+NO_FUSION_EMITTERS = {"xla_cpu_use_fusion_emitters": False}  # two thirds of the time of compiling or less, and programs run as fast
+UNOPTIMIZED = {"xla_backend_optimization_level": 0}  # half of what then remains, and programs take up to three times as long
 
 
 def fast_loops() -> bool:
@@ -60,14 +60,14 @@ def fast_loops() -> bool:
     return True
 
 
-def jit_quickly(function: Callable[..., Any]) -> Callable[..., Any]:
-    """filter_jit, which compiles in two thirds of the time on a CPU where it is not part of another program."""
+def jit_optimized(function: Callable[..., Any]) -> Callable[..., Any]:
+    """filter_jit for what runs long: optimized. Where it is not part of another program it compiles in two thirds of the time on a CPU."""
     return _jit_by_itself(function, {})
 
 
-def jit_as_it_is(function: Callable[..., Any]) -> Callable[..., Any]:
-    """filter_jit for what runs in milliseconds: where it is not part of another program it compiles in a third of the time, not optimized."""
-    return _jit_by_itself(function, AS_IT_IS)
+def jit_unoptimized(function: Callable[..., Any]) -> Callable[..., Any]:
+    """filter_jit for what runs in milliseconds: not optimized. Where it is not part of another program it compiles in a third of the time."""
+    return _jit_by_itself(function, UNOPTIMIZED)
 
 
 def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
@@ -109,7 +109,7 @@ def quick_options() -> dict[str, Any]:
     19.62
     """
     try:
-        jax.jit(lambda x: x, compiler_options=QUICKLY).lower(jax.ShapeDtypeStruct((), "float32")).compile()
+        jax.jit(lambda x: x, compiler_options=NO_FUSION_EMITTERS).lower(jax.ShapeDtypeStruct((), "float32")).compile()
     except jax.errors.JaxRuntimeError:
         return {}
-    return QUICKLY
+    return NO_FUSION_EMITTERS

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Status
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of
@@ -48,7 +48,7 @@ def setting_in(model: Model) -> list[str]:
     return names
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _near_rest(model: Model):
     """Status of the equilibrium, and of elements with one deformation V'' and V''' near it."""
     eq = equilibrium_of(model, None, 200)

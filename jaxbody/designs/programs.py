@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
 from jaxbody.designs.searches import Rows, Search
@@ -94,7 +94,7 @@ class Program:
         return {name: part.reshape((*values.shape[:-1], *shape)) for (name, shape), part in zip(self.shapes, parts, strict=True)}
 
 
-@jit_quickly
+@jit_optimized
 def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any):
     """Nothing here knows what is minimized or limited, so that one program serves for all of that."""
     told: list[tuple[str, tuple[int, ...]]] = []

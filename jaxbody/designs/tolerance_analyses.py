@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Int
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import concrete, float_array
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
@@ -221,7 +221,7 @@ def _moments(f, J, H) -> tuple[Array, Array]:
     return f + jnp.trace(H, axis1=1, axis2=2) / 2, jnp.where(some, jnp.sqrt(jnp.where(some, variance, 1.0)), 0.0)
 
 
-@jit_quickly
+@jit_optimized
 def _tolerances(model: Model, evaluate: Evaluate, leaves: tuple[Leaf, ...], deviations: tuple[Array, ...], samples: int, key: Any):
     moved = Moved(model, evaluate, leaves, deviations)
     f, J, H = _expanded(moved.flat, moved.size)

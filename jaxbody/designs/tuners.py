@@ -18,7 +18,7 @@ import optax
 
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import float_array
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
@@ -197,7 +197,7 @@ def _descend_all(program: Program, searches: list[Search], method: optax.Gradien
         search.size = abs(float(history[i, 0])) or 1.0
 
 
-@jit_quickly
+@jit_optimized
 def _descend(space: Space, evaluate: Evaluate, minimize: str, method, steps: int, stochastic: bool, U, low, high, key):
     optimizer = optax.with_extra_args_support(method)
 

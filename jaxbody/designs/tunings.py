@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
@@ -181,12 +181,12 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
     )  # fmt: skip
 
 
-@jit_quickly
+@jit_optimized
 def _placed(space: Space, u: Float[Array, "n"]):
     return space.place(u), space.values(u)
 
 
-@jit_quickly
+@jit_optimized
 def _values(space: Space, U: Float[Array, "b n"]):
     return jax.vmap(space.values)(U)
 

@@ -8,7 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Float
 
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.experiments.experiments import Experiment, Integration
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
@@ -76,6 +76,6 @@ def _sizes(experiment: Experiment, readings: dict[str, Any], noise: dict[str, An
     return np.sqrt(np.where(counts > 0, squares / np.maximum(counts, 1), np.nan))
 
 
-@jit_quickly
+@jit_optimized
 def _readings(model: Model, experiment: Experiment, integration: Integration):
     return experiment.readings(model, integration)

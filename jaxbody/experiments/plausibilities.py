@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.results import Result
 from jaxbody.mechanics.energies import potential_energy
@@ -109,7 +109,7 @@ def _stiff(model: Model) -> tuple[Array, Array]:
     return lin.M, lin.K
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _scales(model: Model, M: Float[Array, "n n"], K: Float[Array, "n n"]) -> tuple[Array, Array]:
     """The first natural frequency that is not zero [Hz], of |eigenvalues|, and the largest static displacement under gravity of the modes that resist
     it, over the size; NaN where nothing resists."""

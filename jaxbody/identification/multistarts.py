@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import positive_number, whole_number
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems, Status, warn, warn_of
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
@@ -140,7 +140,7 @@ def _points(limits, starts: int, spread: float, seed: int) -> np.ndarray:
     return low + (high - low) * unit
 
 
-@jit_quickly
+@jit_optimized
 def _searched(task: Task, points: Float[Array, "n m"], most: int):
     """u, status and cost of the end of each search."""
 

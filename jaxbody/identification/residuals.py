@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.experiments.experiments import Integration
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.colorings import PRIORS, colors_of, moved_rows
@@ -115,7 +115,7 @@ def _order(runs: Runs | dict[str, Measurement]) -> list[str]:
     return sorted(runs, key=lambda run: (run == PRIORS, run))
 
 
-@jit_quickly
+@jit_optimized
 def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, Runs]:
     """r, dr/du and what they come from, in one program: compiling costs more than running."""
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxbody.core import tables
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.experiments.experiments import check_measurements
@@ -102,7 +102,7 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     return found
 
 
-@jit_quickly
+@jit_optimized
 def _runs(task: Task):
     return task.runs(jnp.zeros(0))
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.elements.second_derivatives import second_order
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.energies import each_element
@@ -43,7 +43,7 @@ def without_number_ahead(model: Model, motions: Motions, loads: tuple[Load, ...]
     return f"the coordinates of body '{bad[0]}'" if bad else ""
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
     """Which numbers are finite `ahead` of a state: of the motions, of the elements with their e and e_dot, of the loads."""
     change = acceleration(model, state, t, motions, loads)
@@ -84,7 +84,7 @@ def without_number_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Ar
     return []
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _finite(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> dict[str, Bool[Array, ""]]:
     coordinates = Coordinates(model)
     frames = coordinates.at_rest(coordinates.retract(q, delta))
@@ -112,7 +112,7 @@ def jumps_passed(model: Model, motions: Motions, times: Array, states: State) ->
     return _in_words(model, [[f" at t = {t:.6g} s" if np.isfinite(t) else None for t in of_table] for of_table in when])
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _away(model: Model, motions: Motions, times: Float[Array, "nt"], states: State) -> list[tuple[Array, Array]]:
     """Of every element the vector `away_from_jump` and its rate at these times, table by table."""
 

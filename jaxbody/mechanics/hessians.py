@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.elements.second_derivatives import Block, Blocks, Slopes, dissipation_hessian, second_order, turning
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, product, rotate, skew
@@ -114,7 +114,7 @@ def damping(at: Placed) -> Square:
     return _projected(at.J, _hessian(at.model, Block(), each_element(at.model, at.frames, dissipation_hessian), at.base))
 
 
-@jit_as_it_is
+@jit_unoptimized
 def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
     """M, C and K at a state, supports at rest in their reference poses."""
     at = placed(Coordinates(model), state.q, state.v, base=False)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from jaxbody.core import tables
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import device_array, functions_as_nodes, vector
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problems, unknown
 from jaxbody.elements.element_checks import check_laws, check_leaves
 from jaxbody.elements.elements import Element
@@ -171,7 +171,7 @@ def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
     return Pose(p[rows], R[rows]).inverse() @ bodies
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _reference(model: Model) -> State:
     return at_rest_in(model, rest_poses(model, support_poses(model), body_poses(model)))
 

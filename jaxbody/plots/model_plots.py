@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.tables import without_dust
 from jaxbody.elements.contacts import Tyre
@@ -320,7 +320,7 @@ def _triad(ax, look, size: float) -> None:
     ax.annotate(f"{length:g} m", origin, xytext=(0, -12), textcoords="offset points", fontsize=8, color=GRAY, ha="left", va="center")
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _poses(model: Model, q, delta, xi) -> Pose:
     coordinates = Coordinates(model)
     zero = jnp.zeros_like(delta)

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import checked, concrete, device_array, float_array
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
@@ -221,7 +221,7 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
     return jnp.stack([device_array(value) for value in each]) if each else jnp.zeros(0)
 
 
-@jit_quickly
+@jit_optimized
 def response_values(
     lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, eta: Float[Array, "ne"] | None, method: str = "direct", static: bool = False
 ):

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbody.core.arrays import checked, concrete, device_array, float_array
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems, Status
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, together
 from jaxbody.vibrations.linearizations import Linearization
@@ -42,7 +42,7 @@ def with_modal_damping(lin: Linearization, ratios: Any, where: str) -> Lineariza
     return dataclasses.replace(lin, C=C, C_tilde=C_tilde, C_bb=C_bb, status=status)
 
 
-@jit_quickly
+@jit_optimized
 def _added(lin: Linearization, ratios: Float[Array, "nv"]) -> tuple[Array, ...]:
     *_, status = modes_of(lin)
     values, shapes = natural(lin.K, lin.M)

@@ -14,7 +14,7 @@ from equinox import field
 from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
@@ -128,7 +128,7 @@ def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
     return jnp.where(jnp.any(jnp.abs(fine - rough) > COARSE * fine), Status.COARSE.value, Status.OK.value)
 
 
-@jit_quickly
+@jit_optimized
 def _random_response(lin: Linearization, f, weights, coarse, wiring: Wiring, inputs: tuple, names, spectra, eta):
     H, status = response_values(lin, f, wiring, eta)
     each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optimistix
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Status
 from jaxbody.inputs.samples import kinks_of
 from jaxbody.laws.measured_curves import has_range
@@ -33,7 +33,7 @@ STATUSES = (
 )
 
 
-@jit_quickly
+@jit_optimized
 def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
     """The jitted core of `simulate`: it knows arrays only, and never raises."""
     dynamics = Dynamics(model, motions, loads)

@@ -9,7 +9,7 @@ from jaxtyping import Array, PRNGKeyArray
 
 from jaxbody.core.arguments import check_key, check_kind
 from jaxbody.core.arrays import concrete
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load
@@ -45,7 +45,7 @@ def _read(model, motions, t, state, loads, sensors):
     return read(model, motions, t, state, sensors, loads)
 
 
-@jit_quickly
+@jit_optimized
 def _transduced(sensors: dict[str, Sensor], times: Array, measured: dict[str, Array]) -> dict[str, Array]:
     def over_batch(times, measured):
         return {name: sensor.transduced(times, measured[name]) for name, sensor in sensors.items()}

@@ -12,7 +12,7 @@ from equinox import combine, is_array, partition
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import AXES, QUATERNION, dataset, rows_of
 from jaxbody.core.errors import Status, is_concrete
 from jaxbody.core.results import Result
@@ -224,7 +224,7 @@ def _support_power(model, motions, t, state, loads):
     return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)
 
 
-@jit_quickly
+@jit_optimized
 def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
     given, rest = partition((model, motions, loads), is_array)
     others, fixed = partition(more, is_array)

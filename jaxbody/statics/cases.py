@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import device_array, stack, vector
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import AXES, dataset, rows_of
 from jaxbody.core.errors import Problems, Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
@@ -201,7 +201,7 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     return result
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _load_cases(model: Model, unloaded: Equilibrium, ended: Ended, raised: Raised, names: tuple[str, ...]) -> LoadCases:
     coordinates = Coordinates(model)
     rest = placed(coordinates, unloaded.state.q, base=False)

@@ -20,7 +20,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import device_array
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset, rows_of
 from jaxbody.core.errors import Problems, Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
@@ -205,7 +205,7 @@ class Ended(eqx.Module):
     descended: Any = False
 
 
-@jit_as_it_is
+@jit_unoptimized
 def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, max_steps: int) -> Equilibrium:
     """The jitted core of `equilibrium` without loads."""
     coordinates = Coordinates(model)
@@ -248,7 +248,7 @@ def _each(function, many: bool):
     return jax.vmap(function, in_axes=(Raised(None, 0, 0), 0)) if many else function
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _along_path(model: Model, unloaded: Equilibrium, raised: Raised, many: bool) -> tuple[Ended, Bool[Array, "*n"]]:
     """By the path of the loads from the unloaded equilibrium, and whether that settles it: it does not where K is singular at its beginning, unless
     the path came to its end or to a limit point."""
@@ -266,7 +266,7 @@ def _along_path(model: Model, unloaded: Equilibrium, raised: Raised, many: bool)
     return _each(one, many)(still, jnp.zeros(len(raised.gravity)))
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _by_descent(model: Model, start, raised: Raised, max_steps: int, many: bool, ended: Ended, settled: Bool[Array, "*n"]) -> Ended:
     """By descent of the potential of model and loads, where the path settles nothing."""
     coordinates = Coordinates(model)
@@ -284,7 +284,7 @@ def _by_descent(model: Model, start, raised: Raised, max_steps: int, many: bool,
     return _each(one, many)(jax.lax.stop_gradient(raised), (ended, settled))
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _standing(model: Model, ended: Ended, raised: Raised) -> Equilibrium:
     return standing(Coordinates(model), ended, raised)
 
@@ -319,7 +319,7 @@ def apart(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> F
     return jnp.max(jnp.maximum(moved, size_of(model) * turned))
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _beyond(model: Model, state: State) -> Bool[Array, "ne"]:
     return beyond_laws(model, Coordinates(model).at_rest(state.q, state.v))
 
@@ -344,7 +344,7 @@ def _implicit_jvp(primals, tangents):
     return q, coordinates.rate(q, delta)
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _stiffness(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nv nv"]:
     return stiffness(placed(Coordinates(model), q, base=False))
 

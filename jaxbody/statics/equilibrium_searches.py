@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, positive_number, whole_number
-from jaxbody.core.compile_options import jit_quickly
+from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.hessians import expansion, placed, stiffness
@@ -112,7 +112,7 @@ def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
     return near or int(one.status) == int(other.status) == Status.SINGULAR_K
 
 
-@jit_quickly
+@jit_optimized
 def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium:
     size, coordinates = size_of(model), Coordinates(model)
     scale = scale_of(model, size)

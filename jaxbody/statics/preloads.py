@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.hessians import placed, slope
@@ -116,7 +116,7 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",),
     return result
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[int, ...]) -> Preload:
     arrays, layout, n = jax.tree.leaves(model), model.layout, len(leaves)
     start = jnp.stack([*(leaf.read(arrays) for leaf in leaves), *jnp.zeros(len(rows), state.q.dtype)])

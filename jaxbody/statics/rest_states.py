@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.mechanics.hessians import placed
 from jaxbody.mechanics.kinematics import Coordinates, Motions
@@ -36,7 +36,7 @@ def as_initial(initial: Any) -> Any:
     return Rest() if isinstance(initial, str) and initial == "rest" else initial
 
 
-@jit_as_it_is
+@jit_unoptimized
 def rest_at(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     """The state at rest at time t, NaN where there is none, and the equilibrium that it is."""
     coordinates = Coordinates(model)

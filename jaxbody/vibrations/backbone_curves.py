@@ -31,7 +31,7 @@ from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import MESSAGES, Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
@@ -152,7 +152,7 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
     return result
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _backbones(lin: Linearization) -> Backbones:
     model, K, M = lin.model, (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2
     frozen = jax.lax.stop_gradient(lin)

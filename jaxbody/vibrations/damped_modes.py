@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
@@ -124,7 +124,7 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     return result
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _complex_modes(M, D, K, unit, before, spins: bool) -> tuple[Array, ...]:
     n = len(M)
     M, D, K = (X * unit * unit[:, None] for X in (M, D, K))
@@ -206,7 +206,7 @@ def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
     return _whirl(lin, modes.shapes)
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _whirl(lin: SpinLinearization, shapes: Complex[Array, "nv n"]) -> Float[Array, "n"]:
     model, layout = lin.model, lin.model.layout
     bodies = model.bodies.rows

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 from jaxbody.core import tables
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import shaped, stack
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
@@ -208,7 +208,7 @@ def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
     return coordinates.frames(coordinates.retract(state.q, delta), v, coordinates.supports_at(xi.reshape(-1, 6), xi_dot.reshape(-1, 6)))
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
     """`status`: of the equilibrium that the state is from; None of any state."""
     n = model.layout.nv
@@ -233,7 +233,7 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
     return Linearization(M, C, K, M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, status, state, model, loads)
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nv"]:
     still = jnp.zeros(model.layout.nv, xi.dtype)
 
@@ -251,13 +251,13 @@ def _names(model: Model) -> tuple[tuple[str, ...], ...]:
     return tuple(table.names for table in model.elements)
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
     still, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
     return jax.hessian(lambda d: gravity_energy(model, _frames(model, state, d, still, rest, rest)))(still)
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _split(model: Model, state: State):
     """Elastic and geometric stiffness of every element, table by table: V'' de de, and what of the Hessian remains, V' d2e."""
     still, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)

@@ -11,7 +11,7 @@ from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
@@ -169,7 +169,7 @@ def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str,
     return direction_words(model, forward, up)
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _energies(lin: Linearization) -> tuple[Array, ...]:
     frequency, *_, status = modes_of(lin)
     values, shapes = natural(lin.K, lin.M)

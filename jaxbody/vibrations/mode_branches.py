@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import concrete, float_array
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
@@ -101,7 +101,7 @@ def mac(one: Modes | ComplexModes | Any, other: Modes | ComplexModes | Any, *, m
     return _mac(X, Y, W)
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _mac(X: Array, Y: Array, W: Float[Array, "nv nv"]) -> Float[Array, "n m"]:
     def norm(Z):
         return jnp.sum(jnp.conj(Z) * (W @ Z), 0).real
@@ -141,7 +141,7 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
     return result
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _track(values: Float[Array, "k"], found: Modes | ComplexModes, M: Float[Array, "k nv nv"]) -> Branches:
     n = found.frequency.shape[1]
     frozen = jax.lax.stop_gradient((found.shapes, M))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody.core.arrays import concrete
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.mechanics.hessians import placed
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
@@ -77,7 +77,7 @@ def _basis(shapes: np.ndarray, M: np.ndarray) -> np.ndarray:
     return shapes @ vectors[:, kept] / np.sqrt(values[kept])
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _placed(model: Model, q: Float[Array, "nq"]):
     """The orientations of the bodies and J of `hessians`."""
     at = placed(Coordinates(model), q, base=False)

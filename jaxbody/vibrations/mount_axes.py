@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from jaxbody.core import tables
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import shaped
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import AXES, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
@@ -168,7 +168,7 @@ def _free(lin: Linearization, body: str, where: str) -> str:
     return body
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     rows = lin.model.layout.v_slices[body]
     K = (lin.K[rows, rows] + lin.K[rows, rows].T) / 2
@@ -188,7 +188,7 @@ def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     return ElasticAxes(center, n, stiffness, points, pitch, turns, torsional, status, body)
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) -> TorqueRollAxis:
     rows, row = lin.model.layout.v_slices[body], lin.model.bodies.rows
     i = lin.model.layout.bodies.index(body)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
@@ -108,7 +108,7 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     return result
 
 
-@jit_as_it_is
+@jit_unoptimized
 def modes_of(lin: Linearization) -> tuple[Array, ...]:
     """Frequency, shapes, damping ratio, eigenvalues, cluster and status."""
     values, shapes = natural(lin.K, lin.M)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import float_array, vector
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.elements.elements import Element
 from jaxbody.elements.torsions import Torsion
@@ -207,7 +207,7 @@ class Wiring(eqx.Module):
     reactions: tuple[int, ...] = eqx.field(static=True)
 
 
-@jit_as_it_is
+@jit_unoptimized
 def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiring:
     """The matrices of these ports on a linearization."""
     model, layout, q = lin.model, lin.model.layout, lin.state.q

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
@@ -112,7 +112,7 @@ def linearize_spin(model: Model, at: State) -> SpinLinearization:
     return result
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     q, v = state.q, state.v
     dynamics = Dynamics(model, tuple(AtRest() for _ in model.layout.supports))

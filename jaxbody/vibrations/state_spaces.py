@@ -9,7 +9,7 @@ from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.compile_options import jit_as_it_is
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.statics.equilibria import NOT_AT_REST
@@ -67,7 +67,7 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
     return result
 
 
-@jit_as_it_is
+@jit_unoptimized
 def _state_space(lin: Any, wiring: Wiring):
     """The states are p = Delta - g u and r = Delta' - g u' - h u, so that no derivative of u is needed, then Xi and Xi' of inputs that are
     velocities (Xi) and accelerations (both):

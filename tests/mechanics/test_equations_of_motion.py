@@ -9,12 +9,13 @@ import paper
 import pytest
 
 import jaxbody as jb
+from jaxbody.core.compile_options import UNOPTIMIZED
 from jaxbody.geometry import rotations
 from jaxbody.mechanics.equations_of_motion import Dynamics, acceleration
 from jaxbody.mechanics.kinematics import Coordinates
 
 SAMPLES = 100
-once = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # compiled to run once: compiling is the cost
+jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
 
 
 # Euler-Lagrange by automatic differentiation, in coordinates x: rotation vectors where the library has quaternions
@@ -156,7 +157,7 @@ MODELS = {
 }
 
 
-@once
+@jit_once
 def by_library(model, motions, times, states):
     """v' by the path that is integrated and by that of trees, and the reactions."""
     dynamics = Dynamics(model, motions)
@@ -170,12 +171,12 @@ def by_library(model, motions, times, states):
     return jax.vmap(one)(times, states)
 
 
-@once
+@jit_once
 def by_lagrange(model, motions, times, x, x_dot):
     return jax.vmap(lambda t, x, x_dot: euler_lagrange(model, motions, t, x, x_dot))(times, x, x_dot)
 
 
-@once
+@jit_once
 def states_of(model, x, x_dot):
     return jax.vmap(lambda x, x_dot: state_of(model, x, x_dot))(x, x_dot)
 
@@ -343,7 +344,7 @@ def test_matrices_are_the_hessians_that_define_them():
     states = states_of(tree, x, x_dot)
     n, nxi = tree.layout.nv, tree.layout.nxi
 
-    @once
+    @jit_once
     @jax.vmap
     def definition(state):
         def kinetic(s):
@@ -358,7 +359,7 @@ def test_matrices_are_the_hessians_that_define_them():
         speeds, still = jnp.concatenate([state.v, jnp.zeros(nxi)]), jnp.zeros(n + nxi)
         return jax.hessian(kinetic)(speeds), jax.hessian(rayleigh)(speeds), jax.hessian(potential)(still)
 
-    lin = once(jax.vmap(lambda state: jb.linearize(tree, state)))(states)
+    lin = jit_once(jax.vmap(lambda state: jb.linearize(tree, state)))(states)
     for letter, whole in zip("MCK", definition(states), strict=True):
         for block, expected in (("", whole[:, :n, :n]), ("_tilde", -whole[:, :n, n:]), ("_bb", whole[:, n:, n:])):
             assert far_apart(getattr(lin, letter + block), expected) < 1e-12, letter + block
@@ -400,7 +401,7 @@ def test_double_pendulum_of_hinges_has_the_matrices_of_the_textbook():
     model, rng = elbow(), np.random.default_rng(6)
     q, v = rng.uniform(-3, 3, (2, SAMPLES, 2))
 
-    @once
+    @jit_once
     @jax.vmap
     def found(q, v):
         def mass(q):

@@ -11,6 +11,7 @@ import rigs
 from rigs import apart
 
 import jaxbody as jb
+from jaxbody.core.compile_options import UNOPTIMIZED
 
 RNG = np.random.default_rng(11)
 TIMES = np.linspace(0, 0.6, 401)
@@ -18,7 +19,7 @@ INITIAL = {
     "q": np.array([0.15, -0.2, 0.45, 0.96, 0.1, -0.15, 0.2, 2.0]),
     "v": np.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.3, 0.8]),
 }
-quick_jit = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # these run once: compile in half the time
+jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
 
 
 def still(p):
@@ -62,7 +63,7 @@ def inner(gradient, tangent):
 
 def slopes(function, p, tangents, h):
     """Derivatives along every tangent: by forward mode, and by central differences of the fourth order with steps h."""
-    forward = quick_jit(jax.vmap(lambda p, d: jax.jvp(function, (p,), (d,))))
+    forward = jit_once(jax.vmap(lambda p, d: jax.jvp(function, (p,), (d,))))
     steps = h * np.array([0, -2, -1, 1, 2])
     points = stacked([jax.tree.map(lambda x, d, s=s: x + s * d, p, d) for d in tangents for s in steps])
     values, derivatives = forward(points, stacked([d for d in tangents for _ in steps]))
@@ -98,7 +99,7 @@ MOVING = STILL | jax.tree.map(jnp.asarray, rigs.SHAKING | INITIAL)
 def test_equilibrium_frequencies_and_damping_have_the_derivatives_of_differences():
     tangents = directions(STILL)
     forward, differences, _ = slopes(still, STILL, tangents.values(), 1e-4)
-    jacobian = quick_jit(jax.jacrev(still))(STILL)
+    jacobian = jit_once(jax.jacrev(still))(STILL)
     reverse = [inner(jacobian, tangent) for tangent in tangents.values()]
     parts = {"equilibrium": slice(0, 8), "frequency": slice(8, 15), "damping": slice(15, 22)}
     silent = {("damping", "equilibrium"), ("damping", "frequency"), ("inertia", "equilibrium")}
@@ -111,7 +112,7 @@ def test_trajectories_have_the_derivatives_of_differences():
     tangents, function = directions(MOVING), functools.partial(moving, adjoint=diffrax.ForwardMode())
     (forward, short, _), (_, long, _) = (slopes(function, MOVING, tangents.values(), h) for h in (2e-3, 4e-3))
     differences = (16 * short - long) / 15
-    gradients = quick_jit(jax.jacrev(moving))(MOVING)
+    gradients = jit_once(jax.jacrev(moving))(MOVING)
     reverse = [inner(gradients, tangent) for tangent in tangents.values()]
     assert_derivatives_agree(tangents, {"places": 0, "speeds": 1, "spring": 2}, forward, reverse, differences)
 
@@ -198,8 +199,8 @@ def test_constant_steps_have_right_gradients_also_where_samples_lie_on_steps(off
         options = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=step, solver=diffrax.Tsit5(), max_steps=256)
         return jnp.sum(jb.simulate(slider(stiffness), times, initial=initial, adjoint=adjoint, **options).state.q ** 2)
 
-    reverse = quick_jit(jax.grad(loss))(400.0)
-    forward = quick_jit(jax.jacfwd(functools.partial(loss, adjoint=diffrax.ForwardMode())))(400.0)
+    reverse = jit_once(jax.grad(loss))(400.0)
+    forward = jit_once(jax.jacfwd(functools.partial(loss, adjoint=diffrax.ForwardMode())))(400.0)
     exact = np.sum(-0.01 * np.sin(40 * times) * times / 40)
     print("constant steps", reverse / exact - 1, reverse / forward - 1)
     assert abs(reverse / forward - 1) < 1e-9
@@ -236,7 +237,7 @@ def asked(p, dt0=0.01):
 @pytest.mark.long
 def test_vmap_is_a_loop_and_jit_changes_nothing():
     several = variants(3)
-    together = quick_jit(jax.vmap(asked))(stacked(several))
+    together = jit_once(jax.vmap(asked))(stacked(several))
     for i, p in enumerate(several):
         one = asked({name: np.asarray(value) for name, value in p.items()})  # outside of jit
         assert int(one["equilibrium"][3]) == int(one["trajectory"][2]) == 0

@@ -11,12 +11,13 @@ import paper
 import pytest
 
 import jaxbody as jb
+from jaxbody.core.compile_options import UNOPTIMIZED
 from jaxbody.geometry import rotations
 from jaxbody.mechanics.energies import each_element, frames_of
 from jaxbody.mechanics.kinematics import Coordinates
 
 SPRINGS = ("AB", "CD", "EF")
-once = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # compiled to run once: compiling is the cost
+jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
 
 
 # The plate of section 7
@@ -54,7 +55,7 @@ def only(model, name):
     return eqx.tree_at(lambda m: m.elements[0].rows.stiffness, model, model.elements[0].rows.stiffness * kept)
 
 
-@once
+@jit_once
 def end_slopes(model, state):
     """Derivatives of the elongations in Delta and in Xi."""
 
@@ -238,21 +239,21 @@ def far_apart(found, expected, scale=None):
     return np.max(np.abs(found - expected).max(axes) / scale)
 
 
-@once
+@jit_once
 @jax.vmap
 def matrices(model, state):
     lin = jb.linearize(model, state)
     return lin.M, lin.K, lin.K_tilde, lin.M_tilde
 
 
-@once
+@jit_once
 @jax.vmap
 def split(model, state):
     lin = jb.linearize(model, state)
     return lin.K_elastic_by_element, lin.K_geometric_by_element, lin.K_gravity
 
 
-@once
+@jit_once
 @jax.vmap
 def energies(model, state, D, Xi):
     """V, dV/dt, d2V/dt2 along (t D, t Xi) at t = 0, and V at t = 1."""
@@ -268,7 +269,7 @@ def energies(model, state, D, Xi):
     return value, first, second, V(1.0)
 
 
-@once
+@jit_once
 @jax.vmap
 def forces(model, state, D, Xi):
     """The generalized force -dV/dDelta and its derivative along (D, Xi)."""
@@ -283,7 +284,7 @@ def forces(model, state, D, Xi):
     return jax.jvp(force, (0.0,), (1.0,))
 
 
-@once
+@jit_once
 @jax.vmap
 def points(model, state, D, Xi):
     """Displacements of the A, the B and C by (D, Xi), slopes in Delta of the A and C at rest, and how these change along D."""

@@ -10,6 +10,7 @@ import pytest
 import scipy.linalg
 
 import jaxbody as jb
+from jaxbody.core.compile_options import UNOPTIMIZED
 from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.numerics import dormand_prince_steps
 from jaxbody.simulations.simulations import motions_of
@@ -251,7 +252,7 @@ def test_simulate_works_on_every_jax_also_with_laws_that_interpolate():
     np.testing.assert_allclose(path(40.0), q[0], rtol=0, atol=1e-11)
 
 
-quick_jit = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})  # these run once: compile in half the time
+jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
 
 
 def end(k):
@@ -262,7 +263,7 @@ def end(k):
 def test_both_modes_by_default():
     """dx/dk = -0.15 t sin(wt)/w."""
     w = np.sqrt(40.0)
-    reverse, forward = quick_jit(lambda k: (jax.grad(end)(k), jax.jacfwd(end)(k)))(40.0)
+    reverse, forward = jit_once(lambda k: (jax.grad(end)(k), jax.jacfwd(end)(k)))(40.0)
     assert float(forward) == pytest.approx(-0.15 * np.sin(w) / w, rel=1e-7)
     assert float(reverse) == pytest.approx(float(forward), rel=1e-10)
 
@@ -272,8 +273,8 @@ def test_both_modes_in_batches_and_second_derivatives():
     """d2x/dk2 = -0.075 t (t cos(wt)/w2 - sin(wt)/w3)."""
     ks = jnp.array([40.0, 30.0])
     w = np.sqrt(np.asarray(ks))
-    reverse, forward, second = quick_jit(jax.vmap(lambda k: (jax.grad(end)(k), jax.jacfwd(end)(k), jax.hessian(end)(k))))(ks)
-    over_batch = quick_jit(jax.grad(lambda ks: jnp.sum(jax.vmap(end)(ks))))(ks)
+    reverse, forward, second = jit_once(jax.vmap(lambda k: (jax.grad(end)(k), jax.jacfwd(end)(k), jax.hessian(end)(k))))(ks)
+    over_batch = jit_once(jax.grad(lambda ks: jnp.sum(jax.vmap(end)(ks))))(ks)
     np.testing.assert_allclose(forward, -0.15 * np.sin(w) / w, rtol=1e-7)
     np.testing.assert_allclose(reverse, forward, rtol=1e-10)
     np.testing.assert_allclose(over_batch, forward, rtol=1e-10)

@@ -11,12 +11,13 @@ import scipy.linalg
 from rigs import apart
 
 import jaxbody as jb
+from jaxbody.core.compile_options import UNOPTIMIZED
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 BASE = {d: jb.BaseMotion("base", d) for d in DIRECTIONS}
 POINT = np.array([0.1, -0.2, 0.3])
 LOW = 1e-6  # Hz: inertia and damping change the static response of these rigs by less than 1e-9
-quick_jit = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling is the cost
 
 
 def at_rest(model):
@@ -260,7 +261,7 @@ def measures(model):
 @pytest.mark.long
 def test_responses_have_the_derivatives_of_differences():
     """By every kind of number of the model in one backward pass: along a random direction of each, against central differences of the fourth order."""
-    gradient = jax.tree.leaves(quick_jit(jax.jacrev(measures))(PLATE))
+    gradient = jax.tree.leaves(jit_once(jax.jacrev(measures))(PLATE))
     leaves, structure = jax.tree.flatten(PLATE)
     rng = np.random.default_rng(5)
     sizes = [max(float(jnp.abs(leaf).max(initial=0.0)), 0.1) for leaf in leaves]
@@ -273,7 +274,7 @@ def test_responses_have_the_derivatives_of_differences():
         for step in (-2, -1, 1, 2):
             points.append([leaf + step * h * tangent if k == i else leaf for k, leaf in enumerate(leaves)])
     batch = jax.tree.unflatten(structure, [jnp.stack(rows) for rows in zip(*points, strict=True)])
-    values = np.asarray(quick_jit(jax.vmap(measures))(batch)).reshape(len(free), 4, -1)
+    values = np.asarray(jit_once(jax.vmap(measures))(batch)).reshape(len(free), 4, -1)
     differences = (8 * (values[:, 2] - values[:, 1]) - (values[:, 3] - values[:, 0])) / (12 * h)
     error = np.abs(np.array(slopes) - differences) / np.abs(differences).max(1, keepdims=True)
     print("derivatives of responses", error.max(1))
@@ -300,7 +301,7 @@ def test_responses_have_derivatives_where_modes_coincide():
     k, h = jnp.array([3e4, 3e4, 8e4]), 30.0
     assert float(jnp.abs(jnp.diff(jb.modes(jb.linearize(table, table.reference)).eigenvalues)).min()) < 1e-6
     unit = jnp.array([1.0, 0, 0])
-    slope, value = quick_jit(jax.jacrev(magnitudes))(k)[:, 0], quick_jit(magnitudes)
+    slope, value = jit_once(jax.jacrev(magnitudes))(k)[:, 0], jit_once(magnitudes)
     d = [np.asarray(value(k + step * h * unit)) for step in (-2, -1, 1, 2)]
     difference = (8 * (d[2] - d[1]) - (d[3] - d[0])) / (12 * h)
     assert apart(slope, difference) < 1e-6 * np.abs(difference).max()
