@@ -1,4 +1,4 @@
-"""The examples run and find what they should; README.md shows the first of them with what it prints, and commands that exist."""
+"""The examples run with the expected results; README.md shows the first of them with its output, and only commands that exist."""
 
 import ast
 import contextlib
@@ -43,8 +43,8 @@ def contract():
     return run("contract.py")
 
 
-def assert_found(names, free):
-    """The fit went well and the truth is within four standard errors of each estimate."""
+def assert_recovered(names, free):
+    """The fit succeeded and each true value is within four standard errors of its estimate."""
     fit, model = names["fit"], names["model"]
     assert fit.ok and set(fit.estimates) == {f"{name}.stiffness" for name in free}
     for name in free:
@@ -53,9 +53,9 @@ def assert_found(names, free):
 
 
 @pytest.mark.long  # .ci/run runs the script too
-def test_the_contract_script_finds_what_it_should(contract):
+def test_the_contract_script_gives_the_expected_results(contract):
     names, _ = contract
-    assert_found(names, ["AB", "CD", "EF"])
+    assert_recovered(names, ["AB", "CD", "EF"])
     k, l = names["k"], names["l"]
     printed = k / 4 * np.array([5 * 0.01 - 20 * l * 0.02, 0, 0, 0, 0, 4 * l * 0.01 + 32 * l**2 * 0.02])  # (79)
     np.testing.assert_allclose(names["force"], printed, atol=1e-12)
@@ -66,13 +66,13 @@ def test_the_contract_script_finds_what_it_should(contract):
     np.testing.assert_allclose(names["several"][2], names["modes"].frequency[0], rtol=1e-9)
 
 
-def test_readme_shows_the_contract_script_as_it_stands():
+def test_readme_shows_the_contract_script_unchanged():
     assert blocks("python")[0] == (ROOT / "examples" / "contract.py").read_text()
 
 
 @pytest.mark.parametrize("script", range(4))
-def test_what_readme_calls_takes_the_arguments_that_it_gives(script):
-    """Each jb.name(...) is there and has the keywords of the call; a long test runs the script."""
+def test_calls_in_the_readme_use_existing_names_and_keywords(script):
+    """Each jb.name(...) exists and accepts the keywords of the call; a long test runs the script."""
     calls = [node for node in ast.walk(ast.parse(blocks("python")[script])) if isinstance(node, ast.Call)]
     named = [(name.removeprefix("jb."), call) for call in calls if re.fullmatch(r"jb(\.\w+)+", name := ast.unparse(call.func))]
     assert named
@@ -83,8 +83,8 @@ def test_what_readme_calls_takes_the_arguments_that_it_gives(script):
 
 
 @pytest.mark.long
-def test_what_readme_says_of_vibration_runs():
-    """As it stands there, and the engine's modes are named as it says."""
+def test_the_readme_scripts_of_vibration_and_designs_run():
+    """As printed there; the modes of the car have the names given there."""
     names: dict = {"jb": jb}
     exec(blocks("python")[1], names)
     assert names["ride"].ok and "car bounce 85 %" in str(jb.mode_energies(names["lin"], forward="x"))
@@ -93,18 +93,18 @@ def test_what_readme_says_of_vibration_runs():
 
 
 @pytest.mark.long
-def test_what_readme_says_of_identification_runs(contract):
+def test_the_readme_script_of_identification_runs(contract):
     names: dict = {"jb": jb, "jax": jax, "jnp": jnp} | contract[0]
     exec(blocks("python")[2], names)
-    found, model = names["found"], names["model"]
-    assert found.ok
+    fit, model = names["fit"], names["model"]
+    assert fit.ok
     for path, truth in {"AB.stiffness": model["AB"].stiffness, "EF.stiffness": model["EF"].stiffness, "run1.acc.delay": 0.0}.items():
-        assert abs(float(found.estimates[path]) - float(truth)) < 4 * float(found.standard_errors[path]), path
+        assert abs(float(fit.estimates[path]) - float(truth)) < 4 * float(fit.standard_errors[path]), path
 
 
 @pytest.mark.long
-def test_readme_shows_what_the_contract_script_prints(contract):
-    """The same words, and numbers to a part in a thousand; how often a fit evaluates may change with the platform."""
+def test_readme_shows_the_output_of_the_contract_script(contract):
+    """The same words, and numbers to a part in a thousand; the number of evaluations of a fit may depend on the platform."""
     (shown,) = blocks("text")
     shown, printed = (re.sub(r"\d+ evaluations", "evaluations", text) for text in (shown, contract[1]))
     assert NUMBER.sub(" # ", shown).split() == NUMBER.sub(" # ", printed).split()
@@ -112,7 +112,7 @@ def test_readme_shows_what_the_contract_script_prints(contract):
     np.testing.assert_allclose(shown, printed, rtol=1e-3, atol=1e-9)
 
 
-def test_readme_names_things_that_exist():
+def test_commands_and_paths_in_the_readme_exist():
     commands = "\n".join(blocks("sh"))
     assert "python -m pip install . && jaxbody demo\n" in commands
     assert "python -m pip install '.[test]' && pytest\n" in commands
@@ -122,7 +122,7 @@ def test_readme_names_things_that_exist():
 
 
 def test_the_papers_formulas_as_printed():
-    """(77) and (79) as the demo states them, against entries computed by hand for k = 4, kt = 3, l = 2."""
+    """(77) and (79) as implemented in the demo, against entries computed by hand for k = 4, kt = 3, l = 2."""
     K = demos.printed_K_tilde(4.0, 3.0, 2.0)
     assert K[0].tolist() == [5, 0, 0, 0, 0, -40] and K[1, 1] == 8 and K[2].tolist() == [0, 0, 2, 28, 0, 0]
     assert K[3].tolist() == [0, 0, 4, 56, 0, 0] and K[4, 4] == 120 and K[5].tolist() == [8, 0, 0, 0, 0, 128]
@@ -132,25 +132,25 @@ def test_the_papers_formulas_as_printed():
 
 
 @pytest.mark.long  # .ci/run runs it too
-def test_the_demo_says_what_it_finds_and_draws_it(contract, tmp_path, capsys, monkeypatch):
-    """After the contract script, whose compiled functions it shares; the exit code tells an estimate that is off."""
+def test_the_demo_prints_and_draws_its_results(contract, tmp_path, capsys, monkeypatch):
+    """After the contract script, whose compiled functions it shares; the exit code is 1 when an estimate is off."""
     assert demos.main(["demo", "--out", str(tmp_path)]) == 0
-    told = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for word in ("paper (77)", "paper (79)", "Equilibrium", "Modes", "Trajectory", "truth", "standard error", "Done."):
-        assert word in told
+        assert word in printed
     for name in ("plate", "modes", "motion", "fit"):
         picture = (tmp_path / f"{name}.png").read_bytes()
         assert picture[:4] == b"\x89PNG" and len(picture) > 10_000
     monkeypatch.setattr(demos, "LIKELY", 1e-9)
     assert demos.main(["demo", "--out", str(tmp_path)]) == 1
-    assert "not where they should be" in capsys.readouterr().out
+    assert "too far from the true values" in capsys.readouterr().out
 
 
-def test_the_command_alone_prints_what_there_is(capsys):
+def test_the_command_alone_prints_its_help(capsys):
     assert demos.main([]) == 0
-    shown = capsys.readouterr().out
-    assert "usage: jaxbody" in shown and "demo" in shown and "--version" in shown
-    for name in re.findall(r"jb\.([a-zA-Z_.]+)", shown):
+    printed = capsys.readouterr().out
+    assert "usage: jaxbody" in printed and "demo" in printed and "--version" in printed
+    for name in re.findall(r"jb\.([a-zA-Z_.]+)", printed):
         assert operator.attrgetter(name)(jb), name
 
 
@@ -172,29 +172,29 @@ def test_an_unknown_command_is_refused(capsys):
 def test_two_bodies_in_general_position():
     names, _ = run("two_bodies.py")
     model, eq = names["model"], names["eq"]
-    assert_found(names, ["rope1", "rope2", "rope3", "rope4", "link", "stay"])
+    assert_recovered(names, ["rope1", "rope2", "rope3", "rope4", "link", "stay"])
     assert eq.ok and bool(eq.stable)
     turned = eq.state.q[3:7]
     assert abs(float(jnp.sum(turned * model["block"].orientation))) < 0.999  # R_eq is neither I nor the reference
     assert abs(float(turned[0])) < 0.999
     slope, first, jb = names["slope"], names["first"], names["jb"]
     h = 1e-4
-    for path, found in (("arm.mass", slope["arm"].mass), ("rope1.stiffness", slope["rope1"].stiffness)):
+    for path, derivative in (("arm.mass", slope["arm"].mass), ("rope1.stiffness", slope["rope1"].stiffness)):
         value = jb.paths(model, path)[path]
         ends = [float(first(jb.replace(model, {path: value * (1 + sign * h)}))) for sign in (1, -1)]
-        np.testing.assert_allclose((ends[0] - ends[1]) / (2 * h * value), found, rtol=1e-6)
+        np.testing.assert_allclose((ends[0] - ends[1]) / (2 * h * value), derivative, rtol=1e-6)
 
 
 @pytest.mark.long
 def test_the_notebook_as_a_script(monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names, _ = run("plate_notebook.py")
-    assert_found(names, ["AB", "CD", "EF"])
+    assert_recovered(names, ["AB", "CD", "EF"])
 
 
 @pytest.mark.long
 def test_the_car_over_the_kerb(monkeypatch):
-    """It stands level, meets its stops, leaves the ground; the effect of the stops' gap is that of differences."""
+    """It stands level, hits its bump stops and lifts off the ground; the derivative with respect to the stops' gap agrees with differences."""
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names, _ = run("kerb.py")
     assert names["run"].ok and np.abs(names["eq"].state.q).max() < 1e-12
@@ -231,26 +231,26 @@ def test_the_cabinet_on_an_air_spring(monkeypatch):
     np.testing.assert_allclose(names["modes"].frequency[0], frequency, rtol=1e-10)
     assert names["run"].ok
     gas, linear = names["peaks"](names["run"]), names["peaks"](names["linear"])
-    assert -gas[0] < -linear[0] and gas[1] > linear[1]  # it stiffens when pressed, softens when drawn
+    assert -gas[0] < -linear[0] and gas[1] > linear[1]  # stiffer in compression, softer in extension
 
 
 @pytest.mark.long
 def test_the_modes_of_the_engine(monkeypatch):
-    """The published energies are asserted in the script; a torque of the crankshaft excites one mode alone where it is decoupled."""
+    """The script asserts the published energies; after decoupling, a torque of the crankshaft excites one mode only."""
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names, printed = run("mode_energies.py")
     assert "6: engine roll 79 %" in printed and "Torque roll axis of engine" in printed
     lin, n = names["decoupled"], np.asarray(names["axis"].direction)
     torque, phi = np.array([0, 0, 0, 1.0, 0, 0]), np.asarray(names["better"].kinetic["engine"])
     assert np.sort(phi[3])[-1] > 99.9
-    moved = np.linalg.solve(np.asarray(lin.K), torque)  # without inertia too it turns about the torque roll axis
-    assert np.linalg.norm(np.cross(moved[3:], n)) < 0.01 * np.linalg.norm(moved[3:])
+    displacement = np.linalg.solve(np.asarray(lin.K), torque)  # statically, too, it rotates about the torque roll axis
+    assert np.linalg.norm(np.cross(displacement[3:], n)) < 0.01 * np.linalg.norm(displacement[3:])
     assert names["branches"].ok.all()
 
 
 @pytest.mark.long
 def test_an_instrument_on_an_isolator(monkeypatch):
-    """It asserts its frequency and its transmissibility; here that stiffness across and along z counts as differences say."""
+    """The script asserts frequency and transmissibility; here the share of the vertical stiffness is compared with differences."""
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names, _ = run("isolator.py")
     vertical, k, h = names["vertical"], names["stiffness"], 1e-3
@@ -260,7 +260,7 @@ def test_an_instrument_on_an_isolator(monkeypatch):
 
 @pytest.mark.long
 def test_comfort_on_a_class_c_road(monkeypatch):
-    """It asserts the least acceleration and Rao's frequencies; more damping than that of least weighted acceleration means less travel."""
+    """The script asserts the least acceleration and Rao's frequencies; here: more damping means less travel."""
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names, printed = run("comfort.py")
     assert 400 < names["best"] < names["exact"] and "crest factor" in printed
@@ -269,7 +269,7 @@ def test_comfort_on_a_class_c_road(monkeypatch):
 
 @pytest.mark.long
 def test_one_glider():
-    """It asserts that estimates are those of the closed form by SciPy; here the published residual of a free decay, and what is held out."""
+    """The script compares its estimates with SciPy's fit of the closed form; here: the published residual of a free decay, and the held-out half."""
     data("gliders", "real_linear_h_1.txt")
     with pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):
         names, printed = run("glider.py")
@@ -280,7 +280,7 @@ def test_one_glider():
 
 @pytest.mark.long
 def test_a_pendulum_with_friction():
-    """It asserts the period's a and the residuals; the interval of the dry friction holds zero and ends below half a percent of the weight's moment."""
+    """The script asserts a and the residuals; here: the interval of the dry friction contains zero and ends below 0.5 % of the weight's moment."""
     data("gliders", "real_pend_h_1.txt")
     names, printed = run("pendulum.py")
     dry = names["fits"]["viscous and dry"]
@@ -290,7 +290,7 @@ def test_a_pendulum_with_friction():
 
 @pytest.mark.long
 def test_a_car_tuned_for_its_driver(monkeypatch):
-    """It asserts that differences lead to the same optimum; here that the design keeps its limits when looked at again, and that the front goes through it."""
+    """The script asserts that differences give the same optimum; here: the design meets its limits when reevaluated, and the front is sound."""
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names, printed = run("ride_design.py")
     found, front = names["found"], names["front"]
