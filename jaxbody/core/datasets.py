@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.errors import import_extra
 
 AXES, QUATERNION = list("xyz"), list("wxyz")
 
 
 def dataset(variables: dict[str, tuple[tuple[str, ...], Any, str]], coordinates: dict[str, Any], kind: str) -> Any:
     """{name: (dimensions, values, unit)} as a Dataset; values with one axis more than dimensions are a batch of samples."""
-    xarray = _xarray()
+    xarray = import_extra("xarray", "to_xarray")
     made = {}
     for name, (dimensions, values, unit) in variables.items():
         values = np.asarray(values)
@@ -28,12 +28,3 @@ def dataset(variables: dict[str, tuple[tuple[str, ...], Any, str]], coordinates:
 
 def rows_of(arrays: list[Any], axis: int) -> np.ndarray:
     return np.stack([np.asarray(array) for array in arrays], axis)
-
-
-def _xarray() -> Any:
-    try:
-        import xarray
-    except ImportError:
-        hint = "Install it: pip install 'jaxbody[xarray]'."
-        raise JaxbodyError(Problem("MISSING_EXTRA", "to_xarray", "needs xarray, which is not installed.", "xarray", hint=hint)) from None
-    return xarray

@@ -1,9 +1,10 @@
-"""What can go wrong: one exception, one warning, and the status codes that jitted code returns instead of raising."""
+"""What can go wrong: one exception, one warning, a missing extra, and the status codes that jitted code returns instead of raising."""
 
 from __future__ import annotations
 
 import difflib
 import enum
+import importlib
 import sys
 import warnings
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from jaxbody.core.progress_lines import clear
 
 MOST_PROBLEMS = 20
 MOST_LINES = 10  # of a message; `problems` holds them all
+EXTRAS = {"xarray": ("xarray",), "ipopt": ("casadi",), "files": ("pyarrow", "h5py", "pyuff", "nptdms"), "mdf": ("asammdf",)}  # packages
 PASSED_OVER = {"jaxbody", "equinox", "jax", "contextlib", "functools"}  # packages whose lines say nothing to a user
 
 
@@ -103,6 +105,17 @@ class Problems:
     def raise_if_any(self) -> None:
         if self.collected:
             raise JaxbodyError(*self.collected)
+
+
+def import_extra(module: str, where: str) -> Any:
+    """A module of a package that is installed with an extra of jaxbody. Error: MISSING_EXTRA."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        extra = next(name for name, packages in EXTRAS.items() if package in packages)
+        hint = f"Install it: pip install 'jaxbody[{extra}]'."
+        raise JaxbodyError(Problem("MISSING_EXTRA", where, f"needs the package {package}, an extra: {error}", package, hint=hint)) from None
 
 
 class Status(enum.IntEnum):

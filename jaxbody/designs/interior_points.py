@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem
-
 At = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray, np.ndarray]]  # u -> f, its gradient, c, its Jacobian
-
-
-def check_ipopt(where: str) -> None:
-    """It is there."""
-    if importlib.util.find_spec("casadi") is None:
-        raise JaxbodyError(
-            Problem("NO_CASADI", where, "needs casadi, which brings IPOPT", hint="pip install jaxbody[ipopt], or pip install casadi.")
-        )
 
 
 def minimize_by_ipopt(

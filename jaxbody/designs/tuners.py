@@ -19,10 +19,9 @@ import optax
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import float_array
 from jaxbody.core.compile_options import jit_optimized
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra, is_concrete
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
-from jaxbody.designs.interior_points import check_ipopt
 from jaxbody.designs.programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of
 from jaxbody.designs.searches import MET, METHODS, Rows, Search, hand_in_hand, one_thread, scales, search_with
 from jaxbody.designs.tunings import Tuning, tuning_of
@@ -66,7 +65,7 @@ def tune(
     coincide, they are taken a little aside: smooth quantities (`objectives`) don't need that. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True tells every evaluation on stderr.
 
     Errors: UNKNOWN_PATH, UNKNOWN_NAME, WRONG_KIND of a key, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE,
-    NONFINITE_START, NO_CASADI, TRACED, FLOAT32. Warns INFEASIBLE, with what is not met, and NOT_CONVERGED.
+    NONFINITE_START, MISSING_EXTRA, TRACED, FLOAT32. Warns INFEASIBLE, with what is not met, and NOT_CONVERGED.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def sag(model):
@@ -155,7 +154,7 @@ def _check_options(method: Any, limits: dict[str, Any], shelves: dict[int, Any])
     elif method not in METHODS:
         problems.add("BAD_METHOD", "tune.method", f"is {method!r:.60}", value=method, limit=" ".join(METHODS) + " or an optax optimizer")
     elif method == "ipopt":
-        check_ipopt("tune.method")
+        import_extra("casadi", "tune.method")
     problems.raise_if_any()
 
 

@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.records.matlab_files import read_matlab
-from jaxbody.records.sources import Asked, Pick, check_numbers, check_size, find_name, kind_of, needed, numeric, told_of
+from jaxbody.records.sources import Asked, Pick, check_numbers, check_size, find_name, kind_of, numeric, told_of
 from jaxbody.records.text_tables import Column, Contents, read_text, split_unit
 from jaxbody.records.universal_files import read_uff
 
@@ -65,7 +65,7 @@ def _text(path: Path, pick: Pick, largest: float, **how: Any) -> Contents:
 
 
 def _parquet(path: Path, pick: Pick, largest: float) -> Contents:
-    parquet = needed("pyarrow.parquet", "pyarrow", "files", path.name)
+    parquet = import_extra("pyarrow.parquet", path.name)
     file = parquet.ParquetFile(path)
     schema = file.schema_arrow
     names = pick(list(schema.names))
@@ -94,7 +94,7 @@ def _mat(path: Path, pick: Pick, largest: float) -> Contents:
 
 
 def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> Contents:
-    h5py = needed("h5py", "h5py", "files", path.name)
+    h5py = import_extra("h5py", path.name)
     names: list[str] = []
     elsewhere: list[str] = []
 
@@ -154,7 +154,7 @@ def _check_chunks(where: str, data: Any, largest: float) -> None:
 
 
 def _tdms(path: Path, pick: Pick, largest: float) -> Contents:
-    nptdms = needed("nptdms", "npTDMS", "files", path.name)
+    nptdms = import_extra("nptdms", path.name)
     with nptdms.TdmsFile.open(path) as file:
         channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
         columns, found = {}, pick(list(channels))
@@ -171,7 +171,7 @@ def _tdms(path: Path, pick: Pick, largest: float) -> Contents:
 
 
 def _mdf(path: Path, pick: Pick, largest: float) -> Contents:
-    asammdf = needed("asammdf", "asammdf", "mdf", path.name)
+    asammdf = import_extra("asammdf", path.name)
     with asammdf.MDF(path) as file:
         places = {}
         for name, found in file.channels_db.items():

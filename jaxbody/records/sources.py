@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import importlib
 import re
 import stat
 from collections.abc import Callable, Iterator
@@ -98,17 +97,6 @@ def find_name(asked: str | int, names: list[str], where: str, aliases: list[str]
 
 def _shown(names: list[str]) -> str:
     return f"It has: {', '.join(names[:12]) or 'nothing that can be read'}{', ...' if len(names) > 12 else ''}."
-
-
-def needed(module: str, package: str, extra: str, what: str) -> Any:
-    """A module of an extra. Error: MISSING_EXTRA."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        hint = f"pip install 'jaxbody[{extra}]'"
-        raise JaxbodyError(
-            Problem("MISSING_EXTRA", what, f"needs the package {package}, which is not installed", package, hint=hint)
-        ) from None
 
 
 @contextlib.contextmanager

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.records.sources import Pick, find_name, kind_of, needed, numeric, told_of
+from jaxbody.core.errors import JaxbodyError, Problem, import_extra
+from jaxbody.records.sources import Pick, find_name, kind_of, numeric, told_of
 from jaxbody.records.text_tables import Column, Contents
 
 DIRECTIONS = {0: "", 1: "+X", -1: "-X", 2: "+Y", -2: "-Y", 3: "+Z", -3: "-Z", 4: "+RX", -4: "-RX", 5: "+RY", -5: "-RY", 6: "+RZ", -6: "-RZ"}
@@ -18,7 +18,7 @@ DIRECTIONS = {0: "", 1: "+X", -1: "-X", 2: "+Y", -2: "-Y", 3: "+Z", -3: "-Z", 4:
 
 def sets_of(path: Path) -> list[dict[str, Any]]:
     """The functions (sets 58) of a universal file."""
-    pyuff = needed("pyuff", "pyuff", "files", path.name)
+    pyuff = import_extra("pyuff", path.name)
     file = pyuff.UFF(str(path))
     kinds = [int(kind) for kind in file.get_set_types()]
     if 58 not in kinds:

@@ -1,6 +1,5 @@
 """Results as xarray datasets hold the same numbers under names, with units; without xarray the way to get it is told."""
 
-import sys
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -99,10 +98,3 @@ def test_a_fit():
     np.testing.assert_array_equal(made["run1_stretch_predicted"], 2 * np.arange(4.0))
     np.testing.assert_array_equal(made["run1_place_measured"], np.arange(12.0).reshape(4, 3))
     np.testing.assert_array_equal(made["run1_time"], times)
-
-
-def test_without_xarray_the_extra_is_named(monkeypatch, trajectory):
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(jb.JaxbodyError, match=r"pip install 'jaxbody\[xarray\]'") as caught:
-        trajectory.to_xarray()
-    assert caught.value.code == "MISSING_EXTRA"

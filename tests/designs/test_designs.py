@@ -109,12 +109,6 @@ def test_ipopt_finds_the_same_optimum(car):
         np.testing.assert_allclose(other.after[name], one.after[name], rtol=1e-6)
 
 
-def test_ipopt_that_is_not_there_is_told(car, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(jb.JaxbodyError, match=r"NO_CASADI"):
-        jb.tune(car, quantities, free=BOTH, minimize="acceleration", method="ipopt")
-
-
 def test_multipliers_are_those_of_the_problem_solved_again(car):
     """d objective/d limit by differences of optima; of a bound as of a limit."""
     limits = {"travel": (None, 0.0125), "sag": (None, 0.2)}

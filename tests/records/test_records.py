@@ -211,21 +211,6 @@ def test_channels_by_number_and_by_id_line(tmp_path):
         jb.read_record(written(tmp_path, "junk\nmore junk\n", "junk.uff"), channels={"a": "a"})
 
 
-@pytest.mark.parametrize("missing", ["pyarrow.parquet", "h5py", "pyuff", "nptdms", "asammdf"])
-def test_a_missing_package_is_named_with_its_extra(missing, tmp_path, monkeypatch):
-    import importlib
-
-    def absent(name):
-        raise ImportError(name)
-
-    monkeypatch.setattr(importlib, "import_module", absent)
-    start = {"pyarrow.parquet": (".parquet", b"PAR1"), "h5py": (".h5", b"\x89HDF"), "pyuff": (".uff", b"    -1"), "nptdms": (".tdms", b"TDSm"), "asammdf": (".mf4", b"MDF ")}  # fmt: skip
-    path = tmp_path / f"run{start[missing][0]}"
-    path.write_bytes(start[missing][1] + bytes(100))
-    with pytest.raises(jb.JaxbodyError, match=r"pip install 'jaxbody\[(files|mdf)\]'.*MISSING_EXTRA"):
-        jb.read_record(path, channels={"acc": "acc"})
-
-
 def test_frequency_responses_of_a_universal_file(tmp_path):
     """Two of them, in mm/s2 per lbf and without units, and a record in time beside them; then an experiment made of them."""
     pyuff = pytest.importorskip("pyuff", reason="pyuff is not installed: pip install 'jaxbody[files]'")

@@ -1,0 +1,54 @@
+"""A package that is an extra and not installed ends in one error, whichever it is and whoever needs it, with the line for pip."""
+
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxbody as jb
+
+OF_TESTS = {"test", "judges"}
+PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+PACKAGES = [(wanted.partition(">=")[0].lower(), extra) for extra, all_ in PROJECT["optional-dependencies"].items() for wanted in all_ if extra not in OF_TESTS]  # fmt: skip
+
+
+def reading(start, suffix):
+    def read(folder):
+        path = folder / f"run{suffix}"
+        path.write_bytes(start + bytes(100))
+        jb.read_record(path, channels={"acc": "acc"})
+
+    return read
+
+
+def labelled(folder):
+    jb.sweep(jb.presets.quarter_car(), lambda car: {"mass": car["body"].mass}, {"body.mass": np.array([250.0, 300.0])}).to_xarray()
+
+
+def tuned(folder):
+    car = jb.presets.quarter_car()
+    jb.tune(car, lambda car: {"mass": car["body"].mass}, free=["body.mass"], minimize="mass", method="ipopt")
+
+
+USES = {
+    "xarray": labelled,
+    "casadi": tuned,
+    "pyarrow": reading(b"PAR1", ".parquet"),
+    "h5py": reading(b"\x89HDF", ".h5"),
+    "pyuff": reading(b"    -1", ".uff"),
+    "nptdms": reading(b"TDSm", ".tdms"),
+    "asammdf": reading(b"MDF ", ".mf4"),
+}
+
+
+@pytest.mark.parametrize("package, extra", PACKAGES)
+def test_a_missing_package_is_named_with_its_extra(package, extra, tmp_path, monkeypatch):
+    for module in [package, *(name for name in sys.modules if name.startswith(package + "."))]:
+        monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(jb.JaxbodyError) as error:
+        USES[package](tmp_path)
+    assert error.value.code == "MISSING_EXTRA"
+    assert package in str(error.value) and f"pip install 'jaxbody[{extra}]'" in error.value.hint
+    assert len(str(error.value).splitlines()) == 1
