@@ -24,7 +24,7 @@ from jaxbody.simulations.integrations import integrate
 from jaxbody.simulations.readings import readings
 from jaxbody.simulations.simulations import check_run, motions_of
 from jaxbody.simulations.trajectories import Trajectory
-from jaxbody.statics.rest_states import Rest, as_initial, beginning, rest_at
+from jaxbody.statics.rest_states import Rest, as_initial, initial_state_of, rest_state
 
 MANY_MISSING = 0.2
 NEUTRAL = {
@@ -131,7 +131,7 @@ class Experiment(Measurement):
 
     def start(self, model: Model, motions: Motions) -> State | None:
         """The state at times[0]; None for the reference pose."""
-        return rest_at(model, motions, self.times[0])[0] if isinstance(self.initial, Rest) else self.initial
+        return rest_state(model, motions, self.times[0])[0] if isinstance(self.initial, Rest) else self.initial
 
     def trajectory(self, model: Model, integration: Integration) -> Trajectory:
         """The run, simulated."""
@@ -147,7 +147,7 @@ class Experiment(Measurement):
     def explain(self, model, integration):
         if isinstance(self.initial, Rest):
             try:
-                beginning(model, motions_of(model, self.motion), self.times[0], self.initial, "initial")
+                initial_state_of(model, motions_of(model, self.motion), self.times[0], self.initial, "initial")
             except JaxbodyError as error:
                 return str(error)
         return self.trajectory(model, integration).report()

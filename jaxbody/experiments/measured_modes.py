@@ -17,7 +17,7 @@ from jaxbody.experiments.measurements import Measurement
 from jaxbody.sensors.channels import Channel
 from jaxbody.vibrations.mode_branches import mac
 from jaxbody.vibrations.natural_modes import modes
-from jaxbody.vibrations.ports import PointMotion, ports_of, wired
+from jaxbody.vibrations.ports import PointMotion, port_matrices, ports_of
 
 UNITS = {"frequency": "Hz", "damping_ratio": "", "shapes": ""}
 
@@ -122,7 +122,7 @@ class MeasuredModes(Measurement):
         found = modes(lin)
         at_sensors = None
         if self.sensors:
-            at_sensors = wired(lin, (), tuple(self.sensors.values())).Y[0][:, : model.layout.nv] @ found.shapes
+            at_sensors = port_matrices(lin, (), tuple(self.sensors.values())).Y[0][:, : model.layout.nv] @ found.shapes
         if self.number is not None:
             which: Any = np.array(self.number)
         else:

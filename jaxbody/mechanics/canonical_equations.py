@@ -21,7 +21,7 @@ from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, rotate, rotate_back
 from jaxbody.mechanics.energies import kinetic, wrenches
-from jaxbody.mechanics.equations_of_motion import Dynamics, normalized, table_of_free
+from jaxbody.mechanics.equations_of_motion import Dynamics, frames_of_free_bodies, normalized
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.numerics.small_systems import solve_spd
@@ -90,7 +90,7 @@ class Canonical(eqx.Module):
         in_body = rotate_back(R[:, None], momenta).reshape(-1, 1, 6)
         v, w = jnp.moveaxis(rotate(R[:, None], jnp.sum(self.dynamics.inverse_mass * in_body, -1).reshape(-1, 2, 3)), 1, 0)
         carried = cross(v, momenta[:, 0]) + cross(w, momenta[:, 1])
-        frames = table_of_free(supports, Frame(q[:, :3], R, v, w))
+        frames = frames_of_free_bodies(supports, Frame(q[:, :3], R, v, w))
         return jnp.concatenate([v, w], -1).ravel(), frames, lambda F, M: jnp.concatenate([F, M - carried], -1).ravel()
 
 

@@ -96,12 +96,12 @@ def rayleigh(model: Model, frames: Frame) -> Float[Array, ""]:
     return sum((jnp.sum(e) for e in each_element(model, frames, lambda s, *F: s.dissipation(*s.rates(*F)))), jnp.zeros((), frames.p.dtype))
 
 
-def lost_power(model: Model, frames: Frame) -> Float[Array, ""]:
+def damping_power(model: Model, frames: Frame) -> Float[Array, ""]:
     """The sum over the elements of dR/de_dot . e_dot."""
     return sum((jnp.sum(p) for p in each_element(model, frames, lambda s, *F: s.lost_power(*F))), jnp.zeros((), frames.p.dtype))
 
 
-def beyond_laws(model: Model, frames: Frame) -> Bool[Array, "ne"]:
+def outside_law_range(model: Model, frames: Frame) -> Bool[Array, "ne"]:
     """Of every element, in the order of their names, whether it uses a law beyond what it is known for."""
     return jnp.concatenate([jnp.zeros(0, bool), *each_element(model, frames, lambda s, *F: s.beyond(*s.rates(*F)))])
 

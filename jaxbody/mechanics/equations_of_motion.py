@@ -88,7 +88,7 @@ class Dynamics(eqx.Module):
         p, quaternion, v_B, w_B = _cut(y, len(model.layout.bodies))
         R = rotations.matrix(quaternion)
         v, w = rotate(R, v_B), rotate(R, w_B)
-        frames = table_of_free(supports, Frame(p, R, v, w))
+        frames = frames_of_free_bodies(supports, Frame(p, R, v, w))
         F, M = (x[model.layout.first_body :] for x in wrenches(model, frames, self.loads, t))
         m, c = bodies.mass[:, None], bodies.com
         P = m * (v_B + cross(w_B, c))  # momentum and moment of momentum about O, body axes
@@ -160,17 +160,17 @@ class Dynamics(eqx.Module):
     def instant(self, t: Float[Array, ""], state: State, *, reactions: bool) -> Instant:
         """Frames with accelerations and, if asked for, what they pass on to joints, supports and world."""
         frames, a, alpha = self._accelerated_floating(t, state) if self.model.layout.floating else self._accelerated(t, state)
-        passed = self.passed_on(t, frames, a, alpha) if reactions else (None, None)
+        passed = self.transmitted_wrenches(t, frames, a, alpha) if reactions else (None, None)
         return Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *passed)
 
-    def passed_on(self, t, frames: Frame, a, alpha, pushed: tuple[Array, Array] | None = None):
+    def transmitted_wrenches(self, t, frames: Frame, a, alpha, pushed: tuple[Array, Array] | None = None):
         """F and M of an Instant for given accelerations: the sum, over all bodies that hang on a frame by joints, of what is applied to them less the
         rates of their momenta. `pushed`: force and moment about its origin that act on each body besides the loads."""
         first = self.model.layout.first_body
         F, M = self._net(t, frames, a, alpha)
         if pushed is not None:
             F, M = F + pushed[0], M + pushed[1]
-        outboard = jnp.asarray(outboard_of(self.model.layout), F.dtype)[..., None]
+        outboard = jnp.asarray(outboard_mask(self.model.layout), F.dtype)[..., None]
         moment = M + cross(frames.p[first:] - frames.p[:, None], F)
         direct = (jnp.concatenate([x[:first], jnp.zeros_like(F)]) for x in wrenches(self.model, frames))  # elements on world and supports
         return tuple(x + jnp.sum(outboard * of_bodies, 1) for x, of_bodies in zip(direct, (F[None], moment), strict=True))
@@ -194,7 +194,7 @@ class Dynamics(eqx.Module):
         p, quaternion, v_B, w_B = _cut(y, n)
         _, _, v_rate, w_rate = _cut(self._rate_floating(t, supports, y), n)
         R, zero = rotations.matrix(quaternion), jnp.zeros((1, 3), y.dtype)
-        frames = table_of_free(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B)))
+        frames = frames_of_free_bodies(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B)))
         a = jnp.concatenate([zero, a, rotate(R, v_rate + cross(w_B, v_B))])
         return frames, a, jnp.concatenate([zero, alpha, rotate(R, w_rate)])
 
@@ -205,7 +205,7 @@ class Dynamics(eqx.Module):
         return now.F[1:first], now.M[1:first]
 
 
-def table_of_free(supports: Frame, bodies: Frame) -> Frame:
+def frames_of_free_bodies(supports: Frame, bodies: Frame) -> Frame:
     """The table of frames of supports and of bodies that are free on the world."""
     zero = jnp.zeros((1, 3), bodies.p.dtype)
     return stack([Frame(zero, np.eye(3, dtype=zero.dtype)[None], zero, zero), supports, bodies])
@@ -221,7 +221,7 @@ def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
     return jnp.concatenate([top, jnp.concatenate([-GC, G], -1)], -2)
 
 
-def outboard_of(layout: Layout) -> np.ndarray:
+def outboard_mask(layout: Layout) -> np.ndarray:
     """(n, nb): 1 where a body hangs on a frame by joints, or is that frame."""
     parent = dict(zip(layout.bodies, layout.parents, strict=True))
     mask = np.zeros((len(layout.frames), len(layout.bodies)))

@@ -14,7 +14,7 @@ from jaxbody.elements.second_derivatives import second_order
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.energies import each_element
 from jaxbody.mechanics.equations_of_motion import acceleration
-from jaxbody.mechanics.kinematics import Coordinates, Motions, table_of
+from jaxbody.mechanics.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 
@@ -24,7 +24,7 @@ NEAR = 1e-2  # of the free length, or of the cosine of half the angle: 179 degre
 BEND = 0.5  # of the way between two samples, by which the way at either rate may differ from it
 
 
-def without_number_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], t: Array, state: State) -> str:
+def nonfinite_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], t: Array, state: State) -> str:
     """The motion, element, load or body that first gives a number that is not finite, at this state or as it moves on; empty without such."""
     for ahead in np.maximum(np.abs(t), 1.0) * np.array(AHEAD, state.q.dtype):
         of_motions, of_elements, of_loads = jax.tree.map(np.asarray, _numbers(model, motions, loads, t, state, ahead))
@@ -49,7 +49,7 @@ def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
     change = acceleration(model, state, t, motions, loads)
     v = state.v + ahead * jnp.where(jnp.isfinite(change), change, 0.0)
     moved, moment = State(Coordinates(model).retract(state.q, ahead * state.v), v), t + ahead
-    frames = table_of(model, motions, moment, moved)
+    frames = frames_at_time(model, motions, moment, moved)
 
     def numbers(element, *frames):
         e, rate = element.rates(*frames)
@@ -73,7 +73,7 @@ def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
     }
 
 
-def without_number_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Array, "nv"], size: float) -> list[str]:
+def nonfinite_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Array, "nv"], size: float) -> list[str]:
     """The elements whose energy, force or stiffness is not finite at q or, else, a little down the slope."""
     down = np.where(np.isfinite(slope), -np.asarray(slope), 0.0)
     down = down * size / max(np.abs(down).max(initial=0.0), np.finfo(down.dtype).tiny)
@@ -96,14 +96,14 @@ def _finite(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> d
     return _rows(model, each_element(model, frames, finite))
 
 
-def at_jump(model: Model, motions: Motions, t: Array, state: State) -> str:
+def force_jump_at(model: Model, motions: Motions, t: Array, state: State) -> str:
     """The elements that are where their force jumps, shrunk to a point or turned by half a turn; empty without such."""
     alone = jax.tree.map(lambda x: np.asarray(x)[None], (t, state))
     near = [np.linalg.norm(x[0], axis=-1) < NEAR for x, _ in _away(model, motions, *alone)]
     return "; ".join(message for _, message in _in_words(model, [["" if x else None for x in of_table] for of_table in near]))
 
 
-def jumps_passed(model: Model, motions: Motions, times: Array, states: State) -> list[tuple[str, str]]:
+def force_jumps_along(model: Model, motions: Motions, times: Array, states: State) -> list[tuple[str, str]]:
     """Code and message of the elements whose force jumps between these samples, with the time of the first."""
     if not any(table.rows.jump for table in model.elements):
         return []
@@ -119,7 +119,7 @@ def _away(model: Model, motions: Motions, times: Float[Array, "nt"], states: Sta
     def away(element, *frames):
         return jax.jvp(element.away_from_jump, tuple(f.pose() for f in frames), tuple(f.rates() for f in frames))
 
-    return jax.vmap(lambda t, state: each_element(model, table_of(model, motions, t, state), away))(times, states)
+    return jax.vmap(lambda t, state: each_element(model, frames_at_time(model, motions, t, state), away))(times, states)
 
 
 def _in_words(model: Model, moments: list[Any]) -> list[tuple[str, str]]:

@@ -36,7 +36,7 @@ Vector = Float[Array, "n"]
 Square = Float[Array, "n n"]
 
 
-class Placed(NamedTuple):
+class Configuration(NamedTuple):
     """A model with its bodies at q, supports at rest in their reference poses: the table of frames; for each column, of (Delta, Xi) or without
     `base` of Delta alone, the turn that a unit of it gives to its own frame, and J, the motion of each frame, None for the identity."""
 
@@ -48,7 +48,9 @@ class Placed(NamedTuple):
     base: bool
 
 
-def placed(coordinates: Coordinates, q: Float[Array, "nq"], v: Float[Array, "nv"] | None = None, *, base: bool = True) -> Placed:
+def configuration_at(
+    coordinates: Coordinates, q: Float[Array, "nq"], v: Float[Array, "nv"] | None = None, *, base: bool = True
+) -> Configuration:
     """The bodies at q, at rest or at the speeds v."""
     model, layout = coordinates.model, coordinates.model.layout
     v = jnp.zeros(layout.nv, q.dtype) if v is None else v
@@ -56,16 +58,16 @@ def placed(coordinates: Coordinates, q: Float[Array, "nq"], v: Float[Array, "nv"
     if base:
         own = np.tile(np.eye(6), (len(layout.supports), 1))
         linear, angular = jnp.concatenate([linear, own[:, :3]]), jnp.concatenate([angular, own[:, 3:]])
-    return Placed(model, q, frames, angular, _jacobian(layout, frames, linear, angular, base), base)
+    return Configuration(model, q, frames, angular, _jacobian(layout, frames, linear, angular, base), base)
 
 
-def slope(at: Placed) -> Vector:
+def slope(at: Configuration) -> Vector:
     """dV/d(Delta, Xi) at rest."""
     G = -jnp.concatenate(wrenches(at.model, at.frames), -1)[_rows(at.model.layout, at.base)]
     return _pulled(at.J, G)
 
 
-def stiffness(at: Placed) -> Square:
+def stiffness(at: Configuration) -> Square:
     """K | -K~ | K_bb as one matrix."""
     return expansion(at)[2]
 
@@ -78,7 +80,7 @@ class DeadForces(NamedTuple):
     Q: Float[Array, "nb 3 3"]
 
 
-def expansion(at: Placed, dead: DeadForces | None = None) -> tuple[Float[Array, ""], Vector, Square]:
+def expansion(at: Configuration, dead: DeadForces | None = None) -> tuple[Float[Array, ""], Vector, Square]:
     """V, dV/d(Delta, Xi) and K | -K~ | K_bb as one matrix."""
     model, frames, J, base = at.model, at.frames, at.J, at.base
     layout = model.layout
@@ -100,7 +102,7 @@ def expansion(at: Placed, dead: DeadForces | None = None) -> tuple[Float[Array, 
     return V if dead is None else V + dead.V, _pulled(J, G), K
 
 
-def mass(at: Placed) -> Square:
+def mass(at: Configuration) -> Square:
     """M | -M~ | M_bb as one matrix."""
     bodies, R = at.model.bodies.rows, at.frames.R[at.model.layout.first_body :]
     m, c = bodies.mass[:, None], rotate(R, bodies.com)
@@ -109,7 +111,7 @@ def mass(at: Placed) -> Square:
     return _projected(at.J, _hessian(at.model, inertia, [], at.base))
 
 
-def damping(at: Placed) -> Square:
+def damping(at: Configuration) -> Square:
     """C | -C~ | C_bb as one matrix."""
     return _projected(at.J, _hessian(at.model, Block(), each_element(at.model, at.frames, dissipation_hessian), at.base))
 
@@ -117,7 +119,7 @@ def damping(at: Placed) -> Square:
 @jit_unoptimized
 def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
     """M, C and K at a state, supports at rest in their reference poses."""
-    at = placed(Coordinates(model), state.q, state.v, base=False)
+    at = configuration_at(Coordinates(model), state.q, state.v, base=False)
     return mass(at), damping(at), stiffness(at)
 
 

@@ -122,7 +122,7 @@ def _joint_frame(joint, q, v, parent: Frame, rest: Pose):
     return Frame(pose.p, pose.R, velocity, w), (linear, angular)
 
 
-def table_of(model: Model, motions: Motions, t, state: State) -> Frame:
+def frames_at_time(model: Model, motions: Motions, t, state: State) -> Frame:
     """The table of frames at a time."""
     coordinates = Coordinates(model)
     return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t))

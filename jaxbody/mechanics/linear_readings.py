@@ -33,7 +33,7 @@ def reading_rows(lin: Any, sensors: list[Any], pushes: Float[Array, "nu nb 6"]) 
             (_, (a, alpha), (frames, state)) = jax.jvp(moving, (t,), (jnp.ones_like(t),), has_aux=True)
             if any(sensor.reactions for sensor in sensors):
                 pushed = jnp.tensordot(u, pushes, 1)
-                passed = dynamics.passed_on(t, frames, a, alpha, (pushed[:, :3], pushed[:, 3:]))
+                passed = dynamics.transmitted_wrenches(t, frames, a, alpha, (pushed[:, :3], pushed[:, 3:]))
         else:
             frames, state = moving(t)[1]
         now = Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *passed)

@@ -32,7 +32,7 @@ from jaxbody.numerics.precisions import reachable
 from jaxbody.responses.modal_dampings import NO_MODES, with_modal_damping
 from jaxbody.statics.equilibria import NOT_AT_REST
 from jaxbody.vibrations.linearizations import Linearization
-from jaxbody.vibrations.ports import Wiring, check_ports, whole_matrices, wired
+from jaxbody.vibrations.ports import PortMatrices, check_ports, full_matrices, port_matrices
 
 LARGEST_UNROLLED = 16  # coordinates; beyond, LAPACK's elimination at each frequency costs less than it costs to compile this one
 GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, that is growth and not rounding
@@ -163,7 +163,7 @@ def frequency_response(
     if static:
         _check_bounded_at_rest(u, ins)
     lin = with_modal_damping(lin, modal_damping, "frequency_response.modal_damping")
-    values, status = response_values(lin, f, wired(lin, ins, outs), eta, method, static)
+    values, status = response_values(lin, f, port_matrices(lin, ins, outs), eta, method, static)
     result = FrequencyResponse(f, values, status, u, y, u_units, y_units)
     warn_if_failed(result)
     return result
@@ -223,12 +223,17 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
 
 @jit_optimized
 def response_values(
-    lin: Linearization, f: Float[Array, "nf"], wiring: Wiring, eta: Float[Array, "ne"] | None, method: str = "direct", static: bool = False
+    lin: Linearization,
+    f: Float[Array, "nf"],
+    wiring: PortMatrices,
+    eta: Float[Array, "ne"] | None,
+    method: str = "direct",
+    static: bool = False,
 ):
     """(values (ny, nu, nf), status); `static` where 0 Hz is among the frequencies."""
     nv, X = lin.M.shape[-1], wiring.X
     s = 2j * jnp.pi * f
-    whole = _Matrices(*whole_matrices(lin), None if eta is None else hysteretic(lin, eta))
+    whole = _Matrices(*full_matrices(lin), None if eta is None else hysteretic_damping(lin, eta))
     scale = s[None] ** -jnp.array(wiring.orders, f.dtype)[:, None].astype(int) if any(wiring.orders) else jnp.ones((len(wiring.orders), 1))
     own = jax.tree.map(lambda A: A[:nv, :nv], whole)
     right = wiring.F[:nv, :, None] - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale
@@ -243,7 +248,7 @@ def response_values(
         free = jnp.min(squares, initial=jnp.inf) <= ZERO * jnp.max(squares, initial=0.0)
         values = jnp.where(free & (f == 0), jnp.nan, values)
     status = jnp.select(
-        [jnp.isin(lin.status, jnp.array(FAILED)), grows(own), ~complete, free, ~jnp.isfinite(values).all()],
+        [jnp.isin(lin.status, jnp.array(FAILED)), is_unstable(own), ~complete, free, ~jnp.isfinite(values).all()],
         [lin.status, Status.UNSTABLE.value, Status.DEFECTIVE.value, Status.SINGULAR_K.value, Status.NONFINITE.value],
         Status.OK.value,
     )
@@ -344,13 +349,13 @@ def _complex_modes(A: _Matrices):
     return vectors[:n], poles, right, error < reachable(INVERTED, error.dtype, 1024)
 
 
-def grows(A: _Matrices) -> Bool[Array, ""]:
+def is_unstable(A: _Matrices) -> Bool[Array, ""]:
     """Whether a free motion grows."""
     values = jnp.linalg.eigvals(_companion(jax.lax.stop_gradient(_Matrices(A.K, A.C, A.M, None))))
     return jnp.max(values.real) > reachable(GROWS, values.real.dtype, 256) * jnp.max(jnp.abs(values))
 
 
-def hysteretic(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Array, "n n"]:
+def hysteretic_damping(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Array, "n n"]:
     """H of (Delta, Xi): the sum over the elements of eta V''(e) de de."""
     H = jnp.zeros(())
     first = 0
@@ -378,7 +383,7 @@ def _elastic(lin: Linearization):
         yield curvature.reshape(count, k, k), J.reshape(count, k, len(zero))
 
 
-def _elastic_rows(Y, H, wiring: Wiring, lin: Linearization, eta) -> Float[Array, "ny n"]:
+def _elastic_rows(Y, H, wiring: PortMatrices, lin: Linearization, eta) -> Float[Array, "ny n"]:
     """What i H adds to outputs: eta times the elastic part of an element's force, -H of a reaction."""
     nv = lin.M.shape[-1]
     rows = [jnp.zeros(Y.shape[-1], Y.dtype)] * Y.shape[1]

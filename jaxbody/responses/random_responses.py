@@ -23,7 +23,7 @@ from jaxbody.responses.frequency_responses import check_frequencies, check_loss_
 from jaxbody.responses.modal_dampings import with_modal_damping
 from jaxbody.responses.spectra import Band, CrossPSD, Spectrum, check_spectra, trapezoids
 from jaxbody.vibrations.linearizations import Linearization
-from jaxbody.vibrations.ports import KINDS, UNITS, Wiring, check_ports, wired
+from jaxbody.vibrations.ports import KINDS, UNITS, PortMatrices, check_ports, port_matrices
 
 COARSE = 0.03  # change of an rms, relative, when every other frequency is left out: four times the error, nearly
 
@@ -109,7 +109,7 @@ def random_response(
         check_without_force_sensors(option, f"random_response.{what}", outs)
     eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor")
     lin = with_modal_damping(lin, modal_damping, "random_response.modal_damping")
-    psd, rms, status = _random_response(lin, f, weights, coarse, wired(lin, ins, outs), ins, names, spectra, eta)
+    psd, rms, status = _random_response(lin, f, weights, coarse, port_matrices(lin, ins, outs), ins, names, spectra, eta)
     result = RandomResponse(f, psd, rms, weights, coarse, status, y, y_units)
     warn_if_failed(result)
     return result
@@ -129,7 +129,7 @@ def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
 
 
 @jit_optimized
-def _random_response(lin: Linearization, f, weights, coarse, wiring: Wiring, inputs: tuple, names, spectra, eta):
+def _random_response(lin: Linearization, f, weights, coarse, wiring: PortMatrices, inputs: tuple, names, spectra, eta):
     H, status = response_values(lin, f, wiring, eta)
     each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
     S = jnp.stack([each[name](f) * (2 * jnp.pi * f) ** _order(each[name], port) for name, port in zip(names, inputs, strict=True)])

@@ -13,9 +13,9 @@ from jaxbody.core.errors import Status
 from jaxbody.inputs.samples import kinks_of
 from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.canonical_equations import Canonical
-from jaxbody.mechanics.energies import beyond_laws, each_element
-from jaxbody.mechanics.equations_of_motion import Dynamics, table_of_free
-from jaxbody.mechanics.kinematics import Coordinates, table_of
+from jaxbody.mechanics.energies import each_element, outside_law_range
+from jaxbody.mechanics.equations_of_motion import Dynamics, frames_of_free_bodies
+from jaxbody.mechanics.kinematics import Coordinates, frames_at_time
 from jaxbody.models.sizes import size_of
 from jaxbody.numerics import dormand_prince_steps
 from jaxbody.numerics.gauss_collocations import Gauss
@@ -53,7 +53,7 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     unpacked = jax.vmap(form.unpack)(y, jnp.append(times, t_end))
     state, ended = jax.tree.map(lambda x: x[:-1], unpacked), jax.tree.map(lambda x: x[-1], unpacked)
     if has_range(model.elements):
-        beyond = jax.vmap(lambda t, state: jnp.any(beyond_laws(model, table_of(model, motions, t, state))))(times, state)
+        beyond = jax.vmap(lambda t, state: jnp.any(outside_law_range(model, frames_at_time(model, motions, t, state))))(times, state)
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
     statistics = {"num_accepted_steps": accepted, "num_rejected_steps": rejected}
     return Trajectory(times, state, code, statistics, (t_end, ended), model, motions, loads)
@@ -153,6 +153,6 @@ def _stiffness_sum(coordinates: Coordinates) -> Float[Array, ""]:
         e = element.deformation(*(f.pose() for f in frames))
         return jnp.max(jnp.abs(jax.hessian(element.energy)(e)))
 
-    reference = table_of_free(coordinates.supports.at_rest(), coordinates.bodies.at_rest())
+    reference = frames_of_free_bodies(coordinates.supports.at_rest(), coordinates.bodies.at_rest())
     found = each_element(coordinates.model, reference, stiffest)
     return sum((jnp.sum(k) for k in found), jnp.zeros((), coordinates.model.gravity.dtype))

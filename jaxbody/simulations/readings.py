@@ -14,7 +14,7 @@ from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.equations_of_motion import Dynamics
-from jaxbody.mechanics.kinematics import Motions, table_of
+from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.models import Model
 from jaxbody.models.states import Instant, State
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
@@ -26,7 +26,7 @@ def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sen
     if any(sensor.accelerations for sensor in sensors.values()):
         now = Dynamics(model, motions, loads).instant(t, state, reactions=any(sensor.reactions for sensor in sensors.values()))
     else:
-        now = at_instant(table_of(model, motions, t, state), state)
+        now = at_instant(frames_at_time(model, motions, t, state), state)
     return {name: sensor.reading(model, now) for name, sensor in sensors.items()}
 
 

@@ -18,7 +18,7 @@ from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.inputs.motions import AtRest, Motion, as_motion, check_motion
-from jaxbody.mechanics.failure_causes import jumps_passed
+from jaxbody.mechanics.failure_causes import force_jumps_along
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions
 from jaxbody.models.models import Model
@@ -27,7 +27,7 @@ from jaxbody.models.states import State
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.simulations.integrations import CONSTANT, integrate
 from jaxbody.simulations.trajectories import Trajectory
-from jaxbody.statics.rest_states import Rest, as_initial, beginning
+from jaxbody.statics.rest_states import Rest, as_initial, initial_state_of
 
 MAX_STEPS = 100_000
 MANY, OFTEN = 15, 0.15  # rejected steps, and their share of those accepted; a jump of force costs 18 at rtol 1e-3, 30 to 90 by default
@@ -91,7 +91,7 @@ def simulate(
     max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "simulate", adjoint))
     times = problems.gather(lambda: check_run(model, times, motions or (), {} if loads_on is None else loads or {}, initial))
     problems.raise_if_any()
-    initial = beginning(model, motions, times[0], initial, "simulate.initial")
+    initial = initial_state_of(model, motions, times[0], initial, "simulate.initial")
     loose = unattached(model)
     if loose:
         warn("UNATTACHED", f"nothing ties {', '.join(loose)} to world or a support")
@@ -117,7 +117,7 @@ def _warn_of_jumps(result: Trajectory) -> None:
     accepted, rejected = (int(result.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
     known = without_derivatives(result) if rejected >= max(MANY, OFTEN * accepted) else None
     if known is not None and is_concrete(known):
-        for code, message in jumps_passed(known.model, known.motions, known.times, known.state):
+        for code, message in force_jumps_along(known.model, known.motions, known.times, known.state):
             warn(code, f"simulate: {message}")
 
 

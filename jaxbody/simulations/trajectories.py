@@ -18,17 +18,17 @@ from jaxbody.core.errors import Status, is_concrete
 from jaxbody.core.results import Result
 from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.energies import beyond_laws, each_element, kinetic, lost_power, potential
+from jaxbody.mechanics.energies import damping_power, each_element, kinetic, outside_law_range, potential
 from jaxbody.mechanics.equations_of_motion import Dynamics
-from jaxbody.mechanics.failure_causes import at_jump, jumps_passed, without_number_ahead
+from jaxbody.mechanics.failure_causes import force_jump_at, force_jumps_along, nonfinite_ahead
 from jaxbody.mechanics.hessians import matrices
-from jaxbody.mechanics.kinematics import Motions, table_of
+from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.leaf_paths import by_name, springs_of
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import in_float64
-from jaxbody.statics.equilibria import without_inertia
+from jaxbody.statics.equilibria import massless_motions
 
 
 class Trajectory(Result):
@@ -99,19 +99,19 @@ class Trajectory(Result):
         taken, rejected = (int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
         told = f"at t = {t:.6g} s of {float(self.times[-1]):.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
         if status in (Status.MAX_STEPS, Status.DT_MIN):
-            jump = at_jump(self.model, self.motions, *self.end)
+            jump = force_jump_at(self.model, self.motions, *self.end)
             usual = in_float64(self.state.q.dtype) or "try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
             told += "; " + (jump or usual)
         if status == Status.TABLE_RANGE:
             return self._beyond()
         if status == Status.NONFINITE:
-            told += "; first bad: " + (without_number_ahead(self.model, self.motions, self.loads, *self.end) or self._accelerations())
+            told += "; first bad: " + (nonfinite_ahead(self.model, self.motions, self.loads, *self.end) or self._accelerations())
         return told
 
     def _accelerations(self) -> str:
         """What is bad where all that acts is finite."""
         layout, q = self.model.layout, self.end[1].q
-        massless = without_inertia(layout, matrices(self.model, State(q, np.zeros(layout.nv)))[0])
+        massless = massless_motions(layout, matrices(self.model, State(q, np.zeros(layout.nv)))[0])
         return "the accelerations: " + "; ".join(massless) if massless else f"the state of '{layout.bodies[0]}'"
 
     def _beyond(self) -> str:
@@ -173,7 +173,7 @@ class Trajectory(Result):
             for name, e, f in ((name, np.asarray(e), np.asarray(self.forces[name])) for name, e in self.elongations.items())
             if e.ndim == 1
         ]
-        jumps = [message for _, message in jumps_passed(self.model, self.motions, self.times, self.state)]
+        jumps = [message for _, message in force_jumps_along(self.model, self.motions, self.times, self.state)]
         title = f"Trajectory, {len(self.times)} samples, {float(self.times[0]):.4g} to {float(self.times[-1]):.4g} s"
         return [
             tables.Table(title, ("frame", "x [m]", "y [m]", "z [m]"), rows),
@@ -182,28 +182,28 @@ class Trajectory(Result):
 
 
 def _frames(model, motions, t, state) -> Pose:
-    return table_of(model, motions, t, state).pose()
+    return frames_at_time(model, motions, t, state).pose()
 
 
 def _deformations(model, motions, t, state):
-    return tuple(each_element(model, table_of(model, motions, t, state), lambda s, *F: s.deformation(*(f.pose() for f in F))))
+    return tuple(each_element(model, frames_at_time(model, motions, t, state), lambda s, *F: s.deformation(*(f.pose() for f in F))))
 
 
 def _forces(model, motions, t, state):
-    return tuple(each_element(model, table_of(model, motions, t, state), lambda s, *F: s.force(*F)))
+    return tuple(each_element(model, frames_at_time(model, motions, t, state), lambda s, *F: s.force(*F)))
 
 
 def _energies(model, motions, t, state):
-    frames = table_of(model, motions, t, state)
+    frames = frames_at_time(model, motions, t, state)
     return kinetic(model, frames), potential(model, frames)
 
 
 def _beyond_laws(model, motions, t, state):
-    return beyond_laws(model, table_of(model, motions, t, state))
+    return outside_law_range(model, frames_at_time(model, motions, t, state))
 
 
 def _damping_power(model, motions, t, state):
-    return lost_power(model, table_of(model, motions, t, state))
+    return damping_power(model, frames_at_time(model, motions, t, state))
 
 
 def _reactions(model, motions, t, state, loads):
@@ -211,7 +211,7 @@ def _reactions(model, motions, t, state, loads):
 
 
 def _load_power(model, motions, t, state, loads):
-    frames = table_of(model, motions, t, state)
+    frames = frames_at_time(model, motions, t, state)
     on = [frames[model.layout.frame(load.on)] for load in loads]
     done = [(*load.wrench(t, frame), frame) for load, frame in zip(loads, on, strict=True)]
     return sum((jnp.sum(F * frame.v) + jnp.sum(M * frame.w) for F, M, frame in done), jnp.zeros((), state.q.dtype))

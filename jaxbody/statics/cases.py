@@ -22,15 +22,15 @@ from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import product
 from jaxbody.inputs.loads import STANDARD_GRAVITY, Load, loads_by_name, loads_of
 from jaxbody.mechanics.energies import each_element, frames_of
-from jaxbody.mechanics.hessians import placed
+from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name, springs_of
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
-from jaxbody.statics.equilibria import DESCENDED, Ended, Equilibrium, ended_under, equilibrium_of, standing
-from jaxbody.statics.load_paths import Raised, residual
+from jaxbody.statics.equilibria import DESCENDED, Equilibrium, SearchResult, equilibrium_at, equilibrium_of, search_under_loads
+from jaxbody.statics.load_paths import AppliedLoads, residual
 
 MAX_STEPS = 200  # of a search
 UNFELT = 1e-9  # of what is applied: less than this in every coordinate is round-off
@@ -195,20 +195,20 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     q = None if start is None else start.q
     unloaded = equilibrium_of(model, q, MAX_STEPS)
     warn_if_failed(unloaded)
-    raised = Raised(loads, device_array(weights), changes)
-    result = _load_cases(model, unloaded, ended_under(model, unloaded, q, raised, MAX_STEPS, many=True), raised, tuple(cases))
+    raised = AppliedLoads(loads, device_array(weights), changes)
+    result = _load_cases(model, unloaded, search_under_loads(model, unloaded, q, raised, MAX_STEPS, many=True), raised, tuple(cases))
     warn_if_failed(result)
     return result
 
 
 @jit_unoptimized
-def _load_cases(model: Model, unloaded: Equilibrium, ended: Ended, raised: Raised, names: tuple[str, ...]) -> LoadCases:
+def _load_cases(model: Model, unloaded: Equilibrium, ended: SearchResult, raised: AppliedLoads, names: tuple[str, ...]) -> LoadCases:
     coordinates = Coordinates(model)
-    rest = placed(coordinates, unloaded.state.q, base=False)
+    rest = configuration_at(coordinates, unloaded.state.q, base=False)
     scale = scale_of(model, size_of(model))
 
     def one(raised, ended):
-        found = standing(coordinates, ended, raised)
+        found = equilibrium_at(coordinates, ended, raised)
         felt = jnp.max(jnp.abs(residual(rest, raised) - residual(rest, raised, 0.0)) * scale, initial=0.0)
         applied = jnp.sum(model.bodies.rows.mass) * jnp.max(jnp.abs(raised.gravity))
         for load, weight in zip(raised.loads, raised.weights, strict=True):
@@ -217,7 +217,7 @@ def _load_cases(model: Model, unloaded: Equilibrium, ended: Ended, raised: Raise
         by_joints = (felt <= UNFELT * applied) & (applied > 0)
         return found.status, found.load_factor, found.state, _placed(model, found.state), found.descended, by_joints
 
-    status, factor, state, (pose, deformations, forces), descended, by_joints = jax.vmap(one, in_axes=(Raised(None, 0, 0), 0))(
+    status, factor, state, (pose, deformations, forces), descended, by_joints = jax.vmap(one, in_axes=(AppliedLoads(None, 0, 0), 0))(
         raised, ended
     )
     failed = unloaded.status * ~(unloaded.ok | (unloaded.status == Status.SINGULAR_K) | (unloaded.status == Status.TABLE_RANGE))

@@ -11,13 +11,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxbody.mechanics.hessians import expansion, placed
+from jaxbody.mechanics.hessians import configuration_at, expansion
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.numerics.lane_marks import any_of_batch
 from jaxbody.numerics.lanes import LANES, in_lanes
 from jaxbody.numerics.precisions import NEWTON, reachable
 from jaxbody.numerics.small_systems import is_definite, solve_if_definite
-from jaxbody.statics.load_paths import Raised, dead_forces, under
+from jaxbody.statics.load_paths import AppliedLoads, dead_forces, with_load_gravity
 
 TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the error left is its square
 SINGULAR = 1e-10  # eigenvalues of the nondimensional K, relative to the largest, that count as zero
@@ -25,7 +25,7 @@ LEAST_SHIFT = 1e-11  # keeps a free motion from making the system singular
 TINY = 1e-6  # a step, relative to the size, whose fall of energy may be hidden by rounding
 
 
-def descend(coordinates: Coordinates, q, scale, size, max_steps, raised: Raised | None = None):
+def descend(coordinates: Coordinates, q, scale, size, max_steps, raised: AppliedLoads | None = None):
     """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step go down, under dead forces."""
     numbers, rest = eqx.partition((coordinates, raised), eqx.is_array)
     lanes = 2 * LANES if len(scale) <= 6 else LANES  # more share the calls of a loop, fewer keep all of K near the processor
@@ -37,12 +37,12 @@ def _descend(coordinates, raised, q, scale, size, max_steps):
     tiny_step, still = reachable(TINY, q.dtype, 8 * NEWTON), reachable(1e-14, q.dtype)
 
     def expand(at):
-        return expansion(at) if raised is None else expansion(under(at, raised), dead_forces(at, raised))
+        return expansion(at) if raised is None else expansion(with_load_gravity(at, raised), dead_forces(at, raised))
 
     def step(carry):
         """Judge the configuration tried, keep the better one, try the next."""
         best, tried, shift, expected, tiny, _, n = carry
-        value, slope, K = expand(placed(coordinates, tried, base=False))
+        value, slope, K = expand(configuration_at(coordinates, tried, base=False))
         # below `tiny` the energy's rounding hides its fall
         falls = (expected > 0) & (best[1] - value >= 1e-4 * expected)
         accept = jnp.isfinite(value) & (falls | tiny | (n == 0))
@@ -80,10 +80,10 @@ def _descend(coordinates, raised, q, scale, size, max_steps):
         return jax.tree.map(lambda new, old: jnp.where(active(carry), new, old), step(carry), carry)
 
     best, tried, _, _, _, done, steps = jax.lax.while_loop(lambda carry: any_of_batch(active(carry)), masked, start)
-    return jnp.where(done, tried, best[0]), signs(best[3]), done, steps
+    return jnp.where(done, tried, best[0]), eigenvalue_signs(best[3]), done, steps
 
 
-def signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
+def eigenvalue_signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
     """How many eigenvalues of K are negative, and whether one is zero; eigenvalues are asked for only where elimination finds K not definite."""
 
     zero = reachable(SINGULAR, K.dtype)

@@ -26,9 +26,9 @@ from jaxbody.core.errors import Problems, Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.laws.measured_curves import has_range
-from jaxbody.mechanics.energies import beyond_laws, each_element, potential
-from jaxbody.mechanics.failure_causes import without_number_downhill
-from jaxbody.mechanics.hessians import placed, stiffness
+from jaxbody.mechanics.energies import each_element, outside_law_range, potential
+from jaxbody.mechanics.failure_causes import nonfinite_downhill
+from jaxbody.mechanics.hessians import configuration_at, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.leaf_paths import by_name, springs_of
@@ -39,8 +39,8 @@ from jaxbody.models.states import State
 from jaxbody.numerics.eigenproblems import MASSLESS
 from jaxbody.numerics.lane_marks import any_of_batch
 from jaxbody.numerics.precisions import in_float64, reachable
-from jaxbody.statics.descents import SINGULAR, descend, signs
-from jaxbody.statics.load_paths import Path, Raised, dead_forces, follow, residual, tangent, under, with_gravity
+from jaxbody.statics.descents import SINGULAR, descend, eigenvalue_signs
+from jaxbody.statics.load_paths import AppliedLoads, Path, dead_forces, follow_load_path, residual, tangent, with_gravity, with_load_gravity
 
 RUNAWAY = 20  # sizes of the model from the start, beyond which a search is falling
 NOT_AT_REST = (
@@ -97,7 +97,7 @@ class Equilibrium(Result):
         if status == Status.NOT_CONVERGED:
             worst = int(np.argmax(np.abs(np.asarray(self.residual)))) if np.isfinite(np.asarray(self.residual)).all() else 0
             unit = "N m" if self.layout.turns[worst] else "N"
-            if bad := without_number_downhill(self.model, self.state.q, self.residual, float(size_of(self.model))):
+            if bad := nonfinite_downhill(self.model, self.state.q, self.residual, float(size_of(self.model))):
                 return f"energy, force or stiffness of element '{bad[0]}' is not finite after {int(self.steps)} steps or just further down: its law has no number there"
             remedy = in_float64(self.state.q.dtype) or "start nearer, or give more max_steps"
             return (
@@ -124,7 +124,7 @@ class Equilibrium(Result):
         start = equilibrium_of(weightless, None, 200)
         if int(start.status) not in (Status.OK, Status.SINGULAR_K):
             return "none was found by descent, nor without the weights"
-        raised = Raised((), np.zeros(0), self.model.gravity)
+        raised = AppliedLoads((), np.zeros(0), self.model.gravity)
         return f"none was found by descent; {100 * float(_along_path(weightless, start, raised, False)[0].factor):.4g} % of the weights is carried"
 
     def to_xarray(self) -> Any:
@@ -187,12 +187,14 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     q = None if start is None else start.q
     result = equilibrium_of(model, q, max_steps)
     if acting:
-        result = under_loads(model, result, q, Raised(acting, device_array(np.ones(len(acting))), device_array(np.zeros(3))), max_steps)
+        result = under_loads(
+            model, result, q, AppliedLoads(acting, device_array(np.ones(len(acting))), device_array(np.zeros(3))), max_steps
+        )
     warn_if_failed(result)
     return result
 
 
-class Ended(eqx.Module):
+class SearchResult(eqx.Module):
     """Where a search ended: the configuration, how many eigenvalues of K are negative there and whether one is zero, the status but for stability."""
 
     q: Float[Array, "nq"]
@@ -209,10 +211,12 @@ class Ended(eqx.Module):
 def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, max_steps: int) -> Equilibrium:
     """The jitted core of `equilibrium` without loads."""
     coordinates = Coordinates(model)
-    return standing(coordinates, downhill(coordinates, start, max_steps), nothing(model.gravity.dtype))
+    return equilibrium_at(coordinates, search_by_descent(coordinates, start, max_steps), no_loads(model.gravity.dtype))
 
 
-def downhill(coordinates: Coordinates, start: Float[Array, "nq"] | None, max_steps, raised: Raised | None = None) -> Ended:
+def search_by_descent(
+    coordinates: Coordinates, start: Float[Array, "nq"] | None, max_steps, raised: AppliedLoads | None = None
+) -> SearchResult:
     """By descent from the start, or from the reference pose."""
     frozen, raised = jax.lax.stop_gradient((coordinates, raised))
     start = frozen.reference.q if start is None else jax.lax.stop_gradient(start)
@@ -221,15 +225,17 @@ def downhill(coordinates: Coordinates, start: Float[Array, "nq"] | None, max_ste
     moved = jnp.max(jnp.abs(q - start) * jnp.where(frozen.model.layout.angular, size, 1.0), initial=0.0)
     runaway = ~converged & (moved > RUNAWAY * size)
     status = jnp.select([runaway, ~converged], [Status.NO_EQUILIBRIUM.value, Status.NOT_CONVERGED.value], Status.OK.value)
-    return Ended(q, negative, singular, status, steps, jnp.ones((), q.dtype))
+    return SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype))
 
 
-def under_loads(model: Model, unloaded: Equilibrium, start: Float[Array, "nq"] | None, raised: Raised, max_steps: int) -> Equilibrium:
+def under_loads(model: Model, unloaded: Equilibrium, start: Float[Array, "nq"] | None, raised: AppliedLoads, max_steps: int) -> Equilibrium:
     """The equilibrium under loads."""
-    return _standing(model, ended_under(model, unloaded, start, raised, max_steps), raised)
+    return _standing(model, search_under_loads(model, unloaded, start, raised, max_steps), raised)
 
 
-def ended_under(model: Model, unloaded: Equilibrium, start, raised: Raised, max_steps: int, *, many: bool = False) -> Ended:
+def search_under_loads(
+    model: Model, unloaded: Equilibrium, start, raised: AppliedLoads, max_steps: int, *, many: bool = False
+) -> SearchResult:
     """The search under loads, by their path or by descent; `many`: of each row of the weights and changes of gravity.
 
     Two programs, as few models need the second; where the first is being traced, both."""
@@ -245,11 +251,11 @@ def ended_under(model: Model, unloaded: Equilibrium, start, raised: Raised, max_
 
 def _each(function, many: bool):
     """Over rows of weights and changes of gravity."""
-    return jax.vmap(function, in_axes=(Raised(None, 0, 0), 0)) if many else function
+    return jax.vmap(function, in_axes=(AppliedLoads(None, 0, 0), 0)) if many else function
 
 
 @jit_unoptimized
-def _along_path(model: Model, unloaded: Equilibrium, raised: Raised, many: bool) -> tuple[Ended, Bool[Array, "*n"]]:
+def _along_path(model: Model, unloaded: Equilibrium, raised: AppliedLoads, many: bool) -> tuple[SearchResult, Bool[Array, "*n"]]:
     """By the path of the loads from the unloaded equilibrium, and whether that settles it: it does not where K is singular at its beginning, unless
     the path came to its end or to a limit point."""
     frozen, still, q0 = jax.lax.stop_gradient((Coordinates(model), raised, unloaded.state.q))
@@ -257,62 +263,64 @@ def _along_path(model: Model, unloaded: Equilibrium, raised: Raised, many: bool)
     fit = jnp.isin(unloaded.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
 
     def one(raised, _):
-        q, K, factor, path, ahead = follow(frozen, q0, raised, scale_of(frozen.model, size), size)
+        q, K, factor, path, ahead = follow_load_path(frozen, q0, raised, scale_of(frozen.model, size), size)
         carried = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
-        negative, singular = signs((K + K.T) / 2)
-        ended = Ended(q, negative, singular, carried, unloaded.steps, factor, path, jnp.array(False))
+        negative, singular = eigenvalue_signs((K + K.T) / 2)
+        ended = SearchResult(q, negative, singular, carried, unloaded.steps, factor, path, jnp.array(False))
         return ended, fit & ((factor >= 1) | (ahead & (factor > 0)) | (path.smallest[0] > reachable(SOFTEST, q0.dtype)))
 
     return _each(one, many)(still, jnp.zeros(len(raised.gravity)))
 
 
 @jit_unoptimized
-def _by_descent(model: Model, start, raised: Raised, max_steps: int, many: bool, ended: Ended, settled: Bool[Array, "*n"]) -> Ended:
+def _by_descent(
+    model: Model, start, raised: AppliedLoads, max_steps: int, many: bool, ended: SearchResult, settled: Bool[Array, "*n"]
+) -> SearchResult:
     """By descent of the potential of model and loads, where the path settles nothing."""
     coordinates = Coordinates(model)
 
     def one(raised, others):
         ended, settled = others
-        found = downhill(coordinates, start, max_steps, raised)
-        dead = jnp.isfinite(dead_forces(placed(coordinates, found.q, base=False), raised).V)
+        found = search_by_descent(coordinates, start, max_steps, raised)
+        dead = jnp.isfinite(dead_forces(configuration_at(coordinates, found.q, base=False), raised).V)
         status = jnp.where(dead, found.status, Status.NO_EQUILIBRIUM.value)
         ok = status == Status.OK
         factor = jnp.where(ok, found.factor, 0.0)
-        found = Ended(found.q, found.negative, found.singular, status, found.steps, factor, ended.path, jnp.array(True))
+        found = SearchResult(found.q, found.negative, found.singular, status, found.steps, factor, ended.path, jnp.array(True))
         return jax.tree.map(lambda a, b: jnp.where(settled | (~ok & (ended.factor > 0)), a, b), ended, found)
 
     return _each(one, many)(jax.lax.stop_gradient(raised), (ended, settled))
 
 
 @jit_unoptimized
-def _standing(model: Model, ended: Ended, raised: Raised) -> Equilibrium:
-    return standing(Coordinates(model), ended, raised)
+def _standing(model: Model, ended: SearchResult, raised: AppliedLoads) -> Equilibrium:
+    return equilibrium_at(Coordinates(model), ended, raised)
 
 
-def standing(coordinates: Coordinates, ended: Ended, raised: Raised) -> Equilibrium:
+def equilibrium_at(coordinates: Coordinates, ended: SearchResult, raised: AppliedLoads) -> Equilibrium:
     """What stands where a search ended: its stability, its derivative, what the springs do."""
     failed = ended.status != Status.OK
     q = _implicit((coordinates, raised), ended.q, ~failed & ~ended.singular)
-    model, at = coordinates.model, placed(coordinates, q, base=False)
+    model, at = coordinates.model, configuration_at(coordinates, q, base=False)
     zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
-    beyond = jnp.any(beyond_laws(model, frames)) if has_range(model.elements) else jnp.array(False)
+    beyond = jnp.any(outside_law_range(model, frames)) if has_range(model.elements) else jnp.array(False)
     status = jnp.select(
         [failed, ended.negative > 0, ended.singular, beyond], [ended.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
     return Equilibrium(
-        State(q, zero), residual(at, raised, ended.factor), potential(under(at, raised).model, frames), ended.negative,
+        State(q, zero), residual(at, raised, ended.factor), potential(with_load_gravity(at, raised).model, frames), ended.negative,
         ~failed & (ended.negative == 0), status, ended.steps,
         tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), model, raised.loads, ended.factor, ended.path,
         jnp.asarray(ended.descended),
     )  # fmt: skip
 
 
-def nothing(dtype) -> Raised:
+def no_loads(dtype) -> AppliedLoads:
     """Nothing to raise."""
-    return Raised((), jnp.zeros(0, dtype), jnp.zeros(3, dtype))
+    return AppliedLoads((), jnp.zeros(0, dtype), jnp.zeros(3, dtype))
 
 
-def apart(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> Float[Array, ""]:
+def distance_between(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> Float[Array, ""]:
     """The farthest that a body is between two configurations [m], turns times the size of the model."""
     both = jax.vmap(Coordinates(model).at_rest)(jnp.stack([one, other]))
     moved, turned = (jnp.sqrt(jnp.sum((x[0] - x[1]) ** 2, axes)) for x, axes in ((both.p, -1), (both.R, (-2, -1))))
@@ -321,11 +329,11 @@ def apart(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> F
 
 @jit_unoptimized
 def _beyond(model: Model, state: State) -> Bool[Array, "ne"]:
-    return beyond_laws(model, Coordinates(model).at_rest(state.q, state.v))
+    return outside_law_range(model, Coordinates(model).at_rest(state.q, state.v))
 
 
 @jax.custom_jvp
-def _implicit(given: tuple[Coordinates, Raised], q: Float[Array, "nq"], valid: Bool[Array, ""]) -> Float[Array, "nq"]:
+def _implicit(given: tuple[Coordinates, AppliedLoads], q: Float[Array, "nq"], valid: Bool[Array, ""]) -> Float[Array, "nq"]:
     """q, with the derivative that an equilibrium has; NaN where there is none."""
     return q
 
@@ -336,17 +344,17 @@ def _implicit_jvp(primals, tangents):
     q = _implicit(*primals)
 
     def unbalanced(given):
-        return residual(placed(given[0], q, base=False), given[1])
+        return residual(configuration_at(given[0], q, base=False), given[1])
 
     _, change = jax.jvp(unbalanced, (primals[0],), (tangents[0],))
-    K = tangent(placed(coordinates, q, base=False), raised)
+    K = tangent(configuration_at(coordinates, q, base=False), raised)
     delta = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), change)
     return q, coordinates.rate(q, delta)
 
 
 @jit_unoptimized
 def _stiffness(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nv nv"]:
-    return stiffness(placed(Coordinates(model), q, base=False))
+    return stiffness(configuration_at(Coordinates(model), q, base=False))
 
 
 def zero_modes(model: Model, state: State) -> list[str]:
@@ -354,17 +362,17 @@ def zero_modes(model: Model, state: State) -> list[str]:
     layout = model.layout
     scale = np.asarray(scale_of(model, size_of(model)))
     K = np.asarray(_stiffness(model, state.q))
-    return in_words(layout, K * scale * scale[:, None], reachable(SINGULAR, K.dtype), "free to")
+    return describe_null_motions(layout, K * scale * scale[:, None], reachable(SINGULAR, K.dtype), "free to")
 
 
-def without_inertia(layout: Layout, M: Any) -> list[str]:
+def massless_motions(layout: Layout, M: Any) -> list[str]:
     """The motions that a mass matrix does not resist, in words."""
     M = np.asarray(M)
     size = np.sqrt(np.where(np.diagonal(M) > 0, np.diagonal(M), 1.0))
-    return in_words(layout, M / size / size[:, None], MASSLESS, "has no inertia to")
+    return describe_null_motions(layout, M / size / size[:, None], MASSLESS, "has no inertia to")
 
 
-def in_words(layout: Layout, matrix: np.ndarray, tolerance: float, what: str) -> list[str]:
+def describe_null_motions(layout: Layout, matrix: np.ndarray, tolerance: float, what: str) -> list[str]:
     """The motions whose eigenvalues are zero, relative to the largest; those of single coordinates first."""
     values, vectors = np.linalg.eigh(matrix)
     null = vectors[:, np.abs(values) <= tolerance * max(np.abs(values).max(initial=0.0), 1e-300)]

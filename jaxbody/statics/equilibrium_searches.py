@@ -15,13 +15,13 @@ from jaxbody.core.arguments import check_key, positive_number, whole_number
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.mechanics.hessians import expansion, placed, stiffness
+from jaxbody.mechanics.hessians import configuration_at, expansion, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision
 from jaxbody.models.sizes import scale_of, size_of
-from jaxbody.statics.descents import SINGULAR, descend, signs
-from jaxbody.statics.equilibria import Ended, Equilibrium, apart, nothing, standing
+from jaxbody.statics.descents import SINGULAR, descend, eigenvalue_signs
+from jaxbody.statics.equilibria import Equilibrium, SearchResult, distance_between, equilibrium_at, no_loads
 
 SAME = 1e-9  # of the spread of energies, within which two may be one
 DESCENT, ROOTED = 200, 60  # steps of a search
@@ -97,7 +97,7 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
         else:
             found.append(eq)
             hits.append(1)
-    distances = [float(apart(model, eq.state.q, model.reference.q)) for eq in found]
+    distances = [float(distance_between(model, eq.state.q, model.reference.q)) for eq in found]
     code = Status.OK if found else Status.NOT_CONVERGED
     result = Equilibria(np.array(code.value), tuple(found), np.array(distances), np.array(hits), len(status))
     warn_if_failed(result)
@@ -108,7 +108,7 @@ def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
     """At the same place; or of the same energy with a motion free, which leads from one to the other."""
     if abs(float(one.energy) - float(other.energy)) > tolerance:
         return False
-    near = float(apart(one.model, one.state.q, other.state.q)) <= 1e-5 * float(size_of(one.model))
+    near = float(distance_between(one.model, one.state.q, other.state.q)) <= 1e-5 * float(size_of(one.model))
     return near or int(one.status) == int(other.status) == Status.SINGULAR_K
 
 
@@ -128,7 +128,7 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
 
         def step(carry, _):
             q, _ = carry
-            _, g, K = expansion(placed(coordinates, q, base=False))
+            _, g, K = expansion(configuration_at(coordinates, q, base=False))
             K, g = K * scale * scale[:, None], g * scale
             y = -jnp.linalg.pinv(K, rtol=SINGULAR, hermitian=True) @ g
             longest = jnp.max(jnp.abs(y), initial=0.0)
@@ -138,13 +138,13 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
             return (coordinates.retract(q, scale * y), done), None
 
         (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=ROOTED)
-        K = stiffness(placed(coordinates, q, base=False))
-        return q, signs(K * scale * scale[:, None]), done, jnp.array(ROOTED)
+        K = stiffness(configuration_at(coordinates, q, base=False))
+        return q, eigenvalue_signs(K * scale * scale[:, None]), done, jnp.array(ROOTED)
 
     def judged(q, signs_of_K, converged, steps):
         status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)
         negative, singular = signs_of_K
-        return standing(coordinates, Ended(q, negative, singular, status, steps, jnp.ones((), q.dtype)), nothing(q.dtype))
+        return equilibrium_at(coordinates, SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype)), no_loads(q.dtype))
 
     both = [jax.vmap(search)(q) for search in (descended, rooted)]
     return jax.vmap(judged)(*jax.tree.map(lambda *x: jnp.concatenate(x), *both))

@@ -18,7 +18,7 @@ from jaxbody.elements.second_derivatives import turning
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import cross, dot, product, rotate, skew
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.hessians import DeadForces, Placed, placed, slope, stiffness
+from jaxbody.mechanics.hessians import Configuration, DeadForces, configuration_at, slope, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.numerics.precisions import NEWTON, reachable
@@ -31,7 +31,7 @@ SHIFT = 1e-11  # keeps a free motion from making the system singular
 SINGULAR = 1e-10
 
 
-class Raised(eqx.Module):
+class AppliedLoads(eqx.Module):
     """What is raised with lambda: loads, each times its weight (as at time 0), and a change of gravity."""
 
     loads: tuple[Load, ...]
@@ -51,12 +51,14 @@ def with_gravity(model: Model, change: Float[Array, "3"]) -> Model:
     return eqx.tree_at(lambda m: m.gravity, model, model.gravity + change)
 
 
-def under(at: Placed, raised: Raised, factor=1.0) -> Placed:
+def with_load_gravity(at: Configuration, raised: AppliedLoads, factor=1.0) -> Configuration:
     """The model placed as it is, with as much of the change of gravity."""
     return at._replace(model=with_gravity(at.model, factor * raised.gravity))
 
 
-def generalized(model: Model, q, loads: tuple[Load, ...], weights: Float[Array, "n"], delta: Float[Array, "nv"]) -> Float[Array, "nv"]:
+def generalized_force(
+    model: Model, q, loads: tuple[Load, ...], weights: Float[Array, "n"], delta: Float[Array, "nv"]
+) -> Float[Array, "nv"]:
     """Q at q (+) Delta, in the rates of Delta: the virtual power sum of F . v* + M . w*, supports at their reference poses."""
     layout = model.layout
     if not loads:
@@ -82,21 +84,21 @@ def stiffness_of_loads(model: Model, q, loads: tuple[Load, ...], weights: Float[
     zero = jnp.zeros(model.layout.nv, q.dtype)
     if not loads:
         return jnp.zeros((len(zero), len(zero)), q.dtype)
-    return jax.jacfwd(lambda delta: generalized(model, q, loads, weights, delta))(zero)
+    return jax.jacfwd(lambda delta: generalized_force(model, q, loads, weights, delta))(zero)
 
 
-def residual(at: Placed, raised: Raised, factor=1.0) -> Float[Array, "nv"]:
+def residual(at: Configuration, raised: AppliedLoads, factor=1.0) -> Float[Array, "nv"]:
     """dV/dDelta - lambda Q of a model placed without its base."""
-    Q = generalized(at.model, at.q, raised.loads, raised.weights, jnp.zeros(at.model.layout.nv, at.q.dtype))
-    return slope(under(at, raised, factor)) - factor * Q
+    Q = generalized_force(at.model, at.q, raised.loads, raised.weights, jnp.zeros(at.model.layout.nv, at.q.dtype))
+    return slope(with_load_gravity(at, raised, factor)) - factor * Q
 
 
-def tangent(at: Placed, raised: Raised, factor=1.0) -> Float[Array, "nv nv"]:
+def tangent(at: Configuration, raised: AppliedLoads, factor=1.0) -> Float[Array, "nv nv"]:
     """K = d2V/dDelta2 - lambda dQ/dDelta of a model placed without its base."""
-    return stiffness(under(at, raised, factor)) - factor * stiffness_of_loads(at.model, at.q, raised.loads, raised.weights)
+    return stiffness(with_load_gravity(at, raised, factor)) - factor * stiffness_of_loads(at.model, at.q, raised.loads, raised.weights)
 
 
-def dead_forces(at: Placed, raised: Raised) -> DeadForces:
+def dead_forces(at: Configuration, raised: AppliedLoads) -> DeadForces:
     """What the loads at time 0 add; NaN where one of them is not dead."""
     layout, t = at.model.layout, jnp.zeros((), at.q.dtype)
     V, G, Q = t, [jnp.zeros(6, t.dtype)] * len(layout.bodies), [jnp.zeros((3, 3), t.dtype)] * len(layout.bodies)
@@ -117,7 +119,7 @@ class _At(eqx.Module):
     K: Float[Array, "nv nv"]
 
 
-def follow(coordinates: Coordinates, q, raised: Raised, scale: Float[Array, "nv"], size: Float[Array, ""]):
+def follow_load_path(coordinates: Coordinates, q, raised: AppliedLoads, scale: Float[Array, "nv"], size: Float[Array, ""]):
     """(q, K, lambda, path, whether K turns negative ahead): as far along the path from the unloaded equilibrium q as it goes.
 
     One loop, whose body is one iteration of Newton's method, so that K is compiled once."""
@@ -125,7 +127,7 @@ def follow(coordinates: Coordinates, q, raised: Raised, scale: Float[Array, "nv"
     converged, shift, zero_stiffness = reachable(CONVERGED, dtype, NEWTON), reachable(SHIFT, dtype, 8), reachable(SINGULAR, dtype)
 
     def nondimensional(q, factor):
-        at = placed(coordinates, q, base=False)
+        at = configuration_at(coordinates, q, base=False)
         return residual(at, raised, factor) * scale, tangent(at, raised, factor) * scale * scale[:, None]
 
     def iterate(carry):

@@ -21,7 +21,7 @@ from jaxbody.core.arguments import check_kind
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.mechanics.hessians import placed, slope
+from jaxbody.mechanics.hessians import configuration_at, slope
 from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
 from jaxbody.models.models import Model
@@ -131,7 +131,7 @@ def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[i
 
     def unbalanced(u):
         made, q, _ = changed(u)
-        return slope(placed(Coordinates(made), q, base=False)) * scale
+        return slope(configuration_at(Coordinates(made), q, base=False)) * scale
 
     def step(u, _):
         A = jax.jacfwd(unbalanced)(u)

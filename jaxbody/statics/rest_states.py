@@ -16,11 +16,11 @@ import numpy as np
 
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
-from jaxbody.mechanics.hessians import placed
+from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates, Motions
 from jaxbody.models.models import Model, at_rest_in, rest_poses
 from jaxbody.models.states import State
-from jaxbody.statics.equilibria import Equilibrium, downhill, nothing, standing
+from jaxbody.statics.equilibria import Equilibrium, equilibrium_at, no_loads, search_by_descent
 from jaxbody.statics.load_paths import residual, tangent
 
 GOOD = (Status.OK.value, Status.TABLE_RANGE.value)
@@ -37,7 +37,7 @@ def as_initial(initial: Any) -> Any:
 
 
 @jit_unoptimized
-def rest_at(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
+def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     """The state at rest at time t, NaN where there is none, and the equilibrium that it is."""
     coordinates = Coordinates(model)
     xi, xi_dot = jnp.zeros((0, 6)), jnp.zeros((0, 6))
@@ -47,11 +47,11 @@ def rest_at(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     def displaced(xi):
         return eqx.tree_at(lambda c: c.supports, coordinates, coordinates.supports.displaced(xi))
 
-    there, none = displaced(xi), nothing(model.gravity.dtype)
-    eq = standing(there, downhill(there, _carried(coordinates, there), MAX_STEPS), none)
+    there, none = displaced(xi), no_loads(model.gravity.dtype)
+    eq = equilibrium_at(there, search_by_descent(there, _carried(coordinates, there), MAX_STEPS), none)
     q, good = eq.state.q, jnp.isin(eq.status, np.array(GOOD))
-    drift = jax.jvp(lambda xi: residual(placed(displaced(xi), q, base=False), none), (xi,), (xi_dot,))[1]
-    K = tangent(placed(there, q, base=False), none)
+    drift = jax.jvp(lambda xi: residual(configuration_at(displaced(xi), q, base=False), none), (xi,), (xi_dot,))[1]
+    K = tangent(configuration_at(there, q, base=False), none)
     v = -jnp.linalg.solve(jnp.where(good, K, jnp.nan), drift)
     return State(jnp.where(good, q, jnp.nan), v), eq
 
@@ -66,11 +66,11 @@ def _carried(coordinates: Coordinates, there: Coordinates):
     return at_rest_in(there.model, rest_poses(there.model, there.supports, bodies)).q
 
 
-def beginning(model: Model, motions: Motions, t, initial: State | Rest | None, where: str) -> State | None:
+def initial_state_of(model: Model, motions: Motions, t, initial: State | Rest | None, where: str) -> State | None:
     """The state that a run begins from. Error: the code of the equilibrium's status, where rest is asked for and there is none."""
     if not isinstance(initial, Rest):
         return initial
-    state, eq = rest_at(model, motions, t)
+    state, eq = rest_state(model, motions, t)
     if is_concrete(eq.status) and int(eq.status) not in GOOD:
         hint = "Give initial=State(q, v), or hold what is free to move."
         message = f'is "rest", which is none here: {eq.report()}'

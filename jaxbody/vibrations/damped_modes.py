@@ -23,9 +23,9 @@ from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.numerics.eigenproblems import cholesky_of_mass, pole_clusters, poles, refused_if_shared
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.descents import SINGULAR
-from jaxbody.statics.equilibria import NOT_AT_REST, without_inertia
+from jaxbody.statics.equilibria import NOT_AT_REST, massless_motions
 from jaxbody.vibrations.linearizations import Linearization, check_linearization
-from jaxbody.vibrations.mode_names import meaning, names_of_shapes
+from jaxbody.vibrations.mode_names import mark_note, names_of_shapes
 from jaxbody.vibrations.spins import SpinLinearization
 
 REST = 1e-7  # of the largest pole: the root of rounding, by which a double pole at zero is found off it
@@ -69,7 +69,7 @@ class ComplexModes(Result):
         if status == Status.SINGULAR_K:
             return f"{tables.counted(int((np.asarray(self.natural_frequency) == 0).sum()), 'mode')} of zero frequency"
         if status == Status.SINGULAR_M:
-            return "; ".join(without_inertia(self.layout, self.M))
+            return "; ".join(massless_motions(self.layout, self.M))
         return ""
 
     def to_xarray(self) -> Any:
@@ -94,7 +94,7 @@ class ComplexModes(Result):
         natural, names = np.asarray(self.natural_frequency), self.names
         ratio, decay = tables.without_dust(self.damping_ratio, 1.0), tables.without_dust(self.decay_rate, natural.max(initial=0.0)) + 0.0
         rows = [(str(i + 1), *row) for i, row in enumerate(zip(np.asarray(self.frequency), natural, ratio, decay, names, strict=True))]
-        notes = [self.report() if int(self.status) else "", meaning(names)]
+        notes = [self.report() if int(self.status) else "", mark_note(names)]
         return [tables.Table("Complex modes", heads, rows, "; ".join(filter(None, notes)))]
 
 

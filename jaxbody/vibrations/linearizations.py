@@ -25,7 +25,7 @@ from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.energies import each_element, gravity_energy, potential
-from jaxbody.mechanics.hessians import damping, expansion, mass, placed
+from jaxbody.mechanics.hessians import configuration_at, damping, expansion, mass
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name
 from jaxbody.models.models import Model
@@ -34,7 +34,7 @@ from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.statics.equilibria import NOT_AT_REST, Equilibrium, zero_modes
-from jaxbody.statics.load_paths import generalized, stiffness_of_loads
+from jaxbody.statics.load_paths import generalized_force, stiffness_of_loads
 from jaxbody.vibrations.state_spaces import StateSpace, state_space
 
 
@@ -215,7 +215,7 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
     numbers, rest = eqx.partition(model, eqx.is_array)
 
     def matrices(numbers, q, v):
-        at = placed(Coordinates(eqx.combine(numbers, rest)), q, v)
+        at = configuration_at(Coordinates(eqx.combine(numbers, rest)), q, v)
         _, slope, stiffness = expansion(at)
         return [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in (mass(at), damping(at), stiffness)], slope[:n]
 
@@ -226,7 +226,7 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
     else:
         size = size_of(model)
         scale = scale_of(model, size)
-        left = slope - generalized(model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros_like(slope))
+        left = slope - generalized_force(model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros_like(slope))
         largest = jnp.max(jnp.abs(K * scale * scale[:, None]), initial=0.0) * size
         stale = jnp.max(jnp.abs(left * scale), initial=0.0) > jnp.finfo(left.dtype).eps ** 0.5 * largest
         status = jnp.where(stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status)

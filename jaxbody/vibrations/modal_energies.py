@@ -23,7 +23,7 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.vibrations.linearizations import Linearization, check_linearization
-from jaxbody.vibrations.mode_names import AXES, against_gravity, direction_words, meaning, mode_names
+from jaxbody.vibrations.mode_names import AXES, direction_names, mark_note, mode_names, upward_axis
 from jaxbody.vibrations.natural_modes import modes_of
 
 LEAST_LOSS = 1e-12  # of the largest decay of a mode, below which a mode dissipates nothing
@@ -120,7 +120,7 @@ class ModeEnergies(Result):
             for title, rows in parts.items()
             if rows
         ]
-        notes = [*(f"{i + 1}: {name}" for i, name in enumerate(self.names)), self.report() if self.status else "", meaning(self.names)]
+        notes = [*(f"{i + 1}: {name}" for i, name in enumerate(self.names)), self.report() if self.status else "", mark_note(self.names)]
         shown[-1].note = "; ".join(filter(None, notes))
         return shown
 
@@ -160,13 +160,13 @@ def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str,
             problems.add(
                 "BAD_DIRECTION", f"mode_energies.{name}", f"is {axis!r}", value=axis, limit="x, y or z", hint="Give one axis of the world."
             )
-    up = up or against_gravity(model)
+    up = up or upward_axis(model)
     if forward is not None and up is None:
         problems.add("BAD_DIRECTION", "mode_energies.up", "is missing, and gravity is along no axis", hint="Give up='z', say.")
     if forward is not None and forward == up:
         problems.add("BAD_DIRECTION", "mode_energies.forward", "is upwards", value=forward, limit="another axis than `up`")
     problems.raise_if_any()
-    return direction_words(model, forward, up)
+    return direction_names(model, forward, up)
 
 
 @jit_unoptimized

@@ -24,7 +24,7 @@ from jaxbody.models.layouts import Layout
 from jaxbody.numerics.eigenproblems import together
 from jaxbody.vibrations.damped_modes import ComplexModes, complex_modes
 from jaxbody.vibrations.linearizations import Linearization
-from jaxbody.vibrations.mode_names import meaning
+from jaxbody.vibrations.mode_names import mark_note
 from jaxbody.vibrations.natural_modes import Modes, modes
 from jaxbody.vibrations.spins import SpinLinearization
 
@@ -75,7 +75,7 @@ class Branches(Result):
         heads = ("value", *(f"{i + 1} [Hz]" for i in range(self.frequency.shape[1])), "least MAC")
         rows = [(tables.number(x), *f, m.min()) for x, f, m in zip(*map(np.asarray, (self.values, self.frequency, self.mac)), strict=True)]
         named = f"at the first value {'; '.join(f'{i + 1}: {name}' for i, name in enumerate(self.names))}"
-        return [tables.Table("Branches", heads, rows, "; ".join(filter(None, [self.report(), named, meaning(self.names)])))]
+        return [tables.Table("Branches", heads, rows, "; ".join(filter(None, [self.report(), named, mark_note(self.names)])))]
 
 
 def mac(one: Modes | ComplexModes | Any, other: Modes | ComplexModes | Any, *, mass: Any = None) -> Float[Array, "n m"]:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.core.arrays import concrete
 from jaxbody.core.compile_options import jit_unoptimized
-from jaxbody.mechanics.hessians import placed
+from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 
@@ -24,14 +24,14 @@ TIED = 1e-6  # relative difference of shares, below which the first in order has
 PARALLEL = 1e-12  # square of a shape's length across the others of its cluster, below which it is rounding
 NEAR = 1e-3  # relative distance of frequencies that is marked
 MARK = " ~"
-MEANING = (
+MARK_NOTE = (
     f"~ frequencies within {100 * NEAR:g} % of each other: changes of the model as small mix these shapes and energies; take them together"
 )
 
 
-def direction_words(model: Model, forward: str | None = None, up: str | None = None) -> tuple[str, ...]:
+def direction_names(model: Model, forward: str | None = None, up: str | None = None) -> tuple[str, ...]:
     """What three translations and three rotations along and about world axes are called, where up is known, given or from gravity, and forward."""
-    up = up or against_gravity(model)
+    up = up or upward_axis(model)
     words = {up: ("bounce", "yaw")} if up else {}
     if forward:
         words |= {forward: ("fore-aft", "roll"), next(iter(set(AXES) - {forward, up})): ("lateral", "pitch")}
@@ -39,7 +39,7 @@ def direction_words(model: Model, forward: str | None = None, up: str | None = N
     return tuple(word for word, _ in named) + tuple(word for _, word in named)
 
 
-def against_gravity(model: Model) -> str | None:
+def upward_axis(model: Model) -> str | None:
     """The axis upwards, where gravity is known and along one."""
     g = concrete(model.gravity)
     if g is None or g.ndim > 1 or np.sum(np.abs(g) > 1e-9 * np.abs(g).max(initial=0.0)) != 1:
@@ -67,7 +67,7 @@ def names_of_shapes(model: Model, q: Float[Array, "nq"], shapes: Any, cluster: A
 
     spaces = [shapes[:, cluster == c] for c in cluster]
     each = [shares(_basis(x, np.einsum("bik,bil->kl", V, P)) if x.shape[1] > 1 and np.isfinite(x).all() else x) for x in spaces]
-    return mode_names(model.layout.bodies, direction_words(model), np.stack(each, -1), V @ shapes, cluster, values)
+    return mode_names(model.layout.bodies, direction_names(model), np.stack(each, -1), V @ shapes, cluster, values)
 
 
 def _basis(shapes: np.ndarray, M: np.ndarray) -> np.ndarray:
@@ -80,7 +80,7 @@ def _basis(shapes: np.ndarray, M: np.ndarray) -> np.ndarray:
 @jit_unoptimized
 def _placed(model: Model, q: Float[Array, "nq"]):
     """The orientations of the bodies and J of `hessians`."""
-    at = placed(Coordinates(model), q, base=False)
+    at = configuration_at(Coordinates(model), q, base=False)
     return at.frames.R[model.layout.first_body :], at.J
 
 
@@ -89,7 +89,7 @@ def mode_names(
 ) -> tuple[str, ...]:
     """The name of each mode from shares [%] and velocities (bodies, 6, modes); with how many it coincides, and a mark where another is near."""
     shares, velocities, cluster = np.asarray(shares), np.asarray(velocities), np.asarray(cluster)
-    marked, shared = near(cluster, values), (cluster[:, None] == cluster).sum(0)
+    marked, shared = nearly_coinciding(cluster, values), (cluster[:, None] == cluster).sum(0)
     names = []
     for i, count in enumerate(shared):
         if not np.isfinite(shares[..., i]).all():
@@ -102,7 +102,7 @@ def mode_names(
     return tuple(names)
 
 
-def near(cluster: Any, values: Any) -> np.ndarray:
+def nearly_coinciding(cluster: Any, values: Any) -> np.ndarray:
     """Which modes nearly coincide with another, by frequencies or poles."""
     values, cluster = np.asarray(values), np.asarray(cluster)
     size = np.maximum(np.abs(values)[:, None], np.abs(values))
@@ -110,9 +110,9 @@ def near(cluster: Any, values: Any) -> np.ndarray:
     return (close & (size > 0) & (cluster[:, None] != cluster)).any(1)
 
 
-def meaning(names: tuple[str, ...]) -> str:
+def mark_note(names: tuple[str, ...]) -> str:
     """The word for a note on what the mark means, where one of the names has it."""
-    return MEANING if any(name.endswith(MARK) for name in names) else ""
+    return MARK_NOTE if any(name.endswith(MARK) for name in names) else ""
 
 
 def _name(bodies: tuple[str, ...], direction: str, alike: Any, top: int, shares: np.ndarray, velocities: Any) -> str:

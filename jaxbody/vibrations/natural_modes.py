@@ -19,9 +19,9 @@ from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import reachable
-from jaxbody.statics.equilibria import NOT_AT_REST, without_inertia
+from jaxbody.statics.equilibria import NOT_AT_REST, massless_motions
 from jaxbody.vibrations.linearizations import Linearization, check_linearization
-from jaxbody.vibrations.mode_names import meaning, names_of_shapes
+from jaxbody.vibrations.mode_names import mark_note, names_of_shapes
 
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
 
@@ -62,7 +62,7 @@ class Modes(Result):
         if status == Status.SINGULAR_K:
             return f"{tables.counted(int((np.asarray(self.frequency) == 0).sum()), 'mode')} of zero frequency"
         if status == Status.SINGULAR_M:
-            return "; ".join(without_inertia(self.layout, self.M))
+            return "; ".join(massless_motions(self.layout, self.M))
         return ""
 
     def to_xarray(self) -> Any:
@@ -83,7 +83,7 @@ class Modes(Result):
             return [tables.Table("Modes", ("", ""), [("frequency [Hz]", self.frequency)])]
         names, ratio = self.names, tables.without_dust(self.damping_ratio, 1.0)
         rows = [(str(i + 1), *row) for i, row in enumerate(zip(np.asarray(self.frequency), ratio, names, strict=True))]
-        notes = [self.report() if int(self.status) else "", meaning(names)]
+        notes = [self.report() if int(self.status) else "", mark_note(names)]
         return [tables.Table("Modes", ("mode", "frequency [Hz]", "damping ratio", "most energy in"), rows, "; ".join(filter(None, notes)))]
 
 

@@ -24,7 +24,7 @@ from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.geometry.places import unit_vector
 from jaxbody.geometry.vectors import cross, skew
-from jaxbody.mechanics.hessians import Placed, placed, slope
+from jaxbody.mechanics.hessians import Configuration, configuration_at, slope
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.mechanics.linear_readings import reading_rows
 from jaxbody.models.models import Model
@@ -194,7 +194,7 @@ Input = BaseMotion | PointForce
 OUTPUTS = (PointMotion, ElementForce, ElementDeformation, SupportReaction)
 
 
-class Wiring(eqx.Module):
+class PortMatrices(eqx.Module):
     """The matrices of ports: forces enter (Delta, Xi) as F f, motions are Xi = X u; outputs Y0 x + Y1 x' + Y2 x'' + G f; `orders` says
     which derivative of Xi each input is (0 for forces), `elements` whose force and `reactions` along which component of Xi an output is (-1 for none)."""
 
@@ -208,12 +208,12 @@ class Wiring(eqx.Module):
 
 
 @jit_unoptimized
-def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiring:
+def port_matrices(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> PortMatrices:
     """The matrices of these ports on a linearization."""
     model, layout, q = lin.model, lin.model.layout, lin.state.q
     n, dtype = layout.nv + layout.nxi, q.dtype
     zero = jnp.zeros(n, dtype)
-    at = placed(Coordinates(model), q)
+    at = configuration_at(Coordinates(model), q)
     frames, twists = at.frames, frame_twists(at)
     points = iter(
         [_point_row(port, frames, twists, layout.frame) for port in (*inputs, *outputs) if isinstance(port, PointForce | PointMotion)]
@@ -227,7 +227,7 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
     held = slope(at)[layout.nv :] if turned else zero
     sensors = [port for port in outputs if hasattr(port, "reading")]
     readings = iter(zip(*reading_rows(lin, sensors, _pushes(inputs, frames, layout)), strict=True) if sensors else ())
-    whole = whole_matrices(lin)
+    whole = full_matrices(lin)
     forces = [next(points) if isinstance(port, PointForce) else zero for port in inputs]
     moved = [_unit(layout, port, dtype) if isinstance(port, BaseMotion) else jnp.zeros(layout.nxi, dtype) for port in inputs]
     F, X = (jnp.reshape(jnp.asarray(columns, dtype), (len(inputs), -1)).T if inputs else jnp.zeros((size, 0), dtype) for columns, size in ((forces, n), (moved, layout.nxi)))  # fmt: skip
@@ -251,7 +251,7 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
         rows.append(row)
         direct.append(G)
     names = model.element_names
-    return Wiring(
+    return PortMatrices(
         F, X, jnp.stack(rows, 1), jnp.stack(direct),
         tuple(KINDS.index(port.kind) if isinstance(port, BaseMotion) else 0 for port in inputs),
         tuple(names.index(port.on) if isinstance(port, ElementForce) else -1 for port in outputs),
@@ -259,7 +259,7 @@ def wired(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> Wiri
     )  # fmt: skip
 
 
-def whole_matrices(lin: Any) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, "n n"]]:
+def full_matrices(lin: Any) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, "n n"]]:
     """K, C and M of (Delta, Xi)."""
     blocks = ((lin.K, lin.K_tilde, lin.K_bb), (lin.C, lin.C_tilde, lin.C_bb), (lin.M, lin.M_tilde, lin.M_bb))
     return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)
@@ -306,7 +306,7 @@ def _direction(direction: Any, where: str, problems: Problems) -> tuple[Any, boo
     return np.eye(3)["xyz".find(direction[-1:])], len(direction) == 2
 
 
-def frame_twists(at: Placed) -> Float[Array, "nf n 6"]:
+def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:
     """What a unit of each of (Delta, Xi) moves every frame by: displacement of the origin and turn."""
     bodies, n, dtype = len(at.model.layout.bodies), len(at.turns), at.q.dtype
     J = jnp.swapaxes(jnp.eye(n, dtype=dtype).reshape(-1, 6, n), 1, 2) if at.J is None else at.J

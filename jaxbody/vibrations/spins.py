@@ -23,7 +23,7 @@ from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.motions import AtRest
 from jaxbody.mechanics.equations_of_motion import Dynamics
-from jaxbody.mechanics.hessians import damping, mass, placed, stiffness
+from jaxbody.mechanics.hessians import configuration_at, damping, mass, stiffness
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, check_state
 from jaxbody.models.sizes import scale_of, size_of
@@ -117,7 +117,7 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     q, v = state.q, state.v
     dynamics = Dynamics(model, tuple(AtRest() for _ in model.layout.supports))
     M, D, K, v_dot = _second_order(dynamics, q, v)
-    at = placed(dynamics.coordinates, q, v, base=False)
+    at = configuration_at(dynamics.coordinates, q, v, base=False)
     C, K_rest = damping(at), stiffness(at)
     size = size_of(model)
     scale = scale_of(model, size)
@@ -155,5 +155,5 @@ def _second_order(dynamics: Dynamics, q: Float[Array, "nq"], v: Float[Array, "nv
     turns = jax.jacfwd(lambda delta: coordinates.retract(q, delta))(zero)
     E = jnp.linalg.solve(turns.T @ turns, turns.T @ chart[:, :n])
     A, B = J[:, :n], J[:, n:]
-    M = mass(placed(coordinates, q, base=False))
+    M = mass(configuration_at(coordinates, q, base=False))
     return M, -M @ (E + B), -M @ (A - B @ E), v_dot

@@ -13,7 +13,7 @@ from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.statics.equilibria import NOT_AT_REST
-from jaxbody.vibrations.ports import Wiring, check_ports, wired
+from jaxbody.vibrations.ports import PortMatrices, check_ports, port_matrices
 
 
 class StateSpace(Result):
@@ -53,7 +53,7 @@ class StateSpace(Result):
 def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
     """See `Linearization.state_space`."""
     (u, ins, u_units), (y, outs, y_units) = check_ports(lin, inputs, outputs, "state_space")
-    A, B, C, D, status = _state_space(lin, wired(lin, ins, outs))
+    A, B, C, D, status = _state_space(lin, port_matrices(lin, ins, outs))
     own = lin.model.layout.coordinates
     kept = [(name, port.kind) for name, port in zip(u, ins, strict=True) if getattr(port, "kind", "displacement") != "displacement"]
     states = (
@@ -68,7 +68,7 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
 
 
 @jit_unoptimized
-def _state_space(lin: Any, wiring: Wiring):
+def _state_space(lin: Any, wiring: PortMatrices):
     """The states are p = Delta - g u and r = Delta' - g u' - h u, so that no derivative of u is needed, then Xi and Xi' of inputs that are
     velocities (Xi) and accelerations (both):
 
@@ -91,7 +91,7 @@ def _state_space(lin: Any, wiring: Wiring):
 class _Signals:
     """Signals as rows of coefficients of (states, u, u', u'')."""
 
-    def __init__(self, lin: Any, wiring: Wiring):
+    def __init__(self, lin: Any, wiring: PortMatrices):
         self.lin, self.wiring = lin, wiring
         self.nv, self.m = lin.M.shape[-1], len(wiring.orders)
         orders = wiring.orders

@@ -9,7 +9,7 @@ from rigs import plate
 from scipy.integrate import solve_ivp
 
 import jaxbody as jb
-from jaxbody.statics.rest_states import rest_at
+from jaxbody.statics.rest_states import rest_state
 
 G, MASS, NOISE = 9.81, 2.0, 1e-4
 TRUTH = np.array([80.0, 3.0])
@@ -91,7 +91,7 @@ def test_derivatives_at_rest_are_those_of_the_closed_form_in_both_modes():
     t, motions = jnp.array(0.0), tuple(MOTION.values())
 
     def first(k):
-        state = rest_at(jb.replace(box(), {"s.stiffness": k}), motions, t)[0]
+        state = rest_state(jb.replace(box(), {"s.stiffness": k}), motions, t)[0]
         return jnp.concatenate([state.q, state.v])
 
     k = jnp.asarray(TRUTH[0])

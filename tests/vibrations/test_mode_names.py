@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 
 import jaxbody as jb
-from jaxbody.vibrations.mode_names import MEANING, mode_names
+from jaxbody.vibrations.mode_names import MARK_NOTE, mode_names
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +93,7 @@ def test_nearly_equal_frequencies_carry_a_mark():
     assert abs(float(moved.kinetic["m0"][0, 0] - energies.kinetic["m0"][0, 0])) > 40
     for found in (modes, energies, jb.complex_modes(lin)):
         assert [name.endswith(" ~") for name in found.names] == [True, True, False]
-        assert MEANING in str(found)
+        assert MARK_NOTE in str(found)
     assert modes.names[0] == "m0, m1 along x in phase 50 % each ~" and modes.names[1] == "m0 against m1 along x 50 % each ~"
     equal = jb.modes(on_springs(100.0, 100.0, 400.0))
     assert equal.names == ("m0 along x 50 % (one of 2)",) * 2 + ("m2 along x 100 %",) and "~" not in str(equal)
