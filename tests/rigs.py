@@ -89,10 +89,10 @@ def rig(parameters=PARAMETERS, mount=None):
     )
 
 
-def apart(found, expected):
+def max_difference(result, expected):
     """The largest absolute difference."""
-    assert np.shape(found) == np.shape(expected)
-    return np.abs(np.asarray(found) - np.asarray(expected)).max()
+    assert np.shape(result) == np.shape(expected)
+    return np.abs(np.asarray(result) - np.asarray(expected)).max()
 
 
 def turned(q):

@@ -1,4 +1,4 @@
-"""The three scalar functions that are a model: kinetic energy T, potential energy V and Rayleigh dissipation R. All else is a derivative.
+"""The three scalar functions that are a model: kinetic energy T, potential energy V and Rayleigh dissipation R. All else are derivatives.
 
 Each takes the model, a state and, for supports away from their reference poses, Xi and its rate (6 numbers for each support).
 """
@@ -50,7 +50,7 @@ def potential_energy(model: Model, state: State, xi: Xi = None) -> Float[Array, 
 
 
 def dissipation(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
-    """R = sum over the elements, 1/2 c e_dot^2 for a linear damper [W]; 2 R is the power lost where damping is linear.
+    """R = sum over the elements, 1/2 c e_dot^2 for a linear damper [W]; 2 R is the power dissipated by linear dampers.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
     >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
@@ -102,7 +102,7 @@ def damping_power(model: Model, frames: Frame) -> Float[Array, ""]:
 
 
 def outside_law_range(model: Model, frames: Frame) -> Bool[Array, "ne"]:
-    """Of every element, in the order of their names, whether it uses a law beyond what it is known for."""
+    """Whether each element, in the order of their names, is outside the range of its law."""
     return jnp.concatenate([jnp.zeros(0, bool), *each_element(model, frames, lambda s, *F: s.beyond(*s.rates(*F)))])
 
 
@@ -111,18 +111,18 @@ def each_element(model: Model, frames: Frame, function) -> list:
     results = []
     for table in model.elements:
         rows = [np.array([model.layout.frame(name) for name in end]) for end in zip(*table.links, strict=True)]
-        of_ends = [Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w))) for row in rows]
-        results.append(jax.vmap(function)(table.rows, *of_ends))
+        end_frames = [Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w))) for row in rows]
+        results.append(jax.vmap(function)(table.rows, *end_frames))
     return results
 
 
 def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t=0.0) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
     """Force and moment about its origin that elements, gravity and loads at time t exert on each frame, world axes.
 
-    Sums over what hangs on a frame by padded gathers; adding into rows would break a compiled loop."""
+    What acts on a frame is summed by padded gathers; adding into rows would split a compiled loop."""
     ends, forces, moments = [], [], []
-    for table, of_ends in zip(model.elements, each_element(model, frames, lambda s, *F: s.wrenches(*F)), strict=True):
-        for end, (F, M) in enumerate(of_ends):
+    for table, end_frames in zip(model.elements, each_element(model, frames, lambda s, *F: s.wrenches(*F)), strict=True):
+        for end, (F, M) in enumerate(end_frames):
             ends += [model.layout.frame(link[end]) for link in table.links]
             forces.append(F)
             moments.append(M)
@@ -136,5 +136,5 @@ def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t=0.0) -
         ends.append(model.layout.frame(load.on))
         forces.append(F[None])
         moments.append(M[None])
-    hanging = [[i for i, end in enumerate(ends) if end == frame] for frame in range(len(model.layout.frames))]
-    return sums(jnp.concatenate(forces), hanging), sums(jnp.concatenate(moments), hanging)
+    acting = [[i for i, end in enumerate(ends) if end == frame] for frame in range(len(model.layout.frames))]
+    return sums(jnp.concatenate(forces), acting), sums(jnp.concatenate(moments), acting)

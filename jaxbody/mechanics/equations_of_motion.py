@@ -1,4 +1,4 @@
-"""Equations of motion, structured: Newton and Euler for each body, projected on what the joints allow.
+"""Equations of motion, structured: Newton and Euler for each body, projected on the motions that the joints allow.
 
     about O, world axes:  m (a_O + alpha x c + w x (w x c)) = F,   J alpha + w x J w + m c x a_O = M        (16)-(19) of the paper
     speeds:               sum J_b' (inertia J_b v' + bias - wrench) = 0, J_b the velocity of body b per unit of each speed
@@ -30,9 +30,9 @@ from jaxbody.numerics.small_systems import solve_spd
 
 
 class Dynamics(eqx.Module):
-    """A model under imposed motions and loads as a first-order system y' = f(t, y), with what is constant worked out once.
+    """A model under imposed motions and loads as a first-order system y' = f(t, y), constants computed once.
 
-    y is (q, v) of the state; where all bodies are free on the world v is exchanged for the velocities in body axes."""
+    y is (q, v) of the state; where all bodies are free on the world v is replaced by the velocities in body axes."""
 
     coordinates: Coordinates
     motions: Motions
@@ -49,7 +49,7 @@ class Dynamics(eqx.Module):
         return self.coordinates.model
 
     def pack(self, state: State, t: Any = None) -> Float[Array, "ny"]:
-        """y of a state; at which time is asked where y holds momenta (`canonical_equations`)."""
+        """y of a state; only momenta (`canonical_equations`) depend on t."""
         if not self.model.layout.floating:
             return jnp.concatenate([state.q, state.v])
         q, v = state.q.reshape(-1, 7), state.v.reshape(-1, 2, 3)
@@ -60,13 +60,13 @@ class Dynamics(eqx.Module):
         layout = self.model.layout
         if not layout.floating:
             return State(normalized(self.model, y[: layout.nq]), y[layout.nq :])
-        p, quaternion, v_B, w_B = _cut(y, len(layout.bodies))
+        p, quaternion, v_B, w_B = _split(y, len(layout.bodies))
         quaternion = rotations.normalize(quaternion)
         R = rotations.matrix(quaternion)
         return State(jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([rotate(R, v_B), rotate(R, w_B)], -1).ravel())
 
     def drive(self, t: Float[Array, ""]) -> Any:
-        """What depends on time alone: of free bodies t and the supports, else t."""
+        """What depends on time alone: t, and for free bodies the frames of the supports."""
         return (t, self.coordinates.supports_moving(self.motions, t)) if self.model.layout.floating else t
 
     def driven(self, u: Any, y: Float[Array, "ny"]) -> Float[Array, "ny"]:
@@ -85,7 +85,7 @@ class Dynamics(eqx.Module):
     def _rate_floating(self, t, supports: Frame, y):
         model = self.model
         bodies = model.bodies.rows
-        p, quaternion, v_B, w_B = _cut(y, len(model.layout.bodies))
+        p, quaternion, v_B, w_B = _split(y, len(model.layout.bodies))
         R = rotations.matrix(quaternion)
         v, w = rotate(R, v_B), rotate(R, w_B)
         frames = frames_of_free_bodies(supports, Frame(p, R, v, w))
@@ -103,15 +103,15 @@ class Dynamics(eqx.Module):
 
     def acceleration(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nv"]:
         """dv/dt, in the speeds of the state."""
-        return self._solved(t, q, v)[0]
+        return self._solve(t, q, v)[0]
 
-    def _solved(self, t, q, v):
-        """v', and what it comes from: frames, accelerations at v' = 0, velocities per unit of each speed."""
+    def _solve(self, t, q, v):
+        """v', the frames, the accelerations at v' = 0, and the velocities per unit of each speed."""
         frames, (linear, angular), a, alpha = self._bias(t, q, v)
         F, M = self._net(t, frames, a, alpha)
         lin, ang = self.jacobian(frames, linear, angular)
-        right = jnp.sum(lin * F[:, None] + ang * M[:, None], (0, 2))
-        return solve_spd(self.inertia(frames, lin, ang)[0], right), frames, a, alpha, lin, ang
+        forces = jnp.sum(lin * F[:, None] + ang * M[:, None], (0, 2))
+        return solve_spd(self.inertia(frames, lin, ang)[0], forces), frames, a, alpha, lin, ang
 
     def inertia(self, frames: Frame, lin, ang) -> tuple[Float[Array, "nv nv"], Float[Array, "nv"]]:
         """The mass matrix, and the generalized momenta of the frames' velocities."""
@@ -136,7 +136,7 @@ class Dynamics(eqx.Module):
         return frames, axes, a, alpha
 
     def _net(self, t, frames: Frame, a, alpha):
-        """Applied minus inertial force and moment about its origin of each body, for given accelerations of the frames."""
+        """Applied minus inertial force and moment on each body about its origin, for given accelerations of the frames."""
         first = self.model.layout.first_body
         bodies, moving = self.model.bodies.rows, frames[first:]
         a, alpha = a[first:], alpha[first:]
@@ -152,31 +152,31 @@ class Dynamics(eqx.Module):
     def jacobian(self, frames: Frame, linear, angular):
         """(nb, nv, 3) velocities of each body's origin and its angular velocities per unit of each speed."""
         layout = self.model.layout
-        own = np.repeat(np.arange(len(layout.bodies)), [kind.nv for kind in layout.kinds])
+        owners = np.repeat(np.arange(len(layout.bodies)), [kind.nv for kind in layout.kinds])
         p = frames.p[layout.first_body :]
         mask = jnp.asarray(layout.carries, p.dtype)[..., None]
-        return mask * (linear + cross(angular[None], p[:, None] - p[own][None])), mask * angular
+        return mask * (linear + cross(angular[None], p[:, None] - p[owners][None])), mask * angular
 
     def instant(self, t: Float[Array, ""], state: State, *, reactions: bool) -> Instant:
-        """Frames with accelerations and, if asked for, what they pass on to joints, supports and world."""
+        """Frames with accelerations and, with `reactions`, the forces and moments that joints, supports and world carry."""
         frames, a, alpha = self._accelerated_floating(t, state) if self.model.layout.floating else self._accelerated(t, state)
-        passed = self.transmitted_wrenches(t, frames, a, alpha) if reactions else (None, None)
-        return Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *passed)
+        transmitted = self.transmitted_wrenches(t, frames, a, alpha) if reactions else (None, None)
+        return Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *transmitted)
 
-    def transmitted_wrenches(self, t, frames: Frame, a, alpha, pushed: tuple[Array, Array] | None = None):
-        """F and M of an Instant for given accelerations: the sum, over all bodies that hang on a frame by joints, of what is applied to them less the
-        rates of their momenta. `pushed`: force and moment about its origin that act on each body besides the loads."""
+    def transmitted_wrenches(self, t, frames: Frame, a, alpha, extra: tuple[Array, Array] | None = None):
+        """F and M of an Instant for given accelerations: applied loads less the rates of momentum, summed over the bodies that a frame
+        carries by joints. `extra`: force and moment on each body about its origin, besides the loads."""
         first = self.model.layout.first_body
         F, M = self._net(t, frames, a, alpha)
-        if pushed is not None:
-            F, M = F + pushed[0], M + pushed[1]
+        if extra is not None:
+            F, M = F + extra[0], M + extra[1]
         outboard = jnp.asarray(outboard_mask(self.model.layout), F.dtype)[..., None]
         moment = M + cross(frames.p[first:] - frames.p[:, None], F)
         direct = (jnp.concatenate([x[:first], jnp.zeros_like(F)]) for x in wrenches(self.model, frames))  # elements on world and supports
         return tuple(x + jnp.sum(outboard * of_bodies, 1) for x, of_bodies in zip(direct, (F[None], moment), strict=True))
 
     def _accelerated(self, t, state: State):
-        v_dot, frames, a, alpha, lin, ang = self._solved(t, state.q, state.v)
+        v_dot, frames, a, alpha, lin, ang = self._solve(t, state.q, state.v)
         first = self.model.layout.first_body
         a = a.at[first:].add(jnp.sum(lin * v_dot[:, None], 1))
         return frames, a, alpha.at[first:].add(jnp.sum(ang * v_dot[:, None], 1))
@@ -191,8 +191,8 @@ class Dynamics(eqx.Module):
         (_, (a, alpha), supports) = jax.jvp(moving, (t,), (jnp.ones_like(t),), has_aux=True)
         y = self.pack(state)
         n = len(self.model.layout.bodies)
-        p, quaternion, v_B, w_B = _cut(y, n)
-        _, _, v_rate, w_rate = _cut(self._rate_floating(t, supports, y), n)
+        p, quaternion, v_B, w_B = _split(y, n)
+        _, _, v_rate, w_rate = _split(self._rate_floating(t, supports, y), n)
         R, zero = rotations.matrix(quaternion), jnp.zeros((1, 3), y.dtype)
         frames = frames_of_free_bodies(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B)))
         a = jnp.concatenate([zero, a, rotate(R, v_rate + cross(w_B, v_B))])
@@ -206,7 +206,7 @@ class Dynamics(eqx.Module):
 
 
 def frames_of_free_bodies(supports: Frame, bodies: Frame) -> Frame:
-    """The table of frames of supports and of bodies that are free on the world."""
+    """The table of frames of supports and free bodies."""
     zero = jnp.zeros((1, 3), bodies.p.dtype)
     return stack([Frame(zero, np.eye(3, dtype=zero.dtype)[None], zero, zero), supports, bodies])
 
@@ -222,7 +222,7 @@ def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
 
 
 def outboard_mask(layout: Layout) -> np.ndarray:
-    """(n, nb): 1 where a body hangs on a frame by joints, or is that frame."""
+    """(n, nb): 1 where a frame carries a body by joints, or is its frame."""
     parent = dict(zip(layout.bodies, layout.parents, strict=True))
     mask = np.zeros((len(layout.frames), len(layout.bodies)))
     for i, name in enumerate(layout.bodies):
@@ -233,12 +233,12 @@ def outboard_mask(layout: Layout) -> np.ndarray:
     return mask
 
 
-def _cut(y: Array, n: int):
+def _split(y: Array, n: int):
     return y[: 3 * n].reshape(n, 3), y[3 * n : 7 * n].reshape(n, 4), y[7 * n : 10 * n].reshape(n, 3), y[10 * n :].reshape(n, 3)
 
 
 def normalized(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
-    """Unit quaternions again, joint by joint, by a retraction of nothing."""
+    """q with its quaternions normalized."""
     parts = []
     for name, kind in zip(model.layout.bodies, model.layout.kinds, strict=True):
         part = q[model.layout.q_slices[name]]

@@ -1,4 +1,4 @@
-"""What is wrong in a motion or a rest, by name: the number that is not finite, what is turned too far, the spring with no length left."""
+"""Causes of failed motions and equilibria, by name: numbers that are not finite, elements turned too far, springs of zero length."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from jaxbody.mechanics.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 
-AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)  # of the time past, or of a second where that is longer
-DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)  # of the size of a model
-NEAR = 1e-2  # of the free length, or of the cosine of half the angle: 179 degrees
-BEND = 0.5  # of the way between two samples, by which the way at either rate may differ from it
+AHEAD = (0.0, 1e-12, 1e-9, 1e-6, 1e-3)  # relative to the time, or to a second where that is longer
+DOWNHILL = (0.0, 1e-9, 1e-6, 1e-3)  # relative to the size of the model
+NEAR = 1e-2  # relative to the free length; for angles the cosine of half the angle: 179 degrees
+BEND = 0.5  # relative difference allowed between the chord of two samples and the tangent at either
 
 
 def nonfinite_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], t: Array, state: State) -> str:
-    """The motion, element, load or body that first gives a number that is not finite, at this state or as it moves on; empty without such."""
+    """The motion, element, load or body that first gives a number that is not finite, at this state or just after; "" if none."""
     for ahead in np.maximum(np.abs(t), 1.0) * np.array(AHEAD, state.q.dtype):
         of_motions, of_elements, of_loads = jax.tree.map(np.asarray, _numbers(model, motions, loads, t, state, ahead))
         moment = f"at t = {float(t + ahead):.6g} s"
@@ -74,7 +74,7 @@ def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
 
 
 def nonfinite_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Array, "nv"], size: float) -> list[str]:
-    """The elements whose energy, force or stiffness is not finite at q or, else, a little down the slope."""
+    """The elements whose energy, force or stiffness is not finite at q or, if all are there, a little down the slope."""
     down = np.where(np.isfinite(slope), -np.asarray(slope), 0.0)
     down = down * size / max(np.abs(down).max(initial=0.0), np.finfo(down.dtype).tiny)
     for far in DOWNHILL:
@@ -97,10 +97,10 @@ def _finite(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> d
 
 
 def force_jump_at(model: Model, motions: Motions, t: Array, state: State) -> str:
-    """The elements that are where their force jumps, shrunk to a point or turned by half a turn; empty without such."""
-    alone = jax.tree.map(lambda x: np.asarray(x)[None], (t, state))
-    near = [np.linalg.norm(x[0], axis=-1) < NEAR for x, _ in _away(model, motions, *alone)]
-    return "; ".join(message for _, message in _in_words(model, [["" if x else None for x in of_table] for of_table in near]))
+    """The elements at a jump of their force, of zero length or turned by half a turn; empty without such."""
+    sample = jax.tree.map(lambda x: np.asarray(x)[None], (t, state))
+    near = [np.linalg.norm(x[0], axis=-1) < NEAR for x, _ in _away(model, motions, *sample)]
+    return "; ".join(message for _, message in _messages(model, [["" if x else None for x in rows] for rows in near]))
 
 
 def force_jumps_along(model: Model, motions: Motions, times: Array, states: State) -> list[tuple[str, str]]:
@@ -108,8 +108,8 @@ def force_jumps_along(model: Model, motions: Motions, times: Array, states: Stat
     if not any(table.rows.jump for table in model.elements):
         return []
     away = jax.tree.map(np.asarray, _away(model, motions, times, states))
-    when = [_passing(np.asarray(times), *of_table) for of_table in away]
-    return _in_words(model, [[f" at t = {t:.6g} s" if np.isfinite(t) else None for t in of_table] for of_table in when])
+    times_of_jumps = [_zero_crossings(np.asarray(times), *rows) for rows in away]
+    return _messages(model, [[f" at t = {t:.6g} s" if np.isfinite(t) else None for t in rows] for rows in times_of_jumps])
 
 
 @jit_unoptimized
@@ -122,19 +122,19 @@ def _away(model: Model, motions: Motions, times: Float[Array, "nt"], states: Sta
     return jax.vmap(lambda t, state: each_element(model, frames_at_time(model, motions, t, state), away))(times, states)
 
 
-def _in_words(model: Model, moments: list[Any]) -> list[tuple[str, str]]:
-    """Code and message for each table of elements of which some are where their force jumps: of these the moment in words, of others None."""
+def _messages(model: Model, moments: list[Any]) -> list[tuple[str, str]]:
+    """Code and message for each table with elements at a jump of their force: `moments` has the time as text for these, else None."""
     messages = []
-    for table, of_table in zip(model.elements, moments, strict=True):
-        chosen = [(name, moment) for name, moment in zip(table.names, of_table, strict=True) if moment is not None]
+    for table, rows in zip(model.elements, moments, strict=True):
+        chosen = [(name, moment) for name, moment in zip(table.names, rows, strict=True) if moment is not None]
         if chosen:
             code, what, remedy = table.rows.jump
             messages.append((code, ", ".join(f"'{name}' {what}{moment}" for name, moment in chosen) + f"; {remedy}"))
     return messages
 
 
-def _passing(times: np.ndarray, x: Float[np.ndarray, "nt n m"], rate: Float[np.ndarray, "nt n m"]) -> Float[np.ndarray, "n"]:
-    """When first each of n vectors passes by zero between two samples that lie close enough for its path to be nearly straight, else NaN.
+def _zero_crossings(times: np.ndarray, x: Float[np.ndarray, "nt n m"], rate: Float[np.ndarray, "nt n m"]) -> Float[np.ndarray, "n"]:
+    """The time when each of n vectors first passes zero between two samples so close that its path is nearly straight, else NaN.
 
     On the cubic through both samples with both rates: x0 + u v0 + u^2 (3 d - 2 v0 - v1) + u^3 (v0 + v1 - 2 d), 0 <= u <= 1.
     """
@@ -148,11 +148,11 @@ def _passing(times: np.ndarray, x: Float[np.ndarray, "nt n m"], rate: Float[np.n
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         u = -of(x0, d) / of(d, d)
         for _ in range(3):
-            place, speed = x0 + u * (v0 + u * (square + u * cube)), v0 + u * (2 * square + 3 * u * cube)
-            u = u - of(place, speed) / of(speed, speed)
-        place = x0 + u * (v0 + u * (square + u * cube))
+            position, speed = x0 + u * (v0 + u * (square + u * cube)), v0 + u * (2 * square + 3 * u * cube)
+            u = u - of(position, speed) / of(speed, speed)
+        position = x0 + u * (v0 + u * (square + u * cube))
         straight = np.maximum(of(v0 - d, v0 - d), of(v1 - d, v1 - d)) <= BEND**2 * of(d, d)
-        passes = (straight & (of(place, place) < NEAR**2) & (np.abs(u - 0.5) <= 0.5 + 1e-6))[..., 0]
+        passes = (straight & (of(position, position) < NEAR**2) & (np.abs(u - 0.5) <= 0.5 + 1e-6))[..., 0]
     first = np.argmax(passes, 0)
     t = times[first] + np.take_along_axis(u[..., 0], first[None], 0)[0] * np.diff(times)[first]
     return np.where(passes.any(0), t, np.nan)

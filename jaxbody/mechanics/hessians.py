@@ -37,8 +37,8 @@ Square = Float[Array, "n n"]
 
 
 class Configuration(NamedTuple):
-    """A model with its bodies at q, supports at rest in their reference poses: the table of frames; for each column, of (Delta, Xi) or without
-    `base` of Delta alone, the turn that a unit of it gives to its own frame, and J, the motion of each frame, None for the identity."""
+    """A model with its bodies at q, supports at rest in their reference poses: the table of frames; for each column, of (Delta, Xi) or
+    without `base` of Delta alone, the turn of its own frame per unit of it, and J, the motion of each frame, None for the identity."""
 
     model: Model
     q: Float[Array, "nq"]
@@ -64,7 +64,7 @@ def configuration_at(
 def slope(at: Configuration) -> Vector:
     """dV/d(Delta, Xi) at rest."""
     G = -jnp.concatenate(wrenches(at.model, at.frames), -1)[_rows(at.model.layout, at.base)]
-    return _pulled(at.J, G)
+    return _pulled_back(at.J, G)
 
 
 def stiffness(at: Configuration) -> Square:
@@ -73,7 +73,7 @@ def stiffness(at: Configuration) -> Square:
 
 
 class DeadForces(NamedTuple):
-    """What forces of constant direction on bodies add: potential energy, its gradient and its Hessian in the rotation of each body."""
+    """Forces of constant direction on bodies: their potential energy, its gradient and its Hessian in the rotation of each body."""
 
     V: Float[Array, ""]
     G: Float[Array, "nb 6"]
@@ -99,7 +99,7 @@ def expansion(at: Configuration, dead: DeadForces | None = None) -> tuple[Float[
         W = jnp.asarray(_precedence(layout)[: len(n), : len(n)], K.dtype) * jnp.sum(n[:, None] * T, -1)
         K = K + W + W.T
     V = potential(model, frames)
-    return V if dead is None else V + dead.V, _pulled(J, G), K
+    return V if dead is None else V + dead.V, _pulled_back(J, G), K
 
 
 def mass(at: Configuration) -> Square:
@@ -123,30 +123,27 @@ def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
     return mass(at), damping(at), stiffness(at)
 
 
-# Elements: second derivatives in the displacements of their two frames
-
-
 # From frames to coordinates. The frames that move are in the order of the columns: bodies, then, with `base`, supports
 
 
 def _rows(layout: Layout, base: bool) -> np.ndarray:
-    """The rows of these in the table of frames."""
+    """The rows of the moving frames in the table of frames."""
     return np.concatenate([np.arange(layout.first_body, len(layout.frames)), np.arange(1, layout.first_body if base else 1)])
 
 
 def _places(layout: Layout, base: bool) -> dict[str, int | None]:
-    """Name of a frame -> its place among these."""
+    """Name of a frame -> its index among the moving frames, None for others."""
     rows = list(_rows(layout, base))
     return {name: rows.index(row) if row in rows else None for row, name in enumerate(layout.frames)}
 
 
 def _owners(layout: Layout) -> np.ndarray:
-    """For each column the place of the frame that it moves first, in the order of the columns."""
+    """For each column the index of the first frame that it moves."""
     widths = [kind.nv for kind in layout.kinds] + [6] * len(layout.supports)
     return np.repeat(np.arange(len(widths)), widths)
 
 
-def _carried(layout: Layout) -> np.ndarray:
+def _moves(layout: Layout) -> np.ndarray:
     """(frames, n): 1 where a column moves a frame."""
     supports = np.arange(len(layout.supports))
     on_bodies = np.repeat(layout.roots[:, None] - 1 == supports, 6, axis=1)
@@ -161,7 +158,7 @@ def _precedence(layout: Layout) -> np.ndarray:
     turns = np.concatenate([layout.turns, np.tile([0, 0, 0, 1, 1, 1], len(layout.supports))])
     in_series = np.array([kind.in_series for kind in layout.kinds] + [False] * len(layout.supports), dtype=bool)[owners]
     earlier = np.triu(np.ones((len(owners), len(owners))), 1) + np.eye(len(owners)) / 2
-    return np.where(of_one_joint, turns[:, None] * turns * np.where(in_series, earlier, 0.5), _carried(layout)[owners].T)
+    return np.where(of_one_joint, turns[:, None] * turns * np.where(in_series, earlier, 0.5), _moves(layout)[owners].T)
 
 
 def _jacobian(layout: Layout, frames: Frame, linear, angular, base: bool) -> Float[Array, "frames n 6"] | None:
@@ -170,11 +167,11 @@ def _jacobian(layout: Layout, frames: Frame, linear, angular, base: bool) -> Flo
         return None
     rows, n = _rows(layout, base), len(linear)
     p = frames.p[rows]
-    mask = jnp.asarray(_carried(layout)[: len(rows), :n], p.dtype)[..., None]
+    mask = jnp.asarray(_moves(layout)[: len(rows), :n], p.dtype)[..., None]
     return mask * jnp.concatenate(jnp.broadcast_arrays(linear + cross(angular[None], p[:, None] - p[_owners(layout)[:n]]), angular), -1)
 
 
-def _pulled(J: Array | None, G: Array) -> Vector:
+def _pulled_back(J: Array | None, G: Array) -> Vector:
     """J' G."""
     return G.reshape(-1) if J is None else jnp.sum(J * G[:, None], (0, 2))
 
@@ -189,18 +186,18 @@ def _projected(J: Array | None, H: Float[Array, "frames 6 frames 6"]) -> Square:
 
 
 def _collected(parts: list[tuple[Array, list[int | None]]], n: int) -> Array:
-    """The sums of all rows that belong to each of n places; rows without a place are left out."""
-    kept = [(part, [i for i, place in enumerate(places) if place is not None]) for part, places in parts]
-    found = [place for _, places in parts for place in places if place is not None]
-    if not found:
+    """The sum of the rows for each of n indices; rows whose index is None are left out."""
+    kept = [(part, [i for i, index in enumerate(indices) if index is not None]) for part, indices in parts]
+    targets = [index for _, indices in parts for index in indices if index is not None]
+    if not targets:
         return jnp.zeros((n, *parts[0][0].shape[1:]), parts[0][0].dtype)
     rows = jnp.concatenate([take(part, np.array(rows)) for part, rows in kept if rows])
-    groups = [[i for i, place in enumerate(found) if place == wanted] for wanted in range(n)]
+    groups = [[i for i, target in enumerate(targets) if target == index] for index in range(n)]
     return sums(rows.reshape(len(rows), -1), groups).reshape(n, *rows.shape[1:])
 
 
 def _gradient(model: Model, bodies: Float[Array, "nb 6"], elements: list[Slopes], base: bool) -> Float[Array, "frames 6"]:
-    """The sum over bodies and elements of what each has of each frame."""
+    """The gradients of bodies and elements, summed by frame."""
     places = _places(model.layout, base)
     ends = [
         (part, [places[link[end]] for link in table.links])
@@ -211,24 +208,24 @@ def _gradient(model: Model, bodies: Float[Array, "nb 6"], elements: list[Slopes]
 
 
 def _hessian(model: Model, bodies: Block, elements: list[Blocks], base: bool) -> Float[Array, "frames 6 frames 6"]:
-    """The sum over bodies and elements of what each has of each two frames."""
+    """The Hessians of bodies and elements, summed by pairs of frames."""
     places, n = _places(model.layout, base), len(_rows(model.layout, base))
 
     def cells(table, one: int, other: int):
         pairs = [(places[link[one]], places[link[other]]) for link in table.links]
         return [None if i is None or j is None else i * n + j for i, j in pairs]
 
-    found = [(bodies, [i * n + i for i in range(len(model.layout.bodies))])]
+    parts = [(bodies, [i * n + i for i in range(len(model.layout.bodies))])]
     for table, blocks in zip(model.elements, elements, strict=False):
         for (one, other), block in blocks.items():
-            found.append((block, cells(table, one, other)))
+            parts.append((block, cells(table, one, other)))
             if one != other:
-                found.append((block.T, cells(table, other, one)))
-    each, their_cells = zip(*found, strict=True)
+                parts.append((block.T, cells(table, other, one)))
+    blocks, indices = zip(*parts, strict=True)
 
     def summed(parts):
-        known = [(part, to) for part, to in zip(parts, their_cells, strict=True) if part is not None]
-        return _collected(known, n * n) if known else None
+        present = [(part, index) for part, index in zip(parts, indices, strict=True) if part is not None]
+        return _collected(present, n * n) if present else None
 
-    H = Block(*map(summed, zip(*each, strict=True))).whole()
+    H = Block(*map(summed, zip(*blocks, strict=True))).whole()
     return jnp.broadcast_to(jnp.asarray(H, model.gravity.dtype), (n * n, 6, 6)).reshape(n, n, 6, 6).swapaxes(1, 2)

@@ -26,7 +26,7 @@ class Chart(eqx.Module):
     model: Model
 
     def _each(self, function, *tables: tuple[Array, str]):
-        """Apply function(joint, row, ...) to each body; tables are ("q" or "v")-vectors cut into the parts of the bodies."""
+        """Apply function(joint, row, ...) to each body; `tables` are vectors ("q" or "v") split by body."""
         layout = self.model.layout
         for table in self.model.joints:
             kind = type(table.rows)
@@ -55,7 +55,7 @@ class Chart(eqx.Module):
 
 
 class Coordinates(Chart):
-    """A chart with what stays the same while bodies move: the reference poses of supports and bodies, and `rest`, those of the bodies on their parents."""
+    """A chart with the reference poses of supports and bodies, and `rest`, the reference poses of bodies relative to their parents."""
 
     supports: Pose
     bodies: Pose
@@ -68,11 +68,11 @@ class Coordinates(Chart):
 
     @property
     def reference(self) -> State:
-        """At rest in the reference pose."""
+        """The state of rest in the reference pose."""
         return at_rest_in(self.model, self.rest)
 
     def supports_at(self, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
-        """Frames of the supports displaced by Xi from their reference poses, Xi changing at the rate Xi'."""
+        """Frames of the supports displaced by Xi from their reference poses, with the rate Xi'."""
         pose = self.supports.displaced(xi)
         return Frame(pose.p, pose.R, xi_dot[:, :3], rotate(rotations.left_jacobian(xi[:, 3:]), xi_dot[:, 3:]))
 
@@ -84,7 +84,7 @@ class Coordinates(Chart):
         return self.supports_at(xi, xi_dot)
 
     def at_rest(self, q: Float[Array, "nq"], v: Float[Array, "nv"] | None = None) -> Frame:
-        """The table of frames with all at rest, supports in their reference poses, or bodies with speeds v."""
+        """The table of frames with supports at rest in their reference poses, and bodies at rest or with speeds v."""
         return self.frames(q, jnp.zeros(self.model.layout.nv, q.dtype) if v is None else v, self.supports.at_rest())
 
     def frames(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame) -> Frame:
@@ -92,24 +92,24 @@ class Coordinates(Chart):
         return self.frames_and_axes(q, v, supports)[0]
 
     def frames_and_axes(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame):
-        """The table of frames, and for each speed the velocity that a unit of it gives to its own body: of the origin (nv, 3) and
-        angular (nv, 3), world axes."""
+        """The table of frames, and for each speed the velocity (nv, 3) and angular velocity (nv, 3) of its own body per unit
+        of it, world axes."""
         layout, dtype = self.model.layout, q.dtype
         zero = jnp.zeros((1, 3), dtype)
-        done = stack([Frame(zero, np.eye(3, dtype=dtype)[None], zero, zero), supports])
+        known = stack([Frame(zero, np.eye(3, dtype=dtype)[None], zero, zero), supports])
         order = list(layout.frames[: layout.first_body])
         linear, angular = [], []
         for table, (q_rows, v_rows) in self._each(lambda joint, q, v: (q, v), (q, "q"), (v, "v")):
-            parent = Frame(*(take(x, np.array([order.index(name) for name in table.links])) for x in (done.p, done.R, done.v, done.w)))
+            parent = Frame(*(take(x, np.array([order.index(name) for name in table.links])) for x in (known.p, known.R, known.v, known.w)))
             bodies = np.array([layout.bodies.index(name) for name in table.names])
             rest = Pose(take(self.rest.p, bodies), take(self.rest.R, bodies))
             frame, axes = jax.vmap(_joint_frame)(table.rows, q_rows, v_rows, parent, rest)
-            done = stack([done, frame])
+            known = stack([known, frame])
             order += table.names
             linear.append((table, axes[0]))
             angular.append((table, axes[1]))
         rows = np.array([order.index(name) for name in layout.frames])
-        frames = Frame(*(take(x, rows) for x in (done.p, done.R, done.v, done.w)))
+        frames = Frame(*(take(x, rows) for x in (known.p, known.R, known.v, known.w)))
         return frames, (self._assemble(linear).reshape(-1, 3), self._assemble(angular).reshape(-1, 3))
 
 

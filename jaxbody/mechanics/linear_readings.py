@@ -1,4 +1,4 @@
-"""Readings of sensors to first order in small motions: what they are as outputs of responses and of state spaces."""
+"""Readings of sensors to first order in small motions, as outputs of responses and state spaces."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.models.states import Instant, State
 
 
-def reading_rows(lin: Any, sensors: list[Any], pushes: Float[Array, "nu nb 6"]) -> tuple[Float[Array, "ny 3 n"], Float[Array, "ny nu"]]:
-    """The derivatives of each reading in x = (Delta, Xi), x' and x'', about the equilibrium, and in forces u: each unit of u pushes the bodies, force and
-    moment about the origin of each, world axes. Accelerations are those of x'', so that no equation of motion is solved."""
+def reading_rows(lin: Any, sensors: list[Any], wrenches: Float[Array, "nu nb 6"]) -> tuple[Float[Array, "ny 3 n"], Float[Array, "ny nu"]]:
+    """The derivatives of each reading in x = (Delta, Xi), x' and x'' about the equilibrium, and in forces u, with the `wrenches` per unit
+    of u: force and moment on each body about its origin, world axes. Accelerations are those of x'': no equation of motion is solved."""
     model, q, layout = lin.model, lin.state.q, lin.model.layout
     dynamics, accelerated = Dynamics(model, (), lin.loads), any(sensor.accelerations for sensor in sensors)
     zero, t = jnp.zeros(layout.nv + layout.nxi, q.dtype), jnp.zeros((), q.dtype)
@@ -28,16 +28,16 @@ def reading_rows(lin: Any, sensors: list[Any], pushes: Float[Array, "nu nb 6"]) 
             return (frames.v, frames.w), (frames, state)
 
         a = alpha = None
-        passed = (None, None)
+        transmitted = (None, None)
         if accelerated:
             (_, (a, alpha), (frames, state)) = jax.jvp(moving, (t,), (jnp.ones_like(t),), has_aux=True)
             if any(sensor.reactions for sensor in sensors):
-                pushed = jnp.tensordot(u, pushes, 1)
-                passed = dynamics.transmitted_wrenches(t, frames, a, alpha, (pushed[:, :3], pushed[:, 3:]))
+                extra = jnp.tensordot(u, wrenches, 1)
+                transmitted = dynamics.transmitted_wrenches(t, frames, a, alpha, (extra[:, :3], extra[:, 3:]))
         else:
             frames, state = moving(t)[1]
-        now = Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *passed)
+        now = Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *transmitted)
         return jnp.stack([sensor.reading(model, now) for sensor in sensors])
 
-    *rows, direct = jax.jacfwd(readings, (0, 1, 2, 3))(zero, zero, zero, jnp.zeros(len(pushes), q.dtype))
+    *rows, direct = jax.jacfwd(readings, (0, 1, 2, 3))(zero, zero, zero, jnp.zeros(len(wrenches), q.dtype))
     return jnp.stack(rows, 1), direct

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import rigs
-from rigs import apart
+from rigs import max_difference
 
 import jaxbody as jb
 from jaxbody.core.compile_options import UNOPTIMIZED
@@ -84,7 +84,10 @@ def assert_derivatives_agree(kinds, parts, forward, reverse, differences, silent
             if (kind, name) in silent:
                 assert max(scale, np.abs(forward[i][part]).max(), np.abs(reverse[i][part]).max()) < 1e-8, (kind, name)
                 continue
-            errors = np.array([apart(forward[i][part], differences[i][part]), apart(forward[i][part], reverse[i][part])]) / scale
+            errors = (
+                np.array([max_difference(forward[i][part], differences[i][part]), max_difference(forward[i][part], reverse[i][part])])
+                / scale
+            )
             worst = np.maximum(worst, errors)
             assert errors[0] < 1e-6, (kind, name)
             assert errors[1] < 1e-9, (kind, name)
@@ -159,7 +162,7 @@ def test_bushings_have_the_derivatives_of_differences():
     """Forward; the reverse derivatives, whose program takes a minute to compile, are those of the next test."""
     forward, differences, _ = slopes(mounted, MOUNT, directions(MOUNT).values(), 1e-4)
     for part in range(3):
-        assert apart(forward[:, part], differences[:, part]) < 1e-6 * np.abs(differences[:, part]).max()
+        assert max_difference(forward[:, part], differences[:, part]) < 1e-6 * np.abs(differences[:, part]).max()
 
 
 @pytest.mark.long
@@ -170,13 +173,13 @@ def test_bushings_have_the_second_derivatives_of_differences():
     along, twice, gradients = slopes(jax.grad(lambda p: mounted(p)[1]), MOUNT, tangents.values(), 1e-4)
     gradient = jax.tree.map(lambda x: x[0, 0], gradients)
     for i, (kind, tangent) in enumerate(tangents.items()):
-        assert apart(forward[i, 1], inner(gradient, tangent)) < 1e-9 * np.abs(forward[:, 1]).max(), kind
+        assert max_difference(forward[i, 1], inner(gradient, tangent)) < 1e-9 * np.abs(forward[:, 1]).max(), kind
         for other in MOUNT:
             found, expected = np.asarray(along[other][i]), np.asarray(twice[other][i])
             scale = np.abs(expected).max()
-            assert apart(found, expected) < 1e-6 * max(scale, 1e-6), (kind, other)
+            assert max_difference(found, expected) < 1e-6 * max(scale, 1e-6), (kind, other)
     second = np.array([[inner(jax.tree.map(lambda x, i=i: x[i], along), d) for d in tangents.values()] for i in range(len(tangents))])
-    assert apart(second, second.T) < 1e-9 * np.abs(second).max()
+    assert max_difference(second, second.T) < 1e-9 * np.abs(second).max()
 
 
 def slider(stiffness):
@@ -244,8 +247,8 @@ def test_vmap_is_a_loop_and_jit_changes_nothing():
         for kind, numbers in one.items():
             for found, expected in zip(together[kind], numbers, strict=True):
                 scale = max(np.abs(expected).max(), 1e-2)
-                print("vmap", kind, apart(found[i], expected) / scale)
-                assert apart(found[i], expected) < 1e-12 * scale, kind
+                print("vmap", kind, max_difference(found[i], expected) / scale)
+                assert max_difference(found[i], expected) < 1e-12 * scale, kind
 
 
 @pytest.mark.long

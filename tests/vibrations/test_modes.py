@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rigs
 import scipy.linalg
-from rigs import POWERTRAIN_ENERGIES, apart
+from rigs import POWERTRAIN_ENERGIES, max_difference
 
 import jaxbody as jb
 from jaxbody.mechanics.energies import frames_of
@@ -45,14 +45,14 @@ def inertia_of(engine):
 def test_kinetic_energies_of_the_published_powertrain(engine):
     found = jb.mode_energies(jb.linearize(engine, engine.reference), forward="x", up="z")
     published = POWERTRAIN_ENERGIES
-    assert apart(found.kinetic["engine"], published) < 0.51e-4  # half of the last digit printed
+    assert max_difference(found.kinetic["engine"], published) < 0.51e-4  # half of the last digit printed
     named = ("fore-aft 99", "lateral 98", "yaw 37", "bounce 49", "pitch 66", "roll 79")
     assert found.names == tuple(f"engine {name} %" for name in named)
     assert "engine roll" in str(found) and "mount 2" in str(found)
     phi = scipy.linalg.eigh(sum(mounted(presets.MOUNT_STIFFNESS)), inertia_of(engine))[1]
     for shares, coefficients in ((found.strain, presets.MOUNT_STIFFNESS), (found.dissipation, presets.MOUNT_DAMPING)):
         parts = np.array([np.diag(phi.T @ k @ phi) for k in mounted(coefficients)])
-        assert apart(np.array(list(shares.values())), 100 * parts / parts.sum(0)) < 1e-9
+        assert max_difference(np.array(list(shares.values())), 100 * parts / parts.sum(0)) < 1e-9
     assert max(float(jnp.abs(x).max()) for x in found.other_strain.values()) < 1e-9
 
 
@@ -71,22 +71,22 @@ def test_shares_are_those_of_the_matrices(rig):
             w = np.array([W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1]]) / 2
             J = R[b] @ np.asarray(model[name].inertia) @ R[b].T
             expected = 100 * np.concatenate([float(model[name].mass) * v[b] ** 2, w * (J @ w)])
-            assert apart(found.kinetic[name][:, i], expected) < 1e-4  # in percent; of the differences
+            assert max_difference(found.kinetic[name][:, i], expected) < 1e-4  # in percent; of the differences
     for name, k in rig.K_elastic_by_element.items():
-        assert apart(found.strain[name], 100 * np.diag(phi.T @ k @ phi) / values) < 1e-10
+        assert max_difference(found.strain[name], 100 * np.diag(phi.T @ k @ phi) / values) < 1e-10
     others = {"tension": rig.K_geometric, "gravity": rig.K_gravity, "loads": rig.K_loads}
     for name, k in others.items():
-        assert apart(found.other_strain[name], 100 * np.diag(phi.T @ k @ phi) / values) < 1e-10
+        assert max_difference(found.other_strain[name], 100 * np.diag(phi.T @ k @ phi) / values) < 1e-10
     for name in model.element_names:  # of one damper, by the C that it leaves when it is taken out
         without = jb.replace(model, {f"{name}.damping": 0 * model[name].damping})
         lost = C - np.asarray(jb.linearize(without, rig.state).C)
-        assert apart(found.dissipation[name], 100 * np.diag(phi.T @ lost @ phi) / np.diag(phi.T @ C @ phi)) < 1e-10
+        assert max_difference(found.dissipation[name], 100 * np.diag(phi.T @ lost @ phi) / np.diag(phi.T @ C @ phi)) < 1e-10
     for total in (
         found.kinetic_shares.sum((0, 1)),
         found.strain_shares.sum(0) + found.other_shares.sum(0),
         found.dissipation_shares.sum(0),
     ):
-        assert apart(total, np.full(7, 100.0)) < 1e-10
+        assert max_difference(total, np.full(7, 100.0)) < 1e-10
 
 
 def _places(model, q, delta):
@@ -104,7 +104,7 @@ def test_loads_have_their_share_and_what_is_not_damped_has_none():
     eq = jb.equilibrium(model, loads={"pull": jb.Force(("bob", [0, 0, -0.5]), force=[0, 0, -10.0])})
     found = jb.mode_energies(jb.linearize(model, eq))
     expected = 100 * np.array([0.0, 19.62, 10.0]) / 29.62
-    assert apart([float(found.other_strain[name][0]) for name in ("tension", "gravity", "loads")], expected) < 1e-9
+    assert max_difference([float(found.other_strain[name][0]) for name in ("tension", "gravity", "loads")], expected) < 1e-9
     assert found.names == ("bob along x 100 %",) and found.dissipation == {}
 
 
@@ -140,7 +140,7 @@ def test_gradients_of_frequencies_ratios_and_energies(rig):
         step = jnp.zeros(4).at[i].set(h)
         ends = [numbers(x + s * step) for s in (2, 1, -1, -2)]
         difference = (8 * (ends[1] - ends[2]) - (ends[0] - ends[3])) / (12 * h)
-        assert apart(forward[:, i], difference) < 1e-6 * max(1.0, np.abs(difference).max())
+        assert max_difference(forward[:, i], difference) < 1e-6 * max(1.0, np.abs(difference).max())
 
 
 # Modes that coincide
@@ -180,15 +180,15 @@ def test_equal_frequencies_have_two_one_sided_derivatives(of_square):
     slope = 2 * A**2 / J / (8 * np.pi**2 * float(at[pair[0]]))
     forward, backward = (np.asarray(jax.jvp(frequency, (KZ,), (sign,))[1]) * sign for sign in (1.0, -1.0))
     print("one-sided", forward[pair], backward[pair], slope)
-    assert apart(forward[pair], [0.0, slope]) < 1e-9 * slope and apart(backward[pair], [slope, 0.0]) < 1e-9 * slope
+    assert max_difference(forward[pair], [0.0, slope]) < 1e-9 * slope and max_difference(backward[pair], [slope, 0.0]) < 1e-9 * slope
     h = 1e-2  # differences to each side; their errors are of the second derivative, h/(8 k) of the slope
-    assert apart((frequency(KZ + h) - at)[pair] / h, forward[pair]) < 1e-6 * slope
-    assert apart((at - frequency(KZ - h))[pair] / h, backward[pair]) < 1e-6 * slope
-    assert apart(jax.jacfwd(frequency)(KZ)[pair], [0.0, slope]) < 1e-9 * slope
+    assert max_difference((frequency(KZ + h) - at)[pair] / h, forward[pair]) < 1e-6 * slope
+    assert max_difference((at - frequency(KZ - h))[pair] / h, backward[pair]) < 1e-6 * slope
+    assert max_difference(jax.jacfwd(frequency)(KZ)[pair], [0.0, slope]) < 1e-9 * slope
     rows = jax.jit(jax.jacrev(frequency))(KZ)  # one branch: refused; the others as in forward mode
     assert np.isnan(rows[pair]).all()
     others = np.flatnonzero(jnp.sum(jb.modes(of_square(KZ)).cluster[:, None] == jb.modes(of_square(KZ)).cluster, 0) == 1)
-    assert len(others) == 2 and apart(rows[others], forward[others]) < 1e-9 * slope
+    assert len(others) == 2 and max_difference(rows[others], forward[others]) < 1e-9 * slope
     both = jax.grad(lambda k: jnp.sum(frequency(k)[pair]))(KZ)  # the sum: right in reverse mode too
     assert abs(both / slope - 1) < 1e-9
 
@@ -215,9 +215,9 @@ def test_energies_of_equal_frequencies_are_those_of_their_space(of_square):
     ends = [of_spaces(KZ + s * h) for s in (2, 1, -1, -2)]
     for at, again, found, *values in zip(energies(KZ)[0], of_spaces(KZ), forward, *ends, strict=True):
         difference = (8 * (values[1] - values[2]) - (values[0] - values[3])) / (12 * h)
-        assert apart(at, again) < 1e-9 and apart(found, difference) < 1e-6 * np.abs(difference).max() + 1e-11
+        assert max_difference(at, again) < 1e-9 and max_difference(found, difference) < 1e-6 * np.abs(difference).max() + 1e-11
     assert np.abs(forward[1]).max() > 1e-4
-    assert apart(modes.damping_ratio, 0.01 * np.pi * modes.frequency) < 1e-9  # C = 0.01 K
+    assert max_difference(modes.damping_ratio, 0.01 * np.pi * modes.frequency) < 1e-9  # C = 0.01 K
 
 
 def random_problem(values, seed):
@@ -242,17 +242,17 @@ def test_derivatives_of_an_eigenproblem_with_a_double_and_a_triple_value():
 
     h = 1e-6
     forward, changes = jax.jit(jax.jacfwd(both))(0.0)
-    assert apart(forward, (reference(h)[0] - reference(0.0)[0]) / h) < 1e-5  # errors h times the second derivatives
+    assert max_difference(forward, (reference(h)[0] - reference(0.0)[0]) / h) < 1e-5  # errors h times the second derivatives
     for group in ([0], [1, 2], [3], [4, 5, 6]):
         phi = np.asarray(both(0.0)[1])[:, group]
         change = np.asarray(changes)[:, group] @ phi.T + phi @ np.asarray(changes)[:, group].T
         ends = [v[:, group] @ v[:, group].T for v in (reference(h)[1], reference(-h)[1])]
-        assert apart(change, (ends[0] - ends[1]) / (2 * h)) < 1e-7
+        assert max_difference(change, (ends[0] - ends[1]) / (2 * h)) < 1e-7
         np.testing.assert_allclose(
             jax.grad(lambda t, group=group: jnp.sum(both(t)[0][jnp.array(group)]))(0.0), forward[jnp.array(group)].sum(), rtol=1e-12
         )
     several = jax.vmap(jax.jacfwd(lambda t: both(t)[0]))(jnp.array([0.0, 0.3]))
-    assert apart(several[0], forward) < 1e-12 and apart(several[1], jax.jacrev(lambda t: both(t)[0])(0.3)) < 1e-10
+    assert max_difference(several[0], forward) < 1e-12 and max_difference(several[1], jax.jacrev(lambda t: both(t)[0])(0.3)) < 1e-10
 
 
 @pytest.mark.long
@@ -265,7 +265,7 @@ def test_second_derivatives_are_those_of_values_that_are_alone():
     ends = [scipy.linalg.eigh(K + t * dK, M + t * dM)[0] for t in (1e-3, 0.0, -1e-3)]
     for second in (jax.hessian(lambda t: both(t)[0]), jax.jacfwd(jax.jacfwd(lambda t: both(t)[0]))):
         found = np.asarray(second(0.0))
-        assert apart(found[[0, 3]], ((ends[0] - 2 * ends[1] + ends[2]) / 1e-6)[[0, 3]]) < 1e-4
+        assert max_difference(found[[0, 3]], ((ends[0] - 2 * ends[1] + ends[2]) / 1e-6)[[0, 3]]) < 1e-4
         assert np.isnan(found[[1, 2, 4, 5, 6]]).all()
 
 

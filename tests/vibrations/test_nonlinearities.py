@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import rigs
-from rigs import apart
+from rigs import max_difference
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
@@ -46,7 +46,7 @@ def test_a_pendulum_has_the_slope_of_the_elliptic_integral():
     assert abs(found.curvature[0] / exact - 1) < 1e-8  # what the extrapolation leaves
     assert abs(found.curvature[0] * -16 - 1) < 1e-13
     weight = 1.3 * 9.81 * 0.4
-    assert apart([found.stiffness[0], found.third[0], found.fourth[0]], [weight, 0, -weight]) < 1e-13 * weight
+    assert max_difference([found.stiffness[0], found.third[0], found.fourth[0]], [weight, 0, -weight]) < 1e-13 * weight
     assert abs(found.force_within(5.0)[0] / np.sqrt(6 * 0.05) - 1) < 1e-13  # sin a = a (1 - a^2/6)
     assert abs(found.frequency_within(5.0)[0] / np.sqrt(16 * 0.05) - 1) < 1e-13
     assert abs(found.at(0.1)[0] / found.frequency[0] - (1 - 0.01 / 16)) < 1e-13
@@ -143,7 +143,7 @@ def test_duffing_has_the_slope_of_the_elliptic_integral():
     found = jb.backbones(places(MASS * [1.5, 10.0, 70.0], beta=2.0 * MASS[0]))
     print("Duffing", found.curvature[0] / exact - 1)
     assert abs(found.curvature[0] / exact - 1) < 1e-8  # what the extrapolation leaves
-    assert apart(found.curvature, [3 * 2.0 / (8 * 1.5), 0, 0]) < 1e-13
+    assert max_difference(found.curvature, [3 * 2.0 / (8 * 1.5), 0, 0]) < 1e-13
     assert np.isinf(found.frequency_within(5.0)[1:]).all() and np.isinf(found.force_within(5.0)[1:]).all()
 
 
@@ -152,15 +152,15 @@ def test_quadratic_terms_of_the_textbook():
     x'' + w^2 x + 2 c x y/m = 0."""
     found = jb.backbones(places(MASS * [2.25, 10.0, 70.0], alpha=1.7 * MASS[0], beta=0.6 * MASS[0]))
     assert abs(found.curvature[0] / (3 * 0.6 / (8 * 2.25) - 5 * 1.7**2 / (12 * 2.25**2)) - 1) < 1e-13
-    assert apart(found.drift[:, 0], [-1.7 / (2 * 2.25), 0, 0]) < 1e-13
-    assert apart(found.second_harmonic[:, 0], [1.7 / (6 * 2.25), 0, 0]) < 1e-13
+    assert max_difference(found.drift[:, 0], [-1.7 / (2 * 2.25), 0, 0]) < 1e-13
+    assert max_difference(found.second_harmonic[:, 0], [1.7 / (6 * 2.25), 0, 0]) < 1e-13
     a = found.force_within(3.0)[0]
     assert abs((1.7 * a + 0.6 * a**2) / 2.25 - 0.03) < 1e-13
     for k, c in (10.0, 3.0), (8.9, 3.0):
         found = jb.backbones(places(MASS * [2.25, k, 70.0], c=c))
         mean, double = -c / (2 * k * MASS[1]), -c / (2 * (k - 9) * MASS[1])
         assert abs(found.curvature[0] / (c * (mean + double / 2) / (2.25 * MASS[0])) - 1) < 1e-12
-        assert apart([found.drift[1, 0], found.second_harmonic[1, 0]], [mean, double]) < 1e-12 * abs(double)
+        assert max_difference([found.drift[1, 0], found.second_harmonic[1, 0]], [mean, double]) < 1e-12 * abs(double)
 
 
 # Several degrees of freedom: periodic motions by shooting
@@ -305,10 +305,12 @@ def test_the_coefficient_does_not_depend_on_the_coordinates(hanging):
     shapes = np.array(one.shapes)
     shapes[:3] += np.cross(shapes[3:].T, arm).T
     unit = shapes[np.asarray(other.largest), np.arange(6)]
-    assert apart(other.shapes, shapes / unit) < 1e-8
-    print("coordinates", apart(other.curvature * unit**2 / one.curvature, np.ones(6)), other.fourth * unit**4 / one.fourth)
-    assert apart(other.curvature * unit**2 / one.curvature, np.ones(6)) < 1e-8  # two modes are 0.1 % apart: 1e-12 of the search, amplified
-    assert apart(other.fourth * unit**4 / one.fourth, np.ones(6)) > 0.01
+    assert max_difference(other.shapes, shapes / unit) < 1e-8
+    print("coordinates", max_difference(other.curvature * unit**2 / one.curvature, np.ones(6)), other.fourth * unit**4 / one.fourth)
+    assert (
+        max_difference(other.curvature * unit**2 / one.curvature, np.ones(6)) < 1e-8
+    )  # two modes are 0.1 % apart: 1e-12 of the search, amplified
+    assert max_difference(other.fourth * unit**4 / one.fourth, np.ones(6)) > 0.01
 
 
 # What is said where a mode has no backbone of its own
@@ -379,8 +381,8 @@ def test_derivatives_are_those_of_differences():
     for unit in np.eye(3):
         slope = with_slope(x, unit)[1]
         exact = extrapolated([(with_slope(x + h * unit, unit)[0] - with_slope(x - h * unit, unit)[0]) / (2 * h) for h in (2e-3, 1e-3)])
-        print("derivatives", apart(slope, exact) / np.abs(exact).max())
-        assert apart(slope, exact) < 1e-8 * np.abs(exact).max()  # a step of 1e-3, to the fourth power after extrapolation
+        print("derivatives", max_difference(slope, exact) / np.abs(exact).max())
+        assert max_difference(slope, exact) < 1e-8 * np.abs(exact).max()  # a step of 1e-3, to the fourth power after extrapolation
 
 
 @pytest.mark.long
@@ -390,7 +392,7 @@ def test_a_mode_alone_has_derivatives_where_others_coincide():
     slope = jax.jit(jax.grad(lambda k: jb.backbones(jb.linearize(jb.replace(lin.model, {"law.k": k}), lin.state)).curvature[0]))(
         jnp.array(MASS * [1.0, 4.0, 4.0])
     )
-    assert apart(slope, [-3 / 8 / MASS[0] ** 2, 0, 0]) < 1e-13
+    assert max_difference(slope, [-3 / 8 / MASS[0] ** 2, 0, 0]) < 1e-13
 
 
 @pytest.mark.long
