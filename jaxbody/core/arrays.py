@@ -1,4 +1,4 @@
-"""Numbers from users: once made float arrays, never touched again."""
+"""Numbers from users: checked and converted to float arrays once, when they are given."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from jaxbody.core.jax_internals import Tracer
 
 
 def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
-    """A float64 NumPy array of a number, list, array or data frame; where JAX traces something in it, a traced array.
+    """A number, list, array or data frame as a float64 NumPy array; as a JAX array where some of it is traced.
 
-    NumPy, not JAX: building a model then touches no device and does not depend on the x64 switch.
+    With NumPy, building a model uses no device and does not depend on the x64 switch.
     """
     traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(value))
     if isinstance(value, np.ma.MaskedArray):
         value = np.ma.filled(value.astype(float), np.nan)  # a gap, not the number behind the mask
     try:
         array = jnp.asarray(value) if traced else np.asarray(value)
-    except (TypeError, ValueError, RuntimeError):  # ragged, or of a library that does not hand out its numbers
+    except (TypeError, ValueError, RuntimeError):  # ragged rows, or an object that does not convert
         array = np.array(None)
     if jnp.issubdtype(array.dtype, jnp.complexfloating):
         raise JaxbodyError(Problem("COMPLEX", where, f"is complex ({array.dtype})", value, "real numbers", "Give real numbers."))
     if not (jnp.issubdtype(array.dtype, jnp.number) or array.dtype == bool):
-        told = f"is {value!r:.60}".splitlines()[0] + ", which is no array of numbers"
-        raise JaxbodyError(Problem("NOT_A_NUMBER", where, told, value, "numbers", "Give a number, or a list or array of numbers."))
+        message = f"is {value!r:.60}".splitlines()[0] + ", which is not an array of numbers"
+        raise JaxbodyError(Problem("NOT_A_NUMBER", where, message, value, "numbers", "Give a number, or a list or array of numbers."))
     return array.astype(float if traced else np.float64)
 
 
 def checked(value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problems: Problems, hint: str = "") -> Any:
-    """A finite float array of one of the shapes; None where it is not, and `problems` says why."""
+    """A finite float array of one of the shapes; None where it is not, with a problem added."""
     try:
         array = float_array(value, where)
     except JaxbodyError as error:
@@ -47,25 +47,25 @@ def checked(value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problem
     known = concrete(array)
     if known is not None and not np.isfinite(known).all():
         first = tuple(int(i) for i in np.argwhere(~np.isfinite(known))[0])
-        told = f"is {known.tolist()}" if known.size <= 6 else f"is {known[first]} at {list(first)}"
-        problems.add("NON_FINITE", where, told, value=known, limit="finite", hint="Give finite numbers.")
+        message = f"is {known.tolist()}" if known.size <= 6 else f"is {known[first]} at {list(first)}"
+        problems.add("NON_FINITE", where, message, value=known, limit="finite", hint="Give finite numbers.")
         return None
     return array
 
 
 def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -> Any:
-    """A finite float array of this shape; zeros where it is not, and `problems` says why."""
+    """A finite float array of this shape; zeros where it is not, with a problem added."""
     array = checked(value, (shape,), where, problems)
     return np.zeros(shape) if array is None else array
 
 
 def device_array(value: np.ndarray | jax.Array) -> jax.Array:
-    """The JAX array, float64 or, where x64 is off, float32."""
+    """The value as a JAX array, float64 or, where x64 is off, float32."""
     return jnp.asarray(value, dtype=float)
 
 
 def functions_as_nodes(tree: Any) -> Any:
-    """The tree with arrays alone as leaves where else functions are too, as the activations of a network: each is a node that is called as before."""
+    """The tree with each leaf that is a function, such as the activation of a network, replaced by a node that can be called."""
     return jax.tree.map(lambda leaf: jax.tree_util.Partial(leaf) if callable(leaf) else leaf, tree)
 
 
@@ -77,7 +77,7 @@ def stack(rows: list[Any]) -> jax.Array:
 
 
 def concrete(value: Any) -> np.ndarray | None:
-    """The value in NumPy where it may be looked at, else None (while it is being traced)."""
+    """The value as a NumPy array; None while it is being traced."""
     return None if isinstance(value, Tracer) else np.asarray(value)
 
 
@@ -92,7 +92,7 @@ def vector(value: Any, where: str, problems: Problems) -> Any:
 
 
 def check_times(times, problems: Problems, where: str = "times", minimum: int = 1) -> np.ndarray | jax.Array | None:
-    """Increasing, finite, one-dimensional times; what is wrong goes to `problems`."""
+    """Increasing, finite, one-dimensional times; None where they are not, with a problem added."""
     try:
         times = float_array(times, where)
     except JaxbodyError as error:

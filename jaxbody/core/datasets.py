@@ -17,13 +17,13 @@ AXES, QUATERNION = list("xyz"), list("wxyz")
 def dataset(variables: dict[str, tuple[tuple[str, ...], Any, str]], coordinates: dict[str, Any], kind: str) -> Any:
     """{name: (dimensions, values, unit)} as a Dataset; values with one axis more than dimensions are a batch of samples."""
     xarray = import_extra("xarray", "to_xarray")
-    made = {}
+    arrays = {}
     for name, (dimensions, values, unit) in variables.items():
         values = np.asarray(values)
         if values.ndim == len(dimensions) + 1:
             dimensions = ("sample", *dimensions)
-        made[name] = xarray.DataArray(values, dims=dimensions, attrs={"units": unit} if unit else {})
-    return xarray.Dataset(made, coords=coordinates, attrs={"title": kind})
+        arrays[name] = xarray.DataArray(values, dims=dimensions, attrs={"units": unit} if unit else {})
+    return xarray.Dataset(arrays, coords=coordinates, attrs={"title": kind})
 
 
 def rows_of(arrays: list[Any], axis: int) -> np.ndarray:

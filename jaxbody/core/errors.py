@@ -1,4 +1,4 @@
-"""What can go wrong: one exception, one warning, a missing extra, and the status codes that jitted code returns instead of raising."""
+"""Errors: one exception, one warning, a missing extra, and the status codes that jitted code returns instead of raising."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from jaxbody.core.progress_lines import clear
 MOST_PROBLEMS = 20
 MOST_LINES = 10  # of a message; `problems` holds them all
 EXTRAS = {"xarray": ("xarray",), "ipopt": ("casadi",), "files": ("pyarrow", "h5py", "pyuff", "nptdms"), "mdf": ("asammdf",)}  # packages
-PASSED_OVER = {"jaxbody", "equinox", "jax", "contextlib", "functools"}  # packages whose lines say nothing to a user
+SKIPPED = {"jaxbody", "equinox", "jax", "contextlib", "functools"}  # packages whose lines do not help a user
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong with an input: where, what, and what to do about it."""
+    """One problem of an input: where it is, what is wrong, and what to do about it."""
 
     code: str
     where: str
@@ -40,7 +40,7 @@ class Problem:
 
 
 class JaxbodyError(ValueError):
-    """Everything that jaxbody raises. `problems` holds every problem found in one go; the first one's fields stand on the error itself.
+    """The one exception of jaxbody. `problems` lists all problems of a call; the fields of the first are also attributes of the error.
 
     >>> try:
     ...     Body(mass=-3.0, inertia=[1.0, 1.0, 1.0])
@@ -60,7 +60,7 @@ class JaxbodyError(ValueError):
 
 
 class JaxbodyWarning(UserWarning):
-    """Everything that jaxbody warns of; `code` says which. Make them errors with `warnings.simplefilter("error", JaxbodyWarning)`.
+    """The one warning of jaxbody, with its `code`. To turn warnings into errors: `warnings.simplefilter("error", JaxbodyWarning)`.
 
     >>> JaxbodyWarning("TINY_MASS", "mass of 'bolt' is tiny").code
     'TINY_MASS'
@@ -72,14 +72,14 @@ class JaxbodyWarning(UserWarning):
 
 
 def warn(code: str, message: str) -> None:
-    """A JaxbodyWarning of this code, at the line of the user."""
+    """Issue a JaxbodyWarning with this code at the user's line."""
     warn_of(JaxbodyWarning(code, message))
 
 
 def warn_of(warning: Warning) -> None:
-    """A warning at the line outside of this package, and of what calls it or is called by it, that led here."""
+    """Issue a warning at the innermost line outside of the packages in SKIPPED."""
     frame, level = sys._getframe(1), 2
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in PASSED_OVER:
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in SKIPPED:
         frame, level = frame.f_back, level + 1
     clear()
     warnings.warn(warning, stacklevel=level)
@@ -94,10 +94,10 @@ class Problems:
     def add(self, code: str, where: str, message: str, *, value: Any = None, limit: str = "", hint: str = "") -> None:
         self.collected.append(Problem(code, where, message, value, limit, hint))
 
-    def gather(self, look: Callable[[], Any]) -> Any:
-        """What `look` returns; None where it raises, and what is wrong is collected."""
+    def gather(self, function: Callable[[], Any]) -> Any:
+        """The result of `function`; None where it raises, and its problems are collected."""
         try:
-            return look()
+            return function()
         except JaxbodyError as error:
             self.collected += error.problems
             return None
@@ -171,27 +171,27 @@ MESSAGES = {
     Status.NOT_SYMMETRIC: "K is not symmetric, as a load has no potential: there are no real modes",
     Status.UNBALANCED: "the free lengths cannot balance the pose",
     Status.NEGATIVE_LENGTH: "a free length would have to be negative",
-    Status.INTERNAL_RESONANCE: "the frequency of a mode, or its double, is another's too: it does not move alone",
-    Status.NOT_STEADY: "the motion is not steady: its speeds change, or small motions about it see matrices that do",
+    Status.INTERNAL_RESONANCE: "the frequency of a mode, or twice it, is also that of another mode: the two interact",
+    Status.NOT_STEADY: "the motion is not steady: its speeds change, or the matrices of small motions about it do",
     Status.LOST_BRANCH: "a mode changed too much from one value to the next to be followed",
-    Status.DEFECTIVE: "modes coincide: their sum has lost its digits",
+    Status.DEFECTIVE: "modes coincide: rounding errors dominate their sum",
     Status.IMPROPER: "an output needs a derivative of an input",
-    Status.COARSE: "the frequencies are too far apart for what lies between them",
+    Status.COARSE: "the frequencies are too far apart to resolve what lies between them",
     Status.NOT_POSITIVE: "the matrix of power spectral densities is not positive semidefinite",
-    Status.INTERRUPTED: "it was interrupted",
+    Status.INTERRUPTED: "the computation was interrupted",
     Status.INFEASIBLE: "not all limits can be met",
-    Status.SINGULAR_M: "the mass matrix is singular: something moves without inertia",
-    Status.STALE: "the equilibrium is none of this model: forces are left over there",
+    Status.SINGULAR_M: "the mass matrix is singular: a coordinate has no inertia",
+    Status.STALE: "the equilibrium does not belong to this model: forces do not balance there",
 }
 
 
 def is_concrete(*trees: Any) -> bool:
-    """True when nothing in the trees is being traced, so that values may be looked at."""
+    """True when nothing in the trees is being traced, so that values can be read."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
 def unknown(name: str, where: str, known: tuple[str, ...]) -> Problem:
-    """The problem of a name that is not there, with the nearest one that is."""
+    """The problem of an unknown name, with the nearest known one."""
     known = tuple(map(str, known))
     near = difflib.get_close_matches(str(name), known, 1)
     hint = (f"Did you mean '{near[0]}'? " if near else "") + "Known: " + ", ".join(known[:12]) + (", ..." if len(known) > 12 else "") + "."

@@ -1,6 +1,6 @@
-"""Progress lines: what takes longer than five seconds says how far it is, on a terminal or in a notebook, unless switched off.
+"""Progress lines: a computation that takes longer than five seconds reports its progress on a terminal or in a notebook.
 
-A thread writes what the outermost computation and those within it said last; when it ends, the line goes. Without a terminal or a notebook nothing is written.
+A thread writes the last reports of the outermost computation and of those within it, and clears the line at the end.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ AFTER, EVERY = 5.0, 1.0  # s until the first line, and between lines
 
 
 class Line:
-    """What a computation says of itself: `line(words)` replaces what it said before."""
+    """The progress of one computation: `line(progress)` replaces its last report."""
 
-    def __init__(self, what: str):
-        self.what, self.words = what, ""
+    def __init__(self, name: str):
+        self.name, self.progress = name, ""
 
-    def __call__(self, words: str) -> None:
-        self.words = words
+    def __call__(self, progress: str) -> None:
+        self.progress = progress
 
     def __str__(self) -> str:
-        return f"{self.what}: {self.words}" if self.words else self.what
+        return f"{self.name}: {self.progress}" if self.progress else self.name
 
 
-class _Shown:
-    """The lines of one outermost computation, on the screen."""
+class _Display:
+    """The lines of one outermost computation on the screen."""
 
     def __init__(self, lines: list[Line], screen: TextIO):
-        self.lines, self.screen, self.begun, self.width = lines, screen, time.monotonic(), 0
+        self.lines, self.screen, self.start, self.width = lines, screen, time.monotonic(), 0
 
     def write(self) -> None:
-        lasted = time.monotonic() - self.begun
-        if lasted < AFTER or not self.lines:
+        elapsed = time.monotonic() - self.start
+        if elapsed < AFTER or not self.lines:
             return
-        text = f"{lasted:.0f} s, " + ", ".join(map(str, self.lines))
+        text = f"{elapsed:.0f} s, " + ", ".join(map(str, self.lines))
         text = text[: shutil.get_terminal_size().columns - 1]
         self.screen.write("\r" + text.ljust(self.width))
         self.screen.flush()
@@ -53,53 +53,53 @@ class _Shown:
 
 
 class _Clock:
-    """The thread that writes, asleep while nothing is shown."""
+    """The thread that writes, asleep while there are no displays."""
 
     def __init__(self):
         self.lock, self.wake = threading.Lock(), threading.Event()
-        self.shown: list[_Shown] = []
+        self.displays: list[_Display] = []
         self.thread: threading.Thread | None = None
 
-    def add(self, one: _Shown) -> None:
+    def add(self, display: _Display) -> None:
         with self.lock:
-            self.shown.append(one)
+            self.displays.append(display)
             self.wake.set()
             if self.thread is None or not self.thread.is_alive():
                 self.thread = threading.Thread(target=self._run, daemon=True)
                 self.thread.start()
 
-    def remove(self, one: _Shown) -> None:
+    def remove(self, display: _Display) -> None:
         with self.lock:
-            self.shown.remove(one)
-            one.clear()
+            self.displays.remove(display)
+            display.clear()
 
     def clear(self) -> None:
         with self.lock:
-            for one in self.shown:
-                one.clear()
+            for display in self.displays:
+                display.clear()
 
     def _run(self) -> None:
         while True:
             self.wake.wait()
             time.sleep(EVERY)
             with self.lock:
-                if self.shown:
-                    self.shown[-1].write()
+                if self.displays:
+                    self.displays[-1].write()
                 else:
                     self.wake.clear()
 
 
 _clock = _Clock()
-_mine = threading.local()  # the lines of this thread, outermost first
+_local = threading.local()  # the lines of this thread, outermost first
 
 
 def clear() -> None:
-    """Take the line away, for what else is printed now; the next one comes by itself."""
+    """Clear the line before other output; it returns by itself."""
     _clock.clear()
 
 
 def screen() -> TextIO | None:
-    """A terminal's stderr, or a notebook's stdout; None where there is neither."""
+    """stderr of a terminal or stdout of a notebook; None where there is neither."""
     if sys.stderr is not None and sys.stderr.isatty():
         return sys.stderr
     ipython: Any = sys.modules.get("IPython")
@@ -108,18 +108,20 @@ def screen() -> TextIO | None:
 
 
 @contextmanager
-def working(what: str, progress: bool | None = None) -> Iterator[Line]:
-    """A line for as long as this lasts. progress: None shows it after five seconds; False does not, nor does True, which asks for a report that stays."""
-    lines = _mine.__dict__.setdefault("lines", [])
-    line, outermost = Line(what), not lines
-    seen = screen() if outermost and progress is None else None
-    one = None if seen is None else _Shown(lines, seen)
+def working(name: str, progress: bool | None = None) -> Iterator[Line]:
+    """A progress line for the duration of a `with` block, shown after five seconds where progress is None.
+
+    False turns it off; so does True, as a lasting report is then printed instead."""
+    lines = _local.__dict__.setdefault("lines", [])
+    line, outermost = Line(name), not lines
+    stream = screen() if outermost and progress is None else None
+    display = None if stream is None else _Display(lines, stream)
     lines.append(line)
-    if one is not None:
-        _clock.add(one)
+    if display is not None:
+        _clock.add(display)
     try:
         yield line
     finally:
         lines.pop()
-        if one is not None:
-            _clock.remove(one)
+        if display is not None:
+            _clock.remove(display)

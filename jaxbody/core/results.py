@@ -1,4 +1,4 @@
-"""What every result shares: a status in words, and printing as small tables."""
+"""The base class of results: a status with its message, and printing as small tables."""
 
 from abc import abstractmethod
 from typing import Any
@@ -23,11 +23,11 @@ class Result(eqx.Module):
         return self.status == Status.OK
 
     def explain(self) -> str:
-        """More about a failure of a single sample, in words; empty where there is nothing to add."""
+        """Details of the failure of a single sample; empty where there are none."""
         return ""
 
     def report(self) -> str:
-        """The status in words; for a batch, how many samples ended how; "traced" inside jit or vmap."""
+        """The status with its message; for a batch, the number of samples of each status; "traced" inside jit or vmap."""
         if not is_concrete(self.status):
             return "traced"
         codes = np.asarray(self.status)
@@ -35,15 +35,15 @@ class Result(eqx.Module):
             if not codes:
                 return "ok"
             message = MESSAGES[Status(int(codes))]
-            known = without_derivatives(self)
-            more = known.explain() if is_concrete(known) else ""
-            return f"{Status(int(codes)).name}: {message}" + (f"; {more}" if more else "")
+            plain = without_derivatives(self)
+            details = plain.explain() if is_concrete(plain) else ""
+            return f"{Status(int(codes)).name}: {message}" + (f"; {details}" if details else "")
         values, counts = np.unique(codes, return_counts=True)
         return ", ".join(f"{count} {Status(int(value)).name}" for value, count in zip(values, counts, strict=True))
 
     @abstractmethod
     def _tables(self) -> list[tables.Table]:
-        """What prints."""
+        """The tables that are printed."""
 
     def __repr__(self) -> str:
         return tables.text(*self._tables())
@@ -63,19 +63,19 @@ class Result(eqx.Module):
         codes = np.asarray(self.status)
         if not codes.any():
             return
-        worst = Status(int(codes.flat[np.flatnonzero(codes)[0]]))
+        first = Status(int(codes.flat[np.flatnonzero(codes)[0]]))
         message = self.report()
         if codes.ndim:
             message += f"; failed samples {np.argwhere(codes)[:MOST_PROBLEMS].squeeze(-1).tolist()}"
-        raise JaxbodyError(Problem(worst.name, where, message, value=self.status))
+        raise JaxbodyError(Problem(first.name, where, message, value=self.status))
 
 
 def without_derivatives(tree: Any) -> Any:
-    """The values behind what jax.grad, jax.jvp or jax.vjp follow; what jit or vmap traces stays traced."""
+    """The tree with values in place of the tracers of jax.grad, jax.jvp and jax.vjp; tracers of jit and vmap remain."""
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, Tracer) else x, tree)
 
 
 def warn_if_failed(result: Result) -> None:
-    """The last act of a public function: warn, where the status has a value, that something failed."""
+    """Warn of a failed result at the end of a public function, where the status is not traced."""
     if is_concrete(result.status) and (codes := np.asarray(result.status)).any():
         warn(Status(int(codes.flat[np.flatnonzero(codes)[0]])).name, f"{type(result).__name__}: {result.report()}")

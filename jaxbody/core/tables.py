@@ -11,12 +11,12 @@ import numpy as np
 from jaxbody.core.jax_internals import Tracer
 
 MOST_ROWS = 400  # that print
-ROUND_OFF = 1e-8  # shares below which nothing is said
+ROUND_OFF = 1e-8  # shares below are not printed
 
 
 @dataclass
 class Table:
-    """A title, the columns' heads, and rows of names and numbers; `note` stands below."""
+    """A title, the headings of the columns, and rows of names and numbers; `note` is printed below."""
 
     title: str
     columns: tuple[str, ...]
@@ -25,7 +25,7 @@ class Table:
 
 
 def number(value: Any) -> str:
-    """A number to six digits, a short vector, or the shape of what is larger, batched or being traced."""
+    """A number to six digits, a short vector, or the shape of a larger array; "traced" inside jit or vmap."""
     if value is None or isinstance(value, str):
         return value or ""
     if isinstance(value, Tracer):
@@ -39,7 +39,7 @@ def number(value: Any) -> str:
 
 
 def percent(share: Any) -> str:
-    """A share in percent, to two digits; nothing where it is round-off, or no number.
+    """A share in percent, to two digits; empty where it is round-off or not finite.
 
     >>> percent(0.0123), percent(2.1), percent(2e-14)
     ('1.2 %', '210 %', '')
@@ -55,7 +55,7 @@ def counted(count: int, what: str) -> str:
 
 
 def without_dust(values: Any, unit: Any = None) -> Any:
-    """The numbers with those below 1e-12 of a unit, or of the largest, as zeros, which is what they are but for rounding."""
+    """The numbers with rounding errors set to zero: those below 1e-12 of a unit, or of the largest number."""
     if isinstance(values, Tracer):
         return values
     array = np.asarray(values)
@@ -90,7 +90,7 @@ def _rest(table: Table) -> str:
 
 
 def printed(*shown: Table) -> str:
-    """What `print` shows, a blank line before and after: results printed one after another, or together, stay apart."""
+    """The text for `print`, with a blank line before and after, so that printed results stay apart."""
     return f"\n{text(*shown)}\n"
 
 

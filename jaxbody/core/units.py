@@ -1,9 +1,9 @@
-"""Units by name, as instruments and files state them, and the factors that lead to SI.
+"""Units by name, as instruments and files state them, with their factors to SI.
 
     value [SI] = factor * value [unit];   dimension = exponents of (m, kg, s, rad, A)
 
-Angles have a dimension of their own, so that degrees given for meters are found. What is written together is multiplied ("N m", "N.m", "N*m");
-powers are "m/s^2", "m/s2", "m s-2" or "m/s**2"; after a stroke only the next unit is divided by, or what stands in parentheses.
+Angles have a dimension of their own, so that degrees given for meters are detected. Products are "N m", "N.m" or "N*m"; powers are
+"m/s^2", "m/s2", "m s-2" or "m/s**2". A slash divides by the next unit only, or by what stands in parentheses.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def __dir__():
 
 
 Dimension = tuple[int, int, int, int, int]
-GRAVITY = 9.80665  # m/s2, the standard one
+GRAVITY = 9.80665  # m/s2, standard gravity
 POUND = 4.4482216152605  # N
 TURN = 2 * math.pi
 
@@ -47,7 +47,7 @@ CURRENT: Dimension = (0, 0, 0, 0, 1)
 NONE: Dimension = (0, 0, 0, 0, 0)
 
 PREFIXES = {"n": 1e-9, "u": 1e-6, "m": 1e-3, "c": 1e-2, "d": 0.1, "k": 1e3, "M": 1e6, "G": 1e9}
-PREFIXED = {  # by the prefixes that are in use with them
+PREFIXED = {  # with their usual prefixes
     "m": (1.0, LENGTH, "numcdk"),
     "s": (1.0, TIME, "num"),
     "N": (1.0, FORCE, "umkM"),
@@ -105,12 +105,12 @@ class Unit:
 
     @property
     def si(self) -> str:
-        """The SI unit of its dimension, in words."""
+        """The SI unit of its dimension, as text."""
         return si_words(self.dimension)
 
 
 def si_words(dimension: Dimension) -> str:
-    """The usual name of an SI unit, "m/s2"; else its base units, "kg m s-1"."""
+    """The usual name of an SI unit, "m/s2", or else its base units, "kg m s-1"."""
     if dimension in WORDS:
         return WORDS[dimension]
     m, kg, *others = dimension
@@ -120,14 +120,14 @@ def si_words(dimension: Dimension) -> str:
 
 
 def parse(text: str, where: str) -> Unit:
-    """The unit of this name; `where` is what messages call it. Errors: UNKNOWN_UNIT, with the nearest names; NO_UNIT of an empty one.
+    """The unit with this name; messages begin with `where`. Errors: UNKNOWN_UNIT, with the nearest names; NO_UNIT for an empty name.
 
     >>> parse("mm", "stroke").factor
     0.001
     """
     written = str(text).strip()
     if not written:
-        raise JaxbodyError(Problem("NO_UNIT", where, "has an empty unit", text, 'such as "m/s2"', 'Say "1" for a number without one.'))
+        raise JaxbodyError(Problem("NO_UNIT", where, "has an empty unit", text, 'such as "m/s2"', 'Write "1" for a number without a unit.'))
     if written in PLAIN:
         return Unit(written, *PLAIN[written])
     rest = [*_tokens(written.translate(SUPERSCRIPTS), written, where), ("end", "")]
@@ -151,18 +151,18 @@ def is_unit(text: str) -> bool:
 
 
 def _tokens(text: str, written: str, where: str) -> list[tuple[str, str]]:
-    found, at = [], 0
+    tokens, at = [], 0
     while at < len(text):
         match = TOKEN.match(text, at)
         if match is None or len(text) > 60:
             raise _unknown(written, written, where)
-        found.append((str(match.lastgroup), match.group().strip()))
+        tokens.append((str(match.lastgroup), match.group().strip()))
         at = match.end()
-    return found
+    return tokens
 
 
 def _product(rest: list[tuple[str, str]], written: str, where: str, depth: int = 0) -> tuple[float, Dimension]:
-    """Factors from the left, up to the end or a closing parenthesis, taken off `rest`."""
+    """The product of the units up to the end or a closing parenthesis, which are taken off `rest`."""
     factor, dimension, sign, divided = 1.0, NONE, 1, False
     while True:
         f, d = _power(rest, written, where, depth)
@@ -173,7 +173,7 @@ def _product(rest: list[tuple[str, str]], written: str, where: str, depth: int =
             return factor, dimension  # pyright: ignore[reportReturnType]
         sign = -1 if token == "/" else 1
         if divided and sign == 1:
-            hint = "What is multiplied after a stroke may belong above or below it: use parentheses."
+            hint = "A product after a slash may belong above or below it: use parentheses."
             raise JaxbodyError(
                 Problem("UNKNOWN_UNIT", where, f"unit '{written}' can be read in two ways", written, "N/(m s) or N s/m", hint)
             )
@@ -221,5 +221,5 @@ def _unknown(name: str, written: str, where: str) -> JaxbodyError:
         if near
         else "Convert the numbers first."
     )
-    told = f"unit '{written:.60}' is unknown" + (f": '{name}'" if name != written else "")
-    return JaxbodyError(Problem("UNKNOWN_UNIT", where, told, written, "m mm in deg rad s g N kN lbf V ... and products of them", hint))
+    message = f"unit '{written:.60}' is unknown" + (f": '{name}'" if name != written else "")
+    return JaxbodyError(Problem("UNKNOWN_UNIT", where, message, written, "m mm in deg rad s g N kN lbf V ... and products of them", hint))

@@ -58,7 +58,7 @@ def numbered(tree: Any) -> Any:
 
 
 def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
-    """Every leaf of a model; or of an experiment, which says by `checked_dict()` what is called how."""
+    """Every leaf of a model or an experiment; `named()` of an experiment gives its parts by name."""
     numbers = numbered(tree)
     if not isinstance(tree, Model):
         return [Leaf(f"{prefix}{name}.{field}", n, None, 0) for name, part in numbers.named().items() for field, n in _fields(part)]

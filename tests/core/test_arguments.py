@@ -1,4 +1,4 @@
-"""Lists where dicts are meant, classes for objects, text and halves for numbers: one message each, before anything is computed."""
+"""Lists in place of dicts, classes in place of objects, text in place of numbers: one message each, before anything is computed."""
 
 import warnings
 
@@ -36,7 +36,7 @@ def tune(**options):
     return jb.tune(model(), heaviness, free=["s.stiffness"], minimize="sag", **options)
 
 
-# What is done, then of each of its problems: code, where, value, words of the message
+# A call; then where its problem is, the kind of the value, and the dict that is expected
 DICTS = {
     "bodies": (lambda: model(bodies=[BODY]), "bodies", "a list {name: jb.Body(...)}"),
     "one body": (lambda: model(bodies=BODY), "bodies", "a Body {name: jb.Body(...)}"),
@@ -63,7 +63,7 @@ DICTS = {
 
 
 @pytest.mark.parametrize("case", DICTS)
-def test_what_has_names_is_given_as_a_dict(case):
+def test_named_things_are_given_as_a_dict(case):
     build, where, words = DICTS[case]
     with pytest.raises(jb.JaxbodyError) as refused:
         build()
@@ -107,7 +107,7 @@ NUMBERS = {
 
 
 @pytest.mark.parametrize("case", NUMBERS)
-def test_options_of_another_kind_are_refused_by_name(case):
+def test_options_of_the_wrong_kind_are_refused_by_name(case):
     build, code, where, words = NUMBERS[case]
     with pytest.raises(jb.JaxbodyError) as refused:
         build()
@@ -136,8 +136,8 @@ KEYED = {
 
 
 @pytest.mark.parametrize("where", KEYED)
-def test_a_number_for_a_key_is_refused_with_the_key_to_write(where, fitted):
-    """Whatever is no key of JAX; keys of the old kind are."""
+def test_a_number_in_place_of_a_key_is_refused_with_the_key_to_write(where, fitted):
+    """So is anything else but a random key of JAX; keys of the old kind are accepted."""
     for key, seed in (3, 3), (np.int64(5), 5), ("3", 0), (np.random.default_rng(1), 0), (jax.random.split(jax.random.key(0), 2), 0):
         with pytest.raises(jb.JaxbodyError) as refused:
             KEYED[where](fitted, key)
@@ -147,13 +147,13 @@ def test_a_number_for_a_key_is_refused_with_the_key_to_write(where, fitted):
     KEYED[where](fitted, jax.random.PRNGKey(3))
 
 
-def test_noise_by_a_key_that_is_traced():
+def test_noise_from_a_traced_key():
     run = simulate()
     measure = lambda key: jb.measure(run, {"z": PLACE}, noise=1e-3, key=key)["z"]  # noqa: E731
     np.testing.assert_array_equal(jax.jit(measure)(jax.random.key(3)), measure(jax.random.key(3)))
 
 
-def test_all_that_is_wrong_with_a_call_is_said_at_once():
+def test_all_problems_of_a_call_are_in_one_error():
     with pytest.raises(jb.JaxbodyError) as refused:
         simulate(loads=[PUSH], motion={"bse": jb.AtRest()}, rtol="x", max_steps=2.5, solver=diffrax.Tsit5)
     assert [problem.where for problem in refused.value.problems] == [
@@ -170,14 +170,14 @@ def test_whole_numbers_may_be_written_as_floats():
 
 
 def test_names_of_numpy_are_names():
-    """As pandas and np.array hand them out: nothing of them stays in the model, and the model is the same."""
+    """Strings of NumPy, as pandas and np.array return them, become Python's: the model is the same."""
     mass, base, s = np.array(["mass", "base", "s"])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         spring = jb.Spring((mass, [0, 0, 0]), (base, [0, 0, 0]), stiffness=400.0, free_length=1.0)
         built = model(bodies={mass: BODY}, supports={base: SUPPORT}, elements={s: spring}, joints={mass: jb.Guide(base, axis=[0, 0, 1])})
         jb.equilibrium(built, loads={s: jb.Force(mass, force=[0, 0, 1.0])})
-        found = [
+        ends = [
             jb.Position(mass).on,
             jb.ForcePlate(base).on,
             jb.Reaction(mass).on,
@@ -185,5 +185,5 @@ def test_names_of_numpy_are_names():
             jb.BaseMotion(base, np.str_("z"), kind=np.str_("velocity")).kind,
         ]
     assert built.layout == model().layout and built.elements[0].names == ("s",) and built.elements[0].links == (("mass", "base"),)
-    names = [*found, *built.names, *built.layout.parents, *built.elements[0].links[0]]
+    names = [*ends, *built.names, *built.layout.parents, *built.elements[0].links[0]]
     assert {type(name) for name in names} == {str}

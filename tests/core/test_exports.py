@@ -1,4 +1,4 @@
-"""Results as xarray datasets hold the same numbers under names, with units; without xarray the way to get it is told."""
+"""Results as xarray datasets hold the same numbers with names and units; without xarray the message says how to install it."""
 
 from types import SimpleNamespace
 
@@ -27,54 +27,54 @@ def trajectory(model):
 
 
 def test_a_trajectory(trajectory):
-    made = Trajectory.to_xarray(trajectory)
-    np.testing.assert_array_equal(made["time"], trajectory.times)
-    np.testing.assert_array_equal(made["position"].sel(frame="mass", axis="y"), trajectory.poses["mass"].p[:, 1])
-    np.testing.assert_array_equal(made["quaternion"].sel(frame="base", part="w"), trajectory.poses["base"].quaternion[:, 0])
-    np.testing.assert_array_equal(made["force"].sel(spring="s"), trajectory.forces["s"])
-    np.testing.assert_array_equal(made["reaction_force"].sel(support="base"), trajectory.reactions["base"][0])
-    np.testing.assert_array_equal(made["kinetic_energy"], trajectory.energies["kinetic"])
-    assert made["position"].attrs["units"] == "m" and made["time"].attrs["units"] == "s" and int(made["status"]) == 0
+    dataset = Trajectory.to_xarray(trajectory)
+    np.testing.assert_array_equal(dataset["time"], trajectory.times)
+    np.testing.assert_array_equal(dataset["position"].sel(frame="mass", axis="y"), trajectory.poses["mass"].p[:, 1])
+    np.testing.assert_array_equal(dataset["quaternion"].sel(frame="base", part="w"), trajectory.poses["base"].quaternion[:, 0])
+    np.testing.assert_array_equal(dataset["force"].sel(spring="s"), trajectory.forces["s"])
+    np.testing.assert_array_equal(dataset["reaction_force"].sel(support="base"), trajectory.reactions["base"][0])
+    np.testing.assert_array_equal(dataset["kinetic_energy"], trajectory.energies["kinetic"])
+    assert dataset["position"].attrs["units"] == "m" and dataset["time"].attrs["units"] == "s" and int(dataset["status"]) == 0
 
 
 def test_a_batch_of_trajectories_has_samples_and_bushings_their_components(rng):
-    def some(*shape):
+    def random(*shape):
         return rng.normal(size=(3, 6, *shape))
 
     springs = SimpleNamespace(names=("s", "t"), rows=SimpleNamespace(size=1))
     bushings = SimpleNamespace(names=("b",), rows=SimpleNamespace(size=6))
     batch = SimpleNamespace(
         model=SimpleNamespace(elements=(springs, bushings), layout=SimpleNamespace(supports=("base",))),
-        times=some(),
-        poses={name: SimpleNamespace(p=some(3), quaternion=some(4)) for name in ("base", "mass")},
-        energies={"kinetic": some(), "potential": some()},
-        elongations={"s": some(), "t": some(), "b": some(6)},
-        forces={"s": some(), "t": some(), "b": some(6)},
-        reactions={"base": (some(3), some(3))},
+        times=random(),
+        poses={name: SimpleNamespace(p=random(3), quaternion=random(4)) for name in ("base", "mass")},
+        energies={"kinetic": random(), "potential": random()},
+        elongations={"s": random(), "t": random(), "b": random(6)},
+        forces={"s": random(), "t": random(), "b": random(6)},
+        reactions={"base": (random(3), random(3))},
         status=np.array([0, 0, 4]),
     )
-    made = Trajectory.to_xarray(batch)
-    assert made["position"].dims == ("sample", "time", "frame", "axis") and made["status"].dims == ("sample",)
-    np.testing.assert_array_equal(made["position"].sel(frame="mass"), batch.poses["mass"].p)
-    np.testing.assert_array_equal(made["elongation"].sel(spring="t"), batch.elongations["t"])
-    np.testing.assert_array_equal(made["b_force"], batch.forces["b"])
-    np.testing.assert_array_equal(made["times"], batch.times)
+    dataset = Trajectory.to_xarray(batch)
+    assert dataset["position"].dims == ("sample", "time", "frame", "axis") and dataset["status"].dims == ("sample",)
+    np.testing.assert_array_equal(dataset["position"].sel(frame="mass"), batch.poses["mass"].p)
+    np.testing.assert_array_equal(dataset["elongation"].sel(spring="t"), batch.elongations["t"])
+    np.testing.assert_array_equal(dataset["b_force"], batch.forces["b"])
+    np.testing.assert_array_equal(dataset["times"], batch.times)
 
 
 def test_statics_and_small_motions(model):
     eq = jb.equilibrium(model)
     lin = jb.linearize(model, eq)
     modes = jb.modes(lin)
-    made = eq.to_xarray()
-    assert float(made["elongation"].sel(spring="s")) == float(eq.elongations["s"])
-    assert float(made["q"].sel(part="mass 0")) == float(eq.state.q[0])
-    made = lin.to_xarray()
+    dataset = eq.to_xarray()
+    assert float(dataset["elongation"].sel(spring="s")) == float(eq.elongations["s"])
+    assert float(dataset["q"].sel(part="mass 0")) == float(eq.state.q[0])
+    dataset = lin.to_xarray()
     up, across = "mass move along its guide", "base move along y"
-    assert float(made["K"].sel(coordinate=up, coordinate_2=up)) == float(lin.K[0, 0])
-    assert float(made["M_tilde"].sel(coordinate=up, base=across)) == float(lin.M_tilde[0, 1])
-    made = modes.to_xarray()
-    assert float(made["frequency"].sel(mode=1)) == float(modes.frequency[0])
-    np.testing.assert_array_equal(made["shape"].sel(mode=1), modes.shapes[:, 0])
+    assert float(dataset["K"].sel(coordinate=up, coordinate_2=up)) == float(lin.K[0, 0])
+    assert float(dataset["M_tilde"].sel(coordinate=up, base=across)) == float(lin.M_tilde[0, 1])
+    dataset = modes.to_xarray()
+    assert float(dataset["frequency"].sel(mode=1)) == float(modes.frequency[0])
+    np.testing.assert_array_equal(dataset["shape"].sel(mode=1), modes.shapes[:, 0])
 
 
 def test_a_fit():
@@ -91,10 +91,10 @@ def test_a_fit():
         experiments={"run1": experiment},
         status=jnp.array(7),
     )
-    made = jb.Fit.to_xarray(fit)
-    assert float(made["estimate"].sel(parameter="mass.com[1]")) == 2.0
-    assert float(made["standard_error"].sel(parameter="mass.com[2]")) == np.inf
-    np.testing.assert_array_equal(made["upper"], [51.0, 1.2, 2.4, np.inf])
-    np.testing.assert_array_equal(made["run1_stretch_predicted"], 2 * np.arange(4.0))
-    np.testing.assert_array_equal(made["run1_place_measured"], np.arange(12.0).reshape(4, 3))
-    np.testing.assert_array_equal(made["run1_time"], times)
+    dataset = jb.Fit.to_xarray(fit)
+    assert float(dataset["estimate"].sel(parameter="mass.com[1]")) == 2.0
+    assert float(dataset["standard_error"].sel(parameter="mass.com[2]")) == np.inf
+    np.testing.assert_array_equal(dataset["upper"], [51.0, 1.2, 2.4, np.inf])
+    np.testing.assert_array_equal(dataset["run1_stretch_predicted"], 2 * np.arange(4.0))
+    np.testing.assert_array_equal(dataset["run1_place_measured"], np.arange(12.0).reshape(4, 3))
+    np.testing.assert_array_equal(dataset["run1_time"], times)

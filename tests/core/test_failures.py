@@ -1,4 +1,4 @@
-"""What a failed result says under jax.grad, jvp, vjp and vmap outside of jit, and at which line its warnings point."""
+"""Failed results under jax.grad, jvp, vjp and vmap outside of jit: their warnings, the user's line, and their reports."""
 
 import functools
 import re
@@ -20,15 +20,13 @@ PUSHED = jb.State(jnp.array([0.1]), jnp.zeros(1))
 
 def slider(stiffness, law=None):
     """A mass on a guide along x, held by a spring of this stiffness or by this law."""
-    joined = ("mass", [0, 0, 0]), ("base", [-1, 0, 0])
-    held = (
-        jb.Spring(*joined, stiffness=stiffness, free_length=1.0) if law is None else jb.SpringDamper(*joined, spring=law, free_length=1.0)
-    )
+    ends = ("mass", [0, 0, 0]), ("base", [-1, 0, 0])
+    spring = jb.Spring(*ends, stiffness=stiffness, free_length=1.0) if law is None else jb.SpringDamper(*ends, spring=law, free_length=1.0)
     return jb.Model(
         bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
         supports={"base": jb.Support()},
         joints={"mass": jb.Guide("base", axis=[1, 0, 0])},
-        elements={"s": held},
+        elements={"s": spring},
     )
 
 
@@ -37,7 +35,7 @@ def stops(t):
 
 
 def moved(k, adjoint=None, *, width=1.0, end=0.6, rtol=1e-4):
-    """One program for all: a spring by a table of this half width."""
+    """The last position; all cases share one program: a spring with a table of this half width."""
     x = width * np.array([-2.0, -1.0, 1.0, 2.0])
     model = slider(None, jb.laws.Table(x, k * x))
     return jb.simulate(
@@ -49,7 +47,7 @@ def at_rest(k, adjoint=None, *, max_steps=0):
     return jb.equilibrium(slider(k), start=PUSHED, max_steps=max_steps).state.q[0]
 
 
-# A number of a stiffness, whose result has this status
+# Functions of a stiffness whose result has this status
 FAILURES = {
     "MAX_STEPS": functools.partial(moved, rtol=1e-14),
     "NONFINITE": functools.partial(moved, end=0.9),
@@ -65,15 +63,15 @@ TRANSFORMED = {
 
 
 def warned(function):
-    """What it returns, and the warnings on the way."""
+    """The result of a function, and the warnings that it issued."""
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always")
         return function(), [str(w.message) for w in seen]
 
 
 @pytest.mark.parametrize("code", FAILURES)
-def test_a_result_that_is_not_ok_warns_under_derivatives_as_it_does_without(code):
-    """The derivative of a number that failed is NaN; beyond a table the numbers are good, and so are derivatives."""
+def test_a_failed_result_issues_the_same_warnings_under_derivatives(code):
+    """The derivative of a failed result is NaN; beyond a table the values are valid, and so are the derivatives."""
     number = FAILURES[code]
     _, plain = warned(lambda: number(400.0))
     assert len(plain) == 1 and plain[0].endswith(f"[{code}]")
@@ -85,7 +83,7 @@ def test_a_result_that_is_not_ok_warns_under_derivatives_as_it_does_without(code
     assert seen == [] and (np.isfinite(slopes) == (code == "TABLE_RANGE")).all()
 
 
-def test_derivatives_of_what_was_reached_before_a_failure_are_right():
+def test_derivatives_of_samples_before_a_failure_are_right():
     """x = 0.1 cos(w t): the sample at 0.5 s is reached in ten steps, the last is not."""
 
     def sample(k):
@@ -96,14 +94,14 @@ def test_derivatives_of_what_was_reached_before_a_failure_are_right():
     assert abs(slope + 0.1 * np.sin(2.0 * 0.5) * 0.5 / (2 * 2.0)) <= 1e-9
 
 
-def test_a_report_inside_a_transformation_says_what_it_knows():
+def test_a_report_inside_a_transformation_has_the_values_that_are_not_traced():
     def reported(k):
-        found = jb.equilibrium(slider(k), start=PUSHED, max_steps=0)
-        reports.append(found.report())
+        eq = jb.equilibrium(slider(k), start=PUSHED, max_steps=0)
+        reports.append(eq.report())
         with pytest.raises(jb.JaxbodyError) as error:
-            found.raise_if_failed()
+            eq.raise_if_failed()
         reports.append(error.value.code)
-        return found.state.q[0]
+        return eq.state.q[0]
 
     reports: list[str] = []
     for transformed in (jax.grad(reported), jax.jit(reported)):
@@ -132,23 +130,23 @@ def test_warnings_point_at_the_line_of_the_user():
     assert codes == [("6", "TINY_MASS"), ("9", "NO_EQUILIBRIUM"), ("11", "SINGULAR_K")]
 
 
-def test_an_error_says_what_is_allowed():
+def test_an_error_states_the_allowed_values():
     problem = Problem("BAD_MASS", "Body.mass", "is -3 kg", -3.0, "> 0", "Give a mass.")
     assert str(problem) == "Body.mass: is -3 kg (allowed: > 0). Give a mass. [BAD_MASS]" and problem.limit == "> 0"
 
 
 def test_a_spring_that_shrinks_to_a_point_is_named():
     """At 0.0743 s: x'' = 50 (1 - x) from 0.5 m at -8 m/s, so 1 - x = 0.5 cos wt + (8/w) sin wt = 1 with w = sqrt(50)/s."""
-    found, seen = warned(
+    trajectory, seen = warned(
         lambda: jb.simulate(slider(50.0), np.linspace(0, 1, 21), rtol=1e-12, initial=jb.State(jnp.array([-0.5]), jnp.array([-8.0])))
     )
     assert "'s' has shrunk to a point; its direction jumps there" in seen[0] and "larger max_steps" not in seen[0]
-    w, t = np.sqrt(50), float(found.end[0])
+    w, t = np.sqrt(50), float(trajectory.end[0])
     assert abs(0.5 * np.cos(w * t) + 8 / w * np.sin(w * t) - 1) <= 1e-9
 
 
 def test_a_derivative_that_would_reserve_too_much_memory_is_refused_before():
-    """What is reserved: of 1e9 steps every 128th, a state of two numbers, its rate, a polynomial of seven, and 128 lengths, 8 bytes each: over 9 GB."""
+    """For every 128th of 1e9 steps: a state of two numbers, its rate, a polynomial of seven, and 128 lengths, 8 bytes each: over 9 GB."""
 
     def number(k):
         return jb.simulate(slider(k), [0.0, 0.1], max_steps=10**9).state.q[-1, 0]

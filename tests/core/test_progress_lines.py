@@ -1,4 +1,4 @@
-"""Progress: what takes longer than five seconds says how far it is on a terminal or in a notebook, and nowhere else."""
+"""Progress lines: shown after five seconds on a terminal or in a notebook, and nowhere else."""
 
 import io
 import re
@@ -20,14 +20,14 @@ TIMES = np.linspace(0, 1, 21)
 
 
 class Screen(io.StringIO):
-    """A terminal, which keeps what was written."""
+    """A terminal that records what was written."""
 
     def isatty(self):
         return True
 
 
 def at_terminal(monkeypatch):
-    """A terminal on which lines come at once."""
+    """A terminal on which lines appear at once."""
     monkeypatch.setattr(progress_lines, "AFTER", 0.0)
     monkeypatch.setattr(progress_lines, "EVERY", 0.005)
     monkeypatch.setattr(sys, "stderr", Screen())
@@ -41,7 +41,7 @@ def until_written(stream, words):
     return stream.getvalue()
 
 
-def test_the_line_of_a_long_computation_comes_and_goes(monkeypatch):
+def test_the_line_of_a_long_computation_appears_and_is_cleared(monkeypatch):
     terminal = at_terminal(monkeypatch)
     with working("fit") as line:
         line("evaluation 7")
@@ -65,7 +65,7 @@ def test_a_warning_stands_on_a_line_of_its_own(monkeypatch):
 
 
 @pytest.mark.parametrize("progress", [False, True])
-def test_it_is_switched_off_with_all_that_is_within_it(monkeypatch, progress):
+def test_progress_is_switched_off_for_inner_computations_too(monkeypatch, progress):
     terminal = at_terminal(monkeypatch)
     with working("tune", progress), working("simulate"):
         time.sleep(0.05)
@@ -83,11 +83,11 @@ def test_nothing_before_five_seconds_and_nothing_without_a_terminal(monkeypatch)
         assert stream.getvalue() == ""
 
 
-def test_a_notebook_shows_it_and_a_shell_of_ipython_only_at_a_terminal(monkeypatch):
+def test_a_notebook_shows_progress_and_an_ipython_shell_only_at_a_terminal(monkeypatch):
     monkeypatch.setattr(sys, "stderr", io.StringIO())
-    for shell, seen in ((types.SimpleNamespace(kernel=1), sys.stdout), (types.SimpleNamespace(), None), (None, None)):
+    for shell, stream in ((types.SimpleNamespace(kernel=1), sys.stdout), (types.SimpleNamespace(), None), (None, None)):
         monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda shell=shell: shell))
-        assert progress_lines.screen() is seen
+        assert progress_lines.screen() is stream
 
 
 def on_guide():
@@ -125,15 +125,15 @@ CALLS = {
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.long] if name == "multiple_shooting" else []) for name in CALLS])
-def test_every_long_computation_says_how_far_it_is(name, monkeypatch, capsys):
-    """What the line would show, said or not; without a terminal it is not."""
-    said = []
-    make, tell = Line.__init__, Line.__call__
-    monkeypatch.setattr(Line, "__init__", lambda self, what: (said.append(what), make(self, what))[1])
-    monkeypatch.setattr(Line, "__call__", lambda self, words: (said.append(f"{self.what}: {words}"), tell(self, words))[1])
+def test_every_long_computation_reports_its_progress(name, monkeypatch, capsys):
+    """The reports to the line are recorded; without a terminal none is printed."""
+    reports = []
+    make, report = Line.__init__, Line.__call__
+    monkeypatch.setattr(Line, "__init__", lambda self, name: (reports.append(name), make(self, name))[1])
+    monkeypatch.setattr(Line, "__call__", lambda self, progress: (reports.append(f"{self.name}: {progress}"), report(self, progress))[1])
     call, words = CALLS[name]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         call()
-    assert any(one.startswith(words) for one in said), said
+    assert any(report.startswith(words) for report in reports), reports
     assert capsys.readouterr() == ("", "")

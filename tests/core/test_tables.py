@@ -1,4 +1,4 @@
-"""Tables stay apart in print, hide no row that was asked for, and are all in SI units."""
+"""Printed tables: a blank line between them, all rows up to a stated limit, SI units."""
 
 import contextlib
 import io
@@ -46,14 +46,13 @@ def test_a_table_shows_sixty_load_cases_whole_and_in_meters(mass):
         assert f"{f / 1000:.6f}" in row.split()
 
 
-def test_rows_left_out_are_counted_and_the_way_to_them_is_said():
+def test_rows_left_out_are_counted_and_the_note_says_where_they_are():
     table = tables.Table("Long", ("number",), [(i,) for i in range(tables.MOST_ROWS + 7)])
     for shown in (tables.text(table), tables.html(table)):
         assert f"... 7 more of {tables.MOST_ROWS + 7} rows; the result's attributes have all of them" in shown
 
 
 def test_no_table_states_thousandths_of_units(mass):
-    """Backbones had millimeters where all others have meters."""
-    found = jb.backbones(jb.linearize(mass, jb.equilibrium(mass)))
-    assert jnp.isfinite(found.frequency).all()
-    assert not {"mm", "mrad"} & set(printed(found).split())
+    backbones = jb.backbones(jb.linearize(mass, jb.equilibrium(mass)))
+    assert jnp.isfinite(backbones.frequency).all()
+    assert not {"mm", "mrad"} & set(printed(backbones).split())
