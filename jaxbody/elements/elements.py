@@ -19,8 +19,7 @@ from jaxbody.core.errors import Problems, warn
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Pose, Wrench
 from jaxbody.geometry.vectors import cross, dot, product, rotate
-from jaxbody.numerics.elementary_functions import inverse_root
-from jaxbody.numerics.lane_marks import kept
+from jaxbody.numerics.xla_workarounds import inverse_root, kept
 
 
 class Element(eqx.Module):

@@ -15,7 +15,7 @@ from jaxbody.elements.elements import Element, LineElement, length_and_direction
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, dot, product, rotate, rotate_back, skew
-from jaxbody.numerics.elementary_functions import inverse_root
+from jaxbody.numerics.xla_workarounds import inverse_root
 
 Slopes = tuple[Float[Array, "6"], ...]  # of each frame of an element
 # Where in a block h is, where Q, and where the components of x and of y are, and with which sign
@@ -42,7 +42,7 @@ class Block(NamedTuple):
         return Block(P, self.h, self.y, self.x, Q)
 
     def whole(self) -> Float[Array, "*n 6 6"] | float:
-        """By products with ones and zeros: parts joined in place of them are copied one number after another."""
+        """By products with ones and zeros: parts joined in place of them are copied one number after another (numerics/xla_workarounds.py)."""
         parts = [] if self.P is None else [self.P]
         if self.h is not None:
             parts.append(self.h[..., None, None] * UPPER_LEFT)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.geometry.vectors import cross, dot, product, skew
 from jaxbody.numerics.elementary_functions import polynomial, sincos
-from jaxbody.numerics.lane_marks import kept
+from jaxbody.numerics.xla_workarounds import kept
 
 TERMS = 12  # of the power series in theta^2 < 1: 1e-16 up to the fourth derivative
 SINC = [(-1) ** n / factorial(2 * n + 1) for n in range(TERMS)]  # sin(t)/t

@@ -1,4 +1,4 @@
-"""Vectors and matrices of three as sums of products, which a compiled loop can fuse where a matrix product cannot."""
+"""Vectors and matrices of three as sums of products, not matrix products: what that gains is listed in numerics/xla_workarounds.py."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from jaxtyping import Array, Float
 
 
 def dot(a: Float[Array, "*n 3"], b: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
-    """a . b over the last axis; a sum of products, which a compiled loop can fuse where a matrix product cannot."""
+    """a . b over the last axis."""
     return jnp.sum(a * b, -1)
 
 
@@ -37,7 +37,7 @@ def rotate_back(R: Float[Array, "*n 3 3"], a: Float[Array, "*n 3"]) -> Float[Arr
 
 
 def product(A: Float[Array, "*n 3 3"], B: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3 3"]:
-    """A B of small matrices, as a sum."""
+    """A B."""
     return jnp.sum(A[..., :, :, None] * B[..., None, :, :], -2)
 
 

@@ -16,7 +16,7 @@ from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
-from jaxbody.numerics.row_sums import sums, take
+from jaxbody.numerics.xla_workarounds import sums, take
 
 Xi = Float[Array, "ns 6"] | None
 

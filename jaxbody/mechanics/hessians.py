@@ -30,7 +30,7 @@ from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
-from jaxbody.numerics.row_sums import sums, take
+from jaxbody.numerics.xla_workarounds import sums, take
 
 Vector = Float[Array, "n"]
 Square = Float[Array, "n n"]

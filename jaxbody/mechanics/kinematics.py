@@ -15,7 +15,7 @@ from jaxbody.inputs.motions import Motion
 from jaxbody.models.models import Model, at_rest_in, body_poses, rest_poses, support_poses
 from jaxbody.models.states import State
 from jaxbody.models.storage import Table
-from jaxbody.numerics.row_sums import take
+from jaxbody.numerics.xla_workarounds import take
 
 Motions = tuple[Motion, ...]  # one per support, in their order
 

@@ -26,8 +26,8 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxbody.core.errors import JaxbodyError, Status
 from jaxbody.core.errors import Problem as Wrong
 from jaxbody.core.jax_internals import linear_with_transpose
-from jaxbody.numerics.lane_marks import any_of_batch
 from jaxbody.numerics.lanes import in_lanes, vmap_last
+from jaxbody.numerics.xla_workarounds import any_of_batch
 
 TABLEAU = diffrax.Dopri8.tableau
 STAGES = len(TABLEAU.c) + 1
@@ -330,7 +330,7 @@ def _error(problem: Problem, y, y1, k) -> Float[Array, ""]:
 
 
 def _sum(a, k: Float[Array, "n ny"]) -> Float[Array, "ny"]:
-    """sum of a_i k_i, term by term: loops over ny are fast, a reduction over n is not."""
+    """sum of a_i k_i, term by term: loops over ny are fast, a reduction over n is not (xla_workarounds)."""
     terms = [a[i] * k[i] for i in range(len(k)) if isinstance(a, jax.Array) or a[i] != 0]
     return sum(terms[1:], terms[0])
 

@@ -13,9 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbody.numerics.lane_marks import kept
+from jaxbody.numerics.xla_workarounds import kept
 
-NOTHING = 1e-80  # below, the fifth power of 1/sqrt x in higher derivatives would overflow, and inf * 0 is NaN
 HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
 S = [-0.16666666666666632, 0.008333333333322401, -0.0001984126982979792, 2.7557313688378045e-06, -2.505075754440838e-08, 1.5896761631460063e-10]  # fmt: skip
 C = [0.0416666666666666, -0.001388888888887411, 2.480158728947261e-05, -2.755731434942852e-07, 2.0875722861280806e-09, -1.1359625646983016e-11]  # fmt: skip
@@ -62,21 +61,3 @@ def _sincos_jvp(primals, tangents):
     (x,), (dx,) = primals, tangents
     s, c = sincos(x)
     return (s, c), (c * dx, -s * dx)
-
-
-@jax.custom_jvp
-def inverse_root(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """1/sqrt x as sqrt(x)/x, zero with all its derivatives where x is next to nothing; XLA's own is not of vector instructions on a CPU.
-
-    >>> float(inverse_root(jnp.array(4.0))), float(inverse_root(jnp.array(0.0)))
-    (0.5, 0.0)
-    """
-    some = x > NOTHING
-    return jnp.where(some, jnp.sqrt(x), 0.0) / jnp.where(some, x, 1.0)
-
-
-@inverse_root.defjvp
-def _inverse_root_jvp(primals, tangents):
-    (x,), (dx,) = primals, tangents
-    y = inverse_root(x)
-    return y, -0.5 * y * y * y * dx

@@ -21,8 +21,8 @@ from jaxtyping import Array
 
 from jaxbody.core.compilations import note_left_to_vmap
 from jaxbody.core.jax_internals import ClosedJaxpr, Literal, Zero, call_of, jaxpr_as_fun, without_high_operations
-from jaxbody.numerics.lane_marks import as_kept, plain_max, sum_p
 from jaxbody.numerics.symmetric_eigenvalues import eigenvalues
+from jaxbody.numerics.xla_workarounds import as_kept, plain_max, sum_p
 
 LANES = 32
 ELEMENTWISE = {

@@ -8,7 +8,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.numerics.lane_marks import kept
+from jaxbody.numerics.xla_workarounds import kept
 
 LARGEST_UNROLLED = 30
 

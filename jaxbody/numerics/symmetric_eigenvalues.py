@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxbody.numerics.lane_marks import any_of_batch, kept
+from jaxbody.numerics.xla_workarounds import any_of_batch, kept
 
 SWEEPS = 30  # for each eigenvalue; three are usual
 

@@ -13,10 +13,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody.mechanics.hessians import configuration_at, expansion
 from jaxbody.mechanics.kinematics import Coordinates
-from jaxbody.numerics.lane_marks import any_of_batch
 from jaxbody.numerics.lanes import LANES, in_lanes
 from jaxbody.numerics.precisions import NEWTON, reachable
 from jaxbody.numerics.small_systems import is_definite, solve_if_definite
+from jaxbody.numerics.xla_workarounds import any_of_batch
 from jaxbody.statics.load_paths import AppliedLoads, dead_forces, with_load_gravity
 
 TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the error left is its square

@@ -37,8 +37,8 @@ from jaxbody.models.preconditions import check_attached, check_memory, check_pre
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.eigenproblems import MASSLESS
-from jaxbody.numerics.lane_marks import any_of_batch
 from jaxbody.numerics.precisions import in_float64, reachable
+from jaxbody.numerics.xla_workarounds import any_of_batch
 from jaxbody.statics.descents import SINGULAR, descend, eigenvalue_signs
 from jaxbody.statics.load_paths import AppliedLoads, Path, dead_forces, follow_load_path, residual, tangent, with_gravity, with_load_gravity
 

@@ -7,8 +7,8 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.numerics import lanes
-from jaxbody.numerics.lane_marks import any_of_batch, kept
 from jaxbody.numerics.lanes import LANES, in_lanes, vmap_last
+from jaxbody.numerics.xla_workarounds import any_of_batch, kept
 
 pytestmark = pytest.mark.everywhere
 

@@ -1,0 +1,150 @@
+"""Ways around what XLA does badly on a CPU: small functions, and a list of all such places with what each gained, so that it can go again.
+
+Gains are times, or ratios to a C program's where no unit stands, of tasks T1 (a motion), T2 (its gradient), T3 (1000 motions) and T4 (10000
+equilibria with modes) of one body on five springs, of three bodies where it says so; measured as tests/benchmarks/README.md has it, with jaxlib
+0.10.2 where no other version stands. In brackets is what would stand there otherwise. To see whether one is still needed put that in its place,
+run tests/benchmarks/run.py, and leave it so where nothing is lost.
+
+In this file
+    kept [x]                          cheap numbers are worked out again in each fusion that uses them: T3 11 to 6.6, T1 1.57 to 1.39
+    plain_sum, sum_p [reduce_sum]     large sums go to a library, whose calls keep a loop from being compiled whole: T3 18 to 11
+    plain_max [reduce_max]            the same of maxima: T4 of three bodies 3.6 to 2.5
+    any_of_batch [jnp.any]            a loop that ends by member is masked, and left to jax.vmap: T4 2.1 to 1.75
+    sums [zeros.at[rows].add]         gather and scatter break a loop: T4 of three bodies 4.6 to 3.6, T1 of them 0.75 to 0.55
+    take [x[rows]]                    the same: with two other changes, frequencies from 2853 to 2705 operations
+    inverse_root [lax.rsqrt]          is no vector instruction: with LANES = 40 T3 3.0 to 2.2, of three bodies 2.6 to 2.1
+geometry/vectors.py
+    dot, rotate, product [@]          a matrix product in a loop is not fused: T1 0.66 to 0.31 ms, T3 17.8 to 4.2
+numerics/elementary_functions.py
+    sincos [jnp.sin, jnp.cos]         the C library is called for one number after another: T1 1.75 to 1.57, T3 28 to 18
+numerics/small_systems.py
+    solve_if_definite [cho_solve]     calls of LAPACK keep a loop from being compiled whole: T4 167 to 119 ms, with the next
+    is_definite [cholesky]            the same
+numerics/symmetric_eigenvalues.py
+    eigenvalues [jnp.linalg.eigvalsh] LAPACK takes one matrix after another: T4 1.3 to 1.0, of three bodies 2.6 to 1.9
+numerics/lanes.py
+    in_lanes [jax.vmap]               members last, as vectors of three leave registers empty: K of 10000 designs 27 to 3.4 ms
+    LANES = 32 [64]                   fusions beyond a cost are split between threads: T3 without fast_loops 15 to 10
+numerics/eigenproblems.py
+    SWEPT = 128 [32]                  short loops cost more to call than to run: eigenvalues of T4 63 to 40 ms without fast_loops
+numerics/dormand_prince_steps.py
+    LANES = 40 [32]                   loops over 32 or fewer are unrolled before they become vector instructions: see inverse_root
+    _sum [jnp.tensordot]              a sum over stages is no vector instruction: with drives of all stages at once T3 49 to 31
+elements/second_derivatives.py
+    Block [6 x 6 matrices]            sums part by part, in which no blocks are joined: T4 1.6 to 1.4
+    whole [jnp.block]                 joined parts are copied one number after another: with kept solutions T4 0.75 to 0.50
+statics/descents.py
+    2 * LANES [LANES]                 for up to six coordinates calls of fusions cost more than memory: equilibria of T4 72 to 48 ms
+vibrations/damped_modes.py
+    _complex_modes                    LAPACK may not end on NaN
+responses/frequency_responses.py
+    _eliminated [lu_solve]            LAPACK takes one frequency after another
+inputs/motions.py
+    Harmonic [a sine for each row]    one sine and cosine where frequencies are equal: T3 31 to 28
+core/compile_options.py
+    fast_loops                        small loops as one function: T1 3.5 to 0.9 ms, jaxlib 0.10.2 and 0.12.0; wide vectors: T3 6.8 to 5.0
+    NO_FUSION_EMITTERS                compiling a motion 1.3 to 0.7 s; jaxlib 0.12 knows no such option
+    UNOPTIMIZED                       first frequencies 3.9 to 2.4 s
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Float
+
+from jaxbody.core.jax_internals import new_operation, same_numbers, shaped
+
+FEW_RUNS = 64  # slices that a sum may take; more would cost more to compile than a gather costs to run
+NOTHING = 1e-80  # below, the fifth power of 1/sqrt x in higher derivatives would overflow, and inf * 0 is NaN
+
+# Operations of batches in lanes
+
+# Whether it is so for any member of a batch, the same for all: a loop that asks this needs no masks over what it carries.
+_any_p = same_numbers("any_of_batch", batch=lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None))
+any_of_batch: Callable[[Bool[Array, "*n"]], Bool[Array, "*n"]] = _any_p.bind
+
+# The same numbers, which a batch in lanes works out once; else XLA works them out again in each fusion, and for each element, that uses them.
+_kept_p = same_numbers(
+    "kept_in_lanes", batch=lambda args, axes: (_kept_p.bind(args[0]), axes[0]), transpose=lambda cotangent, x: [cotangent]
+)
+kept: Callable[[Array], Array] = _kept_p.bind
+
+
+def as_kept(x: Array) -> Array:
+    """x / 1, as XLA fuses no division into several users; it must not know that it is 1."""
+    return x / jnp.where(x == x, 1.0, jnp.nan)
+
+
+# Reducers that XLA does not recognize: else it gives large reductions to a library, whose calls keep a loop from being compiled
+# whole. They must be sums and maxima all the same, as XLA merges sums of sums.
+def plain_sum(x: Array, axes: tuple[int, ...]) -> Array:
+    """The sum over axes, never by a library."""
+    return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
+
+
+def plain_max(x: Array, axes: tuple[int, ...]) -> Array:
+    """The largest over axes, never by a library."""
+    return lax.reduce(x, np.array(-np.inf, x.dtype), lambda a, b: -lax.min(-a, -b), axes)
+
+
+def _spread_back(cotangent, x, axes):
+    return [lax.broadcast_in_dim(cotangent, x.aval.shape, [i for i in range(x.aval.ndim) if i not in axes])]
+
+
+def _batched_sum(args, batched, axes):
+    return sum_p.bind(jnp.moveaxis(args[0], batched[0], -1), axes=axes), args[0].ndim - 1 - len(axes)
+
+
+def _summed(x, axes):
+    return shaped(tuple(n for i, n in enumerate(x.shape) if i not in axes), x.dtype)
+
+
+sum_p = new_operation("sum_in_lanes", plain_sum, typed=_summed, batch=_batched_sum, transpose=_spread_back)
+
+
+# Rows and roots
+
+
+def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]:
+    """The sum of the rows of each group: over slices where groups are a few runs of consecutive rows, else by a padded gather."""
+    runs = [np.split(rows, np.flatnonzero(np.diff(rows) != 1) + 1) if rows else [] for rows in groups]
+    if sum(map(len, runs)) <= FEW_RUNS:
+        zero = jnp.zeros(x.shape[1], x.dtype)
+        return jnp.stack([sum((jnp.sum(x[run[0] : run[-1] + 1], 0) for run in group), zero) for group in runs])
+    most = max(len(rows) for rows in groups)
+    padded = np.array([rows + [len(x)] * (most - len(rows)) for rows in groups])
+    return jnp.sum(jnp.concatenate([x, jnp.zeros((1, x.shape[1]), x.dtype)])[padded], 1)
+
+
+def take(x: Array, rows: np.ndarray) -> Array:
+    """x[rows] for rows known beforehand; slices where they follow one another or are all the same, which a compiled loop can fuse."""
+    if len(rows) and (np.diff(rows) == 1).all():
+        if len(rows) == len(x):
+            return x
+        return x[int(rows[0]) : int(rows[-1]) + 1]
+    if len(rows) and (rows == rows[0]).all():
+        return jnp.broadcast_to(x[int(rows[0]) : int(rows[0]) + 1], (len(rows), *x.shape[1:]))
+    return x[rows]
+
+
+@jax.custom_jvp
+def inverse_root(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
+    """1/sqrt x as sqrt(x)/x, zero with all its derivatives where x is next to nothing; XLA's own is not of vector instructions on a CPU.
+
+    >>> float(inverse_root(jnp.array(4.0))), float(inverse_root(jnp.array(0.0)))
+    (0.5, 0.0)
+    """
+    some = x > NOTHING
+    return jnp.where(some, jnp.sqrt(x), 0.0) / jnp.where(some, x, 1.0)
+
+
+@inverse_root.defjvp
+def _inverse_root_jvp(primals, tangents):
+    (x,), (dx,) = primals, tangents
+    y = inverse_root(x)
+    return y, -0.5 * y * y * y * dx
