@@ -267,14 +267,9 @@ SLOW = [
     "designs.objectives",
     "identification.multistarts",
     "identification.shootings",
-    "inference.confidence_bands",
-    "plots.mode_plots",
-    "statics.cases",
     "statics.equilibrium_searches",
-    "vibrations.backbone_curves",
     "vibrations.damped_modes",
     "vibrations.mode_branches",
-    "vibrations.mount_axes",
     "vibrations.spins",
 ]
 

@@ -46,7 +46,6 @@ def test_each_is_one_program_whatever_the_values():
     assert then.count == 0, then
 
 
-@pytest.mark.long
 def test_another_shape_or_option_is_another_program():
     model, options = rigs.plate(), dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.01)
     begin = time.perf_counter()

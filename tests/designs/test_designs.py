@@ -141,7 +141,6 @@ def test_the_tuned_damper_of_a_quarter_car():
     np.testing.assert_allclose(found.values["suspension.damping"], 35000.0 * np.sqrt((MS + MU) / KT), rtol=1e-4)
 
 
-@pytest.mark.long
 def test_den_hartogs_absorber():
     """The spring for which both fixed points are equally high: frequency ratio 1/(1 + mu), height sqrt(1 + 2/mu), whatever the damper."""
     mu, k = 0.05, 1e4

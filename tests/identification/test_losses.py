@@ -65,7 +65,6 @@ def values(found):
     return np.array([float(x) for x in found.estimates.values()])
 
 
-@pytest.mark.long
 def test_tied_parameters_are_one(record):
     found = fit(oscillator(left=24.0, right=24.0), run(record), ("left.stiffness = right.stiffness", "damper.damping"))
     expected = optimum(lambda p: (motion(2 * p[0], p[1]) - record) / SIGMA, TRUTH)

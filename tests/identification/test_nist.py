@@ -118,7 +118,6 @@ def test_certified_parameters_and_their_standard_deviations(path):
     assert arrived and digits(found, certified) >= 6 and digits(error, deviations) >= known
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_from_the_far_start_too_or_the_data_are_told_not_to_determine_what_was_found(path):
     """Three end where an exponential has died out before the first point, on a plateau: parameters have no number there."""

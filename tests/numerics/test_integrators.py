@@ -180,7 +180,6 @@ def test_more_samples_than_a_window_and_more_steps_than_a_block(model):
     np.testing.assert_allclose(run.state.q[some], jb.simulate(model, times[some], motion=MOTION).state.q, rtol=0, atol=1e-9)
 
 
-@pytest.mark.long
 def test_too_few_steps_keep_what_there_is(model):
     with pytest.warns(jb.JaxbodyWarning, match="MAX_STEPS"):
         run = jb.simulate(model, TIMES, motion=MOTION, max_steps=3)

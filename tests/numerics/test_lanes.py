@@ -13,6 +13,11 @@ from jaxbody.numerics.xla_workarounds import any_of_batch, kept
 pytestmark = pytest.mark.everywhere
 
 
+def batches(test):
+    """Both ways, which are both quick here."""
+    return pytest.mark.usefixtures("batches")(pytest.mark.parametrize("batches", ["in lanes", "by vmap"], indirect=True)(test))
+
+
 def vectors(x, a):
     """Shapes, sums, slices, gathers, products."""
     M = jnp.stack([x, x[::-1], jnp.cross(x, a)])
@@ -61,7 +66,7 @@ def tables(x, a):
     return jax.lax.fori_loop(0, 2, lambda i, y: y + jnp.searchsorted(jnp.cumsum(jnp.abs(x)), y), between)
 
 
-@pytest.mark.usefixtures("batches")
+@batches
 @pytest.mark.parametrize("function", [vectors, loops, until_all_have, sums_of_what_is_kept, while_carrying_lanes_alone, tables])
 def test_lanes_are_vmap(function):
     x = jax.random.normal(jax.random.key(0), (LANES + 5, 3))
@@ -73,7 +78,7 @@ def test_lanes_are_vmap(function):
     jax.tree.map(lambda p, q: np.testing.assert_allclose(p, q, rtol=1e-14, atol=1e-14), alone, jax.jit(function)(x[0], a))
 
 
-@pytest.mark.usefixtures("batches")
+@batches
 def test_derivatives_forward_and_batches_of_batches():
     x = jax.random.normal(jax.random.key(1), (2, 3, 3))
     a = jnp.array([0.3, -1.0, 2.0])
@@ -86,7 +91,7 @@ def test_derivatives_forward_and_batches_of_batches():
         np.testing.assert_allclose(ours, theirs, rtol=1e-12)
 
 
-@pytest.mark.usefixtures("batches")
+@batches
 def test_results_that_do_not_depend_on_the_lane_are_given_to_all():
     ours = jax.vmap(in_lanes(lambda x, a: (x + 1, a * 2)), in_axes=(0, None))(jnp.arange(3.0), jnp.ones(2))
     assert ours[0].shape == (3,) and ours[1].shape == (3, 2)
@@ -94,7 +99,7 @@ def test_results_that_do_not_depend_on_the_lane_are_given_to_all():
     assert last[0].shape == (4,) and last[1].shape == (2, 4)
 
 
-@pytest.mark.usefixtures("batches")
+@batches
 def test_derivatives_in_reverse_of_sums_and_of_what_is_kept():
     x = jax.random.normal(jax.random.key(2), (4, 3))
     a = jnp.array([0.3, -1.0, 2.0])
@@ -113,7 +118,7 @@ def test_a_loop_of_all_lanes_keeps_them_last():
     assert "while" in text and "f64[3,5]" in text.split("while", 1)[1]
 
 
-@pytest.mark.usefixtures("batches")
+@batches
 def test_a_yes_or_no_takes_no_part_in_derivatives():
     def of_positive(x):
         return jnp.where(in_lanes(lambda x: jnp.sum(x) > 0)(x), jnp.sum(x**2), 0.0)
@@ -199,7 +204,7 @@ def turned_back(x):
 turned_back.defvjp(lambda x: (x**2, x), lambda x, c: (3 * x**2 * c,))
 
 
-@pytest.mark.usefixtures("batches")
+@batches
 @pytest.mark.parametrize("reversible", [False, True])
 def test_a_rule_of_ones_own_is_kept_when_a_batch_is_differentiated(reversible):
     """Forward, in reverse, twice, in a loop, beside an operation that JAX replaces: against the rule by hand."""

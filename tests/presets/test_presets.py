@@ -113,7 +113,6 @@ def test_the_stewart_table_stands_on_legs_of_equal_tension():
     np.testing.assert_allclose(lengths, L, rtol=1e-12)
 
 
-@pytest.mark.long
 def test_the_double_pendulum_and_the_gliders():
     model = presets.double_pendulum()
     _, lin = frequencies(model)

@@ -557,7 +557,6 @@ def test_any_bytes_at_length(tmp_path, content, decimal, encoding):
     assert_record_or_error(tmp_path / "run.csv", content, decimal=decimal or ".", encoding=encoding)
 
 
-@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # asammdf's destructor, of files that it could not open
 @pytest.mark.parametrize("kind", [kind for kind in FORMATS if "csv" not in kind])
 def test_files_of_other_formats_with_bytes_changed(kind, tmp_path, rng):

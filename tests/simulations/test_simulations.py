@@ -293,7 +293,6 @@ def test_a_batch_has_the_same_names_and_the_numbers_of_a_loop():
     assert "3 OK" in repr(batch)
 
 
-@pytest.mark.long
 def test_a_sample_of_a_batch_that_fails_does_not_disturb_its_neighbors():
     model, stiffnesses = hung(), np.array([50.0, 1e9, 200.0])
     limit = {"max_steps": 60, "rtol": 1e-7}

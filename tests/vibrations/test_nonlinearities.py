@@ -62,7 +62,6 @@ def bead(l0, angle):
     return jb.Model(bodies={"bead": jb.Body(mass=0.4, inertia=[1, 1, 1])}, joints=joints, elements=ends)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("l0", "angle"), [((0.7, 0.7), 0.0), ((0.7, 0.8), 0.6)])
 def test_a_bead_on_a_string_has_the_slope_of_the_energy_integral(l0, angle):
     """T = 2 integral of dq/sqrt(2 (E - V)/m) between turning points q1, q2; E - V = (q - q1)(q2 - q) V[q1, q2, q], a divided difference.
@@ -237,7 +236,6 @@ class Cart:
         return y[2:]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("mode", [0, 1])
 def test_a_pendulum_on_a_cart_has_the_slope_of_its_periodic_motions(mode):
     """Its kinetic energy depends on the angle, its spring has a quadratic term, and both couple the modes."""
@@ -286,7 +284,6 @@ def test_a_free_body_on_springs_has_the_slope_of_its_periodic_motions(hanging, m
     check_against_periodic_motions(Plate(hanging), jb.backbones(jb.linearize(hanging.model, hanging)), mode)
 
 
-@pytest.mark.long
 def test_the_coefficient_does_not_depend_on_the_coordinates(hanging):
     """Another reference point and other body axes: other charts, in which the mean, second harmonic and straight lines differ."""
     one = jb.backbones(jb.linearize(hanging.model, hanging))
@@ -395,7 +392,6 @@ def test_a_mode_alone_has_derivatives_where_others_coincide():
     assert max_difference(slope, [-3 / 8 / MASS[0] ** 2, 0, 0]) < 1e-13
 
 
-@pytest.mark.long
 def test_it_prints_amplitudes_in_meters_and_radians_and_is_exported(hanging):
     found = jb.backbones(jb.linearize(hanging.model, hanging))
     rows = repr(found).splitlines()[2:8]

@@ -186,7 +186,6 @@ def spinning(model, speed):
     return jb.State(model.reference.q, jnp.zeros(6).at[5].set(speed))
 
 
-@pytest.mark.long
 def test_a_rotor_whirls_forward_and_backward_as_in_closed_form():
     """I w^2 -+ P W w - k = 0 for turning across the axis, w = -+P W/(2 I) + sqrt((P W/(2 I))^2 + k/I); translation does not notice the spin."""
     model, speed = rotor(), 80.0
@@ -292,7 +291,6 @@ def test_elastic_axes_are_what_they_are_defined_as(engine):
     assert max_difference(there, there.T) < 1e-9 * np.abs(K).max() and "torsional axis" in str(found)
 
 
-@pytest.mark.long
 def test_mounts_inclined_towards_a_point_decouple_there():
     """Two bushings, inclined by +-alpha at +-b, height 0 (focal mounts): coupling vanishes at the height
     b (kp - ks) sin cos/(kp sin^2 + ks cos^2) (Harris, ch. 3)."""
@@ -388,7 +386,6 @@ def test_following_is_differentiable(crossing):
     assert max_difference(rows[:, 0, :], np.diag(slope)) < 1e-12 and np.abs(rows[:, 1:]).max() == 0
 
 
-@pytest.mark.long
 def test_following_tells_what_it_lost():
     def turned(angle):
         """The frame of two springs turns under a mass while they stay different: a quarter turn changes one mode into the other."""
@@ -410,7 +407,6 @@ def test_following_tells_what_it_lost():
     assert refused(jb.track, turned, [[0.0]]) == "BAD_SHAPE" and refused(jb.track, turned, [0.0, np.nan]) == "NON_FINITE"
 
 
-@pytest.mark.long
 def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
     pytest.importorskip("xarray")
     damped, energies, axes = jb.complex_modes(engine), jb.mode_energies(engine), jb.elastic_axes(engine, "engine")
