@@ -131,6 +131,22 @@ def test_every_name_that_code_uses_is_there(module):
     assert sorted(used - known) == []
 
 
+TWICE = {"Function"}  # a user's own function: as a law of one number in `jb.laws`, of time in `jb.signals`; both are public
+
+
+def test_a_class_or_type_has_a_name_of_its_own():
+    """One word means one thing in the whole package."""
+    places: dict[str, list[str]] = {}
+    for module in MODULES:
+        tree = tree_of(module)
+        names = [node.name for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+        names += [node.targets[0].id for node in tree.body if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)]
+        for name in names:
+            if re.fullmatch("_?[A-Z]+[a-z][A-Za-z]*", name):
+                places.setdefault(name, []).append(module)
+    assert {name: modules for name, modules in places.items() if len(modules) > 1 and name not in TWICE} == {}
+
+
 @pytest.mark.parametrize("module", MODULES)
 def test_the_first_line_of_a_module_is_its_idea(module):
     first = path_of(module).read_text().splitlines()[0]

@@ -156,28 +156,28 @@ def printed_force(k: float, l: float, xi0: float, phi0: float) -> np.ndarray:
 
 def compare_K_tilde(K_tilde: np.ndarray, k: float, kt: float, l: float) -> None:
     """Print K~ and the paper's (77)."""
-    from jaxbody.core.tables import Table, text
+    from jaxbody.core.tables import PrintedTable, text
 
     printed, axes = printed_K_tilde(k, kt, l), ("x", "y", "z", "about x", "about y", "about z")
     rows = [(f"plate {axes[i]}", f"base {axes[j]}", K_tilde[i, j], printed[i, j], formula) for i, j, formula, _ in PRINTED]
     note = f"the other {36 - len(rows)} entries are zero; largest difference {np.abs(K_tilde - printed).max():.1g}"
     columns = ("force along", "displacement along", "jaxbody", "paper (77)", "k/4 times")
-    print(text(Table("K~ [N/m, N, N m]", columns, rows, note)), flush=True)
+    print(text(PrintedTable("K~ [N/m, N, N m]", columns, rows, note)), flush=True)
 
 
 def compare_forces(linear: np.ndarray, exact: np.ndarray, k: float, l: float) -> None:
     """Print the force due to a displaced base: linear, the paper's (79), and exact."""
-    from jaxbody.core.tables import Table, text
+    from jaxbody.core.tables import PrintedTable, text
 
     report("The force due to a base displaced by 10 mm along x and turned by 20 mrad about z:")
     printed = printed_force(k, l, 0.01, 0.02)
     rows = [(axis, linear[i], printed[i], exact[i]) for i, axis in ((0, "along x [N]"), (1, "along y [N]"), (5, "about z [N m]"))]
-    print(text(Table("", ("", "K~ Xi", "paper (79)", "exact, finite Xi"), rows)), flush=True)
+    print(text(PrintedTable("", ("", "K~ Xi", "paper (79)", "exact, finite Xi"), rows)), flush=True)
 
 
 def compare_stiffnesses(fit: Any, truth: dict[str, float]) -> bool:
     """Print true values, estimates and standard errors; True when the fit succeeded and all errors are within LIKELY standard errors."""
-    from jaxbody.core.tables import Table, text
+    from jaxbody.core.tables import PrintedTable, text
 
     rows, agree = [], bool(fit.ok)
     for name, true in truth.items():
@@ -186,7 +186,7 @@ def compare_stiffnesses(fit: Any, truth: dict[str, float]) -> bool:
         agree &= bool(ratio <= LIKELY)
         rows.append((name, 1.3 * true, true, estimate, error, f"{ratio:.1f}"))
     report(f"Fitted stiffnesses [N/m], {int(fit.evaluations)} evaluations, {fit.report()}:")
-    print(text(Table("", ("spring", "start", "truth", "estimate", "standard error", "error / standard error"), rows)), flush=True)
+    print(text(PrintedTable("", ("spring", "start", "truth", "estimate", "standard error", "error / standard error"), rows)), flush=True)
     return agree
 
 

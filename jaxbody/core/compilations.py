@@ -78,9 +78,9 @@ class CompileTimes:
         end = f"{tables.counted(self.count, 'compilation')}, {self.seconds:.3g} s" + (
             f", {self.cached} from the cache" if self.cached else ""
         )
-        found = [tables.Table("Compilations", ("function", "traced [s]", "lowered [s]", "compiled [s]", "count"), shown, end)]
+        found = [tables.PrintedTable("Compilations", ("function", "traced [s]", "lowered [s]", "compiled [s]", "count"), shown, end)]
         if self.left_to_vmap:
-            found.append(tables.Table("Left to jax.vmap, slower", ("function", "why"), list(self.left_to_vmap.items())))
+            found.append(tables.PrintedTable("Left to jax.vmap, slower", ("function", "why"), list(self.left_to_vmap.items())))
         return tables.text(*found)
 
 

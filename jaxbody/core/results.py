@@ -42,7 +42,7 @@ class Result(eqx.Module):
         return ", ".join(f"{count} {Status(int(value)).name}" for value, count in zip(values, counts, strict=True))
 
     @abstractmethod
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         """The tables that are printed."""
 
     def __repr__(self) -> str:

@@ -15,7 +15,7 @@ ROUND_OFF = 1e-8  # shares below are not printed
 
 
 @dataclass
-class Table:
+class PrintedTable:
     """A title, the headings of the columns, and rows of names and numbers; `note` is printed below."""
 
     title: str
@@ -62,7 +62,7 @@ def without_dust(values: Any, unit: Any = None) -> Any:
     return np.where(np.abs(array) <= 1e-12 * (np.abs(array).max(initial=0.0) if unit is None else unit), 0.0, array)
 
 
-def text(*shown: Table) -> str:
+def text(*shown: PrintedTable) -> str:
     """Aligned columns; a blank line before every title but the first."""
     blocks = []
     for table in shown:
@@ -85,16 +85,16 @@ def text(*shown: Table) -> str:
     return "\n".join(blocks)
 
 
-def _rest(table: Table) -> str:
+def _rest(table: PrintedTable) -> str:
     return f"... {len(table.rows) - MOST_ROWS} more of {len(table.rows)} rows; the result's attributes have all of them"
 
 
-def printed(*shown: Table) -> str:
+def printed(*shown: PrintedTable) -> str:
     """The text for `print`, with a blank line before and after, so that printed results stay apart."""
     return f"\n{text(*shown)}\n"
 
 
-def html(*shown: Table) -> str:
+def html(*shown: PrintedTable) -> str:
     """The same for a notebook."""
     blocks = []
     for table in shown:

@@ -57,12 +57,12 @@ class Front(Result):
             variables[f"slope over {name}"] = (("point",), slope, "")
         return dataset(variables, {"point": np.arange(1, 1 + len(self.status))}, "front")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         names = tuple(self.objectives)
         columns = (*self.objectives.values(), *self.slopes.T)
         rows = [(str(i + 1), *("" if np.isnan(x) else x for x in numbers)) for i, numbers in enumerate(zip(*columns, strict=True))]
         heads = ("point", *names, *(f"d {names[0]}/d {name}" for name in names[1:]))
-        return [tables.Table("Front of " + " and ".join(names), heads, rows, self.report())]
+        return [tables.PrintedTable("Front of " + " and ".join(names), heads, rows, self.report())]
 
 
 def pareto(

@@ -21,7 +21,7 @@ MOST_FORWARD = 30  # free numbers up to which forward mode is the faster one
 
 Quantities = dict[str, Array]
 Evaluate = Callable[..., Any]
-Limits = dict[str, tuple[float, float]]
+NamedLimits = dict[str, tuple[float, float]]
 
 
 class Program:
@@ -32,7 +32,7 @@ class Program:
         space: Space,
         evaluate: Evaluate,
         minimize: str,
-        limits: Limits,
+        limits: NamedLimits,
         *,
         width: int,
         reverse: bool | None = None,
@@ -169,7 +169,7 @@ def check_names(program: Program) -> None:
     problems.raise_if_any()
 
 
-def limits_of(limits: dict[str, Any]) -> Limits:
+def limits_of(limits: dict[str, Any]) -> NamedLimits:
     """{name: (lower, upper)}."""
     problems, found = Problems(), {}
     if not isinstance(limits, dict):

@@ -26,7 +26,7 @@ REPELLED = 1e3  # what a trial that is not finite costs, in scaled objectives
 MOST_RESTARTS = 4
 METHODS = ("slsqp", "trust-constr", "ipopt")
 
-Vector = Float[np.ndarray, "n"]
+DesignVector = Float[np.ndarray, "n"]
 
 
 @dataclass(frozen=True)
@@ -59,30 +59,30 @@ class Stopped(Exception):
 class Search:
     """One start between bounds, the best `u` found from it with its `values` and `slopes`, and the `history` of objective and violation."""
 
-    start: Vector
-    low: Vector
-    high: Vector
+    start: DesignVector
+    low: DesignVector
+    high: DesignVector
     finite: bool = False
     size: float = 1.0  # of the objective, as far as it is known
     history: list[tuple[float, float]] = field(default_factory=list)
     iterations: int = 0
     error: BaseException | None = None
     done: bool = False
-    answer: tuple[Vector, np.ndarray] | None = None
+    answer: tuple[DesignVector, np.ndarray] | None = None
     go: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
     back: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
-    u: Vector = field(init=False)
-    values: Vector = field(init=False)
+    u: DesignVector = field(init=False)
+    values: DesignVector = field(init=False)
     slopes: np.ndarray = field(init=False)
-    asked: Vector = field(init=False)
+    asked: DesignVector = field(init=False)
 
     def __post_init__(self):
         self.u = self.asked = self.start
 
-    def found(self, u: Vector, values: Vector, slopes: np.ndarray) -> None:
+    def found(self, u: DesignVector, values: DesignVector, slopes: np.ndarray) -> None:
         self.u, self.values, self.slopes = u, values, slopes
 
-    def ask(self, u: Vector) -> tuple[Vector, np.ndarray]:
+    def ask(self, u: DesignVector) -> tuple[DesignVector, np.ndarray]:
         self.asked = np.array(u)
         self.back.release()
         self.go.acquire()
@@ -154,7 +154,7 @@ class Scaled:
     def _finite(self, *arrays: np.ndarray) -> bool:
         return all(np.isfinite(x[self.asked]).all() for x in arrays)
 
-    def _asked(self, u: Vector) -> tuple[Vector, np.ndarray]:
+    def _asked(self, u: DesignVector) -> tuple[DesignVector, np.ndarray]:
         """Values and derivatives; where these do not exist, those of a point a little aside."""
         values, slopes = self.search.ask(u)
         if self._finite(values) and not self._finite(slopes):
@@ -164,7 +164,7 @@ class Scaled:
             ]
         return values, slopes
 
-    def at(self, u: Vector) -> tuple[float, Vector, np.ndarray, np.ndarray]:
+    def at(self, u: DesignVector) -> tuple[float, DesignVector, np.ndarray, np.ndarray]:
         """f, its gradient, the limited c and their Jacobian, scaled. A trial that is not finite is much worse than the last that was."""
         key = u.tobytes()
         if self.last[0] != key:
@@ -183,7 +183,7 @@ class Scaled:
             )  # fmt: skip
         return self.last[1]
 
-    def _keep(self, u: Vector, values: Vector, slopes: np.ndarray) -> None:
+    def _keep(self, u: DesignVector, values: DesignVector, slopes: np.ndarray) -> None:
         """Note it, and keep it where it is better than the best so far: nearer to the limits or, where both are within them, lower."""
         search, f = self.search, self.rows.objective
         violation, before = (float(self.rows.violation(x, self.scale)) for x in (values, search.values))
@@ -282,7 +282,7 @@ class Multipliers:
     """Of the optimum: d objective/d limit, in units of each, and the slope left, scaled."""
 
     limits: np.ndarray
-    bounds: Vector
+    bounds: DesignVector
     left: float
 
 

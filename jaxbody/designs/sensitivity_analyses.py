@@ -46,14 +46,14 @@ class Sensitivities(Result):
         row = self.row(quantity)
         return np.argsort(-np.maximum(abs(self.low[row] - self.nominal[row]), abs(self.high[row] - self.nominal[row])), kind="stable")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         rows = []
         for row, name in enumerate(self.quantities):
             for k, i in enumerate(self.order(name)[:SHOWN]):
                 first = (name, self.nominal[row]) if not k else ("", "")
                 rows.append((*first, self.parameters[i], self.slopes[row, i], self.low[row, i], self.high[row, i]))
         heads = ("quantity", "value", "parameter", "slope", f"{100 * self.change:g} % less", f"{100 * self.change:g} % more")
-        return [tables.Table("Sensitivities, the strongest first", heads, rows, self.report() if int(self.status) else "")]
+        return [tables.PrintedTable("Sensitivities, the strongest first", heads, rows, self.report() if int(self.status) else "")]
 
 
 def sensitivities(

@@ -62,7 +62,7 @@ class Tolerances(Result):
     def explain(self) -> str:
         return f"{int(jnp.sum(~jnp.isfinite(self.samples).all(-1)))} of {len(self.samples)} samples have no numbers"
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         columns = (self.nominal, self.first, self.mean, self.deviation, self.sampled_mean, self.sampled_deviation)
         most = [np.argsort(-np.asarray(share))[:SHOWN] for share in self.shares]
         told = [
@@ -80,7 +80,7 @@ class Tolerances(Result):
             "sigma, sampled",
             "most of it from",
         )
-        return [tables.Table("Tolerances", heads, rows, f"{len(self.samples)} samples; {self.report()}")]
+        return [tables.PrintedTable("Tolerances", heads, rows, f"{len(self.samples)} samples; {self.report()}")]
 
 
 def tolerances(

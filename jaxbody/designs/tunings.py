@@ -17,7 +17,7 @@ from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
 from jaxbody.designs.kinks import jumping, setting_in
-from jaxbody.designs.programs import Limits, Program, Quantities
+from jaxbody.designs.programs import NamedLimits, Program, Quantities
 from jaxbody.designs.searches import ACTIVE, ARRIVED, MET, Multipliers, Rows, Search, multipliers, scales
 from jaxbody.models.models import Model
 from jaxbody.parameters.design_spaces import Space
@@ -64,7 +64,7 @@ class Tuning(Result):
     status: Int[np.ndarray, ""]
     space: Space
     minimize: str = eqx.field(static=True)
-    limits: Limits = eqx.field(static=True)
+    limits: NamedLimits = eqx.field(static=True)
     remedy: str = eqx.field(static=True)
 
     def explain(self) -> str:
@@ -90,7 +90,7 @@ class Tuning(Result):
             variables.setdefault(name, (("start", *axes), values, ""))
         return dataset(variables, {"start": np.arange(len(runs.status))}, f"design of least {self.minimize}")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         start = {group.path: group.form.start for group in self.space.groups}
         rows = [
             (label, *pair, self.places.get(name, ""))
@@ -105,8 +105,8 @@ class Tuning(Result):
         note = "\n".join([*self.words, f"{self.evaluations} evaluations, best of {len(self.runs.status)} starts; {self.report()}"])
         heads = ("", "before", "after", "limit", f"{self.minimize} per unit of the limit")
         return [
-            tables.Table(f"Design of least {self.minimize}", ("parameter", "before", "after", ""), rows),
-            tables.Table("", heads, [row[1:] for row in quantities], note),
+            tables.PrintedTable(f"Design of least {self.minimize}", ("parameter", "before", "after", ""), rows),
+            tables.PrintedTable("", heads, [row[1:] for row in quantities], note),
         ]
 
 

@@ -17,7 +17,7 @@ from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, dot, product, rotate, rotate_back, skew
 from jaxbody.numerics.xla_workarounds import inverse_root
 
-Slopes = tuple[Float[Array, "6"], ...]  # of each frame of an element
+DeformationSlopes = tuple[Float[Array, "6"], ...]  # of each frame of an element
 # Where in a block h is, where Q, and where the components of x and of y are, and with which sign
 SKEW = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)  # [e_x], [e_y], [e_z]
 UPPER_LEFT, LOWER_RIGHT = np.kron(np.diag([1.0, 0.0]), np.eye(3)), np.kron(np.diag([0.0, 1.0]), np.ones((3, 3)))
@@ -58,7 +58,7 @@ Blocks = dict[tuple[int, int], Block]  # of each two of an element's frames, the
 
 
 @singledispatch
-def second_order(element: Element, *frames: Frame) -> tuple[Slopes, Blocks]:
+def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, Blocks]:
     """Gradient and Hessian of V, this as the symmetric part of the derivative of the wrenches: what increments of rotations add is skew."""
     n = 6 * len(frames)
 
@@ -75,7 +75,7 @@ def second_order(element: Element, *frames: Frame) -> tuple[Slopes, Blocks]:
 
 
 @second_order.register
-def _(line: LineElement, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
+def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, Blocks]:
     """With V'' = h I + c d d' for the vector d between the points, h the tension over the length."""
     a, b = rotate(A.R, line.a), rotate(B.R, line.b)
     d = (B.p - A.p) + (b - a)
@@ -98,7 +98,7 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
 
 
 @second_order.register
-def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[Slopes, Blocks]:
+def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[DeformationSlopes, Blocks]:
     """By what V depends on: in the axes of the bushing on A, where its end on B is, t, and how it is turned, R = exp([theta]), that is
     t -> t + tau, R -> exp([psi]) R. In world axes, to second order in the displacements of the frames, b the arm of B, P from A's origin to B's end,
 

@@ -66,10 +66,10 @@ class Diagnosis(Result):
     channels: tuple[Compared, ...] = eqx.field(static=True)
     words: tuple[str, ...] = eqx.field(static=True)
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         rows = [(c.name, c.gain, c.correlation, c.delay, c.delay_error, f"{100 * c.residual:.3g} %") for c in self.channels]
         heads = ("channel", "gain", "correlation", "delay [samples]", "+-", "residual")
-        return [tables.Table("Diagnosis", heads, rows, "\n".join(self.words) or "nothing to remark")]
+        return [tables.PrintedTable("Diagnosis", heads, rows, "\n".join(self.words) or "nothing to remark")]
 
 
 def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool | None = None, **options: Any) -> Diagnosis:

@@ -37,9 +37,9 @@ class Plausibility(Result):
     numbers: dict[str, tuple[float, str, str]] = eqx.field(static=True)
     words: tuple[str, ...] = eqx.field(static=True)
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         rows = [(what, value, unit, usual) for what, (value, unit, usual) in self.numbers.items()]
-        return [tables.Table("Plausibility", ("", "value", "", "usual"), rows, "\n".join(self.words) or "nothing to remark")]
+        return [tables.PrintedTable("Plausibility", ("", "value", "", "usual"), rows, "\n".join(self.words) or "nothing to remark")]
 
 
 def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Plausibility:

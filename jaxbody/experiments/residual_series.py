@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from jaxbody.experiments.measurements import Measurement
-from jaxbody.statistics.noises import Record
+from jaxbody.statistics.noises import ResidualSeries
 
 
-def records_of(experiments: dict[str, Measurement]) -> list[Record]:
+def records_of(experiments: dict[str, Measurement]) -> list[ResidualSeries]:
     """The records that the residuals of all measurements are made of, by name as those are; one noise level for each unit of a channel, in all runs."""
     records, first = [], 0
     for run, experiment in sorted(experiments.items()):
@@ -21,6 +21,6 @@ def records_of(experiments: dict[str, Measurement]) -> list[Record]:
                 times = np.flatnonzero(there[:, i])
                 rows = first + times * there.shape[1] + i
                 known = not channel.series and name in (experiment.noise or {})
-                records.append(Record(f"{run}.{name}{label}", f"{name} {unit}", run, rows, times, channel.series, known))
+                records.append(ResidualSeries(f"{run}.{name}{label}", f"{name} {unit}", run, rows, times, channel.series, known))
             first += there.size
     return records

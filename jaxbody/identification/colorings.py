@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Int
 
 from jaxbody.experiments.measurements import Measurement
-from jaxbody.identification.fit_parameters import Free
+from jaxbody.identification.fit_parameters import FreeParameter
 
 PRIORS = "priors"  # what stands for a measurement's name where they are told with them
 
 
-def colors_of(free: tuple[Free, ...], experiments: dict[str, Measurement]) -> Int[np.ndarray, "n"]:
+def colors_of(free: tuple[FreeParameter, ...], experiments: dict[str, Measurement]) -> Int[np.ndarray, "n"]:
     """The color of each u: first those of the measurements' own parameters, the same numbers in each of them, then those of shared ones."""
     used = dict.fromkeys(experiments, 0)
     colors: dict[str, np.ndarray] = {}
@@ -30,10 +30,12 @@ def colors_of(free: tuple[Free, ...], experiments: dict[str, Measurement]) -> In
     return np.concatenate([np.zeros(0, int), *(colors[f.path] for f in free)])
 
 
-def moved_rows(free: tuple[Free, ...], experiments: dict[str, Measurement], run: str, channel: str, size: int) -> Bool[Array, "{size} n"]:
+def moved_rows(
+    free: tuple[FreeParameter, ...], experiments: dict[str, Measurement], run: str, channel: str, size: int
+) -> Bool[Array, "{size} n"]:
     """Which of the residuals of a channel each u may move."""
 
-    def by(f: Free) -> Array:
+    def by(f: FreeParameter) -> Array:
         n = f.form.size
         if run == PRIORS:
             return jnp.full((size, n), channel == f.path)
@@ -45,7 +47,7 @@ def moved_rows(free: tuple[Free, ...], experiments: dict[str, Measurement], run:
     return jnp.concatenate([by(f) for f in free], 1)
 
 
-def _parts(f: Free, experiments: dict[str, Measurement]) -> int:
+def _parts(f: FreeParameter, experiments: dict[str, Measurement]) -> int:
     experiment = experiments[f.run]
     moved = [experiment.moved_rows(f.path, channel) for channel in experiment.channels]
     return max(1 if rows is None else rows.shape[1] for rows in moved)

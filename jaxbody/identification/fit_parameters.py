@@ -22,7 +22,7 @@ from jaxbody.parameters.transforms import Parametrization, Positive, Shifted, pa
 OF_CHAINS = ("gain", "bias", "start", "delay", "lag")  # of instruments
 
 
-class Free(eqx.Module):
+class FreeParameter(eqx.Module):
     """A free parameter: where it is, once or, tied by factors, several times, each in a run ("" for the model); and how it moves."""
 
     places: tuple[tuple[str, Leaf], ...] = eqx.field(static=True)
@@ -50,7 +50,7 @@ class Free(eqx.Module):
         return {leaf: times(value, factor) for (owner, leaf), factor in zip(self.places, self.factors, strict=True) if owner == run}
 
 
-def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str]) -> tuple[Free, ...]:
+def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str]) -> tuple[FreeParameter, ...]:
     """The free parameters that the patterns mean, each with its parametrization; what "a = b" means is one parameter."""
     problems = Problems()
     roots = {"": model, **experiments}
@@ -73,12 +73,12 @@ def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str
             problems.collected.append(form)
         else:
             check_alike(tie, starts, form, problems)
-            free.append(Free(tuple((owner[leaf], leaf) for leaf in group), tuple(tie.values()), form))
+            free.append(FreeParameter(tuple((owner[leaf], leaf) for leaf in group), tuple(tie.values()), form))
     problems.raise_if_any()
     return tuple(free)
 
 
-def limits_of(free: tuple[Free, ...], bounds: dict[str, tuple[Any, Any]], method: Any) -> tuple[np.ndarray, np.ndarray]:
+def limits_of(free: tuple[FreeParameter, ...], bounds: dict[str, tuple[Any, Any]], method: Any) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of u, from bounds of values."""
     problems = Problems()
     low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
@@ -106,7 +106,7 @@ def _is_dict(given: Any, where: str, code: str, pair: str, problems: Problems) -
     return isinstance(given, dict)
 
 
-def priors_of(free: tuple[Free, ...], priors: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Array, Array]]:
+def priors_of(free: tuple[FreeParameter, ...], priors: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Array, Array]]:
     """{path: (mean, standard deviation)} of free parameters, as arrays of their shapes."""
     problems = Problems()
     if not _is_dict(priors, "fit.priors", "BAD_PRIOR", "(mean, standard deviation)", problems):

@@ -170,9 +170,9 @@ class Fit(Result):
                 variables[f"{run}_{name}_measured"] = (dimensions, experiment.measured[name], unit)
         return dataset(variables, coordinates, "fit")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         if self.uncertainty is None or not is_concrete(self.u):
-            return [tables.Table("Fit", ("", ""), [(path, value) for path, value in self.estimates.items()])]
+            return [tables.PrintedTable("Fit", ("", ""), [(path, value) for path, value in self.estimates.items()])]
         rows, few = [], []
         ends, errors, freedoms = self.intervals(LEVEL), self.standard_errors, self.degrees_of_freedom
         for f, (path, value) in zip(self.task.free, self.estimates.items(), strict=True):
@@ -198,8 +198,8 @@ class Fit(Result):
         if status_words := ([] if int(self.status) in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED) else u.words):
             notes += status_words
         return [
-            tables.Table("Fit", heads, rows),
-            tables.Table("", ("sensor", "rms residual", "unit"), fits, "\n".join(notes)),
+            tables.PrintedTable("Fit", heads, rows),
+            tables.PrintedTable("", ("sensor", "rms residual", "unit"), fits, "\n".join(notes)),
         ]
 
     def _met(self, run: str, name: str, levels: Array) -> list[tuple[str, float, str]]:

@@ -30,7 +30,7 @@ from jaxbody.identification.checkpoints import resumed, save
 from jaxbody.identification.colorings import PRIORS
 from jaxbody.identification.fit_parameters import choose, limits_of, priors_of
 from jaxbody.identification.fits import Fit
-from jaxbody.identification.least_squares import AT_BOUND, Evaluations, Limits, by_optax, by_scipy
+from jaxbody.identification.least_squares import AT_BOUND, Bounds, Evaluations, by_optax, by_scipy
 from jaxbody.identification.residuals import Task, first_noise, noise_found, renoised, residual_and_jacobian
 from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
@@ -169,7 +169,7 @@ def _floor(task: Task) -> float:
     return float(task.integration.rtol * size_of(task.model) * weight)
 
 
-def _search(method: Any, limits: Limits) -> Callable:
+def _search(method: Any, limits: Bounds) -> Callable:
     """A method as a function of Evaluations, the task and a start, which returns the best u and whether it has arrived."""
     if isinstance(method, str) and method == "least_squares":
         return lambda evaluate, task, u: by_scipy(evaluate, u, limits)
@@ -203,7 +203,7 @@ def _fit_traced(task: Task, u, method, most: int, estimated: bool) -> Fit:
     return Fit(model, experiments, u, 0.5 * r @ r, status, steps, task, None, {}, {}, [], 0, [])
 
 
-def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Limits) -> Fit:
+def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds) -> Fit:
     r, J = evaluate(u)
     runs = evaluate.more(u)
     G = [np.asarray(g) for g in jax.jacfwd(task.values)(jnp.asarray(u))]

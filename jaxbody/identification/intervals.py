@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.identification.fit_parameters import Free
+from jaxbody.identification.fit_parameters import FreeParameter
 from jaxbody.parameters.transforms import Positive, Shifted
 from jaxbody.statistics.quantiles import quantile
 from jaxbody.statistics.uncertainties import Uncertainty
@@ -33,7 +33,9 @@ def interval_of_u(u: np.ndarray, worth: Uncertainty, level: float) -> Interval:
     return low, high
 
 
-def intervals_of(free: tuple[Free, ...], u: np.ndarray, slopes: list[np.ndarray], worth: Uncertainty, level: float) -> dict[str, Interval]:
+def intervals_of(
+    free: tuple[FreeParameter, ...], u: np.ndarray, slopes: list[np.ndarray], worth: Uncertainty, level: float
+) -> dict[str, Interval]:
     """{path: (lower, upper)}, arrays like the leaf; of a matrix or a direction by its elements' standard errors, which are all it has."""
     low, high = interval_of_u(u, worth, level)
     found, first = {}, 0
@@ -50,7 +52,7 @@ def intervals_of(free: tuple[Free, ...], u: np.ndarray, slopes: list[np.ndarray]
     return found
 
 
-def freedoms_of(free: tuple[Free, ...], slopes: list[np.ndarray], worth: Uncertainty) -> dict[str, np.ndarray]:
+def freedoms_of(free: tuple[FreeParameter, ...], slopes: list[np.ndarray], worth: Uncertainty) -> dict[str, np.ndarray]:
     """{path: degrees of freedom}, arrays like the leaf, of the t in these intervals."""
     freedoms, first = {}, 0
     for f, G in zip(free, slopes, strict=True):

@@ -31,7 +31,7 @@ REMEMBERED = 3  # steps that the next one learns from
 ROWS = 512  # of a block whose triangle is made first
 AT_BOUND = 1e-6  # distance in u from a bound that counts as at it
 
-Limits = tuple[np.ndarray, np.ndarray]
+Bounds = tuple[np.ndarray, np.ndarray]
 
 
 class Evaluations:
@@ -120,7 +120,7 @@ class _Near(Exception):
         self.u = u
 
 
-def by_scipy(evaluate: Evaluations, u, limits: Limits) -> tuple[np.ndarray, bool]:
+def by_scipy(evaluate: Evaluations, u, limits: Bounds) -> tuple[np.ndarray, bool]:
     """Bounded least squares, to where Gauss-Newton steps finish; it takes a residual of NaN for a step too far."""
     from scipy.optimize import least_squares
 
@@ -140,7 +140,7 @@ def by_scipy(evaluate: Evaluations, u, limits: Limits) -> tuple[np.ndarray, bool
     return settled(evaluate, found.x, found.status > 0, limits)
 
 
-def settled(evaluate: Evaluations, u, arrived: bool, limits: Limits) -> tuple[np.ndarray, bool]:
+def settled(evaluate: Evaluations, u, arrived: bool, limits: Bounds) -> tuple[np.ndarray, bool]:
     """Gauss-Newton steps from where costs, rough by the tolerance of the integration, tell no difference, as long as they get shorter."""
     u = np.asarray(u)
     inside = np.all(np.abs(u - np.stack(limits)) > AT_BOUND, axis=0)
@@ -178,7 +178,7 @@ def _whitened(found: tuple[np.ndarray, np.ndarray], columns=slice(None)) -> tupl
     return (U.T @ r)[known], S[known], Vt[known].T
 
 
-def by_optax(evaluate: Evaluations, u, optimizer, limits: Limits) -> tuple[np.ndarray, bool]:
+def by_optax(evaluate: Evaluations, u, optimizer, limits: Bounds) -> tuple[np.ndarray, bool]:
     """The optimizer in whitened coordinates, restarted from the best point until the Gauss-Newton step is small.
 
     It runs operation by operation on concrete numbers: only the simulations are compiled, and they once. Within a hundredth of a standard

@@ -53,12 +53,12 @@ class Multistart(Result):
     def explain(self) -> str:
         return self.best.explain()
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         paths = {path: np.asarray(x).reshape(len(self.cost), -1) for path, x in self.estimates.items()}
         scalars = [path for path, x in paths.items() if x.shape[1] == 1]
         rows = [(str(i + 1), cost, str(count), *(float(paths[path][i, 0]) for path in scalars)) for i, (cost, count) in enumerate(zip(self.cost, self.found, strict=True))]  # fmt: skip
         note = f"{self.starts} starts, {self.lost} of them ended in no optimum; {self.report()}"
-        return [tables.Table("Optima", ("", "cost", "starts", *scalars), rows, note)]
+        return [tables.PrintedTable("Optima", ("", "cost", "starts", *scalars), rows, note)]
 
 
 def multistart(

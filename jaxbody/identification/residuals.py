@@ -17,7 +17,7 @@ from jaxbody.core.compile_options import jit_optimized
 from jaxbody.experiments.experiments import Integration
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.colorings import PRIORS, colors_of, moved_rows
-from jaxbody.identification.fit_parameters import Free
+from jaxbody.identification.fit_parameters import FreeParameter
 from jaxbody.models.leaf_paths import write
 from jaxbody.models.models import Model
 from jaxbody.sensors.channels import Channel
@@ -26,7 +26,7 @@ from jaxbody.statistics.losses import linearized, robust_level, root
 PROPORTION = 0.01  # change of the estimated noise of one channel against another's that is worth another round
 
 Levels = dict[str, dict[str, Array]]  # of each measurement the noise of each channel
-Runs = dict[str, tuple[dict[str, Array], dict[str, Array]]]  # of each measurement readings and residuals, by channel
+ReadingsAndResiduals = dict[str, tuple[dict[str, Array], dict[str, Array]]]  # of each measurement readings and residuals, by channel
 
 
 class Task(eqx.Module):
@@ -34,7 +34,7 @@ class Task(eqx.Module):
 
     model: Model
     experiments: dict[str, Measurement]
-    free: tuple[Free, ...]
+    free: tuple[FreeParameter, ...]
     noise: Levels
     integration: Integration
     priors: dict[str, tuple[Array, Array]] = eqx.field(default_factory=dict)
@@ -72,7 +72,7 @@ class Task(eqx.Module):
         }
         return readings, residuals
 
-    def runs(self, u: Float[Array, "n"]) -> Runs:
+    def runs(self, u: Float[Array, "n"]) -> ReadingsAndResiduals:
         """`differences` of every measurement, those of equal structure side by side."""
         model, runs = self.scatter(u)
         found = {}
@@ -91,12 +91,12 @@ class Task(eqx.Module):
     def residual(self, u: Float[Array, "n"]) -> Float[Array, "m"]:
         return self.losses(self.runs(u))
 
-    def losses(self, runs: Runs) -> Float[Array, "m"]:
+    def losses(self, runs: ReadingsAndResiduals) -> Float[Array, "m"]:
         """All residuals in one row, as the loss has them: by name, as jit sorts dicts, those of priors last."""
         parts = _rows(runs)
         return jnp.concatenate([root(r, None if run == PRIORS else self.loss) for run, r in parts.items()])
 
-    def linearized(self, runs: Runs, J) -> tuple[np.ndarray, np.ndarray]:
+    def linearized(self, runs: ReadingsAndResiduals, J) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and Jacobian of the least-squares problem that has the optimum of the losses and its covariance."""
         raw = {run: np.asarray(r) for run, r in _rows(runs).items()}
         prior = raw.pop(PRIORS, np.zeros(0))
@@ -106,17 +106,17 @@ class Task(eqx.Module):
         return np.concatenate([r, prior]), np.concatenate([data, J[m:]])
 
 
-def _rows(runs: Runs) -> dict[str, Array]:
+def _rows(runs: ReadingsAndResiduals) -> dict[str, Array]:
     """The residuals of each measurement in one row."""
     return {run: jnp.concatenate([runs[run][1][name].ravel() for name in sorted(runs[run][1])]) for run in _order(runs)}
 
 
-def _order(runs: Runs | dict[str, Measurement]) -> list[str]:
+def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
     return sorted(runs, key=lambda run: (run == PRIORS, run))
 
 
 @jit_optimized
-def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, Runs]:
+def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, ReadingsAndResiduals]:
     """r, dr/du and what they come from, in one program: compiling costs more than running."""
 
     def evaluate(u):
@@ -178,7 +178,7 @@ def away(experiment: Measurement, name: str) -> Array:
     return experiment.channels[name].residual(jnp.broadcast_to(jnp.nanmean(measured, axis=0), measured.shape), measured)
 
 
-def renoised(task: Task, runs: Runs) -> tuple[Task, bool]:
+def renoised(task: Task, runs: ReadingsAndResiduals) -> tuple[Task, bool]:
     """The task with noise as the residuals have it, and whether that changed its proportions by more than PROPORTION."""
     found: dict[str, tuple[Channel, list, list]] = {}
     for run, experiment in task.experiments.items():
@@ -200,7 +200,7 @@ def renoised(task: Task, runs: Runs) -> tuple[Task, bool]:
     return eqx.tree_at(lambda t: t.noise, task, new), bool(ratio.max() / ratio.min() > 1 + PROPORTION)
 
 
-def noise_found(task: Task, runs: Runs) -> Levels:
+def noise_found(task: Task, runs: ReadingsAndResiduals) -> Levels:
     """{measurement: {channel: rms residual}}, with a robust loss what outliers do not raise."""
 
     def of(run: str, name: str, channel: Channel):

@@ -40,13 +40,13 @@ class Bands(Result):
     level: float
     status: np.ndarray
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         columns = (np.ravel(x) for x in (self.value, self.standard_error, self.lower, self.upper))
         rows = [tuple(map(float, row)) for row in zip(*columns, strict=True)]
         heads = ("value", "standard error", "lower", "upper")
         known = self.degrees_of_freedom[np.isfinite(self.standard_error)]
         notes = [self.report(), *filter(None, [widening(known, self.level)])]
-        return [tables.Table(f"Bands, {100 * self.level:g} %", heads, rows, "\n".join(notes))]
+        return [tables.PrintedTable(f"Bands, {100 * self.level:g} %", heads, rows, "\n".join(notes))]
 
 
 def bands(

@@ -53,12 +53,12 @@ class Profile(Result):
     def explain(self) -> str:
         return "a lower cost than that of the fit was found; start it from there" if self.cost.min() < self.cost[self.tau == 0][0] else ""
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         rows = [(float(x), float(t), float(c)) for x, t, c in zip(self.values, self.tau, self.cost, strict=True)]
         low, high = self.interval
         note = f"{100 * self.level:g} % interval {low:.6g} to {high:.6g}, estimate {self.estimate:.6g}; {self.report()}"
         note = "\n".join([note, *filter(None, [widening(self.degrees_of_freedom, self.level)])])
-        return [tables.Table(f"Profile of {self.path}", ("value", "tau", "cost"), rows, note)]
+        return [tables.PrintedTable(f"Profile of {self.path}", ("value", "tau", "cost"), rows, note)]
 
 
 def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None = None) -> Profile:

@@ -44,7 +44,7 @@ class Validation(Result):
     def explain(self) -> str:
         return "; ".join(f"{run}: {why}" for run, why in self.failed.items())
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         rows = []
         for name, nrmse in self.nrmse.items():
             test = self.whiteness[name]
@@ -54,7 +54,7 @@ class Validation(Result):
             )
         heads = ("channel", "NRMSE", "fit", "rms residual", "unit", "over noise of the fit", "lag-one correlation")
         note = f"NRMSE: rms of the residual over the standard deviation of what was measured; {self.report()}"
-        return [tables.Table("Validation", heads, rows, note)]
+        return [tables.PrintedTable("Validation", heads, rows, note)]
 
 
 def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:

@@ -39,7 +39,7 @@ class Recovered(Result):
     status: Int[Array, ""]
     words: tuple[str, ...] = eqx.field(static=True)
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         mean, largest = np.mean(self.removed, 0), np.abs(self.removed - np.mean(self.removed, 0)).max(0)
         peak = np.abs(self.motion.values).max(0)
         rows = [
@@ -48,7 +48,7 @@ class Recovered(Result):
             if peak[i] > 0
         ]
         heads = ("component", "mean removed", "about it up to", "", "largest motion", "")
-        return [tables.Table("Base motion", heads, rows, "\n".join(self.words))]
+        return [tables.PrintedTable("Base motion", heads, rows, "\n".join(self.words))]
 
 
 def base_motion(

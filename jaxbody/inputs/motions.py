@@ -46,11 +46,11 @@ class Motion(eqx.Module):
     def kinks(self) -> Array | None:
         """Times [s] between which it is smooth and at which it is rough, where steps of an integration had better end."""
 
-    def __add__(self, other: Motion | Callable[[Array], Array]) -> Sum:
-        return Sum((self, as_motion(other)))
+    def __add__(self, other: Motion | Callable[[Array], Array]) -> MotionSum:
+        return MotionSum((self, as_motion(other)))
 
     def __radd__(self, other: Any) -> Motion:
-        return self if other == 0 else Sum((as_motion(other), self))  # sum() starts from 0
+        return self if other == 0 else MotionSum((as_motion(other), self))  # sum() starts from 0
 
 
 class AtRest(Motion):
@@ -102,7 +102,7 @@ class Harmonic(Motion):
         return amplitude * jnp.cos(phase) * c - amplitude * jnp.sin(phase) * s
 
 
-class Sum(Motion):
+class MotionSum(Motion):
     """Xi = the sum of the Xi of its terms: translations and rotation vectors add."""
 
     terms: tuple[Motion, ...]
@@ -148,7 +148,7 @@ class Delayed(Motion):
         return None if known is None else known + self.delay
 
 
-class Function(Motion):
+class MotionFunction(Motion):
     """Any JAX function of time that returns Xi; a re-made function is compiled anew (make it a Motion with array leaves to avoid that)."""
 
     function: Callable[[Array], Array] = eqx.field(static=True)
@@ -224,7 +224,7 @@ def as_motion(motion: Motion | Callable[[Array], Array], where: str = "motion") 
     if not callable(motion) or isinstance(motion, type):
         hint = "Give a Motion or a function t -> Xi, 6 numbers."
         raise JaxbodyError(Problem("WRONG_KIND", where, f"is {kind_of(motion)}", motion, "a Motion, as jb.Harmonic(...)", hint))
-    return motion if isinstance(motion, Motion) else Function(motion)
+    return motion if isinstance(motion, Motion) else MotionFunction(motion)
 
 
 def check_motion(motion: Motion, where: str, problems: Problems) -> None:
@@ -237,7 +237,7 @@ def check_motion(motion: Motion, where: str, problems: Problems) -> None:
 
 def _parts(motion: Motion) -> list[Motion]:
     """The motions that a motion is made of."""
-    within = motion.terms if isinstance(motion, Sum) else (motion.motion,) if isinstance(motion, Delayed) else ()
+    within = motion.terms if isinstance(motion, MotionSum) else (motion.motion,) if isinstance(motion, Delayed) else ()
     return [part for one in within for part in _parts(one)] if within else [motion]
 
 

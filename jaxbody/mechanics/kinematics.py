@@ -14,7 +14,7 @@ from jaxbody.geometry.vectors import cross, rotate
 from jaxbody.inputs.motions import Motion
 from jaxbody.models.models import Model, at_rest_in, body_poses, rest_poses, support_poses
 from jaxbody.models.states import State
-from jaxbody.models.storage import Table
+from jaxbody.models.storage import KindTable
 from jaxbody.numerics.xla_workarounds import take
 
 Motions = tuple[Motion, ...]  # one per support, in their order
@@ -38,7 +38,7 @@ class Chart(eqx.Module):
                 parts.append(take(vector, rows.ravel()).reshape(len(table), width))
             yield table, jax.vmap(function)(table.rows, *parts)
 
-    def _assemble(self, pieces: list[tuple[Table, Array]]) -> Array:
+    def _assemble(self, pieces: list[tuple[KindTable, Array]]) -> Array:
         """Rows per body, back in the order of the bodies, as one vector."""
         if len(pieces) == 1 and pieces[0][0].names == self.model.layout.bodies:
             return pieces[0][1].reshape(-1)

@@ -25,7 +25,7 @@ from jaxbody.models.joints import Free, Joint
 from jaxbody.models.layouts import Layout
 from jaxbody.models.model_checks import check_links, check_names, check_reference, of_kind, warn_of_oddities
 from jaxbody.models.states import State
-from jaxbody.models.storage import Table, tabulate, tabulate_by_structure
+from jaxbody.models.storage import KindTable, tabulate, tabulate_by_structure
 
 
 class Model(eqx.Module):
@@ -41,10 +41,10 @@ class Model(eqx.Module):
     100.0
     """
 
-    bodies: Table
-    supports: Table
-    joints: tuple[Table, ...]
-    elements: tuple[Table, ...]
+    bodies: KindTable
+    supports: KindTable
+    joints: tuple[KindTable, ...]
+    elements: tuple[KindTable, ...]
     gravity: Float[Array, "3"]
     layout: Layout = eqx.field(static=True)
 
@@ -127,13 +127,13 @@ class Model(eqx.Module):
     def _repr_html_(self) -> str:
         return tables.html(*self._tables())
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         layout = self.layout
         rows = [
             (name, kind.__name__.lower(), parent, self[name].mass, self[name].position)
             for name, kind, parent in zip(layout.bodies, layout.kinds, layout.parents, strict=True)
         ]
-        shown = [tables.Table("Model", ("body", "joint", "on", "mass [kg]", "position [m]"), rows)]
+        shown = [tables.PrintedTable("Model", ("body", "joint", "on", "mass [kg]", "position [m]"), rows)]
         for table in self.elements:
             columns = [f for f in table.rows.__dataclass_fields__ if f in SHOWN and getattr(table.rows, f) is not None]
             kind = type(table.rows).__name__.lower()
@@ -142,7 +142,7 @@ class Model(eqx.Module):
                 for name, link in zip(table.names, table.links, strict=True)
             ]
             heads = ("from", "to", "on")[: len(table.links[0])]
-            shown.append(tables.Table("", (kind, *heads, *(c.replace("_", " ") for c in columns)), rows))
+            shown.append(tables.PrintedTable("", (kind, *heads, *(c.replace("_", " ") for c in columns)), rows))
         return shown
 
 

@@ -15,7 +15,7 @@ from jaxbody.core import arrays
 from jaxbody.core.errors import JaxbodyError, Problem
 
 
-class Table(eqx.Module):
+class KindTable(eqx.Module):
     """Rows of one kind: `rows` is one module whose leaves have a leading axis, `links` what each row hangs on, by name."""
 
     names: tuple[str, ...] = eqx.field(static=True)
@@ -44,7 +44,7 @@ class Table(eqx.Module):
         return Problem("NO_NODE", f"model['{name}']", told, name, "whole arrays, as model.elements[0].rows.stiffness", hint)
 
 
-def tabulate(things: dict[str, Any], template: Any = None) -> Table:
+def tabulate(things: dict[str, Any], template: Any = None) -> KindTable:
     """One table of things of equal structure; `template` gives the structure where there are none."""
     modules = list(things.values())
     bare = [with_link(module, None) for module in modules]
@@ -53,12 +53,12 @@ def tabulate(things: dict[str, Any], template: Any = None) -> Table:
     columns = [arrays.stack(list(column)) for column in zip(*leaves, strict=True)] if bare else [
         arrays.device_array(np.zeros((0, *np.shape(leaf)))) for leaf in first
     ]  # fmt: skip
-    return Table(
+    return KindTable(
         tuple(things), tuple(link_of(m) for m in modules), tuple(np.ndim(leaf) for leaf in first), jax.tree.unflatten(treedef, columns)
     )
 
 
-def tabulate_by_structure(things: dict[str, Any], key=lambda name: None) -> tuple[Table, ...]:
+def tabulate_by_structure(things: dict[str, Any], key=lambda name: None) -> tuple[KindTable, ...]:
     """One table for each structure (class, static fields, shapes of leaves) and `key`, in order of first appearance."""
     kinds: dict[Any, dict[str, Any]] = {}
     for name, thing in things.items():

@@ -47,7 +47,7 @@ SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of one step's length to the next
 TRIAL = 1e-6  # of the whole time: the length of the trial step, which tells the first rate and the first step
 
 
-class Problem(NamedTuple):
+class InitialValueProblem(NamedTuple):
     """y' = rate(arguments, u, y) with u = drive(arguments, t), what depends on time alone; tolerances of a step's error, its least
     length, its first if given, how many there may be, times in order at which steps end since the rate has kinks there, and whether
     all have the length of the first, whatever their errors."""
@@ -91,7 +91,7 @@ class Course(NamedTuple):
     code: Int[Array, ""]
 
 
-class Ended(NamedTuple):
+class Solution(NamedTuple):
     """Samples, NaN after an early end; the last time past t0 and state; the course."""
 
     samples: Float[Array, "nt ny"]
@@ -100,13 +100,13 @@ class Ended(NamedTuple):
     course: Course
 
 
-def solve(problem: Problem, arguments: Any, y0: Float[Array, "ny"], times: Float[Array, "nt"]) -> Ended:
+def solve(problem: InitialValueProblem, arguments: Any, y0: Float[Array, "ny"], times: Float[Array, "nt"]) -> Solution:
     """From y0 at times[0]; differentiable in forward mode, with least work."""
     return _march(problem, arguments, y0, times, keep=False)[0]
 
 
 @filter_custom_jvp
-def solve_both_ways(given: tuple[Any, Float[Array, "ny"], Float[Array, "nt"]], *, problem: Problem) -> Ended:
+def solve_both_ways(given: tuple[Any, Float[Array, "ny"], Float[Array, "nt"]], *, problem: InitialValueProblem) -> Solution:
     """`solve` of given = (arguments, y0, times); differentiable in forward mode, which then solves it twice, in reverse mode, and in forward
     mode over either."""
     return _march(problem, *given, keep=False)[0]
@@ -138,10 +138,10 @@ def _tangents(primals, tangents, *, problem):
         return [x for x, m in zip(tree.flatten_up_to(slopes), moves, strict=True) if m]
 
     of_samples, of_y = linear_with_transpose(forward, backward, (numbers, kept), jax.tree.leaves(changes), (ended.samples, ended.y))
-    return ended, Ended(of_samples, None, of_y, Course(None, None, None, None))  # pyright: ignore
+    return ended, Solution(of_samples, None, of_y, Course(None, None, None, None))  # pyright: ignore
 
 
-def _backward(kept, of_samples: Float[Array, "nt ny"], of_y: Float[Array, "ny"], given, problem: Problem):
+def _backward(kept, of_samples: Float[Array, "nt ny"], of_y: Float[Array, "ny"], given, problem: InitialValueProblem):
     """The chain rule, block by block from the last to the first."""
     arguments, y0, times = given
     begun, lengths, n = kept
@@ -172,7 +172,7 @@ def _backward(kept, of_samples: Float[Array, "nt ny"], of_y: Float[Array, "ny"],
     return jax.tree.map(jnp.add, to_varied, a), to_y + to_c[0] + c + of_samples[0], to_times.at[0].add(b)
 
 
-def _march(problem: Problem, arguments: Any, y0, times, keep: bool) -> tuple[Ended, Any]:
+def _march(problem: InitialValueProblem, arguments: Any, y0, times, keep: bool) -> tuple[Solution, Any]:
     """Block after block; kept, where each began and its step lengths."""
     numbers, rest = partition((problem, arguments), is_array)
 
@@ -191,7 +191,7 @@ def _check_memory(max_steps: int, blocks: int, each: int) -> None:
         raise JaxbodyError(Wrong("TOO_LARGE", "simulate.max_steps", words, max_steps, f"{MOST_KEPT / 1e9:g} GB", hint))
 
 
-def _march_on(problem: Problem, arguments: Any, y0, times, keep: bool):
+def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: bool):
     past = times - times[0]
     end = lax.stop_gradient(past[-1])
     reach = lax.stop_gradient(_windows(past)[:, -1])
@@ -229,10 +229,10 @@ def _march_on(problem: Problem, arguments: Any, y0, times, keep: bool):
     if keep:  # the first block began with the rate that its trial step told
         kept = kept[0]._replace(f=kept[0].f.at[0].set(_rate(problem, arguments, times[0], y0))), kept[1]
     samples = out.reshape(-1, len(y0))[: len(times)].at[0].set(y0)
-    return Ended(samples, begun.tau, begun.y, course), (*kept, n)
+    return Solution(samples, begun.tau, begun.y, course), (*kept, n)
 
 
-def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal, end, size: int, starting: Bool[Array, ""]):
+def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: Course, goal, end, size: int, starting: Bool[Array, ""]):
     """Steps until goal, at most a block of them; when starting, a trial step before them."""
     rows = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), begun.last)._replace(h=jnp.full(size, jnp.inf, begun.y.dtype))
     steps = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, rows)
@@ -285,7 +285,7 @@ def _advance(problem: Problem, arguments, t0, begun: Begun, course: Course, goal
     return lax.while_loop(more, one, (begun.tau, begun.y, begun.f, course, steps, jnp.where(starting, 0, 1)))[:5]
 
 
-def _repeat(problem: Problem, arguments, t0, begun: Begun, lengths: Float[Array, "n"]):
+def _repeat(problem: InitialValueProblem, arguments, t0, begun: Begun, lengths: Float[Array, "n"]):
     """The steps of a block by their lengths, and where they lead."""
 
     def one(carry, h):
@@ -297,11 +297,11 @@ def _repeat(problem: Problem, arguments, t0, begun: Begun, lengths: Float[Array,
     return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, steps), y, f
 
 
-def _rate(problem: Problem, arguments, t, y):
+def _rate(problem: InitialValueProblem, arguments, t, y):
     return problem.rate(arguments, problem.drive(arguments, t), y)
 
 
-def _step(problem: Problem, arguments, t, y, f, h, trial: Bool[Array, ""] | None = None):
+def _step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array, ""] | None = None):
     """The state and its rate after a step, and the k_i; of a trial step two stages only, k_1 = h f(t, y) and the rate a little later. To work these out
     by themselves would be a second copy of the rate to compile."""
 
@@ -324,7 +324,7 @@ def _step(problem: Problem, arguments, t, y, f, h, trial: Bool[Array, ""] | None
     return y, f, k
 
 
-def _error(problem: Problem, y, y1, k) -> Float[Array, ""]:
+def _error(problem: InitialValueProblem, y, y1, k) -> Float[Array, ""]:
     """The largest error of a step, in units of what is allowed."""
     return jnp.max(jnp.abs(_sum(E, k)) / (problem.atol + problem.rtol * jnp.maximum(jnp.abs(y), jnp.abs(y1))), initial=0.0)
 
@@ -359,7 +359,7 @@ def _last(steps: Steps) -> Steps:
     return jax.tree.map(lambda x: x[i], steps)
 
 
-def _first(problem: Problem, y0, f0, f1, dt, end) -> Float[Array, ""]:
+def _first(problem: InitialValueProblem, y0, f0, f1, dt, end) -> Float[Array, ""]:
     """The first step's length, by the rate at the beginning and dt after it: Hairer, Norsett, Wanner, Solving Ordinary Differential
     Equations I, II.4."""
     if problem.first is not None:

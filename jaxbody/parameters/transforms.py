@@ -146,7 +146,7 @@ class Direction(Parametrization):
         return ["[tilt 1]", "[tilt 2]"]
 
 
-class Configuration(Parametrization):
+class InitialConfiguration(Parametrization):
     """The coordinates of an initial state, moved in the chart."""
 
     model: Model
@@ -162,7 +162,7 @@ class Configuration(Parametrization):
         return [f"[{name}]" for name in self.model.layout.coordinates]
 
 
-class Configurations(Configuration):
+class Configurations(InitialConfiguration):
     """Several of them, a row each."""
 
     @property
@@ -183,7 +183,7 @@ def parametrize(path: str, start: Array, model: Model, size: Array) -> Parametri
     if path.endswith("nodes.q"):
         return Configurations(start, model)
     if path.endswith("initial.q"):
-        return Configuration(start, model)
+        return InitialConfiguration(start, model)
     if field in POSITIVE and start.ndim < 2:
         if known is not None and (known <= 0).any():
             return Problem(

@@ -14,7 +14,7 @@ from jaxbody.identification.residuals import residual_and_jacobian
 from jaxbody.inference.profiles import Profile
 from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT, axes_or_new, legend
 from jaxbody.statistics.autocorrelations import FEWEST, most_lags, products
-from jaxbody.statistics.noises import Record
+from jaxbody.statistics.noises import ResidualSeries
 
 COMPLEX = ("real", "imaginary")
 DARK = 0.6  # correlations above which numbers are white
@@ -129,7 +129,7 @@ def chosen(fit: Fit, run: str | None, sensor: str | None, where: str) -> tuple[s
     return run, *names[sensor]
 
 
-def records_about(fit: Fit, run: str, sensor: str) -> list[Record]:
+def records_about(fit: Fit, run: str, sensor: str) -> list[ResidualSeries]:
     """Of each component of the residuals of a sensor its record."""
     return [x for x in records_of(fit.experiments) if x.run == run and x.name.split("[")[0] == f"{run}.{sensor}"]
 

@@ -100,7 +100,7 @@ class Record:
         new.units, new.stated, new.notes = self.units, self.stated, self.notes
         return new
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         s, rows = self.sampling, []
         for name, x in self.channels.items():
             for k, column in enumerate(x.reshape(len(x), -1).T):
@@ -110,7 +110,7 @@ class Record:
         jitter = tables.percent(s.jitter / s.step)
         note = f"{len(self.times)} times, {self.times[0]:.6g} to {self.times[-1]:.6g} s: {s.rate:.6g} Hz, {f'jitter {jitter}, ' if jitter else ''}{s.missing} missing"
         heads = ("channel", "unit", "stated in", "samples", "gaps", "least", "largest")
-        return [tables.Table("Record", heads, rows, "\n".join([note, *self.notes]))]
+        return [tables.PrintedTable("Record", heads, rows, "\n".join([note, *self.notes]))]
 
     def __repr__(self) -> str:
         return tables.text(*self._tables())

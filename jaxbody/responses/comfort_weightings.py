@@ -77,13 +77,13 @@ class WeightedSignal(Result):
         """What the dose is taken for where crest factors are below 6 [m/s1.75]: 1.4 rms T^(1/4), T the length of the record."""
         return 1.4 * self.rms * (self.times[..., -1] - self.times[..., 0]) ** 0.25
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         unit = _unit(self.name)
         rows = [
             (f"rms [{unit}]", self.rms), (f"peak [{unit}]", self.peak), ("crest factor", self.crest_factor),
             (f"vibration dose value [{unit[:-1]}1.75]", self.dose if isinstance(self.dose, Tracer) else np.asarray(self.dose)[..., -1]),
         ]  # fmt: skip
-        return [tables.Table(f"Signal weighted by {self.name}", ("", ""), rows)]
+        return [tables.PrintedTable(f"Signal weighted by {self.name}", ("", ""), rows)]
 
 
 def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:

@@ -96,10 +96,10 @@ class FrequencyResponse(Result):
         }
         return dataset(variables, coordinates, "frequency response")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         heads = ("output", "input", "unit", "at first frequency", "largest", "at [Hz]")
         if self.values.ndim > 3 or not is_concrete(self.values):
-            return [tables.Table("Frequency response", ("", ""), [("values", self.values)])]
+            return [tables.PrintedTable("Frequency response", ("", ""), [("values", self.values)])]
         f, size = np.asarray(self.frequencies), np.abs(np.asarray(self.values))
         largest = np.argmax(np.nan_to_num(size, nan=-1.0), -1)
         rows = [
@@ -108,7 +108,7 @@ class FrequencyResponse(Result):
             for j, u in enumerate(self.inputs)
         ]
         note = "" if int(self.status) == 0 else self.report()
-        return [tables.Table(f"Frequency response, {f[0]:.6g} to {f[-1]:.6g} Hz", heads, rows, note)]
+        return [tables.PrintedTable(f"Frequency response, {f[0]:.6g} to {f[-1]:.6g} Hz", heads, rows, note)]
 
 
 def frequency_response(

@@ -59,13 +59,13 @@ class RandomResponse(Result):
         coordinates = {"output": list(self.outputs), "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"})}
         return dataset(variables, coordinates, "random response")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         if self.rms.ndim > 1 or not is_concrete(self.rms):
-            return [tables.Table("Random response", ("", ""), [("rms", self.rms)])]
+            return [tables.PrintedTable("Random response", ("", ""), [("rms", self.rms)])]
         f = np.asarray(self.frequencies)
         rows = [(name, value, unit) for name, value, unit in zip(self.outputs, self.rms, self.units, strict=True)]
         note = "" if int(self.status) == 0 else self.report()
-        return [tables.Table(f"Random response, {f[0]:.6g} to {f[-1]:.6g} Hz", ("output", "rms", "unit"), rows, note)]
+        return [tables.PrintedTable(f"Random response, {f[0]:.6g} to {f[-1]:.6g} Hz", ("output", "rms", "unit"), rows, note)]
 
 
 def random_response(

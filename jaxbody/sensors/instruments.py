@@ -175,7 +175,7 @@ class LoadCell(Components):
         return _component_problem(self.component, None if size == 1 else size, f"'{self.on}'", where)
 
 
-class Wrench(Components):
+class WrenchSensor(Components):
     """The base of sensors that read a force [N] and a moment [N m]: six numbers, or `component` 0 to 5 of them."""
 
     accelerations = reactions = True
@@ -201,7 +201,7 @@ class Wrench(Components):
         return None if self.component is None else _component_problem(self.component, 6, f"'{self.on}'", where)
 
 
-class ForcePlate(Wrench):
+class ForcePlate(WrenchSensor):
     """Force [N] and moment [N m] about its origin that everything on a support exerts on it, in the support's axes: six numbers, or `component` 0 to 5 of them.
 
     What the base feels of bodies, springs and loads, as a force plate or a shaker's table does; `world` is one too. As an output of responses it needs a component.
@@ -220,7 +220,7 @@ class ForcePlate(Wrench):
         return super().problem(model, where) if self.on in known else unknown(self.on, where, known)
 
 
-class Reaction(Wrench):
+class Reaction(WrenchSensor):
     """Force [N] and moment [N m] that a joint exerts on the body that it carries, in the axes of its parent: six numbers, or `component` 0 to 5 of them.
 
         F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;  M likewise, about the joint

@@ -91,7 +91,7 @@ def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint,
     kinks = None if constant else kinks_of((*dynamics.motions, *signals))
     most = max_steps + (0 if kinks is None else len(kinks))
     first, kinks = jax.lax.stop_gradient((dt0, kinks))
-    problem = dormand_prince_steps.Problem(Dynamics.drive, Dynamics.driven, *limits, first, most, kinks, constant)
+    problem = dormand_prince_steps.InitialValueProblem(Dynamics.drive, Dynamics.driven, *limits, first, most, kinks, constant)
     forward = isinstance(adjoint, diffrax.ForwardMode)
     ended = (
         dormand_prince_steps.solve(problem, dynamics, y0, times)

@@ -155,10 +155,10 @@ class Trajectory(Result):
         made = dataset(variables, coordinates, "trajectory")
         return made.assign(status=(made["kinetic_energy"].dims[:-1], np.asarray(self.status)))
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         if self.times.ndim > 1 or not is_concrete(self.state.q):
             return [
-                tables.Table(
+                tables.PrintedTable(
                     "Trajectories",
                     ("", ""),
                     [("states", self.state.q), ("status", self.report() if is_concrete(self.status) else "traced")],
@@ -176,8 +176,8 @@ class Trajectory(Result):
         jumps = [message for _, message in force_jumps_along(self.model, self.motions, self.times, self.state)]
         title = f"Trajectory, {len(self.times)} samples, {float(self.times[0]):.4g} to {float(self.times[-1]):.4g} s"
         return [
-            tables.Table(title, ("frame", "x [m]", "y [m]", "z [m]"), rows),
-            tables.Table("", ("spring", "elongation [m]", "tension [N]"), springs, "; ".join([self.report(), *jumps])),
+            tables.PrintedTable(title, ("frame", "x [m]", "y [m]", "z [m]"), rows),
+            tables.PrintedTable("", ("spring", "elongation [m]", "tension [N]"), springs, "; ".join([self.report(), *jumps])),
         ]
 
 

@@ -129,9 +129,9 @@ class LoadCases(Result):
             variables[f"{name}_force"] = (("case", "component"), forces[name], "N, N m")
         return dataset(variables, coordinates, "load cases")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         if self.status.ndim != 1 or not is_concrete(self.status):
-            return [tables.Table("Load cases", ("", ""), [("displacements [m]", self.displaced)])]
+            return [tables.PrintedTable("Load cases", ("", ""), [("displacements [m]", self.displaced)])]
         rows = []
         for i, case in enumerate(self.names):
             label = case
@@ -143,7 +143,7 @@ class LoadCases(Result):
                 turn, moment = (s[3:], f[3:]) if len(s) == 6 and np.any(f[3:]) else ("", "")
                 rows.append(("", name, _scaled(s[:3]), _scaled(turn), _rounded(f[:3]), _rounded(moment)))
         columns = ("case", "", "displacement or stroke [m]", "rotation [rad]", "force [N]", "moment [N m]")
-        return [tables.Table("Load cases", columns, rows, self.report())]
+        return [tables.PrintedTable("Load cases", columns, rows, self.report())]
 
 
 def _scaled(values: Any) -> str:

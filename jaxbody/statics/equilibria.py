@@ -144,7 +144,7 @@ class Equilibrium(Result):
             coordinates["spring"] = springs
         return dataset(variables, coordinates, "equilibrium")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         q, layout = tables.without_dust(self.state.q), self.layout
         rows = [
             (name, kind.__name__.lower(), q[..., layout.q_slices[name]]) for name, kind in zip(layout.bodies, layout.kinds, strict=True)
@@ -156,8 +156,8 @@ class Equilibrium(Result):
         elements = [(name, tables.without_dust(e)) for name, e in self.elongations.items()]
         largest = np.abs(self.residual).max() if is_concrete(self.residual) and self.residual.size else None
         return [
-            tables.Table("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows),
-            tables.Table("", ("element", "elongation [m]"), elements, f"largest residual {tables.number(largest)} N or N m; {note}"),
+            tables.PrintedTable("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows),
+            tables.PrintedTable("", ("element", "elongation [m]"), elements, f"largest residual {tables.number(largest)} N or N m; {note}"),
         ]
 
 

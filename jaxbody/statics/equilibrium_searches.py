@@ -55,13 +55,13 @@ class Equilibria(Result):
     def __getitem__(self, i: int):
         return self.found[i]
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         rows = [
             (str(i), eq.energy, "stable" if eq.stable else f"unstable ({int(eq.negative)})", d, str(int(n)))
             for i, (eq, d, n) in enumerate(zip(self.found, self.distances, self.hits, strict=True))
         ]
         note = f"{int(self.hits.sum())} of {self.searches} searches ended in these; there may be more"
-        return [tables.Table("Equilibria", ("", "energy [J]", "stability", "distance [m]", "searches"), rows, note)]
+        return [tables.PrintedTable("Equilibria", ("", "energy [J]", "stability", "distance [m]", "searches"), rows, note)]
 
 
 def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key: Array | None = None) -> Equilibria:

@@ -71,11 +71,11 @@ class Preload(Result):
         remedy = f", or let it move: moving={heights!r}" if heights else ""
         return f"no free length of these balances {', '.join(told)}; free a length that acts on it{remedy}, or take that load away"
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         rows = [(path, value, change) for path, value, change in zip(self.paths, self.values, self.change, strict=True)]
         rows += [(name, "", change) for name, change in self.moved.items()]
         note = self.report() if is_concrete(self.status) else ""
-        return [tables.Table("Preload", ("", "free length [m, rad]", "change"), rows, note)]
+        return [tables.PrintedTable("Preload", ("", "free length [m, rad]", "change"), rows, note)]
 
 
 def preload(model: Model, pose: State | None = None, *, free=("*.free_length",), moving=()) -> Preload:

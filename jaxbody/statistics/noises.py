@@ -35,7 +35,7 @@ ALL = ""
 STEP = 1e-4  # of derivatives by central differences, in standard errors
 
 
-class Record(NamedTuple):
+class ResidualSeries(NamedTuple):
     """One component of one channel of one run: its rows among the residuals in the order of time, missing samples left out; `group`, records of one
     noise level; those of a `run` are sampled together, at `times` (sample numbers). Without `series`, numbers in no order, and if their noise is
     stated, it is `known`: they are too few to tell another."""
@@ -64,7 +64,7 @@ class Noise:
 class _Piece:
     """Residuals and rows of Q of one record, with their transforms."""
 
-    def __init__(self, record: Record, r: np.ndarray, Q: np.ndarray):
+    def __init__(self, record: ResidualSeries, r: np.ndarray, Q: np.ndarray):
         self.record, self.r, self.Q, self.n = record, r[record.rows], Q[record.rows], len(record.rows)
         self.square = self.Q.T @ self.Q
         self.taken = float(np.trace(self.square))  # degrees of freedom
@@ -110,7 +110,7 @@ class _Piece:
         return found / (n - np.arange(self.order + 1))
 
 
-def noise_of(r: np.ndarray, Q: np.ndarray, records: list[Record]) -> Noise:
+def noise_of(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> Noise:
     """From residuals r, the orthonormal columns Q of what could be fitted and the records; rows in no record, as those of priors, have a noise of one, known, too."""
     pieces = [_Piece(record, r, Q) for record in records if not record.known]
     known = np.ones(len(r), bool)

@@ -15,7 +15,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxbody.statistics.autocorrelations import Whiteness, whiteness
-from jaxbody.statistics.noises import LEAST, Noise, Record, noise_of
+from jaxbody.statistics.noises import LEAST, Noise, ResidualSeries, noise_of
 
 CORRELATED = 0.1  # lag-one correlation of residuals that is told, if it is also significant
 SIGNIFICANT = 3.0  # standard deviations of the pooled lag-one correlation of white noise
@@ -125,7 +125,7 @@ def decomposed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
 
 
 def assess(
-    r, J, slopes: list[np.ndarray], paths: list[str], labels: list[str], records: list[Record], *, inside=None, exact=0.0
+    r, J, slopes: list[np.ndarray], paths: list[str], labels: list[str], records: list[ResidualSeries], *, inside=None, exact=0.0
 ) -> Uncertainty:
     """From residuals r and Jacobian J in u, the slopes of each leaf in u and the records that r is made of, what is known how well.
 
@@ -147,7 +147,7 @@ def assess(
     return replace(found, standard_errors=errors)
 
 
-def _carried(r, inside, records: list[Record], parts) -> tuple[Noise, np.ndarray]:
+def _carried(r, inside, records: list[ResidualSeries], parts) -> tuple[Noise, np.ndarray]:
     """The noise in Q' r, of the columns of J inside with their `parts`, and what carries it to u."""
     U, S, Vt, known = parts
     back = np.zeros((len(inside), known.sum()))
@@ -155,7 +155,7 @@ def _carried(r, inside, records: list[Record], parts) -> tuple[Noise, np.ndarray
     return noise_of(r, U[:, known], records), back
 
 
-def _beyond_stated(r: np.ndarray, Q: np.ndarray, records: list[Record]) -> dict[str, float]:
+def _beyond_stated(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> dict[str, float]:
     from scipy.stats import chi2
 
     found = {}
@@ -166,7 +166,7 @@ def _beyond_stated(r: np.ndarray, Q: np.ndarray, records: list[Record]) -> dict[
     return found
 
 
-def _pressed(r, J, inside, records: list[Record]) -> dict[int, tuple[float, float, float, float]]:
+def _pressed(r, J, inside, records: list[ResidualSeries]) -> dict[int, tuple[float, float, float, float]]:
     found = {}
     for i in np.flatnonzero(~inside & J.any(0)):
         one = inside.copy()
@@ -211,7 +211,7 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
     return A[sorted(done)]
 
 
-def lag_one(r: np.ndarray, Q: np.ndarray, records: list[Record]) -> tuple[float, bool]:
+def lag_one(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> tuple[float, bool]:
     """The lag-one correlation of all records, pooled, and whether it is more than chance and CORRELATED beyond that of white noise without
     what the fit has taken, (I - QQ')e: many parameters leave white noise correlated."""
     series = [(r[c.rows], Q[c.rows]) for c in records if c.series and r[c.rows].any()]

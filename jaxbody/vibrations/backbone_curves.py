@@ -105,9 +105,9 @@ class Backbones(Result):
         }
         return dataset(variables, {"mode": list(range(1, largest.shape[-1] + 1)), "coordinate": list(layout.coordinates)}, "backbones")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         if self.frequency.ndim > 1 or not is_concrete(self.frequency):
-            return [tables.Table("Backbones", ("", ""), [("curvature [1/m2, 1/rad2]", self.curvature)])]
+            return [tables.PrintedTable("Backbones", ("", ""), [("curvature [1/m2, 1/rad2]", self.curvature)])]
         rows = []
         for i, (force, frequency) in enumerate(zip(self.force_within(5), self.frequency_within(5), strict=True)):
             largest, status = int(self.largest[i]), Status(int(self.status[i]))
@@ -118,7 +118,7 @@ class Backbones(Result):
         failed = sorted({Status(int(code)) for code in self.status if code})
         heads = ("mode", "frequency [Hz]", "largest component", "change of frequency", "force within 5 %", "frequency within 5 %")
         note = "; ".join(["amplitudes of the largest component", *(f"{status.name}: {MESSAGES[status]}" for status in failed)])
-        return [tables.Table("Backbones", heads, rows, note)]
+        return [tables.PrintedTable("Backbones", heads, rows, note)]
 
 
 def _amplitude(value: Any, unit: str) -> str:

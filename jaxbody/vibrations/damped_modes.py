@@ -87,15 +87,17 @@ class ComplexModes(Result):
         count = np.shape(self.frequency)[-1]
         return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(self.layout.coordinates)}, "complex modes")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         if self.frequency.ndim > 1 or not is_concrete(self.frequency):
-            return [tables.Table("Complex modes", ("", ""), [("frequency [Hz]", self.frequency), ("damping ratio", self.damping_ratio)])]
+            return [
+                tables.PrintedTable("Complex modes", ("", ""), [("frequency [Hz]", self.frequency), ("damping ratio", self.damping_ratio)])
+            ]
         heads = ("mode", "frequency [Hz]", "natural frequency [Hz]", "damping ratio", "decay rate [1/s]", "most energy in")
         natural, names = np.asarray(self.natural_frequency), self.names
         ratio, decay = tables.without_dust(self.damping_ratio, 1.0), tables.without_dust(self.decay_rate, natural.max(initial=0.0)) + 0.0
         rows = [(str(i + 1), *row) for i, row in enumerate(zip(np.asarray(self.frequency), natural, ratio, decay, names, strict=True))]
         notes = [self.report() if int(self.status) else "", mark_note(names)]
-        return [tables.Table("Complex modes", heads, rows, "; ".join(filter(None, notes)))]
+        return [tables.PrintedTable("Complex modes", heads, rows, "; ".join(filter(None, notes)))]
 
 
 def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool = False) -> ComplexModes:

@@ -131,14 +131,14 @@ class Linearization(Result):
         """
         return state_space(self, inputs, outputs)
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         heads = [str(i) for i in range(self.K.shape[-1])]
         few = self.K.ndim == 2 and len(heads) <= 12
         shown = []
         for name, unit in (("M", "kg, kg m, kg m2"), ("C", "N s/m, ..."), ("K", "N/m, N, N m")):
             matrix = tables.without_dust(getattr(self, name))
             rows = [(c, *(matrix[i] if few else ["..."])) for i, c in enumerate(self.coordinates)]
-            shown.append(tables.Table(f"{name} [{unit}]", ("", *(heads if few else [""])), rows))
+            shown.append(tables.PrintedTable(f"{name} [{unit}]", ("", *(heads if few else [""])), rows))
         shown[-1].note = "chart: displacement of O and rotation vector, world axes (joints: their own motion, parent's axes)"
         return shown
 

@@ -97,10 +97,12 @@ class ModeEnergies(Result):
         }
         return dataset(variables, coordinates, "energies of modes")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         count = self.frequency.shape[-1]
         if self.frequency.ndim > 1 or not is_concrete(self.frequency) or count > MOST_MODES:
-            return [tables.Table("Energies of modes [%]", ("", ""), [("kinetic", self.kinetic_shares), ("strain", self.strain_shares)])]
+            return [
+                tables.PrintedTable("Energies of modes [%]", ("", ""), [("kinetic", self.kinetic_shares), ("strain", self.strain_shares)])
+            ]
         heads = tuple(f"{f:.4g} Hz" for f in self.frequency)
         parts = {
             "Kinetic energy [%]": dict(zip(self.rows, self.kinetic_shares.reshape(-1, count), strict=True)),
@@ -108,7 +110,7 @@ class ModeEnergies(Result):
             "Dissipation [%]": {name: x for name, x in self.dissipation.items() if jnp.any(x > 0)},
         }
         shown = [
-            tables.Table(
+            tables.PrintedTable(
                 title,
                 ("", *heads),
                 [

@@ -69,13 +69,13 @@ class Branches(Result):
         coordinates = {"value": np.asarray(self.values), "mode": list(range(1, count + 1)), "coordinate": list(self.layout.coordinates)}
         return dataset(variables, coordinates, "branches")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         if self.frequency.ndim > 2 or not is_concrete(self.frequency) or self.frequency.shape[1] > 12:
-            return [tables.Table("Branches", ("", ""), [("frequency [Hz]", self.frequency)])]
+            return [tables.PrintedTable("Branches", ("", ""), [("frequency [Hz]", self.frequency)])]
         heads = ("value", *(f"{i + 1} [Hz]" for i in range(self.frequency.shape[1])), "least MAC")
         rows = [(tables.number(x), *f, m.min()) for x, f, m in zip(*map(np.asarray, (self.values, self.frequency, self.mac)), strict=True)]
         named = f"at the first value {'; '.join(f'{i + 1}: {name}' for i, name in enumerate(self.names))}"
-        return [tables.Table("Branches", heads, rows, "; ".join(filter(None, [self.report(), named, mark_note(self.names)])))]
+        return [tables.PrintedTable("Branches", heads, rows, "; ".join(filter(None, [self.report(), named, mark_note(self.names)])))]
 
 
 def mac(one: Modes | ComplexModes | Any, other: Modes | ComplexModes | Any, *, mass: Any = None) -> Float[Array, "n m"]:

@@ -55,9 +55,9 @@ class ElasticAxes(Result):
         }
         return dataset(variables, {"axis": AXES, "elastic_axis": [1, 2, 3]}, f"elastic axes of {self.body}")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         if self.stiffness.ndim > 1 or not is_concrete(self.stiffness):
-            return [tables.Table("Elastic axes", ("", ""), [("stiffness [N/m]", self.stiffness)])]
+            return [tables.PrintedTable("Elastic axes", ("", ""), [("stiffness [N/m]", self.stiffness)])]
         columns = zip(self.directions.T, self.stiffness, self.points, self.pitch, strict=True)
         rows = [(str(i + 1), tables.without_dust(d), k, tables.without_dust(p), h) for i, (d, k, p, h) in enumerate(columns)]
         turns = [
@@ -66,8 +66,8 @@ class ElasticAxes(Result):
         ]
         note = f"center of stiffness {tables.number(self.center)} m; {self.report()}"
         return [
-            tables.Table(f"Elastic axes of {self.body}", ("axis", "direction", "stiffness [N/m]", "through [m]", "pitch [m]"), rows),
-            tables.Table("", ("torsional axis", "direction", "stiffness [N m/rad]"), turns, note),
+            tables.PrintedTable(f"Elastic axes of {self.body}", ("axis", "direction", "stiffness [N/m]", "through [m]", "pitch [m]"), rows),
+            tables.PrintedTable("", ("torsional axis", "direction", "stiffness [N m/rad]"), turns, note),
         ]
 
 
@@ -86,7 +86,7 @@ class TorqueRollAxis(Result):
     status: Int[Array, ""]
     body: str = field(static=True, converter=plain)
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         rows = [
             ("direction", tables.without_dust(self.direction), ""),
             ("through", tables.without_dust(self.point), "m"),
@@ -96,7 +96,7 @@ class TorqueRollAxis(Result):
             ("coupling", self.coupling, "-"),
         ]
         note = self.report() if is_concrete(self.status) and np.any(self.status) else ""
-        return [tables.Table(f"Torque roll axis of {self.body}", ("quantity", "value", "unit"), rows, note)]
+        return [tables.PrintedTable(f"Torque roll axis of {self.body}", ("quantity", "value", "unit"), rows, note)]
 
 
 def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:

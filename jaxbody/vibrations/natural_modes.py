@@ -78,13 +78,17 @@ class Modes(Result):
         count = np.shape(self.frequency)[-1]
         return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(self.layout.coordinates)}, "modes")
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         if self.frequency.ndim > 1 or not is_concrete(self.frequency):
-            return [tables.Table("Modes", ("", ""), [("frequency [Hz]", self.frequency)])]
+            return [tables.PrintedTable("Modes", ("", ""), [("frequency [Hz]", self.frequency)])]
         names, ratio = self.names, tables.without_dust(self.damping_ratio, 1.0)
         rows = [(str(i + 1), *row) for i, row in enumerate(zip(np.asarray(self.frequency), ratio, names, strict=True))]
         notes = [self.report() if int(self.status) else "", mark_note(names)]
-        return [tables.Table("Modes", ("mode", "frequency [Hz]", "damping ratio", "most energy in"), rows, "; ".join(filter(None, notes)))]
+        return [
+            tables.PrintedTable(
+                "Modes", ("mode", "frequency [Hz]", "damping ratio", "most energy in"), rows, "; ".join(filter(None, notes))
+            )
+        ]
 
 
 def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:

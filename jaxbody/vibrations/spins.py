@@ -77,14 +77,14 @@ class SpinLinearization(Result):
             variables | {"status": ((), self.status, "")}, {"coordinate": names, "coordinate_2": names}, "linearization about a spin"
         )
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         heads = [str(i) for i in range(self.K.shape[-1])]
         few = self.K.ndim == 2 and len(heads) <= 12
         shown = []
         for name, unit in (("M", "kg, kg m, kg m2"), ("C", "N s/m, ..."), ("G", "N s/m, ..."), ("K", "N/m, N, N m")):
             matrix = tables.without_dust(getattr(self, name))
             rows = [(c, *(matrix[i] if few else ["..."])) for i, c in enumerate(self.coordinates)]
-            shown.append(tables.Table(f"{name} [{unit}]", ("", *(heads if few else [""])), rows))
+            shown.append(tables.PrintedTable(f"{name} [{unit}]", ("", *(heads if few else [""])), rows))
         shown[-1].note = self.report()
         return shown
 

@@ -39,9 +39,9 @@ class StateSpace(Result):
         told = ", ".join(f"'{output}' of '{name}'" for output, name in pairs[:4])
         return f'{told}: make the input the acceleration of the support, kind="acceleration"'
 
-    def _tables(self) -> list[tables.Table]:
+    def _tables(self) -> list[tables.PrintedTable]:
         return [
-            tables.Table(
+            tables.PrintedTable(
                 f"State space, {len(self.states)} states",
                 ("port", "name", "unit"),
                 [("input", name, unit) for name, unit in zip(self.inputs, self.input_units, strict=True)]

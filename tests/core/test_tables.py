@@ -47,7 +47,7 @@ def test_a_table_shows_sixty_load_cases_whole_and_in_meters(mass):
 
 
 def test_rows_left_out_are_counted_and_the_note_says_where_they_are():
-    table = tables.Table("Long", ("number",), [(i,) for i in range(tables.MOST_ROWS + 7)])
+    table = tables.PrintedTable("Long", ("number",), [(i,) for i in range(tables.MOST_ROWS + 7)])
     for shown in (tables.text(table), tables.html(table)):
         assert f"... 7 more of {tables.MOST_ROWS + 7} rows; the result's attributes have all of them" in shown
 

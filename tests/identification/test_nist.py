@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from jaxbody.identification.least_squares import Evaluations, by_scipy
-from jaxbody.statistics.noises import Record
+from jaxbody.statistics.noises import ResidualSeries
 from jaxbody.statistics.uncertainties import assess
 
 FILES = sorted((pathlib.Path(__file__).parents[1] / "nist").glob("*.dat"))
@@ -104,7 +104,9 @@ def solved(path, start):
     free = np.full(len(b0), np.inf)
     u, arrived = by_scipy(evaluate, np.zeros(len(b0)), (-free, free))
     r, J = evaluate(u)
-    worth = assess(r, J, [], [], [f"b{i}" for i in range(len(b0))], [Record("y", "y", "", np.arange(len(y)), np.arange(len(y)), False)])
+    worth = assess(
+        r, J, [], [], [f"b{i}" for i in range(len(b0))], [ResidualSeries("y", "y", "", np.arange(len(y)), np.arange(len(y)), False)]
+    )
     error, freedom = worth.spread(np.diag(np.abs(b0)))
     np.testing.assert_allclose(freedom[np.isfinite(error)], len(y) - worth.rank, rtol=1e-9)
     return np.asarray(b0 + np.abs(b0) * u), error, arrived, certified, deviations

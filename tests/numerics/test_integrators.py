@@ -299,7 +299,9 @@ def bytes_of(function, *shapes):
 def decaying(y0, most=1000):
     """Samples of y' = -y, many numbers side by side."""
     drive, rate = (lambda a, t: t), (lambda a, u, y: a * y)
-    problem = dormand_prince_steps.Problem(drive, rate, jnp.array(1e-9), jnp.full(y0.shape, 1e-12), jnp.array(1e-12), None, most)
+    problem = dormand_prince_steps.InitialValueProblem(
+        drive, rate, jnp.array(1e-9), jnp.full(y0.shape, 1e-12), jnp.array(1e-12), None, most
+    )
     return dormand_prince_steps.solve_both_ways((jnp.array(-1.0), y0, jnp.linspace(0.0, 1.0, 5)), problem=problem).samples
 
 

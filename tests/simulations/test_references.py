@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 import rigs
 from data import columns, data
 from rigs import POWERTRAIN_ENERGIES, max_difference

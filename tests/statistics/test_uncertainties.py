@@ -11,7 +11,7 @@ from scipy.stats import chi2, kstest
 
 from jaxbody.identification.intervals import interval_of_u
 from jaxbody.statistics.autocorrelations import Autoregression, autocovariances, autoregressions, chosen_order, products, whiteness
-from jaxbody.statistics.noises import Record
+from jaxbody.statistics.noises import ResidualSeries
 from jaxbody.statistics.quantiles import quantile
 from jaxbody.statistics.uncertainties import assess, in_words
 
@@ -28,7 +28,7 @@ def jacobian(n=N):
 
 
 def records(n=N, channels=CHANNELS):
-    return [Record(f"y{i}", "y", "run", np.arange(n) * channels + i, np.arange(n)) for i in range(channels)]
+    return [ResidualSeries(f"y{i}", "y", "run", np.arange(n) * channels + i, np.arange(n)) for i in range(channels)]
 
 
 def noise(rho, n=N, *, seed, count=1, common=0.0):
@@ -106,7 +106,7 @@ def test_autocovariances_are_those_whose_residuals_have_the_products_that_are_th
     P = np.eye(n) - J @ A
     r = P @ e
     products = np.array([r @ r, r[1:] @ r[:-1]])
-    worth = assess(r, J, [], [], LABELS, [Record("y", "y", "run", np.arange(n), np.arange(n))])
+    worth = assess(r, J, [], [], LABELS, [ResidualSeries("y", "y", "run", np.arange(n), np.arange(n))])
     assert worth.orders == {"y": 1}
 
     def omega(gamma):
@@ -138,7 +138,8 @@ def test_the_covariance_falls_like_one_over_the_samples():
     one, e = np.ones((200, 1)), noise(0.0, 200, seed=6)[0][:200]
     r = e - e.mean()
     single, many = (
-        assess(np.tile(r, k), np.tile(one, (k, 1)), [], [], ["a"], [Record("y", "y", "", *[np.arange(200 * k)] * 2, False)]) for k in (1, 9)
+        assess(np.tile(r, k), np.tile(one, (k, 1)), [], [], ["a"], [ResidualSeries("y", "y", "", *[np.arange(200 * k)] * 2, False)])
+        for k in (1, 9)
     )
     np.testing.assert_allclose(many.covariance[0, 0] * (9 * 200 - 1) / (200 - 1), single.covariance[0, 0] / 9 * 9, rtol=1e-12)
 
@@ -148,7 +149,7 @@ def test_gaps_are_as_if_the_samples_had_not_been_there():
     J, count = jacobian(2 * N), 60
     rows = np.arange(2 * N * CHANNELS).reshape(-1, CHANNELS)
     gone = rows[1::2, 1:].ravel()
-    partial = [Record(f"y{i}", "y", "run", rows[:: 2 if i else 1, i], np.arange(2 * N)[:: 2 if i else 1]) for i in range(CHANNELS)]
+    partial = [ResidualSeries(f"y{i}", "y", "run", rows[:: 2 if i else 1, i], np.arange(2 * N)[:: 2 if i else 1]) for i in range(CHANNELS)]
     J[gone] = 0
     held = []
     for e in noise(0.6, 2 * N, seed=7, count=count):
