@@ -59,6 +59,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.experiments.measured_modes": ("MeasuredModes",),
     "jaxbody.experiments.measured_responses": ("MeasuredResponse",),
     "jaxbody.experiments.plausibilities": ("plausibility",),
+    "jaxbody.geometry.fields": ("field",),
     "jaxbody.geometry.orientations": ("Euler",),
     "jaxbody.identification.fits": ("Fit",),
     "jaxbody.identification.fitters": ("fit",),

@@ -32,6 +32,7 @@ from jaxbody.experiments.experiments import Experiment as Experiment
 from jaxbody.experiments.measured_modes import MeasuredModes as MeasuredModes
 from jaxbody.experiments.measured_responses import MeasuredResponse as MeasuredResponse
 from jaxbody.experiments.plausibilities import plausibility as plausibility
+from jaxbody.geometry.fields import field as field
 from jaxbody.geometry.orientations import Euler as Euler
 from jaxbody.identification.fits import Fit as Fit
 from jaxbody.identification.fitters import fit as fit

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import checked, concrete
+from jaxbody.core.arrays import checked
 from jaxbody.core.errors import Problems
-from jaxbody.elements.elements import Element, check_negative, turned
+from jaxbody.elements.elements import MEANT, Element, check_signs, turned
 from jaxbody.geometry import rotations
+from jaxbody.geometry.fields import field
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.places import ends
 from jaxbody.geometry.vectors import rotate, rotate_back
@@ -38,17 +40,18 @@ class Bushing(Element):
         "is turned by 180 degrees",
         "a bushing is for less than half a turn, where its deformation jumps: let a joint (jb.Hinge, jb.Ball) guide what turns further, or hold it by springs",
     )
-    stiffness: Float[Array, "*k"]
-    damping: Float[Array, "*k"]
-    orientation: Float[Array, "4"]
-    orientation_b: Float[Array, "4"]
+    stiffness: Float[Array, "*k"] = field("N/m, N; N, N m/rad", "definite unless allow_negative", code="NEGATIVE_STIFFNESS", hint=MEANT)
+    damping: Float[Array, "*k"] = field("N s/m, N s; N s, N m s/rad", "definite unless allow_negative", code="NEGATIVE_DAMPING", hint=MEANT)
+    allow_negative: bool = eqx.field(static=True)
+    orientation: Float[Array, "4"] = field("", "rotation")
+    orientation_b: Float[Array, "4"] = field("", "rotation")
 
     def __init__(self, a, b, *, stiffness, damping=None, orientation=IDENTITY, orientation_b=IDENTITY, allow_negative: bool = False):
         problems = Problems()
         self.between, (self.a, self.b) = ends((a, b), "Bushing", problems)
-        self.stiffness = _coefficients(stiffness, "stiffness", allow_negative, problems)
-        damping = np.zeros(self.stiffness.shape) if damping is None else damping
-        self.damping = _coefficients(damping, "damping", allow_negative, problems)
+        self.stiffness = _coefficients(stiffness, "Bushing.stiffness", problems)
+        self.damping = _coefficients(np.zeros(self.stiffness.shape) if damping is None else damping, "Bushing.damping", problems)
+        check_signs(self, allow_negative, problems)
         self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
         self.orientation_b = as_quaternion(orientation_b, "Bushing.orientation_b", problems)
         problems.raise_if_any()
@@ -76,30 +79,6 @@ def _times(coefficients: Float[Array, "*k"], e: Float[Array, "6"]) -> Float[Arra
     return jnp.sum(coefficients * e, -1)
 
 
-def _coefficients(value: Any, name: str, allow_negative: bool, problems: Problems) -> Any:
-    where = f"Bushing.{name}"
+def _coefficients(value: Any, where: str, problems: Problems) -> Any:
     array = checked(value, ((3,), (6, 6)), where, problems, "Give three translational coefficients or a 6 x 6 matrix.")
-    if array is None:
-        return np.zeros(3)
-    known = concrete(array)
-    if known is None:
-        return array
-    if known.ndim == 2:
-        asymmetry = np.abs(known - known.T).max()
-        if asymmetry > 1e-9 * np.abs(known).max():
-            hint = "No potential energy belongs to such a matrix; give (K + K')/2 if that is meant."
-            problems.add(
-                "NOT_SYMMETRIC",
-                where,
-                f"is not symmetric: largest |K - K'| = {asymmetry:.3g}",
-                value=known - known.T,
-                limit=f"{1e-9 * np.abs(known).max():.3g}",
-                hint=hint,
-            )
-            return array
-    smallest = known if known.ndim == 1 else np.linalg.eigvalsh(known)
-    if smallest.min() < -1e-12 * np.abs(smallest).max():
-        told = ", ".join(f"{v:.6g}" for v in smallest)
-        what = "coefficients" if known.ndim == 1 else "eigenvalues"
-        check_negative("Bushing", name, f"has {what} {told}", smallest, allow_negative, problems)
-    return array
+    return np.zeros(3) if array is None else array

@@ -10,17 +10,15 @@ has no jumps.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxbody.core.arrays import scalar
 from jaxbody.core.errors import Problems
 from jaxbody.elements.elements import Element, LineElement
+from jaxbody.geometry.fields import check_domain, field, kind_of, take
 from jaxbody.geometry.places import ends, unit_vector
 from jaxbody.geometry.vectors import dot, rotate
-from jaxbody.laws.laws import not_negative, positive
 from jaxbody.laws.spring_laws import ramp, ramp_energy, ramp_slope
 
 
@@ -31,9 +29,9 @@ class Touching(Element):
     True
     """
 
-    stiffness: Float[Array, ""]
-    damping: Float[Array, ""]
-    engagement: Float[Array, ""]
+    stiffness: Float[Array, ""] = field("N/m", "nonnegative")
+    damping: Float[Array, ""] = field("N s/m", "nonnegative")
+    engagement: Float[Array, ""] = field("m", "positive", hint="A hundredth of the travel does little harm.")
 
     def energy(self, e):
         return self.stiffness * ramp_energy(-e, self.engagement)
@@ -73,15 +71,13 @@ class Tyre(Touching):
     ('wheel', 'road')
     """
 
-    radius: Float[Array, ""]
-    axis: Float[Array, "3"]
+    radius: Float[Array, ""] = field("m", "nonnegative")
+    axis: Float[Array, "3"] = field("", "direction")
 
     def __init__(self, hub, road, *, stiffness, damping=0.0, radius, engagement=1e-3, axis=(0, 0, 1)):
         problems = Problems()
         self.between, (self.a, self.b) = ends((hub, road), "Tyre", problems, points=False)
-        self.stiffness, self.damping, self.engagement = _numbers("Tyre", stiffness, damping, engagement, problems)
-        self.radius = scalar(radius, "Tyre.radius", problems)
-        not_negative(self.radius, "Tyre.radius", "m", problems)
+        take(self, problems, stiffness=stiffness, damping=damping, engagement=engagement, radius=radius)
         self.axis = unit_vector(axis, "Tyre.axis", problems)
         problems.raise_if_any()
 
@@ -100,12 +96,14 @@ class Contact(Touching, LineElement):
     0.0
     """
 
+    free_length: Float[Array, ""] = field("m", "positive", hint="Give how near the points may come before they touch.")
+
     def __init__(self, a, b, *, distance, stiffness, damping=0.0, engagement=1e-3):
         problems = Problems()
         self.between, (self.a, self.b) = ends((a, b), "Contact", problems)
-        self.stiffness, self.damping, self.engagement = _numbers("Contact", stiffness, damping, engagement, problems)
+        take(self, problems, stiffness=stiffness, damping=damping, engagement=engagement)
         self.free_length = scalar(distance, "Contact.distance", problems)
-        positive(self.free_length, "Contact.distance", "m", problems, "Give how near the points may come before they touch.")
+        check_domain(self.free_length, kind_of(self, "free_length"), "Contact.distance", problems)
         problems.raise_if_any()
 
     def split(self, L):
@@ -114,13 +112,3 @@ class Contact(Touching, LineElement):
 
     def damper_tension(self, e, e_dot):
         return self.damping_force(e, e_dot)
-
-
-def _numbers(kind: str, stiffness: Any, damping: Any, engagement: Any, problems: Problems):
-    """The three that both have."""
-    given = (("stiffness", stiffness, "N/m"), ("damping", damping, "N s/m"), ("engagement", engagement, "m"))
-    found = [scalar(value, f"{kind}.{name}", problems) for name, value, _ in given]
-    for value, (name, _, unit) in zip(found[:2], given[:2], strict=True):
-        not_negative(value, f"{kind}.{name}", unit, problems)
-    positive(found[2], f"{kind}.engagement", "m", problems, "A hundredth of the travel does little harm.")
-    return found

@@ -14,12 +14,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.core.arrays import concrete, scalar
 from jaxbody.core.errors import Problems, warn
 from jaxbody.geometry import rotations
+from jaxbody.geometry.fields import check_domain, field, kind_of
 from jaxbody.geometry.frames import Frame, Pose, Wrench
 from jaxbody.geometry.vectors import cross, dot, product, rotate
 from jaxbody.numerics.xla_workarounds import inverse_root, kept
+
+MEANT = "If it is meant, say allow_negative=True."
+ALLOWED = {"NEGATIVE_STIFFNESS": "an equilibrium may be unstable", "NEGATIVE_DAMPING": "the system may gain energy"}
 
 
 class Element(eqx.Module):
@@ -45,8 +48,8 @@ class Element(eqx.Module):
     between: tuple[str, ...] = eqx.field(static=True)
     size: ClassVar[int] = 1  # of the deformation
     jump: ClassVar[tuple[str, str, str] | None] = None  # code, what it is where its force jumps, and what to do about it
-    a: Float[Array, "3"]
-    b: Float[Array, "3"]
+    a: Float[Array, "3"] = field("m")
+    b: Float[Array, "3"] = field("m")
 
     @property
     def points(self) -> tuple[Float[Array, "3"], ...]:
@@ -113,7 +116,7 @@ class LineElement(Element):
     vanishes with L.
     """
 
-    free_length: Float[Array, ""]
+    free_length: Float[Array, ""] = field("m", "nonnegative", code="NEGATIVE_LENGTH", hint="Give 0 or more.")
     jump = (
         "SPRING_COLLAPSED",
         "has shrunk to a point",
@@ -180,20 +183,14 @@ def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[A
     return R_A, product(jnp.swapaxes(R_A, -1, -2), R_B)
 
 
-def check_negative(kind: str, name: str, told: str, value: Any, allowed: bool, problems: Problems) -> None:
-    """Negative coefficients are a problem or, where they are meant, a warning."""
-    code, where = f"NEGATIVE_{name.upper()}", f"{kind}.{name}"
-    if allowed:
-        what = {"stiffness": "an equilibrium may be unstable", "damping": "the system may gain energy"}[name]
-        warn(code, f"{where} {told}, as allowed: {what}")
-    else:
-        problems.add(code, where, told, value=value, limit=">= 0", hint="If it is meant, say allow_negative=True.")
-
-
-def free_length_of(value: Any, kind: str, problems: Problems) -> Any:
-    """The free length of an element [m]. Error: NEGATIVE_LENGTH."""
-    length = scalar(value, f"{kind}.free_length", problems)
-    l0 = concrete(length)
-    if l0 is not None and l0 < 0:
-        problems.add("NEGATIVE_LENGTH", f"{kind}.free_length", f"is {l0:g} m", value=float(l0), limit=">= 0", hint="Give 0 or more.")
-    return length
+def check_signs(element: Any, allow_negative: bool, problems: Problems) -> None:
+    """Stiffness and damping are in their domains; what is negative is a problem or, where it is allowed, a warning."""
+    element.allow_negative, found = False, Problems()
+    for name in ("stiffness", "damping"):
+        check_domain(getattr(element, name), kind_of(element, name), f"{type(element).__name__}.{name}", found)
+    element.allow_negative = bool(allow_negative)
+    for problem in found.collected:
+        if allow_negative and problem.code in ALLOWED:
+            warn(problem.code, f"{problem.where} {problem.message}, as allowed: {ALLOWED[problem.code]}")
+        else:
+            problems.collected.append(problem)

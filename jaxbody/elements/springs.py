@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import concrete, scalar
 from jaxbody.core.errors import Problems
-from jaxbody.elements.elements import LineElement, check_negative, free_length_of
+from jaxbody.elements.elements import MEANT, LineElement, check_signs
+from jaxbody.geometry.fields import field, take
 from jaxbody.geometry.places import ends
 from jaxbody.laws import laws
 
@@ -24,19 +25,16 @@ class Spring(LineElement):
     >>> spring = Spring(("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8)
     """
 
-    stiffness: Float[Array, ""]
-    damping: Float[Array, ""]
+    stiffness: Float[Array, ""] = field("N/m", "nonnegative unless allow_negative", code="NEGATIVE_STIFFNESS", hint=MEANT)
+    damping: Float[Array, ""] = field("N s/m", "nonnegative unless allow_negative", code="NEGATIVE_DAMPING", hint=MEANT)
+    allow_negative: bool = eqx.field(static=True)
 
     def __init__(self, a, b, *, stiffness, free_length=0.0, damping=0.0, allow_negative: bool = False):
         problems = Problems()
         self.between, (self.a, self.b) = ends((a, b), "Spring", problems)
-        self.stiffness = scalar(stiffness, "Spring.stiffness", problems)
-        self.free_length = free_length_of(free_length, "Spring", problems)
-        self.damping = scalar(damping, "Spring.damping", problems)
-        for name, unit in (("stiffness", "N/m"), ("damping", "N s/m")):
-            value = concrete(getattr(self, name))
-            if value is not None and value < 0:
-                check_negative("Spring", name, f"is {value:g} {unit}", float(value), allow_negative, problems)
+        self.allow_negative = True
+        take(self, problems, stiffness=stiffness, free_length=free_length, damping=damping)
+        check_signs(self, allow_negative, problems)
         problems.raise_if_any()
 
     def energy(self, e):
@@ -70,13 +68,13 @@ class SpringDamper(LineElement):
     -3500.0
     """
 
-    spring: laws.Law | None
-    damper: laws.Law | None
+    spring: laws.Law | None = field(words={"force": "N", "argument": "m"})
+    damper: laws.Law | None = field(words={"force": "N", "argument": "m/s"})
 
     def __init__(self, a, b, *, spring=None, damper=None, free_length=0.0):
         problems = Problems()
         self.between, (self.a, self.b) = ends((a, b), "SpringDamper", problems)
-        self.free_length = free_length_of(free_length, "SpringDamper", problems)
+        take(self, problems, free_length=free_length)
         self.spring = laws.as_law(spring, "SpringDamper.spring", problems)
         self.damper = laws.as_law(damper, "SpringDamper.damper", problems)
         problems.raise_if_any()

@@ -9,6 +9,7 @@ from jaxbody.core.arguments import warn_of_degrees
 from jaxbody.core.arrays import scalar
 from jaxbody.core.errors import Problems
 from jaxbody.elements.elements import Element, turned
+from jaxbody.geometry.fields import field
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.places import ends, unit_vector
 from jaxbody.geometry.vectors import dot, rotate
@@ -18,8 +19,8 @@ from jaxbody.laws import laws
 class LawElement(Element):
     """The base of elements whose deformation is one number, with a law for it and one for its rate."""
 
-    spring: laws.Law | None
-    damper: laws.Law | None
+    spring: laws.Law | None = field()
+    damper: laws.Law | None = field()
 
     def energy(self, e):
         return laws.potential(self.spring, e)
@@ -58,10 +59,12 @@ class Torsion(LawElement):
         "is turned by 180 degrees",
         "a torsion spring is for less than half a turn either way, where its angle jumps: turn `orientation` to the middle of its motion, or put two in series",
     )
-    axis: Float[Array, "3"]
-    free_angle: Float[Array, ""]
-    orientation: Float[Array, "4"]
-    orientation_b: Float[Array, "4"]
+    spring: laws.Law | None = field(words={"force": "N m", "argument": "rad"})
+    damper: laws.Law | None = field(words={"force": "N m", "argument": "rad/s"})
+    axis: Float[Array, "3"] = field("", "direction")
+    free_angle: Float[Array, ""] = field("rad")
+    orientation: Float[Array, "4"] = field("", "rotation")
+    orientation_b: Float[Array, "4"] = field("", "rotation")
 
     def __init__(self, a, b, *, axis, spring=None, damper=None, free_angle=0.0, orientation=IDENTITY, orientation_b=IDENTITY):
         problems = Problems()
@@ -102,8 +105,10 @@ class AntiRollBar(LawElement):
     ('left wheel', 'right wheel', 'car')
     """
 
-    c: Float[Array, "3"]
-    axis: Float[Array, "3"]
+    spring: laws.Law | None = field(words={"force": "N", "argument": "m"})
+    damper: laws.Law | None = field(words={"force": "N", "argument": "m/s"})
+    c: Float[Array, "3"] = field("m")
+    axis: Float[Array, "3"] = field("", "direction")
 
     def __init__(self, left, right, body, *, axis=(0, 0, 1), spring=None, damper=None):
         problems = Problems()

@@ -17,6 +17,7 @@ from jaxtyping import Array, Float
 from jaxbody.core.arguments import check_kind, checked_dict, plain
 from jaxbody.core.arrays import checked, concrete, device_array, scalar
 from jaxbody.core.errors import Problems
+from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Wrench
 from jaxbody.geometry.places import ends, unit_vector
 from jaxbody.geometry.vectors import cross, dot, rotate
@@ -37,7 +38,7 @@ class Load(eqx.Module):
     """
 
     on: str = eqx.field(static=True, converter=plain)
-    point: Float[Array, "3"]
+    point: Float[Array, "3"] = field("m")
 
     @abstractmethod
     def at_point(self, t: Float[Array, ""], frame: Frame) -> Wrench:
@@ -68,8 +69,8 @@ class Force(Load):
     'engine'
     """
 
-    force: Signal
-    moment: Signal
+    force: Signal = field(words={"value": "N"})
+    moment: Signal = field(words={"value": "N m"})
     axes: str = eqx.field(static=True, converter=plain)
 
     def __init__(self, on, *, force=(0, 0, 0), moment=(0, 0, 0), axes: str = "world"):
@@ -107,11 +108,11 @@ class Unbalance(Load):
     'motor'
     """
 
-    axis: Float[Array, "3"]
-    unbalance: Float[Array, ""]
-    frequency: Float[Array, ""]
-    run_up: Float[Array, ""]
-    phase: Float[Array, ""]
+    axis: Float[Array, "3"] = field("", "direction")
+    unbalance: Float[Array, ""] = field("kg m")
+    frequency: Float[Array, ""] = field("Hz")
+    run_up: Float[Array, ""] = field("Hz/s")
+    phase: Float[Array, ""] = field("rad")
     across: int = eqx.field(static=True)
 
     def __init__(self, on, *, axis, unbalance, frequency, run_up=0.0, phase=0.0):
@@ -150,12 +151,12 @@ class EngineTorque(Load):
     [0.0, 0.0]
     """
 
-    axis: Float[Array, "3"]
-    frequency: Float[Array, ""]
-    mean: Float[Array, ""]
-    orders: Float[Array, "n"]
-    amplitudes: Float[Array, "n"]
-    phases: Float[Array, "n"]
+    axis: Float[Array, "3"] = field("", "direction")
+    frequency: Float[Array, ""] = field("Hz")
+    mean: Float[Array, ""] = field("N m")
+    orders: Float[Array, "n"] = field()
+    amplitudes: Float[Array, "n"] = field("N m")
+    phases: Float[Array, "n"] = field("rad")
 
     def __init__(self, on, *, axis, frequency, orders, amplitudes, phases=None, mean=0.0):
         problems = Problems()

@@ -21,6 +21,7 @@ from jaxbody.core.arguments import check_returned, is_own, kind_of, warn_of_degr
 from jaxbody.core.arrays import check_times, checked, concrete, device_array, float_array, functions_as_nodes, shaped
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.geometry import rotations
+from jaxbody.geometry.fields import field
 from jaxbody.inputs.samples import cell, curvatures, is_uniform, kinks_of
 from jaxbody.numerics.elementary_functions import sincos
 
@@ -75,11 +76,11 @@ class Harmonic(Motion):
     -0.01
     """
 
-    frequency: Float[Array, "*six"]
-    translation: Float[Array, "3"]
-    rotation: Float[Array, "3"]
-    translation_phase: Float[Array, "3"]
-    rotation_phase: Float[Array, "3"]
+    frequency: Float[Array, "*six"] = field("Hz")
+    translation: Float[Array, "3"] = field("m")
+    rotation: Float[Array, "3"] = field("rad")
+    translation_phase: Float[Array, "3"] = field("rad")
+    rotation_phase: Float[Array, "3"] = field("rad")
 
     def __init__(self, *, frequency, translation=(0, 0, 0), rotation=(0, 0, 0), translation_phase=0.0, rotation_phase=0.0):
         problems = Problems()
@@ -105,7 +106,7 @@ class Harmonic(Motion):
 class MotionSum(Motion):
     """Xi = the sum of the Xi of its terms: translations and rotation vectors add."""
 
-    terms: tuple[Motion, ...]
+    terms: tuple[Motion, ...] = field()
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         return sum((term(t) for term in self.terms[1:]), self.terms[0](t))
@@ -127,8 +128,8 @@ class Delayed(Motion):
     0.01
     """
 
-    motion: Motion
-    delay: Float[Array, ""]
+    motion: Motion = field()
+    delay: Float[Array, ""] = field("s")
 
     def __init__(self, motion, delay):
         problems = Problems()
@@ -174,9 +175,9 @@ class Sampled(Motion):
     0.3025
     """
 
-    times: Float[Array, "n"]
-    values: Float[Array, "n 6"]
-    curvatures: Float[Array, "n 6"]
+    times: Float[Array, "n"] = field("s")
+    values: Float[Array, "n 6"] = field("m, rad")
+    curvatures: Float[Array, "n 6"] = field("m/s2, rad/s2")
     uniform: bool = eqx.field(static=True)
     rough: bool = eqx.field(static=True)  # as accelerations with their noise are
 

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.core.arrays import checked, concrete, device_array, float_array, shaped
 from jaxbody.core.errors import JaxbodyError, Problems
+from jaxbody.geometry.fields import check_domain, field, kind_of
 from jaxbody.inputs.motions import Motion
 
 FEWEST = 16  # pieces of a profile to look at
@@ -40,11 +41,13 @@ class Road(Motion):
     [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
     """
 
-    distances: Float[Array, "n"]
-    heights: Float[Array, "n"]
-    speed: Float[Array, ""]
-    position: Float[Array, ""]
-    footprint: Float[Array, ""]
+    distances: Float[Array, "n"] = field("m")
+    heights: Float[Array, "n"] = field("m")
+    speed: Float[Array, ""] = field("m/s")
+    position: Float[Array, ""] = field("m")
+    footprint: Float[Array, ""] = field(
+        "m", "nonnegative", code="BAD_FOOTPRINT", hint="Give the length of the contact patch, or 0 for none."
+    )
     window: int = eqx.field(static=True)
 
     def __init__(self, distances, heights, *, speed, position=0.0, footprint=0.0):
@@ -56,10 +59,7 @@ class Road(Motion):
             for name, value in dict(speed=speed, position=position, footprint=footprint).items()
         }
         _check_increasing(s, problems)
-        length = concrete(numbers["footprint"])
-        if length is not None and length < 0:
-            hint = "Give the length of the contact patch, or 0 for none."
-            problems.add("BAD_FOOTPRINT", "Road.footprint", f"is {length}", value=float(length), limit=">= 0", hint=hint)
+        check_domain(numbers["footprint"], kind_of(self, "footprint"), "Road.footprint", problems)
         problems.raise_if_any()
         self.distances, self.heights = device_array(s), device_array(z)
         for name, number in numbers.items():

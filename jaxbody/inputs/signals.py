@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxbody.core.arguments import check_returned, plain
 from jaxbody.core.arrays import check_times, checked, concrete, device_array, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.geometry.fields import field
 from jaxbody.inputs.samples import cell, curvatures, is_uniform
 
 __all__ = [
@@ -57,7 +58,7 @@ class Constant(Signal):
     3.0
     """
 
-    value: Float[Array, "*k"]
+    value: Float[Array, "*k"] = field("value")
 
     def __call__(self, t):
         return self.value
@@ -70,9 +71,9 @@ class Sine(Signal):
     2.0
     """
 
-    amplitude: Float[Array, "*k"]
-    frequency: Float[Array, ""]
-    phase: Float[Array, ""]
+    amplitude: Float[Array, "*k"] = field("value")
+    frequency: Float[Array, ""] = field("Hz")
+    phase: Float[Array, ""] = field("rad")
 
     def __init__(self, *, amplitude, frequency, phase=0.0):
         problems = Problems()
@@ -99,9 +100,9 @@ class Samples(Signal):
     0.5
     """
 
-    times: Float[Array, "n"]
-    values: Float[Array, "n *k"]
-    curvatures: Float[Array, "n *k"] | None
+    times: Float[Array, "n"] = field("s")
+    values: Float[Array, "n *k"] = field("value")
+    curvatures: Float[Array, "n *k"] | None = field("value/s2")
     kind: str = eqx.field(static=True, converter=plain)
     uniform: bool = eqx.field(static=True)
 

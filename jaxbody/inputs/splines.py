@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.core.arrays import checked, device_array, shaped
 from jaxbody.core.errors import Problems
+from jaxbody.geometry.fields import field
 from jaxbody.inputs.motions import Motion, as_motion
 
 AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
@@ -36,10 +37,10 @@ class Spline(Motion):
     ((23, 1), -0.01)
     """
 
-    start: Float[Array, ""]
-    stop: Float[Array, ""]
-    values: Float[Array, "m k"]
-    directions: Float[Array, "k 6"]
+    start: Float[Array, ""] = field("s")
+    stop: Float[Array, ""] = field("s")
+    values: Float[Array, "m k"] = field("m")
+    directions: Float[Array, "k 6"] = field(", rad/m")
 
     def __init__(self, start, stop, *, interval, along: Any = AXES, about: Any = (), like: Any = None):
         problems = Problems()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import jax.numpy as jnp
 
-from jaxbody.core.arrays import scalar
 from jaxbody.core.errors import Problems
-from jaxbody.laws.laws import Law, Number, not_negative, positive
+from jaxbody.geometry.fields import field, take
+from jaxbody.laws.laws import Law, Number
 
 
 class Digressive(Law):
@@ -18,18 +20,14 @@ class Digressive(Law):
     720.0
     """
 
-    slow: Number
-    fast: Number
-    knee: Number
+    words: ClassVar[dict[str, str]] = {"force": "N", "argument": "m/s"}
+    slow: Number = field("force/argument", "nonnegative")
+    fast: Number = field("force/argument", "nonnegative")
+    knee: Number = field("argument", "positive")
 
     def __init__(self, *, slow, fast, knee):
         problems = Problems()
-        self.slow, self.fast, self.knee = (
-            scalar(v, f"Digressive.{name}", problems) for name, v in (("slow", slow), ("fast", fast), ("knee", knee))
-        )
-        not_negative(self.slow, "Digressive.slow", "N s/m", problems)
-        not_negative(self.fast, "Digressive.fast", "N s/m", problems)
-        positive(self.knee, "Digressive.knee", "m/s", problems)
+        take(self, problems, slow=slow, fast=fast, knee=knee)
         problems.raise_if_any()
 
     def force(self, x):
@@ -48,15 +46,13 @@ class Friction(Law):
     50.0
     """
 
-    level: Number
-    velocity: Number
+    words: ClassVar[dict[str, str]] = {"force": "N", "argument": "m/s"}
+    level: Number = field("force", "nonnegative")
+    velocity: Number = field("argument", "positive", hint="Say how fast it slides before the full force is there.")
 
     def __init__(self, *, level, velocity):
         problems = Problems()
-        self.level = scalar(level, "Friction.level", problems)
-        self.velocity = scalar(velocity, "Friction.velocity", problems)
-        not_negative(self.level, "Friction.level", "N", problems)
-        positive(self.velocity, "Friction.velocity", "m/s", problems, "Say how fast it slides before the full force is there.")
+        take(self, problems, level=level, velocity=velocity)
         problems.raise_if_any()
 
     def force(self, x):

@@ -19,8 +19,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxbody.core.arrays import checked, concrete, functions_as_nodes, scalar
+from jaxbody.core.arrays import checked, functions_as_nodes
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.geometry.fields import check_domain, field, kind_of, take
 
 Number = Float[Array, ""]
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
@@ -72,8 +73,9 @@ def as_law(value: Any, where: str, problems: Problems) -> Law | None:
     number = checked(value, ((),), where, problems, "Give a law, a number or a function x -> F.")
     if number is None:
         return None
-    not_negative(number, where, "", problems, "If it is meant, say Polynomial([...]).")
-    return _made(Linear, coefficient=number)
+    law = _made(Linear, coefficient=number)
+    check_domain(number, kind_of(law, "coefficient"), where, problems)
+    return law
 
 
 class Linear(Law):
@@ -83,12 +85,11 @@ class Linear(Law):
     20.0
     """
 
-    coefficient: Number
+    coefficient: Number = field("force/argument", "nonnegative", hint="If it is meant, say Polynomial([...]).")
 
     def __init__(self, coefficient):
         problems = Problems()
-        self.coefficient = scalar(coefficient, "Linear.coefficient", problems)
-        not_negative(self.coefficient, "Linear.coefficient", "", problems, "If it is meant, say Polynomial([...]).")
+        take(self, problems, coefficient=coefficient)
         problems.raise_if_any()
 
     def force(self, x):
@@ -119,7 +120,7 @@ class Sum(Law):
     -115.0
     """
 
-    terms: tuple[Law, ...]
+    terms: tuple[Law, ...] = field()
 
     def __init__(self, *terms):
         problems = Problems()
@@ -205,20 +206,6 @@ def row_of_numbers(value: Any, where: str, problems: Problems, least: int) -> An
     return np.zeros(0) if array is None else array
 
 
-def not_negative(value: Any, where: str, unit: str, problems: Problems, hint: str = "") -> None:
-    """Error: NEGATIVE."""
-    known = concrete(value)
-    if known is not None and (known < 0).any():
-        problems.add("NEGATIVE", where, f"is {known.min():g} {unit}".rstrip(), value=float(known.min()), limit=">= 0", hint=hint)
-
-
-def positive(value: Any, where: str, unit: str, problems: Problems, hint: str = "") -> None:
-    """Error: NOT_POSITIVE."""
-    known = concrete(value)
-    if known is not None and not any(p.where == where for p in problems.collected) and (known <= 0).any():
-        problems.add("NOT_POSITIVE", where, f"is {known.min():g} {unit}".rstrip(), value=float(known.min()), limit="> 0", hint=hint)
-
-
 class TwoSided(Law):
     """One law on either side: F = bump(x) for x < 0, rebound(x) for x > 0; its slope at 0 is the mean of the two.
 
@@ -230,8 +217,8 @@ class TwoSided(Law):
     (-400.0, 1200.0, 1600.0)
     """
 
-    bump: Law
-    rebound: Law
+    bump: Law = field()
+    rebound: Law = field()
 
     def __init__(self, *, bump, rebound):
         problems = Problems()

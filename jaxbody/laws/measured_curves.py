@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.core.arrays import concrete
 from jaxbody.core.errors import Problems
+from jaxbody.geometry.fields import field
 from jaxbody.laws.curve_files import read_columns
 from jaxbody.laws.laws import Law, row_of_numbers
 
@@ -30,8 +31,8 @@ class Table(Law):
     True
     """
 
-    x: Float[Array, "n"]
-    forces: Float[Array, "n"]
+    x: Float[Array, "n"] = field("argument")
+    forces: Float[Array, "n"] = field("force")
 
     def __init__(self, x, forces):
         problems = Problems()

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import scalar
 from jaxbody.core.errors import Problems
-from jaxbody.laws.laws import Law, Number, not_negative, positive, row_of_numbers
+from jaxbody.geometry.fields import field, take
+from jaxbody.laws.laws import Law, Number, row_of_numbers
 
 ATMOSPHERE = 101325.0  # Pa
 
@@ -21,12 +23,17 @@ class Polynomial(Law):
     240.0
     """
 
-    coefficients: Float[Array, "n"]
+    coefficients: Float[Array, "n"] = field("powers")
 
     def __init__(self, coefficients):
         problems = Problems()
         self.coefficients = row_of_numbers(coefficients, "Polynomial.coefficients", problems, least=1)
         problems.raise_if_any()
+
+    @property
+    def powers(self) -> str:
+        """The unit of each coefficient."""
+        return ", ".join(f"force/argument^{i + 1}" for i in range(self.coefficients.shape[-1]))
 
     def _sum(self, x, divisors):
         c = self.coefficients / np.asarray(divisors)
@@ -54,20 +61,16 @@ class Stop(Law):
     -7000
     """
 
-    gap: Number
-    stiffness: Number
-    engagement: Number
+    words: ClassVar[dict[str, str]] = {"force": "N", "argument": "m"}
+    gap: Number = field("argument", "nonnegative", hint="A stop that is pressed at x = 0 is preload: change the free length.")
+    stiffness: Number = field("force/argument", "nonnegative")
+    engagement: Number = field("argument", "positive", hint="A hundredth of the travel does little harm.")
     extension: bool = eqx.field(static=True)
 
     def __init__(self, *, gap, stiffness, engagement=1e-3, extension: bool = False):
         problems = Problems()
-        self.gap, self.stiffness, self.engagement = (
-            scalar(v, f"Stop.{name}", problems) for name, v in (("gap", gap), ("stiffness", stiffness), ("engagement", engagement))
-        )
         self.extension = bool(extension)
-        not_negative(self.gap, "Stop.gap", "m", problems, "A stop that is pressed at x = 0 is preload: change the free length.")
-        not_negative(self.stiffness, "Stop.stiffness", "N/m", problems)
-        positive(self.engagement, "Stop.engagement", "m", problems, "A hundredth of the travel does little harm.")
+        take(self, problems, gap=gap, stiffness=stiffness, engagement=engagement)
         problems.raise_if_any()
 
     def force(self, x):
@@ -104,12 +107,12 @@ class TensionOnly(Law):
     (0.0, 10.0)
     """
 
-    stiffness: Number
+    words: ClassVar[dict[str, str]] = {"force": "N", "argument": "m"}
+    stiffness: Number = field("force/argument", "nonnegative")
 
     def __init__(self, stiffness):
         problems = Problems()
-        self.stiffness = scalar(stiffness, "TensionOnly.stiffness", problems)
-        not_negative(self.stiffness, "TensionOnly.stiffness", "N/m", problems)
+        take(self, problems, stiffness=stiffness)
         problems.raise_if_any()
 
     def force(self, x):
@@ -131,21 +134,15 @@ class AirSpring(Law):
     (-2000.0, 37581)
     """
 
-    pressure: Number
-    area: Number
-    height: Number
-    exponent: Number
-    ambient: Number
+    pressure: Number = field("Pa", "positive")
+    area: Number = field("m2", "positive")
+    height: Number = field("m", "positive")
+    exponent: Number = field("", "positive")
+    ambient: Number = field("Pa", "nonnegative")
 
     def __init__(self, *, pressure, area, height, exponent=1.4, ambient=ATMOSPHERE):
         problems = Problems()
-        given = {"pressure": pressure, "area": area, "height": height, "exponent": exponent, "ambient": ambient}
-        for (name, v), unit in zip(given.items(), ("Pa", "m2", "m", "", "Pa"), strict=True):
-            setattr(self, name, scalar(v, f"AirSpring.{name}", problems))
-            if name == "ambient":
-                not_negative(getattr(self, name), "AirSpring.ambient", unit, problems)
-            else:
-                positive(getattr(self, name), f"AirSpring.{name}", unit, problems)
+        take(self, problems, pressure=pressure, area=area, height=height, exponent=exponent, ambient=ambient)
         problems.raise_if_any()
 
     @classmethod

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.core.arrays import checked, concrete, vector
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
+from jaxbody.geometry.fields import check_domain, field, kind_of
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion, matrix
 
 EPS = np.finfo(np.float64).eps
@@ -31,15 +32,15 @@ class Body(eqx.Module):
     0.9
     """
 
-    mass: Float[Array, ""]
-    inertia: Float[Array, "3 3"]
-    com: Float[Array, "3"]
-    position: Float[Array, "3"]
-    orientation: Float[Array, "4"]
+    mass: Float[Array, ""] = field("kg", "positive", code="BAD_MASS", hint="Leave out what has no mass, or give it a small one.")
+    inertia: Float[Array, "3 3"] = field("kg m2", "inertia")
+    com: Float[Array, "3"] = field("m")
+    position: Float[Array, "3"] = field("m")
+    orientation: Float[Array, "4"] = field("", "rotation")
 
     def __init__(self, mass, inertia=(0, 0, 0), *, com=(0, 0, 0), position=(0, 0, 0), orientation=IDENTITY):
         problems = Problems()
-        self.mass = _mass(mass, problems)
+        self.mass = _mass(self, mass, problems)
         self.com = vector(com, "Body.com", problems)
         self.inertia = _inertia(inertia, self.mass, self.com, problems)
         self.position = vector(position, "Body.position", problems)
@@ -78,8 +79,8 @@ class Support(eqx.Module):
     [0.0, -1.0, 0.0]
     """
 
-    position: Float[Array, "3"]
-    orientation: Float[Array, "4"]
+    position: Float[Array, "3"] = field("m")
+    orientation: Float[Array, "4"] = field("", "rotation")
 
     def __init__(self, position=(0, 0, 0), orientation=IDENTITY):
         problems = Problems()
@@ -88,13 +89,11 @@ class Support(eqx.Module):
         problems.raise_if_any()
 
 
-def _mass(value: Any, problems: Problems) -> Any:
+def _mass(body: Body, value: Any, problems: Problems) -> Any:
     mass = checked(value, ((),), "Body.mass", problems)
-    known = None if mass is None else concrete(mass)
-    if known is not None and known <= 0:
-        hint = "Leave out what has no mass, or give it a small one."
-        problems.add("BAD_MASS", "Body.mass", f"is {known:g} kg", value=float(known), limit="> 0", hint=hint)
-    return np.ones(()) if mass is None else mass
+    mass = np.ones(()) if mass is None else mass
+    check_domain(mass, kind_of(body, "mass"), "Body.mass", problems)
+    return mass
 
 
 def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
@@ -109,8 +108,15 @@ def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
     known, m, c = concrete(I), concrete(mass), concrete(com)
     if known is None:
         return (I + I.T) / 2
+    check_inertia(
+        known, 64 * EPS * (abs(np.trace(known)) + (2 * abs(m) * c @ c if m is not None and c is not None else 0)), where, problems
+    )
+    return (I + I.T) / 2
+
+
+def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Problems) -> None:
+    """Errors: NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE."""
     trace = np.trace(known)
-    round_off = 64 * EPS * (abs(trace) + (2 * abs(m) * c @ c if m is not None and c is not None else 0))
     difference = known - known.T
     moments = np.linalg.eigvalsh((known + known.T) / 2)
     told = ", ".join(f"{m:.6g}" for m in moments)
@@ -148,7 +154,6 @@ def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
             limit="at most the sum of the two others",
             hint=f"Is it about the centre of mass? {signs} Are the units one and the same?",
         )
-    return (I + I.T) / 2
 
 
 def _is_valid(I: np.ndarray, round_off: float) -> bool:

@@ -17,6 +17,7 @@ from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import vector
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
+from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.places import unit_vector
 from jaxbody.geometry.vectors import cross, product, rotate
@@ -135,7 +136,7 @@ class Guide(Joint):
     [0.0, 0.0, 1.0]
     """
 
-    axis: Float[Array, "3"]
+    axis: Float[Array, "3"] = field("", "direction")
     nq, nv = 1, 1
     motions = ("move along its guide",)
     turns = (False,)
@@ -163,8 +164,8 @@ class Hinge(Joint):
     [0.0]
     """
 
-    axis: Float[Array, "3"]
-    at: Float[Array, "3"] | None
+    axis: Float[Array, "3"] = field("", "direction")
+    at: Float[Array, "3"] | None = field("m")
     nq, nv = 1, 1
     motions = ("turn about its hinge",)
     turns = (True,)
@@ -192,7 +193,7 @@ class Ball(Joint):
     [1.0, 0.0, 0.0, 0.0]
     """
 
-    at: Float[Array, "3"] | None
+    at: Float[Array, "3"] | None = field("m")
     nq, nv = 4, 3
     motions = TURNS
     turns = (True,) * 3

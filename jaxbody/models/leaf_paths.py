@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from dataclasses import field as attribute
 from fnmatch import fnmatchcase
 from typing import Any
 
@@ -20,17 +21,20 @@ from jaxtyping import Array
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import checked, concrete, device_array
 from jaxbody.core.errors import Problems
+from jaxbody.geometry.fields import Kind, check_domain, kind_along, kind_of
+from jaxbody.models.bodies import check_inertia
 from jaxbody.models.models import Model
 
 
 @dataclass(frozen=True)
 class Leaf:
-    """Where a path leads: the path, the number of the array among a tree's arrays, and the row in it (None for the whole)."""
+    """Where a path leads: the path, the number of the array among a tree's arrays, and the row in it (None for the whole); and what its numbers are."""
 
     path: str
     array: int
     row: int | None
     rank: int
+    kind: Kind = attribute(default=Kind(), compare=False)
 
     @property
     def field(self) -> str:
@@ -61,19 +65,24 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
     """Every leaf of a model or an experiment; `named()` of an experiment gives its parts by name."""
     numbers = numbered(tree)
     if not isinstance(tree, Model):
-        return [Leaf(f"{prefix}{name}.{field}", n, None, 0) for name, part in numbers.named().items() for field, n in _fields(part)]
+        roots, parts = tree.named(), numbers.named().items()
+        return [Leaf(f"{prefix}{name}.{path}", n, None, 0, kind) for name, part in parts for path, n, kind in _fields(part, roots[name])]
     found = []
-    for table in (numbers.bodies, numbers.supports, *numbers.joints, *numbers.elements):
-        for (field, n), rank in zip(_fields(table.rows), table.ranks, strict=True):
-            found += [Leaf(f"{prefix}{name}.{field}", n, row, rank) for row, name in enumerate(table.names)]
-    return [*found, Leaf(f"{prefix}gravity", numbers.gravity, None, 1)]
+    tables = lambda model: (model.bodies, model.supports, *model.joints, *model.elements)  # noqa: E731
+    for table, rows in zip(tables(numbers), [table.rows for table in tables(tree)], strict=True):
+        for (path, n, kind), rank in zip(_fields(table.rows, rows), table.ranks, strict=True):
+            found += [Leaf(f"{prefix}{name}.{path}", n, row, rank, kind) for row, name in enumerate(table.names)]
+    return [*found, Leaf(f"{prefix}gravity", numbers.gravity, None, 1, kind_of(tree, "gravity"))]
 
 
-def _fields(tree: Any) -> list[tuple[str, int]]:
+def _fields(numbers: Any, root: Any) -> list[tuple[str, int, Kind]]:
+    """Path and number of each array below a root, and what its own numbers are."""
+
     def name(key: Any) -> str:
         return str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key))))
 
-    return [(".".join(name(key) for key in keys), leaf) for keys, leaf in jax.tree_util.tree_leaves_with_path(tree)]
+    leaves = jax.tree_util.tree_leaves_with_path(numbers)
+    return [(".".join(name(key) for key in keys), leaf, kind_along(root, keys)) for keys, leaf in leaves]
 
 
 def matching(
@@ -170,7 +179,7 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
         each = value.shape not in one
         for rows in by_array(leaves).values():
             block = _block(value, [leaves.index(leaf) for leaf in rows] if each else len(rows), rows[0], arrays)
-            new.setdefault(rows[0].array, []).append((rows, _made(rows[0].field, block, where, problems)))
+            new.setdefault(rows[0].array, []).append((rows, _made(rows[0], block, where, problems)))
     problems.raise_if_any()
     for parts in new.values():
         leaves, blocks = [leaf for rows, _ in parts for leaf in rows], [block for _, block in parts]
@@ -190,19 +199,25 @@ def _block(value: Any, rows: list[int] | int, first: Leaf, arrays: list[Array]) 
     return xp.moveaxis(value[np.array(rows)], 0, first.axis(arrays))
 
 
-def _made(field: str, value: Any, where: str, problems: Problems) -> Any:
-    """A value as those who make bodies and joints would have it."""
-    if field == "mass" and (known := concrete(value)) is not None and (known <= 0).any():
-        problems.add("BAD_MASS", where, f"is {known.min():g} kg", value=known, limit="> 0", hint="A mass must be positive.")
-    if field != "axis" and not field.startswith("orientation"):
+def _made(leaf: Leaf, value: Any, where: str, problems: Problems) -> Any:
+    """A value in its domain, as those who make bodies, joints and elements would have it."""
+    domain, known = leaf.kind.domain, concrete(value)
+    if domain not in ("direction", "rotation"):
+        rows = [] if known is None else [known]
+        if known is not None and domain in ("definite", "symmetric", "inertia"):
+            rows = known.reshape(-1, *known.shape[known.ndim - leaf.rank :])
+        for row in rows:
+            if domain == "inertia":
+                check_inertia(row, 1e-9 * abs(np.trace(row)), where, problems)
+            else:
+                check_domain(row, leaf.kind, where, problems)
         return value
-    known = concrete(value)
     if known is None:
         return value / jnp.linalg.norm(value, axis=-1, keepdims=True)
     length = np.linalg.norm(known, axis=-1, keepdims=True)
-    if field == "axis" and not length.all():
+    if domain == "direction" and not length.all():
         problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give a direction.")
-    elif field != "axis" and (np.abs(length - 1) > 1e-3).any():
+    elif domain == "rotation" and (np.abs(length - 1) > 1e-3).any():
         worst = float(length.ravel()[np.argmax(np.abs(length - 1))])
         hint = "Divide it by its length; the order is w, x, y, z."
         problems.add("BAD_QUATERNION", where, f"has length {worst:.6g}", value=known, limit="1 within 1e-3", hint=hint)

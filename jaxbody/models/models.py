@@ -18,6 +18,7 @@ from jaxbody.core.errors import JaxbodyError, Problems, unknown
 from jaxbody.elements.element_checks import check_laws, check_leaves
 from jaxbody.elements.elements import Element
 from jaxbody.geometry import rotations
+from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Pose
 from jaxbody.laws.laws import Law, Sum
 from jaxbody.models.bodies import Body, Support, warn_of_points
@@ -45,7 +46,7 @@ class Model(eqx.Module):
     supports: KindTable
     joints: tuple[KindTable, ...]
     elements: tuple[KindTable, ...]
-    gravity: Float[Array, "3"]
+    gravity: Float[Array, "3"] = field("m/s2")
     layout: Layout = eqx.field(static=True)
 
     def __init__(

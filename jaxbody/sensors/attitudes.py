@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from jaxbody.core.arguments import plain
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry import rotations
+from jaxbody.geometry.fields import field
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.vectors import product
 from jaxbody.sensors.sensors import Chain, Sensor
@@ -100,7 +101,7 @@ class Orientation(Attitude):
     """
 
     on: str = eqx.field(static=True, converter=plain)
-    orientation: Float[Array, "4"]
+    orientation: Float[Array, "4"] = field("", "rotation")
     unit = "rad"
 
     def __init__(self, on: str, *, orientation=IDENTITY, **chain: Unpack[Chain]):

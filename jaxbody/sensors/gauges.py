@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import concrete, vector
 from jaxbody.core.errors import Problem, Problems
+from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.geometry.places import ends, unit_vector
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
@@ -25,9 +26,9 @@ class Gauge(Sensor):
     """The base of instruments between the point a of one body or support and the point b of another; `between` names the two."""
 
     between: tuple[str, str] = eqx.field(static=True)
-    a: Float[Array, "3"]
-    b: Float[Array, "3"]
-    axis: Float[Array, "3"] | None
+    a: Float[Array, "3"] = field("m")
+    b: Float[Array, "3"] = field("m")
+    axis: Float[Array, "3"] | None = field("", "direction")
 
     def spanned(self, a: Any, b: Any, axis: Any, chain: Chain) -> None:
         kind, problems = type(self).__name__, Problems()
@@ -152,10 +153,10 @@ class LaserLine(Sensor):
     """
 
     on: str = eqx.field(static=True, converter=plain)
-    point: Float[Array, "3"]
-    axis: Float[Array, "3"]
-    origin: Float[Array, "3"] | None
-    normal: Float[Array, "3"] | None
+    point: Float[Array, "3"] = field("m")
+    axis: Float[Array, "3"] = field("", "direction")
+    origin: Float[Array, "3"] | None = field("m")
+    normal: Float[Array, "3"] | None = field("", "direction")
     shape = ()
 
     def aimed(self, on: str, point: Any, axis: Any, origin: Any, normal: Any, chain: Chain) -> None:

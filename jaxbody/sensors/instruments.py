@@ -10,6 +10,7 @@ from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import concrete, vector
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.geometry import rotations
+from jaxbody.geometry.fields import field
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.places import unit_vector
 from jaxbody.geometry.vectors import cross, dot, rotate_back
@@ -22,9 +23,9 @@ class Mounted(Sensor):
     `axis`, the one sensitive direction in body axes, one number."""
 
     on: str = eqx.field(static=True, converter=plain)
-    point: Float[Array, "3"]
-    axis: Float[Array, "3"] | None
-    orientation: Float[Array, "4"] | None
+    point: Float[Array, "3"] = field("m")
+    axis: Float[Array, "3"] | None = field("", "direction")
+    orientation: Float[Array, "4"] | None = field("", "rotation")
 
     def mounted(self, on: str, point: Any, axis: Any, orientation: Any, chain: Chain) -> None:
         kind, problems = type(self).__name__, Problems()
@@ -236,7 +237,7 @@ class Reaction(WrenchSensor):
     [19.62, 19.62]
     """
 
-    point: Float[Array, "3"] | None
+    point: Float[Array, "3"] | None = field("m")
 
     def __init__(self, on: str, point=None, *, component: int | None = None, **chain: Unpack[Chain]):
         problems = Problems()

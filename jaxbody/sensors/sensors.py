@@ -12,6 +12,7 @@ from jaxbody.core.arguments import check_kind, checked_dict, plain
 from jaxbody.core.arrays import checked, concrete, vector
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.elements.elements import Element
+from jaxbody.geometry.fields import check_domain, field, kind_of
 from jaxbody.geometry.places import unit_vector
 from jaxbody.geometry.vectors import dot, rotate
 from jaxbody.models.models import Model
@@ -64,11 +65,13 @@ class Sensor(Channel):
     accelerations: ClassVar[bool] = False
     reactions: ClassVar[bool] = False
     stages: ClassVar[tuple[str, ...]] = ("gain", "bias", "delay", "lag", "start")  # of the chain, that it may have
-    gain: Float[Array, "*g"] | None = eqx.field(default=None, kw_only=True)
-    bias: Float[Array, "*b"] | None = eqx.field(default=None, kw_only=True)
-    delay: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
-    lag: Float[Array, ""] | None = eqx.field(default=None, kw_only=True)
-    start: Float[Array, "*r"] | None = eqx.field(default=None, kw_only=True)
+    gain: Float[Array, "*g"] | None = field(default=None, kw_only=True)
+    bias: Float[Array, "*b"] | None = field("unit", default=None, kw_only=True)
+    delay: Float[Array, ""] | None = field("s", default=None, kw_only=True)
+    lag: Float[Array, ""] | None = field(
+        "s", "positive", code="BAD_LAG", hint="Leave it out where there is none.", default=None, kw_only=True
+    )
+    start: Float[Array, "*r"] | None = field("unit", default=None, kw_only=True)
 
     def __init__(self, on: str, **chain: Unpack[Chain]):
         problems = Problems()
@@ -94,8 +97,7 @@ class Sensor(Channel):
             several = shape if "gain" in self.stages else ()
             array = checked(value, ((), shape) if shape and several else (shape,), where, problems)
             setattr(self, name, array)
-            if name == "lag" and array is not None and (known := concrete(array)) is not None and known <= 0:
-                problems.add("BAD_LAG", where, f"is {known:g} s", value=known, limit="> 0", hint="Leave it out where there is none.")
+            check_domain(np.zeros(0) if array is None else array, kind_of(self, name), where, problems)
         if self.start is not None and self.lag is None:
             problems.add(
                 "BAD_CHAIN", f"{kind}.start", "is where the lag sets out, and there is none", value=self.start, hint="Give lag=..."
@@ -163,8 +165,8 @@ class Position(Sensor):
     """
 
     on: str = eqx.field(static=True, converter=plain)
-    point: Float[Array, "3"]
-    axis: Float[Array, "3"] | None
+    point: Float[Array, "3"] = field("m")
+    axis: Float[Array, "3"] | None = field("", "direction")
     unit = "m"
 
     def __init__(self, on: str, point=(0, 0, 0), *, axis=None, **chain: Unpack[Chain]):

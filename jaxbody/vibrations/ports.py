@@ -21,6 +21,7 @@ from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.elements.elements import Element
 from jaxbody.elements.torsions import Torsion
+from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.geometry.places import unit_vector
 from jaxbody.geometry.vectors import cross, skew
@@ -73,8 +74,8 @@ class PointForce(eqx.Module):
     """
 
     on: str = eqx.field(static=True, converter=plain)
-    point: Float[Array, "3"]
-    axis: Float[Array, "3"]
+    point: Float[Array, "3"] = field("m")
+    axis: Float[Array, "3"] = field("", "direction")
     turns: bool = eqx.field(static=True)
 
     def __init__(self, on: str, point=(0, 0, 0), direction: Any = "z"):
@@ -103,8 +104,8 @@ class PointMotion(eqx.Module):
     """
 
     on: str = eqx.field(static=True, converter=plain)
-    point: Float[Array, "3"]
-    axis: Float[Array, "3"]
+    point: Float[Array, "3"] = field("m")
+    axis: Float[Array, "3"] = field("", "direction")
     turns: bool = eqx.field(static=True)
     kind: str = eqx.field(static=True, converter=plain)
     relative_to: str | None = eqx.field(static=True, converter=plain)

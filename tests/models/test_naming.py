@@ -67,6 +67,8 @@ def same(one, other):
 def other_value(path, value):
     """Another value of the kind that a path leads to."""
     x = RANDOM.uniform(0.5, 1.5, np.shape(value))
+    if x.ndim == 2:  # an inertia, a matrix of stiffness
+        return np.eye(len(x)) + 0.1 * (x + x.T)
     return unit(x) if path.endswith("axis") or ".orientation" in path else x
 
 

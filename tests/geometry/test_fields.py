@@ -1,0 +1,67 @@
+"""What numbers are stands with their field: unit and domain of all fields of the package, and of a user's own."""
+
+import dataclasses
+import importlib
+import pkgutil
+
+import pytest
+
+import jaxbody
+import jaxbody as jb
+from jaxbody.geometry.fields import Kind, resolved, units_of
+from jaxbody.inputs.signals import Signal
+
+OWNERS = (jb.Element, jb.laws.Law, jb.Joint, jb.Body, jb.Support, jb.Load, jb.Motion, jb.Sensor, Signal)
+
+
+def owners():
+    """Every class of the package that is one of these, or derives from one."""
+    for module in pkgutil.walk_packages(jaxbody.__path__, "jaxbody."):
+        if ".app" not in module.name and ".plots" not in module.name:
+            for kind in vars(importlib.import_module(module.name)).values():
+                if isinstance(kind, type) and issubclass(kind, OWNERS) and kind.__module__ == module.name:
+                    yield kind
+
+
+def test_every_field_of_the_package_says_its_unit_and_domain():
+    found = list(owners())
+    assert len(found) > 50
+    without = [
+        f"{kind.__name__}.{field.name}"
+        for kind in found
+        for field in dataclasses.fields(kind)
+        if not field.metadata.get("static") and "kind" not in field.metadata
+    ]
+    assert not without, f"no jb.field: {without}"
+
+
+@pytest.mark.parametrize(
+    ("formula", "words", "unit"),
+    [
+        ("force/argument", {"force": "N", "argument": "m"}, "N/m"),
+        ("force/argument", {"force": "N", "argument": "m/s"}, "N s/m"),
+        ("force/argument", {"force": "N m", "argument": "rad"}, "N m/rad"),
+        ("force/argument", {"force": "N m", "argument": "rad/s"}, "N m s/rad"),
+        ("force/argument^3", {"force": "N", "argument": "m/s"}, "N s3/m3"),
+        ("argument", {"argument": "rad/s"}, "rad/s"),
+        ("force", {}, ""),
+        ("kg m2", {}, "kg m2"),
+        ("value/s2", {"value": "N m"}, "N m/s2"),
+        ("m, rad", {}, "m, rad"),
+    ],
+)
+def test_formulas_of_units_are_read_in_the_words_of_the_owner(formula, words, unit):
+    assert resolved(formula, None, words) == unit
+
+
+def test_units_of_parts_belong_to_the_numbers_of_these_parts():
+    blocks = Kind("N/m, N; N, N m/rad")
+    assert units_of(blocks, (6, 6)) == [*(["N/m"] * 3 + ["N"] * 3) * 3, *(["N"] * 3 + ["N m/rad"] * 3) * 3]
+    assert units_of(blocks, (3,)) == ["N/m"] * 3
+    assert units_of(Kind("m, rad"), (2, 6)) == (["m"] * 3 + ["rad"] * 3) * 2
+    assert units_of(Kind("N, N m"), ()) == [""]  # one number for both
+
+
+def test_a_domain_that_is_none_is_refused():
+    with pytest.raises(jb.JaxbodyError, match=r"'negative'.*nonnegative.*UNKNOWN_DOMAIN"):
+        jb.field("m", "negative")
