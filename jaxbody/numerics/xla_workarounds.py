@@ -1,9 +1,9 @@
 """Ways around what XLA does badly on a CPU: small functions, and a list of all such places with what each gained, so that it can go again.
 
-Gains are times, or ratios to a C program's where no unit stands, of tasks T1 (a motion), T2 (its gradient), T3 (1000 motions) and T4 (10000
-equilibria with modes) of one body on five springs, of three bodies where it says so; measured as tests/benchmarks/README.md has it, with jaxlib
-0.10.2 where no other version stands. In brackets is what would stand there otherwise. To see whether one is still needed put that in its place,
-run tests/benchmarks/run.py, and leave it so where nothing is lost.
+Gains are times, or ratios to a C program's where no unit stands, of tasks T1 (a motion), T2 (its gradient), T3 (1000 motions) and T4
+(10000 equilibria with modes) of one body on five springs, of three bodies where it says so, with jaxlib 0.10.2 where no other version stands;
+tests/benchmarks/README.md describes how they were measured. Brackets hold the plain form: to see whether a workaround is still needed, put that
+in its place, run tests/benchmarks/run.py, and leave it so where nothing is lost.
 
 In this file
     kept [x]                          cheap numbers are worked out again in each fusion that uses them: T3 11 to 6.6, T1 1.57 to 1.39
@@ -14,7 +14,8 @@ In this file
     take [x[rows]]                    the same: with two other changes, frequencies from 2853 to 2705 operations
     inverse_root [lax.rsqrt]          is no vector instruction: with LANES = 40 T3 3.0 to 2.2, of three bodies 2.6 to 2.1
 geometry/vectors.py
-    dot, rotate, product [@]          a matrix product in a loop is not fused: T1 0.66 to 0.31 ms, T3 17.8 to 4.2
+    dot, rotate, product [@]          a matrix product in a loop is not fused: see the table below
+    cross [jnp.cross]                 no gain
 numerics/elementary_functions.py
     sincos [jnp.sin, jnp.cos]         the C library is called for one number after another: T1 1.75 to 1.57, T3 28 to 18
 numerics/small_systems.py
@@ -45,6 +46,17 @@ core/compile_options.py
     fast_loops                        small loops as one function: T1 3.5 to 0.9 ms, jaxlib 0.10.2 and 0.12.0; wide vectors: T3 6.8 to 5.0
     NO_FUSION_EMITTERS                compiling a motion 1.3 to 0.7 s; jaxlib 0.12 knows no such option
     UNOPTIMIZED                       first frequencies 3.9 to 2.4 s
+
+One of them put back, the rest as it is: processor time in ms, 640 members of T3 and 2560 of T4, jaxlib 0.10.2, fast_loops, 2026-11-22, on a
+busy machine: differences below a fifth are scatter.
+
+                     T1     T3     T4                             T1     T3     T4
+    nothing          0.31   4.2    6.0       @ for sums           0.67   17.8   10.6
+    x, not kept(x)   0.38   8.0    5.5       jnp.sin, jnp.cos     0.53   5.0    7.0
+    reduce_sum       0.34   4.7    13.3      jnp.cross            0.33   3.7    5.5
+    reduce_max       0.33   4.4    7.0       cholesky             0.33   4.8    12.3
+    jnp.any          0.36   4.7    60        eigvalsh             0.35   4.6    13.4
+    zeros.at.add     2.44   16.2   12.9      x[rows]              0.37   5.4    7.0
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ OTHERS = {"core/jax_internals.py"}  # what leans on the inside of JAX
 def listed():
     """{file: names} of the docstring."""
     places = {}
-    for line in xla_workarounds.__doc__.split("\n\n", 2)[2].splitlines():
+    for line in xla_workarounds.__doc__.split("\n\n")[2].splitlines():
         if not line.startswith(" "):
             names = places.setdefault(HERE if line == "In this file" else line, [])
         else:
