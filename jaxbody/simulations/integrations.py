@@ -1,4 +1,4 @@
-"""The integration itself, by steps of our own in blocks or by diffrax: tolerances, statuses, samples."""
+"""The integration, by our own loops in blocks or by diffrax: tolerances, statuses, samples."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.precisions import reachable
 from jaxbody.simulations.trajectories import Trajectory
 
-FINEST = {"float64": 0.0, "float32": 1.5e-5}  # local error, below which float32 takes ever shorter steps for nothing
-SAFETY = 0.1  # local error over rtol, as solvers interpolate between steps to a lower order than they step
+FINEST = {"float64": 0.0, "float32": 1.5e-5}  # least local error; below it float32 takes shorter steps without a gain
+SAFETY = 0.1  # local error over rtol, as the order between steps is lower than that of a step
 CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
 OWN_STEPS = diffrax.ConstantStepSize | None
 STATUSES = (
@@ -35,56 +35,62 @@ STATUSES = (
 
 @jit_optimized
 def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
-    """The jitted core of `simulate`: it knows arrays only, and never raises."""
+    """The jitted core of `simulate`: arrays only, never raises."""
     dynamics = Dynamics(model, motions, loads)
     initial = dynamics.coordinates.reference if initial is None else initial
-    own = solver is None and isinstance(stepsize_controller, OWN_STEPS) and isinstance(adjoint, diffrax.ForwardMode | None) and isinstance(meter, diffrax.NoProgressMeter)  # fmt: skip
-    by = _by_blocks if own else _by_diffrax
+    own_loops = (
+        solver is None
+        and isinstance(stepsize_controller, OWN_STEPS)
+        and isinstance(adjoint, diffrax.ForwardMode | None)
+        and isinstance(meter, diffrax.NoProgressMeter)
+    )
+    by = _by_blocks if own_loops else _by_diffrax
     form = Canonical(dynamics) if isinstance(solver, Gauss) else dynamics
     y0 = form.pack(initial, times[0])
-    samples, t_end, y_end, code, accepted, rejected = by(form, y0, times, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)  # fmt: skip
+    options = (rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)
+    samples, t_end, y_end, code, accepted, rejected = by(form, y0, times, *options)
     finite = jnp.isfinite(samples).all(1)
-    blown = (code == Status.OK.value) & ~finite.all()  # which constant steps do not notice
+    overflow = (code == Status.OK.value) & ~finite.all()  # which constant steps do not detect
     last = jnp.maximum(jnp.argmin(finite) - 1, 0)
-    t_end, y_end = jnp.where(blown, times[last], t_end), jnp.where(blown, samples[last], y_end)
-    code = jnp.where(blown, Status.NONFINITE.value, code)
-    good = (finite & (times <= t_end))[:, None]
-    y = jnp.concatenate([_nan_unless(good, jnp.where(good, samples, y_end)), y_end[None]])
+    t_end, y_end = jnp.where(overflow, times[last], t_end), jnp.where(overflow, samples[last], y_end)
+    code = jnp.where(overflow, Status.NONFINITE.value, code)
+    valid = (finite & (times <= t_end))[:, None]
+    y = jnp.concatenate([_nan_unless(valid, jnp.where(valid, samples, y_end)), y_end[None]])
     unpacked = jax.vmap(form.unpack)(y, jnp.append(times, t_end))
-    state, ended = jax.tree.map(lambda x: x[:-1], unpacked), jax.tree.map(lambda x: x[-1], unpacked)
+    state, final = jax.tree.map(lambda x: x[:-1], unpacked), jax.tree.map(lambda x: x[-1], unpacked)
     if has_range(model.elements):
         beyond = jax.vmap(lambda t, state: jnp.any(outside_law_range(model, frames_at_time(model, motions, t, state))))(times, state)
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
     statistics = {"num_accepted_steps": accepted, "num_rejected_steps": rejected}
-    return Trajectory(times, state, code, statistics, (t_end, ended), model, motions, loads)
+    return Trajectory(times, state, code, statistics, (t_end, final), model, motions, loads)
 
 
 @jax.custom_jvp
-def _nan_unless(good: Bool[Array, "nt 1"], y: Float[Array, "nt ny"]) -> Float[Array, "nt ny"]:
-    """y where it is good, else NaN; the derivatives too, of which `jnp.where` alone makes zeros in reverse mode."""
-    return jnp.where(good, y, jnp.nan)
+def _nan_unless(valid: Bool[Array, "nt 1"], y: Float[Array, "nt ny"]) -> Float[Array, "nt ny"]:
+    """y where it is valid, else NaN; so are the derivatives, which `jnp.where` alone makes zero in reverse mode."""
+    return jnp.where(valid, y, jnp.nan)
 
 
 @_nan_unless.defjvp
 def _nan_unless_jvp(primals, tangents):
-    good, y = primals
+    valid, y = primals
 
     def backward(_, slope):
-        return jnp.where(good | (slope == 0), slope, jnp.nan)
+        return jnp.where(valid | (slope == 0), slope, jnp.nan)
 
-    change = jax.lax.custom_linear_solve(lambda x: x, tangents[1], lambda _, x: jnp.where(good, x, jnp.nan), backward)
-    return _nan_unless(good, y), change
+    change = jax.lax.custom_linear_solve(lambda x: x, tangents[1], lambda _, x: jnp.where(valid, x, jnp.nan), backward)
+    return _nan_unless(valid, y), change
 
 
 def _tolerances(coordinates: Coordinates, span, rtol):
-    """rtol and atol of the local error, and the least step: constants to both modes."""
+    """rtol and atol of the local error, and the shortest step: constants for both modes of differentiation."""
     coordinates, span, local = jax.lax.stop_gradient((coordinates, span, SAFETY * rtol))
     local = jnp.maximum(local, FINEST[local.dtype.name])
     return local, local / 100 * _scales(coordinates, span), reachable(1e-13, span.dtype, 1) * span
 
 
 def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
-    """By the steps of `dormand_prince_steps`."""
+    """Integration by our own loops (`dormand_prince_steps`)."""
     limits = _tolerances(dynamics.coordinates, times[-1] - times[0], rtol)
     signals = [signal for load in dynamics.loads for signal in load.signals()]
     constant = isinstance(controller, diffrax.ConstantStepSize)
@@ -93,17 +99,17 @@ def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint,
     first, kinks = jax.lax.stop_gradient((dt0, kinks))
     problem = dormand_prince_steps.InitialValueProblem(Dynamics.drive, Dynamics.driven, *limits, first, most, kinks, constant)
     forward = isinstance(adjoint, diffrax.ForwardMode)
-    ended = (
+    result = (
         dormand_prince_steps.solve(problem, dynamics, y0, times)
         if forward
         else dormand_prince_steps.solve_both_ways((dynamics, y0, times), problem=problem)
     )
-    course = ended.course
-    return ended.samples, times[0] + ended.tau, ended.y, course.code, course.accepted, course.rejected
+    course = result.course
+    return result.samples, times[0] + result.tau, result.y, course.code, course.accepted, course.rejected
 
 
 def _by_diffrax(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
-    """By the objects that the user gave, with defaults for what is missing."""
+    """Integration by diffrax, with the user's objects and defaults for the others."""
     adjoint = adjoint or (diffrax.DirectAdjoint() if isinstance(controller, CONSTANT) else diffrax.RecursiveCheckpointAdjoint())
     if controller is None:
         local, atol, shortest = _tolerances(dynamics.coordinates, times[-1] - times[0], rtol)
@@ -135,7 +141,7 @@ def _by_diffrax(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint
 
 
 def _scales(coordinates: Coordinates, span) -> Float[Array, "ny"]:
-    """What is small for each component of y: the size of the model, 1 for angles; for velocities these times a fast frequency."""
+    """The scale of each component of y: the size of the model, 1 for angles; for velocities these times a fast frequency."""
     model = coordinates.model
     layout = model.layout
     size = size_of(model)
@@ -154,5 +160,5 @@ def _stiffness_sum(coordinates: Coordinates) -> Float[Array, ""]:
         return jnp.max(jnp.abs(jax.hessian(element.energy)(e)))
 
     reference = frames_of_free_bodies(coordinates.supports.at_rest(), coordinates.bodies.at_rest())
-    found = each_element(coordinates.model, reference, stiffest)
-    return sum((jnp.sum(k) for k in found), jnp.zeros((), coordinates.model.gravity.dtype))
+    largest = each_element(coordinates.model, reference, stiffest)
+    return sum((jnp.sum(k) for k in largest), jnp.zeros((), coordinates.model.gravity.dtype))

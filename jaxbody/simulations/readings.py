@@ -1,4 +1,4 @@
-"""Records: what sensors read along a trajectory, and noise on it."""
+"""Readings: what sensors measure along a trajectory, and noise added to it."""
 
 from typing import Any
 
@@ -22,12 +22,12 @@ from jaxbody.simulations.trajectories import Trajectory
 
 
 def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sensor], loads: tuple[Load, ...] = ()) -> dict[str, Array]:
-    """What all sensors measure at one time, before their chains; accelerations are worked out once, where any of them needs some."""
+    """The readings of all sensors at one time, before their chains; accelerations are computed once, if any sensor needs them."""
     if any(sensor.accelerations for sensor in sensors.values()):
-        now = Dynamics(model, motions, loads).instant(t, state, reactions=any(sensor.reactions for sensor in sensors.values()))
+        instant = Dynamics(model, motions, loads).instant(t, state, reactions=any(sensor.reactions for sensor in sensors.values()))
     else:
-        now = at_instant(frames_at_time(model, motions, t, state), state)
-    return {name: sensor.reading(model, now) for name, sensor in sensors.items()}
+        instant = at_instant(frames_at_time(model, motions, t, state), state)
+    return {name: sensor.reading(model, instant) for name, sensor in sensors.items()}
 
 
 def at_instant(frames: Frame, state: State) -> Instant:
@@ -36,7 +36,7 @@ def at_instant(frames: Frame, state: State) -> Instant:
 
 
 def readings(trajectory: Trajectory, sensors: dict[str, Sensor]) -> dict[str, Array]:
-    """The record of each sensor along a trajectory, its chain included."""
+    """The readings of each sensor along a trajectory, with its chain."""
     measured = trajectory.at_samples(_read, sensors, loads=True)
     return _transduced(sensors, trajectory.times, measured)
 
@@ -58,13 +58,20 @@ def _transduced(sensors: dict[str, Sensor], times: Array, measured: dict[str, Ar
 def measure(
     trajectory: Trajectory, sensors: dict[str, Sensor], *, noise: float | dict[str, Any] = 0.0, key: PRNGKeyArray | None = None
 ) -> dict[str, Array]:
-    """{sensor: readings (nt, ...)} of a trajectory, with white Gaussian noise of the standard deviation `noise` (one number, or one for each sensor).
+    """{sensor: readings (nt, ...)} of a trajectory, with white Gaussian noise.
 
-    A delayed instrument has NaN where it would read what was before or after the trajectory. Noise on a pose is in meters on its position and in radians on its orientation; it may be two numbers. Leading axes of a batch of
-    trajectories stay. Errors, all at once: WRONG_KIND, UNKNOWN_NAME, BAD_NOISE, BAD_SHAPE, NON_FINITE, NO_KEY.
+    Args:
+        sensors: {name: sensor}.
+        noise: standard deviation in the unit of the sensor, one for all or {sensor: one}; by default 0. On a pose it is in meters on the
+            position and in radians on the orientation, or two numbers.
+        key: of the noise, as jax.random.key(0); by default none, for readings without noise.
+
+    A delayed instrument reads NaN where the delayed time is outside the trajectory. Leading axes of a batch of trajectories are kept.
+    Errors, all at once: WRONG_KIND, UNKNOWN_NAME, BAD_NOISE, BAD_SHAPE, NON_FINITE, NO_KEY.
 
     >>> import jax, jax.numpy as jnp
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, gravity=[0, -9.81, 0])
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               gravity=[0, -9.81, 0])
     >>> measured = measure(simulate(model, jnp.linspace(0, 1, 5)), {"place": Position("mass")}, noise=1e-3, key=jax.random.key(0))
     >>> measured["place"].shape
     (5, 3)
@@ -77,18 +84,19 @@ def measure(
     noisy = any(concrete(level) is None or np.any(level) for level in levels.values())
     check_key(key, "measure.key", problems, "Noise needs" if noisy else "")
     problems.raise_if_any()
-    found = {name: _unless_unknown(sensors[name], trajectory.times, x) for name, x in readings(trajectory, sensors).items()}
+    values = {name: _nan_outside(sensors[name], trajectory.times, x) for name, x in readings(trajectory, sensors).items()}
     if key is None or not noisy:
-        return found
+        return values
     keys = dict(zip(sensors, jax.random.split(key, len(sensors)), strict=True))
     lead = trajectory.times.shape
-    return {
-        name: sensor.disturbed(found[name], sensor.spread(levels.get(name, 0.0)) * jax.random.normal(keys[name], (*lead, *sensor.noise_shape)))
+    noises = {
+        name: sensor.spread(levels.get(name, 0.0)) * jax.random.normal(keys[name], (*lead, *sensor.noise_shape))
         for name, sensor in sensors.items()
-    }  # fmt: skip
+    }
+    return {name: sensor.disturbed(values[name], noises[name]) for name, sensor in sensors.items()}
 
 
-def _unless_unknown(sensor: Sensor, times: Array, x: Array) -> Array:
+def _nan_outside(sensor: Sensor, times: Array, x: Array) -> Array:
     """NaN for delayed samples that lie outside the trajectory."""
     if sensor.delay is None:
         return x

@@ -1,4 +1,4 @@
-"""The exact motion: diffrax integrates the equations of motion under imposed motions of the supports."""
+"""Nonlinear motion: the equations of motion integrated under imposed motions of the supports."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ from jaxbody.simulations.trajectories import Trajectory
 from jaxbody.statics.rest_states import Rest, as_initial, initial_state_of
 
 MAX_STEPS = 100_000
-MANY, OFTEN = 15, 0.15  # rejected steps, and their share of those accepted; a jump of force costs 18 at rtol 1e-3, 30 to 90 by default
-STABLE = 2.8  # longest step times rate at which the classical Runge-Kutta method is stable; explicit ones of diffrax are near
+MANY, OFTEN = 15, 0.15  # rejected steps, and their ratio to accepted ones; a jump of force costs 18 at rtol 1e-3, 30 to 90 by default
+STABLE = 2.8  # longest step times rate for which the classical Runge-Kutta method is stable; diffrax's explicit solvers are similar
 KINDS = {"solver": diffrax.AbstractSolver, "stepsize_controller": diffrax.AbstractStepSizeController, "adjoint": diffrax.AbstractAdjoint}
 EXAMPLES = {"solver": "diffrax.Tsit5()", "stepsize_controller": "diffrax.ConstantStepSize()", "adjoint": "diffrax.ForwardMode()"}
 
@@ -51,19 +51,28 @@ def simulate(
     max_steps: int = MAX_STEPS,
     progress: bool | None = None,
 ) -> Trajectory:
-    """The motion from `initial` (without it, the reference pose at rest) at times[0], sampled at `times` [s].
+    """The motion from `initial` at times[0], sampled at `times` [s].
 
-    initial: a State, or "rest", in equilibrium on supports as they stand and move at times[0], loads left out.
-    motion: {support: motion}; a support without one is at rest. loads: {name: load} on bodies. rtol (in float32 1.5e-4 at least): ten times the relative local error that
-    the step control allows in any component, so that samples between steps hold it too; absolute errors a hundredth of it times the size of the model (velocities: size times its fastest frequency, roughly). Without
-    solver the method is Dopri8 in loops of our own (`dormand_prince_steps`), with steps of its own choice or, with stepsize_controller=diffrax.ConstantStepSize(), of dt0 [s];
-    with other solvers, stepsize_controllers and adjoints, which are diffrax's objects, diffrax integrates. dt0 is else the first step. Both modes
-    work by default, and forward over reverse; for few parameters adjoint=diffrax.ForwardMode() is faster, and with other solvers forward mode needs it. A batch by jax.vmap runs in chunks of 40, each member with steps of its own;
-    with constant steps it takes half the time, but nothing controls the error: compare with a shorter dt0. progress: how long it has taken, on a terminal or in a
-    notebook after five seconds; False is silent, True shows diffrax's meter, and diffrax integrates.
+    Args:
+        motion: {support: motion}; a support without an entry is at rest.
+        loads: {name: load} on bodies; by default none.
+        initial: a State, or "rest": in equilibrium on the supports as they stand and move at times[0], without loads; by default the
+            reference pose at rest.
+        rtol: ten times the relative local error allowed in any component, so that samples between steps keep it too; at least 1.5e-4 in
+            float32. The absolute error is rtol/100 times the size of the model (for velocities, times its fastest frequency, roughly).
+        solver: of diffrax; by default Dopri8 in our own loops (`dormand_prince_steps`).
+        stepsize_controller: of diffrax; by default the error controls the steps; with diffrax.ConstantStepSize() they are dt0.
+        adjoint: of diffrax; by default both modes of differentiation work, and forward over reverse. For few parameters
+            diffrax.ForwardMode() is faster; with a `solver` forward mode needs it.
+        dt0: the first step, or the constant step [s]; by default chosen.
+        max_steps: the largest number of steps.
+        progress: the time taken, on a terminal or in a notebook after five seconds; False is silent, True shows diffrax's meter.
 
-    What rtol leaves after 10 s on a shaking base, of a plate on 5 springs and of three boxes on 14: the largest error [m, rad], the relative error of a derivative by
-    reverse mode, and the time (tests/benchmarks/tolerances.py):
+    With a solver, another stepsize_controller or adjoint, or progress=True, diffrax integrates. A batch by jax.vmap runs in chunks of 40,
+    each member with its own steps; constant steps take half the time, but nothing controls the error: compare with a shorter dt0.
+
+    Errors by rtol after 10 s on a shaking base, of a plate on 5 springs and three boxes on 14: the largest error [m, rad], the relative
+    error of a derivative by reverse mode, and the time (tests/benchmarks/tolerances.py):
 
         rtol                  1e-3   1e-4   1e-5   1e-6   1e-7   1e-8   1e-9   1e-10
         error, plate          2e-6   2e-7   3e-8   5e-9   8e-10  1e-10  3e-11  4e-12
@@ -71,15 +80,18 @@ def simulate(
         derivative            2e-3   1e-4   1e-5   2e-6   2e-7   3e-8   4e-9   6e-10
         time                  0.3    0.35   0.45   0.6    0.8    1      1.3    1.7
 
-    For motions to look at, 1e-5 is plenty. The default is for derivatives, whose errors are a hundred times as large, and for what compares runs: fits, tunings, differences.
+    For plots 1e-5 is sufficient. The default is for derivatives, whose errors are a hundred times as large, and for comparing runs: fits,
+    tuning, differences.
 
-    Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME of a support, UNKNOWN_BODY of a load. An integration that ends early
-    warns, and returns what it has with a status. Warns SPRING_COLLAPSED of a spring that passes through zero length and HALF_TURN of a Bushing or Torsion past half a
-    turn, with the time, where samples show it and many steps were rejected; printed, a trajectory says so in any case.
+    Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME of a support,
+    UNKNOWN_BODY of a load. An integration that ends early warns, and returns its samples with a status. Warns SPRING_COLLAPSED of a spring
+    that passes through zero length and HALF_TURN of a Bushing or Torsion past half a turn, with the time, where samples show it and many
+    steps were rejected; the printed trajectory always shows it.
 
     >>> import jax.numpy as jnp
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("base", axis=[0, 1, 0])}, supports={"base": Support()},
-    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("base", axis=[0, 1, 0])},
+    ...               supports={"base": Support()}, elements={"s": spring})
     >>> trajectory = simulate(model, jnp.linspace(0, 1, 11), motion={"base": Harmonic(frequency=1.0, translation=[0, 0.1, 0])})
     >>> trajectory.poses["mass"].p.shape
     (11, 3)
@@ -92,9 +104,9 @@ def simulate(
     times = problems.gather(lambda: check_run(model, times, motions or (), {} if loads_on is None else loads or {}, initial))
     problems.raise_if_any()
     initial = initial_state_of(model, motions, times[0], initial, "simulate.initial")
-    loose = unattached(model)
-    if loose:
-        warn("UNATTACHED", f"nothing ties {', '.join(loose)} to world or a support")
+    unattached_bodies = unattached(model)
+    if unattached_bodies:
+        warn("UNATTACHED", f"nothing connects {', '.join(unattached_bodies)} to world or a support")
     meter = diffrax.TextProgressMeter() if progress else diffrax.NoProgressMeter()
     tolerance, step = (None if x is None else device_array(float_array(x)) for x in (rtol, dt0))  # Python numbers would be compiled in
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and is_concrete(model, initial, step):
@@ -111,19 +123,19 @@ def simulate(
 
 
 def _warn_of_jumps(result: Trajectory) -> None:
-    """Springs that shrank to a point and elements past half a turn: looked for where so many steps were rejected as a jump of force costs."""
+    """Warn of springs through zero length and elements past half a turn, if as many steps were rejected as a jump of force costs."""
     if not is_concrete(result.statistics):
         return
     accepted, rejected = (int(result.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
-    known = without_derivatives(result) if rejected >= max(MANY, OFTEN * accepted) else None
-    if known is not None and is_concrete(known):
-        for code, message in force_jumps_along(known.model, known.motions, known.times, known.state):
+    primal = without_derivatives(result) if rejected >= max(MANY, OFTEN * accepted) else None
+    if primal is not None and is_concrete(primal):
+        for code, message in force_jumps_along(primal.model, primal.motions, primal.times, primal.state):
             warn(code, f"simulate: {message}")
 
 
 @contextmanager
 def _forward_mode_explained(adjoint: Any) -> Iterator[None]:
-    """What is wrong, where JAX says that one of diffrax's functions has derivatives in reverse mode only."""
+    """Replaces JAX's error for a function of diffrax that has derivatives in reverse mode only."""
     try:
         yield
     except TypeError as error:
@@ -143,7 +155,8 @@ def check_steps(
     where: str,
     adjoint: diffrax.AbstractAdjoint | None = None,
 ) -> int:
-    """Objects of diffrax where such are meant; Gauss has constant steps, these have a length; rtol and dt0 are positive. Returns max_steps, a whole number."""
+    """Solver, controller and adjoint are diffrax's objects, Gauss has constant steps with dt0, rtol and dt0 are positive. Returns
+    max_steps, an integer."""
     problems = Problems()
     given = {"solver": solver, "stepsize_controller": stepsize_controller, "adjoint": adjoint}
     for name, value in given.items():
@@ -153,9 +166,9 @@ def check_steps(
         words = "is RecursiveCheckpointAdjoint, which with constant steps gives wrong gradients where samples lie on steps"
         problems.add("WRONG_GRADIENT", f"{where}.adjoint", words, value=adjoint, hint="Use diffrax.DirectAdjoint() or ForwardMode().")
     if isinstance(solver, Gauss) and not isinstance(stepsize_controller, CONSTANT):
-        told = "is Gauss, which has no estimate of its error, by which a controller could choose steps"
+        message = "is Gauss, which has no error estimate by which a controller could choose steps"
         hint = "Give stepsize_controller=diffrax.ConstantStepSize() and dt0= a tenth of the shortest period."
-        problems.add("NO_ERROR_ESTIMATE", f"{where}.solver", told, value=solver, hint=hint)
+        problems.add("NO_ERROR_ESTIMATE", f"{where}.solver", message, value=solver, hint=hint)
     if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
         problems.add("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds.")
     if dt0 is not None:
@@ -167,7 +180,7 @@ def check_steps(
 
 
 def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None) -> None:
-    """Constant steps must be short beside the fastest small motion about the start, y' = A y."""
+    """Warn of constant steps that are too long for the fastest small motion about the initial state, y' = A y."""
     (M, C, K), n = matrices(model, initial), model.layout.nv
     rates = np.linalg.solve(np.asarray(M), np.concatenate([-K, -C], 1)) if n else np.zeros((0, 0))
     fastest = np.abs(np.linalg.eigvals(np.concatenate([np.eye(n, 2 * n, n), rates]))).max(initial=0.0)
@@ -193,28 +206,28 @@ def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion
 
 
 def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], initial: State | None) -> Float[Array, "nt"]:
-    """Times that increase and that motions and loads cover, an initial state of the right shape."""
+    """The times, increasing and covered by motions and loads; the initial state has the right shape."""
     problems = Problems()
     checked = check_times(times, problems, "times", minimum=2)
     problems.raise_if_any()
     assert checked is not None
-    asked = concrete(checked)
+    requested = concrete(checked)
     timed = [(f"motion['{name}']", motion) for name, motion in zip(model.layout.supports, motions, strict=False)]
     timed += [(f"loads['{name}']", signal) for name, load in loads.items() for signal in load.signals()]
     for where, function in timed:
         span = [concrete(t) for t in function.covers()]
-        if asked is None or any(t is None for t in span):
+        if requested is None or any(t is None for t in span):
             continue
         first, last = (float(t) for t in span)  # pyright: ignore[reportArgumentType]
-        slack = 1e-9 * (asked[-1] - asked[0])
-        if asked[0] < first - slack or asked[-1] > last + slack:
+        slack = 1e-9 * (requested[-1] - requested[0])
+        if requested[0] < first - slack or requested[-1] > last + slack:
             problems.add(
                 "T_RANGE",
                 where,
-                f"covers {first:.9g} to {last:.9g} s, asked {asked[0]:.9g} to {asked[-1]:.9g} s",
-                value=(asked[0], asked[-1]),
+                f"covers {first:.9g} to {last:.9g} s, requested {requested[0]:.9g} to {requested[-1]:.9g} s",
+                value=(requested[0], requested[-1]),
                 limit=f"{first:.9g} to {last:.9g} s",
-                hint="Ask for less, or sample for longer.",
+                hint="Simulate a shorter time, or give longer samples.",
             )
     problems.raise_if_any()
     if initial is not None and not isinstance(initial, Rest):

@@ -1,4 +1,4 @@
-"""Trajectories: what a simulation returns, and what is evaluated along it."""
+"""Trajectories: results of a simulation, and quantities along them."""
 
 from __future__ import annotations
 
@@ -33,8 +33,10 @@ from jaxbody.statics.equilibria import massless_motions
 
 class Trajectory(Result):
     """A motion at `times` [s]: `state`, and by name `poses`, `elongations` [m], `forces` [N], `energies` [J], `powers` [W],
-    `reactions` [N, N m]. `status` MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED where the integration ended early; samples after that are NaN; TABLE_RANGE where a table was left.
-    `statistics`: steps taken and rejected."""
+    `reactions` [N, N m].
+
+    `status`: MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED if the integration ended early, later samples being NaN; TABLE_RANGE if a motion
+    left the table of a law. `statistics`: steps accepted and rejected."""
 
     times: Float[Array, "nt"]
     state: State
@@ -70,8 +72,8 @@ class Trajectory(Result):
 
     @property
     def powers(self) -> dict[str, Array]:
-        """damping: power lost in dampers, the sum of dR/de_dot . e_dot; supports, loads: power that the imposed motions and
-        the loads put in [W], each (nt,)."""
+        """damping: power dissipated, the sum of dR/de_dot . e_dot; supports, loads: power that the imposed motions and
+        the loads supply [W], each (nt,)."""
         return {
             "damping": self.at_samples(_damping_power),
             "supports": self.at_samples(_support_power, loads=True),
@@ -97,32 +99,34 @@ class Trajectory(Result):
     def explain(self) -> str:
         t, status = float(self.end[0]), Status(int(self.status))
         taken, rejected = (int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
-        told = f"at t = {t:.6g} s of {float(self.times[-1]):.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
+        message = (
+            f"at t = {t:.6g} s of {float(self.times[-1]):.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
+        )
         if status in (Status.MAX_STEPS, Status.DT_MIN):
             jump = force_jump_at(self.model, self.motions, *self.end)
             usual = in_float64(self.state.q.dtype) or "try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
-            told += "; " + (jump or usual)
+            message += "; " + (jump or usual)
         if status == Status.TABLE_RANGE:
-            return self._beyond()
+            return self._outside_tables()
         if status == Status.NONFINITE:
-            told += "; first bad: " + (nonfinite_ahead(self.model, self.motions, self.loads, *self.end) or self._accelerations())
-        return told
+            message += "; first not finite: " + (nonfinite_ahead(self.model, self.motions, self.loads, *self.end) or self._accelerations())
+        return message
 
     def _accelerations(self) -> str:
-        """What is bad where all that acts is finite."""
+        """What is not finite where all forces and motions are."""
         layout, q = self.model.layout, self.end[1].q
         massless = massless_motions(layout, matrices(self.model, State(q, np.zeros(layout.nv)))[0])
         return "the accelerations: " + "; ".join(massless) if massless else f"the state of '{layout.bodies[0]}'"
 
-    def _beyond(self) -> str:
-        """Which elements leave their tables, and when first."""
+    def _outside_tables(self) -> str:
+        """Which elements leave their tables, and when they first do."""
         beyond = np.asarray(self.at_samples(_beyond_laws))
         parts = [
             f"'{name}' first at t = {float(self.times[np.argmax(column)]):.6g} s, in {column.sum()} of {len(column)} samples"
             for name, column in zip(self.model.element_names, beyond.T, strict=True)
             if column.any()
         ]
-        return "; ".join(parts) + ": its law went on straight with its end slope"
+        return "; ".join(parts) + ": beyond its table a law continues with its end slope"
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset over time: positions and quaternions of bodies, elongations and forces of springs, energies."""
@@ -152,8 +156,8 @@ class Trajectory(Result):
             coordinates["time"] = ("time", times, {"units": "s"})
         else:
             variables["times"] = (("time",), times, "s")
-        made = dataset(variables, coordinates, "trajectory")
-        return made.assign(status=(made["kinetic_energy"].dims[:-1], np.asarray(self.status)))
+        result = dataset(variables, coordinates, "trajectory")
+        return result.assign(status=(result["kinetic_energy"].dims[:-1], np.asarray(self.status)))
 
     def _tables(self) -> list[tables.PrintedTable]:
         if self.times.ndim > 1 or not is_concrete(self.state.q):
@@ -213,8 +217,8 @@ def _reactions(model, motions, t, state, loads):
 def _load_power(model, motions, t, state, loads):
     frames = frames_at_time(model, motions, t, state)
     on = [frames[model.layout.frame(load.on)] for load in loads]
-    done = [(*load.wrench(t, frame), frame) for load, frame in zip(loads, on, strict=True)]
-    return sum((jnp.sum(F * frame.v) + jnp.sum(M * frame.w) for F, M, frame in done), jnp.zeros((), state.q.dtype))
+    wrenches = [(*load.wrench(t, frame), frame) for load, frame in zip(loads, on, strict=True)]
+    return sum((jnp.sum(F * frame.v) + jnp.sum(M * frame.w) for F, M, frame in wrenches), jnp.zeros((), state.q.dtype))
 
 
 def _support_power(model, motions, t, state, loads):
@@ -226,14 +230,14 @@ def _support_power(model, motions, t, state, loads):
 
 @jit_optimized
 def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times, state, more):
-    given, rest = partition((model, motions, loads), is_array)
+    numbers, rest = partition((model, motions, loads), is_array)
     others, fixed = partition(more, is_array)
 
-    def one(given, t, state, others):
-        model, motions, loads = combine(given, rest)
+    def one(numbers, t, state, others):
+        model, motions, loads = combine(numbers, rest)
         return function(model, motions, t, state, *loads, *combine(others, fixed))
 
     over_batch = jax.vmap(in_lanes(one), in_axes=(None, 0, 0, None))
     for _ in range(batch_axes):
         over_batch = jax.vmap(over_batch, in_axes=(0, 0, 0, None))
-    return over_batch(given, times, state, others)
+    return over_batch(numbers, times, state, others)

@@ -1,4 +1,4 @@
-"""Quasi-static load cases, the daily work of who mounts engines: accelerations in g, torques and forces, all cases side by side."""
+"""Quasi-static load cases, as of engine mounts: accelerations in g, torques and forces, all cases in one batch."""
 
 from __future__ import annotations
 
@@ -33,16 +33,17 @@ from jaxbody.statics.equilibria import DESCENDED, Equilibrium, SearchResult, equ
 from jaxbody.statics.load_paths import AppliedLoads, residual
 
 MAX_STEPS = 200  # of a search
-UNFELT = 1e-9  # of what is applied: less than this in every coordinate is round-off
+NEGLIGIBLE = 1e-9  # relative to the applied loads: less than this in every coordinate is round-off
 BY_JOINTS = (
-    "carried by the joints alone, so nothing moves and no spring feels it; if it should tilt a body, put the point O, "
-    "about which that body turns, and its centre of mass (com) at their own heights"
+    "carried by the joints alone, so that no body moves and no spring is loaded; if it should tilt a body, put the point O, "
+    "about which that body turns, and its centre of mass (com) at their true heights"
 )
 
 
 class LoadCase(eqx.Module):
-    """One case: a steady `acceleration` of the whole rig in g = 9.80665 m/s2, world axes, which every body answers with -m a (a rig that brakes
-    along -x presses its bodies forward, +x; cornering to the left, +y, presses them to the right), and `loads` {name: load}, as at time 0.
+    """One case: a steady `acceleration` a of the whole rig in g = 9.80665 m/s2, world axes, with the inertia force -m a on every body
+    (braking, along -x, pushes bodies forward, +x; cornering to the left, +y, pushes them to the right), and `loads` {name: load}, as at
+    time 0.
 
     >>> LoadCase(acceleration=[0, 0, 3]).acceleration.tolist()
     [0.0, 0.0, 3.0]
@@ -59,37 +60,39 @@ class LoadCase(eqx.Module):
 
 
 class LoadCases(Result):
-    """What every case does, beside the equilibrium without it, `unloaded`: by body `displacements` of its origin [m] and `rotations` (vector
-    [rad]), both world axes, (cases, 3); by element `strokes`, the changes of its deformation, and `forces`, in all [m, N; of a bushing six each], (cases, ...);
-    `state`, and for each case `status`, `load_factor`, `descended` (as of an Equilibrium) and `by_joints`, whether joints carry the whole of it, so that nothing moves."""
+    """Results of load cases, relative to the equilibrium without them, `unloaded`.
+
+    By body `displacements` of its origin [m] and `rotations` (vectors [rad]), world axes, (cases, 3); by element `strokes`, the changes of
+    its deformation [m], and `forces`, the total [N] (six of a bushing), (cases, ...); `state`; and for each case `status`, `load_factor`
+    and `descended` (as in an Equilibrium) and `by_joints`, whether joints alone carry it, so that nothing moves."""
 
     status: Int[Array, "nc"]
     load_factor: Float[Array, "nc"]
     state: State
     unloaded: Equilibrium
-    displaced: Float[Array, "nc nb 3"]
-    turned: Float[Array, "nc nb 3"]
-    stroked: tuple[Array, ...]
-    loaded: tuple[Array, ...]
+    displacement_rows: Float[Array, "nc nb 3"]
+    rotation_rows: Float[Array, "nc nb 3"]
+    stroke_rows: tuple[Array, ...]
+    force_rows: tuple[Array, ...]
     descended: Bool[Array, "nc"]
     by_joints: Bool[Array, "nc"]
     names: tuple[str, ...] = eqx.field(static=True)
 
     @property
     def displacements(self) -> dict[str, Float[Array, "nc 3"]]:
-        return {name: self.displaced[..., i, :] for i, name in enumerate(self.unloaded.layout.bodies)}
+        return {name: self.displacement_rows[..., i, :] for i, name in enumerate(self.unloaded.layout.bodies)}
 
     @property
     def rotations(self) -> dict[str, Float[Array, "nc 3"]]:
-        return {name: self.turned[..., i, :] for i, name in enumerate(self.unloaded.layout.bodies)}
+        return {name: self.rotation_rows[..., i, :] for i, name in enumerate(self.unloaded.layout.bodies)}
 
     @property
     def strokes(self) -> dict[str, Float[Array, "nc *m"]]:
-        return self._of_elements(self.stroked)
+        return self._of_elements(self.stroke_rows)
 
     @property
     def forces(self) -> dict[str, Float[Array, "nc *m"]]:
-        return self._of_elements(self.loaded)
+        return self._of_elements(self.force_rows)
 
     def _of_elements(self, rows: tuple[Array, ...]) -> dict[str, Array]:
         return by_name(tuple(table.names for table in self.unloaded.model.elements), rows, axis=1)
@@ -113,8 +116,8 @@ class LoadCases(Result):
         model = self.unloaded.model
         springs = springs_of(model)
         variables = {
-            "displacement": (("case", "body", "axis"), self.displaced, "m"),
-            "rotation": (("case", "body", "axis"), self.turned, "rad"),
+            "displacement": (("case", "body", "axis"), self.displacement_rows, "m"),
+            "rotation": (("case", "body", "axis"), self.rotation_rows, "rad"),
             "status": (("case",), self.status, ""),
             "load_factor": (("case",), self.load_factor, ""),
         }
@@ -131,7 +134,7 @@ class LoadCases(Result):
 
     def _tables(self) -> list[tables.PrintedTable]:
         if self.status.ndim != 1 or not is_concrete(self.status):
-            return [tables.PrintedTable("Load cases", ("", ""), [("displacements [m]", self.displaced)])]
+            return [tables.PrintedTable("Load cases", ("", ""), [("displacements [m]", self.displacement_rows)])]
         rows = []
         for i, case in enumerate(self.names):
             label = case
@@ -147,7 +150,7 @@ class LoadCases(Result):
 
 
 def _scaled(values: Any) -> str:
-    """To thousandths of millimeters."""
+    """Rounded to micrometers."""
     return "" if isinstance(values, str) else " ".join(f"{float(x):.6f}" for x in values)
 
 
@@ -156,18 +159,21 @@ def _rounded(values: Any) -> str:
 
 
 def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | State | None = None) -> LoadCases:
-    """The equilibrium of every load case, all at once: displacement and rotation of every body against the equilibrium without it,
+    """The equilibrium of every load case, in one batch: displacement and rotation of every body relative to the equilibrium without it,
     stroke and force of every element.
 
-        dV/dDelta = Q - m a,   raised from nothing along the stable branch of each case
+        dV/dDelta = Q - m a,   loads raised from zero along the stable branch of each case
 
-    `at`: where the search for the equilibrium without the cases starts. A case that is not carried in full keeps the last load factor that is, and says NO_EQUILIBRIUM or
-    LIMIT_POINT; the report names cases that joints carry alone. Differentiable. Errors: NO_CASE, UNKNOWN_BODY, UNATTACHED, WRONG_KIND.
+    `at`: where the search for the equilibrium without loads starts. A case that cannot be carried in full ends at the largest load factor
+    that can, with status NO_EQUILIBRIUM or LIMIT_POINT; the report names cases that joints carry alone. Differentiable. Errors: NO_CASE,
+    UNKNOWN_BODY, UNATTACHED, WRONG_KIND.
 
-    >>> model = Model(bodies={"engine": Body(mass=150.0, inertia=[8, 4, 7])}, gravity=[0, 0, -9.81], joints={"engine": Guide("world", axis=[0, 0, 1])},
-    ...               elements={"mount": Spring(("engine", [0, 0, 0]), ("world", [0, 0, -1]), stiffness=8e5, free_length=1.0)})
-    >>> found = load_cases(model, {"bump": LoadCase(acceleration=[0, 0, 3]), "pull": LoadCase(loads={"chain": Force("engine", force=[0, 0, 800.0])})})
-    >>> [round(float(z), 6) for z in found.displacements["engine"][:, 2]]
+    >>> mount = Spring(("engine", [0, 0, 0]), ("world", [0, 0, -1]), stiffness=8e5, free_length=1.0)
+    >>> model = Model(bodies={"engine": Body(mass=150.0, inertia=[8, 4, 7])}, joints={"engine": Guide("world", axis=[0, 0, 1])},
+    ...               elements={"mount": mount}, gravity=[0, 0, -9.81])
+    >>> pull = Force("engine", force=[0, 0, 800.0])
+    >>> cases = load_cases(model, {"bump": LoadCase(acceleration=[0, 0, 3]), "pull": LoadCase(loads={"chain": pull})})
+    >>> [round(float(z), 6) for z in cases.displacements["engine"][:, 2]]
     [-0.005516, 0.001]
     """
     check_precision("load_cases", model)
@@ -195,40 +201,40 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     q = None if start is None else start.q
     unloaded = equilibrium_of(model, q, MAX_STEPS)
     warn_if_failed(unloaded)
-    raised = AppliedLoads(loads, device_array(weights), changes)
-    result = _load_cases(model, unloaded, search_under_loads(model, unloaded, q, raised, MAX_STEPS, many=True), raised, tuple(cases))
+    applied = AppliedLoads(loads, device_array(weights), changes)
+    result = _load_cases(model, unloaded, search_under_loads(model, unloaded, q, applied, MAX_STEPS, many=True), applied, tuple(cases))
     warn_if_failed(result)
     return result
 
 
 @jit_unoptimized
-def _load_cases(model: Model, unloaded: Equilibrium, ended: SearchResult, raised: AppliedLoads, names: tuple[str, ...]) -> LoadCases:
+def _load_cases(model: Model, unloaded: Equilibrium, searches: SearchResult, applied: AppliedLoads, names: tuple[str, ...]) -> LoadCases:
     coordinates = Coordinates(model)
     rest = configuration_at(coordinates, unloaded.state.q, base=False)
     scale = scale_of(model, size_of(model))
 
-    def one(raised, ended):
-        found = equilibrium_at(coordinates, ended, raised)
-        felt = jnp.max(jnp.abs(residual(rest, raised) - residual(rest, raised, 0.0)) * scale, initial=0.0)
-        applied = jnp.sum(model.bodies.rows.mass) * jnp.max(jnp.abs(raised.gravity))
-        for load, weight in zip(raised.loads, raised.weights, strict=True):
+    def one(applied, search):
+        eq = equilibrium_at(coordinates, search, applied)
+        largest = jnp.max(jnp.abs(residual(rest, applied) - residual(rest, applied, 0.0)) * scale, initial=0.0)
+        total = jnp.sum(model.bodies.rows.mass) * jnp.max(jnp.abs(applied.gravity))
+        for load, weight in zip(applied.loads, applied.weights, strict=True):
             force, moment = load.wrench(jnp.zeros((), scale.dtype), rest.frames[model.layout.frame(load.on)])
-            applied = applied + weight * jnp.maximum(jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment)) / size_of(model))
-        by_joints = (felt <= UNFELT * applied) & (applied > 0)
-        return found.status, found.load_factor, found.state, _placed(model, found.state), found.descended, by_joints
+            total = total + weight * jnp.maximum(jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment)) / size_of(model))
+        by_joints = (largest <= NEGLIGIBLE * total) & (total > 0)
+        return eq.status, eq.load_factor, eq.state, _deformed(model, eq.state), eq.descended, by_joints
 
     status, factor, state, (pose, deformations, forces), descended, by_joints = jax.vmap(one, in_axes=(AppliedLoads(None, 0, 0), 0))(
-        raised, ended
+        applied, searches
     )
     failed = unloaded.status * ~(unloaded.ok | (unloaded.status == Status.SINGULAR_K) | (unloaded.status == Status.TABLE_RANGE))
     status = jnp.where(failed > 0, failed, status)
-    still, relaxed, _ = _placed(model, unloaded.state)
-    turned = rotations.log(product(pose.R, jnp.swapaxes(still.R, -1, -2)))
-    strokes = tuple(e - e0 for e, e0 in zip(deformations, relaxed, strict=True))
-    return LoadCases(status, factor, state, unloaded, pose.p - still.p, turned, strokes, forces, descended, by_joints, names)
+    rest_poses, rest_deformations, _ = _deformed(model, unloaded.state)
+    rotation_rows = rotations.log(product(pose.R, jnp.swapaxes(rest_poses.R, -1, -2)))
+    strokes = tuple(e - e0 for e, e0 in zip(deformations, rest_deformations, strict=True))
+    return LoadCases(status, factor, state, unloaded, pose.p - rest_poses.p, rotation_rows, strokes, forces, descended, by_joints, names)
 
 
-def _placed(model: Model, state: State) -> tuple[Pose, tuple[Array, ...], tuple[Array, ...]]:
+def _deformed(model: Model, state: State) -> tuple[Pose, tuple[Array, ...], tuple[Array, ...]]:
     """Poses of the bodies, deformations and forces of the elements in a state."""
     frames = frames_of(model, state)
     both = each_element(model, frames, lambda s, *F: (s.deformation(*(f.pose() for f in F)), s.force(*F)))

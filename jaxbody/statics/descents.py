@@ -1,4 +1,4 @@
-"""Descent: Newton's method whose every step lowers the potential energy, K + lambda I with lambda raised until it is positive definite.
+"""Descent: Newton's method in which every step lowers the potential energy; lambda makes K + lambda I positive definite.
 
 It works on nondimensional increments, rotations times a length.
 """
@@ -19,47 +19,49 @@ from jaxbody.numerics.small_systems import is_definite, solve_if_definite
 from jaxbody.numerics.xla_workarounds import any_of_batch
 from jaxbody.statics.load_paths import AppliedLoads, dead_forces, with_load_gravity
 
-TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the error left is its square
+TOLERANCE = 1e-10  # Newton decrement, relative to size and largest stiffness; the remaining error is its square
 SINGULAR = 1e-10  # eigenvalues of the nondimensional K, relative to the largest, that count as zero
 LEAST_SHIFT = 1e-11  # keeps a free motion from making the system singular
-TINY = 1e-6  # a step, relative to the size, whose fall of energy may be hidden by rounding
+TINY = 1e-6  # step, relative to the size, whose decrease of energy may be less than rounding
 
 
-def descend(coordinates: Coordinates, q, scale, size, max_steps, raised: AppliedLoads | None = None):
-    """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step go down, under dead forces."""
-    numbers, rest = eqx.partition((coordinates, raised), eqx.is_array)
-    lanes = 2 * LANES if len(scale) <= 6 else LANES  # more share the calls of a loop, fewer keep all of K near the processor
+def descend(coordinates: Coordinates, q, scale, size, max_steps, applied: AppliedLoads | None = None):
+    """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step descend, under dead forces."""
+    numbers, rest = eqx.partition((coordinates, applied), eqx.is_array)
+    lanes = 2 * LANES if len(scale) <= 6 else LANES  # more share the overhead of a loop, with fewer all of K stays in the cache
     return in_lanes(lambda numbers, *given: _descend(*eqx.combine(numbers, rest), *given), lanes=lanes)(numbers, q, scale, size, max_steps)
 
 
-def _descend(coordinates, raised, q, scale, size, max_steps):
+def _descend(coordinates, applied, q, scale, size, max_steps):
     tolerance, least = reachable(TOLERANCE, q.dtype, NEWTON), reachable(LEAST_SHIFT, q.dtype, 8)
-    tiny_step, still = reachable(TINY, q.dtype, 8 * NEWTON), reachable(1e-14, q.dtype)
+    tiny_step, least_slope = reachable(TINY, q.dtype, 8 * NEWTON), reachable(1e-14, q.dtype)
 
     def expand(at):
-        return expansion(at) if raised is None else expansion(with_load_gravity(at, raised), dead_forces(at, raised))
+        return expansion(at) if applied is None else expansion(with_load_gravity(at, applied), dead_forces(at, applied))
 
     def step(carry):
-        """Judge the configuration tried, keep the better one, try the next."""
-        best, tried, shift, expected, tiny, _, n = carry
-        value, slope, K = expand(configuration_at(coordinates, tried, base=False))
-        # below `tiny` the energy's rounding hides its fall
+        """Evaluate the trial configuration, keep it if it is better, propose the next."""
+        best, trial, shift, expected, tiny, _, n = carry
+        value, slope, K = expand(configuration_at(coordinates, trial, base=False))
+        # below `tiny` rounding of the energy hides its decrease
         falls = (expected > 0) & (best[1] - value >= 1e-4 * expected)
         accept = jnp.isfinite(value) & (falls | tiny | (n == 0))
-        best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (tried, value, slope * scale, K * scale * scale[:, None]), best)
+        best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (trial, value, slope * scale, K * scale * scale[:, None]), best)
         shift = jnp.where(accept, jnp.where(shift > 1e-3, shift / 10, 0.0), jnp.maximum(4 * shift, 0.1))
         _, _, slope, K = best
         unit = jnp.max(jnp.abs(K), initial=0.0)
         unit = jnp.where(unit > 0, unit, 1.0)
         y, definite = solve_if_definite(K + (shift + least) * unit * np.eye(len(scale), dtype=K.dtype), -slope)
         longest = jnp.max(jnp.abs(y), initial=0.0)
-        y = jnp.where(definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0)  # else no step, and a larger shift next
+        y = jnp.where(
+            definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0
+        )  # otherwise no step, and a larger shift next
         expected = -jnp.sum(y * slope) - 0.5 * jnp.sum(y * jnp.sum(K * y, -1))
-        at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= still * unit * size  # on a saddle too, where no step is worth anything
+        at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= least_slope * unit * size  # also on a saddle, which no Newton step leaves
         near = accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= tolerance * size)
         done = definite & (near | at_rest) & jnp.isfinite(best[1])
-        tried = coordinates.retract(best[0], scale * y)
-        return best, tried, shift, expected, definite & (longest < tiny_step * size), done, n + 1
+        trial = coordinates.retract(best[0], scale * y)
+        return best, trial, shift, expected, definite & (longest < tiny_step * size), done, n + 1
 
     n = len(scale)
     zero = jnp.zeros((), q.dtype)
@@ -79,12 +81,13 @@ def _descend(coordinates, raised, q, scale, size, max_steps):
     def masked(carry):
         return jax.tree.map(lambda new, old: jnp.where(active(carry), new, old), step(carry), carry)
 
-    best, tried, _, _, _, done, steps = jax.lax.while_loop(lambda carry: any_of_batch(active(carry)), masked, start)
-    return jnp.where(done, tried, best[0]), eigenvalue_signs(best[3]), done, steps
+    best, trial, _, _, _, done, steps = jax.lax.while_loop(lambda carry: any_of_batch(active(carry)), masked, start)
+    return jnp.where(done, trial, best[0]), eigenvalue_signs(best[3]), done, steps
 
 
 def eigenvalue_signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
-    """How many eigenvalues of K are negative, and whether one is zero; eigenvalues are asked for only where elimination finds K not definite."""
+    """How many eigenvalues of K are negative, and whether one is zero; eigenvalues are computed only where elimination shows that K is not
+    definite."""
 
     zero = reachable(SINGULAR, K.dtype)
 

@@ -3,8 +3,8 @@ function theorem.
 
     dV/dDelta = 0,    dq/dp = -K^-1 d2V/dDelta dp
 
-The search descends (descents). Loads, which may have no potential, are then raised step by step (load_paths); where that cannot begin, as K is
-singular without them, the potential of dead loads and weights is descended.
+The search is by descent (descents). Loads, which may have no potential, are then raised step by step (load_paths); where that cannot start,
+as K is singular without them, the search descends the potential of dead loads and weights.
 """
 
 from __future__ import annotations
@@ -42,22 +42,19 @@ from jaxbody.numerics.xla_workarounds import any_of_batch
 from jaxbody.statics.descents import SINGULAR, descend, eigenvalue_signs
 from jaxbody.statics.load_paths import AppliedLoads, Path, dead_forces, follow_load_path, residual, tangent, with_gravity, with_load_gravity
 
-RUNAWAY = 20  # sizes of the model from the start, beyond which a search is falling
-NOT_AT_REST = (
-    Status.NOT_CONVERGED,
-    Status.NO_EQUILIBRIUM,
-    Status.LIMIT_POINT,
-    Status.STALE,
-)  # small motions about such a state mean nothing
-SOFTEST = 1e-7  # smallest eigenvalue of K over the largest, from which a path may begin; where springs resist by their cube alone, a search ends at 1e-9
-DESCENDED = "by descent of the potential of the loads, whose path cannot begin: K is singular without them"
+RUNAWAY = 20  # distance from the start, in sizes of the model, beyond which the model falls without limit
+NOT_AT_REST = (Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, Status.STALE)  # no linearization about such a state
+SOFTEST = 1e-7  # least ratio of eigenvalues of K from which a path may start; springs that are cubic alone end a search at 1e-9
+DESCENDED = "by descent of the potential of the loads, as they cannot be raised step by step: K is singular without them"
 
 
 class Equilibrium(Result):
-    """A configuration of rest: `state`, `residual` dV/dDelta - Q [N, N m], `energy` V [J], `stable`, `negative` (how many eigenvalues
-    of K are), `steps`, `elongations` by name; `status` NOT_CONVERGED, UNSTABLE, SINGULAR_K, TABLE_RANGE, NO_EQUILIBRIUM or LIMIT_POINT where it is not
-    good. Under loads, `load_factor` is how much of them is carried, `path` how K changed on the way; `descended`, whether the path could not begin and the
-    potential of the loads was descended instead."""
+    """An equilibrium: `state`, `residual` dV/dDelta - Q [N, N m], `energy` V [J], `stable`, `negative` (number of negative eigenvalues of
+    K), `steps`, `elongations` by name.
+
+    `status` is OK, or NOT_CONVERGED, UNSTABLE, SINGULAR_K, TABLE_RANGE, NO_EQUILIBRIUM or LIMIT_POINT. Under loads, `load_factor` is the
+    fraction of them that is carried, `path` the eigenvalues of K along the load path; `descended`: K is singular without the loads, so that
+    the search descended their potential."""
 
     state: State
     residual: Float[Array, "nv"]
@@ -90,15 +87,18 @@ class Equilibrium(Result):
             return f"{int(self.negative)} negative eigenvalue(s) of K; start from a state moved along that mode to descend"
         if status == Status.TABLE_RANGE:
             return "; ".join(
-                f"'{name}'" for name, out in zip(self.model.element_names, _beyond(self.model, self.state), strict=True) if out
+                f"'{name}'" for name, out in zip(self.model.element_names, _outside(self.model, self.state), strict=True) if out
             )
         if status in (Status.NO_EQUILIBRIUM, Status.LIMIT_POINT):
-            return self._how_much()
+            return self._carried_fraction()
         if status == Status.NOT_CONVERGED:
             worst = int(np.argmax(np.abs(np.asarray(self.residual)))) if np.isfinite(np.asarray(self.residual)).all() else 0
             unit = "N m" if self.layout.turns[worst] else "N"
             if bad := nonfinite_downhill(self.model, self.state.q, self.residual, float(size_of(self.model))):
-                return f"energy, force or stiffness of element '{bad[0]}' is not finite after {int(self.steps)} steps or just further down: its law has no number there"
+                return (
+                    f"energy, force or stiffness of element '{bad[0]}' is not finite after {int(self.steps)} steps or just downhill; "
+                    "its law is not defined there"
+                )
             remedy = in_float64(self.state.q.dtype) or "start nearer, or give more max_steps"
             return (
                 f"after {int(self.steps)} steps the largest residual is {float(np.abs(self.residual[worst])):.3g} {unit} "
@@ -106,26 +106,28 @@ class Equilibrium(Result):
             )
         return ""
 
-    def _how_much(self) -> str:
-        """How much of the loads, or of the weights, is carried."""
+    def _carried_fraction(self) -> str:
+        """The fraction of the loads, or of the weights, that is carried."""
         if self.descended:
             return (
                 "none was found by raising the loads, as K is singular without them, nor by descent of their potential from the start, "
-                "which a moment or a load that turns with its body has not"
+                "which moments and loads that turn with their body do not have"
             )
         if self.path is not None:
             smallest = np.asarray(self.path.smallest)
             last = smallest[np.isfinite(smallest)][-1]
             return (
-                f"none was found by raising the loads beyond load factor {float(self.load_factor):.4g} of 1, where the state is; "
-                f"the smallest eigenvalue of K, relative to the largest without loads, went from {smallest[0]:.3g} to {last:.3g} (plots.load_path draws it)"
+                f"none was found by raising the loads beyond load factor {float(self.load_factor):.4g} of 1, that of this state; "
+                f"the smallest eigenvalue of K, relative to the largest without loads, went from {smallest[0]:.3g} to {last:.3g} "
+                "(plots.load_path draws it)"
             )
         weightless = with_gravity(self.model, -self.model.gravity)
         start = equilibrium_of(weightless, None, 200)
         if int(start.status) not in (Status.OK, Status.SINGULAR_K):
             return "none was found by descent, nor without the weights"
-        raised = AppliedLoads((), np.zeros(0), self.model.gravity)
-        return f"none was found by descent; {100 * float(_along_path(weightless, start, raised, False)[0].factor):.4g} % of the weights is carried"
+        applied = AppliedLoads((), np.zeros(0), self.model.gravity)
+        fraction = float(_along_path(weightless, start, applied, False)[0].factor)
+        return f"none was found by descent; {100 * fraction:.4g} % of the weights is carried"
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: q by part, residual by coordinate, elongation by spring, energy, status."""
@@ -162,16 +164,22 @@ class Equilibrium(Result):
 
 
 def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Load] | None = None, max_steps: int = 200) -> Equilibrium:
-    """The stable configuration of rest that descent from `start` (without it, the reference pose) leads to, supports at their reference poses.
+    """The stable equilibrium that descent from `start` leads to, supports at their reference poses.
 
-    dV/dDelta = 0 with positive definite K = d2V/dDelta2. `loads` {name: load}, as at time 0, are then raised from nothing along the stable
-    branch: dV/dDelta = Q; where that path cannot begin, as K is singular without loads (an unstressed string pushed sideways), V less the work of dead
-    forces is descended from `start`, and the result is `descended`. Differentiable with respect to the model in forward and reverse mode, to
-    any order; the derivative of a search that failed, or through a singular K, is NaN. Errors: UNATTACHED, BAD_SHAPE, UNKNOWN_BODY of a load; warns by status.
-    Source: (63) of the paper.
+        dV/dDelta = Q,   K = d2V/dDelta2 - dQ/dDelta positive definite
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, -9.81, 0], joints={"mass": Guide("world", axis=[0, 1, 0])},
-    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=981.0, free_length=1.0)})
+    Args:
+        start: the state to start from; by default the reference pose.
+        loads: {name: load}, as at time 0, raised from zero along the stable branch; by default none. Where K is singular without loads (an
+            unstressed string pushed sideways) V less the work of dead forces is descended instead, and the result is `descended`.
+        max_steps: of the search.
+
+    Differentiable with respect to the model in forward and reverse mode, to any order; the derivative of a search that failed, or through a
+    singular K, is NaN. Errors: UNATTACHED, BAD_SHAPE, UNKNOWN_BODY of a load; warns by status. Source: (63) of the paper.
+
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=981.0, free_length=1.0)
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               elements={"s": spring}, gravity=[0, -9.81, 0])
     >>> round(float(equilibrium(model).elongations["s"]), 12)
     0.02
     """
@@ -195,7 +203,8 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
 
 
 class SearchResult(eqx.Module):
-    """Where a search ended: the configuration, how many eigenvalues of K are negative there and whether one is zero, the status but for stability."""
+    """Where a search ended: the configuration, the number of negative eigenvalues of K and whether one is zero, the status except for
+    stability."""
 
     q: Float[Array, "nq"]
     negative: Int[Array, ""]
@@ -215,139 +224,138 @@ def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, max_steps: in
 
 
 def search_by_descent(
-    coordinates: Coordinates, start: Float[Array, "nq"] | None, max_steps, raised: AppliedLoads | None = None
+    coordinates: Coordinates, start: Float[Array, "nq"] | None, max_steps, applied: AppliedLoads | None = None
 ) -> SearchResult:
-    """By descent from the start, or from the reference pose."""
-    frozen, raised = jax.lax.stop_gradient((coordinates, raised))
+    """The search by descent from the start, or from the reference pose."""
+    frozen, applied = jax.lax.stop_gradient((coordinates, applied))
     start = frozen.reference.q if start is None else jax.lax.stop_gradient(start)
     size = size_of(frozen.model)
-    q, (negative, singular), converged, steps = descend(frozen, start, scale_of(frozen.model, size), size, max_steps, raised)
+    q, (negative, singular), converged, steps = descend(frozen, start, scale_of(frozen.model, size), size, max_steps, applied)
     moved = jnp.max(jnp.abs(q - start) * jnp.where(frozen.model.layout.angular, size, 1.0), initial=0.0)
     runaway = ~converged & (moved > RUNAWAY * size)
     status = jnp.select([runaway, ~converged], [Status.NO_EQUILIBRIUM.value, Status.NOT_CONVERGED.value], Status.OK.value)
     return SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype))
 
 
-def under_loads(model: Model, unloaded: Equilibrium, start: Float[Array, "nq"] | None, raised: AppliedLoads, max_steps: int) -> Equilibrium:
+def under_loads(
+    model: Model, unloaded: Equilibrium, start: Float[Array, "nq"] | None, applied: AppliedLoads, max_steps: int
+) -> Equilibrium:
     """The equilibrium under loads."""
-    return _standing(model, search_under_loads(model, unloaded, start, raised, max_steps), raised)
+    return _equilibrium_at(model, search_under_loads(model, unloaded, start, applied, max_steps), applied)
 
 
 def search_under_loads(
-    model: Model, unloaded: Equilibrium, start, raised: AppliedLoads, max_steps: int, *, many: bool = False
+    model: Model, unloaded: Equilibrium, start, applied: AppliedLoads, max_steps: int, *, many: bool = False
 ) -> SearchResult:
-    """The search under loads, by their path or by descent; `many`: of each row of the weights and changes of gravity.
+    """The search under loads, by their path or by descent; `many`: for each row of the weights and changes of gravity.
 
-    Two programs, as few models need the second; where the first is being traced, both."""
-    ended, settled = _along_path(model, unloaded, raised, many)
+    Two programs, as few models need the second; traced, both run in one."""
+    search, settled = _along_path(model, unloaded, applied, many)
 
     def descended():
-        return _by_descent(model, start, raised, max_steps, many, ended, settled)
+        return _by_descent(model, start, applied, max_steps, many, search, settled)
 
     if is_concrete(settled):
-        return ended if np.asarray(settled).all() else descended()
-    return jax.lax.cond(any_of_batch(~jnp.all(settled)), descended, lambda: ended)
+        return search if np.asarray(settled).all() else descended()
+    return jax.lax.cond(any_of_batch(~jnp.all(settled)), descended, lambda: search)
 
 
 def _each(function, many: bool):
-    """Over rows of weights and changes of gravity."""
+    """The function, mapped over rows of weights and changes of gravity if there are `many`."""
     return jax.vmap(function, in_axes=(AppliedLoads(None, 0, 0), 0)) if many else function
 
 
 @jit_unoptimized
-def _along_path(model: Model, unloaded: Equilibrium, raised: AppliedLoads, many: bool) -> tuple[SearchResult, Bool[Array, "*n"]]:
-    """By the path of the loads from the unloaded equilibrium, and whether that settles it: it does not where K is singular at its beginning, unless
-    the path came to its end or to a limit point."""
-    frozen, still, q0 = jax.lax.stop_gradient((Coordinates(model), raised, unloaded.state.q))
+def _along_path(model: Model, unloaded: Equilibrium, applied: AppliedLoads, many: bool) -> tuple[SearchResult, Bool[Array, "*n"]]:
+    """The search along the load path from the unloaded equilibrium, and whether its result stands: not where K is singular at the start,
+    unless the path reached its end or a limit point."""
+    frozen, loads, q0 = jax.lax.stop_gradient((Coordinates(model), applied, unloaded.state.q))
     size = size_of(frozen.model)
-    fit = jnp.isin(unloaded.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
+    usable = jnp.isin(unloaded.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
 
-    def one(raised, _):
-        q, K, factor, path, ahead = follow_load_path(frozen, q0, raised, scale_of(frozen.model, size), size)
-        carried = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
+    def one(applied, _):
+        q, K, factor, path, ahead = follow_load_path(frozen, q0, applied, scale_of(frozen.model, size), size)
+        status = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
         negative, singular = eigenvalue_signs((K + K.T) / 2)
-        ended = SearchResult(q, negative, singular, carried, unloaded.steps, factor, path, jnp.array(False))
-        return ended, fit & ((factor >= 1) | (ahead & (factor > 0)) | (path.smallest[0] > reachable(SOFTEST, q0.dtype)))
+        search = SearchResult(q, negative, singular, status, unloaded.steps, factor, path, jnp.array(False))
+        return search, usable & ((factor >= 1) | (ahead & (factor > 0)) | (path.smallest[0] > reachable(SOFTEST, q0.dtype)))
 
-    return _each(one, many)(still, jnp.zeros(len(raised.gravity)))
+    return _each(one, many)(loads, jnp.zeros(len(applied.gravity)))
 
 
 @jit_unoptimized
 def _by_descent(
-    model: Model, start, raised: AppliedLoads, max_steps: int, many: bool, ended: SearchResult, settled: Bool[Array, "*n"]
+    model: Model, start, applied: AppliedLoads, max_steps: int, many: bool, search: SearchResult, settled: Bool[Array, "*n"]
 ) -> SearchResult:
-    """By descent of the potential of model and loads, where the path settles nothing."""
+    """The search by descent of the potential of model and loads, where the result of the path does not stand."""
     coordinates = Coordinates(model)
 
-    def one(raised, others):
-        ended, settled = others
-        found = search_by_descent(coordinates, start, max_steps, raised)
-        dead = jnp.isfinite(dead_forces(configuration_at(coordinates, found.q, base=False), raised).V)
-        status = jnp.where(dead, found.status, Status.NO_EQUILIBRIUM.value)
+    def one(applied, others):
+        along_path, settled = others
+        descent = search_by_descent(coordinates, start, max_steps, applied)
+        dead = jnp.isfinite(dead_forces(configuration_at(coordinates, descent.q, base=False), applied).V)
+        status = jnp.where(dead, descent.status, Status.NO_EQUILIBRIUM.value)
         ok = status == Status.OK
-        factor = jnp.where(ok, found.factor, 0.0)
-        found = SearchResult(found.q, found.negative, found.singular, status, found.steps, factor, ended.path, jnp.array(True))
-        return jax.tree.map(lambda a, b: jnp.where(settled | (~ok & (ended.factor > 0)), a, b), ended, found)
+        factor = jnp.where(ok, descent.factor, 0.0)
+        descent = SearchResult(
+            descent.q, descent.negative, descent.singular, status, descent.steps, factor, along_path.path, jnp.array(True)
+        )
+        return jax.tree.map(lambda a, b: jnp.where(settled | (~ok & (along_path.factor > 0)), a, b), along_path, descent)
 
-    return _each(one, many)(jax.lax.stop_gradient(raised), (ended, settled))
+    return _each(one, many)(jax.lax.stop_gradient(applied), (search, settled))
 
 
 @jit_unoptimized
-def _standing(model: Model, ended: SearchResult, raised: AppliedLoads) -> Equilibrium:
-    return equilibrium_at(Coordinates(model), ended, raised)
+def _equilibrium_at(model: Model, search: SearchResult, applied: AppliedLoads) -> Equilibrium:
+    return equilibrium_at(Coordinates(model), search, applied)
 
 
-def equilibrium_at(coordinates: Coordinates, ended: SearchResult, raised: AppliedLoads) -> Equilibrium:
-    """What stands where a search ended: its stability, its derivative, what the springs do."""
-    failed = ended.status != Status.OK
-    q = _implicit((coordinates, raised), ended.q, ~failed & ~ended.singular)
+def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: AppliedLoads) -> Equilibrium:
+    """The equilibrium where a search ended: its stability, its derivative, the deformations."""
+    failed = search.status != Status.OK
+    q = _implicit((coordinates, applied), search.q, ~failed & ~search.singular)
     model, at = coordinates.model, configuration_at(coordinates, q, base=False)
     zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
-    beyond = jnp.any(outside_law_range(model, frames)) if has_range(model.elements) else jnp.array(False)
+    outside = jnp.any(outside_law_range(model, frames)) if has_range(model.elements) else jnp.array(False)
     status = jnp.select(
-        [failed, ended.negative > 0, ended.singular, beyond], [ended.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
+        [failed, search.negative > 0, search.singular, outside],
+        [search.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
     return Equilibrium(
-        State(q, zero), residual(at, raised, ended.factor), potential(with_load_gravity(at, raised).model, frames), ended.negative,
-        ~failed & (ended.negative == 0), status, ended.steps,
-        tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), model, raised.loads, ended.factor, ended.path,
-        jnp.asarray(ended.descended),
+        State(q, zero), residual(at, applied, search.factor), potential(with_load_gravity(at, applied).model, frames), search.negative,
+        ~failed & (search.negative == 0), status, search.steps,
+        tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))),
+        model, applied.loads, search.factor, search.path,
+        jnp.asarray(search.descended),
     )  # fmt: skip
 
 
 def no_loads(dtype) -> AppliedLoads:
-    """Nothing to raise."""
+    """No loads and no change of gravity."""
     return AppliedLoads((), jnp.zeros(0, dtype), jnp.zeros(3, dtype))
 
 
-def distance_between(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> Float[Array, ""]:
-    """The farthest that a body is between two configurations [m], turns times the size of the model."""
-    both = jax.vmap(Coordinates(model).at_rest)(jnp.stack([one, other]))
-    moved, turned = (jnp.sqrt(jnp.sum((x[0] - x[1]) ** 2, axes)) for x, axes in ((both.p, -1), (both.R, (-2, -1))))
-    return jnp.max(jnp.maximum(moved, size_of(model) * turned))
-
-
 @jit_unoptimized
-def _beyond(model: Model, state: State) -> Bool[Array, "ne"]:
+def _outside(model: Model, state: State) -> Bool[Array, "ne"]:
     return outside_law_range(model, Coordinates(model).at_rest(state.q, state.v))
 
 
 @jax.custom_jvp
-def _implicit(given: tuple[Coordinates, AppliedLoads], q: Float[Array, "nq"], valid: Bool[Array, ""]) -> Float[Array, "nq"]:
-    """q, with the derivative that an equilibrium has; NaN where there is none."""
+def _implicit(dependencies: tuple[Coordinates, AppliedLoads], q: Float[Array, "nq"], valid: Bool[Array, ""]) -> Float[Array, "nq"]:
+    """q, with the derivative of an equilibrium by the implicit function theorem; NaN where there is none."""
     return q
 
 
 @_implicit.defjvp
 def _implicit_jvp(primals, tangents):
-    (coordinates, raised), _, valid = primals
+    (coordinates, applied), _, valid = primals
     q = _implicit(*primals)
 
-    def unbalanced(given):
-        return residual(configuration_at(given[0], q, base=False), given[1])
+    def unbalanced(dependencies):
+        return residual(configuration_at(dependencies[0], q, base=False), dependencies[1])
 
     _, change = jax.jvp(unbalanced, (primals[0],), (tangents[0],))
-    K = tangent(configuration_at(coordinates, q, base=False), raised)
+    K = tangent(configuration_at(coordinates, q, base=False), applied)
     delta = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), change)
     return q, coordinates.rate(q, delta)
 
@@ -358,7 +366,7 @@ def _stiffness(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nv nv"]:
 
 
 def zero_modes(model: Model, state: State) -> list[str]:
-    """The motions that K does not resist at a state, in words: "'plate' free to turn about z"; those of single coordinates first."""
+    """The motions that K does not resist at a state, as text: "'plate' free to turn about z"; those of single coordinates first."""
     layout = model.layout
     scale = np.asarray(scale_of(model, size_of(model)))
     K = np.asarray(_stiffness(model, state.q))
@@ -366,7 +374,7 @@ def zero_modes(model: Model, state: State) -> list[str]:
 
 
 def massless_motions(layout: Layout, M: Any) -> list[str]:
-    """The motions that a mass matrix does not resist, in words."""
+    """The motions that a mass matrix does not resist, as text."""
     M = np.asarray(M)
     size = np.sqrt(np.where(np.diagonal(M) > 0, np.diagonal(M), 1.0))
     return describe_null_motions(layout, M / size / size[:, None], MASSLESS, "has no inertia to")
@@ -376,15 +384,15 @@ def describe_null_motions(layout: Layout, matrix: np.ndarray, tolerance: float, 
     """The motions whose eigenvalues are zero, relative to the largest; those of single coordinates first."""
     values, vectors = np.linalg.eigh(matrix)
     null = vectors[:, np.abs(values) <= tolerance * max(np.abs(values).max(initial=0.0), 1e-300)]
-    words, left = [], null
+    texts, rest = [], null
     for i, (body, motion) in enumerate(layout.motions):
         unit = np.eye(layout.nv)[i]
         if np.linalg.norm(unit - null @ (null.T @ unit)) < 1e-5:
-            words.append(f"'{body}' {what} {motion}")
-            left = left - np.outer(unit, unit @ left)
-    u, s, _ = np.linalg.svd(left, full_matrices=False)
+            texts.append(f"'{body}' {what} {motion}")
+            rest = rest - np.outer(unit, unit @ rest)
+    u, s, _ = np.linalg.svd(rest, full_matrices=False)
     for vector in u.T[s > 1e-3]:
         largest = [int(i) for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.1][:4]
         parts = [f"{np.sign(vector[largest[0]]) * vector[i]:+.2f} ('{layout.motions[i][0]}' {layout.motions[i][1]})" for i in largest]
-        words.append(f"{what} move together: " + " ".join(parts))
-    return words
+        texts.append(f"{what} move together: " + " ".join(parts))
+    return texts

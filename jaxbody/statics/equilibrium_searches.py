@@ -1,4 +1,4 @@
-"""Several equilibria: searches from many starts at once, what they find sorted by energy, with the stability of each."""
+"""Several equilibria: searches from many starts at once, their results by rising energy, with the stability of each."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, positive_number, whole_number
@@ -21,15 +21,16 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.statics.descents import SINGULAR, descend, eigenvalue_signs
-from jaxbody.statics.equilibria import Equilibrium, SearchResult, distance_between, equilibrium_at, no_loads
+from jaxbody.statics.equilibria import Equilibrium, SearchResult, equilibrium_at, no_loads
 
-SAME = 1e-9  # of the spread of energies, within which two may be one
-DESCENT, ROOTED = 200, 60  # steps of a search
+SAME = 1e-9  # relative to the spread of energies: within it two results may be one equilibrium
+DESCENT_STEPS, NEWTON_STEPS = 200, 60
 
 
 class Equilibria(Result):
-    """What many searches found, by rising energy: `found`, each an Equilibrium; `energies` [J], `stable`, `negative` (eigenvalues of K), `distances`
-    [m, the farthest that a body is from the reference pose], `hits` (how many searches ended there), (n,) each; `status` NOT_CONVERGED where nothing was found."""
+    """Equilibria by rising energy: `found`, each an Equilibrium; and, (n,) each, `energies` [J], `stable`, `negative` (number of negative
+    eigenvalues of K), `distances` (largest displacement of a body from the reference pose [m]) and `hits` (number of searches that ended
+    there). `status` is NOT_CONVERGED if no search ended at an equilibrium."""
 
     status: Any
     found: tuple[Equilibrium, ...]
@@ -65,13 +66,19 @@ class Equilibria(Result):
 
 
 def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key: Array | None = None) -> Equilibria:
-    """Equilibria near and far, stable and not, from `starts` configurations at once, the reference pose and others at random: from each, one search
-    descends and one follows Newton's method on dV/dDelta = 0 to whatever is near.
+    """Equilibria, stable and unstable, by searches from many configurations at once: from each, one search descends and one follows
+    Newton's method on dV/dDelta = 0 to saddles and maxima as well.
 
-    Random displacements are normal, with `spread` sizes of the model (turns: twice `spread` rad) for standard deviation. Nothing guarantees that all are
-    found. Those that a free motion connects (singular K, equal energy) count as one. Errors: UNATTACHED, WRONG_KIND of a key; warns NOT_CONVERGED where nothing is found.
+    Args:
+        starts: number of configurations: the reference pose and random ones.
+        spread: standard deviation of the random displacements, in sizes of the model; of rotations 2 `spread` rad.
+        key: of the random configurations; by default jax.random.key(0).
 
-    >>> model = Model(bodies={"rod": Body(mass=1.0, inertia=[0.1, 0.1, 0.01], com=[0, 0, -0.5])}, gravity=[0, 0, -9.81], joints={"rod": Hinge("world", axis=[0, 1, 0])})
+    Nothing guarantees that all equilibria are found. Those connected by a free motion (singular K, equal energy) count as one.
+    Errors: UNATTACHED, WRONG_KIND of a key; warns NOT_CONVERGED if no search ends at an equilibrium.
+
+    >>> rod = Body(mass=1.0, inertia=[0.1, 0.1, 0.01], com=[0, 0, -0.5])
+    >>> model = Model(bodies={"rod": rod}, gravity=[0, 0, -9.81], joints={"rod": Hinge("world", axis=[0, 1, 0])})
     >>> find_equilibria(model, starts=16).stable.tolist()
     [True, False]
     """
@@ -85,27 +92,27 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
     problems.raise_if_any()
     batch = _search(model, jax.random.key(0) if key is None else key, starts, float(spread))
     status, energies = np.asarray(batch.status), np.asarray(batch.energy)
-    good = [int(i) for i in np.argsort(energies) if status[i] != Status.NOT_CONVERGED and status[i] != Status.NO_EQUILIBRIUM]
-    tolerance = SAME * (np.ptp(energies[good]) if good else 0.0) + 1e-300
-    found: list[Equilibrium] = []
+    converged = [int(i) for i in np.argsort(energies) if status[i] != Status.NOT_CONVERGED and status[i] != Status.NO_EQUILIBRIUM]
+    tolerance = SAME * (np.ptp(energies[converged]) if converged else 0.0) + 1e-300
+    distinct: list[Equilibrium] = []
     hits: list[int] = []
-    for i in good:
+    for i in converged:
         eq = jax.tree.map(lambda x, i=i: x[i], batch)
-        same = [j for j, other in enumerate(found) if _same(eq, other, tolerance)]
+        same = [j for j, other in enumerate(distinct) if _same(eq, other, tolerance)]
         if same:
             hits[same[0]] += 1
         else:
-            found.append(eq)
+            distinct.append(eq)
             hits.append(1)
-    distances = [float(distance_between(model, eq.state.q, model.reference.q)) for eq in found]
-    code = Status.OK if found else Status.NOT_CONVERGED
-    result = Equilibria(np.array(code.value), tuple(found), np.array(distances), np.array(hits), len(status))
+    distances = [float(distance_between(model, eq.state.q, model.reference.q)) for eq in distinct]
+    code = Status.OK if distinct else Status.NOT_CONVERGED
+    result = Equilibria(np.array(code.value), tuple(distinct), np.array(distances), np.array(hits), len(status))
     warn_if_failed(result)
     return result
 
 
 def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
-    """At the same place; or of the same energy with a motion free, which leads from one to the other."""
+    """Whether two have the same configuration, or the same energy and a free motion between them."""
     if abs(float(one.energy) - float(other.energy)) > tolerance:
         return False
     near = float(distance_between(one.model, one.state.q, other.state.q)) <= 1e-5 * float(size_of(one.model))
@@ -120,10 +127,10 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
     q0 = coordinates.reference.q
     q = jax.vmap(lambda move: coordinates.retract(q0, move))(moves.at[0].set(0.0))
 
-    def descended(q):
-        return descend(coordinates, q, scale, size, DESCENT)
+    def descent(q):
+        return descend(coordinates, q, scale, size, DESCENT_STEPS)
 
-    def rooted(q):
+    def newton_search(q):
         """Newton's method on dV/dDelta, which stops at saddles and maxima as well."""
 
         def step(carry, _):
@@ -137,14 +144,21 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
             done = (longest <= 1e-9 * size) & (jnp.max(jnp.abs(g), initial=0.0) <= 1e-9 * unit * size)
             return (coordinates.retract(q, scale * y), done), None
 
-        (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=ROOTED)
+        (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=NEWTON_STEPS)
         K = stiffness(configuration_at(coordinates, q, base=False))
-        return q, eigenvalue_signs(K * scale * scale[:, None]), done, jnp.array(ROOTED)
+        return q, eigenvalue_signs(K * scale * scale[:, None]), done, jnp.array(NEWTON_STEPS)
 
-    def judged(q, signs_of_K, converged, steps):
+    def equilibrium(q, signs, converged, steps):
         status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)
-        negative, singular = signs_of_K
+        negative, singular = signs
         return equilibrium_at(coordinates, SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype)), no_loads(q.dtype))
 
-    both = [jax.vmap(search)(q) for search in (descended, rooted)]
-    return jax.vmap(judged)(*jax.tree.map(lambda *x: jnp.concatenate(x), *both))
+    both = [jax.vmap(search)(q) for search in (descent, newton_search)]
+    return jax.vmap(equilibrium)(*jax.tree.map(lambda *x: jnp.concatenate(x), *both))
+
+
+def distance_between(model: Model, one: Float[Array, "nq"], other: Float[Array, "nq"]) -> Float[Array, ""]:
+    """The largest displacement of a body between two configurations [m], rotations times the size of the model."""
+    both = jax.vmap(Coordinates(model).at_rest)(jnp.stack([one, other]))
+    moved, turned = (jnp.sqrt(jnp.sum((x[0] - x[1]) ** 2, axes)) for x, axes in ((both.p, -1), (both.R, (-2, -1))))
+    return jnp.max(jnp.maximum(moved, size_of(model) * turned))

@@ -1,9 +1,9 @@
-"""Load paths: equilibrium under loads that are raised step by step from nothing, Newton's method at each step.
+"""Load paths: equilibrium under loads that are raised step by step from zero, with Newton's method at each step.
 
     dV/dDelta = lambda Q,   K = d2V/dDelta2 - lambda dQ/dDelta,   lambda from 0 to 1
 
 Q is the generalized force of the loads in the chart. A step is taken where Newton's method converges, with K positive at
-every iteration, so that the path stays on the stable branch that the unloaded equilibrium is on; else it is quartered.
+every iteration, so that the path stays on the stable branch of the unloaded equilibrium; otherwise the step is divided by four.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.numerics.precisions import NEWTON, reachable
 
-FIRST, LEAST, MOST = 0.25, 1e-5, 64  # steps of lambda: the first, the smallest, how many
+FIRST, LEAST, MOST = 0.25, 1e-5, 64  # steps of lambda: the first, the smallest, their largest number
 ITERATIONS = 10  # of Newton's method, within a step
-CONVERGED = 1e-10  # its last move, relative to the size of the model
-FARTHEST = 0.25  # sizes of the model that one iteration may move; farther, another branch may be near
+CONVERGED = 1e-10  # last step of Newton's method, relative to the size of the model
+FARTHEST = 0.25  # largest move of an iteration, in sizes of the model; a larger one may reach another branch
 SHIFT = 1e-11  # keeps a free motion from making the system singular
 SINGULAR = 1e-10
 
 
 class AppliedLoads(eqx.Module):
-    """What is raised with lambda: loads, each times its weight (as at time 0), and a change of gravity."""
+    """The loads raised with lambda: each load, as at time 0, times its weight, and a change of gravity."""
 
     loads: tuple[Load, ...]
     weights: Float[Array, "n"]
@@ -51,9 +51,9 @@ def with_gravity(model: Model, change: Float[Array, "3"]) -> Model:
     return eqx.tree_at(lambda m: m.gravity, model, model.gravity + change)
 
 
-def with_load_gravity(at: Configuration, raised: AppliedLoads, factor=1.0) -> Configuration:
-    """The model placed as it is, with as much of the change of gravity."""
-    return at._replace(model=with_gravity(at.model, factor * raised.gravity))
+def with_load_gravity(at: Configuration, applied: AppliedLoads, factor=1.0) -> Configuration:
+    """The configuration with a fraction `factor` of the change of gravity."""
+    return at._replace(model=with_gravity(at.model, factor * applied.gravity))
 
 
 def generalized_force(
@@ -87,22 +87,22 @@ def stiffness_of_loads(model: Model, q, loads: tuple[Load, ...], weights: Float[
     return jax.jacfwd(lambda delta: generalized_force(model, q, loads, weights, delta))(zero)
 
 
-def residual(at: Configuration, raised: AppliedLoads, factor=1.0) -> Float[Array, "nv"]:
-    """dV/dDelta - lambda Q of a model placed without its base."""
-    Q = generalized_force(at.model, at.q, raised.loads, raised.weights, jnp.zeros(at.model.layout.nv, at.q.dtype))
-    return slope(with_load_gravity(at, raised, factor)) - factor * Q
+def residual(at: Configuration, applied: AppliedLoads, factor=1.0) -> Float[Array, "nv"]:
+    """dV/dDelta - lambda Q; `at` without its base."""
+    Q = generalized_force(at.model, at.q, applied.loads, applied.weights, jnp.zeros(at.model.layout.nv, at.q.dtype))
+    return slope(with_load_gravity(at, applied, factor)) - factor * Q
 
 
-def tangent(at: Configuration, raised: AppliedLoads, factor=1.0) -> Float[Array, "nv nv"]:
-    """K = d2V/dDelta2 - lambda dQ/dDelta of a model placed without its base."""
-    return stiffness(with_load_gravity(at, raised, factor)) - factor * stiffness_of_loads(at.model, at.q, raised.loads, raised.weights)
+def tangent(at: Configuration, applied: AppliedLoads, factor=1.0) -> Float[Array, "nv nv"]:
+    """K = d2V/dDelta2 - lambda dQ/dDelta; `at` without its base."""
+    return stiffness(with_load_gravity(at, applied, factor)) - factor * stiffness_of_loads(at.model, at.q, applied.loads, applied.weights)
 
 
-def dead_forces(at: Configuration, raised: AppliedLoads) -> DeadForces:
-    """What the loads at time 0 add; NaN where one of them is not dead."""
+def dead_forces(at: Configuration, applied: AppliedLoads) -> DeadForces:
+    """The contribution of the loads at time 0; NaN where one of them is not dead."""
     layout, t = at.model.layout, jnp.zeros((), at.q.dtype)
     V, G, Q = t, [jnp.zeros(6, t.dtype)] * len(layout.bodies), [jnp.zeros((3, 3), t.dtype)] * len(layout.bodies)
-    for load, weight in zip(raised.loads, raised.weights, strict=True):
+    for load, weight in zip(applied.loads, applied.weights, strict=True):
         i, frame = layout.bodies.index(load.on), at.frames[layout.frame(load.on)]
         arm, pull = rotate(frame.R, load.point), jnp.where(weight == 0, 0.0, -weight * load.dead_force(t))
         V = V + dot(pull, frame.p + arm)
@@ -119,8 +119,8 @@ class _At(eqx.Module):
     K: Float[Array, "nv nv"]
 
 
-def follow_load_path(coordinates: Coordinates, q, raised: AppliedLoads, scale: Float[Array, "nv"], size: Float[Array, ""]):
-    """(q, K, lambda, path, whether K turns negative ahead): as far along the path from the unloaded equilibrium q as it goes.
+def follow_load_path(coordinates: Coordinates, q, applied: AppliedLoads, scale: Float[Array, "nv"], size: Float[Array, ""]):
+    """(q, K, lambda, path, whether K turns negative ahead) at the end of the path from the unloaded equilibrium q.
 
     One loop, whose body is one iteration of Newton's method, so that K is compiled once."""
     n, dtype = len(scale), q.dtype
@@ -128,7 +128,7 @@ def follow_load_path(coordinates: Coordinates, q, raised: AppliedLoads, scale: F
 
     def nondimensional(q, factor):
         at = configuration_at(coordinates, q, base=False)
-        return residual(at, raised, factor) * scale, tangent(at, raised, factor) * scale * scale[:, None]
+        return residual(at, applied, factor) * scale, tangent(at, applied, factor) * scale * scale[:, None]
 
     def iterate(carry):
         at, q, target, length, iteration, steps, top, path = carry
@@ -165,8 +165,8 @@ def follow_load_path(coordinates: Coordinates, q, raised: AppliedLoads, scale: F
 
 
 def _negative_ahead(nondimensional, coordinates: Coordinates, at: _At, scale, size) -> Bool[Array, ""]:
-    """Whether K turns negative within a size of the model along its softest motion: behind a limit point it does, under a force
-    that is too large for any displacement it does not."""
+    """Whether K turns negative within one size of the model along its softest motion: true beyond a limit point, false under a force
+    that no displacement can balance."""
     vectors = jnp.linalg.eigh(at.K + at.K.T)[1]
     softest = vectors[:, 0] / jnp.max(jnp.abs(vectors[:, 0]), initial=1e-300)
     moves = size * jnp.concatenate([s := jnp.logspace(-4, 0, 9, dtype=at.q.dtype), -s])

@@ -2,8 +2,8 @@
 
     dV/dDelta(q; l) = 0,   least |l - l_0|,   by Gauss-Newton steps  l <- l - A^+ dV/dDelta,   A = d2V/dDelta dl
 
-With n springs and fewer equations than springs the change is the least there is (the pseudo-inverse); what no free length can balance is left
-over and said. Coordinates that may move are unknowns beside the free lengths.
+With more springs than equations the change has least norm (pseudo-inverse); forces that no free length can balance are the residual.
+Coordinates that may move are further unknowns.
 """
 
 from __future__ import annotations
@@ -36,8 +36,11 @@ BALANCED = 1e-9  # residual, relative to the largest force that the springs and 
 
 
 class Preload(Result):
-    """Free lengths for a pose: `free_lengths` {path: m} (of torsion springs `free_angle` [rad]), their `changes`, the `model` with them, the pose, `state`, with the
-    coordinates that were to move, `moved` {coordinate: change [m, rad]}, what is left over, `residual` [N, N m]; status UNBALANCED where it is not nothing, NEGATIVE_LENGTH where a length would have to be negative."""
+    """Free lengths that balance a pose: `free_lengths` {path: m} (`free_angle` [rad] of torsion springs), their `changes`, the `model` with
+    them.
+
+    `state` is the pose, `moved` {coordinate: change [m, rad]} of its coordinates that may move, `residual` the unbalanced forces [N, N m].
+    `status` UNBALANCED where these are not zero, NEGATIVE_LENGTH where a length would have to be negative."""
 
     status: Int[Array, ""]
     values: Float[Array, "n"]
@@ -64,12 +67,12 @@ class Preload(Result):
     def explain(self) -> str:
         if int(self.status) == Status.NEGATIVE_LENGTH:
             return ", ".join(f"{path} = {float(v):.6g} m" for path, v in self.free_lengths.items() if v < 0)
-        layout, left = self.model.layout, np.asarray(self.residual)
-        worst = [i for i in np.argsort(-np.abs(left)) if abs(left[i]) > 1e-6 * np.abs(left).max()][:4]
-        told = [f"{-left[i]:.4g} {'N m' if layout.turns[i] else 'N'} on {layout.coordinates[i]}" for i in worst]
+        layout, residual = self.model.layout, np.asarray(self.residual)
+        worst = [i for i in np.argsort(-np.abs(residual)) if abs(residual[i]) > 1e-6 * np.abs(residual).max()][:4]
+        forces = [f"{-residual[i]:.4g} {'N m' if layout.turns[i] else 'N'} on {layout.coordinates[i]}" for i in worst]
         heights = [name for name in (layout.coordinates[i] for i in worst) if name not in self.moving]
         remedy = f", or let it move: moving={heights!r}" if heights else ""
-        return f"no free length of these balances {', '.join(told)}; free a length that acts on it{remedy}, or take that load away"
+        return f"none of these free lengths balances {', '.join(forces)}; free a length that acts on it{remedy}, or remove that load"
 
     def _tables(self) -> list[tables.PrintedTable]:
         rows = [(path, value, change) for path, value, change in zip(self.paths, self.values, self.change, strict=True)]
@@ -79,15 +82,20 @@ class Preload(Result):
 
 
 def preload(model: Model, pose: State | None = None, *, free=("*.free_length",), moving=()) -> Preload:
-    """The free lengths that make a pose (without one, the reference pose) an equilibrium, with the least change of those that are `free` (paths or patterns of
-    `free_length`, or `free_angle` of torsion springs).
+    """The free lengths that make a pose an equilibrium, with the least change.
 
-    `moving`: coordinates of the pose that change too, names or patterns of `model.layout.coordinates`: the height of a wheel, say, whose tyre is as it is. Use
-    `preload(...).model`, whose equilibrium is at `preload(...).state`; whether it is stable, `equilibrium` says. Differentiable. Errors: UNKNOWN_PATH,
-    UNKNOWN_NAME of a coordinate, NOT_A_LENGTH, BAD_SHAPE of the pose; warns UNBALANCED, NEGATIVE_LENGTH.
+    Args:
+        pose: by default the reference pose.
+        free: paths or patterns of the `free_length` (or `free_angle` of torsion springs) that may change; by default all free lengths.
+        moving: names or patterns of `model.layout.coordinates` that may change too, as the height of a wheel on a given tyre; by default
+        none.
 
-    >>> model = Model(bodies={"car": Body(mass=400.0, inertia=[1, 1, 1])}, joints={"car": Guide("world", axis=[0, 0, 1])}, gravity=[0, 0, -10.0],
-    ...               elements={"spring": Spring(("car", [0, 0, 0]), ("world", [0, 0, -0.5]), stiffness=2e4, free_length=0.5)})
+    Use `preload(...).model`, whose equilibrium is at `preload(...).state`; `equilibrium` shows whether it is stable. Differentiable.
+    Errors: UNKNOWN_PATH, UNKNOWN_NAME of a coordinate, NOT_A_LENGTH, BAD_SHAPE of the pose; warns UNBALANCED, NEGATIVE_LENGTH.
+
+    >>> spring = Spring(("car", [0, 0, 0]), ("world", [0, 0, -0.5]), stiffness=2e4, free_length=0.5)
+    >>> model = Model(bodies={"car": Body(mass=400.0, inertia=[1, 1, 1])}, joints={"car": Guide("world", axis=[0, 0, 1])},
+    ...               elements={"spring": spring}, gravity=[0, 0, -10.0])
     >>> round(float(preload(model).free_lengths["spring.free_length"]), 9)
     0.7
     """
@@ -98,19 +106,19 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",),
     check_kind(free, (str, list, tuple), "preload.free", "paths or patterns", problems)
     check_kind(moving, (str, list, tuple), "preload.moving", "names or patterns of coordinates", problems)
     problems.raise_if_any()
-    found = matching(leaves_of(model), [free] if isinstance(free, str) else free, "free")
-    leaves = tuple(dict.fromkeys(leaf for group in found.values() for leaf in group))
+    matched = matching(leaves_of(model), [free] if isinstance(free, str) else free, "free")
+    leaves = tuple(dict.fromkeys(leaf for group in matched.values() for leaf in group))
     wrong = [leaf.path for leaf in leaves if leaf.field not in ("free_length", "free_angle")]
     if wrong:
         raise JaxbodyError(
-            *(Problem("NOT_A_LENGTH", "free", f"{path} is no free length", path, "free_length, free_angle") for path in wrong)
+            *(Problem("NOT_A_LENGTH", "free", f"{path} is not a free length", path, "free_length, free_angle") for path in wrong)
         )
     rows: list[int] = []
     for pattern in [moving] if isinstance(moving, str) else moving:
-        named = [i for i, name in enumerate(model.layout.coordinates) if fnmatchcase(name, str(pattern))]
-        if not named:
+        matching_rows = [i for i, name in enumerate(model.layout.coordinates) if fnmatchcase(name, str(pattern))]
+        if not matching_rows:
             raise JaxbodyError(unknown(pattern, "preload.moving", model.layout.coordinates))
-        rows += named
+        rows += matching_rows
     result = _preload(model, state, leaves, tuple(dict.fromkeys(rows)))
     warn_if_failed(result)
     return result
@@ -124,30 +132,30 @@ def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[i
     scale = scale_of(frozen, size_of(frozen))
 
     def changed(u):
-        """Model and coordinates; turns among these count times the size of the model."""
-        made = write(model, dict(zip(leaves, u[:n], strict=True)))
+        """The model, the coordinates and their change, rotations scaled with the size of the model."""
+        new_model = write(model, dict(zip(leaves, u[:n], strict=True)))
         delta = jnp.zeros(layout.nv, u.dtype).at[np.array(rows, int)].set(u[n:]) * scale
-        return made, Chart(made).retract(state.q, delta), delta
+        return new_model, Chart(new_model).retract(state.q, delta), delta
 
     def unbalanced(u):
-        made, q, _ = changed(u)
-        return slope(configuration_at(Coordinates(made), q, base=False)) * scale
+        new_model, q, _ = changed(u)
+        return slope(configuration_at(Coordinates(new_model), q, base=False)) * scale
 
     def step(u, _):
         A = jax.jacfwd(unbalanced)(u)
         return u - jnp.linalg.pinv(A, rtol=reachable(RANK, A.dtype)) @ unbalanced(u), None
 
     u, _ = jax.lax.scan(step, start, None, length=ITERATIONS)
-    left = unbalanced(u)
+    residual = unbalanced(u)
     weights = jnp.sum(model.bodies.rows.mass) * jnp.linalg.norm(model.gravity)
     largest = jnp.maximum(jnp.maximum(weights, jnp.max(jnp.abs(unbalanced(start)), initial=0.0)), 1e-300)
     angles = np.array([leaf.field == "free_angle" for leaf in leaves], bool)
     status = jnp.select(
-        [~(jnp.max(jnp.abs(left), initial=0.0) <= reachable(BALANCED, left.dtype, 256) * largest), jnp.any((u[:n] < 0) & ~angles)],
+        [~(jnp.max(jnp.abs(residual), initial=0.0) <= reachable(BALANCED, residual.dtype, 256) * largest), jnp.any((u[:n] < 0) & ~angles)],
         [Status.UNBALANCED.value, Status.NEGATIVE_LENGTH.value],
         Status.OK.value,
     )
-    made, q, delta = changed(u)
-    there, moving = State(q, jnp.zeros(layout.nv, q.dtype)), tuple(layout.coordinates[i] for i in rows)
+    new_model, q, delta = changed(u)
+    balanced, moving = State(q, jnp.zeros(layout.nv, q.dtype)), tuple(layout.coordinates[i] for i in rows)
     paths = tuple(leaf.path for leaf in leaves)
-    return Preload(status, u[:n], (u - start)[:n], delta[np.array(rows, int)], left / scale, there, made, paths, moving)
+    return Preload(status, u[:n], (u - start)[:n], delta[np.array(rows, int)], residual / scale, balanced, new_model, paths, moving)

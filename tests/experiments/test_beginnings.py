@@ -184,10 +184,10 @@ def test_a_fit_that_begins_far_off_at_rest_says_what_to_leave_out():
 
 def test_rest_where_there_is_none_is_said_before_and_in_a_fit():
     loose = jb.Model(bodies={"box": jb.Body(mass=1.0, inertia=[1, 1, 1])}, joints={"box": jb.Guide("world", axis=[0, 0, 1])}, gravity=[0, 0, -G])  # fmt: skip
-    with pytest.raises(jb.JaxbodyError, match='is "rest", which is none here: NO_EQUILIBRIUM'):
+    with pytest.raises(jb.JaxbodyError, match='is "rest", but there is no equilibrium: NO_EQUILIBRIUM'):
         jb.simulate(loose, TIMES, initial="rest")
     track = jb.Experiment(TIMES, sensors=SENSORS, measured={"x": TIMES}, initial="rest")
-    with pytest.raises(jb.JaxbodyError, match='is "rest", which is none here') as caught:
+    with pytest.raises(jb.JaxbodyError, match='is "rest", but there is no equilibrium') as caught:
         jb.fit(loose, {"run": track}, free=["box.mass"])
     assert caught.value.code == "NONFINITE_START"
     with pytest.raises(jb.JaxbodyError, match="begins at rest, which follows from the model: give it initial=State"):

@@ -419,7 +419,7 @@ def test_preload_says_what_cannot_be_had():
     )
     with pytest.warns(
         jb.JaxbodyWarning,
-        match=r"no free length of these balances .*N m on beam turn about y; free a length .*or let it move: moving=\['beam move along z', 'beam turn about y'\].*\[UNBALANCED\]",
+        match=r"none of these free lengths balances .*N m on beam turn about y; free a length .*or let it move: moving=\['beam move along z', 'beam turn about y'\].*\[UNBALANCED\]",
     ):
         assert int(jb.preload(beam).status) == Status.UNBALANCED
     with pytest.warns(jb.JaxbodyWarning, match=r"spring.free_length = -0\.\d+ m \[NEGATIVE_LENGTH\]"):

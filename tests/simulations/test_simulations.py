@@ -428,7 +428,7 @@ def test_bad_times_are_refused(times, code, told):
 def test_times_outside_a_sampled_motion_are_refused():
     known = np.linspace(0, 4.999, 50)
     motion = {"base": jb.Sampled(known, translation=np.sin(known)[:, None] * [1, 0, 0]) + jb.Harmonic(frequency=1.0)}
-    with pytest.raises(jb.JaxbodyError, match=r"'base'.*covers 0 to 4\.999 s, asked 0 to 5 s") as error:
+    with pytest.raises(jb.JaxbodyError, match=r"'base'.*covers 0 to 4\.999 s, requested 0 to 5 s") as error:
         jb.simulate(slider(), np.linspace(0, 5, 11), motion=motion)
     assert error.value.code == "T_RANGE"
     with pytest.raises(jb.JaxbodyError, match="Did you mean 'base'") as error:
@@ -456,7 +456,7 @@ def test_initial_states_that_do_not_fit_are_refused(rig, state, code, told):
 def test_a_body_that_nothing_holds_flies_with_a_warning():
     model = jb.Model(bodies={"stone": jb.Body(mass=1.0, inertia=[1, 1, 1])}, gravity=[0, 0, -9.81])
     start = jb.State(model.reference.q, jnp.array([1.0, 0, 2, 0, 0, 0]))
-    with pytest.warns(jb.JaxbodyWarning, match="nothing ties stone") as told:
+    with pytest.warns(jb.JaxbodyWarning, match="nothing connects stone") as told:
         found = jb.simulate(model, SHORT, initial=start, rtol=1e-10)
     assert [w.message.code for w in told] == ["UNATTACHED"]
     assert max_difference(found.state.q[:, :3], np.stack([SHORT, 0 * SHORT, 2 * SHORT - 9.81 / 2 * SHORT**2], -1)) < 1e-12

@@ -167,7 +167,7 @@ def test_a_string_pushed_along_itself_gives_way_to_the_side():
 def test_a_load_without_a_potential_says_so():
     """A force that turns with its body has no energy to descend."""
     with pytest.warns(
-        jb.JaxbodyWarning, match=r"none was found by raising the loads, as K is singular .* turns with its body .*NO_EQUILIBRIUM"
+        jb.JaxbodyWarning, match=r"none was found by raising the loads, as K is singular .* turn with their body .*NO_EQUILIBRIUM"
     ):
         eq = jb.equilibrium(string(), loads={"push": jb.Force("n0", force=[0, 5.0, 0], axes="body")})
     assert int(eq.status) == Status.NO_EQUILIBRIUM and not bool(eq.stable)
