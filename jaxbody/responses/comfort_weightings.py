@@ -1,7 +1,8 @@
-"""How people feel vibration: the frequency weightings of ISO 2631 and the vibration dose value, on power spectral densities and on signals.
+"""Human response to vibration: the frequency weightings of ISO 2631 and the vibration dose value, for spectral densities and signals.
 
-With w_i = 2 pi f_i the modulus and phase of a product of a Butterworth high-pass (f1) and low-pass (f2) of second order, a transition from acceleration to velocity
-(1 + s/w3)/(1 + s/(Q4 w4) + (s/w4)^2), a step K (1 + s/(Q5 w5) + (s/w5)^2)/(1 + s/(Q6 w6) + (s/w6)^2) (w5/w6)^2. Parameters: ISO 8041:2005, table 3.
+With w_i = 2 pi f_i a weighting is the product of a Butterworth high-pass (f1) and low-pass (f2) of second order, a transition from
+acceleration to velocity (1 + s/w3)/(1 + s/(Q4 w4) + (s/w4)^2), and a step K (1 + s/(Q5 w5) + (s/w5)^2)/(1 + s/(Q6 w6) + (s/w6)^2)
+(w5/w6)^2. Parameters: ISO 8041:2005, table 3.
 """
 
 from __future__ import annotations
@@ -50,13 +51,16 @@ WEIGHTINGS = {
     "Wj": Filter(0.4, 100.0, NONE, NONE, 1.0, 3.75, 0.91, 5.32, 0.91),
     "Wk": Filter(0.4, 100.0, 12.5, 12.5, 0.63, 2.37, 0.91, 3.35, 0.91),
 }
-HINT = "Wk is for z, Wd for x and y, Wb for z in trains, Wc for backs, We for turning, Wj for heads that lie, Wf for motion sickness."
-DIES_AWAY = 3.2  # periods of the high-pass, in which what it remembers falls by more than 1e-6
+HINT = (
+    "Wk is for z, Wd for x and y, Wb for z in trains, Wc for seat backs, We for rotation, Wj for recumbent heads, Wf for motion sickness."
+)
+DECAY_PERIODS = 3.2  # of the high-pass, in which its transient decays to less than 1e-6
 
 
 class WeightedSignal(Result):
     """`values` of a signal after weighting, over `times`; `rms` over the whole record, `peak`, the largest absolute value,
-    `crest_factor` = peak/rms, and `dose`, the vibration dose value [m/s1.75] from the beginning to each time; `vdv` is that of the whole record."""
+    `crest_factor` = peak/rms, and `dose`, the vibration dose value [m/s1.75] from the beginning to each time; `vdv` is that of the whole
+    record."""
 
     times: Float[Array, "nt"]
     values: Float[Array, "nt"]
@@ -74,7 +78,7 @@ class WeightedSignal(Result):
 
     @property
     def estimated_vdv(self) -> Float[Array, ""]:
-        """What the dose is taken for where crest factors are below 6 [m/s1.75]: 1.4 rms T^(1/4), T the length of the record."""
+        """The estimate of the dose for crest factors below 6 [m/s1.75]: 1.4 rms T^(1/4), T the length of the record."""
         return 1.4 * self.rms * (self.times[..., -1] - self.times[..., 0]) ** 0.25
 
     def _tables(self) -> list[tables.PrintedTable]:
@@ -90,10 +94,12 @@ def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
     """A frequency weighting at frequencies [Hz], complex, from acceleration to weighted acceleration [m/s2, or rad/s2 for We].
 
     Args:
-        name: Wk (vertical, seated or standing), Wd (horizontal), Wf (motion sickness), Wc (seat back), We (turning), Wj (head of who lies), Wb (vertical, in trains).
+        name: Wk (vertical, seated or standing), Wd (horizontal), Wf (motion sickness), Wc (seat back), We (rotation), Wj (head, recumbent),
+            Wb (vertical, in trains).
         frequencies: in one row [Hz].
 
-    Errors: BAD_WEIGHTING, BAD_FREQUENCY, BAD_SHAPE. Source: ISO 2631-1:1997, annex A; of Wb ISO 2631-4:2001; parameters as in ISO 8041:2005, table 3.
+    Errors: BAD_WEIGHTING, BAD_FREQUENCY, BAD_SHAPE. Source: ISO 2631-1:1997, annex A; of Wb ISO 2631-4:2001; parameters as in ISO
+    8041:2005, table 3.
 
     >>> [round(float(abs(w)), 3) for w in weighting("Wk", [1.0, 8.0])]
     [0.482, 1.036]
@@ -103,16 +109,15 @@ def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
 
 
 def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomResponse:
-    """A random response with accelerations as people feel them, {output: "Wk", or another `weighting`}: their densities times |W|^2, their weighted rms.
+    """A random response with weighted accelerations, {output: "Wk", or another `weighting`}: densities times |W|^2, weighted rms.
 
-    Outputs that are not named are left out. Errors: UNKNOWN_NAME, BAD_WEIGHTING, BAD_UNIT of what is no acceleration (angular for We, else linear).
-    Source: ISO 2631-1:1997.
+    Other outputs are omitted. Errors: UNKNOWN_NAME, BAD_WEIGHTING, BAD_UNIT of an output that is not an acceleration (angular for We, else
+    linear). Source: ISO 2631-1:1997.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> found = random_response(linearize(model, equilibrium(model)), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
-    ...                         {"body": PointMotion("body", kind="acceleration")}, {"road": Unevenness.iso("C").at_speed(20.0)})
-    >>> felt = weighted(found, {"body": "Wk"})
-    >>> bool(felt["body"] < found["body"])
+    >>> response = random_response(linearize(model, equilibrium(model)), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
+    ...                            {"body": PointMotion("body", kind="acceleration")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    >>> bool(weighted(response, {"body": "Wk"})["body"] < response["body"])
     True
     """
     problems = Problems()
@@ -131,25 +136,25 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
     factors = jnp.stack([jnp.abs(_weighting(name, response.frequencies)) ** 2 for name in weights.values()], -2)
     psd = response.psd[..., rows, :] * factors
     return RandomResponse(
-        response.frequencies, psd, root_mean_square(psd, response.weights[..., None, :]), response.weights, response.coarse, response.status,
-        tuple(weights), tuple(map(_unit, weights.values())),
+        response.frequencies, psd, root_mean_square(psd, response.weights[..., None, :]), response.weights, response.coarse,
+        response.status, tuple(weights), tuple(map(_unit, weights.values())),
     )  # fmt: skip
 
 
 def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
-    """An acceleration [m/s2] over equally spaced times [s] as people feel it, from rest: its rms, crest factor and vibration dose value.
+    """A weighted acceleration [m/s2] over equally spaced times [s], from rest: its rms, crest factor and vibration dose value.
 
         VDV = (int a_w^4 dt)^(1/4)
 
-    `name`: of a `weighting`. The filter's frequency response acts on the Fourier transform of the record, followed by silence until the filter has come to rest: exact up to half
-    the sampling rate, where digital filters of the same order are not, and differentiable. Sample at 200 Hz or more, as people feel up to 80 Hz.
-    Errors: BAD_WEIGHTING, NOT_UNIFORM, BAD_SHAPE, NON_FINITE. Source: ISO 2631-1:1997, 6.1 and 6.3.2.
+    `name`: of a `weighting`. The frequency response multiplies the Fourier transform of the record, padded with zeros until the filter has
+    decayed: exact up to half the sampling rate, unlike digital filters of the same order, and differentiable. Sample at 200 Hz or more;
+    weightings extend to 80 Hz. Errors: BAD_WEIGHTING, NOT_UNIFORM, BAD_SHAPE, NON_FINITE. Source: ISO 2631-1:1997, 6.1 and 6.3.2.
 
     >>> t = jnp.arange(0.0, 20.0, 0.005)
-    >>> felt = weighted_signal(t, jnp.sin(2 * jnp.pi * 5.0 * t), "Wk")
-    >>> round(float(felt.rms * 2**0.5), 2), round(float(felt.crest_factor), 1)
+    >>> signal = weighted_signal(t, jnp.sin(2 * jnp.pi * 5.0 * t), "Wk")
+    >>> round(float(signal.rms * 2**0.5), 2), round(float(signal.crest_factor), 1)
     (1.04, 1.5)
-    >>> round(float(felt.vdv / (3 / 8 * 20.0) ** 0.25), 2)
+    >>> round(float(signal.vdv / (3 / 8 * 20.0) ** 0.25), 2)
     1.04
     """
     _check_weighting(name, "weighted_signal.name")
@@ -157,9 +162,9 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
     step = sampling_step(times, "weighted_signal.times", problems)
     a = checked(acceleration, ((np.size(times),),), "weighted_signal.acceleration", problems, "One number for each time.")
     problems.raise_if_any()
-    rest = int(np.ceil(DIES_AWAY / WEIGHTINGS[name].f1 / float(step))) if is_concrete(step) else np.size(times)
-    found = _weighted_signal(jnp.asarray(a, float), jnp.asarray(step), name, rest)
-    return WeightedSignal(jnp.asarray(times, float), *found, jnp.array(Status.OK.value), name)
+    padding = int(np.ceil(DECAY_PERIODS / WEIGHTINGS[name].f1 / float(step))) if is_concrete(step) else np.size(times)
+    results = _weighted_signal(jnp.asarray(a, float), jnp.asarray(step), name, padding)
+    return WeightedSignal(jnp.asarray(times, float), *results, jnp.array(Status.OK.value), name)
 
 
 @filter_jit
@@ -174,8 +179,8 @@ def _weighting(name: str, f: Float[Array, "nf"]) -> Complex[Array, "nf"]:
 
 
 @eqx.filter_jit
-def _weighted_signal(a: Float[Array, "nt"], step: Float[Array, ""], name: str, rest: int):
-    n = len(a) + rest
+def _weighted_signal(a: Float[Array, "nt"], step: Float[Array, ""], name: str, padding: int):
+    n = len(a) + padding
     W = _weighting(name, jnp.fft.rfftfreq(n) / step)
     values = jnp.fft.irfft(jnp.fft.rfft(a, n) * W, n)[: len(a)]
     rms, peak = _root(jnp.mean(values**2), 2), jnp.max(jnp.abs(values))
@@ -190,8 +195,8 @@ def dose(values: Float[Array, "nt"], step: Any) -> Float[Array, "nt"]:
 
 def _root(x: Array, n: int) -> Array:
     """x^(1/n), whose derivative at zero is zero."""
-    some = x > 0
-    return jnp.where(some, jnp.where(some, x, 1.0) ** (1 / n), 0.0)
+    positive = x > 0
+    return jnp.where(positive, jnp.where(positive, x, 1.0) ** (1 / n), 0.0)
 
 
 def _unit(name: str) -> str:

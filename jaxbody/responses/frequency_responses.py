@@ -2,8 +2,8 @@
 
     D(w) Delta = (K~ + i w C~ - w^2 M~ + i H~) Xi + F f,    D = K + i w C - w^2 M + i H
 
-H is hysteretic (structural) damping, the sum over the elements of eta V''(e) de de: a loss factor times the stiffness of the material, not that of
-gravity or tension. Frequencies are the last axis of all arrays, so that few operations go along many of them.
+H is hysteretic (structural) damping, the sum over the elements of eta V''(e) de de: a loss factor times the elastic stiffness, without
+gravity and tension. Frequencies are the last axis of all arrays, so that operations run along them.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ from jaxbody.statics.equilibria import NOT_AT_REST
 from jaxbody.vibrations.linearizations import Linearization
 from jaxbody.vibrations.ports import PortMatrices, check_ports, full_matrices, port_matrices
 
-LARGEST_UNROLLED = 16  # coordinates; beyond, LAPACK's elimination at each frequency costs less than it costs to compile this one
-GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, that is growth and not rounding
-INVERTED = 1e-7  # error of the modes' inverse, relative, above which their sum lacks digits
+LARGEST_UNROLLED = 16  # coordinates; beyond them LAPACK at each frequency costs less than compiling this elimination
+GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, above which it is not rounding
+INVERTED = 1e-7  # relative error of the inverse of the modes, above which the modal sum is inaccurate
 FAILED = (*NOT_AT_REST, *NO_MODES)
 METHODS = ("direct", "modal")
 
 
 class FrequencyResponse(Result):
-    """`values` (outputs, inputs, frequencies), complex: what an output does per unit of an input that is exp(i 2 pi f t).
+    """`values` (outputs, inputs, frequencies), complex: each output per unit of an input exp(i 2 pi f t).
 
-    `response["seat", "road"]` is one of them over `frequencies` [Hz]; `magnitude`, and `phase` [rad], continued over the frequencies.
-    From a displacement of a support to a displacement, the magnitude is the transmissibility. `status` UNSTABLE (values NaN), SINGULAR_K where
-    something free to move has no response at 0 Hz (NaN there), or that of the equilibrium."""
+    `response["seat", "road"]` is one pair over `frequencies` [Hz]; `magnitude`, and `phase` [rad], unwrapped over the frequencies. From a
+    displacement of a support to a displacement, the magnitude is the transmissibility. `status` UNSTABLE (values NaN), SINGULAR_K where a
+    free motion has no response at 0 Hz (NaN there), or that of the equilibrium."""
 
     frequencies: Float[Array, "nf"]
     values: Complex[Array, "ny nu nf"]
@@ -73,10 +73,14 @@ class FrequencyResponse(Result):
         return self.values[..., self.outputs.index(output), self.inputs.index(name), :]
 
     def explain(self) -> str:
-        return "NaN at 0 Hz; jb.modes of the linearization names it" if Status(int(self.status)) == Status.SINGULAR_K else ""
+        return (
+            "NaN at 0 Hz; the names in jb.modes of the linearization show the free motion"
+            if Status(int(self.status)) == Status.SINGULAR_K
+            else ""
+        )
 
     def unit(self, output: str, name: str) -> str:
-        """Of one of them: "" for a ratio."""
+        """The unit of one pair, "" for a ratio."""
         above, below = self.output_units[self.outputs.index(output)], self.input_units[self.inputs.index(name)]
         return "" if above == below else f"{above} per {below}"
 
@@ -125,28 +129,30 @@ def frequency_response(
 
         D(w) Delta = (K~ + i w C~ - w^2 M~) Xi + F f,   D(w) = K + i w C - w^2 M
 
-    At 0 Hz it is the static response, K^-1. Differentiable by either method, coinciding modes included, with respect to the model, the points
-    of ports, loss factors, modal damping and frequencies.
+    At 0 Hz it is the static response, K^-1. Differentiable by either method, coinciding modes included, with respect to the model, the
+    points of ports, loss factors, modal damping and frequencies.
 
     Args:
         frequencies: 0 or more, in one row [Hz].
         inputs: {name: BaseMotion or PointForce}.
         outputs: {name: PointMotion, ElementForce, ElementDeformation, SupportReaction, or a sensor that reads one number, with no chain}.
-        loss_factor: hysteretic damping, i eta times the stiffness V''(e) of elements, one number for all or {element: eta}. It exists for
-            harmonic motion only, so it is an option here and no property of a model: nothing that simulates can meet it.
-        modal_damping: damping ratios that are added to those of the dampers, one for all natural modes or one for each, ascending; of the
-            motion relative to what bodies do when supports move slowly. Those of modes that coincide are averaged.
+        loss_factor: hysteretic damping, i eta times the stiffness V''(e) of elements, one number for all or {element: eta}; by default
+            none. It exists for harmonic motion only, so it is an option here and not a property of a model.
+        modal_damping: damping ratios added to those of the dampers, one for all natural modes or one for each, ascending; by default none.
+            They damp the motion relative to the quasi-static one; ratios of coinciding modes are averaged.
         method: "direct", by elimination at each frequency, or "modal", the sum over all complex modes, the same to rounding.
 
-    Errors: BAD_FREQUENCY below 0 Hz, and at 0 Hz of an input that is a velocity or an acceleration, UNKNOWN_NAME, WRONG_KIND, BAD_COMPONENT,
-    BAD_METHOD, BAD_SHAPE, NON_FINITE, NEGATIVE loss factors or damping ratios, BAD_OPTION of either with sensors of forces; warns UNSTABLE,
-    SINGULAR_K at 0 Hz, DEFECTIVE (modes), NONFINITE (an undamped resonance), and of modal damping NOT_SYMMETRIC, SINGULAR_M.
+    Errors: BAD_FREQUENCY below 0 Hz, and at 0 Hz of an input that is a velocity or an acceleration, UNKNOWN_NAME, WRONG_KIND,
+    BAD_COMPONENT, BAD_METHOD, BAD_SHAPE, NON_FINITE, NEGATIVE loss factors or damping ratios, BAD_OPTION of either with sensors of forces;
+    warns UNSTABLE, SINGULAR_K at 0 Hz, DEFECTIVE (modes), NONFINITE (an undamped resonance), and of modal damping NOT_SYMMETRIC,
+    SINGULAR_M.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
-    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               supports={"base": Support()}, elements={"s": spring})
     >>> lin = linearize(model, equilibrium(model))
-    >>> found = frequency_response(lin, [2.0], {"base": BaseMotion("base", "y")}, {"mass": PointMotion("mass", direction="y")})
-    >>> round(float(found["mass", "base"][0].real * (1 - (2.0 * 2 * jnp.pi) ** 2 / 25)), 12)
+    >>> response = frequency_response(lin, [2.0], {"base": BaseMotion("base", "y")}, {"mass": PointMotion("mass", direction="y")})
+    >>> round(float(response["mass", "base"][0].real * (1 - (2.0 * 2 * jnp.pi) ** 2 / 25)), 12)
     1.0
     """
     check_precision("frequency_response", lin.model)
@@ -170,7 +176,7 @@ def frequency_response(
 
 
 def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:
-    """Frequencies in one row, positive, or `static` too, which are 0."""
+    """Frequencies in one row, positive, with `static` also 0."""
     problems = Problems()
     array = float_array(given, where)
     array = checked(array, ((max(array.size, 1),),), where, problems, "Give frequencies [Hz] in one row.")
@@ -184,23 +190,25 @@ def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[
 
 
 def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> None:
-    """At 0 Hz a velocity or an acceleration goes on for ever."""
+    """Refuses inputs given as velocity or acceleration at 0 Hz, whose displacement is unbounded."""
     problems = Problems()
     for name, port in zip(names, inputs, strict=True):
         if (kind := getattr(port, "kind", "displacement")) != "displacement":
-            told, hint = f"is given as {kind}, and there is a frequency of 0 Hz", 'Take kind="displacement", or leave 0 Hz out.'
-            problems.add("BAD_FREQUENCY", f"frequency_response.inputs[{name!r}]", told, value=kind, limit="displacement at 0 Hz", hint=hint)
+            message, hint = f"is given as {kind}, and a frequency is 0 Hz", 'Take kind="displacement", or leave 0 Hz out.'
+            problems.add(
+                "BAD_FREQUENCY", f"frequency_response.inputs[{name!r}]", message, value=kind, limit="displacement at 0 Hz", hint=hint
+            )
     problems.raise_if_any()
 
 
 def check_without_force_sensors(given: Any, where: str, outputs: tuple[Any, ...]) -> None:
-    """Damping that is no property of a model is not part of what its sensors of forces read. Error: BAD_OPTION."""
+    """Refuses sensors of forces with damping that is not in the model, which they do not read. Error: BAD_OPTION."""
     problems = Problems()
     for port in outputs if given is not None else ():
         if hasattr(port, "reading") and port.unit in ("N", "N m"):
-            hint = "Take ElementForce or SupportReaction, or dampers in place of it."
-            what = f"is not part of what a {type(port).__name__} on '{port.on}' reads"
-            problems.add("BAD_OPTION", where, what, value=given, limit="sensors of motion", hint=hint)
+            hint = "Use ElementForce or SupportReaction, or give the model dampers."
+            message = f"is not part of what a {type(port).__name__} on '{port.on}' reads"
+            problems.add("BAD_OPTION", where, message, value=given, limit="sensors of motion", hint=hint)
     problems.raise_if_any()
 
 
@@ -225,23 +233,23 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
 def response_values(
     lin: Linearization,
     f: Float[Array, "nf"],
-    wiring: PortMatrices,
+    ports: PortMatrices,
     eta: Float[Array, "ne"] | None,
     method: str = "direct",
     static: bool = False,
 ):
     """(values (ny, nu, nf), status); `static` where 0 Hz is among the frequencies."""
-    nv, X = lin.M.shape[-1], wiring.X
+    nv, X = lin.M.shape[-1], ports.X
     s = 2j * jnp.pi * f
     whole = _Matrices(*full_matrices(lin), None if eta is None else hysteretic_damping(lin, eta))
-    scale = s[None] ** -jnp.array(wiring.orders, f.dtype)[:, None].astype(int) if any(wiring.orders) else jnp.ones((len(wiring.orders), 1))
+    scale = s[None] ** -jnp.array(ports.orders, f.dtype)[:, None].astype(int) if any(ports.orders) else jnp.ones((len(ports.orders), 1))
     own = jax.tree.map(lambda A: A[:nv, :nv], whole)
-    right = wiring.F[:nv, :, None] - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale
+    right = ports.F[:nv, :, None] - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale
     Delta, complete = _solved(own, s, jnp.broadcast_to(right, (nv, X.shape[1], f.shape[0])), method)
-    Y = wiring.Y
-    rows = _Matrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, wiring, lin, eta))
+    Y = ports.Y
+    rows = _Matrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, ports, lin, eta))
     on_bodies, on_supports = jax.tree.map(lambda A: A[:, :nv], rows), jax.tree.map(lambda A: A[:, nv:] @ X, rows)
-    values = on_bodies.times(s, Delta) + on_supports.at(s) * scale + wiring.G[:, :, None]
+    values = on_bodies.times(s, Delta) + on_supports.at(s) * scale + ports.G[:, :, None]
     free = jnp.array(False)
     if static:
         squares = jnp.abs(jax.lax.stop_gradient(natural(lin.K, lin.M)[0]))
@@ -252,8 +260,8 @@ def response_values(
         [lin.status, Status.UNSTABLE.value, Status.DEFECTIVE.value, Status.SINGULAR_K.value, Status.NONFINITE.value],
         Status.OK.value,
     )
-    bad = (status != Status.OK) & (status != Status.NONFINITE) & (status != Status.SINGULAR_K)
-    return values * jnp.where(bad, jnp.nan, 1.0), status
+    failed = (status != Status.OK) & (status != Status.NONFINITE) & (status != Status.SINGULAR_K)
+    return values * jnp.where(failed, jnp.nan, 1.0), status
 
 
 class _Matrices(Module):
@@ -280,7 +288,7 @@ class _Matrices(Module):
 
 
 def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tuple[Complex[Array, "n m nf"], Bool[Array, ""]]:
-    """D(s)^-1 b, with the derivatives of the linear systems whichever way they are solved; and whether the way is good."""
+    """D(s)^-1 b, with the derivatives of linear systems for both methods; and whether the modes, if used, are complete."""
     frozen, at = jax.lax.stop_gradient((own, s))
     if method == "modal":
         left, poles, right, complete = _complex_modes(frozen)
@@ -298,8 +306,8 @@ def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tupl
 
 
 def _eliminated(A: _Matrices, s) -> Callable[[Complex[Array, "n m nf"], bool], Complex[Array, "n m nf"]]:
-    """b -> D^-1 b or its transpose, eliminated once for all that is asked. There is no search for pivots, in the coordinates of the real modes:
-    there D is diagonal but for damping, where rows need no exchange, as no entry of C is larger than the mean of two on its diagonal."""
+    """The map b -> D^-1 b or its transpose, from one elimination. In the coordinates of the real modes no pivoting is needed: D is diagonal
+    except for damping, and no entry of C exceeds the mean of two on its diagonal."""
     n = len(A.M)
     if n > LARGEST_UNROLLED:
         factors = jax.scipy.linalg.lu_factor(jnp.moveaxis(A.at(s), -1, 0))
@@ -320,7 +328,7 @@ def _eliminated(A: _Matrices, s) -> Callable[[Complex[Array, "n m nf"], bool], C
 
 
 def _product(A: Complex[Array, "k n nf"], x: Complex[Array, "n m nf"]) -> Complex[Array, "k m nf"]:
-    """At each frequency, by sums along these."""
+    """The product A x at each frequency."""
     pairs = [(A[:, j, None], x[j]) for j in range(len(x))]
     none = jnp.zeros((len(A), *x.shape[1:]), A.real.dtype)
     re = sum((a.real * b.real - a.imag * b.imag for a, b in pairs), none)
@@ -339,7 +347,7 @@ def _complex_modes(A: _Matrices):
     """D(s)^-1 = left diag(1/(s - pole)) right, and whether the modes are a basis."""
     n = len(A.M)
     matrix = _companion(A)
-    unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n:, :n])))  # of time, so that displacements and rates are alike
+    unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n:, :n])))  # of frequency, so that displacements and rates have the same scale
     scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)])
     balanced = matrix * scale / scale[:, None]
     poles, vectors = jnp.linalg.eig(balanced)
@@ -350,7 +358,7 @@ def _complex_modes(A: _Matrices):
 
 
 def is_unstable(A: _Matrices) -> Bool[Array, ""]:
-    """Whether a free motion grows."""
+    """Whether a free motion grows, which is UNSTABLE."""
     values = jnp.linalg.eigvals(_companion(jax.lax.stop_gradient(_Matrices(A.K, A.C, A.M, None))))
     return jnp.max(values.real) > reachable(GROWS, values.real.dtype, 256) * jnp.max(jnp.abs(values))
 
@@ -383,11 +391,11 @@ def _elastic(lin: Linearization):
         yield curvature.reshape(count, k, k), J.reshape(count, k, len(zero))
 
 
-def _elastic_rows(Y, H, wiring: PortMatrices, lin: Linearization, eta) -> Float[Array, "ny n"]:
-    """What i H adds to outputs: eta times the elastic part of an element's force, -H of a reaction."""
+def _elastic_rows(Y, H, ports: PortMatrices, lin: Linearization, eta) -> Float[Array, "ny n"]:
+    """The rows that i H adds to outputs: eta times the elastic part of an element's force, -H of a reaction."""
     nv = lin.M.shape[-1]
     rows = [jnp.zeros(Y.shape[-1], Y.dtype)] * Y.shape[1]
-    for i, (element, support) in enumerate(zip(wiring.elements, wiring.reactions, strict=True)):
+    for i, (element, support) in enumerate(zip(ports.elements, ports.reactions, strict=True)):
         if element >= 0:
             rows[i] = eta[element] * Y[0, i]
         if support >= 0:

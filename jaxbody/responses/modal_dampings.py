@@ -1,10 +1,11 @@
-"""Modal damping: a damping ratio for each natural mode, as damping of the motion relative to what bodies do when supports move slowly.
+"""Modal damping: a damping ratio for each natural mode, of the motion relative to the quasi-static response to the supports.
 
-With K phi = w^2 M phi, phi' M phi = 1 and x = Delta - K^-1 K~ Xi, the power 2 zeta w (phi' M x')^2 is lost in each mode, so that to C, C~ and C_bb come
+With K phi = w^2 M phi, phi' M phi = 1 and x = Delta - K^-1 K~ Xi, each mode dissipates the power 2 zeta w (phi' M x')^2, which adds to C,
+C~ and C_bb
 
     M phi (2 zeta w) phi' M,    M phi (2 zeta/w) phi' K~,    K~' phi (2 zeta/w^3) phi' K~
 
-summed over the modes that have a frequency. Source: A. K. Chopra, Dynamics of Structures (2012), 11.4.
+summed over the modes of positive frequency. Source: A. K. Chopra, Dynamics of Structures (2012), 11.4.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ NO_MODES = (Status.UNSTABLE, Status.NOT_SYMMETRIC, Status.SINGULAR_M, Status.NON
 
 
 def with_modal_damping(lin: Linearization, ratios: Any, where: str) -> Linearization:
-    """The linearization with damping ratios added to its modes, one for all or one for each, ascending; its status is that of modes which do not exist.
+    """The linearization with damping ratios added to its modes, one for all or one for each, ascending; its status is that of `modes` where
+    these fail.
 
     Errors: BAD_SHAPE, NON_FINITE, NEGATIVE."""
     if ratios is None:
@@ -47,19 +49,19 @@ def _added(lin: Linearization, ratios: Float[Array, "nv"]) -> tuple[Array, ...]:
     *_, status = modes_of(lin)
     values, shapes = natural(lin.K, lin.M)
     cluster, top = clusters(values), jnp.max(jnp.abs(values), initial=0.0)
-    moves = values > ZERO * top
+    oscillates = values > ZERO * top
     zeta = averaged(ratios, cluster)
     fixed, phi = jax.lax.stop_gradient((values, shapes))
     shared = together(cluster) & (jnp.sum(together(cluster), 0) > 1)
-    # zero, with the derivative of phi' K phi - w^2 phi' M phi within a cluster, where that of its values is not enough
-    turned = jnp.where(shared, phi.T @ (lin.K @ phi) - phi.T @ (lin.M @ phi) * fixed, 0.0)
-    turned = turned - jax.lax.stop_gradient(turned)
+    # zero, with the derivative of phi' K phi - w^2 phi' M phi within a cluster, which that of its eigenvalues lacks
+    coupling = jnp.where(shared, phi.T @ (lin.K @ phi) - phi.T @ (lin.M @ phi) * fixed, 0.0)
+    coupling = coupling - jax.lax.stop_gradient(coupling)
 
     def weights(power: float) -> Float[Array, "nv nv"]:
         """2 zeta w^power of the modes, as a matrix between those that coincide."""
-        w2 = jnp.where(moves, jnp.where(shared.any(0), fixed, values), 1.0)
+        w2 = jnp.where(oscillates, jnp.where(shared.any(0), fixed, values), 1.0)
         slope = zeta * power * w2 ** (power / 2 - 1)
-        return jnp.where(moves, jnp.diag(2 * zeta * w2 ** (power / 2)) + slope * turned, 0.0)
+        return jnp.where(oscillates, jnp.diag(2 * zeta * w2 ** (power / 2)) + slope * coupling, 0.0)
 
     left, right = lin.M @ shapes, lin.K_tilde.T @ shapes
     C, C_tilde, C_bb = (a @ weights(p) @ b.T for a, p, b in ((left, 1.0, left), (left, -1.0, right), (right, -3.0, right)))

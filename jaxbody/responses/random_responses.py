@@ -25,13 +25,13 @@ from jaxbody.responses.spectra import Band, CrossPSD, Spectrum, check_spectra, t
 from jaxbody.vibrations.linearizations import Linearization
 from jaxbody.vibrations.ports import KINDS, UNITS, PortMatrices, check_ports, port_matrices
 
-COARSE = 0.03  # change of an rms, relative, when every other frequency is left out: four times the error, nearly
+COARSE = 0.03  # relative change of an rms without every other frequency: nearly four times the error
 
 
 class RandomResponse(Result):
     """One-sided power spectral densities `psd` (outputs, frequencies), per hertz, of outputs in their `units`, over `frequencies` [Hz], and
-    `rms` over these. `response["seat"]` is the rms of one. `status` COARSE where the rms changes by more than 3 % without every other
-    frequency, NOT_POSITIVE where coherences cannot be, or that of the frequency response."""
+    `rms` over these. `response["seat"]` is the rms of one. `status` COARSE if an rms changes by more than 3 % without every other
+    frequency, NOT_POSITIVE if the coherences are contradictory, or that of the frequency response."""
 
     frequencies: Float[Array, "nf"]
     psd: Float[Array, "ny nf"]
@@ -82,18 +82,23 @@ def random_response(
 
         S_y(f) = sum_ij H_i S_ij conj(H_j),   rms^2 = int S_y df
 
-    frequencies: a Band, or frequencies [Hz], integrated by trapezoids: close enough together to show each resonance. inputs, outputs,
-    loss_factor, modal_damping: as of `frequency_response`. spectra: {input: PSD or PowerLaw}, not correlated, or a CrossPSD. The spectrum of a motion may be that of
-    its displacement, velocity or acceleration, whichever the port is: it is converted by powers of 2 pi f.
+    Args:
+        frequencies: a Band, or frequencies [Hz] for the trapezoidal rule, close enough to resolve each resonance.
+        inputs, outputs: {name: port}, as in `frequency_response`.
+        spectra: {input: PSD or PowerLaw}, uncorrelated, or a CrossPSD. The spectrum of a motion may be that of its displacement, velocity
+        or
+            acceleration, whatever the kind of the port: powers of 2 pi f convert it.
+        loss_factor, modal_damping: as in `frequency_response`; by default none.
 
-    Errors: those of `frequency_response`, UNKNOWN_NAME or missing (NO_SPECTRUM) of a spectrum, BAD_UNIT of one that does not go with its input;
-    warns COARSE, NOT_POSITIVE, UNSTABLE.
+    Errors: those of `frequency_response`, UNKNOWN_NAME or NO_SPECTRUM (missing), BAD_UNIT of a spectrum that does not fit its input; warns
+    COARSE, NOT_POSITIVE, UNSTABLE.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
-    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0)})
-    >>> found = random_response(linearize(model, equilibrium(model)), Band(1e-7, 1e3), {"pull": PointForce("mass", direction="y")},
-    ...                         {"stroke": ElementDeformation("s")}, {"pull": PowerLaw(3.0, unit="N2/Hz")})
-    >>> round(float(found["stroke"] ** 2 / (3.0 / (4 * 2.0 * 50.0))), 6)
+    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0)
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               supports={"base": Support()}, elements={"s": spring})
+    >>> response = random_response(linearize(model, equilibrium(model)), Band(1e-7, 1e3), {"pull": PointForce("mass", direction="y")},
+    ...                            {"stroke": ElementDeformation("s")}, {"pull": PowerLaw(3.0, unit="N2/Hz")})
+    >>> round(float(response["stroke"] ** 2 / (3.0 / (4 * 2.0 * 50.0))), 6)
     1.0
     """
     check_precision("random_response", lin.model)
@@ -118,19 +123,19 @@ def random_response(
 def root_mean_square(psd: Float[Array, "ny nf"], weights: Float[Array, "nf"]) -> Float[Array, "ny"]:
     """The root of the integral; its derivative at zero is zero."""
     square = jnp.sum(psd * weights, -1)
-    some = square > 0
-    return jnp.where(jnp.isnan(square), square, jnp.where(some, jnp.sqrt(jnp.where(some, square, 1.0)), 0.0))
+    positive = square > 0
+    return jnp.where(jnp.isnan(square), square, jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0))
 
 
 def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
-    """COARSE where an rms changes without every other frequency."""
+    """COARSE if an rms changes without every other frequency."""
     fine, rough = root_mean_square(psd, weights), root_mean_square(psd, coarse)
     return jnp.where(jnp.any(jnp.abs(fine - rough) > COARSE * fine), Status.COARSE.value, Status.OK.value)
 
 
 @jit_optimized
-def _random_response(lin: Linearization, f, weights, coarse, wiring: PortMatrices, inputs: tuple, names, spectra, eta):
-    H, status = response_values(lin, f, wiring, eta)
+def _random_response(lin: Linearization, f, weights, coarse, ports: PortMatrices, inputs: tuple, names, spectra, eta):
+    H, status = response_values(lin, f, ports, eta)
     each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
     S = jnp.stack([each[name](f) * (2 * jnp.pi * f) ** _order(each[name], port) for name, port in zip(names, inputs, strict=True)])
     if isinstance(spectra, CrossPSD):
@@ -148,7 +153,7 @@ def _random_response(lin: Linearization, f, weights, coarse, wiring: PortMatrice
 
 @jax.custom_jvp
 def hermitian_form(x: Complex[Array, "ny n nf"], R: Complex[Array, "n n nf"]) -> Float[Array, "ny nf"]:
-    """sum_ij x_i R_ij conj(x_j), R = R^H, whose change with x is 2 Re sum_i dx_i w_i, w = R conj(x)."""
+    """sum_ij x_i R_ij conj(x_j), R = R^H; its derivative in x is 2 Re sum_i dx_i w_i, w = R conj(x)."""
     return _real_sum(x, _weighted(R, x))
 
 
@@ -168,14 +173,14 @@ def _real_sum(x, w):
 
 
 def _order(spectrum: Spectrum, port: Any) -> int:
-    """The power of 2 pi f between the spectrum of a motion and that of the port: 2 for each derivative."""
+    """The power of 2 pi f that converts the spectrum of a motion to that of the port: 2 for each derivative."""
     if spectrum.quantity == port.unit:
         return 0
     return 2 * (KINDS.index(port.kind) - UNITS[len(port.direction) - 1].index(spectrum.quantity))
 
 
 def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
-    """Each input has a spectrum that goes with it, and no other has."""
+    """Each input, and no other, has a spectrum that fits it."""
     problems = Problems()
     each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
     if not isinstance(each, dict):
@@ -190,9 +195,14 @@ def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
         elif name in known:
             family = (port.unit,) if not hasattr(port, "kind") else UNITS[len(port.direction) - 1]
             if known[name].quantity not in family:
-                told, limit = f"is of {known[name].quantity}, the input is in {port.unit}", " or ".join(family)
+                message, limit = f"is of {known[name].quantity}, the input is in {port.unit}", " or ".join(family)
                 problems.add(
-                    "BAD_UNIT", f"spectra[{name!r}]", told, value=known[name].quantity, limit=limit, hint="Say the unit of what is given."
+                    "BAD_UNIT",
+                    f"spectra[{name!r}]",
+                    message,
+                    value=known[name].quantity,
+                    limit=limit,
+                    hint="Give the spectrum in one of these units.",
                 )
     problems.raise_if_any()
 

@@ -1,4 +1,4 @@
-"""Uneven roads by ISO 8608: a power spectral density over distance, what a speed makes of it, and a sample path that has it."""
+"""Road unevenness by ISO 8608: a power spectral density over distance, its spectrum in time at a speed, and sample profiles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ MOST_POINTS = 10_000_000
 
 
 class Unevenness(eqx.Module):
-    """The heights of a road as a one-sided power spectral density over n [cycle/m], Gd(n) = level (n/0.1)^-exponent, level = Gd(0.1 cycle/m) [m3].
+    """The heights of a road as a one-sided power spectral density over n [cycle/m], Gd(n) = level (n/0.1)^-exponent, level = Gd(0.1
+    cycle/m) [m3].
 
     Errors: NEGATIVE, BAD_SHAPE, NON_FINITE. Source: ISO 8608, where the exponent is 2.
 
@@ -51,7 +52,7 @@ class Unevenness(eqx.Module):
         return cls(SMOOTHEST * 4.0 ** CLASSES.index(road_class))
 
     def at_speed(self, speed) -> PowerLaw:
-        """What a wheel feels at a speed U [m/s]: the density of displacement over time, Gd(f/U)/U."""
+        """The spectrum of displacement under a wheel at a speed U [m/s], Gd(f/U)/U."""
         return PowerLaw(self.level, exponent=self.exponent, reference=REFERENCE, unit="m2/(cycle/m)", speed=speed)
 
     def __call__(self, n: Float[Array, "k"]) -> Float[Array, "k"]:
@@ -59,12 +60,12 @@ class Unevenness(eqx.Module):
 
 
 def road_profile(road: Unevenness, *, length, spacing, key: PRNGKeyArray) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
-    """(distances, heights) of a road of a `length` with points a `spacing` apart [m], for a Road: the same key gives the same road.
+    """(distances, heights) of a road of a `length` with points at a `spacing` [m], for a Road; the same key gives the same road.
 
         z(s) = sum over k of sqrt(2 Gd(k/L)/L) cos(2 pi k s/L + p_k),   k/L up to 1/(2 spacing)
 
-    with phases p_k at random: each road has exactly this density at all k/L, mean zero, and ends as it began. Its longest wave is
-    its length. Errors: BAD_LENGTH, WRONG_KIND.
+    with random phases p_k: each road has exactly this density at all k/L, mean zero, and is periodic. Its longest wavelength is its length.
+    Errors: BAD_LENGTH, WRONG_KIND.
 
     >>> distances, heights = road_profile(Unevenness.iso("C"), length=100.0, spacing=0.1, key=jax.random.key(0))
     >>> wheel = Road(distances, heights, speed=20.0)
@@ -91,6 +92,8 @@ def road_profile(road: Unevenness, *, length, spacing, key: PRNGKeyArray) -> tup
 def _count(length: Any, spacing: Any) -> int:
     length, spacing = float(length), float(spacing)
     if not (0 < spacing < length / 4 and length / spacing <= MOST_POINTS):
-        told = f"is {length:g} m in steps of {spacing:g} m"
-        raise JaxbodyError(Problem("BAD_LENGTH", "road_profile.length", told, length, f"4 to {MOST_POINTS} steps", "Give both in meters."))
+        message = f"is {length:g} m in steps of {spacing:g} m"
+        raise JaxbodyError(
+            Problem("BAD_LENGTH", "road_profile.length", message, length, f"4 to {MOST_POINTS} steps", "Give both in meters.")
+        )
     return round(length / spacing)

@@ -1,7 +1,7 @@
-"""Power spectral densities with their units, what correlates several of them, and bands to integrate over.
+"""Power spectral densities with their units, correlated inputs, and frequency bands for integrals.
 
-Inside, all are one-sided and per hertz: the variance of a signal is int_0^inf S(f) df. What is given per rad/s is 2 pi times as much per hertz,
-per cycle/m it is divided by the speed; a two-sided one counts twice.
+Inside, all are one-sided and per hertz: the variance of a signal is int_0^inf S(f) df. A density per rad/s is multiplied by 2 pi, one per
+cycle/m divided by the speed, a two-sided one doubled.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from jaxbody.core.units import ANGULAR_RATE, RATE, parse
 
 QUANTITIES = ("m", "m/s", "m/s2", "rad", "rad/s", "rad/s2", "N", "N m")
 MEASURES = {"Hz": RATE, "rad/s": ANGULAR_RATE, "cycle/m": (-1, 0, 0, 0, 0), "rad/m": (-1, 0, 0, 1, 0)}
-DENSITIES = {  # dimension -> of what, per what
+DENSITIES = {  # dimension -> quantity, measure of frequency
     tuple(2 * a - b for a, b in zip(parse(quantity, "").dimension, measure, strict=True)): (quantity, per)
     for quantity in QUANTITIES
     for per, measure in MEASURES.items()
 }
 CYCLES = re.compile(r"\bcycles?\b")
-LAST = re.compile(r".*[^/]/\s*(\([^()]*\)|[^/()\s*.]+)\s*")  # what a unit is divided by at its end
-BARELY = 1e-9  # smallest eigenvalue of a matrix of coherences that is rounding
-LOWEST = -700.0  # logarithm of nothing
+LAST = re.compile(r".*[^/]/\s*(\([^()]*\)|[^/()\s*.]+)\s*")  # the last divisor of a unit
+ROUNDING = 1e-9  # of the smallest eigenvalue of a matrix of coherences
+LOWEST = -700.0  # in place of the logarithm of zero
 
 
 class Spectrum(eqx.Module):
@@ -41,15 +41,16 @@ class Spectrum(eqx.Module):
     quantity: eqx.AbstractVar[str]
 
     def __call__(self, f: Float[Array, "nf"]) -> Float[Array, "nf"]:
-        raise TypeError("a spectrum says what it is by __call__(f)")  # pragma: no cover
+        raise TypeError("a Spectrum must define __call__(f)")  # pragma: no cover
 
 
 class PowerLaw(Spectrum):
     """S(x) = level (x/reference)^-exponent, x the frequency in the unit's own measure: white noise with exponent 0, a road with 2.
 
-    `unit`: as in "m2/Hz", "(m/s2)^2/Hz", "m2/s4/Hz", "g2/Hz", "m2/(rad/s)", "m3" or "m2/(cycle/m)": of any length, angle, force or moment, their rates
-    and accelerations, over Hz, rad/s, cycle/m or rad/m; a spectrum over distance needs the `speed` [m/s]. `sides`: 1, or 2 where half of the power is
-    at negative frequencies. Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY of a reference of 0 or less, BAD_SHAPE, NON_FINITE.
+    `unit`: as in "m2/Hz", "(m/s2)^2/Hz", "m2/s4/Hz", "g2/Hz", "m2/(rad/s)", "m3" or "m2/(cycle/m)": of any length, angle, force or moment,
+    their rates and accelerations, over Hz, rad/s, cycle/m or rad/m; a spectrum over distance needs the `speed` [m/s]. `sides`: 1, or 2
+    where half of the power is at negative frequencies. Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY of a reference of 0
+    or less, BAD_SHAPE, NON_FINITE.
 
     >>> road = PowerLaw(64e-6, exponent=2.0, reference=0.1, unit="m2/(cycle/m)", speed=20.0)
     >>> round(float(road(jnp.array([2.0]))[0]) * 1e6, 9)
@@ -85,10 +86,10 @@ class PowerLaw(Spectrum):
 
 
 class PSD(Spectrum):
-    """A power spectral density through points, straight lines in a log-log plot, as test specifications are; zero outside the points.
+    """A power spectral density through points, interpolated linearly in log-log scale, as in test specifications; zero outside the points.
 
-    `frequencies`, in the unit's own measure (Hz, rad/s, cycle/m or rad/m), and `values` at these; `unit`, `sides`, `speed` as of a PowerLaw.
-    `PSD.from_record` estimates one. Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, BAD_FREQUENCY, NEGATIVE, BAD_SHAPE, NON_FINITE.
+    `frequencies`, in the unit's own measure (Hz, rad/s, cycle/m or rad/m), and `values` at these; `unit`, `sides`, `speed` as of a
+    PowerLaw. `PSD.from_record` estimates one. Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, BAD_FREQUENCY, NEGATIVE, BAD_SHAPE, NON_FINITE.
 
     >>> psd = PSD([10.0, 100.0], [0.01, 0.1], unit="g2/Hz")
     >>> round(float(psd(jnp.array([31.6227766]))[0]) / 9.80665**2, 9)
@@ -122,7 +123,8 @@ class PSD(Spectrum):
     def from_record(cls, times, values, *, unit: str, segment: int = 1024) -> PSD:
         """Welch's estimate from a record, with scipy.signal.welch: Hann windows of `segment` samples, half overlapping.
 
-        unit: of the record, m, m/s, m/s2, g, rad, ... Times [s] must be equally spaced. Errors: BAD_UNIT, BAD_SHAPE, NOT_UNIFORM, NON_FINITE."""
+        unit: of the record, m, m/s, m/s2, g, rad, ... Times [s] must be equally spaced. Errors: BAD_UNIT, BAD_SHAPE, NOT_UNIFORM,
+        NON_FINITE."""
         from scipy.signal import welch
 
         problems = Problems()
@@ -134,32 +136,33 @@ class PSD(Spectrum):
 
     def __call__(self, f):
         x, density = _in_hertz(f, self.per, self.speed)
-        some = self.values > 0
-        logarithms = jnp.where(some, jnp.log(jnp.where(some, self.values, 1.0)), LOWEST)
-        inside = jnp.exp(jnp.interp(jnp.log(x), jnp.log(self.frequencies), logarithms))
+        positive = self.values > 0
+        logarithms = jnp.where(positive, jnp.log(jnp.where(positive, self.values, 1.0)), LOWEST)
+        interpolated = jnp.exp(jnp.interp(jnp.log(x), jnp.log(self.frequencies), logarithms))
         margin = 1e-12 * x
         known = (x >= self.frequencies[0] - margin) & (x <= self.frequencies[-1] + margin)
-        return self.factor * self.sides * density * jnp.where(known, inside, 0.0)
+        return self.factor * self.sides * density * jnp.where(known, interpolated, 0.0)
 
 
 class CrossPSD(eqx.Module):
-    """Several inputs that are correlated, S_ij = coherence_ij sqrt(S_i S_j) exp(-i 2 pi f (d_i - d_j)), by the names of the inputs.
+    """Correlated inputs, S_ij = coherence_ij sqrt(S_i S_j) exp(-i 2 pi f (d_i - d_j)), by the names of the inputs.
 
-    `spectra`: {input: Spectrum}; `delays` d: {input: seconds}, such as what a rear wheel lags behind a front wheel; `coherence`: {(input, input): a
-    number from 0 to 1, or a function of the frequencies [Hz]}, the ratio |S_ij|/sqrt(S_i S_j), whose square coherence estimators give. Pairs not named
-    are not correlated. The matrix must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, BAD_PAIR of an input with itself or of two given
-    twice, NOT_POSITIVE, BAD_SHAPE, NON_FINITE.
+    `spectra`: {input: Spectrum}; `delays` d: {input: seconds}, as of a rear wheel behind a front wheel; `coherence`: {(input, input): a
+    number from 0 to 1, or a function of the frequencies [Hz]}, the ratio |S_ij|/sqrt(S_i S_j), the root of the usual coherence estimate.
+    Other pairs are not correlated. The matrix must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, BAD_PAIR of an input with
+    itself or of two given twice, NOT_POSITIVE, BAD_SHAPE, NON_FINITE.
 
     >>> road = PowerLaw(1e-6, unit="m2/Hz", exponent=2.0)
     >>> axles = CrossPSD({"front": road, "rear": road}, delays={"rear": 0.125}, coherence={("front", "rear"): 1.0})
-    >>> [round(float(abs(x)), 9) for x in axles.correlation(jnp.array([2.0]))[0, :, 0]], round(float(axles.correlation(jnp.array([2.0]))[1, 0, 0].imag), 9)
+    >>> correlation = axles.correlation(jnp.array([2.0]))[:, :, 0]
+    >>> [round(float(abs(x)), 9) for x in correlation[0]], round(float(correlation[1, 0].imag), 9)
     ([1.0, 1.0], -1.0)
     """
 
     spectra: dict[str, Spectrum]
     delays: dict[str, Array]
     levels: tuple[Array, ...]
-    pairs: tuple[tuple[int, int, Any], ...] = eqx.field(static=True)  # of inputs, and a function or the place in `levels`
+    pairs: tuple[tuple[int, int, Any], ...] = eqx.field(static=True)  # of inputs, and a function or the index in `levels`
     names: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(self, spectra: dict[str, Spectrum], *, delays: dict[str, Any] | None = None, coherence: dict[Any, Any] | None = None):
@@ -173,27 +176,27 @@ class CrossPSD(eqx.Module):
         levels, pairs = [], []
         for (one, other), value in (coherence or {}).items():
             if one == other or (self.names.index(other), self.names.index(one)) in [pair[:2] for pair in pairs]:
-                told = "is of an input with itself, which is 1" if one == other else "is given in both orders"
+                message = "is of an input with itself, which is 1" if one == other else "is given in both orders"
                 limit, hint = "two inputs, each pair once", "Leave it out."
-                problems.add("BAD_PAIR", f"CrossPSD.coherence[{(one, other)}]", told, value=(one, other), limit=limit, hint=hint)
-            place = value if callable(value) else len(levels)
+                problems.add("BAD_PAIR", f"CrossPSD.coherence[{(one, other)}]", message, value=(one, other), limit=limit, hint=hint)
+            index = value if callable(value) else len(levels)
             if not callable(value):
                 levels.append(device_array(shaped(value, (), f"CrossPSD.coherence[{(one, other)}]", problems)))
-            pairs.append((self.names.index(one), self.names.index(other), place))
+            pairs.append((self.names.index(one), self.names.index(other), index))
         self.levels, self.pairs = tuple(levels), tuple(pairs)
         problems.raise_if_any()
-        if all(isinstance(place, int) for *_, place in pairs) and all(concrete(level) is not None for level in levels):
+        if all(isinstance(index, int) for *_, index in pairs) and all(concrete(level) is not None for level in levels):
             smallest = np.linalg.eigvalsh(np.asarray(self._coherences(jnp.ones(1)))[:, :, 0]).min()
-            if smallest < -BARELY:
-                hint = "Coherences of 1 of one input with two others make these coherent too."
-                told = f"make a matrix with eigenvalue {smallest:.3g}"
-                problems.add("NOT_POSITIVE", "CrossPSD.coherence", told, value=float(smallest), limit=">= 0", hint=hint)
+            if smallest < -ROUNDING:
+                hint = "If one input has coherence 1 with two others, these two are coherent too."
+                message = f"give a matrix with eigenvalue {smallest:.3g}"
+                problems.add("NOT_POSITIVE", "CrossPSD.coherence", message, value=float(smallest), limit=">= 0", hint=hint)
                 problems.raise_if_any()
 
     def _coherences(self, f: Float[Array, "nf"]) -> Float[Array, "nu nu nf"]:
         rows = [[jnp.full(f.shape, float(i == j)) for j in range(len(self.names))] for i in range(len(self.names))]
-        for i, j, place in self.pairs:
-            value = self.levels[place] if isinstance(place, int) else place(f)
+        for i, j, index in self.pairs:
+            value = self.levels[index] if isinstance(index, int) else index(f)
             rows[i][j] = rows[j][i] = jnp.broadcast_to(value, f.shape)
         return jnp.stack([jnp.stack(row) for row in rows])
 
@@ -204,14 +207,14 @@ class CrossPSD(eqx.Module):
 
     def positive(self, f: Float[Array, "nf"]) -> Bool[Array, ""]:
         """Whether the matrix is positive semidefinite at all frequencies."""
-        if all(isinstance(place, int) for *_, place in self.pairs):
+        if all(isinstance(index, int) for *_, index in self.pairs):
             f = f[:1]
-        return jnp.linalg.eigvalsh(jnp.moveaxis(self._coherences(f), -1, 0)).min() >= -BARELY
+        return jnp.linalg.eigvalsh(jnp.moveaxis(self._coherences(f), -1, 0)).min() >= -ROUNDING
 
 
 class Band(eqx.Module):
-    """A band from `low` to `high` [Hz], in `points` equal steps of the logarithm, with weights for integrals over it: of a smooth function
-    the error falls with the fourth power of the step. Errors: EMPTY_BAND, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE.
+    """A band from `low` to `high` [Hz], with `points` at equal steps of the logarithm and weights for integrals, whose error for a smooth
+    function decreases with the fourth power of the step. Errors: EMPTY_BAND, BAD_FREQUENCY, BAD_SHAPE, NON_FINITE.
 
     >>> band = Band(1.0, 100.0)
     >>> round(float(jnp.sum(band.weights / band.frequencies**2)), 9)
@@ -230,8 +233,8 @@ class Band(eqx.Module):
             if first <= 0:
                 problems.add("BAD_FREQUENCY", "Band.low", f"is {low:g} Hz", value=float(low), limit="> 0", hint="Take a small one.")
             elif first >= last:
-                told, hint = f"goes from {low:g} to {high:g} Hz", "Give the lower end first."
-                problems.add("EMPTY_BAND", "Band", told, value=(float(low), float(high)), limit="low < high", hint=hint)
+                message, hint = f"goes from {low:g} to {high:g} Hz", "Give the lower end first."
+                problems.add("EMPTY_BAND", "Band", message, value=(float(low), float(high)), limit="low < high", hint=hint)
         if points < 17:
             problems.add("EMPTY_BAND", "Band.points", f"is {points}", value=points, limit=">= 17", hint="Give more points.")
         problems.raise_if_any()
@@ -251,7 +254,7 @@ class Band(eqx.Module):
 
 
 def trapezoids(f: Float[Array, "n"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-    """Weights of the trapezoidal rule, and of that through every other point and the last."""
+    """Weights of the trapezoidal rule, and of the rule with every other point and the last."""
     kept = np.append(np.arange(0, len(f) - 1, 2), len(f) - 1)
 
     def weights(f):
@@ -262,7 +265,7 @@ def trapezoids(f: Float[Array, "n"]) -> tuple[Float[Array, "n"], Float[Array, "n
 
 
 def check_spectra(given: Any, where: str, problems: Problems) -> dict[str, Spectrum]:
-    """What of a dict are spectra; what is not goes to `problems`."""
+    """The spectra of a dict; other entries are errors in `problems`."""
     for name, spectrum in given.items():
         if not isinstance(spectrum, Spectrum):
             hint = "Give a PSD, a PowerLaw or a Spectrum of your own, which have units."
@@ -278,20 +281,20 @@ def sampling_step(times: Any, where: str, problems: Problems) -> Any:
         return 1.0 if t is None else (t[-1] - t[0]) / (len(t) - 1)
     steps = np.diff(known)
     if steps.min() <= 0 or np.ptp(steps) > 1e-6 * steps.mean():
-        told = f"has steps from {steps.min():.6g} to {steps.max():.6g} s"
-        problems.add("NOT_UNIFORM", where, told, value=steps, limit="equal steps", hint="Resample the record first.")
+        message = f"has steps from {steps.min():.6g} to {steps.max():.6g} s"
+        problems.add("NOT_UNIFORM", where, message, value=steps, limit="equal steps", hint="Resample the record first.")
     return steps.mean()
 
 
 def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
-    """Of what, per what, and the factor to the square of that in SI per measure."""
+    """The quantity, the measure of frequency, and the factor to the squared quantity in SI per measure."""
     try:
         text = CYCLES.sub("1", str(unit))
         whole, last = parse(text, where), LAST.fullmatch(text)
         measure = whole if last is None else parse(last[1], where)
         if whole.dimension in DENSITIES and (measure if measure.dimension in MEASURES.values() else whole).factor == 1:
             return *DENSITIES[whole.dimension], whole.factor
-        hint = 'Such as "(m/s2)2/Hz", "m2/s4/Hz", "g2/Hz" or "m2/(cycle/m)"; square what is per root of Hz.'
+        hint = 'Such as "(m/s2)2/Hz", "m2/s4/Hz", "g2/Hz" or "m2/(cycle/m)"; square a density per root of Hz.'
         problem = Problem(
             "BAD_UNIT", where, f"is {unit!r}", unit, f"the square of {', '.join(QUANTITIES)} over {', '.join(MEASURES)}", hint
         )
@@ -302,12 +305,12 @@ def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
 
 
 def _measure(per: str, sides: Any, speed: Any, where: str, problems: Problems) -> tuple[int, Any]:
-    """Sides and speed."""
+    """The checked sides and speed."""
     if sides not in (1, 2):
-        problems.add("BAD_SIDES", f"{where}.sides", f"is {sides!r}", value=sides, limit="1 or 2", hint="Say 2 for a two-sided density.")
+        problems.add("BAD_SIDES", f"{where}.sides", f"is {sides!r}", value=sides, limit="1 or 2", hint="Give 2 for a two-sided density.")
     if per.endswith("/m") != (speed is not None):
-        told = "is missing" if speed is None else "is given, but the spectrum is over time"
-        problems.add("NO_SPEED", f"{where}.speed", told, value=speed, limit="for cycle/m and rad/m only", hint="Give the speed in m/s.")
+        message = "is missing" if speed is None else "is given, but the spectrum is over time"
+        problems.add("NO_SPEED", f"{where}.speed", message, value=speed, limit="for cycle/m and rad/m only", hint="Give the speed in m/s.")
     U = scalar(1.0 if speed is None else speed, f"{where}.speed", problems)
     known = concrete(U)
     if known is not None and known <= 0:
@@ -316,7 +319,7 @@ def _measure(per: str, sides: Any, speed: Any, where: str, problems: Problems) -
 
 
 def _in_hertz(f: Array, per: str, speed: Array) -> tuple[Array, Any]:
-    """The frequency in its own measure, and the density per hertz of one per that measure."""
+    """The frequency in its own measure, and the density per hertz of a unit density per that measure."""
     rate = (2 * jnp.pi if per.startswith("rad") else 1.0) / (speed if per.endswith("/m") else 1.0)
     return f * rate, rate
 

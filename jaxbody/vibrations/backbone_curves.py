@@ -1,6 +1,6 @@
-"""How far the linear model is good: the curvature of each mode's backbone, frequency over amplitude, by Lindstedt and Poincaré.
+"""Range of the linear model: the curvature of each mode's backbone, frequency over amplitude, by Lindstedt and Poincaré.
 
-With x the chart about the equilibrium, L = T - V and K phi = w^2 M phi, the periodic motion that begins as the mode is
+With x the chart about the equilibrium, L = T - V and K phi = w^2 M phi, the periodic motion that tends to the mode for small a is
 
     x = a phi cos(s) + a^2 (c0 + c2 cos(2 s)) + O(a^3),   s = w (1 + gamma a^2) t
 
@@ -15,7 +15,7 @@ so that K c0 = B0, (K - 4 w^2 M) c2 = 2 B2, and with m = phi' M phi
     gamma = -2 (2 A + B0' c0 + B2' c2)/(w^2 m)
 
 (B0 and B2 are (w^2 d - g)/4 and (4 w^2 p - w^2 d - g)/8 with d the gradient of phi' M(x) phi, p the derivative of M(x) phi along phi;
-t = d/2 + p and b = p - d/2.) Straight lines x = a u of the chart are motions at constant speeds u: all comes from derivatives along such.
+t = d/2 + p and b = p - d/2.) Straight lines x = a u of the chart are motions at constant speeds u; all derivatives are taken along them.
 For x'' + w^2 x + alpha x^2 + beta x^3 = 0 gamma is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4). Source: Nayfeh and Mook, Nonlinear
 Oscillations (1979), 2.3.
 """
@@ -45,19 +45,19 @@ from jaxbody.numerics.eigenproblems import ZERO
 from jaxbody.vibrations.linearizations import Linearization
 from jaxbody.vibrations.natural_modes import modes_of
 
-RESONANT = 1e-3  # relative distance of w_j^2 from 4 w^2 below which mode j answers the second harmonic without bound
-COUPLED = 1e-9  # nondimensional force on a mode, above rounding, that makes it answer
-AT_REST = 1e-6  # distance from the equilibrium, relative to the size of the model, that a state may have
+RESONANT = 1e-3  # relative distance of w_j^2 from 4 w^2 below which mode j resonates with the second harmonic
+COUPLED = 1e-9  # nondimensional force on a mode, above rounding, that excites it
+AT_REST = 1e-6  # largest distance from the equilibrium, relative to the size of the model
 
 
 class Backbones(Result):
     """The backbone of each mode, ascending: w(a) = w (1 + gamma a^2), a the amplitude of the mode's largest component, m or rad.
 
-    `frequency` [Hz], of small motions; `shapes` (columns phi, the largest component 1), `largest` which that is (rotations weighted with
-    the size of the model), `curvature` gamma [1/m2 or 1/rad2], negative where the mode softens; `drift` c0 and
-    `second_harmonic` c2 (columns), what the mean and the second harmonic of the motion are per a^2; `stiffness`, `third` and `fourth`, the
-    derivatives of V along the straight line a phi of the chart. `status` is one of each mode: UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE or NOT_CONVERGED, and gamma NaN, where the mode
-    has no backbone of its own."""
+    `frequency` [Hz] of small motions; `shapes` (columns phi, the largest component 1), `largest`, the index of that component (rotations
+    weighted with the size of the model); `curvature` gamma [1/m2 or 1/rad2], negative where the mode softens; `drift` c0 and
+    `second_harmonic` c2 (columns), the mean and the second harmonic of the motion per a^2; `stiffness`, `third` and `fourth`, the
+    derivatives of V along the straight line a phi of the chart. `status` of each mode: UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE or
+    NOT_CONVERGED, with gamma NaN, where the mode has no backbone of its own."""
 
     frequency: Float[Array, "nv"]
     shapes: Float[Array, "nv nv"]
@@ -81,8 +81,10 @@ class Backbones(Result):
         |V'''| a/(2 V'') + |V''''| a^2/(6 V'') = percent/100; it depends on the chart where bodies turn about several axes."""
         b, c, p = jnp.abs(self.third) / (2 * self.stiffness), jnp.abs(self.fourth) / (6 * self.stiffness), percent / 100
         square = b**2 + 4 * c * p
-        bent = square > 0
-        return jnp.where(bent, 2 * p / (b + jnp.sqrt(jnp.where(bent, square, 1.0))), jnp.where(jnp.isnan(square), jnp.nan, jnp.inf))
+        nonlinear = square > 0
+        return jnp.where(
+            nonlinear, 2 * p / (b + jnp.sqrt(jnp.where(nonlinear, square, 1.0))), jnp.where(jnp.isnan(square), jnp.nan, jnp.inf)
+        )
 
     def frequency_within(self, percent: float) -> Float[Array, "nv"]:
         """The amplitudes up to which the frequency is within a percentage of that of small motions, sqrt(percent/100/|gamma|)."""
@@ -123,7 +125,7 @@ class Backbones(Result):
 
 def _amplitude(value: Any, unit: str) -> str:
     if not np.isfinite(value):
-        return "at any"
+        return "any"
     return f"up to {value:.3g} {unit}"
 
 
@@ -132,9 +134,9 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
 
         w(a) = w (1 + gamma a^2 + ...),   a the amplitude of the largest component of the mode [m or rad]
 
-    The coefficient is exact: it has what quadratic forces and inertia add through all other modes. The mode must move alone: where its
-    frequency is another's too, or its double is and they are coupled, there is no such coefficient (a 3:1 resonance is not looked for);
-    near such a resonance it holds for small amplitudes only. Differentiable with respect to the model in forward and reverse mode.
+    The coefficient is exact: quadratic forces and inertia act through all other modes. There is none where another mode has the same
+    frequency, or twice the frequency and is coupled (a 3:1 resonance is not detected); near such a resonance it holds for small amplitudes
+    only. Differentiable with respect to the model in forward and reverse mode.
     Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE, and NOT_CONVERGED where the state is not an
     equilibrium. Source: Nayfeh and Mook, Nonlinear Oscillations (1979), 2.3 and 6.
 
@@ -142,8 +144,8 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
 
     >>> bob = Body(mass=1.0, inertia=[1e-3, 1e-3, 1e-3], com=[0, 0, -0.5])
     >>> model = Model(bodies={"bob": bob}, joints={"bob": Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81])
-    >>> found = backbones(linearize(model, equilibrium(model)))
-    >>> round(float(found.curvature[0]), 12), round(float(found.frequency_within(1.0)[0]), 12)
+    >>> curves = backbones(linearize(model, equilibrium(model)))
+    >>> round(float(curves.curvature[0]), 12), round(float(curves.frequency_within(1.0)[0]), 12)
     (-0.0625, 0.4)
     """
     check_precision("backbones", lin.model, allow_float32=allow_float32)
@@ -160,15 +162,15 @@ def _backbones(lin: Linearization) -> Backbones:
     scale = scale_of(frozen.model, size)
     MS = frozen.M @ shapes
     top = jnp.max(jnp.abs(values))
-    alone = jnp.sum(cluster[:, None] == cluster, 0) == 1
+    single = jnp.sum(cluster[:, None] == cluster, 0) == 1
     oscillates = values > ZERO * top
-    valid, still = alone & oscillates, jnp.abs(values) <= ZERO * top
+    valid, rigid = single & oscillates, jnp.abs(values) <= ZERO * top
     largest = jnp.argmax(jnp.abs(shapes) / scale[:, None], axis=0)
 
     def solve(D, near, B):
-        """x with D x = B; modes near to a null vector of D are left out of x, as they may be where B does not drive them."""
-        kept = D + top * (MS * near) @ MS.T
-        return jnp.linalg.solve(kept, B)
+        """x with D x = B, without the modes in `near`, the null vectors of D; B does not excite them."""
+        regular = D + top * (MS * near) @ MS.T
+        return jnp.linalg.solve(regular, B)
 
     def one(phi, value, i, good):
         phi, value = _mode(K, M, phi / phi[i], value, i, good)
@@ -180,12 +182,12 @@ def _backbones(lin: Linearization) -> Backbones:
         B0 = (square * (t - b) - g) / 4
         B2 = (square * (t + 3 * b) - g) / 8
         doubled = jnp.abs(values - 4 * square) <= RESONANT * 4 * square
-        c0, c2 = solve(K, still, B0), solve(K - 4 * square * M, doubled, 2 * B2)
+        c0, c2 = solve(K, rigid, B0), solve(K - 4 * square * M, doubled, 2 * B2)
         gamma = -2 * (2 * A + jnp.sum(B0 * c0) + jnp.sum(B2 * c2)) / (square * m)
         least = COUPLED * square * jnp.sqrt(m) / (size * scale[i])
-        drifts = jnp.any(still & (jnp.abs(shapes.T @ B0) > least))
+        drifts = jnp.any(rigid & (jnp.abs(shapes.T @ B0) > least))
         resonates = jnp.any(doubled & (jnp.abs(shapes.T @ B2) > least))
-        near = jnp.max(jnp.abs(solve(K, still, force)) / scale) <= AT_REST * size  # the equilibrium is
+        near = jnp.max(jnp.abs(solve(K, rigid, force)) / scale) <= AT_REST * size  # the equilibrium is
         return phi, value, gamma, c0, c2, jnp.sum(phi * (K @ phi)), V3, V4, near, drifts, resonates
 
     phi, value, gamma, c0, c2, V2, V3, V4, near, drifts, resonates = jax.vmap(one, in_axes=(1, 0, 0, 0))(shapes, values, largest, valid)
@@ -193,7 +195,7 @@ def _backbones(lin: Linearization) -> Backbones:
         Status.NOT_CONVERGED: (lin.status == Status.NOT_CONVERGED) | ~near,
         Status.UNSTABLE: values < -ZERO * top,
         Status.SINGULAR_K: ~oscillates | drifts,
-        Status.INTERNAL_RESONANCE: ~alone | resonates,
+        Status.INTERNAL_RESONANCE: ~single | resonates,
     }
     status = jnp.select(list(failures.values()), [code.value for code in failures], Status.OK.value)
     ok = status == Status.OK
@@ -203,8 +205,8 @@ def _backbones(lin: Linearization) -> Backbones:
 
 
 @jax.custom_jvp
-def _mode(K, M, phi, value, i, alone):
-    """(phi, w^2) with the derivatives that a mode has where it is alone and phi_i = 1:
+def _mode(K, M, phi, value, i, single):
+    """(phi, w^2) with the derivatives of a mode of single frequency with phi_i = 1:
 
     (K - w^2 M) dphi - M phi dw^2 = -(dK - w^2 dM) phi,   dphi_i = 0. Those of `eigh` are NaN where other frequencies coincide."""
     return phi, value
@@ -212,19 +214,19 @@ def _mode(K, M, phi, value, i, alone):
 
 @_mode.defjvp
 def _mode_jvp(primals, tangents):
-    K, M, _, _, i, alone = primals
+    K, M, _, _, i, single = primals
     phi, value = _mode(*primals)
     n = len(phi)
     unit = (jnp.arange(n) == i).astype(phi.dtype)
     bordered = jnp.block([[K - value * M, -(M @ phi)[:, None]], [unit[None], jnp.zeros((1, 1), phi.dtype)]])
-    bordered = jnp.where(alone, bordered, jnp.eye(n + 1, dtype=phi.dtype))
+    bordered = jnp.where(single, bordered, jnp.eye(n + 1, dtype=phi.dtype))
     right = -(tangents[0] @ phi - value * (tangents[1] @ phi))
     change = jnp.linalg.solve(bordered, jnp.concatenate([right, jnp.zeros(1, phi.dtype)]))
     return (phi, value), (change[:n], change[n])
 
 
 def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, "nv"]):
-    """grad V, V3, V4 and g, its components the third derivatives along phi, phi and unit vectors e, by polarization (steps: alike numbers):
+    """grad V, V3, V4 and g, the third derivatives along phi, phi and unit vectors e, by polarization; `step` scales e:
 
     6 V3(u, u, e) = V3(u + e) - V3(u - e) - 2 V3(e)"""
     coordinates, q = Coordinates(lin.model), lin.state.q
@@ -264,5 +266,5 @@ def _along(function, coordinates: Coordinates, q: Float[Array, "nq"], u: Float[A
 
     if order == 0:
         return (function(q),)
-    found, rates = jax.jvp(lambda q: _along(function, coordinates, q, u, order - 1), (q,), (coordinates.rate(q, u),))
-    return (*found, rates[-1])
+    derivatives, rates = jax.jvp(lambda q: _along(function, coordinates, q, u, order - 1), (q,), (coordinates.rate(q, u),))
+    return (*derivatives, rates[-1])

@@ -28,18 +28,18 @@ from jaxbody.vibrations.linearizations import Linearization, check_linearization
 from jaxbody.vibrations.mode_names import mark_note, names_of_shapes
 from jaxbody.vibrations.spins import SpinLinearization
 
-REST = 1e-7  # of the largest pole: the root of rounding, by which a double pole at zero is found off it
-GROWS = 1e-9  # of the largest pole: real parts above are not rounding
+REST = 1e-7  # relative to the largest pole: the root of rounding, the error of a double pole at zero
+GROWS = 1e-9  # relative to the largest pole: larger real parts are not rounding
 
 
 class ComplexModes(Result):
     """n modes, each a pair of poles s [1/s] of (s^2 M + s D + K) u = 0, by ascending natural frequency.
 
-    A mode that swings has conjugate `poles`, s = -zeta w +- i w sqrt(1 - zeta^2); an overdamped one two real ones, the slower first.
-    `frequency` [Hz], damped, |Im s|/(2 pi); `natural_frequency` [Hz], |s1 s2|^(1/2)/(2 pi); `damping_ratio` zeta = -(s1 + s2)/(2 |s1 s2|^(1/2)), above 1 where overdamped;
-    `decay_rate` -Re s [1/s] of the slower pole; `shapes` (columns, complex) of the first pole, u* M u = 1, the component of largest modulus real and positive. `cluster`: equal
-    numbers for modes whose poles coincide (derivatives as in `modes`). UNSTABLE: a mode grows; SINGULAR_K: one has a pole at zero;
-    SINGULAR_M, NONFINITE: as of `modes`."""
+    An oscillating mode has conjugate `poles`, s = -zeta w +- i w sqrt(1 - zeta^2); an overdamped mode two real ones, the slower first.
+    `frequency` [Hz], damped, |Im s|/(2 pi); `natural_frequency` [Hz], |s1 s2|^(1/2)/(2 pi); `damping_ratio` zeta = -(s1 + s2)/(2 |s1
+    s2|^(1/2)), above 1 where overdamped; `decay_rate` -Re s [1/s] of the slower pole; `shapes` (columns, complex) of the first pole, u* M u
+    = 1, the component of largest modulus real and positive. `cluster`: equal numbers for modes whose poles coincide (derivatives as in
+    `modes`). `status`: UNSTABLE if a mode grows, SINGULAR_K if one has a pole at zero; SINGULAR_M, NONFINITE as in `modes`."""
 
     frequency: Float[Array, "n"]
     natural_frequency: Float[Array, "n"]
@@ -59,7 +59,7 @@ class ComplexModes(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Each mode by the body and direction with most of its kinetic energy (the mean over a period), several where they share it."""
+        """Each mode by the body and direction with most of its kinetic energy (the mean over a period), or several bodies that share it."""
         return names_of_shapes(self.model, self.q, self.shapes, self.cluster, np.asarray(self.poles)[:, 0])
 
     def explain(self) -> str:
@@ -101,18 +101,18 @@ class ComplexModes(Result):
 
 
 def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool = False) -> ComplexModes:
-    """Damped frequencies, damping ratios, decay rates and complex shapes of small motions, any C; about a steady spin too.
+    """Damped frequencies, damping ratios, decay rates and complex shapes of small motions, for any C; also about a steady spin.
 
         (s^2 M + s (C + G) + K) u = 0
 
-    K and D need not be symmetric. Differentiable, on the CPU: with respect to everything where a pole is alone; sums where poles coincide; where a pole is double and
-    has but one shape, as at critical damping, the derivative is infinite and NaN is given. Errors: FLOAT32 unless `allow_float32`;
-    warns UNSTABLE, SINGULAR_K, and by the status of `lin`. Source: D. J. Inman, Vibration with Control (2006), 3.4 and 4.
+    K and D need not be symmetric. Differentiable, on the CPU: all results of single poles, sums where poles coincide; at a double pole with
+    one shape, as at critical damping, the derivative is infinite and given as NaN. Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE,
+    SINGULAR_K, and by the status of `lin`. Source: D. J. Inman, Vibration with Control (2006), 3.4 and 4.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=12.0)})
-    >>> found = complex_modes(linearize(model, model.reference))
-    >>> round(float(found.decay_rate[0]), 9), round(float(found.damping_ratio[0]), 9), round(float(found.frequency[0] * 2 * jnp.pi), 9)
+    >>> damped = complex_modes(linearize(model, model.reference))
+    >>> round(float(damped.decay_rate[0]), 9), round(float(damped.damping_ratio[0]), 9), round(float(damped.frequency[0] * 2 * jnp.pi), 9)
     (3.0, 0.6, 4.0)
     """
     if not isinstance(lin, SpinLinearization):
@@ -120,59 +120,61 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     check_precision("complex_modes", lin.model, allow_float32=allow_float32)
     spins = isinstance(lin, SpinLinearization)
     D = lin.C + lin.G if isinstance(lin, SpinLinearization) else lin.C
-    unit = jax.lax.stop_gradient(scale_of(lin.model, size_of(lin.model)))  # results do not depend on it
+    unit = jax.lax.stop_gradient(scale_of(lin.model, size_of(lin.model)))  # nondimensional; results do not depend on it
     result = ComplexModes(*_complex_modes(lin.M, D, lin.K, unit, lin.status, spins), M=lin.M, model=lin.model, q=lin.state.q)
     warn_if_failed(result)
     return result
 
 
 @jit_unoptimized
-def _complex_modes(M, D, K, unit, before, spins: bool) -> tuple[Array, ...]:
+def _complex_modes(M, D, K, unit, lin_status, spins: bool) -> tuple[Array, ...]:
     n = len(M)
     M, D, K = (X * unit * unit[:, None] for X in (M, D, K))
     finite, massless = jnp.isfinite(jnp.stack([M, D, K])).all(), jnp.isnan(cholesky_of_mass(M)).any()
-    M, D, K = (jnp.where(finite & ~massless, X, np.eye(n)) for X in (M, D, K))  # LAPACK may not end on NaN
+    M, D, K = (jnp.where(finite & ~massless, X, np.eye(n)) for X in (M, D, K))  # LAPACK may not terminate on NaN
     inverse = jnp.linalg.inv((M + M.T) / 2)
     A = jnp.block([[jnp.zeros((n, n), M.dtype), jnp.eye(n, dtype=M.dtype)], [-inverse @ K, -inverse @ D]])
     s, X = poles(A)
-    found, U = jax.lax.stop_gradient((s, X[:n]))
-    pairs = _paired(found, U, M, K)
+    frozen, U = jax.lax.stop_gradient((s, X[:n]))
+    pairs = _paired(frozen, U, M, K)
     both = s[pairs]
     singular = jnp.linalg.svd(inverse @ K, compute_uv=False)
-    top = jnp.max(jnp.abs(found), initial=0.0)
-    at_rest = (jnp.min(singular, initial=jnp.inf) <= SINGULAR * jnp.max(singular, initial=0.0)) & (jnp.abs(both) <= REST * top)
+    largest = jnp.max(jnp.abs(frozen), initial=0.0)
+    at_rest = (jnp.min(singular, initial=jnp.inf) <= SINGULAR * jnp.max(singular, initial=0.0)) & (jnp.abs(both) <= REST * largest)
     rigid = jnp.any(at_rest, axis=1)
     one, other = jnp.where(at_rest, 0.0, both).T
     product = (one * other).real
     w = jnp.sqrt(jnp.where(product > 0, product, 1.0))
     natural = jnp.where(product > 0, w, jnp.where(rigid, 0.0, jnp.nan)) / (2 * jnp.pi)
     ratio = jnp.where(product > 0, -(one + other).real / (2 * w), jnp.nan)
-    failed = jnp.isin(before, jnp.array([*NOT_AT_REST, Status.NOT_STEADY]))
-    here = jnp.select(
-        [~finite, massless, jnp.any(jnp.maximum(one.real, other.real) > reachable(GROWS, top.dtype, 256) * top), jnp.sum(rigid) > spins],  # a change of the spin is a motion that nothing resists
+    failed = jnp.isin(lin_status, jnp.array([*NOT_AT_REST, Status.NOT_STEADY]))
+    growing = jnp.any(jnp.maximum(one.real, other.real) > reachable(GROWS, largest.dtype, 256) * largest)
+    own_status = jnp.select(
+        # a change of the spin is a motion that nothing resists
+        [~finite, massless, growing, jnp.sum(rigid) > spins],
         [Status.NONFINITE.value, Status.SINGULAR_M.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,
     )  # fmt: skip
-    shapes = refused_if_shared(X[:n] * unit[:, None], pole_clusters(found))[:, pairs[:, 0]]
+    shapes = refused_if_shared(X[:n] * unit[:, None], pole_clusters(frozen))[:, pairs[:, 0]]
     shapes = _normalized(shapes, M / unit / unit[:, None])
-    status = jnp.where(failed, before, here)
-    good = jnp.where(finite & ~massless, 1.0, jnp.nan)
-    steady = jnp.where(status == Status.NOT_STEADY, jnp.nan, good)
+    status = jnp.where(failed, lin_status, own_status)
+    valid = jnp.where(finite & ~massless, 1.0, jnp.nan)
+    steady = jnp.where(status == Status.NOT_STEADY, jnp.nan, valid)
     frequency, natural, ratio, decay = (
         x * steady for x in (jnp.abs(one.imag) / (2 * jnp.pi), natural, ratio, -jnp.maximum(one.real, other.real))
     )
-    cluster, both = pole_clusters(found[pairs[:, 0]]), jnp.stack([one, other], -1) * good
-    return frequency, natural, ratio, decay, both, shapes * good, cluster, status
+    cluster, both = pole_clusters(frozen[pairs[:, 0]]), jnp.stack([one, other], -1) * valid
+    return frequency, natural, ratio, decay, both, shapes * valid, cluster, status
 
 
 def _paired(s: Complex[Array, "2n"], U: Complex[Array, "n 2n"], M, K) -> Int[Array, "n 2"]:
-    """Which poles make each mode, by ascending |s1 s2|: conjugates; and real ones that follow one another in u' K u/(u' M u), which is w^2 for both
-    poles of an overdamped mode where damping is proportional."""
+    """The pairs of poles of the modes, by ascending |s1 s2|: conjugates, and real ones adjacent in the order of u' K u/(u' M u), which is
+    w^2 for both poles of an overdamped mode where damping is proportional."""
     n = len(U)
-    swings = s.imag != 0
+    oscillates = s.imag != 0
     rayleigh = jnp.sum(jnp.conj(U) * (K @ U), 0).real / jnp.sum(jnp.conj(U) * (M @ U), 0).real
     upper = jnp.sum(s.imag > 0)
-    kind = jnp.where(s.imag > 0, 0, jnp.where(swings, 2, 1))
-    line = jnp.lexsort((jnp.abs(s.imag), jnp.where(swings, jnp.abs(s), rayleigh), kind))
+    kind = jnp.where(s.imag > 0, 0, jnp.where(oscillates, 2, 1))
+    line = jnp.lexsort((jnp.abs(s.imag), jnp.where(oscillates, jnp.abs(s), rayleigh), kind))
     i = jnp.arange(n)
     real = upper + 2 * (i - upper)
     pairs = jnp.where((i < upper)[:, None], jnp.stack([i, 2 * n - upper + i], -1), jnp.stack([real, real + 1], -1))
@@ -192,15 +194,17 @@ def _normalized(shapes: Complex[Array, "nv n"], M: Float[Array, "nv nv"]) -> Com
 
 
 def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
-    """How each mode circles about the axis of the spin: 1 forward (with the spin) on circles, -1 backward, 0 along lines, the mean over the bodies.
+    """The direction of whirl of each mode about the axis of the spin: 1 forward (with the spin) on circles, -1 backward, 0 along lines.
 
         2 sum (m (a x b) + J (alpha x beta)) . n/sum (m (a . a + b . b) + J (alpha . alpha + beta . beta)),   J = tr(inertia)/2
 
-    for motions a cos(w t) + b sin(w t) of the centres of mass and alpha cos + beta sin of the turns, across the axis n; n is that of the body that turns fastest.
+    for motions a cos(w t) + b sin(w t) of the centres of mass and alpha cos + beta sin of the rotations, across the axis n of the fastest
+    body.
 
-    A top that hangs and spins:
+    A hanging, spinning top:
 
-    >>> model = Model(bodies={"top": Body(mass=1.0, inertia=[0.1, 0.1, 0.15], com=[0, 0, -1])}, joints={"top": Ball("world")}, gravity=[0, 0, -9.81])
+    >>> top = Body(mass=1.0, inertia=[0.1, 0.1, 0.15], com=[0, 0, -1])
+    >>> model = Model(bodies={"top": top}, joints={"top": Ball("world")}, gravity=[0, 0, -9.81])
     >>> lin = linearize_spin(model, State(model.reference.q, jnp.array([0, 0, 30.0])))
     >>> [round(float(x)) for x in whirl(lin, complex_modes(lin))]
     [0, -1, 1]
@@ -223,11 +227,11 @@ def _whirl(lin: SpinLinearization, shapes: Complex[Array, "nv n"]) -> Float[Arra
     weights = bodies.mass, jnp.trace(bodies.inertia, axis1=-2, axis2=-1) / 2
 
     def one(u):
-        turned = size = jnp.zeros(())
+        whirling = size = jnp.zeros(())
         for weight, a, b in zip(weights, velocities(u.real), velocities(-u.imag), strict=True):
             a, b = (x - jnp.sum(x * n, -1, keepdims=True) * n for x in (a, b))
-            turned += jnp.sum(weight * (cross(a, b) @ n))
+            whirling += jnp.sum(weight * (cross(a, b) @ n))
             size += jnp.sum(weight * jnp.sum(a * a + b * b, -1))
-        return 2 * turned / jnp.where(size > 0, size, 1.0)
+        return 2 * whirling / jnp.where(size > 0, size, 1.0)
 
     return jax.vmap(one, in_axes=1)(shapes)

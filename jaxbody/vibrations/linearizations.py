@@ -41,8 +41,8 @@ from jaxbody.vibrations.state_spaces import StateSpace, state_space
 class Linearization(Result):
     """The matrices of small motions about `state`, rows and columns as in `coordinates` and `base_coordinates`.
 
-    The chart: Delta of a free body is the displacement of its O and a rotation vector, world axes; of other joints what moves them, parent's axes. Away
-    from equilibrium K depends on the chart, and so do the parts of its split everywhere."""
+    The chart: Delta of a free body is the displacement of its O and a rotation vector, world axes; of other joints their coordinates, axes
+    of the parent. Away from equilibrium K depends on the chart; its split depends on it everywhere."""
 
     M: Float[Array, "nv nv"]
     C: Float[Array, "nv nv"]
@@ -60,12 +60,12 @@ class Linearization(Result):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """What each row of M, C, K is."""
+        """The names of the rows of M, C, K."""
         return self.model.layout.coordinates
 
     @property
     def base_coordinates(self) -> tuple[str, ...]:
-        """What each component of Xi is."""
+        """The names of the components of Xi."""
         return self.model.layout.base_coordinates
 
     @property
@@ -75,7 +75,7 @@ class Linearization(Result):
 
     @property
     def K_geometric(self) -> Float[Array, "nv nv"]:
-        """sum of V'(e) d2e over the elements: what tension adds."""
+        """sum of V'(e) d2e over the elements: the stiffness due to tension."""
         return sum(self.K_geometric_by_element.values(), jnp.zeros_like(self.K))
 
     @property
@@ -100,8 +100,8 @@ class Linearization(Result):
         if int(self.status) == Status.SINGULAR_K:
             return "; ".join(zero_modes(self.model, self.state))
         if int(self.status) == Status.STALE:
-            return "work out the equilibrium again, of the model as it is now"
-        return "the state is not a good equilibrium" if int(self.status) else ""
+            return "compute the equilibrium of the changed model again"
+        return "the state is not an equilibrium" if int(self.status) else ""
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: M, C, K and their blocks towards the base, by named coordinates."""
@@ -118,14 +118,17 @@ class Linearization(Result):
     def state_space(self, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
         """A, B, C, D from named inputs to named outputs, {name: port}, as python-control takes them.
 
-        States: Delta and Delta', but for terms in u which keep derivatives of inputs out; and, of a base motion given as velocity, its
-        displacement, given as acceleration, its displacement and velocity. An output that needs more than u, as the acceleration of a
-        damped body of a base's displacement, has no state space: IMPROPER, D NaN there; take kind="acceleration".
+        States: Delta and Delta' less terms in u, so that no derivative of an input is needed; further the displacement of a base motion
+        given as velocity, and displacement and velocity of one given as acceleration. An output that depends on derivatives of u, as the
+        acceleration of a damped body does on the displacement of its base, has no state space: IMPROPER, D NaN there; take
+        kind="acceleration".
         Errors: WRONG_KIND, UNKNOWN_NAME, BAD_COMPONENT.
 
-        >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
-        ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
-        >>> s = linearize(model, equilibrium(model)).state_space({"base": BaseMotion("base", "y")}, {"mass": PointMotion("mass", direction="y")})
+        >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
+        >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+        ...               supports={"base": Support()}, elements={"s": spring})
+        >>> lin = linearize(model, equilibrium(model))
+        >>> s = lin.state_space({"base": BaseMotion("base", "y")}, {"mass": PointMotion("mass", direction="y")})
         >>> s.A.tolist(), s.B.tolist()
         ([[0.0, 1.0], [-25.0, 0.0]], [[0.0], [25.0]])
         """
@@ -139,23 +142,23 @@ class Linearization(Result):
             matrix = tables.without_dust(getattr(self, name))
             rows = [(c, *(matrix[i] if few else ["..."])) for i, c in enumerate(self.coordinates)]
             shown.append(tables.PrintedTable(f"{name} [{unit}]", ("", *(heads if few else [""])), rows))
-        shown[-1].note = "chart: displacement of O and rotation vector, world axes (joints: their own motion, parent's axes)"
+        shown[-1].note = "chart: displacement of O and rotation vector, world axes (joints: their coordinates, axes of the parent)"
         return shown
 
 
 def check_linearization(lin: Any, where: str) -> None:
-    """Small motions about rest: of another kind, such as those about a spin, not all would be seen."""
+    """Refuses linearizations of another kind, such as about a spin."""
     if not isinstance(lin, Linearization):
-        told = f"is a {type(lin).__name__}"
-        hint = "Give linearize(model, equilibrium(model)); for what linearize_spin gives, complex_modes."
-        raise JaxbodyError(Problem("WRONG_KIND", f"{where}.lin", told, lin, "a Linearization", hint))
+        message = f"is a {type(lin).__name__}"
+        hint = "Give linearize(model, equilibrium(model)); for a result of linearize_spin, use complex_modes."
+        raise JaxbodyError(Problem("WRONG_KIND", f"{where}.lin", message, lin, "a Linearization", hint))
 
 
 def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     """M, C, K and the blocks towards the supports, at an equilibrium or any state, supports at their reference poses.
 
-    Loads of the equilibrium act on: K = d2V/dDelta2 - dQ/dDelta. Errors: BAD_SHAPE, NON_FINITE of a state, OTHER_MODEL. A failed equilibrium's status is
-    carried on; STALE, with a warning, where it is none of this model, as its numbers have changed.
+    Loads of the equilibrium are included: K = d2V/dDelta2 - dQ/dDelta. The status of a failed equilibrium is kept; STALE, with a warning,
+    where the numbers of the model have changed so that it is not at rest. Errors: BAD_SHAPE, NON_FINITE of a state, OTHER_MODEL.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
@@ -168,8 +171,8 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     if isinstance(at, Equilibrium):
         if at.layout != model.layout:
             hint = "Give the equilibrium of this model, or a state."
-            told = "is of a model with other bodies, supports or joints"
-            raise JaxbodyError(Problem("OTHER_MODEL", "linearize.at", told, at.layout, "an equilibrium of this model", hint))
+            message = "is of a model with other bodies, supports or joints"
+            raise JaxbodyError(Problem("OTHER_MODEL", "linearize.at", message, at.layout, "an equilibrium of this model", hint))
         result = _linearize(model, at.state, at.status, at.loads)
         if is_concrete(result.status) and np.any(np.asarray(result.status) == Status.STALE):
             warn_if_failed(result)
@@ -179,14 +182,15 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
 
 
 def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nv"]:
-    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, bodies held where they are:
+    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, bodies held fixed:
 
         F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
 
     Errors: UNKNOWN_NAME of a support, BAD_SHAPE.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])}, supports={"base": Support()},
-    ...               elements={"s": Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
+    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               supports={"base": Support()}, elements={"s": spring})
     >>> force = excitation(model, model.reference, {"base": [0, 0.1, 0, 0, 0, 0]})
     >>> round(float(force[0]), 9)
     5.0
@@ -210,7 +214,7 @@ def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
 
 @jit_unoptimized
 def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
-    """`status`: of the equilibrium that the state is from; None of any state."""
+    """`status`: of the equilibrium; None for other states."""
     n = model.layout.nv
     numbers, rest = eqx.partition(model, eqx.is_array)
 
@@ -226,19 +230,19 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
     else:
         size = size_of(model)
         scale = scale_of(model, size)
-        left = slope - generalized_force(model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros_like(slope))
+        unbalanced = slope - generalized_force(model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros_like(slope))
         largest = jnp.max(jnp.abs(K * scale * scale[:, None]), initial=0.0) * size
-        stale = jnp.max(jnp.abs(left * scale), initial=0.0) > jnp.finfo(left.dtype).eps ** 0.5 * largest
+        stale = jnp.max(jnp.abs(unbalanced * scale), initial=0.0) > jnp.finfo(unbalanced.dtype).eps ** 0.5 * largest
         status = jnp.where(stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status)
     return Linearization(M, C, K, M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, status, state, model, loads)
 
 
 @jit_unoptimized
 def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nv"]:
-    still = jnp.zeros(model.layout.nv, xi.dtype)
+    zero = jnp.zeros(model.layout.nv, xi.dtype)
 
     def slope(xi):
-        return jax.grad(lambda d: potential(model, _frames(model, state, d, still, xi, jnp.zeros_like(xi))))(still)
+        return jax.grad(lambda d: potential(model, _frames(model, state, d, zero, xi, jnp.zeros_like(xi))))(zero)
 
     return slope(jnp.zeros_like(xi)) - slope(xi)
 
@@ -253,29 +257,29 @@ def _names(model: Model) -> tuple[tuple[str, ...], ...]:
 
 @jit_unoptimized
 def _gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
-    still, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
-    return jax.hessian(lambda d: gravity_energy(model, _frames(model, state, d, still, rest, rest)))(still)
+    zero, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
+    return jax.hessian(lambda d: gravity_energy(model, _frames(model, state, d, zero, rest, rest)))(zero)
 
 
 @jit_unoptimized
 def _split(model: Model, state: State):
-    """Elastic and geometric stiffness of every element, table by table: V'' de de, and what of the Hessian remains, V' d2e."""
-    still, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
+    """Elastic and geometric stiffness of every element, table by table: V'' de de, and the rest of the Hessian, V' d2e."""
+    zero, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
 
     def each(function):
         return lambda d: tuple(
-            each_element(model, _frames(model, state, d, still, rest, rest), lambda s, *F: function(s, *(f.pose() for f in F)))
+            each_element(model, _frames(model, state, d, zero, rest, rest), lambda s, *F: function(s, *(f.pose() for f in F)))
         )
 
     deformation = each(lambda s, *poses: s.deformation(*poses))
-    slopes = jax.jacfwd(deformation)(still)
+    slopes = jax.jacfwd(deformation)(zero)
     curvatures = [
-        jax.vmap(lambda s, e: jax.hessian(s.energy)(e))(table.rows, e) for table, e in zip(model.elements, deformation(still), strict=True)
+        jax.vmap(lambda s, e: jax.hessian(s.energy)(e))(table.rows, e) for table, e in zip(model.elements, deformation(zero), strict=True)
     ]
-    whole = jax.hessian(each(lambda s, *poses: s.potential(*poses)))(still)
+    whole = jax.hessian(each(lambda s, *poses: s.potential(*poses)))(zero)
     elastic = []
     for J, c in zip(slopes, curvatures, strict=True):
-        J = J.reshape(J.shape[0], -1, len(still))
+        J = J.reshape(J.shape[0], -1, len(zero))
         c = c.reshape(c.shape[0], J.shape[1], J.shape[1])
         elastic.append(jnp.einsum("nai,nab,nbj->nij", J, c, J))
     return tuple(elastic), tuple(k - e for k, e in zip(whole, elastic, strict=True))

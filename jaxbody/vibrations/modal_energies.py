@@ -1,4 +1,4 @@
-"""Where the energy of each mode is, in percent: kinetic by body and direction, strain by element, dissipation by damper."""
+"""Shares in the energy of each mode, in percent: kinetic by body and direction, strain by element, dissipation by damper."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from jaxbody.vibrations.linearizations import Linearization, check_linearization
 from jaxbody.vibrations.mode_names import AXES, direction_names, mark_note, mode_names, upward_axis
 from jaxbody.vibrations.natural_modes import modes_of
 
-LEAST_LOSS = 1e-12  # of the largest decay of a mode, below which a mode dissipates nothing
-UNTIED = 1e-8  # far above rounding, far below what counts as coinciding
-MOST_MODES = 12  # that a table has room for
+LEAST_LOSS = 1e-12  # relative to the largest loss of a mode, below which a mode has no dissipation
+SEPARATION = 1e-8  # of coinciding frequencies: above rounding, below the tolerance of clusters
+MOST_MODES = 12  # of a table
 
 
 class ModeEnergies(Result):
-    """Shares in percent, a column for each mode, ascending. Where frequencies coincide they are those of the sums over their space, alike for each mode of it.
+    """Shares in percent, a column for each mode, ascending. Modes of coinciding frequencies each have the mean over their space.
 
-    `kinetic` {body: (6, n)}: translation of the centre of mass and rotation, world axes; all sum to 100. `strain` {element: (n,)}: V''(e) de de; with `other_strain`,
-    {"tension", "gravity", "loads"}: what tension, weights and loads add to K, the sum is 100 (NaN for a mode of zero frequency). `dissipation` {element: (n,)}:
-    sums to 100, or to 0 where nothing is dissipated. `velocities` (bodies, 6, n), whose they are: of centers of mass and of turning, along the shape. `names`: each mode by
-    what has most of its kinetic energy."""
+    `kinetic` {body: (6, n)}: translation of the centre of mass and rotation, world axes; the sum is 100. `strain` {element: (n,)}: V''(e)
+    de de; with `other_strain`, {"tension", "gravity", "loads"}, the contributions of tension, weights and loads to K, the sum is 100 (NaN
+    for a mode of zero frequency). `dissipation` {element: (n,)}: the sum is 100, or 0 without dissipation. `velocities` (bodies, 6, n): of
+    centers of mass and angular, along the shape. `names`: each mode by the body and direction with most of its kinetic energy."""
 
     frequency: Float[Array, "n"]
     kinetic_shares: Float[Array, "nb 6 n"]
@@ -73,8 +73,8 @@ class ModeEnergies(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Each mode by the body and direction with most of its kinetic energy, and how much that is; several bodies where they share it, with whether they
-        move in phase or against each other. "~" marks frequencies that nearly coincide."""
+        """Each mode by the body and direction with most of its kinetic energy, and its share; several bodies if they share it, in phase or
+        in opposition. "~" marks frequencies that nearly coincide."""
         return mode_names(self.model.layout.bodies, self.directions, self.kinetic_shares, self.velocities, self.cluster, self.frequency)
 
     def to_xarray(self) -> Any:
@@ -133,12 +133,16 @@ OTHERS = ("tension", "gravity", "loads")
 def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | None = None, allow_float32: bool = False) -> ModeEnergies:
     """The shares of bodies, elements and dampers in the energies of each natural mode [%].
 
-        kinetic      100 v_i (M v)_i/(phi' M phi)         v: velocity of a body's centre of mass and its angular velocity along phi, M: its mass and inertia
-        strain       100 e_dot' V'' e_dot/(phi' K phi)    e_dot: change of an element's deformation along phi
-        dissipation  100 e_dot' R'' e_dot/(phi' C phi)
+        kinetic      100 v_i (M v)_i/(phi' M phi)         v: velocities of a body along phi, of its centre of mass and angular; M: mass and
+        inertia strain       100 e_dot' V'' e_dot/(phi' K phi)    e_dot: change of an element's deformation along phi dissipation  100
+        e_dot' R'' e_dot/(phi' C phi)
 
-    Axes are those of the world. Where `up` is known, given ("z") or from gravity along an axis, a mode along it is named bounce and about it yaw; with `forward` ("x")
-    also fore-aft, lateral, roll and pitch. Where frequencies coincide energies are summed over their space first: that has derivatives where single shapes have none.
+    Args:
+        forward: a world axis, "x" say, that names fore-aft, lateral, roll and pitch; by default these are named by their axes.
+        up: a world axis, "z" say, that names bounce and yaw; by default the axis against gravity, if it is one.
+        allow_float32: whether to compute in float32; by default an error.
+
+    Where frequencies coincide, energies are averaged over their space: this has derivatives, which single shapes have not.
     Errors: BAD_DIRECTION, FLOAT32 unless `allow_float32`; warns as `modes` does.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -155,7 +159,7 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
 
 
 def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str, ...]:
-    """What three translations and three rotations are called."""
+    """The names of three translations and three rotations."""
     problems = Problems()
     for name, axis in (("forward", forward), ("up", up)):
         if axis is not None and axis not in AXES:
@@ -164,7 +168,7 @@ def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str,
             )
     up = up or upward_axis(model)
     if forward is not None and up is None:
-        problems.add("BAD_DIRECTION", "mode_energies.up", "is missing, and gravity is along no axis", hint="Give up='z', say.")
+        problems.add("BAD_DIRECTION", "mode_energies.up", "is missing, and gravity is not along an axis", hint="Give up='z', say.")
     if forward is not None and forward == up:
         problems.add("BAD_DIRECTION", "mode_energies.forward", "is upwards", value=forward, limit="another axis than `up`")
     problems.raise_if_any()
@@ -178,21 +182,21 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     cluster = clusters(values)
 
     def share(part, whole, least):
-        """In percent, averaged over clusters; where there is nothing to share, nothing."""
-        good = jnp.abs(whole) > least
-        return 100 * averaged(part, cluster) / jnp.where(good, averaged(whole, cluster), 1.0) * good
+        """In percent, averaged over clusters; zero where the whole is."""
+        nonzero = jnp.abs(whole) > least
+        return 100 * averaged(part, cluster) / jnp.where(nonzero, averaged(whole, cluster), 1.0) * nonzero
 
     second = _curvatures(lin)
     kinetic, moving, elastic, loss = (jnp.moveaxis(x, 0, -1) for x in jax.vmap(lambda phi: _of_motion(lin, second, phi), in_axes=1)(shapes))
     gravity, loads = (jnp.sum(shapes * (K @ shapes), 0) for K in (lin.K_gravity, lin.K_loads))
-    strain, lost = jnp.sum(shapes * (lin.K @ shapes), 0), jnp.sum(loss, 0)
+    strain, dissipated = jnp.sum(shapes * (lin.K @ shapes), 0), jnp.sum(loss, 0)
     others = jnp.stack([strain - jnp.sum(elastic, 0) - gravity - loads, gravity, loads])
     velocities = refused_in_clusters(moving.reshape(-1, len(values)), cluster).reshape(moving.shape)
     top = jnp.max(jnp.abs(values), initial=0.0)
     stiff = jnp.where(jnp.abs(values) > ZERO * top, 1.0, jnp.nan)
     return (
         frequency, share(kinetic, jnp.sum(kinetic, (0, 1)), 0.0), stiff * share(elastic, strain, 0.0), stiff * share(others, strain, 0.0),
-        share(loss, lost, LEAST_LOSS * jnp.max(jnp.abs(lost), initial=0.0)), velocities, cluster, status,
+        share(loss, dissipated, LEAST_LOSS * jnp.max(jnp.abs(dissipated), initial=0.0)), velocities, cluster, status,
     )  # fmt: skip
 
 
@@ -209,10 +213,10 @@ def _curvatures(lin: Linearization) -> list[tuple[Array, Array]]:
 
 
 def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
-    """Shares, summing to 1, of bodies and directions (6 for each body) in the kinetic energy of each mode. Where frequencies coincide the modes are taken along the
-    coordinates as far as that can be: those of a K whose diagonal is raised by up to UNTIED, differently for each coordinate."""
-    untied = UNTIED * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))
-    _, shapes = natural(lin.K + jnp.diag(untied), lin.M)
+    """Shares, of sum 1, of bodies and directions (6 for each body) in the kinetic energy of each mode. Coinciding modes are separated along
+    the coordinates by small increases of the diagonal of K, up to SEPARATION, different for each coordinate."""
+    increase = SEPARATION * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))
+    _, shapes = natural(lin.K + jnp.diag(increase), lin.M)
     kinetic = jax.vmap(lambda phi: _kinetic(lin.model, _moving(lin, phi))[0], in_axes=1, out_axes=-1)(shapes)
     return kinetic.reshape(-1, kinetic.shape[-1])  # phi' M phi = 1
 
@@ -222,7 +226,7 @@ def _moving(lin: Linearization, phi: Float[Array, "nv"]) -> Frame:
 
 
 def _kinetic(model: Model, frames: Frame) -> tuple[Float[Array, "nb 6"], Float[Array, "nb 6"]]:
-    """Twice the kinetic energy by body and direction, and the velocities of centers of mass and of turning that have it."""
+    """Twice the kinetic energy by body and direction, and the velocities of centers of mass and angular velocities."""
     bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
     v_C = moving.velocity(bodies.com)
     w_B = rotate_back(moving.R, moving.w)
@@ -233,7 +237,8 @@ def _kinetic(model: Model, frames: Frame) -> tuple[Float[Array, "nb 6"], Float[A
 
 
 def _of_motion(lin: Linearization, curvatures: list[tuple[Array, Array]], phi: Float[Array, "nv"]):
-    """Twice the kinetic energy by body and direction, velocities, twice the elastic energy and the power lost by element, of a motion along phi."""
+    """Twice the kinetic energy by body and direction, velocities, and by element twice the elastic energy and the power dissipated, along
+    phi."""
     frames = _moving(lin, phi)
     changes = [e_dot.reshape(len(e_dot), -1) for _, e_dot in each_element(lin.model, frames, lambda element, *F: element.rates(*F))]
     none = jnp.zeros(0, phi.dtype)

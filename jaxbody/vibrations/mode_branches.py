@@ -28,14 +28,15 @@ from jaxbody.vibrations.mode_names import mark_note
 from jaxbody.vibrations.natural_modes import Modes, modes
 from jaxbody.vibrations.spins import SpinLinearization
 
-LEAST_MAC = 0.8  # below it a mode may be another than at the value before
+LEAST_MAC = 0.8  # below it a mode may differ from that at the value before
 
 
 class Branches(Result):
     """Modes along a parameter, each column one mode followed from the first value, where they ascend.
 
-    `frequency` [Hz] (damped ones about a spin), `damping_ratio`, `shapes` (value, coordinate, mode), `order`: which of the ascending modes each is, `mac` of each with
-    itself at the value before. `names`: of the modes at the first value. `status` of each value: LOST_BRANCH where one is below 0.8: give values in between; else that of its modes."""
+    `frequency` [Hz] (damped about a spin), `damping_ratio`, `shapes` (value, coordinate, mode), `order`: the index of each among the
+    ascending modes, `mac` of each with itself at the value before, `names` of the modes at the first value. `status` of each value:
+    LOST_BRANCH where a MAC is below 0.8 (give values in between); otherwise that of its modes."""
 
     values: Float[Array, "k"]
     frequency: Float[Array, "k n"]
@@ -52,7 +53,7 @@ class Branches(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the modes at the first value, by what has most of their kinetic energy there."""
+        """Of the modes at the first value, by the body and direction with most of their kinetic energy."""
         return self.first.names
 
     def to_xarray(self) -> Any:
@@ -79,12 +80,13 @@ class Branches(Result):
 
 
 def mac(one: Modes | ComplexModes | Any, other: Modes | ComplexModes | Any, *, mass: Any = None) -> Float[Array, "n m"]:
-    """The modal assurance criterion of every mode of one set with every one of another (results of `modes`, `complex_modes`, or arrays with a column for each).
+    """The modal assurance criterion of every mode of one set with every mode of another: results of `modes`, `complex_modes`, or arrays of
+    columns.
 
         MAC_ij = |x_i* W y_j|^2/((x_i* W x_i) (y_j* W y_j))
 
-    With W = `mass`, lin.M, displacements and rotations weigh by their energy and natural modes are orthogonal; without it W = 1, which depends on units where
-    shapes hold both. Errors: BAD_SHAPE. Source: R. J. Allemang, Sound and Vibration 37 (2003) 14.
+    With W = `mass`, as lin.M, displacements and rotations are weighted by their energy and natural modes are orthogonal; by default W = 1,
+    which depends on units if shapes have both. Errors: BAD_SHAPE. Source: R. J. Allemang, Sound and Vibration 37 (2003) 14.
 
     >>> mac([[1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0], [0.0, 1.0]]).round(12).tolist()
     [[1.0, 0.5], [0.0, 0.5]]
@@ -110,11 +112,11 @@ def _mac(X: Array, Y: Array, W: Float[Array, "nv nv"]) -> Float[Array, "n m"]:
 
 
 def track(linearized: Callable[[Any], Linearization | SpinLinearization], values: Any) -> Branches:
-    """Frequencies of modes along a parameter, each mode followed by its shape: `linearized(value)` gives the linearization at each of `values`.
+    """Modes along a parameter, each followed by its shape; `linearized(value)` returns the linearization at each of `values`.
 
-    From one value to the next modes are matched by their MAC in M, the best pair first. Where frequencies coincide only their space counts, and what a mode was
-    before is kept, so that crossings are followed and veerings seen as such. About a steady spin the modes are those of `complex_modes`. Differentiable where
-    single modes are. Errors: BAD_SHAPE, NON_FINITE of values; warns LOST_BRANCH.
+    From one value to the next modes are matched by their MAC in M, the best pair first. Where frequencies coincide their space is matched
+    and the shapes before are kept, so that crossings are followed and veerings are not taken for crossings. About a steady spin the modes
+    are those of `complex_modes`. Differentiable where single modes are. Errors: BAD_SHAPE, NON_FINITE of values; warns LOST_BRANCH.
 
     >>> car = jb.presets.half_car()
     >>> def linearized(stiffness):
@@ -128,61 +130,60 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
     if given.ndim != 1 or not given.size:
         raise JaxbodyError(Problem("BAD_SHAPE", "track.values", f"has shape {given.shape}", given.shape, "(k,)", "Give a list of values."))
     if known is not None and not np.isfinite(known).all():
-        raise JaxbodyError(Problem("NON_FINITE", "track.values", "holds what is not finite", known, "finite", "Give finite values."))
+        raise JaxbodyError(Problem("NON_FINITE", "track.values", "has values that are not finite", known, "finite", "Give finite values."))
 
     def one(value):
         lin = linearized(value)
-        found = complex_modes(lin) if isinstance(lin, SpinLinearization) else modes(lin)
-        return found, lin.M
+        return complex_modes(lin) if isinstance(lin, SpinLinearization) else modes(lin), lin.M
 
-    found, M = eqx.filter_vmap(one)(jnp.asarray(given))
-    result = _track(jnp.asarray(given), found, M)
+    at_values, M = eqx.filter_vmap(one)(jnp.asarray(given))
+    result = _track(jnp.asarray(given), at_values, M)
     warn_if_failed(result)
     return result
 
 
 @jit_unoptimized
-def _track(values: Float[Array, "k"], found: Modes | ComplexModes, M: Float[Array, "k nv nv"]) -> Branches:
-    n = found.frequency.shape[1]
-    frozen = jax.lax.stop_gradient((found.shapes, M))
+def _track(values: Float[Array, "k"], at_values: Modes | ComplexModes, M: Float[Array, "k nv nv"]) -> Branches:
+    n = at_values.frequency.shape[1]
+    frozen = jax.lax.stop_gradient((at_values.shapes, M))
 
     def step(carry, given):
-        """Reference shapes and labels (alike for references that cannot be told apart) to those at the next value."""
+        """From reference shapes and labels (equal for references of one cluster) to those at the next value."""
         reference, label = carry
         shapes, M, cluster = given
-        theirs, ours = together(cluster), together(label)
+        at_value, at_reference = together(cluster), together(label)
         both = _mac(reference, shapes, M)
-        in_spaces = ours.astype(both.dtype) @ both @ theirs.astype(both.dtype)
-        best = in_spaces / jnp.minimum(jnp.sum(ours, 1)[:, None], jnp.sum(theirs, 0))
+        in_spaces = at_reference.astype(both.dtype) @ both @ at_value.astype(both.dtype)
+        best = in_spaces / jnp.minimum(jnp.sum(at_reference, 1)[:, None], jnp.sum(at_value, 0))
         order = _matched(best)
         chosen = shapes[:, order]
-        shared = jnp.sum(theirs, 0)[order] > 1
-        amounts = jnp.conj(shapes).T @ (M @ reference) * theirs[:, order]  # the reference in the space that it is matched with
-        kept = shapes @ amounts
-        kept = kept / jnp.sqrt(jnp.sum(jnp.conj(kept) * (M @ kept), 0).real)
+        shared = jnp.sum(at_value, 0)[order] > 1
+        amounts = jnp.conj(shapes).T @ (M @ reference) * at_value[:, order]  # coordinates of the reference in its matching space
+        projected = shapes @ amounts
+        projected = projected / jnp.sqrt(jnp.sum(jnp.conj(projected) * (M @ projected), 0).real)
         label = jnp.where(shared, label, n + jnp.arange(n))
-        return (jnp.where(shared, kept, chosen), label), (order, best[jnp.arange(n), order])
+        return (jnp.where(shared, projected, chosen), label), (order, best[jnp.arange(n), order])
 
-    start = (frozen[0][0], found.cluster[0])
-    _, (order, quality) = jax.lax.scan(step, start, (*frozen, found.cluster))
+    start = (frozen[0][0], at_values.cluster[0])
+    _, (order, quality) = jax.lax.scan(step, start, (*frozen, at_values.cluster))
 
     def along(x):
         return jnp.take_along_axis(x, order, axis=1)
 
-    lost = jnp.any(quality < LEAST_MAC, axis=1)
-    status = jnp.where((found.status == Status.OK) & lost, Status.LOST_BRANCH.value, found.status)
-    shapes = jnp.take_along_axis(found.shapes, order[:, None], axis=2)
-    first = jax.tree.map(lambda x: x[0] if eqx.is_array(x) else x, found)
-    return Branches(values, along(found.frequency), along(found.damping_ratio), shapes, order, quality, status, first)
+    lost_branch = jnp.any(quality < LEAST_MAC, axis=1)
+    status = jnp.where((at_values.status == Status.OK) & lost_branch, Status.LOST_BRANCH.value, at_values.status)
+    shapes = jnp.take_along_axis(at_values.shapes, order[:, None], axis=2)
+    first = jax.tree.map(lambda x: x[0] if eqx.is_array(x) else x, at_values)
+    return Branches(values, along(at_values.frequency), along(at_values.damping_ratio), shapes, order, quality, status, first)
 
 
 def _matched(score: Float[Array, "n n"]) -> Int[Array, "n"]:
-    """For each row its column, the largest score first."""
+    """The column matched to each row, the largest score first."""
     n = len(score)
 
     def choose(_, carry):
-        order, left = carry
-        row, column = jnp.divmod(jnp.argmax(left), n)
-        return order.at[row].set(column), left.at[row].set(-1.0).at[:, column].set(-1.0)
+        order, remaining = carry
+        row, column = jnp.divmod(jnp.argmax(remaining), n)
+        return order.at[row].set(column), remaining.at[row].set(-1.0).at[:, column].set(-1.0)
 
     return jax.lax.fori_loop(0, n, choose, (jnp.zeros(n, int), score))[0]

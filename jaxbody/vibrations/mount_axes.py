@@ -27,9 +27,10 @@ from jaxbody.vibrations.linearizations import Linearization, check_linearization
 class ElasticAxes(Result):
     """Elastic axes of a body on its mounts, world axes, the softest first.
 
-    `directions` (columns), `stiffness` [N/m] along each, `points` (rows): where each axis comes nearest to `center`, `pitch` [m]: moment per force that must go with the
-    force, 0 for an axis in the strict sense. `center`: of stiffness; all axes pass through it, and pitches vanish, where the mounts decouple translation from
-    rotation. `torsional_directions` (columns) and `torsional_stiffness` [N m/rad]: axes along which a pure couple turns the body about a parallel axis."""
+    `directions` (columns), `stiffness` [N/m] along each, `points` (rows): the point of each axis nearest to `center`, `pitch` [m]: moment
+    per force that accompanies the force, 0 for an elastic axis in the strict sense. `center`: of stiffness; all axes pass through it, and
+    pitches vanish, where the mounts decouple translation from rotation. `torsional_directions` (columns) and `torsional_stiffness` [N
+    m/rad]: axes along which a pure couple turns the body about a parallel axis."""
 
     center: Float[Array, "3"]
     directions: Float[Array, "3 3"]
@@ -60,22 +61,22 @@ class ElasticAxes(Result):
             return [tables.PrintedTable("Elastic axes", ("", ""), [("stiffness [N/m]", self.stiffness)])]
         columns = zip(self.directions.T, self.stiffness, self.points, self.pitch, strict=True)
         rows = [(str(i + 1), tables.without_dust(d), k, tables.without_dust(p), h) for i, (d, k, p, h) in enumerate(columns)]
-        turns = [
+        torsional_axes = [
             (str(i + 1), tables.without_dust(d), k)
             for i, (d, k) in enumerate(zip(self.torsional_directions.T, self.torsional_stiffness, strict=True))
         ]
         note = f"center of stiffness {tables.number(self.center)} m; {self.report()}"
         return [
             tables.PrintedTable(f"Elastic axes of {self.body}", ("axis", "direction", "stiffness [N/m]", "through [m]", "pitch [m]"), rows),
-            tables.PrintedTable("", ("torsional axis", "direction", "stiffness [N m/rad]"), turns, note),
+            tables.PrintedTable("", ("torsional axis", "direction", "stiffness [N m/rad]"), torsional_axes, note),
         ]
 
 
 class TorqueRollAxis(Result):
     """The axis through `point`, the centre of mass, along `direction` (unit), about which a free body turns under a torque, world axes.
 
-    `inertia` [kg m2] and `stiffness` [N m/rad] of turning about it, `frequency` [Hz] that they give, and `coupling`, 0 where that motion is a mode: then a torque
-    excites no other."""
+    `inertia` [kg m2] and `stiffness` [N m/rad] of rotation about it, `frequency` [Hz] from both, and `coupling`, 0 if this rotation is a
+    mode, the only one that the torque excites."""
 
     point: Float[Array, "3"]
     direction: Float[Array, "3"]
@@ -100,17 +101,20 @@ class TorqueRollAxis(Result):
 
 
 def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
-    """The elastic axes and the center of stiffness of a free body, everything else held, from its 6 x 6 stiffness [[A, B], [B', D]] about its origin.
+    """The elastic axes and the center of stiffness of a free body, all others held fixed, from its 6 x 6 stiffness [[A, B], [B', D]] about
+    its origin.
 
         A n = k n,   m = B' n:   force k n with moment m moves the body along n and does not turn it;
         it acts on the line through O + n x m/k, with pitch n . m/k
         center O + p, where B' - [p] A is symmetric:   (tr(A) I - A) p = axial vector of B' - B, (P32 - P23, P13 - P31, P21 - P12)
         D - B' A^-1 B = the torsional stiffness, about any point
 
-    Preload and gravity count as far as they are in K. Errors: UNKNOWN_NAME of the body, NOT_FREE; a NaN with SINGULAR_K where the mounts do not resist
-    every translation. Source: J. Loncaric, IEEE Journal of Robotics and Automation 3 (1987) 567; T. Patterson, H. Lipkin, Journal of Mechanical Design 115 (1993) 576.
+    Preload and gravity count as in K. Errors: UNKNOWN_NAME of the body, NOT_FREE; NaN with SINGULAR_K if the mounts do not resist every
+    translation. Source: J. Loncaric, IEEE Journal of Robotics and Automation 3 (1987) 567; T. Patterson, H. Lipkin, Journal of Mechanical
+    Design 115 (1993) 576.
 
-    >>> legs = {f"leg{i}": Bushing(("box", [x, y, -0.2]), ("world", [x, y, -0.2]), stiffness=[1e4, 2e4, 3e4]) for i, (x, y) in enumerate([(1, 1), (1, -1), (-1, 1), (-1, -1)])}
+    >>> corners = [[1, 1, -0.2], [1, -1, -0.2], [-1, 1, -0.2], [-1, -1, -0.2]]
+    >>> legs = {f"leg{i}": Bushing(("box", at), ("world", at), stiffness=[1e4, 2e4, 3e4]) for i, at in enumerate(corners)}
     >>> model = Model(bodies={"box": Body(mass=50.0, inertia=[4, 5, 6])}, elements=legs)
     >>> axes = elastic_axes(linearize(model, model.reference), "box")
     >>> axes.stiffness.tolist(), [round(float(x), 9) for x in axes.center]
@@ -124,14 +128,15 @@ def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
 
 
 def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAxis:
-    """The axis about which a free body, on no or on very soft mounts, turns under a torque (3,) of fixed direction (world axes), of the crankshaft say.
+    """The axis about which a free body, without mounts or on very soft ones, turns under a torque (3,) of fixed direction (world axes), as
+    of the crankshaft.
 
         J n ~ torque,   through the centre of mass,   J: moment of inertia about it
-        r = (displacement of O, n) of that turn:   frequency = sqrt(r' K r/(r' M r))/(2 pi),
+        r = (displacement of O, n) of this rotation:   frequency = sqrt(r' K r/(r' M r))/(2 pi),
         coupling = |K r - w^2 M r|/(w^2 |M r|) in the norm of M^-1
 
-    Where r is a mode, the coupling being 0, the mounts are decoupled about this axis. Errors: UNKNOWN_NAME of the body, NOT_FREE, BAD_SHAPE, NON_FINITE, ZERO_AXIS of the torque.
-    Source: T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
+    If r is a mode, with coupling 0, the mounts are decoupled about this axis. Errors: UNKNOWN_NAME of the body, NOT_FREE, BAD_SHAPE,
+    NON_FINITE, ZERO_AXIS of the torque. Source: T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
 
     >>> model = jb.presets.engine_on_mounts()
     >>> axis = torque_roll_axis(linearize(model, model.reference), "engine", [1, 0, 0])
@@ -162,7 +167,7 @@ def _free(lin: Linearization, body: str, where: str) -> str:
                 f"'{body}' is on a joint",
                 body,
                 "a body without a joint",
-                "Such axes are those of a body that moves in six ways.",
+                "These axes exist for bodies with six degrees of freedom.",
             )
         )
     return body
@@ -179,13 +184,13 @@ def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     about_p = (P - skew(p) @ A) @ n
     points = cross(n.T, about_p.T) / stiffness[:, None]
     pitch = jnp.sum(n * about_p, 0) / stiffness
-    left = D - P @ jnp.linalg.solve(A, P.T)
-    torsional, turns = natural(left, jnp.eye(3, dtype=A.dtype))
+    torsional_K = D - P @ jnp.linalg.solve(A, P.T)
+    torsional, torsional_axes = natural(torsional_K, jnp.eye(3, dtype=A.dtype))
     origin = _origin(lin, body)[0]
-    least = jnp.min(stiffness) > 1e-10 * jnp.max(jnp.abs(stiffness))
-    status = jnp.where(least, Status.OK.value, Status.SINGULAR_K.value)
-    center, points, pitch, torsional = (jnp.where(least, x, jnp.nan) for x in (origin + p, origin + p + points, pitch, torsional))
-    return ElasticAxes(center, n, stiffness, points, pitch, turns, torsional, status, body)
+    resists = jnp.min(stiffness) > 1e-10 * jnp.max(jnp.abs(stiffness))
+    status = jnp.where(resists, Status.OK.value, Status.SINGULAR_K.value)
+    center, points, pitch, torsional = (jnp.where(resists, x, jnp.nan) for x in (origin + p, origin + p + points, pitch, torsional))
+    return ElasticAxes(center, n, stiffness, points, pitch, torsional_axes, torsional, status, body)
 
 
 @jit_unoptimized
@@ -209,7 +214,7 @@ def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) 
 
 
 def _origin(lin: Linearization, body: str):
-    """Where the body's origin is and how the body is turned."""
+    """The position of the body's origin and its orientation."""
     layout = lin.model.layout
     frames = Coordinates(lin.model).at_rest(lin.state.q, lin.state.v)
     return frames.p[layout.frame(body)], frames.R[layout.frame(body)]

@@ -27,14 +27,15 @@ SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is 
 
 
 class Modes(Result):
-    """Natural modes, ascending: `frequency` [Hz], `shapes` (columns, phi' M phi = 1, largest component positive), `damping_ratio`, `eigenvalues` w^2
-    [rad2/s2], and `cluster`, equal numbers for frequencies that coincide; `names`: each mode by what has most of its kinetic energy. A negative eigenvalue has
-    frequency NaN and status UNSTABLE, a zero one 0 and SINGULAR_K. All are NaN where something moves without inertia (SINGULAR_M; `M` is the mass matrix) or a
-    matrix is not finite (NONFINITE).
+    """Natural modes, ascending: `frequency` [Hz], `shapes` (columns, phi' M phi = 1, largest component positive), `damping_ratio`,
+    `eigenvalues` w^2 [rad2/s2], `cluster`, equal numbers for coinciding frequencies, and `names`, by the body and direction with most
+    kinetic energy. A negative eigenvalue has frequency NaN and status UNSTABLE, a zero one 0 and SINGULAR_K. All are NaN where a coordinate
+    has no inertia (SINGULAR_M; `M` is the mass matrix) or a matrix is not finite (NONFINITE).
 
-    Modes that coincide have no shapes of their own, only a space: `shapes` are some basis of it, and each has the mean of their damping ratios. The frequency
-    of one has a derivative to each side: `jax.jvp` and `jacfwd` give the one along the direction, while `jax.grad` gives NaN for it, as for what is made of one shape.
-    Sums over a cluster, and what depends on its space alone, have their derivatives in both; second derivatives are those of modes that are alone."""
+    Modes of coinciding frequencies have only a space: `shapes` are a basis of it, and each mode has the mean of the damping ratios. A
+    single frequency of a cluster has one-sided derivatives: `jax.jvp` and `jacfwd` give the one along the direction, `jax.grad` gives NaN,
+    as for functions of a single shape. Sums over a cluster and functions of its space have derivatives in both modes; second derivatives
+    exist for single modes."""
 
     frequency: Float[Array, "nv"]
     shapes: Float[Array, "nv nv"]
@@ -52,7 +53,7 @@ class Modes(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Each mode by the body and direction with most of its kinetic energy, several where they share it, as in `mode_energies`."""
+        """Each mode by the body and direction with most of its kinetic energy, or several bodies that share it, as in `mode_energies`."""
         return names_of_shapes(self.model, self.q, self.shapes, self.cluster, self.frequency)
 
     def explain(self) -> str:
@@ -96,13 +97,13 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
 
         K phi = w^2 M phi,   frequency = w/(2 pi),   damping ratio = phi' C phi/(2 w)
 
-    The damping ratio is exact where C is diagonal in the modes and right to first order in C otherwise. Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE, SINGULAR_K, SINGULAR_M,
-    NONFINITE.
+    The damping ratio is exact where C is diagonal in the modes, otherwise of first order in C. Errors: FLOAT32 unless `allow_float32`;
+    warns UNSTABLE, SINGULAR_K, SINGULAR_M, NONFINITE.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0)})
-    >>> found = modes(linearize(model, equilibrium(model)))
-    >>> round(float(found.frequency[0]), 6), round(float(found.damping_ratio[0]), 6)
+    >>> natural = modes(linearize(model, equilibrium(model)))
+    >>> round(float(natural.frequency[0]), 6), round(float(natural.damping_ratio[0]), 6)
     (0.795775, 0.1)
     """
     check_linearization(lin, "modes")
@@ -117,20 +118,20 @@ def modes_of(lin: Linearization) -> tuple[Array, ...]:
     """Frequency, shapes, damping ratio, eigenvalues, cluster and status."""
     values, shapes = natural(lin.K, lin.M)
     cluster = clusters(values)
-    top = jnp.max(jnp.abs(values), initial=0.0)
-    zero = reachable(ZERO, values.dtype) * top
+    largest = jnp.max(jnp.abs(values), initial=0.0)
+    zero = reachable(ZERO, values.dtype) * largest
     positive, negative = values > zero, values < -zero
     w = jnp.sqrt(jnp.where(positive, values, 1.0))
-    finite, lost = jnp.isfinite(lin.M).all() & jnp.isfinite(lin.K).all(), jnp.isnan(values)
-    frequency = jnp.where(positive, w / (2 * jnp.pi), jnp.where(negative | lost, jnp.nan, 0.0))
+    finite, massless = jnp.isfinite(lin.M).all() & jnp.isfinite(lin.K).all(), jnp.isnan(values)
+    frequency = jnp.where(positive, w / (2 * jnp.pi), jnp.where(negative | massless, jnp.nan, 0.0))
     damping = jnp.where(positive, averaged(jnp.sum(shapes * (lin.C @ shapes), 0), cluster) / (2 * w), jnp.nan)
-    here = jnp.select(
-        [~finite, lost.any(), negative.any(), (~positive).any()],
+    status = jnp.select(
+        [~finite, massless.any(), negative.any(), (~positive).any()],
         [Status.NONFINITE.value, Status.SINGULAR_M.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,
     )  # fmt: skip
     skew = in_lanes(lambda K: jnp.max(jnp.abs(K - K.T), initial=0.0) > SYMMETRIC * jnp.max(jnp.abs(K), initial=0.0))(lin.K)
     frequency = jnp.where(skew, jnp.nan, frequency)
-    here = jnp.where(skew, Status.NOT_SYMMETRIC.value, here)
+    status = jnp.where(skew, Status.NOT_SYMMETRIC.value, status)
     failed = jnp.isin(lin.status, jnp.array(NOT_AT_REST))
-    status = jnp.where(failed, lin.status, here)
+    status = jnp.where(failed, lin.status, status)
     return frequency, refused_in_clusters(shapes, cluster), damping, values, cluster, status

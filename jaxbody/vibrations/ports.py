@@ -1,8 +1,8 @@
-"""Ports: what drives small motions and what is asked of them: motions of supports and forces; motions of points, elements, reactions.
+"""Ports: inputs and outputs of small motions: motions of supports and forces; motions of points, elements, reactions.
 
-About an equilibrium, with x = (Delta, Xi), each output is y = Y0 x + Y1 x' + Y2 x'' + G f and each force enters as F f, F = G' of the
-speed of its point: the rows of a point are its Jacobian, those of an element the derivatives of its force or deformation, those of
-a reaction the rows of K, C and M that belong to its support.
+About an equilibrium, with x = (Delta, Xi), each output is y = Y0 x + Y1 x' + Y2 x'' + G f and each force f enters as F f. The rows of a
+point are its Jacobian, those of an element the derivatives of its force or deformation, those of a reaction the rows of K, C and M of its
+support.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ UNITS = (("m", "m/s", "m/s2"), ("rad", "rad/s", "rad/s2"))
 class BaseMotion(eqx.Module):
     """An input: the motion of a support along or about a world axis through its origin, `direction` x, y, z, rx, ry or rz.
 
-    `kind`: displacement [m, rad], velocity or acceleration, what the input is measured in. Errors: BAD_DIRECTION, BAD_KIND.
+    `kind` of the input: displacement [m, rad], velocity or acceleration. Errors: BAD_DIRECTION, BAD_KIND.
 
     >>> BaseMotion("base", "z", kind="acceleration").unit
     'm/s2'
@@ -96,7 +96,7 @@ class PointForce(eqx.Module):
 class PointMotion(eqx.Module):
     """An output: the absolute motion of a point of a body or support along x, y, z or a vector, world axes, or its turn about rx, ry, rz.
 
-    `kind`: displacement [m, rad], velocity or acceleration. With `relative_to` (a support or body) the motion against the point of that
+    `kind`: displacement [m, rad], velocity or acceleration. With `relative_to` (a support or body) the motion relative to the point of that
     frame which coincides with this one at equilibrium. Errors: BAD_DIRECTION, BAD_KIND, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
     >>> PointMotion("cabin", [0.1, 0, 0], "z", kind="acceleration").unit
@@ -129,9 +129,10 @@ class PointMotion(eqx.Module):
 
 
 class ElementForce(eqx.Module):
-    """An output: what an element exerts against its deformation, spring and damper, from its value at equilibrium: of a spring the tension [N].
+    """An output: the force of an element against its deformation, spring and damper, less its value at equilibrium: of a spring the tension
+    [N].
 
-    Of a bushing `component` (0 to 5) says which of three forces [N] and moments [N m] in its own axes.
+    Of a bushing `component` (0 to 5) selects one of three forces [N] and moments [N m] in its own axes.
 
     >>> ElementForce("mount", component=2).component
     2
@@ -148,7 +149,7 @@ class ElementForce(eqx.Module):
 
 
 class ElementDeformation(eqx.Module):
-    """An output: the deformation of an element from its value at equilibrium: of a spring its elongation [m], of a bushing
+    """An output: the deformation of an element less its value at equilibrium: of a spring its elongation [m], of a bushing
     `component` (0 to 5) of its displacement [m] and turn [rad].
 
     >>> ElementDeformation("AB").on
@@ -167,7 +168,7 @@ class ElementDeformation(eqx.Module):
 
 class SupportReaction(eqx.Module):
     """An output: the force [N] along x, y, z or the moment [N m] about its origin, rx, ry, rz, that everything on a support exerts on it,
-    world axes, from its value at equilibrium.
+    world axes, less its value at equilibrium.
 
     >>> SupportReaction("base", "z").unit
     'N'
@@ -196,8 +197,9 @@ OUTPUTS = (PointMotion, ElementForce, ElementDeformation, SupportReaction)
 
 
 class PortMatrices(eqx.Module):
-    """The matrices of ports: forces enter (Delta, Xi) as F f, motions are Xi = X u; outputs Y0 x + Y1 x' + Y2 x'' + G f; `orders` says
-    which derivative of Xi each input is (0 for forces), `elements` whose force and `reactions` along which component of Xi an output is (-1 for none)."""
+    """The matrices of ports: forces enter (Delta, Xi) as F f, motions are Xi = X u; outputs are Y0 x + Y1 x' + Y2 x'' + G f.
+    `orders`: the derivative of Xi that each input is (0 for forces); `elements`, `reactions`: the element whose force, or the component of
+    Xi whose reaction, an output is (-1 for none)."""
 
     F: Float[Array, "n nu"]
     X: Float[Array, "nxi nu"]
@@ -225,13 +227,13 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...])
         slopes, deformed[name] = _bending(model[name], [frames[end].pose() for end in ends])
         bending[name] = sum(slope @ twists[end].T for slope, end in zip(slopes, ends, strict=True))
     turned = any(isinstance(port, SupportReaction) and len(port.direction) == 2 for port in outputs)
-    held = slope(at)[layout.nv :] if turned else zero
+    reaction_at_rest = slope(at)[layout.nv :] if turned else zero
     sensors = [port for port in outputs if hasattr(port, "reading")]
-    readings = iter(zip(*reading_rows(lin, sensors, _pushes(inputs, frames, layout)), strict=True) if sensors else ())
+    readings = iter(zip(*reading_rows(lin, sensors, _input_wrenches(inputs, frames, layout)), strict=True) if sensors else ())
     whole = full_matrices(lin)
     forces = [next(points) if isinstance(port, PointForce) else zero for port in inputs]
     moved = [_unit(layout, port, dtype) if isinstance(port, BaseMotion) else jnp.zeros(layout.nxi, dtype) for port in inputs]
-    F, X = (jnp.reshape(jnp.asarray(columns, dtype), (len(inputs), -1)).T if inputs else jnp.zeros((size, 0), dtype) for columns, size in ((forces, n), (moved, layout.nxi)))  # fmt: skip
+    F, X = (jnp.reshape(jnp.asarray(cols, dtype), (len(inputs), size)).T for cols, size in ((forces, n), (moved, layout.nxi)))
     rows, direct = [], []
     for port in outputs:
         G = jnp.zeros(len(inputs), dtype)
@@ -241,7 +243,7 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...])
         elif isinstance(port, SupportReaction):
             unit = jnp.concatenate([jnp.zeros(layout.nv, dtype), _unit(layout, port, dtype)])
             K, C, M = (unit @ matrix for matrix in whole)
-            row, G = -jnp.stack([K + _turned_moment(layout, held, port), C, M]), unit @ F
+            row, G = -jnp.stack([K + _turned_moment(layout, reaction_at_rest, port), C, M]), unit @ F
         elif isinstance(port, ElementForce):
             e, i = deformed[port.on], port.component or 0
             row = jnp.stack([k[i] @ bending[port.on] for k in _rates_of_force(model[port.on], e)] + [zero])
@@ -269,25 +271,25 @@ def full_matrices(lin: Any) -> tuple[Float[Array, "n n"], Float[Array, "n n"], F
 def ports_of(
     model: Model, given: Any, what: str, where: str, problems: Problems
 ) -> tuple[tuple[str, ...], tuple[Any, ...], tuple[str, ...]]:
-    """Names, ports and units of a dict of them; what is wrong goes to `problems`."""
+    """Names, ports and units of a dict of ports; errors go to `problems`."""
     limit = "{name: BaseMotion or PointForce}" if what == "inputs" else "{name: PointMotion, ElementForce, ...}"
     if not isinstance(given, dict) or not given:
         problems.add("WRONG_KIND", f"{where}.{what}", f"is {given!r:.60}", value=given, limit=limit, hint="Name each port.")
         return (), (), ()
     for name, port in given.items():
-        there = f"{where}.{what}[{name!r}]"
+        path = f"{where}.{what}[{name!r}]"
         scalar_sensor = hasattr(port, "reading") and getattr(port, "shape", None) == () and port.plain
         if not (isinstance(port, Input) if what == "inputs" else isinstance(port, OUTPUTS) or scalar_sensor):
             problems.add(
                 "WRONG_KIND",
-                there,
+                path,
                 f"is a {type(port).__name__}",
                 value=port,
                 limit=limit,
                 hint="A sensor must read one number, with no chain.",
             )
-        elif (found := port.problem(model, there)) is not None:
-            problems.collected.append(found)
+        elif (problem := port.problem(model, path)) is not None:
+            problems.collected.append(problem)
     if problems.collected:
         return (), (), ()
     ports = tuple(given.values())
@@ -300,7 +302,7 @@ def _check_one_of(value: Any, known: tuple[str, ...], code: str, where: str, pro
 
 
 def _direction(direction: Any, where: str, problems: Problems) -> tuple[Any, bool]:
-    """A unit vector, and whether it is turned about."""
+    """A unit vector, and whether the direction is a rotation about it."""
     if not isinstance(direction, str):
         return unit_vector(float_array(direction, where), where, problems), False
     _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", where, problems)
@@ -308,14 +310,14 @@ def _direction(direction: Any, where: str, problems: Problems) -> tuple[Any, boo
 
 
 def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:
-    """What a unit of each of (Delta, Xi) moves every frame by: displacement of the origin and turn."""
+    """The displacement of the origin and the rotation of every frame per unit of each of (Delta, Xi)."""
     bodies, n, dtype = len(at.model.layout.bodies), len(at.turns), at.q.dtype
     J = jnp.swapaxes(jnp.eye(n, dtype=dtype).reshape(-1, 6, n), 1, 2) if at.J is None else at.J
     return jnp.concatenate([jnp.zeros((1, n, 6), dtype), J[bodies:], J[:bodies]])
 
 
 def _point_row(port: PointForce | PointMotion, frames: Frame, twists, row_of) -> Float[Array, "n"]:
-    """The displacement or turn of a port's point by each of (Delta, Xi)."""
+    """The displacement or rotation of a port's point per unit of each of (Delta, Xi)."""
     place, axis = frames[row_of(port.on)].point(port.point), jnp.asarray(port.axis)
 
     def moved(name: str):
@@ -338,16 +340,16 @@ def _bending(element: Element, poses: list[Pose]):
     return jax.jacfwd(deformation, has_aux=True)([jnp.zeros(6, poses[0].p.dtype)] * len(poses))
 
 
-def _pushes(inputs: tuple[Input, ...], frames: Frame, layout) -> Float[Array, "nu nb 6"]:
-    """Force and moment about the origin of each body that a unit of each input is."""
-    pushes = jnp.zeros((len(inputs), len(layout.bodies), 6), frames.p.dtype)
+def _input_wrenches(inputs: tuple[Input, ...], frames: Frame, layout) -> Float[Array, "nu nb 6"]:
+    """Force and moment on each body about its origin, per unit of each input."""
+    wrenches = jnp.zeros((len(inputs), len(layout.bodies), 6), frames.p.dtype)
     for i, port in enumerate(inputs):
         if isinstance(port, PointForce):
             row, axis = layout.frame(port.on), jnp.asarray(port.axis)
             F = jnp.zeros(3) if port.turns else axis
             M = axis if port.turns else cross(frames[row].point(port.point) - frames.p[row], axis)
-            pushes = pushes.at[i, row - layout.first_body].set(jnp.concatenate([F, M]))
-    return pushes
+            wrenches = wrenches.at[i, row - layout.first_body].set(jnp.concatenate([F, M]))
+    return wrenches
 
 
 def _place(layout, port: Any) -> int:
@@ -359,7 +361,7 @@ def _unit(layout, port: Any, dtype) -> Float[Array, "nxi"]:
 
 
 def _turned_moment(layout, held: Float[Array, "nxi"], port: SupportReaction) -> Float[Array, "n"]:
-    """phi x m/2: the moment m of the equilibrium is dV/dphi for a rotation vector phi = 0 only; further on m = J(phi)^-T dV/dphi."""
+    """phi x m/2: the moment m at equilibrium equals dV/dphi at the rotation vector phi = 0 only; in general m = J(phi)^-T dV/dphi."""
     first = 6 * layout.supports.index(port.on) + 3
     row = jnp.zeros(layout.nv + layout.nxi, held.dtype)
     if len(port.direction) == 1:
@@ -392,7 +394,7 @@ def _element_problem(port: Any, model: Model, where: str) -> Problem | None:
 
 
 def check_ports(lin: Any, inputs: Any, outputs: Any, where: str):
-    """(names, ports, units) of inputs and outputs; raises with all that is wrong."""
+    """(names, ports, units) of inputs and outputs; raises all errors at once."""
     problems = Problems()
     found = [ports_of(lin.model, given, what, where, problems) for given, what in ((inputs, "inputs"), (outputs, "outputs"))]
     problems.raise_if_any()

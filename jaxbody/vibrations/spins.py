@@ -5,7 +5,8 @@ With q = q0(t) (+) delta, v = v0 + nu along the motion q0(t) at constant speeds 
     delta' = E delta + nu,   nu' = A delta + B nu        so   M delta'' + (C + G) delta' + K delta = 0,
     C + G = -M (E + B),   K = -M (A - B E)
 
-E is how the chart turns with the motion (w x for a free body). It is steady where v0' = 0 and these matrices are the same all along it.
+E is the rotation of the chart with the motion (w x for a free body). The motion is steady if v0' = 0 and these matrices are constant along
+it.
 """
 
 from __future__ import annotations
@@ -30,15 +31,15 @@ from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.precisions import reachable
 
-STEADY = 1e-8  # change of speeds and of matrices, relative to what they are made of, below which it is round-off
-ALONG = (0.7, 1.9, 4.1)  # rad into the spin where the matrices must be the same; no two in a simple ratio
+STEADY = 1e-8  # change of speeds and of matrices, relative to their terms, below which it is round-off
+ALONG = (0.7, 1.9, 4.1)  # rad of spin at which the matrices must be the same; no two in a simple ratio
 
 
 class SpinLinearization(Result):
     """M delta'' + (C + G) delta' + K delta = 0 about a steady motion `state`; rows and columns as in `coordinates`.
 
-    The chart is that of `linearize`, about the moving body. `G`: gyroscopic, skew; `K`: all of the stiffness, `K_centrifugal` the part that is there because of the
-    motion. `status` NOT_STEADY where the state is no steady motion, the matrices then being those of an instant."""
+    The chart is that of `linearize`, about the moving body. `G`: gyroscopic, skew; `K`: the total stiffness, `K_centrifugal` its part due
+    to the motion. `status` NOT_STEADY if the state is not a steady motion; the matrices are then those of an instant."""
 
     M: Float[Array, "nv nv"]
     C: Float[Array, "nv nv"]
@@ -52,15 +53,15 @@ class SpinLinearization(Result):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """What each row of M, C, G, K is."""
+        """The names of the rows of M, C, G, K."""
         return self.model.layout.coordinates
 
     def explain(self) -> str:
         if not int(self.status):
             return ""
         worst = int(jnp.argmax(jnp.abs(self.acceleration)))
-        told = f"the largest change of speed is {float(self.acceleration[worst]):.3g} /s2 in '{self.coordinates[worst]}'"
-        return told + "; spin a body about its axis of symmetry, in equilibrium, with nothing on it that turns with it or brakes it"
+        message = f"the largest change of speed is {float(self.acceleration[worst]):.3g} /s2 in '{self.coordinates[worst]}'"
+        return message + "; spin a body about its axis of symmetry, in equilibrium, with no load or damper that turns with it or brakes it"
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: M, C, G and K by named coordinates."""
@@ -90,17 +91,18 @@ class SpinLinearization(Result):
 
 
 def linearize_spin(model: Model, at: State) -> SpinLinearization:
-    """Mass, damping, gyroscopic and stiffness matrix of small motions about a state that moves steadily, supports at rest: a rotor that spins.
+    """Mass, damping, gyroscopic and stiffness matrix of small motions about a steady motion, as of a spinning rotor, supports at rest.
 
         M delta'' + (C + G) delta' + K delta = 0
 
-    The Jacobian of the equations of motion at (q, v). It must not depend on time: what spins must be of revolution about its axis, free or on a hinge, and what is
-    attached to it must be so on that axis. Errors: BAD_SHAPE, NON_FINITE of the state; warns NOT_STEADY.
+    The Jacobian of the equations of motion at (q, v). It must not depend on time: a spinning body must be of revolution about its axis,
+    free or on a hinge, and elements must be attached to it on that axis. Errors: BAD_SHAPE, NON_FINITE of the state; warns NOT_STEADY.
     Source: G. Genta, Dynamics of Rotating Systems (2005), 2.3.
 
-    A disk with 0.2 kg m2 about its axis z that spins at 30 rad/s: moments 0.2 x 30 across.
+    A disk with 0.2 kg m2 about its axis z, spinning at 30 rad/s, has G = 0.2 x 30 between its transverse rotations:
 
-    >>> model = Model(bodies={"disk": Body(mass=1.0, inertia=[0.1, 0.1, 0.2])}, elements={"s": Spring(("disk", [0, 0, 0.5]), ("world", [0, 0, 1]), stiffness=10.0)})
+    >>> spring = Spring(("disk", [0, 0, 0.5]), ("world", [0, 0, 1]), stiffness=10.0)
+    >>> model = Model(bodies={"disk": Body(mass=1.0, inertia=[0.1, 0.1, 0.2])}, elements={"s": spring})
     >>> lin = linearize_spin(replace(model, {"s.free_length": 0.5}), State(model.reference.q, jnp.array([0, 0, 0, 0, 0, 30.0])))
     >>> round(float(lin.G[3, 4]), 9)
     6.0
@@ -121,7 +123,7 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     C, K_rest = damping(at), stiffness(at)
     size = size_of(model)
     scale = scale_of(model, size)
-    fastest = jnp.max(jnp.abs(v / scale) / size, initial=0.0)  # rad/s, or what a translation is to the size of the model
+    fastest = jnp.max(jnp.abs(v / scale) / size, initial=0.0)  # rad/s, of translations in sizes of the model
     period = jnp.where(fastest > 0, 1 / jnp.where(fastest > 0, fastest, 1.0), 0.0)
 
     def matrices(angle):
@@ -135,8 +137,8 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     stiff = jnp.maximum(largest(K), inertia * fastest**2)
     steady = reachable(STEADY, M.dtype, 1024)
     changes = (largest(later_D - D) > steady * (largest(D) + inertia * fastest)) | (largest(later_K - K) > steady * stiff)
-    slows = jnp.max(jnp.abs(M @ v_dot * scale), initial=0.0) > steady * stiff * size
-    status = jnp.where(slows | changes.any(), Status.NOT_STEADY.value, Status.OK.value)
+    accelerates = jnp.max(jnp.abs(M @ v_dot * scale), initial=0.0) > steady * stiff * size
+    status = jnp.where(accelerates | changes.any(), Status.NOT_STEADY.value, Status.OK.value)
     return SpinLinearization(M, C, D - C, K, K - K_rest, v_dot, status, state, model)
 
 

@@ -36,8 +36,8 @@ class StateSpace(Result):
         if int(self.status) != Status.IMPROPER:
             return ""
         pairs = [(self.outputs[i], self.inputs[j]) for i, j in jnp.argwhere(jnp.isnan(self.D)).tolist()]
-        told = ", ".join(f"'{output}' of '{name}'" for output, name in pairs[:4])
-        return f'{told}: make the input the acceleration of the support, kind="acceleration"'
+        listed = ", ".join(f"'{output}' of '{name}'" for output, name in pairs[:4])
+        return f'{listed}: make the input the acceleration of the support, kind="acceleration"'
 
     def _tables(self) -> list[tables.PrintedTable]:
         return [
@@ -55,12 +55,12 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
     (u, ins, u_units), (y, outs, y_units) = check_ports(lin, inputs, outputs, "state_space")
     A, B, C, D, status = _state_space(lin, port_matrices(lin, ins, outs))
     own = lin.model.layout.coordinates
-    kept = [(name, port.kind) for name, port in zip(u, ins, strict=True) if getattr(port, "kind", "displacement") != "displacement"]
+    integrated = [(name, port.kind) for name, port in zip(u, ins, strict=True) if getattr(port, "kind", "displacement") != "displacement"]
     states = (
         *own,
         *(f"rate of {name}" for name in own),
-        *(f"displacement of {name}" for name, _ in kept),
-        *(f"velocity of {name}" for name, kind in kept if kind == "acceleration"),
+        *(f"displacement of {name}" for name, _ in integrated),
+        *(f"velocity of {name}" for name, kind in integrated if kind == "acceleration"),
     )
     result = StateSpace(A, B, C, D, status, u, y, states, u_units, y_units)
     warn_if_failed(result)
@@ -68,20 +68,20 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
 
 
 @jit_unoptimized
-def _state_space(lin: Any, wiring: PortMatrices):
+def _state_space(lin: Any, ports: PortMatrices):
     """The states are p = Delta - g u and r = Delta' - g u' - h u, so that no derivative of u is needed, then Xi and Xi' of inputs that are
     velocities (Xi) and accelerations (both):
 
     Delta'' = M^-1 (F f + K~ Xi + C~ Xi' + M~ Xi'' - C Delta' - K Delta),   u = Xi:   g = M^-1 M~,  h = M^-1 (C~ - C g)
                                                                             u = Xi':  g = 0,        h = M^-1 M~"""
-    signals = _Signals(lin, wiring)
+    signals = _Signals(lin, ports)
     x, rate, acceleration, slopes = signals.motion()
     whole = [jnp.concatenate(pair) for pair in zip((x, rate, acceleration), signals.base, strict=True)]
-    y = jnp.einsum("kyn,knw->yw", wiring.Y, jnp.stack(whole))
+    y = jnp.einsum("kyn,knw->yw", ports.Y, jnp.stack(whole))
     n = signals.n_states
-    m = len(wiring.orders)
-    C, D, first, second = y[:, :n], y[:, n : n + m] + wiring.G, y[:, n + m : n + 2 * m], y[:, n + 2 * m :]
-    size = jnp.max(jnp.abs(wiring.Y), axis=(0, 2))[:, None] * 1e-12
+    m = len(ports.orders)
+    C, D, first, second = y[:, :n], y[:, n : n + m] + ports.G, y[:, n + m : n + 2 * m], y[:, n + 2 * m :]
+    size = jnp.max(jnp.abs(ports.Y), axis=(0, 2))[:, None] * 1e-12
     improper = (jnp.abs(first) > size) | (jnp.abs(second) > size)
     status = jnp.where(improper.any(), Status.IMPROPER.value, Status.OK.value)
     failed = jnp.isin(lin.status, jnp.array([*NOT_AT_REST, Status.NONFINITE]))
@@ -91,16 +91,16 @@ def _state_space(lin: Any, wiring: PortMatrices):
 class _Signals:
     """Signals as rows of coefficients of (states, u, u', u'')."""
 
-    def __init__(self, lin: Any, wiring: PortMatrices):
-        self.lin, self.wiring = lin, wiring
-        self.nv, self.m = lin.M.shape[-1], len(wiring.orders)
-        orders = wiring.orders
+    def __init__(self, lin: Any, ports: PortMatrices):
+        self.lin, self.ports = lin, ports
+        self.nv, self.m = lin.M.shape[-1], len(ports.orders)
+        orders = ports.orders
         integrated = [(j, k) for k in (1, 2) for j in range(self.m) if orders[j] >= k]  # columns of Xi, then of Xi'
         self.n_states = 2 * self.nv + len(integrated)
         self.width = self.n_states + 3 * self.m
         place = {pair: 2 * self.nv + i for i, pair in enumerate(integrated)}
         u = [self.n_states + i * self.m for i in range(3)]
-        # the derivatives of Xi of input j: states while they are below its order, then u, u', u''
+        # the derivatives of Xi of input j: states below the order of the input, then u, u', u''
         self.chain = [
             [place[j, k + 1] if k < orders[j] else u[k - orders[j]] + j for k in range(3)]  # Xi, Xi', Xi''
             for j in range(self.m)
@@ -109,9 +109,9 @@ class _Signals:
         self.base = [self._base(k) for k in range(3)]
 
     def _base(self, k: int) -> Float[Array, "nxi width"]:
-        rows = jnp.zeros((self.wiring.X.shape[0], self.width), self.wiring.X.dtype)
+        rows = jnp.zeros((self.ports.X.shape[0], self.width), self.ports.X.dtype)
         for j in range(self.m):
-            rows = rows.at[:, self.chain[j][k]].add(self.wiring.X[:, j])
+            rows = rows.at[:, self.chain[j][k]].add(self.ports.X[:, j])
         return rows
 
     def motion(self):
@@ -122,16 +122,16 @@ class _Signals:
         def solved(B):
             return jnp.linalg.solve(lin.M, B)
 
-        eye, still = jnp.eye(nv, dtype=dtype), jnp.zeros((nv, self.width), dtype)
+        eye, zero = jnp.eye(nv, dtype=dtype), jnp.zeros((nv, self.width), dtype)
         driven = lin.K_tilde @ self.base[0] + lin.C_tilde @ self.base[1] + lin.M_tilde @ self.base[2]
-        driven = solved(driven.at[:, n : n + m].add(self.wiring.F[:nv]))
+        driven = solved(driven.at[:, n : n + m].add(self.ports.F[:nv]))
         damping = solved(lin.C)
         # M^-1 (K~ Xi + ...) = ... + d0 u + d1 u' + d2 u'';  g = d2, h = d1 - M^-1 C g
         g = driven[:, n + 2 * m :]
         h = driven[:, n + m : n + 2 * m] - damping @ g
         p, r, u, du, ddu = (slice(i, j) for i, j in ((0, nv), (nv, 2 * nv), (n, n + m), (n + m, n + 2 * m), (n + 2 * m, n + 3 * m)))
-        x = still.at[:, p].set(eye).at[:, u].set(g)
-        rate = still.at[:, r].set(eye).at[:, u].set(h).at[:, du].set(g)
+        x = zero.at[:, p].set(eye).at[:, u].set(g)
+        rate = zero.at[:, r].set(eye).at[:, u].set(h).at[:, du].set(g)
         acceleration = driven - damping @ rate - solved(lin.K) @ x
         slopes = jnp.concatenate([
             rate.at[:, du].set(0.0),  # p' = Delta' - g u'
