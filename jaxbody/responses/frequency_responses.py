@@ -129,8 +129,7 @@ def frequency_response(
 
         D(w) Delta = (K~ + i w C~ - w^2 M~) Xi + F f,   D(w) = K + i w C - w^2 M
 
-    At 0 Hz it is the static response, K^-1. Differentiable by either method, coinciding modes included, with respect to the model, the
-    points of ports, loss factors, modal damping and frequencies.
+    At 0 Hz it is static. Differentiable by both methods, also where modes coincide, in the model, points of ports, damping and frequencies.
 
     Args:
         frequencies: 0 or more, in one row [Hz].
@@ -311,9 +310,7 @@ def _eliminated(A: _Matrices, s) -> Callable[[Complex[Array, "n m nf"], bool], C
     n = len(A.M)
     if n > LARGEST_UNROLLED:
         factors = jax.scipy.linalg.lu_factor(jnp.moveaxis(A.at(s), -1, 0))
-        return lambda b, transposed: jax.vmap(lambda LU, b: jax.scipy.linalg.lu_solve(LU, b, trans=int(transposed)), (0, -1), -1)(
-            factors, b
-        )
+        return lambda b, transposed: jax.vmap(lambda LU, b: jax.scipy.linalg.lu_solve(LU, b, int(transposed)), (0, -1), -1)(factors, b)
     L = jnp.linalg.cholesky((A.M + A.M.T) / 2)
     half = jax.scipy.linalg.solve_triangular(L, (A.K + A.K.T) / 2, lower=True)
     whitened = jax.scipy.linalg.solve_triangular(L, half.T, lower=True)

@@ -47,8 +47,7 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     by = _by_blocks if own_loops else _by_diffrax
     form = Canonical(dynamics) if isinstance(solver, Gauss) else dynamics
     y0 = form.pack(initial, times[0])
-    options = (rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)
-    samples, t_end, y_end, code, accepted, rejected = by(form, y0, times, *options)
+    samples, t_end, y_end, code, accepted, rejected = by(form, y0, times, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)
     finite = jnp.isfinite(samples).all(1)
     overflow = (code == Status.OK.value) & ~finite.all()  # which constant steps do not detect
     last = jnp.maximum(jnp.argmin(finite) - 1, 0)

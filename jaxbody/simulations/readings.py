@@ -89,11 +89,12 @@ def measure(
         return values
     keys = dict(zip(sensors, jax.random.split(key, len(sensors)), strict=True))
     lead = trajectory.times.shape
-    noises = {
-        name: sensor.spread(levels.get(name, 0.0)) * jax.random.normal(keys[name], (*lead, *sensor.noise_shape))
+    return {
+        name: sensor.disturbed(
+            values[name], sensor.spread(levels.get(name, 0.0)) * jax.random.normal(keys[name], (*lead, *sensor.noise_shape))
+        )
         for name, sensor in sensors.items()
     }
-    return {name: sensor.disturbed(values[name], noises[name]) for name, sensor in sensors.items()}
 
 
 def _nan_outside(sensor: Sensor, times: Array, x: Array) -> Array:

@@ -126,8 +126,10 @@ class Equilibrium(Result):
         if int(start.status) not in (Status.OK, Status.SINGULAR_K):
             return "none was found by descent, nor without the weights"
         applied = AppliedLoads((), np.zeros(0), self.model.gravity)
-        fraction = float(_along_path(weightless, start, applied, False)[0].factor)
-        return f"none was found by descent; {100 * fraction:.4g} % of the weights is carried"
+        return (
+            "none was found by descent; "
+            f"{100 * float(_along_path(weightless, start, applied, False)[0].factor):.4g} % of the weights is carried"
+        )
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: q by part, residual by coordinate, elongation by spring, energy, status."""

@@ -1,4 +1,4 @@
-"""Long and stiff records: Gauss collocation keeps energy without trend, in its order and with its derivatives; implicit solvers step over what is stiff."""
+"""Long and stiff motions: Gauss collocation conserves energy, at its order and with derivatives; implicit solvers take long steps."""
 
 import diffrax
 import jax
@@ -37,9 +37,9 @@ def test_order_and_energy_of_a_linear_system(stages):
     """Order two for each stage; a quadratic energy stays to rounding."""
     errors = []
     for dt0 in (0.025, 0.0125):  # samples lie on steps
-        found = moved(stages, dt0)
-        errors.append(rigs.max_difference(found.state.q[:, 0], 0.1 * np.cos(20 * TIMES)))
-        assert np.abs(found.energies["total"] / 2.0 - 1).max() < 1e-13  # 1/2 400 0.1^2 J
+        result = moved(stages, dt0)
+        errors.append(rigs.max_difference(result.state.q[:, 0], 0.1 * np.cos(20 * TIMES)))
+        assert np.abs(result.energies["total"] / 2.0 - 1).max() < 1e-13  # 1/2 400 0.1^2 J
     assert abs(np.log2(errors[0] / errors[1]) - 2 * stages) < 0.25
 
 
@@ -55,11 +55,11 @@ def test_derivatives_pass_through_the_stages(mode):
     assert rigs.max_difference(slopes, expected) < 1e-9 * 0.1  # of the method at this step; by differences of 0.01 N/m 1e-7
 
 
-def test_steps_that_do_not_settle_end_in_a_status():
-    with pytest.warns(jb.JaxbodyWarning) as told:
-        found = moved(1, 0.2)  # four over the fastest rate, where two is the most
-    assert [w.message.code for w in told] == ["STEP_TOO_LONG", "NOT_CONVERGED"]
-    assert np.isnan(found.state.q[1:]).all()
+def test_steps_that_do_not_converge_end_in_a_status():
+    with pytest.warns(jb.JaxbodyWarning) as caught:
+        result = moved(1, 0.2)  # four over the fastest rate, where two is the most
+    assert [w.message.code for w in caught] == ["STEP_TOO_LONG", "NOT_CONVERGED"]
+    assert np.isnan(result.state.q[1:]).all()
 
 
 def test_unknown_stages_are_refused():
@@ -75,10 +75,10 @@ def vibrating(periods, samples=201):
     period = 1 / float(jb.modes(jb.linearize(model, eq)).frequency[-1])
     start = jb.State(jb.retract(model, eq.state.q, jnp.array([0.02, -0.015, 0.02, 0.06, -0.05, 0.08])), jnp.zeros(6))
     options = dict(solver=jb.Gauss(stages=3), stepsize_controller=STEPS, dt0=period / 10, max_steps=11 * periods)
-    found = jb.simulate(model, np.linspace(0, periods * period, samples), initial=start, adjoint=diffrax.ForwardMode(), **options)
-    assert found.ok
-    assert rigs.max_difference(np.linalg.norm(found.state.q[:, 3:], axis=1), np.ones(samples)) < 1e-12
-    energy = np.asarray(found.energies["total"]) - float(eq.energy)
+    result = jb.simulate(model, np.linspace(0, periods * period, samples), initial=start, adjoint=diffrax.ForwardMode(), **options)
+    assert result.ok
+    assert rigs.max_difference(np.linalg.norm(result.state.q[:, 3:], axis=1), np.ones(samples)) < 1e-12
+    energy = np.asarray(result.energies["total"]) - float(eq.energy)
     return energy / energy[0] - 1
 
 
@@ -151,8 +151,8 @@ def test_reverse_mode_over_a_hundred_thousand_steps_takes_little_memory():
     def loss(factor, **options):
         changed = jb.replace(model, {"s0.stiffness": factor * rigs.PARAMETERS["stiffness"][0]})
         options = dict(stepsize_controller=steps, solver=diffrax.Tsit5(), max_steps=110_000, **options)
-        found = jb.simulate(changed, jnp.array([0.0, 100.0]), motion=motion, dt0=1e-3, **options)
-        return jnp.sum(found.state.q[-1] ** 2), found.statistics["num_accepted_steps"]
+        result = jb.simulate(changed, jnp.array([0.0, 100.0]), motion=motion, dt0=1e-3, **options)
+        return jnp.sum(result.state.q[-1] ** 2), result.statistics["num_accepted_steps"]
 
     program = jax.jit(jax.grad(loss, has_aux=True)).lower(1.0).compile()
     memory = program.memory_analysis().temp_size_in_bytes

@@ -25,9 +25,9 @@ jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling
 def still(p):
     """Equilibrium, natural frequencies and damping ratios of the rig: 8 + 7 + 7 numbers."""
     model = rigs.rig(p)
-    found = jb.equilibrium(model)
-    modes = jb.modes(jb.linearize(model, found))
-    return jnp.concatenate([found.state.q, modes.frequency, modes.damping_ratio])
+    result = jb.equilibrium(model)
+    modes = jb.modes(jb.linearize(model, result))
+    return jnp.concatenate([result.state.q, modes.frequency, modes.damping_ratio])
 
 
 WEIGHTS = np.cos(np.arange(4 * 15.0)).reshape(4, 15)
@@ -45,11 +45,11 @@ def moving(p, adjoint=None):
 
 def directions(p):
     """For every kind of parameter a random direction, zero elsewhere, of the size of the parameter."""
-    found = {}
+    result = {}
     for kind, value in p.items():
         tangent = RNG.normal(size=value.shape) * np.abs(value).max()
-        found[kind] = {other: jnp.array(tangent) if other == kind else jnp.zeros_like(p[other]) for other in p}
-    return found
+        result[kind] = {other: jnp.array(tangent) if other == kind else jnp.zeros_like(p[other]) for other in p}
+    return result
 
 
 def stacked(trees):
@@ -152,9 +152,9 @@ def mounted(p):
         elements={"mount": bushing, "spring": spring},
         gravity=p["gravity"],
     )
-    found = jb.equilibrium(model)
-    modes = jb.modes(jb.linearize(model, found))
-    return jnp.concatenate([found.state.q, modes.frequency, modes.damping_ratio])
+    result = jb.equilibrium(model)
+    modes = jb.modes(jb.linearize(model, result))
+    return jnp.concatenate([result.state.q, modes.frequency, modes.damping_ratio])
 
 
 @pytest.mark.long
@@ -175,9 +175,9 @@ def test_bushings_have_the_second_derivatives_of_differences():
     for i, (kind, tangent) in enumerate(tangents.items()):
         assert max_difference(forward[i, 1], inner(gradient, tangent)) < 1e-9 * np.abs(forward[:, 1]).max(), kind
         for other in MOUNT:
-            found, expected = np.asarray(along[other][i]), np.asarray(twice[other][i])
+            result, expected = np.asarray(along[other][i]), np.asarray(twice[other][i])
             scale = np.abs(expected).max()
-            assert max_difference(found, expected) < 1e-6 * max(scale, 1e-6), (kind, other)
+            assert max_difference(result, expected) < 1e-6 * max(scale, 1e-6), (kind, other)
     second = np.array([[inner(jax.tree.map(lambda x, i=i: x[i], along), d) for d in tangents.values()] for i in range(len(tangents))])
     assert max_difference(second, second.T) < 1e-9 * np.abs(second).max()
 
@@ -210,7 +210,7 @@ def test_constant_steps_have_right_gradients_also_where_samples_lie_on_steps(off
     assert abs(reverse / exact - 1) < 1e-4
 
 
-# The same numbers however they are asked for
+# The same numbers by vmap, jit and loops
 
 
 def variants(count):
@@ -218,11 +218,11 @@ def variants(count):
     return [jax.tree.map(lambda x: x * (1 + 0.02 * RNG.normal(size=x.shape)), MOVING) for _ in range(count)]
 
 
-def asked(p, dt0=0.01):
-    """Everything that a user does with the rig, public function by public function; in constant steps, as chosen ones feel round-off."""
+def results_of(p, dt0=0.01):
+    """Results of all public functions for the rig; in constant steps, as controlled ones depend on round-off."""
     model = rigs.rig(p)
-    found = jb.equilibrium(model)
-    lin = jb.linearize(model, found)
+    result = jb.equilibrium(model)
+    lin = jb.linearize(model, result)
     modes = jb.modes(lin)
     initial = jb.State(jnp.concatenate([p["q"][:3], rigs.unit(p["q"][3:7]), p["q"][7:]]), p["v"])
     motion = {"base": jb.Harmonic(**{name: p[name] for name in rigs.SHAKING})}
@@ -230,7 +230,7 @@ def asked(p, dt0=0.01):
         model, TIMES, motion=motion, initial=initial, stepsize_controller=diffrax.ConstantStepSize(), dt0=dt0, max_steps=128
     )
     return {
-        "equilibrium": (found.state.q, found.elongations["s3"], found.energy, found.status),
+        "equilibrium": (result.state.q, result.elongations["s3"], result.energy, result.status),
         "linearization": (lin.M, lin.C, lin.K, lin.K_tilde, lin.M_bb),
         "modes": (modes.frequency, modes.damping_ratio, jnp.abs(modes.shapes)),
         "trajectory": (trajectory.state.q, trajectory.state.v, trajectory.status),
@@ -240,15 +240,15 @@ def asked(p, dt0=0.01):
 @pytest.mark.long
 def test_vmap_is_a_loop_and_jit_changes_nothing():
     several = variants(3)
-    together = jit_once(jax.vmap(asked))(stacked(several))
+    together = jit_once(jax.vmap(results_of))(stacked(several))
     for i, p in enumerate(several):
-        one = asked({name: np.asarray(value) for name, value in p.items()})  # outside of jit
+        one = results_of({name: np.asarray(value) for name, value in p.items()})  # outside of jit
         assert int(one["equilibrium"][3]) == int(one["trajectory"][2]) == 0
         for kind, numbers in one.items():
-            for found, expected in zip(together[kind], numbers, strict=True):
+            for result, expected in zip(together[kind], numbers, strict=True):
                 scale = max(np.abs(expected).max(), 1e-2)
-                print("vmap", kind, max_difference(found[i], expected) / scale)
-                assert max_difference(found[i], expected) < 1e-12 * scale, kind
+                print("vmap", kind, max_difference(result[i], expected) / scale)
+                assert max_difference(result[i], expected) < 1e-12 * scale, kind
 
 
 @pytest.mark.long
@@ -257,7 +257,7 @@ def test_new_values_compile_nothing(caplog):
 
     def everything(p, dt0, rtol, end):
         p = {name: np.asarray(value) for name, value in p.items()}
-        asked(p, dt0)
+        results_of(p, dt0)
         model = jb.replace(rigs.rig(p), {"*.stiffness": float(p["stiffness"][0]), "box.mass": float(p["mass"][0])})
         start = jb.equilibrium(model, start=model.reference)
         excitation = jb.excitation(model, start, {"base": p["translation"].repeat(2)})

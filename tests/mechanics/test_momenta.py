@@ -1,4 +1,4 @@
-"""Coordinates and momenta: Hamilton's equations by the derivatives of H; a step of Gauss is symplectic, keeps momenta, and energy in chaotic motion."""
+"""Coordinates and momenta: Hamilton's equations by the derivatives of H; a Gauss step is symplectic and conserves momenta, and energy in chaotic motion."""
 
 from functools import partial
 
@@ -36,7 +36,7 @@ MODELS = {"plate": rigs.plate, "chain": chain}
 SPEEDS = {"plate": [0.5, -0.2, 0.3, 1.0, 2.0, -0.7], "chain": [1.5, -0.6, 0.8, 2.0]}
 
 
-def begun(name):
+def model_and_state(name):
     model = MODELS[name]()
     return model, jb.State(model.reference.q, jnp.array(SPEEDS[name]))
 
@@ -52,14 +52,14 @@ def quaternion_at(name):
 @pytest.mark.parametrize("name", MODELS)
 def test_hamiltons_equations(name):
     """Of H = 1/2 P M(q)^-1 P + V(q), for quaternions of any length: P = p for a number, im(p q*)/2 for a quaternion; dH/dp and -dH/dq."""
-    model, state = begun(name)
-    here = quaternion_at(name)
+    model, state = model_and_state(name)
+    quaternion = quaternion_at(name)
 
     def H(q, p):
-        w, x = q[here][0], q[here][1:]
-        turning = (w * p[here][1:] - p[here][0] * x - jnp.cross(p[here][1:], x)) / 2
-        P = jnp.concatenate([p[: here.start], turning, p[here.stop :]])
-        q = q.at[here].divide(jnp.sqrt(q[here] @ q[here]))
+        w, x = q[quaternion][0], q[quaternion][1:]
+        turning = (w * p[quaternion][1:] - p[quaternion][0] * x - jnp.cross(p[quaternion][1:], x)) / 2
+        P = jnp.concatenate([p[: quaternion.start], turning, p[quaternion.stop :]])
+        q = q.at[quaternion].divide(jnp.sqrt(q[quaternion] @ q[quaternion]))
         M = jax.hessian(lambda v: jb.kinetic_energy(model, jb.State(q, v)))(state.v)
         return P @ jnp.linalg.solve(M, P) / 2 + jb.potential_energy(model, jb.State(q, state.v))
 
@@ -67,8 +67,8 @@ def test_hamiltons_equations(name):
     q = state.q + jnp.asarray(0.3 * rng.standard_normal(len(state.q)))
     p = jnp.asarray(rng.standard_normal(len(q)))
     of_q, of_p = jax.jit(jax.grad(H, (0, 1)))(q, p)
-    found = eqx.filter_jit(form_of(model).rate)(jnp.array(0.0), jnp.concatenate([q, p]))
-    assert rigs.max_difference(found, jnp.concatenate([of_p, -of_q])) < 1e-12 * np.abs(of_q).max()
+    result = eqx.filter_jit(form_of(model).rate)(jnp.array(0.0), jnp.concatenate([q, p]))
+    assert rigs.max_difference(result, jnp.concatenate([of_p, -of_q])) < 1e-12 * np.abs(of_q).max()
 
 
 def test_momenta_move_as_velocities_do():
@@ -87,11 +87,11 @@ def test_momenta_move_as_velocities_do():
         rate = form.dynamics.coordinates.rate(state.q, state.v)
         return again, moved, jb.State(rate, form.dynamics.acceleration(t, state.q, state.v))
 
-    again, found, expected = both(form, state)
+    again, result, expected = both(form, state)
     assert rigs.max_difference(again.q, state.q) < 1e-15
     assert rigs.max_difference(again.v, state.v) < 1e-14
-    assert rigs.max_difference(found.q, expected.q) < 1e-14
-    assert rigs.max_difference(found.v, expected.v) < 1e-12 * np.abs(expected.v).max()
+    assert rigs.max_difference(result.q, expected.q) < 1e-14
+    assert rigs.max_difference(result.v, expected.v) < 1e-12 * np.abs(expected.v).max()
 
 
 def stepped(model, start, h, stages=3, steps=1, samples=None, **options):
@@ -101,13 +101,13 @@ def stepped(model, start, h, stages=3, steps=1, samples=None, **options):
 
 def chart(name, around):
     """(Delta, p) <-> state near a pose: p = dL/dDelta' in the rotation vector of the chart, by derivatives of its velocities."""
-    model, _ = begun(name)
-    coordinates, here = Coordinates(model), quaternion_at(name)
+    model, _ = model_and_state(name)
+    coordinates, quaternion = Coordinates(model), quaternion_at(name)
 
     def state(delta, rate):
         q, q_dot = jax.jvp(partial(coordinates.retract, around), (delta,), (rate,))
-        w = 2 * rotations.multiply(q_dot[here], q[here] * jnp.array([1, -1, -1, -1]))[1:]
-        return jb.State(q, jnp.concatenate([q_dot[: here.start], w, q_dot[here.stop :]]))
+        w = 2 * rotations.multiply(q_dot[quaternion], q[quaternion] * jnp.array([1, -1, -1, -1]))[1:]
+        return jb.State(q, jnp.concatenate([q_dot[: quaternion.start], w, q_dot[quaternion.stop :]]))
 
     def momenta(delta, rate):
         return jax.grad(lambda rate: jb.kinetic_energy(model, state(delta, rate)))(rate)
@@ -116,11 +116,11 @@ def chart(name, around):
         delta, p = jnp.split(x, 2)
         return state(delta, jnp.linalg.solve(jax.jacfwd(partial(momenta, delta))(delta), p))
 
-    def to_canonical(found):
-        turn = rotations.log_quaternion(rotations.multiply(found.q[here], around[here] * jnp.array([1, -1, -1, -1])))
-        delta = jnp.concatenate([(found.q - around)[: here.start], turn, (found.q - around)[here.stop :]])
+    def to_canonical(result):
+        turn = rotations.log_quaternion(rotations.multiply(result.q[quaternion], around[quaternion] * jnp.array([1, -1, -1, -1])))
+        delta = jnp.concatenate([(result.q - around)[: quaternion.start], turn, (result.q - around)[quaternion.stop :]])
         per_rate = jax.jacfwd(lambda rate: state(delta, rate).v)(delta)
-        return jnp.concatenate([delta, momenta(delta, jnp.linalg.solve(per_rate, found.v))])
+        return jnp.concatenate([delta, momenta(delta, jnp.linalg.solve(per_rate, result.v))])
 
     return jax.jit(from_canonical), jax.jit(to_canonical)
 
@@ -135,7 +135,7 @@ def jacobian(function, x):
 @pytest.mark.parametrize("name", MODELS)
 def test_a_step_is_symplectic(name):
     """S' J S = J for the Jacobian S of a long step in rotation vectors and their momenta."""
-    model, start = begun(name)
+    model, start = model_and_state(name)
     h, n = 0.05, model.layout.nv
     around = stepped(model, start, h).state.q[-1]
     J = np.block([[np.zeros((n, n)), np.eye(n)], [-np.eye(n), np.zeros((n, n))]])
@@ -176,19 +176,19 @@ def momenta_of(model, state):
     return total
 
 
-def test_momentum_and_moment_of_momentum_stay():
+def test_momentum_and_angular_momentum_are_conserved():
     model = pair()
     start = jb.State(model.reference.q, jnp.array([0.5, -0.2, 0.3, 1.0, 2.0, -0.7, -0.4, 0.3, 0.1, -2.0, 1.5, 3.0]))
     with pytest.warns(jb.JaxbodyWarning, match="UNATTACHED"):
-        found = stepped(model, start, 0.05, stages=2, steps=200)
-    end = jb.State(found.state.q[-1], found.state.v[-1])
+        result = stepped(model, start, 0.05, stages=2, steps=200)
+    end = jb.State(result.state.q[-1], result.state.v[-1])
     assert rigs.max_difference(end.q, start.q) > 1.0
-    assert abs(found.energies["total"][-1] / found.energies["total"][0] - 1) > 1e-7  # of a method, not of rounding
+    assert abs(result.energies["total"][-1] / result.energies["total"][0] - 1) > 1e-7  # of a method, not of rounding
     assert rigs.max_difference(momenta_of(model, end), momenta_of(model, start)) < 1e-12
 
 
 @pytest.mark.long
-def test_a_heavy_top_keeps_its_momenta():
+def test_the_momenta_of_a_heavy_top_are_conserved():
     """About the vertical and about its own axis of symmetry, over ten thousand steps."""
     top = jb.Model(
         bodies={"top": jb.Body(mass=1.0, inertia=[0.05, 0.05, 0.02], com=[0, 0, 0.3])},
@@ -196,29 +196,29 @@ def test_a_heavy_top_keeps_its_momenta():
         gravity=[0, 0, -9.81],
     )
     start = jb.State(jnp.array([np.cos(0.3), np.sin(0.3), 0, 0]), jnp.array([0.5, -3.0, 20.0]))
-    found = stepped(top, start, 0.02, steps=10_000, samples=201, max_steps=10_100)
-    R = rigs.turned(found.state.q)
+    result = stepped(top, start, 0.02, steps=10_000, samples=201, max_steps=10_100)
+    R = rigs.turned(result.state.q)
     J = np.diag([0.05 + 0.09, 0.05 + 0.09, 0.02])
-    H = np.einsum("tij,jk,tlk,tl->ti", R, J, R, found.state.v)
+    H = np.einsum("tij,jk,tlk,tl->ti", R, J, R, result.state.v)
     assert np.ptp(R[:, 2, 2]) > 0.1
     assert np.ptp(H[:, 2]) < 1e-11
     assert np.ptp(np.einsum("ti,ti->t", H, R[:, :, 2])) < 1e-11
-    error = found.energies["total"] / found.energies["total"][0] - 1
+    error = result.energies["total"] / result.energies["total"][0] - 1
     assert np.abs(error).max() < 1e-6
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("stages", [1, 2, 3])
-def test_order_with_all_that_acts(stages):
+def test_order_with_dampers_loads_and_a_moving_base(stages):
     """A rig with dampers and a mount on a base that moves, turning fast: order two for each stage, by Dopri8."""
     model, motion = rigs.rig(mount=rigs.MOUNT), {"base": jb.Harmonic(**rigs.SHAKING)}
     start = jb.State(model.reference.q, jnp.array([0.5, 0.2, -0.3, 1.0, 2.0, -0.7, 0.4]))
     times = np.linspace(0, 0.5, 3)
     exact = jb.simulate(model, times, motion=motion, initial=start, rtol=1e-12)
     options = dict(solver=jb.Gauss(stages=stages), stepsize_controller=STEPS, adjoint=diffrax.ForwardMode())
-    found = [jb.simulate(model, times, motion=motion, initial=start, dt0=h, **options) for h in (0.0125, 0.00625)]
+    result = [jb.simulate(model, times, motion=motion, initial=start, dt0=h, **options) for h in (0.0125, 0.00625)]
     errors = [
-        rigs.max_difference(np.concatenate([f.state.q, f.state.v], 1), np.concatenate([exact.state.q, exact.state.v], 1)) for f in found
+        rigs.max_difference(np.concatenate([f.state.q, f.state.v], 1), np.concatenate([exact.state.q, exact.state.v], 1)) for f in result
     ]
     print("order of", stages, "stages:", np.log2(errors[0] / errors[1]), "errors", errors)
     assert abs(np.log2(errors[0] / errors[1]) - 2 * stages) < 0.3
@@ -240,26 +240,26 @@ def test_derivatives_of_a_top(mode):
 
     def end(x, adjoint=adjoint):
         changed = jb.replace(top, {"s.stiffness": x[0], "top.mass": x[1]})
-        found = jb.simulate(changed, np.array([0, 0.2, 0.4]), initial=start, adjoint=adjoint, **options)
-        return jnp.sum(jnp.sin(3 * found.state.q[-1]))
+        result = jb.simulate(changed, np.array([0, 0.2, 0.4]), initial=start, adjoint=adjoint, **options)
+        return jnp.sum(jnp.sin(3 * result.state.q[-1]))
 
     x, forward = jnp.array([60.0, 1.2]), diffrax.ForwardMode()
-    found = (jax.jacfwd if mode == "forward" else jax.jacrev)(end)(x)
+    result = (jax.jacfwd if mode == "forward" else jax.jacrev)(end)(x)
     steps = 1e-4 * np.diag(x)
     differences = [(end(x + d, forward) - end(x - d, forward)) / (2 * d.sum()) for d in steps]
-    assert rigs.max_difference(found / np.array(differences), np.ones(2)) < 1e-6  # of differences: squares of 1e-4
+    assert rigs.max_difference(result / np.array(differences), np.ones(2)) < 1e-6  # of differences: squares of 1e-4
 
 
 def tumbling(model, start, period, steps, periods):
     """The motion, and the change of its energy relative to the largest kinetic energy."""
     h, steps = period / steps, periods * steps
-    found = stepped(model, start, h, steps=steps, samples=1001, max_steps=steps + 100)
-    assert found.ok
-    energy = np.asarray(found.energies["total"])
-    error = (energy - energy[0]) / np.max(found.energies["kinetic"])
+    result = stepped(model, start, h, steps=steps, samples=1001, max_steps=steps + 100)
+    assert result.ok
+    energy = np.asarray(result.energies["total"])
+    error = (energy - energy[0]) / np.max(result.energies["kinetic"])
     first, last = error[:100], error[-100:]
     print("energy: most", np.abs(error).max(), "first tenth", first.mean(), first.std(), "last tenth", last.mean(), last.std())
-    return found, error
+    return result, error
 
 
 @pytest.mark.long
@@ -270,8 +270,8 @@ def test_energy_of_a_tumbling_plate_has_no_trend_over_a_hundred_thousand_periods
     eq = jb.equilibrium(model)
     period = 1 / float(jb.modes(jb.linearize(model, eq)).frequency[-1])
     start = jb.State(jb.retract(model, eq.state.q, jnp.array([0.05, -0.04, 0.05, 1.0, -0.8, 1.2])), jnp.zeros(6))
-    found, error = tumbling(model, start, period, 40, 100_000)
-    assert found.poses["plate"].R[:, 2, 2].min() < -0.5
+    result, error = tumbling(model, start, period, 40, 100_000)
+    assert result.poses["plate"].R[:, 2, 2].min() < -0.5
     assert np.abs(error).max() < 1e-8
     assert abs(error[-100:].mean() - error[:100].mean()) < error.std()
     assert has_no_trend(error)
@@ -280,9 +280,9 @@ def test_energy_of_a_tumbling_plate_has_no_trend_over_a_hundred_thousand_periods
 @pytest.mark.long
 def test_energy_of_a_chain_has_no_trend():
     """The top swings on its ball and the arm by two radians and more on its hinge, 5000 times 0.5 s."""
-    model, start = begun("chain")
-    found, error = tumbling(model, start, 0.5, 30, 5000)
-    assert np.ptp(found.state.q[:, 4]) > 2
+    model, start = model_and_state("chain")
+    result, error = tumbling(model, start, 0.5, 30, 5000)
+    assert np.ptp(result.state.q[:, 4]) > 2
     assert np.abs(error).max() < 1e-7
     assert abs(error[-100:].mean() - error[:100].mean()) < error.std()
     assert has_no_trend(error)

@@ -40,11 +40,11 @@ def relative_sum(lin, Y, ratios, f):
     M, K, M_tilde, K_tilde = (np.asarray(x) for x in (lin.M, lin.K, lin.M_tilde, lin.K_tilde))
     squares, phi = scipy.linalg.eigh(K, M)
     S = np.linalg.solve(K, K_tilde)
-    columns, found = [0, 1, 2, 4], []
+    columns, result = [0, 1, 2, 4], []
     for w in 2 * np.pi * np.asarray(f):
         gain = phi / (squares - w**2 + 2j * ratios * np.sqrt(squares) * w) @ phi.T
-        found.append(np.concatenate([Y @ gain @ Y.T, Y @ (S + w**2 * gain @ (M @ S - M_tilde))[:, columns]], 1))
-    return np.stack(found, -1)
+        result.append(np.concatenate([Y @ gain @ Y.T, Y @ (S + w**2 * gain @ (M @ S - M_tilde))[:, columns]], 1))
+    return np.stack(result, -1)
 
 
 @pytest.mark.parametrize("method", ["direct", "modal"])
@@ -52,9 +52,9 @@ def test_responses_with_modal_damping_are_sums_over_the_modes(rig, method):
     """Of forces and of motions of the base, whose inertia couples to the arm's; 0 Hz with the rest."""
     lin, Y = rig
     f = np.append(0.0, F)
-    found = jb.frequency_response(lin, f, FORCES | MOTIONS, OUTPUTS, modal_damping=RATIOS, method=method)
+    result = jb.frequency_response(lin, f, FORCES | MOTIONS, OUTPUTS, modal_damping=RATIOS, method=method)
     expected = relative_sum(lin, Y, RATIOS, f)
-    assert found.ok and max_difference(found.values, expected) < 1e-9 * np.abs(expected).max()
+    assert result.ok and max_difference(result.values, expected) < 1e-9 * np.abs(expected).max()
 
 
 def test_random_responses_with_modal_damping_are_sums_over_the_modes(rig):
@@ -78,14 +78,14 @@ def on_a_spring(damping):
     return jb.linearize(model, model.reference)
 
 
-def test_a_ratio_acts_as_the_damper_of_one_spring_does_on_its_support_too():
+def test_a_ratio_acts_as_a_damper_on_body_and_support():
     """zeta = c/(2 m w): the same motion and the same reaction of forces and of the base in motion; what a damper has is added to."""
     inputs = {"pull": jb.PointForce("mass"), "base": jb.BaseMotion("base", "z")}
     outputs = {"mass": jb.PointMotion("mass"), "reaction": jb.SupportReaction("base", "z")}
     damped = jb.frequency_response(on_a_spring(3.0), F, inputs, outputs)
     for c in (0.0, 1.0):
-        found = jb.frequency_response(on_a_spring(c), F, inputs, outputs, modal_damping=(3.0 - c) / (2 * 2.0 * 5.0))
-        np.testing.assert_allclose(found.values, damped.values, rtol=1e-12, atol=1e-14)
+        result = jb.frequency_response(on_a_spring(c), F, inputs, outputs, modal_damping=(3.0 - c) / (2 * 2.0 * 5.0))
+        np.testing.assert_allclose(result.values, damped.values, rtol=1e-12, atol=1e-14)
 
 
 def equal_ways(k):
@@ -122,7 +122,7 @@ def test_derivatives_where_modes_coincide_are_those_of_the_matrix_function():
 @pytest.mark.parametrize(
     ("ratios", "code"), [(-0.1, "NEGATIVE"), ([0.1, 0.2], "BAD_SHAPE"), (np.nan, "NON_FINITE"), ([0.1] * 6 + [-0.2], "NEGATIVE")]
 )
-def test_ratios_that_make_no_sense_are_refused(rig, ratios, code):
+def test_invalid_ratios_are_refused(rig, ratios, code):
     for call in (
         lambda: jb.frequency_response(rig[0], F, FORCES, OUTPUTS, modal_damping=ratios),
         lambda: jb.random_response(rig[0], F, {"z": FORCES["z"]}, OUTPUTS, {"z": jb.PowerLaw(1.0, unit="N2/Hz")}, modal_damping=ratios),
@@ -132,16 +132,16 @@ def test_ratios_that_make_no_sense_are_refused(rig, ratios, code):
         assert refused.value.code == code and refused.value.where.endswith("modal_damping")
 
 
-def test_modal_damping_without_real_modes_says_so(rig):
+def test_modal_damping_without_real_modes_is_reported(rig):
     lin = rig[0]
     skew = dataclasses.replace(lin, K=lin.K.at[0, 1].add(5.0))
     with pytest.warns(jb.JaxbodyWarning, match="NOT_SYMMETRIC"):
-        found = jb.frequency_response(skew, F, FORCES, OUTPUTS, modal_damping=0.1)
-    assert np.isnan(found.values).all()
+        result = jb.frequency_response(skew, F, FORCES, OUTPUTS, modal_damping=0.1)
+    assert np.isnan(result.values).all()
 
 
 def test_modal_damping_with_sensors_of_forces_is_refused(rig):
-    """What they read is the model's, and these forces are not."""
+    """They read forces of the model, which these are not."""
     sensors = {"arm": jb.Reaction("arm", component=0)}
     with pytest.raises(jb.JaxbodyError, match="modal_damping: is not part of what a Reaction on 'arm' reads") as refused:
         jb.frequency_response(rig[0], F, FORCES, sensors, modal_damping=0.1)
@@ -155,21 +155,21 @@ def test_modal_damping_with_sensors_of_forces_is_refused(rig):
 def test_at_0_hz_the_response_is_the_static_one(rig, method):
     """K^-1 by NumPy, as the limit is; the base moves all with it."""
     lin, Y = rig
-    found = jb.frequency_response(lin, [0.0, 1e-6], FORCES | MOTIONS, OUTPUTS, method=method)
+    result = jb.frequency_response(lin, [0.0, 1e-6], FORCES | MOTIONS, OUTPUTS, method=method)
     compliance = Y @ np.linalg.solve(np.asarray(lin.K), Y.T)
     assert (
-        found.ok
-        and max_difference(found.values[:, :3, 0], compliance) < 1e-11
-        and max_difference(found.values[:, 3:6, 0], np.eye(3)) < 1e-9
+        result.ok
+        and max_difference(result.values[:, :3, 0], compliance) < 1e-11
+        and max_difference(result.values[:, 3:6, 0], np.eye(3)) < 1e-9
     )
-    assert max_difference(found.values[..., 0], found.values[..., 1]) < 1e-9  # of the inertia at 1e-6 Hz
+    assert max_difference(result.values[..., 0], result.values[..., 1]) < 1e-9  # of the inertia at 1e-6 Hz
     hard = jb.frequency_response(
         on_a_spring(3.0), [0.0], {"pull": jb.PointForce("mass")}, {"mass": jb.PointMotion("mass")}, loss_factor=0.2
     )
     np.testing.assert_allclose(hard.values[0, 0, 0], 1 / (50.0 * (1 + 0.2j)), rtol=1e-13)
 
 
-def test_what_is_free_to_move_has_no_static_response_and_says_so():
+def test_free_motions_have_no_static_response_and_are_reported():
     """Two masses on a spring between them, one dragged by a damper: NaN at 0 Hz, (K + i w C - w^2 M)^-1 elsewhere."""
     model = jb.Model(
         bodies={name: jb.Body(mass=2.0, inertia=[1, 1, 1]) for name in ("one", "two")},
@@ -181,12 +181,12 @@ def test_what_is_free_to_move_has_no_static_response_and_says_so():
     expected = np.linalg.inv(50.0 * np.array([[1, -1], [-1, 1]]) + 1j * w * np.diag([3.0, 0.0]) - 2.0 * w**2 * np.eye(2))[1, 0]
     for method in ("direct", "modal"):
         with pytest.warns(jb.JaxbodyWarning, match=r"singular: something is free to move; NaN at 0 Hz.*\[SINGULAR_K\]"):
-            found = jb.frequency_response(lin, [0.0, 1.0], {"pull": jb.PointForce("one")}, {"two": jb.PointMotion("two")}, method=method)
-        assert np.isnan(found.values[0, 0, 0]) and not found.ok
-        np.testing.assert_allclose(found.values[0, 0, 1], expected, rtol=1e-11)
+            result = jb.frequency_response(lin, [0.0, 1.0], {"pull": jb.PointForce("one")}, {"two": jb.PointMotion("two")}, method=method)
+        assert np.isnan(result.values[0, 0, 0]) and not result.ok
+        np.testing.assert_allclose(result.values[0, 0, 1], expected, rtol=1e-11)
 
 
-def test_at_0_hz_velocities_and_accelerations_are_no_inputs():
+def test_at_0_hz_velocities_and_accelerations_are_refused_as_inputs():
     lin, outputs = on_a_spring(0.0), {"mass": jb.PointMotion("mass", kind="acceleration")}
     for kind in ("velocity", "acceleration"):
         with pytest.raises(jb.JaxbodyError, match=f'given as {kind}.*Take kind="displacement"') as refused:
@@ -201,12 +201,12 @@ def test_pictures_tables_and_objectives_of_a_response_with_0_hz():
 
     f = np.array([0.0, 0.5, 1.0, 2.0])
     inputs, outputs = {"base": jb.BaseMotion("base", "z")}, {"mass": jb.PointMotion("mass")}
-    found = jb.frequency_response(on_a_spring(3.0), f, inputs, outputs)
-    ax = jb.plots.plot_frequency_response(found, ax=Figure().subplots())
+    result = jb.frequency_response(on_a_spring(3.0), f, inputs, outputs)
+    ax = jb.plots.plot_frequency_response(result, ax=Figure().subplots())
     np.testing.assert_array_equal(ax.lines[0].get_xdata(), f[1:])
-    assert jb.plots.plot_transmissibility(found, ax=Figure().subplots()).lines[0].get_xdata()[0] == 0.5
-    lost = dataclasses.replace(found, values=found.values.at[..., 0].set(jnp.nan), status=jnp.array(3))
-    np.testing.assert_allclose(lost.phase[0, 0, 1:], np.angle(np.asarray(found.values))[0, 0, 1:], rtol=1e-12)
-    assert "nan" in str(lost) and f"{float(found.magnitude.max()):.6g}" in str(lost)
+    assert jb.plots.plot_transmissibility(result, ax=Figure().subplots()).lines[0].get_xdata()[0] == 0.5
+    lost = dataclasses.replace(result, values=result.values.at[..., 0].set(jnp.nan), status=jnp.array(3))
+    np.testing.assert_allclose(lost.phase[0, 0, 1:], np.angle(np.asarray(result.values))[0, 0, 1:], rtol=1e-12)
+    assert "nan" in str(lost) and f"{float(result.magnitude.max()):.6g}" in str(lost)
     with pytest.raises(jb.JaxbodyError, match="BAD_FREQUENCY"):
-        jb.objectives.transmitted(found, "mass", "base")
+        jb.objectives.transmitted(result, "mass", "base")

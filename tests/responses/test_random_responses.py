@@ -1,4 +1,4 @@
-"""Random response: white noise in closed form, correlated wheels, roads and weightings as published, units, derivatives, what is refused."""
+"""Random response: white noise in closed form, correlated wheels, roads and weightings as published, units, derivatives, errors."""
 
 import diffrax
 import jax
@@ -49,8 +49,8 @@ def ride(lin):
 def test_white_noise_variances_in_closed_form(lin):
     """By integration over 26 decades, which leave out less than 1e-12."""
     road = jb.Unevenness.iso("C")
-    found = jb.random_response(lin, jb.Band(1e-13, 1e13, points=12001), ROAD, OUTPUTS, {"road": road.at_speed(SPEED)})
-    assert np.abs(np.asarray(found.rms) ** 2 / exact_variances(white(road)) - 1).max() < 1e-9
+    computed = jb.random_response(lin, jb.Band(1e-13, 1e13, points=12001), ROAD, OUTPUTS, {"road": road.at_speed(SPEED)})
+    assert np.abs(np.asarray(computed.rms) ** 2 / exact_variances(white(road)) - 1).max() < 1e-9
 
 
 def test_damping_of_least_body_acceleration(lin):
@@ -70,7 +70,7 @@ def test_damping_of_least_body_acceleration(lin):
 
 
 @pytest.mark.long
-def test_units_and_sides_say_the_same(lin, ride):
+def test_spectra_in_all_units_and_sides_agree(lin, ride):
     """One road as displacement, velocity or acceleration, per Hz, rad/s or cycle/m, one- or two-sided, as a formula or through points."""
     level = 64e-6 * 4
     a = level * 0.01 * SPEED  # m2 Hz: a/f^2 one-sided per Hz
@@ -88,24 +88,24 @@ def test_units_and_sides_say_the_same(lin, ride):
         jb.PSD(2 * np.pi * points, 0 * points + 2 * np.pi * a, unit="(m/s)2/(rad/s)"),
     ]
     for spectrum in same:
-        found = jb.random_response(lin, BAND, ROAD, OUTPUTS, {"road": spectrum})
-        np.testing.assert_allclose(found.rms, ride.rms, rtol=1e-11)
+        computed = jb.random_response(lin, BAND, ROAD, OUTPUTS, {"road": spectrum})
+        np.testing.assert_allclose(computed.rms, ride.rms, rtol=1e-11)
     faster = jb.random_response(lin, BAND, {"road": jb.BaseMotion("road", "z", kind="acceleration")}, OUTPUTS, {"road": same[4]})
     np.testing.assert_allclose(faster.rms, ride.rms, rtol=1e-11)
 
 
 def test_any_frequencies_are_integrated_by_trapezoids(lin, ride):
     f = np.linspace(0.1, 100.0, 20001)
-    found = jb.random_response(lin, f, ROAD, OUTPUTS, {"road": jb.Unevenness.iso("C").at_speed(SPEED)})
-    np.testing.assert_allclose(found.rms, np.sqrt(np.trapezoid(np.asarray(found.psd), f)), rtol=1e-13)
-    np.testing.assert_allclose(found.rms, ride.rms, rtol=1e-3)
+    computed = jb.random_response(lin, f, ROAD, OUTPUTS, {"road": jb.Unevenness.iso("C").at_speed(SPEED)})
+    np.testing.assert_allclose(computed.rms, np.sqrt(np.trapezoid(np.asarray(computed.psd), f)), rtol=1e-13)
+    np.testing.assert_allclose(computed.rms, ride.rms, rtol=1e-3)
     with pytest.warns(jb.JaxbodyWarning, match="too far apart"):
         coarse = jb.random_response(lin, f[::1000], ROAD, OUTPUTS, {"road": jb.Unevenness.iso("C").at_speed(SPEED)})
     assert jb.Status(int(coarse.status)).name == "COARSE"
 
 
 @pytest.mark.long
-def test_a_wheelbase_filters_what_both_axles_feel():
+def test_a_wheelbase_filters_the_excitation_of_both_axles():
     """Heave and pitch of a symmetric half car behind each other at a distance: |1 + exp(-i w d)|^2/4 and |1 - exp(-i w d)|^2 of what coherent axles give."""
     car = jb.presets.half_car(front=1.25, rear=1.25, front_stiffness=2e4, rear_stiffness=2e4, front_damping=1500.0, rear_damping=1500.0)
     lin = jb.linearize(car, jb.equilibrium(car))
@@ -122,9 +122,9 @@ def test_a_wheelbase_filters_what_both_axles_feel():
         spectra = jb.CrossPSD(both, delays={"rear": delay}, coherence={("front", "rear"): coherence})
         response = jb.random_response(lin, np.linspace(0.5, 8, 751), inputs, outputs, spectra)
         assert response.ok
-        found = np.asarray(response.psd)[:, np.rint((f - 0.5) / 0.01).astype(int)]
+        computed = np.asarray(response.psd)[:, np.rint((f - 0.5) / 0.01).astype(int)]
         part = np.abs(H[:, 0]) ** 2 + np.abs(H[:, 1]) ** 2 + 2 * g * (H[:, 0] * (H[:, 1] * phase).conj()).real
-        np.testing.assert_allclose(found, S * part, rtol=1e-10)
+        np.testing.assert_allclose(computed, S * part, rtol=1e-10)
         if coherence == 1.0:  # at 4 Hz heave feels nothing, at 8 Hz pitch
             psd = np.asarray(response.psd)[:, [350, 750]]
             assert psd[0, 0] < 1e-20 * psd[0, 1] and psd[1, 1] < 1e-20 * psd[1, 0]
@@ -133,8 +133,8 @@ def test_a_wheelbase_filters_what_both_axles_feel():
 def test_weightings_as_tabulated():
     tabulated = {"Wk": {0.5: 418, 1: 482, 2: 531, 4: 967, 5: 1039, 8: 1036}, "Wd": {0.5: 853, 1: 1011, 2: 890, 4: 512}}
     for name, values in tabulated.items():
-        found = 1000 * np.abs(np.asarray(jb.weighting(name, list(values))))
-        np.testing.assert_allclose(found, list(values.values()), rtol=5e-3)
+        computed = 1000 * np.abs(np.asarray(jb.weighting(name, list(values))))
+        np.testing.assert_allclose(computed, list(values.values()), rtol=5e-3)
 
 
 def test_a_weighted_signal_is_that_of_the_analog_filter():
@@ -155,10 +155,10 @@ def test_a_weighted_signal_is_that_of_the_analog_filter():
             )
         top, bottom = (np.polymul(np.polymul(a_, b_), np.polymul(c_, d_)) for a_, b_, c_, d_ in zip(high, low, change, step, strict=True))
         _, judge, _ = scipy.signal.lsim((top, bottom), a, t)
-        found = jb.weighted_signal(t, a, name)
-        assert np.abs(np.asarray(found.values) - judge).max() < 3e-3 * np.abs(judge).max()
-        np.testing.assert_allclose(found.rms, np.sqrt(np.mean(judge**2)), rtol=1e-3)
-        np.testing.assert_allclose(found.crest_factor, np.abs(found.values).max() / found.rms, rtol=1e-12)
+        computed = jb.weighted_signal(t, a, name)
+        assert np.abs(np.asarray(computed.values) - judge).max() < 3e-3 * np.abs(judge).max()
+        np.testing.assert_allclose(computed.rms, np.sqrt(np.mean(judge**2)), rtol=1e-3)
+        np.testing.assert_allclose(computed.crest_factor, np.abs(computed.values).max() / computed.rms, rtol=1e-12)
 
 
 def test_roads_by_class():
@@ -187,7 +187,7 @@ def test_a_record_gives_back_its_density():
     assert psd.quantity == "m/s2" and abs(mean / S - 1) < 3 / np.sqrt(20_000)  # half as many independent powers as samples
 
 
-def test_a_matrix_that_no_signals_have_is_refused(lin):
+def test_contradictory_coherences_are_refused(lin):
     """One wheel coherent with two that are not with each other; by numbers at once, by functions in a status."""
     road = jb.Unevenness.iso("B").at_speed(SPEED)
     names = ("one", "two", "three")
@@ -195,8 +195,8 @@ def test_a_matrix_that_no_signals_have_is_refused(lin):
         jb.CrossPSD(dict.fromkeys(names, road), coherence={("one", "two"): 1.0, ("one", "three"): 1.0})
     spectra = jb.CrossPSD({"road": road, "pull": jb.PowerLaw(1.0, unit="N2/Hz")}, coherence={("road", "pull"): lambda f: 0.5 + f})
     with pytest.warns(jb.JaxbodyWarning, match="NOT_POSITIVE"):
-        found = jb.random_response(lin, BAND, ROAD | {"pull": jb.PointForce("body")}, OUTPUTS, spectra)
-    assert np.isnan(found.rms).all()
+        computed = jb.random_response(lin, BAND, ROAD | {"pull": jb.PointForce("body")}, OUTPUTS, spectra)
+    assert np.isnan(computed.rms).all()
 
 
 @pytest.mark.parametrize(
@@ -245,7 +245,7 @@ def test_a_matrix_that_no_signals_have_is_refused(lin):
         ("NOT_UNIFORM", lambda lin: jb.weighted_signal([0, 1, 3.0], [0, 1, 2.0], "Wk")),
     ],
 )
-def test_what_makes_no_sense_is_refused(lin, code, call):
+def test_invalid_arguments_are_refused(lin, code, call):
     with pytest.raises(jb.JaxbodyError) as refused:
         call(lin)
     assert refused.value.code == code
@@ -272,7 +272,7 @@ def test_results_print_and_export(lin, ride):
     assert "stroke" in str(lin.state_space({"road": jb.BaseMotion("road", "z", kind="acceleration")}, OUTPUTS))
 
 
-def test_pictures_show_what_they_are_given(lin, ride, monkeypatch):
+def test_pictures_show_their_data(lin, ride, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     import matplotlib.pyplot as plt
 
@@ -327,9 +327,9 @@ def test_variances_by_simulation(lin):
     assert (np.abs(values.mean(0) - exact) < 3 * error).all()
 
     s, z = (np.asarray(x) for x in jb.road_profile(road, length=length, spacing=spacing, key=jax.random.key(1)))
-    found = variances(np.concatenate([s, s[1:] + length]), np.concatenate([z, z[1:]]))  # twice, the first time to settle
+    computed = variances(np.concatenate([s, s[1:] + length]), np.concatenate([z, z[1:]]))  # twice, the first time to settle
     f = SPEED / length * np.arange(1, n // 2)
     psd = jb.random_response(lin, f, ROAD, OUTPUTS, {"road": road.at_speed(SPEED)}).psd
     expected = jnp.sum(psd, 1) * SPEED / length
-    print("path of a road:", found / expected - 1)
-    assert np.abs(found[:2] / expected[:2] - 1).max() < 5e-3
+    print("path of a road:", computed / expected - 1)
+    assert np.abs(computed[:2] / expected[:2] - 1).max() < 5e-3

@@ -53,8 +53,8 @@ def test_slow_translation_of_the_base_carries_everything_along():
     """Base translation at zero frequency is the identity, gravity or not."""
     _, lin = at_rest(rigs.plate(damping=2.0))
     outputs = {d: jb.PointMotion("plate", POINT, d) for d in DIRECTIONS}
-    found = jb.frequency_response(lin, [LOW], BASE, outputs).values[:, :3, 0]
-    assert max_difference(found, np.eye(6)[:, :3]) < 1e-9
+    result = jb.frequency_response(lin, [LOW], BASE, outputs).values[:, :3, 0]
+    assert max_difference(result, np.eye(6)[:, :3]) < 1e-9
 
 
 def test_slow_rotation_of_the_base_carries_everything_along_without_gravity_only():
@@ -69,7 +69,7 @@ def test_slow_rotation_of_the_base_carries_everything_along_without_gravity_only
         assert error < 1e-9 if gravity == 0 else error > 0.1
 
 
-def test_what_is_tied_to_the_world_does_not_follow_the_base():
+def test_bodies_attached_to_the_world_do_not_follow_the_base():
     """Two springs in line, of 30 N/m to the base and 10 N/m to the world: three quarters of the motion arrive."""
     springs = {
         name: jb.Spring(("mass", [0, 0, 0]), (on, to), stiffness=k, free_length=1.0)
@@ -79,8 +79,8 @@ def test_what_is_tied_to_the_world_does_not_follow_the_base():
         bodies={"mass": uniform(1.0)}, supports={"base": jb.Support()}, joints={"mass": jb.Guide("world", axis=[0, 1, 0])}, elements=springs
     )
     _, lin = at_rest(model)
-    found = jb.frequency_response(lin, [LOW], {d: BASE[d] for d in ("y", "rz")}, {"mass": jb.PointMotion("mass", direction="y")})
-    assert max_difference(found.values[0, :, 0], [0.75, 0.0]) < 1e-12
+    result = jb.frequency_response(lin, [LOW], {d: BASE[d] for d in ("y", "rz")}, {"mass": jb.PointMotion("mass", direction="y")})
+    assert max_difference(result.values[0, :, 0], [0.75, 0.0]) < 1e-12
 
 
 @pytest.mark.long
@@ -93,7 +93,7 @@ def test_steady_motion_is_that_of_simulate(rig):
     size, frequencies = 1e-6, np.array([0.4, 0.9, 1.5, 2.2, 3.5])
     inputs = {"x": BASE["x"], "ry": BASE["ry"], "pull": jb.PointForce("arm", [0.2, 0.1, 0.1], "y")}
     amplitudes = np.array([1.0, 2.0, 30.0])
-    found = np.asarray(jb.frequency_response(lin, frequencies, inputs, OUTPUTS).values)
+    result = np.asarray(jb.frequency_response(lin, frequencies, inputs, OUTPUTS).values)
     slowest = np.abs(scipy.linalg.eigvals(np.asarray(lin.state_space(inputs, {"t": OUTPUTS["turn"]}).A)).real).min()
     settled = np.log(1e8) / slowest
     steps = 64
@@ -131,12 +131,12 @@ def test_steady_motion_is_that_of_simulate(rig):
         readings, status = steady(jnp.array(f))
         assert int(status) == 0
         measured = 2 * np.fft.fft(readings)[:, 1] / steps
-        expected = size * found[:, :, i] @ amplitudes
+        expected = size * result[:, :, i] @ amplitudes
         assert np.abs(measured / expected - 1).max() < 1e-5, f
 
 
 @pytest.mark.long
-def test_modal_sum_and_state_space_give_the_same(rig):
+def test_modal_sum_and_state_space_agree(rig):
     """To 1e-10 of the largest response; by kinds of base motion as far as each has a state space."""
     _, _, lin = rig
     f = np.array([0.3, 1.1, 2.0, 7.0])
@@ -146,18 +146,18 @@ def test_modal_sum_and_state_space_give_the_same(rig):
         outputs = {name: OUTPUTS[name] for name in names}
         if kind == "acceleration":
             outputs["felt"] = jb.PointMotion("box", POINT, "z", kind="acceleration")
-        found = jb.frequency_response(lin, f, inputs, outputs)
+        result = jb.frequency_response(lin, f, inputs, outputs)
         modal = jb.frequency_response(lin, f, inputs, outputs, method="modal")
         s = lin.state_space(inputs, outputs)
         assert s.inputs == tuple(inputs) and s.outputs == tuple(outputs) and len(s.states) == len(s.A)
         A, B, C, D = (np.asarray(x) for x in (s.A, s.B, s.C, s.D))
         direct = np.stack([C @ np.linalg.solve(2j * np.pi * x * np.eye(len(A)) - A, B) + D for x in f], -1)
-        size = np.abs(found.values).max(2, keepdims=True)
-        assert (np.abs(modal.values - found.values) / size).max() < 1e-10
-        assert (np.abs(direct - found.values) / size).max() < 1e-10
+        size = np.abs(result.values).max(2, keepdims=True)
+        assert (np.abs(modal.values - result.values) / size).max() < 1e-10
+        assert (np.abs(direct - result.values) / size).max() < 1e-10
 
 
-def test_an_output_that_needs_more_than_the_input_has_no_state_space(rig):
+def test_an_output_of_derivatives_of_the_input_has_no_state_space(rig):
     _, _, lin = rig
     felt = {"felt": jb.PointMotion("box", POINT, "z", kind="acceleration")}
     with pytest.warns(jb.JaxbodyWarning, match=r"'felt' of 'x'.*acceleration of the support"):
@@ -197,10 +197,10 @@ def test_a_loss_factor_makes_the_stiffness_complex():
     outputs = {"mass": jb.PointMotion("mass", direction="y"), "force": jb.ElementForce("s"), "reaction": jb.SupportReaction("base", "y")}
     T = (1 + 1j * eta) / (1 + 1j * eta - r**2)
     for given, method in ((eta, "direct"), ({"s": eta}, "modal")):
-        found = jb.frequency_response(lin, f, {"y": BASE["y"]}, outputs, loss_factor=given, method=method)
-        assert max_difference(found["mass", "y"], T) < 1e-12
-        assert max_difference(found["force", "y"], 50 * (1 + 1j * eta) * (1 - T)) < 1e-10
-        assert max_difference(found["reaction", "y"], 50 * r**2 * T) < 1e-10
+        result = jb.frequency_response(lin, f, {"y": BASE["y"]}, outputs, loss_factor=given, method=method)
+        assert max_difference(result["mass", "y"], T) < 1e-12
+        assert max_difference(result["force", "y"], 50 * (1 + 1j * eta) * (1 - T)) < 1e-10
+        assert max_difference(result["reaction", "y"], 50 * r**2 * T) < 1e-10
 
 
 def test_a_car_on_a_wavy_road():
@@ -214,8 +214,8 @@ def test_a_car_on_a_wavy_road():
     )
     f = 20 / 3.6 / 6
     assert abs(2 * np.pi * f / np.sqrt(k / m) - 0.318652) < 1e-6
-    found = jb.frequency_response(at_rest(model)[1], [f], {"z": BASE["z"]}, {"car": jb.PointMotion("car", direction="z")})
-    assert abs(float(found.magnitude[0, 0, 0]) - 1.100963) < 1e-6
+    result = jb.frequency_response(at_rest(model)[1], [f], {"z": BASE["z"]}, {"car": jb.PointMotion("car", direction="z")})
+    assert abs(float(result.magnitude[0, 0, 0]) - 1.100963) < 1e-6
 
 
 def test_fixed_points_of_an_absorber():
@@ -236,8 +236,8 @@ def test_fixed_points_of_an_absorber():
     @jax.vmap
     def heights(c):
         lin = jb.linearize(jb.replace(model, {"own.damping": c}), model.reference)
-        found = jb.frequency_response(lin, f, {"F": jb.PointForce("main")}, {"X": jb.PointMotion("main")})
-        return found.magnitude[0, 0] * k
+        result = jb.frequency_response(lin, f, {"F": jb.PointForce("main")}, {"X": jb.PointMotion("main")})
+        return result.magnitude[0, 0] * k
 
     best = 2 * mu * np.sqrt(k) * np.sqrt(3 * mu / (8 * (1 + mu) ** 3))
     assert max_difference(heights(jnp.array([0.01, best, 3.0])), np.full((3, 2), np.sqrt(1 + 2 / mu))) < 1e-9
@@ -295,8 +295,8 @@ def test_responses_have_derivatives_where_modes_coincide():
 
     def magnitudes(k):
         lin = jb.linearize(jb.replace(table, {"isolator 1.stiffness": k}), table.reference)
-        found = [jb.frequency_response(lin, f, inputs, outputs, method=method) for method in ("direct", "modal")]
-        return jnp.concatenate([response.magnitude.ravel() for response in found])
+        result = [jb.frequency_response(lin, f, inputs, outputs, method=method) for method in ("direct", "modal")]
+        return jnp.concatenate([response.magnitude.ravel() for response in result])
 
     k, h = jnp.array([3e4, 3e4, 8e4]), 30.0
     assert float(jnp.abs(jnp.diff(jb.modes(jb.linearize(table, table.reference)).eigenvalues)).min()) < 1e-6
@@ -331,8 +331,8 @@ def test_an_unstable_equilibrium_has_no_response():
     )
     lin = jb.linearize(up, up.reference)
     with pytest.warns(jb.JaxbodyWarning, match="UNSTABLE"):
-        found = jb.frequency_response(lin, [1.0], {"x": BASE["x"]}, {"bob": jb.PointMotion("bob")})
-    assert np.isnan(found.values).all() and not found.ok
+        result = jb.frequency_response(lin, [1.0], {"x": BASE["x"]}, {"bob": jb.PointMotion("bob")})
+    assert np.isnan(result.values).all() and not result.ok
     with pytest.warns(jb.JaxbodyWarning, match="UNSTABLE"):
         ride = jb.random_response(
             lin, jb.Band(1, 2, points=17), {"x": BASE["x"]}, {"bob": jb.PointMotion("bob")}, {"x": jb.PowerLaw(1.0, unit="m2/Hz")}
@@ -359,5 +359,5 @@ def test_modes_that_coincide_and_are_damped_critically_are_flagged():
     try:
         modal = jb.frequency_response(lin, f, {"y": BASE["y"]}, outputs, method="modal").values[0, 0]
         assert max_difference(modal, exact) < 1e-7
-    except jb.JaxbodyWarning as told:
-        assert told.code == "DEFECTIVE"
+    except jb.JaxbodyWarning as caught:
+        assert caught.code == "DEFECTIVE"

@@ -1,4 +1,4 @@
-"""Power spectral densities: every spelling of a unit, sides, delays and what is refused, against one density worked out by hand."""
+"""Power spectral densities: all spellings of units, sides, delays and errors, against one density computed by hand."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -81,7 +81,7 @@ def test_coherence_of_an_input_with_itself_and_of_a_pair_given_twice_is_refused(
     assert refused.value.code == "BAD_PAIR" and str(list(pairs)[-1]) in str(refused.value)
 
 
-def test_what_comes_later_lags():
+def test_a_delayed_input_lags():
     """A mass on a spring and a damper to a, a spring to b, where b does what a did d earlier: |H_a + H_b exp(-i w d)|^2."""
     m, ka, kb, c, d = 2.0, 300.0, 500.0, 9.0, 0.03
     model = jb.Model(
@@ -96,8 +96,8 @@ def test_what_comes_later_lags():
     white = jb.PowerLaw(1.0, unit="m2/Hz")
     spectra = jb.CrossPSD({"a": white, "b": white}, delays={"b": d}, coherence={("a", "b"): 1.0})
     inputs, f = {name: jb.BaseMotion(name, "z") for name in ("a", "b")}, np.linspace(1.0, 6.0, 201)
-    found = jb.random_response(jb.linearize(model, model.reference), f, inputs, {"mass": jb.PointMotion("mass")}, spectra)
+    result = jb.random_response(jb.linearize(model, model.reference), f, inputs, {"mass": jb.PointMotion("mass")}, spectra)
     w = 2 * np.pi * f
     H = (ka + 1j * w * c + kb * np.exp(-1j * w * d)) / (ka + kb + 1j * w * c - m * w**2)
-    np.testing.assert_allclose(found.psd[0], np.abs(H) ** 2, rtol=1e-11)
+    np.testing.assert_allclose(result.psd[0], np.abs(H) ** 2, rtol=1e-11)
     np.testing.assert_allclose(spectra.correlation(jnp.asarray(f))[0, 1], np.exp(1j * w * d), rtol=1e-12)

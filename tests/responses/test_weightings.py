@@ -36,8 +36,8 @@ def test_weightings_are_those_of_the_tables(name):
     first = 0 if name == "Wf" else 7
     rows = [(f, x) for f, x in zip(THIRD_OCTAVES[first:], TABLES[name], strict=False) if x is not None]
     frequencies, printed = np.array(rows).T
-    found = 1000 * np.abs(np.asarray(jb.weighting(name, frequencies)))
-    assert (np.abs(found - printed) <= 4e-3 * printed + 5e-3).all()
+    result = 1000 * np.abs(np.asarray(jb.weighting(name, frequencies)))
+    assert (np.abs(result - printed) <= 4e-3 * printed + 5e-3).all()
 
 
 AT_REFERENCE = {"Wb": 0.8126, "Wc": 0.5145, "Wd": 0.1261, "We": 0.06287, "Wf": 0.3888, "Wj": 1.019, "Wk": 0.7718}
@@ -46,8 +46,8 @@ AT_REFERENCE = {"Wb": 0.8126, "Wc": 0.5145, "Wd": 0.1261, "We": 0.06287, "Wf": 0
 @pytest.mark.parametrize("name", AT_REFERENCE)
 def test_weightings_at_the_reference_frequencies(name):
     """ISO 8041:2005, table 1: at 100 rad/s, of Wf at 2.5 rad/s, four digits."""
-    found = float(np.abs(jb.weighting(name, [(2.5 if name == "Wf" else 100.0) / (2 * np.pi)]))[0])
-    assert f"{found:.4g}" == f"{AT_REFERENCE[name]:.4g}"
+    result = float(np.abs(jb.weighting(name, [(2.5 if name == "Wf" else 100.0) / (2 * np.pi)]))[0])
+    assert f"{result:.4g}" == f"{AT_REFERENCE[name]:.4g}"
 
 
 def test_wb_is_that_of_the_british_standard():
@@ -87,8 +87,8 @@ def test_only_accelerations_of_the_right_kind_are_weighted():
 def test_the_dose_of_a_sine_is_the_closed_form():
     """(3/8)^(1/4) a T^(1/4) over whole periods, where trapezoids are exact; the running dose is that of what has passed."""
     t = np.linspace(0.0, 20.0, 20 * 160 + 1)
-    found = np.asarray(dose(jnp.asarray(1.7 * np.sin(2 * np.pi * 4.0 * t)), t[1]))
-    np.testing.assert_allclose(found[::160], (3 / 8) ** 0.25 * 1.7 * t[::160] ** 0.25, rtol=1e-12)
+    result = np.asarray(dose(jnp.asarray(1.7 * np.sin(2 * np.pi * 4.0 * t)), t[1]))
+    np.testing.assert_allclose(result[::160], (3 / 8) ** 0.25 * 1.7 * t[::160] ** 0.25, rtol=1e-12)
 
 
 @pytest.mark.parametrize(("name", "frequency"), [("Wk", 8.0), ("Wj", 20.0), ("We", 2.0)])
@@ -117,7 +117,7 @@ def test_the_dose_of_a_shock_counts_it_more_than_the_rms_does_and_has_derivative
     assert np.array_equal(jax.grad(of)(jnp.zeros(2000)), np.zeros(2000))
 
 
-def test_slow_weightings_wait_until_their_filter_is_at_rest():
+def test_slow_weightings_are_padded_until_their_filter_has_decayed():
     """What is felt early is the same however much silence follows the record: the ends of the Fourier transform do not meet (of Wf, from 0.08 Hz)."""
     t = np.arange(0.0, 120.0, 0.25)
     a = np.sin(2 * np.pi * 0.2 * t)

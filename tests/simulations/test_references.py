@@ -151,11 +151,11 @@ def test_off_centre_body_on_a_shaken_base_moves_as_by_an_independent_program():
     y = solve_ivp(rate, (0, 3), y0, method="DOP853", rtol=1e-13, atol=1e-13, t_eval=times).y.T
     R = rigs.turned(y[:, 3:7] / np.linalg.norm(y[:, 3:7], axis=1, keepdims=True))
     w_W, arm = np.einsum("tij,tj->ti", R, y[:, 10:]), R @ c
-    found = rigs.turned(state.q[:, 3:])
+    result = rigs.turned(state.q[:, 3:])
     print(abs(state.v[:, 3:] - w_W).max(1))
-    print("off centre", abs(state.q[:, :3] - (y[:, :3] - arm)).max(), abs(found - R).max(), abs(state.v[:, 3:] - w_W).max())
+    print("off centre", abs(state.q[:, :3] - (y[:, :3] - arm)).max(), abs(result - R).max(), abs(state.v[:, 3:] - w_W).max())
     assert max_difference(state.q[:, :3], y[:, :3] - arm) < 1e-8
-    assert max_difference(found, R) < 1e-8
+    assert max_difference(result, R) < 1e-8
     assert max_difference(state.v[:, 3:], w_W) < 1e-8
     assert max_difference(state.v[:, :3], y[:, 7:10] - np.cross(w_W, arm)) < 1e-8
 
@@ -265,7 +265,7 @@ def test_el_centro_moves_oscillators_as_far_as_chopra_prints():
 
     period, ratio = np.array(list(printed)).T
     w = 2 * np.pi / period
-    found, status = jax.jit(jax.vmap(peak))(w**2, 2 * ratio * w)
-    print("El Centro", found)
+    result, status = jax.jit(jax.vmap(peak))(w**2, 2 * ratio * w)
+    print("El Centro", result)
     assert not status.any()
-    assert max_difference(found, list(printed.values())) < 0.0051
+    assert max_difference(result, list(printed.values())) < 0.0051

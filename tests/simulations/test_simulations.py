@@ -1,4 +1,4 @@
-"""The exact motion: energy and work, what samples and shifts of time do to it, and what is said when it can't go on."""
+"""Simulated motion: energy and work, independence of samples and shifts of time, and messages of failed integrations."""
 
 import inspect
 import os
@@ -50,9 +50,9 @@ def rig():
 
 @pytest.fixture(scope="module")
 def resting(rig):
-    found = jb.equilibrium(rig)
-    assert found.ok
-    return found
+    result = jb.equilibrium(rig)
+    assert result.ok
+    return result
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def shaken(rig, start):
 @pytest.mark.parametrize("rtol", [1e-6, 1e-8, 1e-10, 1e-12])
 @pytest.mark.parametrize("name", ["plate", pytest.param("rig", marks=pytest.mark.long)])
 def test_energy_stays_within_a_hundred_tolerances_for_ten_seconds(name, rtol, start):
-    """Above the equilibrium's, relative to what it was; the base is held by a motion of no amplitude."""
+    """Energy above the equilibrium's, relative to its initial value; the base has a motion of zero amplitude."""
     if name == "plate":
         model, times = rigs.plate(), np.linspace(0, 10, 401)
         state = jb.State(jnp.array([0.05, -0.04, -0.2, 0.98, 0.1, -0.08, 0.15]), jnp.array([0.3, -0.2, 0.1, 0.5, 0.4, -0.3]))
@@ -89,7 +89,7 @@ def test_energy_stays_within_a_hundred_tolerances_for_ten_seconds(name, rtol, st
 
 
 def test_the_errors_by_rtol_are_those_of_the_docstring(monkeypatch):
-    """Of the plate of the benchmarks against SciPy's DOP853 at 1e-13; the table has one digit, and is not to be wrong by more than a factor of two."""
+    """Of the plate of the benchmarks against SciPy's DOP853 at 1e-13; the table has one digit, right within a factor of two."""
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
     from plate import JOB
 
@@ -103,8 +103,8 @@ def test_the_errors_by_rtol_are_those_of_the_docstring(monkeypatch):
     times = np.linspace(0, 10, 101)
     exact = JOB.solution(JOB.stiffness, times, rtol=1e-13)
     for rtol, stated in list(zip(tolerances, errors, strict=True))[::2]:
-        found = JOB.error(jb.simulate(JOB.model(), times, motion=JOB.motion(), rtol=rtol).state.q, exact)
-        assert stated / 10 < found < 2 * stated, (rtol, found)
+        result = JOB.error(jb.simulate(JOB.model(), times, motion=JOB.motion(), rtol=rtol).state.q, exact)
+        assert stated / 10 < result < 2 * stated, (rtol, result)
 
 
 def base_velocity(times):
@@ -127,7 +127,7 @@ CLOSE = [pytest.param(rtol, True, marks=pytest.mark.long) for rtol in (1e-10, 1e
 
 
 @pytest.mark.parametrize(("rtol", "on_samples"), [(1e-6, False), (1e-8, False), *CLOSE])
-def test_work_of_the_moving_base_is_the_change_of_energy_and_what_dampers_lose(rig, resting, start, rtol, on_samples):
+def test_work_of_the_moving_base_is_the_change_of_energy_plus_dissipation(rig, resting, start, rtol, on_samples):
     """Work by quadrature of reaction times velocity of the base; loss by quadrature of (tension - k elongation)^2 / c. For the closest
     tolerances steps end on the samples: between the ends of its steps Dopri8 interpolates to the sixth order only."""
     controller = diffrax.ClipStepSizeController(
@@ -155,7 +155,7 @@ def test_work_of_the_moving_base_is_the_change_of_energy_and_what_dampers_lose(r
 # Turning over
 
 
-def test_body_turns_over_a_hundred_times_as_the_exponential_says():
+def test_a_body_turning_a_hundred_times_follows_the_exponential():
     """A sphere on a relaxed spring to its centre: nothing turns it, R(t) = exp([w] t)."""
     turns, end = 100, 10.0
     axis = np.array([0.48, -0.6, 0.64])
@@ -172,7 +172,7 @@ def test_body_turns_over_a_hundred_times_as_the_exponential_says():
     assert max_difference(trajectory.poses["body"].quaternion * np.sign(trajectory.state.q[:, 3:4]), trajectory.state.q[:, 3:] * np.sign(trajectory.poses["body"].quaternion[:, :1])) < 1e-13  # fmt: skip
 
 
-def test_motion_keeps_quaternions_at_their_length_by_itself():
+def test_the_motion_conserves_the_length_of_quaternions():
     """d|q|^2/dt = 2 q . q' = 0, whatever the length."""
     model, rng = hung(), np.random.default_rng(3)
 
@@ -190,10 +190,10 @@ def test_motion_keeps_quaternions_at_their_length_by_itself():
 
 def test_the_other_quaternion_of_the_same_attitude_moves_the_same(rig, start, shaken):
     other = jb.State(start.q.at[3:7].multiply(-1), start.v)
-    found = jb.simulate(rig, TIMES, motion=SHAKEN, initial=other, rtol=1e-10)
-    assert max_difference(found.state.q[:, 3:7], -shaken.state.q[:, 3:7]) == 0
-    assert max_difference(found.poses["box"].p, shaken.poses["box"].p) == 0
-    assert max_difference(found.state.v, shaken.state.v) == 0
+    result = jb.simulate(rig, TIMES, motion=SHAKEN, initial=other, rtol=1e-10)
+    assert max_difference(result.state.q[:, 3:7], -shaken.state.q[:, 3:7]) == 0
+    assert max_difference(result.poses["box"].p, shaken.poses["box"].p) == 0
+    assert max_difference(result.state.v, shaken.state.v) == 0
 
 
 # Time
@@ -208,10 +208,10 @@ def test_a_shift_of_time_changes_nothing(rig, start, shaken, shift, limit):
         "rotation_phase": rigs.SHAKING["rotation_phase"] + turns[3:],
     }
     motion = {"base": jb.Harmonic(**{**rigs.SHAKING, **phases})}
-    found = jb.simulate(rig, TIMES + shift, motion=motion, initial=start, rtol=1e-10)
-    print("shift", shift, max_difference(found.state.q, shaken.state.q), max_difference(found.state.v, shaken.state.v))
-    assert max_difference(found.state.q, shaken.state.q) < limit
-    assert max_difference(found.state.v, shaken.state.v) < 10 * limit
+    result = jb.simulate(rig, TIMES + shift, motion=motion, initial=start, rtol=1e-10)
+    print("shift", shift, max_difference(result.state.q, shaken.state.q), max_difference(result.state.v, shaken.state.v))
+    assert max_difference(result.state.q, shaken.state.q) < limit
+    assert max_difference(result.state.v, shaken.state.v) < 10 * limit
 
 
 def test_a_sample_does_not_depend_on_the_other_samples(rig, start, shaken):
@@ -219,17 +219,17 @@ def test_a_sample_does_not_depend_on_the_other_samples(rig, start, shaken):
     kept = np.arange(0, len(TIMES), 7)
     others = np.linspace(0.001, 3.0, len(TIMES) - len(kept))
     times = np.sort(np.concatenate([TIMES[kept], others]))
-    found = jb.simulate(rig, times, motion=SHAKEN, initial=start, rtol=1e-10)
+    result = jb.simulate(rig, times, motion=SHAKEN, initial=start, rtol=1e-10)
     rows = np.searchsorted(times, TIMES[kept])
-    print("samples", max_difference(found.state.q[rows], shaken.state.q[kept]))
-    assert max_difference(found.state.q[rows], shaken.state.q[kept]) < 1e-9
-    assert max_difference(found.state.v[rows], shaken.state.v[kept]) < 1e-8
+    print("samples", max_difference(result.state.q[rows], shaken.state.q[kept]))
+    assert max_difference(result.state.q[rows], shaken.state.q[kept]) < 1e-9
+    assert max_difference(result.state.v[rows], shaken.state.v[kept]) < 1e-8
 
 
 # Results by name
 
 
-def test_results_by_name_are_what_the_state_says(rig, shaken):
+def test_results_by_name_agree_with_the_state(rig, shaken):
     state = shaken.state
     assert list(shaken.poses) == ["base", "box", "arm"]
     assert list(shaken.elongations) == list(shaken.forces) == [f"s{i}" for i in range(5)]
@@ -278,7 +278,7 @@ def sampled(stiffness, model, **options):
 
 @pytest.mark.long
 def test_a_batch_has_the_same_names_and_the_numbers_of_a_loop():
-    """In constant steps, as those that a controller chooses feel round-off."""
+    """In constant steps, as controlled ones depend on round-off."""
     model, stiffnesses = hung(), jnp.array([50.0, 100.0, 200.0])
     steps = {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 0.02, "max_steps": 64}
     batch = jax.vmap(lambda k: sampled(k, model, **steps))(stiffnesses)
@@ -286,9 +286,9 @@ def test_a_batch_has_the_same_names_and_the_numbers_of_a_loop():
     for i, k in enumerate(stiffnesses):
         single = sampled(k, model, **steps)
         for kind in ("poses", "elongations", "forces", "energies", "powers", "reactions"):
-            found, expected = getattr(batch, kind), getattr(single, kind)
-            assert list(found) == list(expected)
-            for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+            result, expected = getattr(batch, kind), getattr(single, kind)
+            assert list(result) == list(expected)
+            for one, other in zip(jax.tree.leaves(result), jax.tree.leaves(expected), strict=True):
                 assert max_difference(one[i], other) < 1e-12 * max(np.abs(other).max(), 1), kind
     assert "3 OK" in repr(batch)
 
@@ -310,23 +310,23 @@ def test_a_sample_of_a_batch_that_fails_does_not_disturb_its_neighbors():
     assert np.isfinite(batch.state.q[1, 0]).all()
 
 
-# What is said when it can't go on
+# Messages of failed integrations
 
 
 def simulated(model, times, *codes, **options):
-    """The trajectory, whose status is the last of these codes, and the warnings that it gives, one for each."""
-    with pytest.warns(jb.JaxbodyWarning) as told:
+    """The trajectory, whose status is the last of these codes, and its warnings, one for each code."""
+    with pytest.warns(jb.JaxbodyWarning) as caught:
         trajectory = jb.simulate(model, times, **options)
-    assert [w.message.code for w in told] == list(codes)
+    assert [w.message.code for w in caught] == list(codes)
     assert int(trajectory.status) == Status[codes[-1]]
     assert not trajectory.ok
     with pytest.raises(jb.JaxbodyError) as error:
         trajectory.raise_if_failed()
     assert error.value.code == codes[-1]
-    return trajectory, "\n".join(str(w.message) for w in told)
+    return trajectory, "\n".join(str(w.message) for w in caught)
 
 
-def test_motion_that_needs_too_many_steps_keeps_what_it_has_and_says_how_far_it_came():
+def test_a_motion_of_too_many_steps_keeps_its_samples_and_reports_the_time_reached():
     whole = sampled(100.0, hung(), rtol=1e-10)
     cut, message = simulated(hung(), SHORT, "MAX_STEPS", max_steps=8, rtol=1e-10)
     end = float(re.search(r"at t = ([\d.]+) s of 1 s, \d+ steps accepted, \d+ rejected", message)[1])
@@ -340,14 +340,14 @@ def test_motion_that_needs_too_many_steps_keeps_what_it_has_and_says_how_far_it_
         assert (np.isnan(numbers) == ~before).all()
 
 
-def test_steps_below_the_smallest_say_so():
+def test_steps_below_the_smallest_are_reported():
     """The smallest step is too large for the tolerance from the first step on; the initial state is still known."""
     controller = diffrax.PIDController(rtol=1e-12, atol=1e-12, dtmin=0.2, force_dtmin=False)
-    found, message = simulated(hung(), SHORT, "DT_MIN", stepsize_controller=controller)
+    result, message = simulated(hung(), SHORT, "DT_MIN", stepsize_controller=controller)
     assert "at t = 0 s of 1 s" in message
     assert "Kvaerno5" in message
-    assert max_difference(found.state.q[0], hung().reference.q) < 1e-15
-    assert np.isnan(found.state.q[1:]).all()
+    assert max_difference(result.state.q[0], hung().reference.q) < 1e-15
+    assert np.isnan(result.state.q[1:]).all()
 
 
 def slider(stiffness=400.0):
@@ -362,30 +362,30 @@ def slider(stiffness=400.0):
 PUSHED = jb.State(jnp.array([0.1]), jnp.zeros(1))
 
 
-def test_a_motion_that_is_not_a_number_is_named():
+def test_a_nonfinite_motion_is_named():
     def stops(t):
         return jnp.where(t < 0.52, jnp.sin(t), jnp.nan) * jnp.array([1.0, 0, 0, 0, 0, 0])
 
-    found, message = simulated(slider(), SHORT, "NONFINITE", motion={"base": stops})
+    result, message = simulated(slider(), SHORT, "NONFINITE", motion={"base": stops})
     assert "the motion of 'base' at t = 0.52" in message
-    assert np.isfinite(found.state.q[SHORT < 0.5]).all()
-    assert np.isnan(found.state.q[SHORT > 0.52]).all()
+    assert np.isfinite(result.state.q[SHORT < 0.5]).all()
+    assert np.isnan(result.state.q[SHORT > 0.52]).all()
 
 
 def test_constant_steps_too_long_for_the_model_end_in_a_status_at_the_right_time():
     """Twenty thousand radians a second in steps of 50 ms: a thousand times the limit of stability."""
     options = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.05, solver=diffrax.Tsit5(), initial=PUSHED)
     times = np.linspace(0, 10, 21)
-    found, message = simulated(slider(4e8), times, "STEP_TOO_LONG", "NONFINITE", **options)
+    result, message = simulated(slider(4e8), times, "STEP_TOO_LONG", "NONFINITE", **options)
     assert re.search(r"2e\+04 rad/s, is 1e\+03 > 2\.8.* below 0\.00014 s", message)
-    good = np.isfinite(np.asarray(found.state.q[:, 0]))
+    good = np.isfinite(np.asarray(result.state.q[:, 0]))
     assert 1 <= good.sum() < 10
     assert "element 's'" in message or "'mass'" in message
     end = float(re.search(r"at t = ([\d.]+) s of 10 s", message)[1])
     assert times[good][-1] <= end <= times[~good][0]
 
 
-def test_constant_steps_that_fit_the_model_are_as_good_as_their_order():
+def test_short_constant_steps_have_the_accuracy_of_their_order():
     exact = 0.1 * np.cos(20 * SHORT)
     options = dict(stepsize_controller=diffrax.ConstantStepSize(), solver=diffrax.Tsit5(), initial=PUSHED)
     errors = [
@@ -408,7 +408,7 @@ def test_reverse_mode_by_checkpoints_is_refused_with_constant_steps():
 
 
 @pytest.mark.parametrize(
-    ("times", "code", "told"),
+    ("times", "code", "text"),
     [
         ([0, 0.2, 0.1, 0.3], "UNSORTED_TIME", "index 2"),
         ([0, 0.1, 0.1, 0.3], "DUPLICATE_TIME", "index 2"),
@@ -418,11 +418,11 @@ def test_reverse_mode_by_checkpoints_is_refused_with_constant_steps():
         ([[0, 1], [2, 3]], "BAD_SHAPE", "(2, 2)"),
     ],
 )
-def test_bad_times_are_refused(times, code, told):
+def test_bad_times_are_refused(times, code, text):
     with pytest.raises(jb.JaxbodyError) as error:
         jb.simulate(slider(), times)
     assert error.value.code == code
-    assert told in str(error.value)
+    assert text in str(error.value)
 
 
 def test_times_outside_a_sampled_motion_are_refused():
@@ -437,7 +437,7 @@ def test_times_outside_a_sampled_motion_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("state", "code", "told"),
+    ("state", "code", "text"),
     [
         (lambda m: jb.State(jnp.zeros((6, 3)), jnp.zeros(7)), "BAD_SHAPE", "Expected (8,): box 7, arm 1"),
         (lambda m: jb.State(m.reference.q, jnp.zeros(8)), "BAD_SHAPE", "Expected (7,): box 6, arm 1"),
@@ -446,20 +446,20 @@ def test_times_outside_a_sampled_motion_are_refused():
         (lambda m: m.reference.q, "WRONG_KIND", "model.reference"),
     ],
 )
-def test_initial_states_that_do_not_fit_are_refused(rig, state, code, told):
+def test_initial_states_that_do_not_fit_are_refused(rig, state, code, text):
     with pytest.raises(jb.JaxbodyError) as error:
         jb.simulate(rig, SHORT, initial=state(rig))
     assert error.value.code == code
-    assert told in str(error.value)
+    assert text in str(error.value)
 
 
-def test_a_body_that_nothing_holds_flies_with_a_warning():
+def test_an_unattached_body_moves_with_a_warning():
     model = jb.Model(bodies={"stone": jb.Body(mass=1.0, inertia=[1, 1, 1])}, gravity=[0, 0, -9.81])
     start = jb.State(model.reference.q, jnp.array([1.0, 0, 2, 0, 0, 0]))
-    with pytest.warns(jb.JaxbodyWarning, match="nothing connects stone") as told:
-        found = jb.simulate(model, SHORT, initial=start, rtol=1e-10)
-    assert [w.message.code for w in told] == ["UNATTACHED"]
-    assert max_difference(found.state.q[:, :3], np.stack([SHORT, 0 * SHORT, 2 * SHORT - 9.81 / 2 * SHORT**2], -1)) < 1e-12
+    with pytest.warns(jb.JaxbodyWarning, match="nothing connects stone") as caught:
+        result = jb.simulate(model, SHORT, initial=start, rtol=1e-10)
+    assert [w.message.code for w in caught] == ["UNATTACHED"]
+    assert max_difference(result.state.q[:, :3], np.stack([SHORT, 0 * SHORT, 2 * SHORT - 9.81 / 2 * SHORT**2], -1)) < 1e-12
 
 
 FLOAT32 = """
@@ -475,13 +475,13 @@ def refused(function, *args, **options):
         function(*args, **options)
     except jb.JaxbodyError as error:
         return error.code
-with warnings.catch_warnings(record=True) as told:
+with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
     slider = model()
-    print("built", len(told))
+    print("built", len(caught))
     lin = jb.linearize(slider, slider.reference)
     lin = jb.linearize(slider, slider.reference)
-    print("used", [w.message.code for w in told], lin.K.dtype)
+    print("used", [w.message.code for w in caught], lin.K.dtype)
 print("modes", refused(jb.modes, lin))
 print("allowed", abs(jb.modes(lin, allow_float32=True).frequency[0] / 3.1830989 - 1) < 1e-6)
 for function, of in (jb.modes, (lin,)), (jb.tune, (slider, lambda m: m["s"].stiffness)):
@@ -495,7 +495,7 @@ print("switched", refused(jb.linearize, slider, slider.reference), refused(jb.si
 """
 
 
-def test_float32_is_told_once_refused_for_modes_and_never_mixed():
+def test_float32_warns_once_is_refused_for_modes_and_never_mixed():
     environment = {**os.environ, "JAX_ENABLE_X64": "0"}
     run = subprocess.run([sys.executable, "-c", FLOAT32], capture_output=True, text=True, env=environment, timeout=300)
     assert run.returncode == 0, run.stderr

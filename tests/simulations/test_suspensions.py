@@ -112,7 +112,7 @@ def test_a_mass_on_every_law_moves_as_by_scipy(model, moved, start, name):
     assert abs(v - moved.state.v[::300, i]).max() <= 1e-8 * abs(v).max()
 
 
-def test_the_rig_meets_what_its_laws_are_for(model, moved):
+def test_the_rig_reaches_every_regime_of_its_laws(model, moved):
     """Stops are met, the rope goes slack, tyre and contact leave the ground."""
     e = moved.elongations
     assert e["bump stop strut"].min() < -0.1 < e["bump stop strut"].max()
@@ -124,7 +124,7 @@ def test_the_rig_meets_what_its_laws_are_for(model, moved):
 
 @pytest.mark.long
 @pytest.mark.parametrize("rtol", [1e-6, 1e-8])
-def test_energy_is_what_the_base_puts_in_less_what_dampers_lose(model, start, rtol):
+def test_energy_is_the_work_of_the_base_less_dissipation(model, start, rtol):
     """Within 10 rtol of the largest energy; the integrals by Simpson's rule, whose own error is below."""
     trajectory = jb.simulate(model, TIMES, motion=MOTION, initial=start, rtol=jnp.array(rtol))
     energy, powers = trajectory.energies["total"], trajectory.powers
@@ -173,7 +173,7 @@ def on_a_table(start):
     return model, jb.State(jnp.array([start]), jnp.array([0.0]))
 
 
-def test_a_motion_that_leaves_a_table_says_which_and_when():
+def test_a_motion_that_leaves_a_table_reports_which_and_when():
     model, initial = on_a_table(0.6)
     times = np.linspace(0, 0.3, 31)
     with pytest.warns(jb.JaxbodyWarning, match=r"'strut' first at t = 0 s.*end slope \[TABLE_RANGE\]"):
@@ -184,7 +184,7 @@ def test_a_motion_that_leaves_a_table_says_which_and_when():
     assert jb.simulate(model, times, initial=on_a_table(0.2)[1]).ok
 
 
-def test_an_equilibrium_beyond_a_table_says_which():
+def test_an_equilibrium_beyond_a_table_reports_which():
     model, _ = on_a_table(0.0)
     with pytest.warns(jb.JaxbodyWarning, match=r"beyond the points of its table; 'strut' \[TABLE_RANGE\]"):
         eq = jb.equilibrium(jb.replace(model, {"gravity": [0, 0, -60.0]}))
@@ -208,8 +208,8 @@ def test_struts_of_zero_length_and_free_length_have_the_stiffness_of_their_law()
         definition = jax.hessian(lambda q: jb.potential_energy(model, jb.State(q, 0 * q)))(model.reference.q)
         return jb.linearize(model, model.reference).K, definition
 
-    (found, definition), (slope, _) = jax.jvp(K, (jnp.array(50.0),), (jnp.array(1.0),))
-    np.testing.assert_allclose(found, 50 * np.eye(3), atol=1e-13)
+    (result, definition), (slope, _) = jax.jvp(K, (jnp.array(50.0),), (jnp.array(1.0),))
+    np.testing.assert_allclose(result, 50 * np.eye(3), atol=1e-13)
     np.testing.assert_allclose(definition, 50 * np.eye(3), atol=1e-13)
     np.testing.assert_allclose(slope, np.eye(3), atol=1e-15)
 

@@ -1,4 +1,4 @@
-"""Equilibrium from anywhere, what is said where there is none, and the matrices of small motions against their definitions."""
+"""Equilibria from poor starts, messages where there is none, and the matrices of small motions against their definitions."""
 
 import equinox as eqx
 import jax
@@ -29,9 +29,9 @@ def directions(count):
     return n / np.linalg.norm(n, axis=1, keepdims=True)
 
 
-def largest_residual(found):
+def largest_residual(result):
     """Of forces over stiffness x size and moments over stiffness x size^2."""
-    return np.abs(np.asarray(found.residual) / (STIFFEST * SIZE * np.array([1, 1, 1, SIZE, SIZE, SIZE]))).max()
+    return np.abs(np.asarray(result.residual) / (STIFFEST * SIZE * np.array([1, 1, 1, SIZE, SIZE, SIZE]))).max()
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +41,10 @@ def plate():
 
 @pytest.fixture(scope="module")
 def hanging(plate):
-    found = jb.equilibrium(plate)
-    assert found.ok
-    assert found.stable
-    return found
+    result = jb.equilibrium(plate)
+    assert result.ok
+    assert result.stable
+    return result
 
 
 @pytest.mark.usefixtures("batches")
@@ -53,12 +53,12 @@ def test_poor_starts_end_in_the_stable_equilibrium(plate, hanging):
     places = SIZE * RNG.uniform(0, 1, (count, 1)) * directions(count)
     turns = RNG.uniform(0, 1, (count, 1)) * directions(count)
     q = jnp.array([[*p, *turn(phi)] for p, phi in zip(places, turns, strict=True)])
-    found = jax.vmap(lambda q: jb.equilibrium(plate, start=jb.State(q, jnp.zeros(6))))(q)
-    print("poor starts", largest_residual(found), int(found.steps.max()), max_difference(found.energy, np.full(count, hanging.energy)))
-    found.raise_if_failed()
-    assert largest_residual(found) < 1e-10
-    assert max_difference(found.state.q[:, :3], np.tile(hanging.state.q[:3], (count, 1))) < 1e-10
-    assert max_difference(rigs.turned(found.state.q[:, 3:]), np.tile(rigs.turned(hanging.state.q[3:]), (count, 1, 1))) < 1e-10
+    result = jax.vmap(lambda q: jb.equilibrium(plate, start=jb.State(q, jnp.zeros(6))))(q)
+    print("poor starts", largest_residual(result), int(result.steps.max()), max_difference(result.energy, np.full(count, hanging.energy)))
+    result.raise_if_failed()
+    assert largest_residual(result) < 1e-10
+    assert max_difference(result.state.q[:, :3], np.tile(hanging.state.q[:3], (count, 1))) < 1e-10
+    assert max_difference(rigs.turned(result.state.q[:, 3:]), np.tile(rigs.turned(hanging.state.q[3:]), (count, 1, 1))) < 1e-10
 
 
 @jax.jit
@@ -78,7 +78,7 @@ def lowest_stiffness(model, q):
 
 
 @pytest.mark.usefixtures("batches")
-def test_no_model_ends_in_an_unstable_equilibrium_that_is_called_ok(plate):
+def test_no_model_ends_in_an_unstable_equilibrium_with_status_ok(plate):
     """Random springs, some pressed, on bodies of random weight, from reference poses that are nowhere near an equilibrium."""
     count = 200
     ends = ("a", "b")
@@ -95,26 +95,26 @@ def test_no_model_ends_in_an_unstable_equilibrium_that_is_called_ok(plate):
     start = jax.vmap(lambda phi: jb.State(jnp.concatenate([jnp.zeros(3), phi]), jnp.zeros(6)))(
         jnp.array([turn(phi) for phi in directions(count)])
     )
-    found = jax.vmap(lambda model, q: jb.equilibrium(model, start=jb.State(q, jnp.zeros(6))))(models, start.q)
-    lowest = np.asarray(lowest_stiffness(models, found.state.q))
-    ok = np.asarray(found.ok)
-    print("random models", ok.sum(), "of", count, "ok, lowest", lowest[ok].min(), "others", np.asarray(found.status)[~ok], lowest[~ok])
+    result = jax.vmap(lambda model, q: jb.equilibrium(model, start=jb.State(q, jnp.zeros(6))))(models, start.q)
+    lowest = np.asarray(lowest_stiffness(models, result.state.q))
+    ok = np.asarray(result.ok)
+    print("random models", ok.sum(), "of", count, "ok, lowest", lowest[ok].min(), "others", np.asarray(result.status)[~ok], lowest[~ok])
     assert (lowest[ok] > 0).all()
     assert ok.sum() > 0.97 * count
-    assert (np.asarray(found.stable) == ok).all()
+    assert (np.asarray(result.stable) == ok).all()
 
 
 def test_moving_everything_moves_the_equilibrium_along(plate, hanging):
     base = jb.Support(position=[3.0, -2.0, 5.0], orientation=turn(np.array([0.7, -1.1, 0.4])))
     Q, p = rigs.turned(base.orientation), np.asarray(base.position)
     moved = rigs.plate(base=base, position=p, orientation=base.orientation, gravity=Q @ [0, 0, -9.81])
-    found = jb.equilibrium(moved)
-    assert found.ok
-    assert max_difference(found.state.q[:3], p + Q @ hanging.state.q[:3]) < 1e-12
-    assert max_difference(rigs.turned(found.state.q[3:]), Q @ rigs.turned(hanging.state.q[3:])) < 1e-12
+    result = jb.equilibrium(moved)
+    assert result.ok
+    assert max_difference(result.state.q[:3], p + Q @ hanging.state.q[:3]) < 1e-12
+    assert max_difference(rigs.turned(result.state.q[3:]), Q @ rigs.turned(hanging.state.q[3:])) < 1e-12
     for name, elongation in hanging.elongations.items():
-        assert abs(found.elongations[name] - elongation) < 1e-12
-    one, other = jb.linearize(plate, hanging), jb.linearize(moved, found)
+        assert abs(result.elongations[name] - elongation) < 1e-12
+    one, other = jb.linearize(plate, hanging), jb.linearize(moved, result)
     T = np.kron(np.eye(2), Q)
     for letter in ("M", "C", "K", "M_tilde", "C_tilde", "K_tilde", "M_bb", "C_bb", "K_bb"):
         before, after = np.asarray(getattr(one, letter)), np.asarray(getattr(other, letter))
@@ -191,10 +191,10 @@ def assert_second_derivatives(model, state):
     lin = jb.linearize(model, state)
     for letter, whole in zip("MCK", definition(model, state), strict=True):
         for block, expected in (("", whole[:n, :n]), ("_tilde", -whole[:n, n:]), ("_bb", whole[n:, n:])):
-            found = getattr(lin, letter + block)
-            print(letter + block, max_difference(found, expected) / np.abs(expected).max())
-            assert max_difference(found, expected) < 1e-12 * np.abs(expected).max(), letter + block
-            assert np.abs(found).max() > 0
+            result = getattr(lin, letter + block)
+            print(letter + block, max_difference(result, expected) / np.abs(expected).max())
+            assert max_difference(result, expected) < 1e-12 * np.abs(expected).max(), letter + block
+            assert np.abs(result).max() > 0
     split = lin.K_elastic + lin.K_geometric + lin.K_gravity
     assert max_difference(split, lin.K) < 1e-12 * np.abs(lin.K).max()
     return lin
@@ -237,9 +237,9 @@ class Parabola(jb.Motion):
 @pytest.mark.long
 def test_matrices_are_the_derivatives_of_the_equations_of_motion(rig):
     """M Delta'' + C Delta' + K Delta = K~ Xi + C~ Xi' + M~ Xi'' about the equilibrium."""
-    found = jb.equilibrium(rig)
-    assert found.ok
-    lin = jb.linearize(rig, found)
+    result = jb.equilibrium(rig)
+    assert result.ok
+    lin = jb.linearize(rig, result)
     n = rig.layout.nv
 
     @jax.jit
@@ -249,7 +249,7 @@ def test_matrices_are_the_derivatives_of_the_equations_of_motion(rig):
         moved = jb.State(Coordinates(model).retract(state.q, delta), v)
         return acceleration(model, moved, 0.0, (Parabola(tuple(terms)),))
 
-    S = np.split(np.asarray(lin.M @ slopes(jnp.zeros(2 * n + 18), rig, found.state)), [n, 2 * n, 2 * n + 6, 2 * n + 12], axis=1)
+    S = np.split(np.asarray(lin.M @ slopes(jnp.zeros(2 * n + 18), rig, result.state)), [n, 2 * n, 2 * n + 6, 2 * n + 12], axis=1)
     for slope, expected in zip(S, (-lin.K, -lin.C, lin.K_tilde, lin.C_tilde, lin.M_tilde), strict=True):
         print("equations of motion", max_difference(slope, expected) / np.abs(expected).max())
         assert max_difference(slope, expected) < 1e-12 * np.abs(expected).max()
@@ -266,34 +266,34 @@ def pendulum(*, upright=False, mass=1.3, length=0.4, gravity=9.81):
 
 def test_pendulum_has_the_frequency_of_the_textbook():
     model = pendulum()
-    found = jb.equilibrium(model)
-    assert found.ok
-    lin = jb.linearize(model, found)
+    result = jb.equilibrium(model)
+    assert result.ok
+    lin = jb.linearize(model, result)
     assert abs(lin.K_gravity[0, 0] / (1.3 * 9.81 * 0.4) - 1) < 1e-12
     assert max_difference(lin.K, lin.K_gravity) < 1e-12
     exact = np.sqrt(1.3 * 9.81 * 0.4 / (0.03 + 1.3 * 0.4**2)) / (2 * np.pi)
     assert abs(jb.modes(lin).frequency[0] / exact - 1) < 1e-12
 
 
-def test_inverted_pendulum_started_upright_is_called_unstable():
+def test_an_inverted_pendulum_started_upright_is_unstable():
     model = pendulum(upright=True)
-    with pytest.warns(jb.JaxbodyWarning, match="1 negative eigenvalue") as told:
-        found = jb.equilibrium(model)
-    assert [w.message.code for w in told] == ["UNSTABLE"]
-    assert (int(found.status), bool(found.ok), bool(found.stable), int(found.negative)) == (Status.UNSTABLE, False, False, 1)
-    assert found.state.q[0] == 0
+    with pytest.warns(jb.JaxbodyWarning, match="1 negative eigenvalue") as caught:
+        result = jb.equilibrium(model)
+    assert [w.message.code for w in caught] == ["UNSTABLE"]
+    assert (int(result.status), bool(result.ok), bool(result.stable), int(result.negative)) == (Status.UNSTABLE, False, False, 1)
+    assert result.state.q[0] == 0
     with pytest.raises(jb.JaxbodyError, match="unstable"):
-        found.raise_if_failed()
+        result.raise_if_failed()
     with pytest.warns(jb.JaxbodyWarning, match="UNSTABLE"):
-        modes = jb.modes(jb.linearize(model, found))
+        modes = jb.modes(jb.linearize(model, result))
     assert np.isnan(modes.frequency[0])
     assert modes.eigenvalues[0] < 0
 
 
 def test_pendulum_started_off_the_upright_falls():
-    found = jb.equilibrium(pendulum(upright=True), start=jb.State(jnp.array([1e-3]), jnp.zeros(1)))
-    assert found.ok
-    assert abs(found.state.q[0] - np.pi) < 1e-12
+    result = jb.equilibrium(pendulum(upright=True), start=jb.State(jnp.array([1e-3]), jnp.zeros(1)))
+    assert result.ok
+    assert abs(result.state.q[0] - np.pi) < 1e-12
 
 
 def bead(*, mass=0.4, stiffness=500.0, free_length=0.7, angle=0.0, to=1.0):
@@ -317,20 +317,20 @@ def test_bead_on_a_tensioned_string_has_the_frequency_of_the_textbook(angle):
     assert abs(jb.modes(lin).frequency[0] / (np.sqrt((elastic + geometric) / 0.4) / (2 * np.pi)) - 1) < 1e-12
 
 
-# What is said where there is no good equilibrium
+# Messages where there is no stable equilibrium
 
 
 def test_body_on_one_spring_sags_by_its_weight_and_is_free_to_turn():
     body = jb.Body(mass=2.0, inertia=[0.1, 0.2, 0.3], com=[0, 0, -0.3], position=[0, 0, -0.6])
     model = rigs.hung(body, stiffness=400.0, free_length=0.5, gravity=[0, 0, -9.81])
-    with pytest.warns(jb.JaxbodyWarning) as told:
-        found = jb.equilibrium(model)
-    assert [w.message.code for w in told] == ["SINGULAR_K"]
-    assert "'body' free to turn about z" in str(told[0].message)
-    assert "free to turn about x" not in str(told[0].message)
-    assert int(found.status) == Status.SINGULAR_K
-    assert bool(found.stable)
-    assert abs(found.elongations["spring"] - 2 * 9.81 / 400) < 1e-12
+    with pytest.warns(jb.JaxbodyWarning) as caught:
+        result = jb.equilibrium(model)
+    assert [w.message.code for w in caught] == ["SINGULAR_K"]
+    assert "'body' free to turn about z" in str(caught[0].message)
+    assert "free to turn about x" not in str(caught[0].message)
+    assert int(result.status) == Status.SINGULAR_K
+    assert bool(result.stable)
+    assert abs(result.elongations["spring"] - 2 * 9.81 / 400) < 1e-12
 
 
 def on_a_line(plate, below):
@@ -342,32 +342,32 @@ def on_a_line(plate, below):
 
 
 def test_plate_on_a_line_of_springs_is_free_to_turn_about_the_line(plate):
-    with pytest.warns(jb.JaxbodyWarning) as told:
-        found = jb.equilibrium(on_a_line(plate, 0.0))
-    assert [w.message.code for w in told] == ["SINGULAR_K"]
-    assert str(told[0].message).count("'plate' free to") == 1
-    assert "'plate' free to turn about x" in str(told[0].message)
-    assert int(found.status) == Status.SINGULAR_K
+    with pytest.warns(jb.JaxbodyWarning) as caught:
+        result = jb.equilibrium(on_a_line(plate, 0.0))
+    assert [w.message.code for w in caught] == ["SINGULAR_K"]
+    assert str(caught[0].message).count("'plate' free to") == 1
+    assert "'plate' free to turn about x" in str(caught[0].message)
+    assert int(result.status) == Status.SINGULAR_K
     with pytest.warns(jb.JaxbodyWarning, match="1 mode of zero frequency"):
-        modes = jb.modes(jb.linearize(found.model, found))
+        modes = jb.modes(jb.linearize(result.model, result))
     assert modes.frequency[0] == 0
     assert (modes.frequency[1:] > 0).all()
 
 
 @pytest.mark.parametrize(("below", "status"), [(1e-12, Status.SINGULAR_K), (1e-6, Status.OK), (-1e-6, Status.UNSTABLE)])
-def test_nearly_singular_stiffness_is_told_before_its_numbers_are_lost(plate, below, status):
+def test_nearly_singular_stiffness_is_reported_before_it_is_inaccurate(plate, below, status):
     """The weight hardly resists the turn: 6 kg 9.81 m/s2 below = K, against some 1e3 N/m of the springs."""
     model = on_a_line(plate, below)
     if status == Status.OK:
         assert jb.equilibrium(model).ok
         return
-    with pytest.warns(jb.JaxbodyWarning) as told:
-        found = jb.equilibrium(model)
-    assert int(found.status) == status
-    assert told[0].message.code == status.name
+    with pytest.warns(jb.JaxbodyWarning) as caught:
+        result = jb.equilibrium(model)
+    assert int(result.status) == status
+    assert caught[0].message.code == status.name
 
 
-def test_body_that_nothing_holds_has_no_equilibrium():
+def test_an_unattached_body_has_no_equilibrium():
     bodies = {name: jb.Body(mass=1.0, inertia=[1, 1, 1], position=[i, 0, 0]) for i, name in enumerate(("tank", "pump", "engine"))}
     elements = {
         "pipe": jb.Spring(("tank", [0, 0, 0]), ("pump", [0, 0, 0]), stiffness=1.0),
@@ -378,14 +378,14 @@ def test_body_that_nothing_holds_has_no_equilibrium():
     assert [(p.code, p.value) for p in error.value.problems] == [("UNATTACHED", "tank"), ("UNATTACHED", "pump")]
 
 
-def test_search_that_is_cut_short_says_what_is_left(plate):
+def test_a_search_with_too_few_steps_reports_its_residual(plate):
     start = jb.State(jnp.array([0.3, 0.2, -0.3, *turn(np.array([0.5, 0.5, -0.4]))]), jnp.zeros(6))
-    with pytest.warns(jb.JaxbodyWarning, match=r"after 3 steps the largest residual is .* N.* in 'plate' \(") as told:
-        found = jb.equilibrium(plate, start=start, max_steps=3)
-    assert [w.message.code for w in told] == ["NOT_CONVERGED"]
-    assert (int(found.status), bool(found.ok), bool(found.stable)) == (Status.NOT_CONVERGED, False, False)
+    with pytest.warns(jb.JaxbodyWarning, match=r"after 3 steps the largest residual is .* N.* in 'plate' \(") as caught:
+        result = jb.equilibrium(plate, start=start, max_steps=3)
+    assert [w.message.code for w in caught] == ["NOT_CONVERGED"]
+    assert (int(result.status), bool(result.ok), bool(result.stable)) == (Status.NOT_CONVERGED, False, False)
     with pytest.warns(jb.JaxbodyWarning, match="NOT_CONVERGED"):
-        assert int(jb.modes(jb.linearize(plate, found)).status) == Status.NOT_CONVERGED
+        assert int(jb.modes(jb.linearize(plate, result)).status) == Status.NOT_CONVERGED
 
 
 def test_derivative_through_a_failed_or_singular_equilibrium_is_nan():
@@ -393,9 +393,9 @@ def test_derivative_through_a_failed_or_singular_equilibrium_is_nan():
 
     def place(stiffness, free_length, gravity, max_steps):
         model = jb.replace(bead(), {"*.stiffness": stiffness, "*.free_length": free_length, "gravity": jnp.stack([0.0, gravity, 0.0])})
-        found = jb.equilibrium(model, max_steps=max_steps)
-        lin = jb.linearize(model, found)
-        return found.state.q[0], (found.state.q[0], found.status, lin.K[0, 0])
+        result = jb.equilibrium(model, max_steps=max_steps)
+        lin = jb.linearize(model, result)
+        return result.state.q[0], (result.state.q[0], result.status, lin.K[0, 0])
 
     def frequency(*args):
         return place(*args)[1][2]

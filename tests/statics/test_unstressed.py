@@ -1,4 +1,4 @@
-"""Equilibria that no path of loads begins at: unstressed springs, strings and nets, whose stiffness is zero until they are loaded."""
+"""Equilibria without a load path: unstressed springs, strings and nets, whose stiffness is zero until they are loaded."""
 
 import jax
 import jax.numpy as jnp
@@ -67,7 +67,7 @@ def test_two_unstressed_springs_in_line_under_a_load_across():
 
 
 def test_an_equilibrium_started_from_itself_is_itself():
-    """The unloaded search from there ends somewhere, softly; it used to be an IndexError."""
+    """The unloaded search from there ends at a soft equilibrium; it was an IndexError."""
     eq = jb.equilibrium(web(**VM9), loads=VM9_LOAD, start=jb.State(jnp.array([8.632066, 4.531907, 0.0]), jnp.zeros(3)))
     assert eq.ok
     np.testing.assert_allclose(eq.state.q, [8.632066, 4.531907, 0], atol=1e-6)
@@ -110,8 +110,8 @@ def string():
 def deflection(x):
     """Of the string, by stiffness and force, shortened by x[2]: its middle, after the closed form 2 k (L - 1 + s) y/L = F."""
     model = jb.replace(string(), {"*.stiffness": 100.0 * x[0], "*.free_length": 1.0 - x[2]})
-    found = jb.equilibrium(model, loads={"push": jb.Force("n0", force=jnp.stack([0.0, 5.0 * x[1], 0.0]))})
-    return found.state.q[1], (found.state.q[1], found.status, found.descended)
+    result = jb.equilibrium(model, loads={"push": jb.Force("n0", force=jnp.stack([0.0, 5.0 * x[1], 0.0]))})
+    return result.state.q[1], (result.state.q[1], result.status, result.descended)
 
 
 def exactly(x):
@@ -119,7 +119,7 @@ def exactly(x):
     return brentq(lambda y: 2 * k * (np.hypot(1, y) - 1 + s) * y / np.hypot(1, y) - F, 0, 10, xtol=1e-15, rtol=1e-15)
 
 
-def test_both_ways_in_one_batch_and_their_derivatives():
+def test_paths_and_descents_in_one_batch_and_their_derivatives():
     """Strings with and without tension: a path for one, descent for the other, each with its derivatives in forward and reverse mode."""
     xs = np.array([[1.0, 1.0, 0.0], [1.3, 0.7, 0.0], [1.0, 1.0, 0.05]])
     (forward, (y, status, descended)), (reverse, _) = (
@@ -133,13 +133,13 @@ def test_both_ways_in_one_batch_and_their_derivatives():
 
 
 @pytest.mark.long
-def test_a_derivative_that_is_asked_for_outside_of_a_program_is_the_same():
+def test_derivatives_outside_of_jit_are_the_same():
     slopes = jax.grad(lambda x: deflection(x)[0])(jnp.array([1.3, 0.7, 0.0]))
     x = np.array([1.3, 0.7, 0.0])
     np.testing.assert_allclose(slopes, [(exactly(x + h) - exactly(x - h)) / 2e-6 for h in 1e-6 * np.eye(3)], atol=1e-8)
 
 
-def test_load_cases_of_an_unstressed_string_take_the_same_way():
+def test_load_cases_of_an_unstressed_string_are_descended():
     """A force across, and the string's own mass at 2 g across."""
     model = string()
     force = {"push": jb.Force("n0", force=[0, 5.0, 0])}
@@ -152,8 +152,8 @@ def test_load_cases_of_an_unstressed_string_take_the_same_way():
     np.testing.assert_allclose(jb.equilibrium(model, loads=force).state.q, cases.state.q[0], atol=1e-13)
 
 
-def test_a_string_pushed_along_itself_gives_way_to_the_side():
-    """The pressed half buckles: on the line a saddle, which says so, and from a start aside the equilibrium that SciPy finds."""
+def test_a_string_under_axial_compression_buckles():
+    """The compressed half buckles: on the line a saddle, status UNSTABLE, and from a start aside the equilibrium that SciPy finds."""
     nodes, links, _ = FAMILY["a string pushed sideways in its middle"]
     push = {"push": jb.Force("n0", force=[20.0, 0, 0])}
     with pytest.warns(jb.JaxbodyWarning, match="UNSTABLE"):
@@ -164,8 +164,8 @@ def test_a_string_pushed_along_itself_gives_way_to_the_side():
     np.testing.assert_allclose([eq.state.q[0], np.hypot(*eq.state.q[1:])], [exact[0], np.hypot(*exact[1:])], atol=1e-6)
 
 
-def test_a_load_without_a_potential_says_so():
-    """A force that turns with its body has no energy to descend."""
+def test_a_load_without_a_potential_is_reported():
+    """A force that turns with its body has no potential to descend."""
     with pytest.warns(
         jb.JaxbodyWarning, match=r"none was found by raising the loads, as K is singular .* turn with their body .*NO_EQUILIBRIUM"
     ):
@@ -174,8 +174,8 @@ def test_a_load_without_a_potential_says_so():
 
 
 @pytest.mark.long
-def test_a_search_that_falls_for_ever_ends():
-    """One spring and a force that is larger than it can ever carry: no potential has a bottom."""
+def test_a_search_without_a_minimum_ends():
+    """One spring and a force larger than it can carry: the potential has no minimum."""
     law = jb.laws.Digressive(slow=1000.0, fast=0.0, knee=0.05)
     model = jb.Model(
         bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])}, joints={"mass": jb.Translation("world")},

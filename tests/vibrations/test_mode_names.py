@@ -1,4 +1,4 @@
-"""Modes are called by their energies, alike in every result, so that modes of one pair of bodies can be told apart."""
+"""Modes are named by their energies, in the same way in every result; modes of a pair of bodies have different names."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -16,7 +16,7 @@ def car():
     return jb.linearize(car, car.reference)
 
 
-def test_a_body_that_bounces_is_not_called_by_the_arm_that_turns_meanwhile():
+def test_a_bouncing_body_is_not_named_by_the_arm_that_turns_with_it():
     """A body on an arm that carries the wheel: by shares of T from SciPy's shapes, of the body 300 q0'^2/2, of the arm about its end what remains. In metres
     against radians the arm's angle, bounce over 0.4 m, is the larger component of both modes."""
     model = jb.Model(
@@ -44,28 +44,28 @@ def test_hop_and_tramp_have_names_of_their_own_everywhere(car):
     """The modes of an axle's two wheels, which move together in one and against each other in the other, by the signs of their shapes."""
     modes, damped = jb.modes(car), jb.complex_modes(car)
     rows = [[car.coordinates.index(f"{name} move along its guide") for name in axle] for axle in (("fl", "fr"), ("rl", "rr"))]
-    for found in (modes, damped):
+    for computed in (modes, damped):
         named = set()
         for i in range(3, 7):
-            shape = np.asarray(found.shapes)[:, i]
+            shape = np.asarray(computed.shapes)[:, i]
             left, right = shape[max(rows, key=lambda axle: np.abs(shape[axle]).sum())]
             front = np.abs(shape[rows[0]]).sum() > np.abs(shape[rows[1]]).sum()
             one, other = ("fl", "fr") if front else ("rl", "rr")
             named.add(f"{one}, {other} bounce in phase" if (left * np.conj(right)).real > 0 else f"{one} against {other} bounce")
-            assert found.names[i].rpartition(" %")[0].rpartition(" ")[0] in named
-        assert len(named) == 4 and "each" in found.names[3]
-        assert all(name in str(found) for name in found.names)
+            assert computed.names[i].rpartition(" %")[0].rpartition(" ")[0] in named
+        assert len(named) == 4 and "each" in computed.names[3]
+        assert all(name in str(computed) for name in computed.names)
     energies = jb.mode_energies(car)
     assert energies.names == modes.names and all(name in str(energies) for name in modes.names)
     assert jb.mode_energies(car, forward="x").names[1] == "car pitch 85 %"
 
 
-def test_branches_are_called_by_their_modes_at_the_first_value(car):
+def test_branches_are_named_by_their_modes_at_the_first_value(car):
     half = jb.presets.half_car()
-    found = jb.track(lambda k: jb.linearize(jb.replace(half, {"front spring.stiffness": k}), half.reference), [1.8e4, 2.6e4])
+    computed = jb.track(lambda k: jb.linearize(jb.replace(half, {"front spring.stiffness": k}), half.reference), [1.8e4, 2.6e4])
     at_first = jb.replace(half, {"front spring.stiffness": 1.8e4})
-    assert found.names == jb.modes(jb.linearize(at_first, half.reference)).names
-    assert f"at the first value 1: {found.names[0]}; 2: {found.names[1]}" in str(found)
+    assert computed.names == jb.modes(jb.linearize(at_first, half.reference)).names
+    assert f"at the first value 1: {computed.names[0]}; 2: {computed.names[1]}" in str(computed)
 
 
 def on_springs(*stiffness, coupling=None):
@@ -91,9 +91,9 @@ def test_nearly_equal_frequencies_carry_a_mark():
     np.testing.assert_allclose(f[1] / f[0] - 1, 1.6e-6, rtol=0.02)
     moved = jb.mode_energies(on_springs(100.0, 100.0 * (1 + 1e-5), 400.0, coupling=1.6e-4))
     assert abs(float(moved.kinetic["m0"][0, 0] - energies.kinetic["m0"][0, 0])) > 40
-    for found in (modes, energies, jb.complex_modes(lin)):
-        assert [name.endswith(" ~") for name in found.names] == [True, True, False]
-        assert MARK_NOTE in str(found)
+    for computed in (modes, energies, jb.complex_modes(lin)):
+        assert [name.endswith(" ~") for name in computed.names] == [True, True, False]
+        assert MARK_NOTE in str(computed)
     assert modes.names[0] == "m0, m1 along x in phase 50 % each ~" and modes.names[1] == "m0 against m1 along x 50 % each ~"
     equal = jb.modes(on_springs(100.0, 100.0, 400.0))
     assert equal.names == ("m0 along x 50 % (one of 2)",) * 2 + ("m2 along x 100 %",) and "~" not in str(equal)
@@ -137,5 +137,7 @@ def test_printing_modes_compiles_one_small_program_at_most(car):
 
 
 def test_batches_of_modes_print_a_summary(car):
-    found = eqx.filter_vmap(lambda k: jb.modes(jb.linearize(jb.replace(car.model, {"car.mass": k}), car.state)))(jnp.array([800.0, 900.0]))
-    assert "array 2 x 7" in str(found)
+    computed = eqx.filter_vmap(lambda k: jb.modes(jb.linearize(jb.replace(car.model, {"car.mass": k}), car.state)))(
+        jnp.array([800.0, 900.0])
+    )
+    assert "array 2 x 7" in str(computed)

@@ -43,23 +43,23 @@ def inertia_of(engine):
 
 
 def test_kinetic_energies_of_the_published_powertrain(engine):
-    found = jb.mode_energies(jb.linearize(engine, engine.reference), forward="x", up="z")
+    result = jb.mode_energies(jb.linearize(engine, engine.reference), forward="x", up="z")
     published = POWERTRAIN_ENERGIES
-    assert max_difference(found.kinetic["engine"], published) < 0.51e-4  # half of the last digit printed
+    assert max_difference(result.kinetic["engine"], published) < 0.51e-4  # half of the last digit printed
     named = ("fore-aft 99", "lateral 98", "yaw 37", "bounce 49", "pitch 66", "roll 79")
-    assert found.names == tuple(f"engine {name} %" for name in named)
-    assert "engine roll" in str(found) and "mount 2" in str(found)
+    assert result.names == tuple(f"engine {name} %" for name in named)
+    assert "engine roll" in str(result) and "mount 2" in str(result)
     phi = scipy.linalg.eigh(sum(mounted(presets.MOUNT_STIFFNESS)), inertia_of(engine))[1]
-    for shares, coefficients in ((found.strain, presets.MOUNT_STIFFNESS), (found.dissipation, presets.MOUNT_DAMPING)):
+    for shares, coefficients in ((result.strain, presets.MOUNT_STIFFNESS), (result.dissipation, presets.MOUNT_DAMPING)):
         parts = np.array([np.diag(phi.T @ k @ phi) for k in mounted(coefficients)])
         assert max_difference(np.array(list(shares.values())), 100 * parts / parts.sum(0)) < 1e-9
-    assert max(float(jnp.abs(x).max()) for x in found.other_strain.values()) < 1e-9
+    assert max(float(jnp.abs(x).max()) for x in result.other_strain.values()) < 1e-9
 
 
 @pytest.mark.long
 def test_shares_are_those_of_the_matrices(rig):
     """Kinetic energy with O away from the centres of mass and a hinge on a base, against the velocities of each body by differences; strain by the split of K."""
-    model, found = rig.model, jb.mode_energies(rig)
+    model, result = rig.model, jb.mode_energies(rig)
     M, K, C = (np.asarray(x) for x in (rig.M, rig.K, rig.C))
     values, phi = scipy.linalg.eigh(K, M)
     poses = [eqx.filter_jit(lambda d: _places(model, rig.state.q, d))(sign * 1e-6 * phi[:, i]) for i in range(7) for sign in (1, -1)]
@@ -71,20 +71,20 @@ def test_shares_are_those_of_the_matrices(rig):
             w = np.array([W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1]]) / 2
             J = R[b] @ np.asarray(model[name].inertia) @ R[b].T
             expected = 100 * np.concatenate([float(model[name].mass) * v[b] ** 2, w * (J @ w)])
-            assert max_difference(found.kinetic[name][:, i], expected) < 1e-4  # in percent; of the differences
+            assert max_difference(result.kinetic[name][:, i], expected) < 1e-4  # in percent; of the differences
     for name, k in rig.K_elastic_by_element.items():
-        assert max_difference(found.strain[name], 100 * np.diag(phi.T @ k @ phi) / values) < 1e-10
+        assert max_difference(result.strain[name], 100 * np.diag(phi.T @ k @ phi) / values) < 1e-10
     others = {"tension": rig.K_geometric, "gravity": rig.K_gravity, "loads": rig.K_loads}
     for name, k in others.items():
-        assert max_difference(found.other_strain[name], 100 * np.diag(phi.T @ k @ phi) / values) < 1e-10
+        assert max_difference(result.other_strain[name], 100 * np.diag(phi.T @ k @ phi) / values) < 1e-10
     for name in model.element_names:  # of one damper, by the C that it leaves when it is taken out
         without = jb.replace(model, {f"{name}.damping": 0 * model[name].damping})
         lost = C - np.asarray(jb.linearize(without, rig.state).C)
-        assert max_difference(found.dissipation[name], 100 * np.diag(phi.T @ lost @ phi) / np.diag(phi.T @ C @ phi)) < 1e-10
+        assert max_difference(result.dissipation[name], 100 * np.diag(phi.T @ lost @ phi) / np.diag(phi.T @ C @ phi)) < 1e-10
     for total in (
-        found.kinetic_shares.sum((0, 1)),
-        found.strain_shares.sum(0) + found.other_shares.sum(0),
-        found.dissipation_shares.sum(0),
+        result.kinetic_shares.sum((0, 1)),
+        result.strain_shares.sum(0) + result.other_shares.sum(0),
+        result.dissipation_shares.sum(0),
     ):
         assert max_difference(total, np.full(7, 100.0)) < 1e-10
 
@@ -97,15 +97,15 @@ def _places(model, q, delta):
 
 
 @pytest.mark.long
-def test_loads_have_their_share_and_what_is_not_damped_has_none():
+def test_loads_have_their_share_and_undamped_elements_none():
     """A pendulum under a dead force: its stiffness is m g L + F L."""
     bob = jb.Body(mass=2.0, inertia=[1e-3] * 3, com=[0, 0, -0.5])
     model = jb.Model(bodies={"bob": bob}, joints={"bob": jb.Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81])
     eq = jb.equilibrium(model, loads={"pull": jb.Force(("bob", [0, 0, -0.5]), force=[0, 0, -10.0])})
-    found = jb.mode_energies(jb.linearize(model, eq))
+    result = jb.mode_energies(jb.linearize(model, eq))
     expected = 100 * np.array([0.0, 19.62, 10.0]) / 29.62
-    assert max_difference([float(found.other_strain[name][0]) for name in ("tension", "gravity", "loads")], expected) < 1e-9
-    assert found.names == ("bob along x 100 %",) and found.dissipation == {}
+    assert max_difference([float(result.other_strain[name][0]) for name in ("tension", "gravity", "loads")], expected) < 1e-9
+    assert result.names == ("bob along x 100 %",) and result.dissipation == {}
 
 
 def test_directions_are_named_where_they_are_known(engine):
@@ -128,8 +128,8 @@ def test_gradients_of_frequencies_ratios_and_energies(rig):
         changed = {"s0.stiffness": x[0], "s1.damping": x[1], "box.mass": x[2], "s0.a": jnp.array([0.0, 0.25, 0.1]).at[0].set(x[3])}
         changed = jb.replace(model, changed)
         lin = jb.linearize(changed, jb.equilibrium(changed, start=eq.state))
-        found, damped, shares = jb.modes(lin), jb.complex_modes(lin), jb.mode_energies(lin)
-        parts = (found.frequency, found.damping_ratio, damped.frequency, damped.damping_ratio, damped.decay_rate)
+        result, damped, shares = jb.modes(lin), jb.complex_modes(lin), jb.mode_energies(lin)
+        parts = (result.frequency, result.damping_ratio, damped.frequency, damped.damping_ratio, damped.decay_rate)
         return jnp.concatenate(
             [*parts, *(y.reshape(-1) / 100 for y in (shares.kinetic_shares, shares.strain_shares, shares.dissipation_shares))]
         )
@@ -199,8 +199,8 @@ def test_energies_of_equal_frequencies_are_those_of_their_space(of_square):
     def energies(k):
         """Shares, and the energies and losses that they are shares of."""
         lin = of_square(k)
-        found, modes = jb.mode_energies(lin), jb.modes(lin)
-        return (found.kinetic_shares[0], found.strain_shares, found.dissipation_shares), (
+        result, modes = jb.mode_energies(lin), jb.modes(lin)
+        return (result.kinetic_shares[0], result.strain_shares, result.dissipation_shares), (
             jnp.ones(6), modes.eigenvalues, modes.damping_ratio * modes.frequency
         )  # fmt: skip
 
@@ -213,9 +213,9 @@ def test_energies_of_equal_frequencies_are_those_of_their_space(of_square):
     h = 2.0
     forward = jax.jit(jax.jacfwd(lambda k: energies(k)[0]))(KZ)
     ends = [of_spaces(KZ + s * h) for s in (2, 1, -1, -2)]
-    for at, again, found, *values in zip(energies(KZ)[0], of_spaces(KZ), forward, *ends, strict=True):
+    for at, again, result, *values in zip(energies(KZ)[0], of_spaces(KZ), forward, *ends, strict=True):
         difference = (8 * (values[1] - values[2]) - (values[0] - values[3])) / (12 * h)
-        assert max_difference(at, again) < 1e-9 and max_difference(found, difference) < 1e-6 * np.abs(difference).max() + 1e-11
+        assert max_difference(at, again) < 1e-9 and max_difference(result, difference) < 1e-6 * np.abs(difference).max() + 1e-11
     assert np.abs(forward[1]).max() > 1e-4
     assert max_difference(modes.damping_ratio, 0.01 * np.pi * modes.frequency) < 1e-9  # C = 0.01 K
 
@@ -256,7 +256,7 @@ def test_derivatives_of_an_eigenproblem_with_a_double_and_a_triple_value():
 
 
 @pytest.mark.long
-def test_second_derivatives_are_those_of_values_that_are_alone():
+def test_second_derivatives_are_those_of_single_values():
     K, M, dK, dM = random_problem([1.0, 2.0, 2.0, 3.0, 5.0, 5.0, 5.0], 1)
 
     def both(t):
@@ -264,9 +264,9 @@ def test_second_derivatives_are_those_of_values_that_are_alone():
 
     ends = [scipy.linalg.eigh(K + t * dK, M + t * dM)[0] for t in (1e-3, 0.0, -1e-3)]
     for second in (jax.hessian(lambda t: both(t)[0]), jax.jacfwd(jax.jacfwd(lambda t: both(t)[0]))):
-        found = np.asarray(second(0.0))
-        assert max_difference(found[[0, 3]], ((ends[0] - 2 * ends[1] + ends[2]) / 1e-6)[[0, 3]]) < 1e-4
-        assert np.isnan(found[[1, 2, 4, 5, 6]]).all()
+        result = np.asarray(second(0.0))
+        assert max_difference(result[[0, 3]], ((ends[0] - 2 * ends[1] + ends[2]) / 1e-6)[[0, 3]]) < 1e-4
+        assert np.isnan(result[[1, 2, 4, 5, 6]]).all()
 
 
 def test_single_shapes_of_a_cluster_have_no_derivative_and_invariants_of_it_have(of_square):

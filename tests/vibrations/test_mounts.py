@@ -50,8 +50,8 @@ def test_the_rank_is_that_of_the_geometry(points, rank):
     assert len(fit.unidentified) == 12 - rank
     errors = np.stack([fit.standard_errors[f"mount{i}.stiffness"] for i in range(1, 5)])
     if rank == 12:
-        found = np.stack([fit.estimates[f"mount{i}.stiffness"] for i in range(1, 5)])
-        np.testing.assert_allclose(found, STIFFNESS, rtol=1e-6)
+        result = np.stack([fit.estimates[f"mount{i}.stiffness"] for i in range(1, 5)])
+        np.testing.assert_allclose(result, STIFFNESS, rtol=1e-6)
         assert fit.ok and np.isfinite(errors).all()
     else:
         assert fit.status == jb.Status.NOT_IDENTIFIABLE

@@ -1,4 +1,4 @@
-"""Backbones against exact periods, against periodic motions found by shooting in SciPy, in other coordinates, and where there are none."""
+"""Backbones against exact periods, periodic motions by shooting in SciPy, other coordinates, and modes without a backbone."""
 
 import jax
 import jax.numpy as jnp
@@ -40,16 +40,16 @@ def curvature(frequency, amplitude, levels):
 def test_a_pendulum_has_the_slope_of_the_elliptic_integral():
     """w = w0 pi/(2 K(sin^2(a/2))), which begins 1 - a^2/16."""
     bob = jb.Body(mass=1.3, inertia=[0.02, 0.03, 0.04], com=[0, 0, -0.4])
-    found = backbones(jb.Model(bodies={"bob": bob}, joints={"bob": jb.Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81]))
+    result = backbones(jb.Model(bodies={"bob": bob}, joints={"bob": jb.Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81]))
     exact = curvature(lambda a: np.pi / (2 * ellipk(np.sin(a / 2) ** 2)), 0.4, levels=4)
-    print("pendulum", found.curvature[0] / exact - 1, found.curvature[0] * -16 - 1)
-    assert abs(found.curvature[0] / exact - 1) < 1e-8  # what the extrapolation leaves
-    assert abs(found.curvature[0] * -16 - 1) < 1e-13
+    print("pendulum", result.curvature[0] / exact - 1, result.curvature[0] * -16 - 1)
+    assert abs(result.curvature[0] / exact - 1) < 1e-8  # what the extrapolation leaves
+    assert abs(result.curvature[0] * -16 - 1) < 1e-13
     weight = 1.3 * 9.81 * 0.4
-    assert max_difference([found.stiffness[0], found.third[0], found.fourth[0]], [weight, 0, -weight]) < 1e-13 * weight
-    assert abs(found.force_within(5.0)[0] / np.sqrt(6 * 0.05) - 1) < 1e-13  # sin a = a (1 - a^2/6)
-    assert abs(found.frequency_within(5.0)[0] / np.sqrt(16 * 0.05) - 1) < 1e-13
-    assert abs(found.at(0.1)[0] / found.frequency[0] - (1 - 0.01 / 16)) < 1e-13
+    assert max_difference([result.stiffness[0], result.third[0], result.fourth[0]], [weight, 0, -weight]) < 1e-13 * weight
+    assert abs(result.force_within(5.0)[0] / np.sqrt(6 * 0.05) - 1) < 1e-13  # sin a = a (1 - a^2/6)
+    assert abs(result.frequency_within(5.0)[0] / np.sqrt(16 * 0.05) - 1) < 1e-13
+    assert abs(result.at(0.1)[0] / result.frequency[0] - (1 - 0.01 / 16)) < 1e-13
 
 
 def bead(l0, angle):
@@ -92,12 +92,12 @@ def test_a_bead_on_a_string_has_the_slope_of_the_energy_integral(l0, angle):
 
         return np.pi / quad(speed, -np.pi / 2, np.pi / 2, epsabs=0, epsrel=1e-13)[0]
 
-    found = backbones(bead(l0, angle))
+    result = backbones(bead(l0, angle))
     exact = curvature(frequency, 0.08, levels=4)
-    print("bead", found.curvature[0] / exact - 1, found.third[0])
-    assert abs(frequency(1e-6) / (2 * np.pi) / found.frequency[0] - 1) < 1e-10
-    assert abs(found.curvature[0] / exact - 1) < 1e-7  # what the extrapolation leaves
-    assert (abs(found.third[0]) > 1) == (angle > 0)
+    print("bead", result.curvature[0] / exact - 1, result.third[0])
+    assert abs(frequency(1e-6) / (2 * np.pi) / result.frequency[0] - 1) < 1e-10
+    assert abs(result.curvature[0] / exact - 1) < 1e-7  # what the extrapolation leaves
+    assert (abs(result.third[0]) > 1) == (angle > 0)
 
 
 class Law(jb.Element):
@@ -139,27 +139,27 @@ def test_duffing_has_the_slope_of_the_elliptic_integral():
         return np.pi * np.sqrt(square + b * a**2) / (2 * ellipk(b * a**2 / (2 * (square + b * a**2))))
 
     exact = curvature(duffing, 0.2, levels=5)
-    found = jb.backbones(places(MASS * [1.5, 10.0, 70.0], beta=2.0 * MASS[0]))
-    print("Duffing", found.curvature[0] / exact - 1)
-    assert abs(found.curvature[0] / exact - 1) < 1e-8  # what the extrapolation leaves
-    assert max_difference(found.curvature, [3 * 2.0 / (8 * 1.5), 0, 0]) < 1e-13
-    assert np.isinf(found.frequency_within(5.0)[1:]).all() and np.isinf(found.force_within(5.0)[1:]).all()
+    result = jb.backbones(places(MASS * [1.5, 10.0, 70.0], beta=2.0 * MASS[0]))
+    print("Duffing", result.curvature[0] / exact - 1)
+    assert abs(result.curvature[0] / exact - 1) < 1e-8  # what the extrapolation leaves
+    assert max_difference(result.curvature, [3 * 2.0 / (8 * 1.5), 0, 0]) < 1e-13
+    assert np.isinf(result.frequency_within(5.0)[1:]).all() and np.isinf(result.force_within(5.0)[1:]).all()
 
 
 def test_quadratic_terms_of_the_textbook():
     """x'' + w^2 x + alpha x^2 + beta x^3 = 0, and what a mode y, driven by x^2, adds: y0 = -c/(2 k), y2 = -c/(2 (k - 4 w^2 m)) per a^2,
     x'' + w^2 x + 2 c x y/m = 0."""
-    found = jb.backbones(places(MASS * [2.25, 10.0, 70.0], alpha=1.7 * MASS[0], beta=0.6 * MASS[0]))
-    assert abs(found.curvature[0] / (3 * 0.6 / (8 * 2.25) - 5 * 1.7**2 / (12 * 2.25**2)) - 1) < 1e-13
-    assert max_difference(found.drift[:, 0], [-1.7 / (2 * 2.25), 0, 0]) < 1e-13
-    assert max_difference(found.second_harmonic[:, 0], [1.7 / (6 * 2.25), 0, 0]) < 1e-13
-    a = found.force_within(3.0)[0]
+    result = jb.backbones(places(MASS * [2.25, 10.0, 70.0], alpha=1.7 * MASS[0], beta=0.6 * MASS[0]))
+    assert abs(result.curvature[0] / (3 * 0.6 / (8 * 2.25) - 5 * 1.7**2 / (12 * 2.25**2)) - 1) < 1e-13
+    assert max_difference(result.drift[:, 0], [-1.7 / (2 * 2.25), 0, 0]) < 1e-13
+    assert max_difference(result.second_harmonic[:, 0], [1.7 / (6 * 2.25), 0, 0]) < 1e-13
+    a = result.force_within(3.0)[0]
     assert abs((1.7 * a + 0.6 * a**2) / 2.25 - 0.03) < 1e-13
     for k, c in (10.0, 3.0), (8.9, 3.0):
-        found = jb.backbones(places(MASS * [2.25, k, 70.0], c=c))
+        result = jb.backbones(places(MASS * [2.25, k, 70.0], c=c))
         mean, double = -c / (2 * k * MASS[1]), -c / (2 * (k - 9) * MASS[1])
-        assert abs(found.curvature[0] / (c * (mean + double / 2) / (2.25 * MASS[0])) - 1) < 1e-12
-        assert max_difference([found.drift[1, 0], found.second_harmonic[1, 0]], [mean, double]) < 1e-12 * abs(double)
+        assert abs(result.curvature[0] / (c * (mean + double / 2) / (2.25 * MASS[0])) - 1) < 1e-12
+        assert max_difference([result.drift[1, 0], result.second_harmonic[1, 0]], [mean, double]) < 1e-12 * abs(double)
 
 
 # Several degrees of freedom: periodic motions by shooting
@@ -187,13 +187,13 @@ def periodic(system, mode, w, i, a):
     return np.pi / unknown[n]
 
 
-def check_against_periodic_motions(system, found, mode):
+def check_against_periodic_motions(system, result, mode):
     """To 1e-5 of what the potential along a straight line alone gives: the extrapolation's, and 1e-13/a^2 of the integration."""
-    w, shape, i = 2 * np.pi * float(found.frequency[mode]), np.asarray(found.shapes[:, mode]), int(found.largest[mode])
+    w, shape, i = 2 * np.pi * float(result.frequency[mode]), np.asarray(result.shapes[:, mode]), int(result.largest[mode])
     exact = curvature(lambda a: periodic(system, shape, w, i, a), 0.04, levels=4)
-    line = float(found.fourth[mode] / (16 * found.stiffness[mode]))
-    print(type(system).__name__, mode, exact, "error", found.curvature[mode] - exact, "along a line", line)
-    assert abs(found.curvature[mode] - exact) < 1e-5 * abs(line)
+    line = float(result.fourth[mode] / (16 * result.stiffness[mode]))
+    print(type(system).__name__, mode, exact, "error", result.curvature[mode] - exact, "along a line", line)
+    assert abs(result.curvature[mode] - exact) < 1e-5 * abs(line)
     assert abs(line - exact) > 0.08 * abs(line)  # what the other modes and the inertia add is there to be tested
 
 
@@ -328,35 +328,35 @@ def test_a_mode_that_does_not_move_alone_has_no_backbone(k, laws, status):
     lin = places(MASS * k, **laws)
     codes = {Status[name] for name in status if name != "OK"}
     if codes:
-        with pytest.warns(jb.JaxbodyWarning, match=codes.pop().name) as told:
-            found = jb.backbones(lin)
-        assert len(told) == 1
+        with pytest.warns(jb.JaxbodyWarning, match=codes.pop().name) as caught:
+            result = jb.backbones(lin)
+        assert len(caught) == 1
     else:
-        found = jb.backbones(lin)
-    assert [Status(int(code)).name for code in found.status] == list(status)
-    assert np.isnan(found.curvature).tolist() == [name != "OK" for name in status]
-    assert all(name in str(found) for name in status if name != "OK")
+        result = jb.backbones(lin)
+    assert [Status(int(code)).name for code in result.status] == list(status)
+    assert np.isnan(result.curvature).tolist() == [name != "OK" for name in status]
+    assert all(name in str(result) for name in status if name != "OK")
     if "beta" in laws:
         x = list(np.sqrt(np.sort(k))).index(1.0) if min(k) >= 0 else 1
-        assert abs(found.curvature[x] - 3 / (8 * MASS[0])) < 1e-13
+        assert abs(result.curvature[x] - 3 / (8 * MASS[0])) < 1e-13
 
 
 def test_masses_that_nothing_holds_have_the_backbone_of_their_distance():
     """d = x - y, mass m1 m2/(m1 + m2): 5 s^2/(12 r^2) of d; y, the lighter, moves by m1/(m1 + m2) of it."""
     with pytest.warns(jb.JaxbodyWarning, match="SINGULAR_K"):
-        found = jb.backbones(places([0, 0, 50.0], r=2.0, s=0.7))
-    assert [Status(int(code)).name for code in found.status] == ["SINGULAR_K", "OK", "OK"]
-    assert int(found.largest[1]) == 1
-    assert abs(found.curvature[1] / (-5 * 0.7**2 / (12 * 2.0**2) * (1 + 2 / 3) ** 2) - 1) < 1e-12
+        result = jb.backbones(places([0, 0, 50.0], r=2.0, s=0.7))
+    assert [Status(int(code)).name for code in result.status] == ["SINGULAR_K", "OK", "OK"]
+    assert int(result.largest[1]) == 1
+    assert abs(result.curvature[1] / (-5 * 0.7**2 / (12 * 2.0**2) * (1 + 2 / 3) ** 2) - 1) < 1e-12
 
 
 def test_where_there_is_no_equilibrium_nothing_is_told():
     model = Cart().model()
     with pytest.warns(jb.JaxbodyWarning, match="2 NOT_CONVERGED"):
-        found = jb.backbones(jb.linearize(model, jb.State(jnp.array([0.0, 0.01]), jnp.zeros(2))))
-    assert np.isnan(found.curvature).all()
+        result = jb.backbones(jb.linearize(model, jb.State(jnp.array([0.0, 0.01]), jnp.zeros(2))))
+    assert np.isnan(result.curvature).all()
     with pytest.raises(jb.JaxbodyError, match=r"failed samples \[0, 1\]"):
-        found.raise_if_failed()
+        result.raise_if_failed()
 
 
 # Derivatives, printing
@@ -369,10 +369,10 @@ def test_derivatives_are_those_of_differences():
 
     @jax.jit
     def with_slope(x, x_dot):
-        def found(x):
+        def result(x):
             return backbones(jb.replace(model, {"spring.stiffness": 60.0 * x[0], "bob.mass": 0.7 * x[1], "spring.free_length": 0.6 * x[2]}))
 
-        return jax.jvp(lambda x: found(x).curvature, (x,), (x_dot,))
+        return jax.jvp(lambda x: result(x).curvature, (x,), (x_dot,))
 
     x = jnp.array([1.0, 1.1, 0.95])
     for unit in np.eye(3):
@@ -393,15 +393,15 @@ def test_a_mode_alone_has_derivatives_where_others_coincide():
 
 
 def test_it_prints_amplitudes_in_meters_and_radians_and_is_exported(hanging):
-    found = jb.backbones(jb.linearize(hanging.model, hanging))
-    rows = repr(found).splitlines()[2:8]
-    print(found)
+    result = jb.backbones(jb.linearize(hanging.model, hanging))
+    rows = repr(result).splitlines()[2:8]
+    print(result)
     for mode, (name, unit) in {0: ("plate move along x", "m"), 4: ("plate turn about x", "rad")}.items():
         assert name in rows[mode]
-        assert f"{found.curvature[mode]:+.4g} /{unit}2" in rows[mode]
-        assert f"up to {found.force_within(5.0)[mode]:.3g} {unit}" in rows[mode]
-        assert f"up to {found.frequency_within(5.0)[mode]:.3g} {unit}" in rows[mode]
-    made = found.to_xarray()
-    np.testing.assert_array_equal(made["curvature"].sel(mode=1), found.curvature[0])
-    np.testing.assert_array_equal(made["shape"].sel(coordinate="plate turn about z"), found.shapes[5])
+        assert f"{result.curvature[mode]:+.4g} /{unit}2" in rows[mode]
+        assert f"up to {result.force_within(5.0)[mode]:.3g} {unit}" in rows[mode]
+        assert f"up to {result.frequency_within(5.0)[mode]:.3g} {unit}" in rows[mode]
+    made = result.to_xarray()
+    np.testing.assert_array_equal(made["curvature"].sel(mode=1), result.curvature[0])
+    np.testing.assert_array_equal(made["shape"].sel(coordinate="plate turn about z"), result.shapes[5])
     assert made["largest"].sel(mode=5).item() == "plate turn about x"
