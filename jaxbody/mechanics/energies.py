@@ -1,4 +1,4 @@
-"""The three scalar functions that are a model: kinetic energy T, potential energy V and Rayleigh dissipation R. All else are derivatives.
+"""The scalar functions that define a model: kinetic energy T, potential energy V, Rayleigh dissipation R. Everything else is a derivative.
 
 Each takes the model, a state and, for supports away from their reference poses, Xi and its rate (6 numbers for each support).
 """
@@ -119,7 +119,7 @@ def each_element(model: Model, frames: Frame, function) -> list:
 def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t=0.0) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
     """Force and moment about its origin that elements, gravity and loads at time t exert on each frame, world axes.
 
-    What acts on a frame is summed by padded gathers; adding into rows would split a compiled loop."""
+    Forces on a frame are summed by padded gathers; adding into rows would split a compiled loop."""
     ends, forces, moments = [], [], []
     for table, end_frames in zip(model.elements, each_element(model, frames, lambda s, *F: s.wrenches(*F)), strict=True):
         for end, (F, M) in enumerate(end_frames):

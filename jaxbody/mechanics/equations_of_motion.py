@@ -91,7 +91,7 @@ class Dynamics(eqx.Module):
         frames = frames_of_free_bodies(supports, Frame(p, R, v, w))
         F, M = (x[model.layout.first_body :] for x in wrenches(model, frames, self.loads, t))
         m, c = bodies.mass[:, None], bodies.com
-        P = m * (v_B + cross(w_B, c))  # momentum and moment of momentum about O, body axes
+        P = m * (v_B + cross(w_B, c))  # momentum and angular momentum about O, body axes
         H = rotate(bodies.inertia, w_B) + cross(c, P)
         F_B = rotate_back(R, F) - cross(w_B, P)
         M_B = rotate_back(R, M) - cross(w_B, H) - cross(v_B, P)

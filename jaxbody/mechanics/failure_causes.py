@@ -65,7 +65,7 @@ def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
 
 
 def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
-    """{name: what belongs to that element}."""
+    """{name of an element: its values}."""
     return {
         name: jax.tree.map(lambda x, i=i: x[i], value)
         for table, value in zip(model.elements, values, strict=True)

@@ -201,7 +201,7 @@ def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> N
 
 
 def check_without_force_sensors(given: Any, where: str, outputs: tuple[Any, ...]) -> None:
-    """Refuses sensors of forces with damping that is not in the model, which they do not read. Error: BAD_OPTION."""
+    """Refuses force sensors with damping that is an option, as they read forces of the model only. Error: BAD_OPTION."""
     problems = Problems()
     for port in outputs if given is not None else ():
         if hasattr(port, "reading") and port.unit in ("N", "N m"):
@@ -264,7 +264,7 @@ def response_values(
 
 
 class _Matrices(Module):
-    """Of D = K + s C + s^2 M + i H, s = i w."""
+    """The matrices of D = K + s C + s^2 M + i H, s = i w."""
 
     K: Float[Array, "k n"]
     C: Float[Array, "k n"]

@@ -60,7 +60,13 @@ class Unevenness(eqx.Module):
 
 
 def road_profile(road: Unevenness, *, length, spacing, key: PRNGKeyArray) -> tuple[Float[Array, "k"], Float[Array, "k"]]:
-    """(distances, heights) of a road of a `length` with points at a `spacing` [m], for a Road; the same key gives the same road.
+    """(distances, heights) of a road profile [m], for a Road.
+
+    Args:
+        road: its unevenness.
+        length: of the road [m].
+        spacing: distance between its points [m].
+        key: of the random phases; the same key gives the same road.
 
         z(s) = sum over k of sqrt(2 Gd(k/L)/L) cos(2 pi k s/L + p_k),   k/L up to 1/(2 spacing)
 

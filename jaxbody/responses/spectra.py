@@ -123,8 +123,13 @@ class PSD(Spectrum):
     def from_record(cls, times, values, *, unit: str, segment: int = 1024) -> PSD:
         """Welch's estimate from a record, with scipy.signal.welch: Hann windows of `segment` samples, half overlapping.
 
-        unit: of the record, m, m/s, m/s2, g, rad, ... Times [s] must be equally spaced. Errors: BAD_UNIT, BAD_SHAPE, NOT_UNIFORM,
-        NON_FINITE."""
+        Args:
+            times: equally spaced [s].
+            values: the record, in `unit`.
+            unit: m, m/s, m/s2, g, rad, ...
+            segment: samples in a window.
+
+        Errors: BAD_UNIT, BAD_SHAPE, NOT_UNIFORM, NON_FINITE."""
         from scipy.signal import welch
 
         problems = Problems()

@@ -112,7 +112,7 @@ def dead_forces(at: Configuration, applied: AppliedLoads) -> DeadForces:
 
 
 class _At(eqx.Module):
-    """A point of the path, or on the way to it: configuration, lambda, nondimensional K."""
+    """A point of the path, or an iterate near it: configuration, lambda, nondimensional K."""
 
     q: Float[Array, "nq"]
     factor: Float[Array, ""]

@@ -130,7 +130,7 @@ def _amplitude(value: Any, unit: str) -> str:
 
 
 def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
-    """How the natural frequencies change with amplitude, and up to which amplitude the linear model is good, without damping.
+    """How the natural frequencies change with amplitude, and up to which amplitude the linear model is valid, without damping.
 
         w(a) = w (1 + gamma a^2 + ...),   a the amplitude of the largest component of the mode [m or rad]
 
@@ -241,7 +241,7 @@ def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, 
 
 
 def _inertia(lin: Linearization, phi: Float[Array, "nv"]):
-    """T2, t = grad T1, and b, by Newton and Euler: the rates of momentum and moment of momentum of each body on its virtual velocities."""
+    """T2, t = grad T1, and b, by Newton and Euler: the virtual power of the rates of momentum and angular momentum of each body."""
     model, coordinates, q = lin.model, Coordinates(lin.model), lin.state.q
     bodies = model.bodies.rows
 

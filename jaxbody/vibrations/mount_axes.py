@@ -1,4 +1,4 @@
-"""The axes of a mounted body: about which it turns under a torque, and along which a force moves it without turning it."""
+"""Axes of a mounted body: that about which it turns under a torque, and those along which a force moves it without rotation."""
 
 from __future__ import annotations
 

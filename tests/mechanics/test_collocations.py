@@ -143,8 +143,8 @@ def test_an_implicit_solver_steps_over_a_stiff_spring():
 
 @pytest.mark.long
 def test_reverse_mode_over_a_hundred_thousand_steps_takes_little_memory():
-    """Steps of at most 1 ms for 100 s: the default adjoint keeps a number of checkpoints that does not depend on the record; the gradient is
-    that of forward mode."""
+    """Steps of at most 1 ms for 100 s: the default adjoint keeps a number of checkpoints that does not depend on the record; the gradient
+    is that of forward mode."""
     model, motion = rigs.rig(), {"base": jb.Harmonic(**rigs.SHAKING)}
     steps = diffrax.PIDController(rtol=1e-3, atol=1e-3, dtmax=1e-3)
 

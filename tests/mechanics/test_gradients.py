@@ -111,7 +111,8 @@ def test_equilibrium_frequencies_and_damping_have_the_derivatives_of_differences
 
 @pytest.mark.long
 def test_trajectories_have_the_derivatives_of_differences():
-    """Differences of the fourth order with two steps, extrapolated to the sixth: shorter steps show the noise of adaptive steps, longer ones their own error."""
+    """Differences of the fourth order with two steps, extrapolated to the sixth: shorter steps show the noise of adaptive steps, longer
+    ones their own error."""
     tangents, function = directions(MOVING), functools.partial(moving, adjoint=diffrax.ForwardMode())
     (forward, short, _), (_, long, _) = (slopes(function, MOVING, tangents.values(), h) for h in (2e-3, 4e-3))
     differences = (16 * short - long) / 15

@@ -1,4 +1,5 @@
-"""Coordinates and momenta: Hamilton's equations by the derivatives of H; a Gauss step is symplectic and conserves momenta, and energy in chaotic motion."""
+"""Coordinates and momenta: Hamilton's equations by the derivatives of H; a Gauss step is symplectic and conserves momenta, and energy in
+chaotic motion."""
 
 from functools import partial
 
@@ -152,7 +153,8 @@ def test_a_step_is_symplectic(name):
 
 
 def pair():
-    """Two bodies that turn and are tied to each other only, by two springs; their momentum and moment of momentum about the origin of the world."""
+    """Two bodies that turn and are tied to each other only, by two springs; their momentum and moment of momentum about the origin of the
+    world."""
     return jb.Model(
         bodies={
             "a": jb.Body(mass=2.0, inertia=[0.1, 0.16, 0.2], com=[0.05, -0.02, 0.03]),
@@ -264,8 +266,8 @@ def tumbling(model, start, period, steps, periods):
 
 @pytest.mark.long
 def test_energy_of_a_tumbling_plate_has_no_trend_over_a_hundred_thousand_periods():
-    """It turns over and over, springs at a third to twice their length, 40 steps in the fastest period; with velocities in place of momenta the same stages
-    wander by 3e-8, and their trend is 4e-8."""
+    """It turns over and over, springs at a third to twice their length, 40 steps in the fastest period; with velocities in place of momenta
+    the same stages wander by 3e-8, and their trend is 4e-8."""
     model = rigs.plate()
     eq = jb.equilibrium(model)
     period = 1 / float(jb.modes(jb.linearize(model, eq)).frequency[-1])

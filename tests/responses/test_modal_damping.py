@@ -23,7 +23,8 @@ OUTPUTS = {a: jb.PointMotion("box", POINT, a) for a in "xyz"}
 
 @pytest.fixture(scope="module")
 def rig():
-    """A free box and an arm on a hinge of the base, five springs, at equilibrium, without dampers; and how its point moves with each coordinate, by SciPy."""
+    """A free box and an arm on a hinge of the base, five springs, at equilibrium, without dampers; and how its point moves with each
+    coordinate, by SciPy."""
     model = rigs.rig()
     model = jb.replace(model, {f"{name}.damping": 0.0 for name in model.element_names})
     lin = jb.linearize(model, jb.equilibrium(model))
@@ -35,8 +36,8 @@ def rig():
 
 
 def relative_sum(lin, Y, ratios, f):
-    """Y x of forces Y' f and motions of the base: with S = K^-1 K~ of relative motion x - S Xi the sum of phi phi' (Y' f + w^2 (M S - M~) Xi) over
-    w_i^2 - w^2 + 2 i zeta_i w_i w, by SciPy's modes."""
+    """Y x of forces Y' f and motions of the base: with S = K^-1 K~ of relative motion x - S Xi the sum of phi phi' (Y' f + w^2 (M S - M~)
+    Xi) over w_i^2 - w^2 + 2 i zeta_i w_i w, by SciPy's modes."""
     M, K, M_tilde, K_tilde = (np.asarray(x) for x in (lin.M, lin.K, lin.M_tilde, lin.K_tilde))
     squares, phi = scipy.linalg.eigh(K, M)
     S = np.linalg.solve(K, K_tilde)
@@ -97,7 +98,8 @@ def equal_ways(k):
 
 
 def test_derivatives_where_modes_coincide_are_those_of_the_matrix_function():
-    """With one ratio for all C = 2 zeta M^(1/2) (M^(-1/2) K M^(-1/2))^(1/2) M^(1/2), smooth where modes meet: forward and reverse against differences of SciPy's."""
+    """With one ratio for all C = 2 zeta M^(1/2) (M^(-1/2) K M^(-1/2))^(1/2) M^(1/2), smooth where modes meet: forward and reverse against
+    differences of SciPy's."""
     zeta, f = 0.1, np.array([0.7, 1.3])
     inputs, outputs = {"x": jb.PointForce("bob", direction="x")}, {"y": jb.PointMotion("bob", direction="y")}
 

@@ -106,7 +106,8 @@ def test_any_frequencies_are_integrated_by_trapezoids(lin, ride):
 
 @pytest.mark.long
 def test_a_wheelbase_filters_the_excitation_of_both_axles():
-    """Heave and pitch of a symmetric half car behind each other at a distance: |1 + exp(-i w d)|^2/4 and |1 - exp(-i w d)|^2 of what coherent axles give."""
+    """Heave and pitch of a symmetric half car behind each other at a distance: |1 + exp(-i w d)|^2/4 and |1 - exp(-i w d)|^2 of what
+    coherent axles give."""
     car = jb.presets.half_car(front=1.25, rear=1.25, front_stiffness=2e4, rear_stiffness=2e4, front_damping=1500.0, rear_damping=1500.0)
     lin = jb.linearize(car, jb.equilibrium(car))
     inputs = {axle: jb.BaseMotion(axle, "z") for axle in ("front", "rear")}
@@ -162,7 +163,8 @@ def test_a_weighted_signal_is_that_of_the_analog_filter():
 
 
 def test_roads_by_class():
-    """ISO 8608: class A 16e-6 m3, each four times the one before; at a speed Gd(f/U)/U; a path has the density at every wave, and its key makes it."""
+    """ISO 8608: class A 16e-6 m3, each four times the one before; at a speed Gd(f/U)/U; a path has the density at every wave, and its key
+    makes it."""
     n = np.array([0.02, 0.1, 1.7])
     for i, name in enumerate("ABCDEFGH"):
         np.testing.assert_allclose(jb.Unevenness.iso(name)(n), 16e-6 * 4**i * (n / 0.1) ** -2, rtol=1e-14)
@@ -304,8 +306,9 @@ def test_pictures_show_their_data(lin, ride, monkeypatch):
 
 @pytest.mark.long
 def test_variances_by_simulation(lin):
-    """The model driven on twelve random walks, white noise velocity: mean variances within three standard errors of the closed form; and on a path of
-    a class C road, whose density is exact: within half a percent of the sum over the waves that it has (steps of 5 cm take from waves of 20 cm)."""
+    """The model driven on twelve random walks, white noise velocity: mean variances within three standard errors of the closed form; and on
+    a path of a class C road, whose density is exact: within half a percent of the sum over the waves that it has (steps of 5 cm take from
+    waves of 20 cm)."""
     road, eq = jb.Unevenness.iso("C"), jb.equilibrium(CAR)
     length, spacing, n = 400.0, 0.05, 8000
     times = jnp.linspace(0.0, 2 * length / SPEED, 2 * n + 1)

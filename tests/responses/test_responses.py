@@ -1,4 +1,5 @@
-"""Frequency response and state space: limits at low frequency, motion in steady state, published vehicles and absorbers, symmetry, derivatives."""
+"""Frequency response and state space: limits at low frequency, motion in steady state, published vehicles and absorbers, symmetry,
+derivatives."""
 
 import functools
 
@@ -260,7 +261,8 @@ def measures(model):
 
 @pytest.mark.long
 def test_responses_have_the_derivatives_of_differences():
-    """By every kind of number of the model in one backward pass: along a random direction of each, against central differences of the fourth order."""
+    """By every kind of number of the model in one backward pass: along a random direction of each, against central differences of the
+    fourth order."""
     gradient = jax.tree.leaves(jit_once(jax.jacrev(measures))(PLATE))
     leaves, structure = jax.tree.flatten(PLATE)
     rng = np.random.default_rng(5)

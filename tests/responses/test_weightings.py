@@ -51,8 +51,9 @@ def test_weightings_at_the_reference_frequencies(name):
 
 
 def test_wb_is_that_of_the_british_standard():
-    """BS 6841:1987, table 3, writes the step as (s^2 + 2 pi f5 s/Q3 + (2 pi f5)^2)/(s^2 + 2 pi f6 s/Q4 + (2 pi f6)^2) and the gain 0.4 at low frequencies, by which
-    the same filter has 2 pi K f4^2 f6^2/(f3 f5^2) in front; here it is worked out at some frequencies, with Q1 = 0.71 as printed there."""
+    """BS 6841:1987, table 3, writes the step as (s^2 + 2 pi f5 s/Q3 + (2 pi f5)^2)/(s^2 + 2 pi f6 s/Q4 + (2 pi f6)^2) and the gain 0.4 at
+    low frequencies, by which the same filter has 2 pi K f4^2 f6^2/(f3 f5^2) in front; here it is worked out at some frequencies, with Q1 =
+    0.71 as printed there."""
     f = np.array([0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 31.5, 80.0])
     s, w = 2j * np.pi * f, 2 * np.pi
     band = s**2 * (w * 100) ** 2 / ((s**2 + w * 0.4 / 0.71 * s + (w * 0.4) ** 2) * (s**2 + w * 100 / 0.71 * s + (w * 100) ** 2))
@@ -103,7 +104,8 @@ def test_the_dose_of_a_weighted_sine_is_the_closed_form(name, frequency):
 
 
 def test_the_dose_of_a_shock_counts_it_more_than_the_rms_does_and_has_derivatives():
-    """A single sample of 30 in 10 s: the filter's answer, by NumPy; homogeneous of the first degree, so that the derivative along the record is the dose; 0 at silence."""
+    """A single sample of 30 in 10 s: the filter's answer, by NumPy; homogeneous of the first degree, so that the derivative along the
+    record is the dose; 0 at silence."""
     t = np.arange(0.0, 10.0, 0.005)
     shock = 30.0 * (np.arange(2000) == 400)
     felt = jb.weighted_signal(t, shock, "Wk")
@@ -118,7 +120,8 @@ def test_the_dose_of_a_shock_counts_it_more_than_the_rms_does_and_has_derivative
 
 
 def test_slow_weightings_are_padded_until_their_filter_has_decayed():
-    """What is felt early is the same however much silence follows the record: the ends of the Fourier transform do not meet (of Wf, from 0.08 Hz)."""
+    """What is felt early is the same however much silence follows the record: the ends of the Fourier transform do not meet (of Wf, from
+    0.08 Hz)."""
     t = np.arange(0.0, 120.0, 0.25)
     a = np.sin(2 * np.pi * 0.2 * t)
     longer = jb.weighted_signal(np.arange(0.0, 400.0, 0.25), np.pad(a, (0, 1120)), "Wf").values

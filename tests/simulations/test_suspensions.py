@@ -1,4 +1,5 @@
-"""Suspensions in motion: one rig with a mass for every law, against SciPy programs of the same; their energy; tyres that leave the ground."""
+"""Suspensions in motion: one rig with a mass for every law, against SciPy programs of the same; their energy; tyres that leave the
+ground."""
 
 import diffrax
 import jax

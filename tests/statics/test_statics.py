@@ -420,7 +420,8 @@ def test_derivative_through_a_failed_or_singular_equilibrium_is_nan():
 
 
 def test_an_equilibrium_of_another_model_is_not_linearized(plate, hanging):
-    """Of other bodies it is refused; of the same model with other numbers it is STALE, where they matter at rest: damping and stiffness without tension do not."""
+    """Of other bodies it is refused; of the same model with other numbers it is STALE, where they matter at rest: damping and stiffness
+    without tension do not."""
     with pytest.raises(jb.JaxbodyError, match=r"linearize.at: is of a model with other bodies.*OTHER_MODEL"):
         jb.linearize(bead(), hanging)
     for changed in ({"s0.stiffness": 1.01 * plate["s0"].stiffness}, {"plate.mass": 6.1}, {"gravity": [0, 0, -9.8]}):

@@ -13,7 +13,8 @@ G = 9.81
 
 
 def web(nodes, links):
-    """Bodies that do not turn at nodes {name: place}, springs (from, to or a place of the world, stiffness) as long as they are in the reference pose."""
+    """Bodies that do not turn at nodes {name: place}, springs (from, to or a place of the world, stiffness) as long as they are in the
+    reference pose."""
     places = {name: np.array(place, float) for name, place in nodes.items()}
 
     def spring(a, b, k):

@@ -17,8 +17,8 @@ def car():
 
 
 def test_a_bouncing_body_is_not_named_by_the_arm_that_turns_with_it():
-    """A body on an arm that carries the wheel: by shares of T from SciPy's shapes, of the body 300 q0'^2/2, of the arm about its end what remains. In metres
-    against radians the arm's angle, bounce over 0.4 m, is the larger component of both modes."""
+    """A body on an arm that carries the wheel: by shares of T from SciPy's shapes, of the body 300 q0'^2/2, of the arm about its end what
+    remains. In metres against radians the arm's angle, bounce over 0.4 m, is the larger component of both modes."""
     model = jb.Model(
         bodies={
             "body": jb.Body(mass=300.0, inertia=[1, 1, 1], position=[0, 0, 0.5]),
@@ -84,7 +84,8 @@ def on_springs(*stiffness, coupling=None):
 
 
 def test_nearly_equal_frequencies_carry_a_mark():
-    """1.6e-6 apart: 1e-5 of one stiffness moves shares by 40 points, which the mark says. Those that coincide have none: their energies are summed."""
+    """1.6e-6 apart: 1e-5 of one stiffness moves shares by 40 points, which the mark says. Those that coincide have none: their energies are
+    summed."""
     lin = on_springs(100.0, 100.0, 400.0, coupling=1.6e-4)
     modes, energies = jb.modes(lin), jb.mode_energies(lin)
     f = np.asarray(modes.frequency)

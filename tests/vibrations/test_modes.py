@@ -1,4 +1,5 @@
-"""Modes: energies, clusters and their derivatives, damped poles, spins, axes, branches; against closed forms, NumPy and SciPy, and differences."""
+"""Modes: energies, clusters and their derivatives, damped poles, spins, axes, branches; against closed forms, NumPy and SciPy, and
+differences."""
 
 import equinox as eqx
 import jax
@@ -58,7 +59,8 @@ def test_kinetic_energies_of_the_published_powertrain(engine):
 
 @pytest.mark.long
 def test_shares_are_those_of_the_matrices(rig):
-    """Kinetic energy with O away from the centres of mass and a hinge on a base, against the velocities of each body by differences; strain by the split of K."""
+    """Kinetic energy with O away from the centres of mass and a hinge on a base, against the velocities of each body by differences; strain
+    by the split of K."""
     model, result = rig.model, jb.mode_energies(rig)
     M, K, C = (np.asarray(x) for x in (rig.M, rig.K, rig.C))
     values, phi = scipy.linalg.eigh(K, M)
@@ -152,7 +154,8 @@ J = MASS * SIDE**2  # equal about x and y
 
 @pytest.fixture(scope="module")
 def square():
-    """A square plate on four equal mounts, each three springs at right angles, at its corners; the modes as a function of the upright stiffness of mount 0."""
+    """A square plate on four equal mounts, each three springs at right angles, at its corners; the modes as a function of the upright
+    stiffness of mount 0."""
     elements = {}
     for i, (x, y) in enumerate([(A, A), (A, -A), (-A, A), (-A, -A)]):
         for axis, (k, d) in {"x": (KX, [1, 0, 0]), "y": (KX, [0, 1, 0]), "z": (KZ, [0, 0, 1])}.items():
@@ -172,7 +175,8 @@ def of_square(square):
 
 @pytest.mark.long
 def test_equal_frequencies_have_two_one_sided_derivatives(of_square):
-    """Roll and pitch of the plate: w^2 = 4 k a^2/J; a mount more by dk adds 2 a^2 dk/J to turning about one diagonal, nothing to the other."""
+    """Roll and pitch of the plate: w^2 = 4 k a^2/J; a mount more by dk adds 2 a^2 dk/J to turning about one diagonal, nothing to the
+    other."""
     frequency = jax.jit(lambda k: jb.modes(of_square(k)).frequency)
     at = frequency(KZ)
     pair = np.flatnonzero(np.abs(np.asarray(at) - np.sqrt(4 * KZ * A**2 / J) / (2 * np.pi)) < 1e-6)

@@ -1,4 +1,5 @@
-"""Damped poles, spinning rotors, axes of mounted bodies and modes followed along a parameter, against NumPy, closed forms and differences."""
+"""Damped poles, spinning rotors, axes of mounted bodies and modes followed along a parameter, against NumPy, closed forms and
+differences."""
 
 import jax
 import jax.numpy as jnp
@@ -187,7 +188,8 @@ def spinning(model, speed):
 
 
 def test_a_rotor_whirls_forward_and_backward_as_in_closed_form():
-    """I w^2 -+ P W w - k = 0 for turning across the axis, w = -+P W/(2 I) + sqrt((P W/(2 I))^2 + k/I); the spin does not affect translation."""
+    """I w^2 -+ P W w - k = 0 for turning across the axis, w = -+P W/(2 I) + sqrt((P W/(2 I))^2 + k/I); the spin does not affect
+    translation."""
     model, speed = rotor(), 80.0
     lin = jb.linearize_spin(model, spinning(model, speed))
     result = jb.complex_modes(lin)
@@ -231,7 +233,8 @@ def test_unsteady_spins_are_reported():
 
 @pytest.mark.long
 def test_a_rotor_on_a_hinge_of_a_carrier():
-    """The same by other coordinates, and speeds where damping of the carrier leaves the frequencies a closed form: D = beta K of turning."""
+    """The same by other coordinates, and speeds where damping of the carrier leaves the frequencies a closed form: D = beta K of
+    turning."""
     speed, beta = 80.0, 1e-3
     carried = rotor()
     model = jb.Model(
@@ -278,7 +281,8 @@ def engine():
 
 
 def test_elastic_axes_satisfy_their_definition(engine):
-    """A force along each, with its moment, moves the body along it and does not turn it; a couple along a torsional axis turns it about a parallel one."""
+    """A force along each, with its moment, moves the body along it and does not turn it; a couple along a torsional axis turns it about a
+    parallel one."""
     result, flexibility = jb.elastic_axes(engine, "engine"), np.linalg.inv(np.asarray(engine.K))
     for n, k, p, h in zip(result.directions.T, result.stiffness, result.points, result.pitch, strict=True):
         moved = flexibility @ np.concatenate([k * n, np.cross(p, k * n) + h * k * n])
@@ -425,7 +429,8 @@ def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
 
 
 def test_derivatives_of_poles_by_a_place_are_finite():
-    """An arm on a spring at r from its hinge: w^2 = k r^2/J, dw/dr = w/r; the size of the model, by which poles are made alike, has no part in it."""
+    """An arm on a spring at r from its hinge: w^2 = k r^2/J, dw/dr = w/r; the size of the model, by which poles are made alike, has no part
+    in it."""
     model = jb.Model(
         bodies={"arm": jb.Body(mass=1.0, inertia=[1.0, 2.0, 1.0])},
         joints={"arm": jb.Hinge("world", axis=[0, 1, 0])},
