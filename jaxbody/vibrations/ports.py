@@ -1,8 +1,7 @@
 """Ports: inputs and outputs of small motions: motions of supports and forces; motions of points, elements, reactions.
 
-About an equilibrium, with x = (Delta, Xi), each output is y = Y0 x + Y1 x' + Y2 x'' + G f and each force f enters as F f. The rows of a
-point are its Jacobian, those of an element the derivatives of its force or deformation, those of a reaction the rows of K, C and M of its
-support.
+About an equilibrium, with x = (Delta, Xi), outputs are y = Y0 x + Y1 x' + Y2 x'' + G f and forces enter as F f. The rows of a point are its
+Jacobian, those of an element the derivatives of its force or deformation, those of a reaction the rows of K, C and M of its support.
 """
 
 from __future__ import annotations
