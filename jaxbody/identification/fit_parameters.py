@@ -19,8 +19,6 @@ from jaxbody.models.sizes import size_of
 from jaxbody.parameters.ties import Factor, bounds_of_first, check_alike, equation, ties, times
 from jaxbody.parameters.transforms import Parametrization, Positive, Shifted, pair_of, parametrize, sound_bounds
 
-OF_CHAINS = ("gain", "bias", "start", "delay", "lag")  # of instruments
-
 
 class FreeParameter(eqx.Module):
     """A free parameter: where it is, once or, tied by factors, several times, each in a run ("" for the model); and how it moves."""
@@ -65,10 +63,10 @@ def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str
         group, starts = list(tie), [leaf.read(arrays[owner[leaf]]) for leaf in tie]
         run, leaf = owner[group[0]], group[0]
         experiment, name = experiments.get(run), leaf.path.removeprefix(f"{run}.").removesuffix(f".{leaf.field}")
-        if isinstance(experiment, Experiment) and name in experiment.sensors and leaf.field in OF_CHAINS:
-            form = of_instrument(leaf.field, starts[0], experiment, name)
-        else:
-            form = parametrize(leaf.path, starts[0], model, size)
+        sensor = experiment.sensors.get(name) if isinstance(experiment, Experiment) else None
+        form = parametrize(leaf, starts[0], model, size)
+        if isinstance(experiment, Experiment) and sensor is not None and leaf.field in sensor.stages and isinstance(form, Shifted):
+            form = of_instrument(leaf.kind.unit, starts[0], experiment, name)
         if isinstance(form, Problem):
             problems.collected.append(form)
         else:
@@ -129,14 +127,13 @@ def priors_of(free: tuple[FreeParameter, ...], priors: dict[str, tuple[Any, Any]
     return found
 
 
-def of_instrument(field: str, start: Array, experiment: Experiment, sensor: str) -> Parametrization:
-    """The parametrization of what an instrument makes of its readings. Neither sign of a gain is ruled out: an instrument may be turned round."""
-    if field == "lag":
-        return Positive(start)
+def of_instrument(unit: str, start: Array, experiment: Experiment, sensor: str) -> Parametrization:
+    """The parametrization of what an instrument makes of its readings, by its unit: a gain has none (either sign: an instrument may be turned
+    round), a delay has seconds, bias and start those of the reading."""
     measured = experiment.measured[sensor]
-    if field == "gain":
+    if unit == "":
         least = jnp.ones(())
-    elif field == "delay":
+    elif unit == "s":
         least = (experiment.times[-1] - experiment.times[0]) / (len(experiment.times) - 1)
     else:
         least = jnp.sqrt(jnp.nanmean(measured**2))

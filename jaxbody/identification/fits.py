@@ -135,7 +135,8 @@ class Fit(Result):
             u = self._assessed()
             return f"rank {u.rank} of {len(u.singular_values)}: " + "; ".join(u.words)
         if status == Status.AT_BOUND:
-            return ", ".join(self.at_bound) + "; its interval has one side, the others are estimated with it there"
+            given = not all(label.endswith("(zero)") for label in self.at_bound)
+            return ", ".join(self.at_bound) + ("; its interval has one side, the others are estimated with it there" if given else "")
         after = f"after {tables.counted(int(self.evaluations), 'evaluation')}; the best so far is kept"
         if status == Status.INTERRUPTED:
             return f"{after}; go on with fit(..., resume=this)"

@@ -36,10 +36,12 @@ from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import size_of
+from jaxbody.parameters.transforms import Positive
 from jaxbody.simulations.simulations import check_steps
 from jaxbody.statistics.losses import check_loss
 from jaxbody.statistics.uncertainties import assess
 
+GONE = 1e-6  # of its start, or of the residuals, that counts as nothing
 EXACT = 100  # times the tolerance of the integration: residuals that are no noise
 SHORT = 0.25  # of the first natural period, that a record must last at least
 ROUNDS = 5  # of estimating the noise of each channel and fitting with it
@@ -216,8 +218,11 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds
         for label, near in zip(task.labels, np.abs(np.asarray(u) - limit) < AT_BOUND, strict=True)
         if near
     ]
+    gone = _gone(task, np.asarray(u), r, J)
+    at_bound += [f"{label} (zero)" for label in gone]
     if status == Status.OK:
-        conditions = ((uncertainty.still, Status.NEVER_MOVED), (uncertainty.rank < task.size, Status.NOT_IDENTIFIABLE), (at_bound, Status.AT_BOUND))  # fmt: skip
+        still, known = set(uncertainty.still) - set(gone), uncertainty.rank + len(gone)
+        conditions = ((still, Status.NEVER_MOVED), (known < task.size, Status.NOT_IDENTIFIABLE), (at_bound, Status.AT_BOUND))
         status = next((found for true, found in conditions if true), Status.OK)
     remarks = () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
     model, experiments = task.scatter(jnp.asarray(u))
@@ -225,6 +230,13 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds
     if np.linalg.norm(r) > exact:
         remarks += tuple(far_off(model, experiments, predicted, task.noise, task.integration))
     return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds), remarks)  # fmt: skip
+
+
+def _gone(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> list[str]:
+    """Parameters that went to zero, where their domain ends: far below their start, and what is left of them moves nothing."""
+    logarithms = np.concatenate([np.full(f.form.size, isinstance(f.form, Positive)) for f in task.free])
+    unmoved = np.linalg.norm(J, axis=0) <= GONE * np.linalg.norm(r)
+    return [label for label, gone in zip(task.labels, logarithms & (u < np.log(GONE)) & unmoved, strict=True) if gone]
 
 
 def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, ...]:

@@ -95,7 +95,7 @@ def _grouped(model: Model, free: list[str], where: str) -> tuple[Group, ...]:
 
 def _group(tie: Tie, arrays, model: Model, size, problems: Problems) -> Group | None:
     starts = [leaf.read(arrays) for leaf in tie]
-    form = parametrize(next(iter(tie)).path, starts[0], model, size)
+    form = parametrize(next(iter(tie)), starts[0], model, size)
     if isinstance(form, Problem):
         problems.collected.append(form)
         return None

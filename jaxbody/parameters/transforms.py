@@ -1,6 +1,7 @@
 """How a free parameter is moved in a fit: by numbers u that are zero at the start, unbounded and of the order of one.
 
-positive        x = x0 exp(u)                         stiffness, damping, mass
+nonnegative     x = x0 exp(u)                         stiffness, damping, lengths; what is positive alike: mass
+fraction        x = x0 e^u/(1 + x0 (e^u - 1))         between 0 and 1
 definite        X = L(u) L(u)'                        6 x 6 stiffness and damping; L lower, logarithms on its diagonal
 inertia         I = tr(S) 1 - S, S definite           so that masses of no sign but plus can have it (log-Cholesky of the pseudo-inertia)
 rotation        q = exp(u) q0                         orientations; coordinates of an initial state
@@ -25,9 +26,8 @@ from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.vectors import cross, dot
 from jaxbody.mechanics.kinematics import Chart
+from jaxbody.models.leaf_paths import Leaf
 from jaxbody.models.models import Model
-
-POSITIVE = ("stiffness", "damping", "mass")
 
 
 class Parametrization(eqx.Module):
@@ -71,6 +71,13 @@ class Shifted(Parametrization):
     def inverse(self, x: Any) -> np.ndarray:
         """u of a value."""
         return ((np.asarray(x, float) - np.asarray(self.start)) / float(self.scale)).ravel()
+
+
+class Fraction(Parametrization):
+    """x = x0 e^u/(1 + x0 (e^u - 1))."""
+
+    def value(self, u):
+        return 1 / (1 + (1 / self.start - 1) * jnp.exp(-u.reshape(self.start.shape)))
 
 
 class Definite(Parametrization):
@@ -176,49 +183,52 @@ class Configurations(InitialConfiguration):
         return [f"[{row}, {name}]" for row in range(len(self.start)) for name in self.model.layout.coordinates]
 
 
-def parametrize(path: str, start: Array, model: Model, size: Array) -> Parametrization | Problem:
-    """The parametrization that suits a leaf, or what is wrong with its start."""
-    field = path.rsplit(".", 1)[-1]
-    known = concrete(start)
+def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametrization | Problem:
+    """The parametrization that suits the domain of a leaf, or what is wrong with its start."""
+    path, domain, known = leaf.path, leaf.kind.domain, concrete(start)
     if path.endswith("nodes.q"):
         return Configurations(start, model)
     if path.endswith("initial.q"):
         return InitialConfiguration(start, model)
-    if field in POSITIVE and start.ndim < 2:
-        if known is not None and (known <= 0).any():
-            return Problem(
-                "START_ON_BOUND",
-                path,
-                f"starts at {known}, where its logarithm has no value",
-                known,
-                "> 0",
-                "Start at a small positive number.",
-            )
-        return Positive(start)
-    if field == "inertia":
-        moments = None if known is None else np.linalg.eigvalsh(known)
-        if moments is not None and moments[0] + moments[1] - moments[2] <= 1e-9 * moments.sum():
-            told = f"starts at principal moments {moments}, those of a flat or thin body"
-            hint = "Give it some thickness: masses on both sides of its plane or line."
-            return Problem("START_ON_BOUND", path, told, known, "each less than the sum of the other two", hint)
-        return Inertia(start)
-    if field in POSITIVE:
-        if known is not None and np.linalg.eigvalsh(known).min() <= 0:
-            return Problem(
-                "START_ON_BOUND",
-                path,
-                "starts at a matrix that is not positive definite",
-                known,
-                "eigenvalues > 0",
-                "Start at a definite matrix.",
-            )
-        return Definite(start)
-    if field.startswith("orientation"):
-        return Rotation(start)
-    if field == "axis":
-        return Direction(start)
-    largest = jnp.max(jnp.abs(start))
-    return Shifted(start, jnp.where(largest > 0, largest, size))
+    if domain == "definite" and start.ndim < 2:
+        domain = "nonnegative"
+    if domain in UNBOUNDED:
+        return UNBOUNDED[domain](start)
+    if domain not in STARTS:
+        largest = jnp.max(jnp.abs(start))
+        return Shifted(start, jnp.where(largest > 0, largest, size))
+    form, inside, where, limit, hint = STARTS[domain]
+    if known is not None and not inside(known):
+        return Problem("START_ON_BOUND", path, f"starts at {known}, {where}", known, limit, hint)
+    return form(start)
+
+
+def _thick(inertia: np.ndarray) -> bool:
+    moments = np.linalg.eigvalsh(inertia)
+    return moments[0] + moments[1] - moments[2] > 1e-9 * moments.sum()
+
+
+UNBOUNDED = {"rotation": Rotation, "direction": Direction}
+NUMBER = (Positive, lambda x: (x > 0).all(), "where its logarithm has no value", "> 0", "Start at a small positive number.")
+STARTS = {  # form, whether a start is inside, what it is else, limit, hint
+    "nonnegative": NUMBER,
+    "positive": NUMBER,
+    "fraction": (Fraction, lambda x: ((x > 0) & (x < 1)).all(), "at an end of its range", "between 0 and 1", "Start between 0 and 1."),
+    "definite": (
+        Definite,
+        lambda x: np.linalg.eigvalsh(x).min() > 0,
+        "a matrix that is not positive definite",
+        "eigenvalues > 0",
+        "Start at a definite matrix.",
+    ),
+    "inertia": (
+        Inertia,
+        _thick,
+        "that of a flat or thin body",
+        "each principal moment less than the sum of the other two",
+        "Give it some thickness: masses on both sides of its plane or line.",
+    ),
+}
 
 
 def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
