@@ -395,6 +395,6 @@ def _element_problem(port: Any, model: Model, where: str) -> Problem | None:
 def check_ports(lin: Any, inputs: Any, outputs: Any, where: str):
     """(names, ports, units) of inputs and outputs; raises all errors at once."""
     problems = Problems()
-    found = [ports_of(lin.model, given, what, where, problems) for given, what in ((inputs, "inputs"), (outputs, "outputs"))]
+    ports = [ports_of(lin.model, given, what, where, problems) for given, what in ((inputs, "inputs"), (outputs, "outputs"))]
     problems.raise_if_any()
-    return found
+    return ports

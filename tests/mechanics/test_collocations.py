@@ -69,7 +69,7 @@ def test_unknown_stages_are_refused():
 
 
 def vibrating(periods, samples=201):
-    """Energy above the equilibrium's, relative to what it was, of the plate swinging by 3 cm and 0.1 rad; periods of its fastest mode."""
+    """Relative energy above the equilibrium's of the plate swinging by 3 cm and 0.1 rad, over periods of its fastest mode."""
     model = rigs.plate()
     eq = jb.equilibrium(model)
     period = 1 / float(jb.modes(jb.linearize(model, eq)).frequency[-1])
@@ -129,7 +129,7 @@ def stiff():
 
 @pytest.mark.long
 def test_an_implicit_solver_steps_over_a_stiff_spring():
-    """At the default tolerance, on stiffnesses 1e6 apart: as the explicit solver says, in fewer than a twentieth of its steps."""
+    """At the default tolerance, with stiffnesses of ratio 1e6: the result of the explicit solver in fewer than a twentieth of its steps."""
     model, times = stiff(), np.linspace(0, 5, 51)
     start = jb.State(model.reference.q + jnp.array([0.05, 0.1, -0.08, 0.0]), model.reference.v)
     explicit = jb.simulate(model, times, initial=start)

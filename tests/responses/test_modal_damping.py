@@ -90,7 +90,7 @@ def test_a_ratio_acts_as_a_damper_on_body_and_support():
 
 
 def equal_ways(k):
-    """A bob with equal stiffness along x and y and k more along a slant between them: its modes coincide at k = 0."""
+    """A bob with equal stiffness along x and y and a further k along an oblique line: its modes coincide at k = 0."""
     spring = jb.Spring(("bob", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=1.0, free_length=0.0)
     model = jb.Model(bodies={"bob": jb.Body(mass=2.0, inertia=[1, 1, 1])}, joints={"bob": jb.Translation("world")}, elements={"s": spring})
     d = jnp.array([0.6, 0.8, 0.0])
@@ -198,7 +198,7 @@ def test_at_0_hz_velocities_and_accelerations_are_refused_as_inputs():
 
 
 def test_pictures_tables_and_objectives_of_a_response_with_0_hz():
-    """A logarithmic scale begins above it; a NaN there leaves the other phases and the largest magnitude as they are."""
+    """A logarithmic scale starts above it; a NaN at it does not change the other phases and the largest magnitude."""
     from matplotlib.figure import Figure
 
     f = np.array([0.0, 0.5, 1.0, 2.0])

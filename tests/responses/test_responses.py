@@ -138,7 +138,7 @@ def test_steady_motion_is_that_of_simulate(rig):
 
 @pytest.mark.long
 def test_modal_sum_and_state_space_agree(rig):
-    """To 1e-10 of the largest response; by kinds of base motion as far as each has a state space."""
+    """To 1e-10 of the largest response; for each kind of base motion that has a state space."""
     _, _, lin = rig
     f = np.array([0.3, 1.1, 2.0, 7.0])
     kinds = {"displacement": ("point", "turn", "relative", "elongation", "deformation"), "acceleration": tuple(OUTPUTS)}
@@ -311,7 +311,7 @@ def test_responses_have_derivatives_where_modes_coincide():
 
 @pytest.mark.long
 def test_second_derivatives():
-    """Forward over reverse against differences of the gradient: the response is no straight line of its parameters."""
+    """Forward over reverse against differences of the gradient: the response is nonlinear in its parameters."""
     model = jb.presets.quarter_car(damping=1800.0)
 
     def height(c):

@@ -341,7 +341,7 @@ def test_a_motion_of_too_many_steps_keeps_its_samples_and_reports_the_time_reach
 
 
 def test_steps_below_the_smallest_are_reported():
-    """The smallest step is too large for the tolerance from the first step on; the initial state is still known."""
+    """The smallest step is too large for the tolerance from the first step on; the initial state is returned."""
     controller = diffrax.PIDController(rtol=1e-12, atol=1e-12, dtmin=0.2, force_dtmin=False)
     result, message = simulated(hung(), SHORT, "DT_MIN", stepsize_controller=controller)
     assert "at t = 0 s of 1 s" in message
@@ -373,7 +373,7 @@ def test_a_nonfinite_motion_is_named():
 
 
 def test_constant_steps_too_long_for_the_model_end_in_a_status_at_the_right_time():
-    """Twenty thousand radians a second in steps of 50 ms: a thousand times the limit of stability."""
+    """20 000 rad/s in steps of 50 ms: a thousand times the limit of stability."""
     options = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.05, solver=diffrax.Tsit5(), initial=PUSHED)
     times = np.linspace(0, 10, 21)
     result, message = simulated(slider(4e8), times, "STEP_TOO_LONG", "NONFINITE", **options)

@@ -32,7 +32,7 @@ def touching(e, v, k=2000.0, c=30.0, w=0.01):
     return -push - np.maximum(-c_e * v, -push)
 
 
-# Of each mass the element between it and the base, one meter apart, and its tension over (elongation, rate) in NumPy
+# For each mass its element to the base, one meter long, and its tension over (elongation, rate) in NumPy
 SPRING = {"free_length": 1.0}
 RIG = {
     "linear": (dict(spring=300.0, damper=2.0), lambda x, v: 300 * x + 2 * v),
@@ -114,7 +114,7 @@ def test_a_mass_on_every_law_moves_as_by_scipy(model, moved, start, name):
 
 
 def test_the_rig_reaches_every_regime_of_its_laws(model, moved):
-    """Stops are met, the rope goes slack, tyre and contact leave the ground."""
+    """Stops are reached, the rope goes slack, tyre and contact leave the ground."""
     e = moved.elongations
     assert e["bump stop strut"].min() < -0.1 < e["bump stop strut"].max()
     assert e["rope strut"].min() < 0 < e["rope strut"].max()
@@ -194,7 +194,7 @@ def test_an_equilibrium_beyond_a_table_reports_which():
     assert jb.equilibrium(jb.replace(model, {"gravity": [0, 0, -20.0]})).ok
 
 
-# Derivatives at awkward places
+# Derivatives at singular configurations
 
 
 @pytest.mark.long
@@ -227,7 +227,7 @@ def test_a_strut_that_has_a_direction_is_refused_at_zero_length(pull):
 
 @pytest.mark.long
 def test_gradients_of_a_motion_by_numbers_of_its_laws():
-    """Forward mode against central differences, through a stop and lift-off; what is left is the steps' noise over the difference."""
+    """Forward mode against central differences, through a stop and lift-off; the error is that of the steps over the difference."""
     model = rig(("bump stop", "table", "friction"))
     start = jb.State(jnp.array([-0.02, 0.0, 0.02, 0.0]), jnp.zeros(4))
     paths = ["bump stop strut.spring.terms.1.gap", "tyre strut.stiffness", "table strut.spring.forces", "friction strut.damper.velocity"]

@@ -79,7 +79,7 @@ def lowest_stiffness(model, q):
 
 @pytest.mark.usefixtures("batches")
 def test_no_model_ends_in_an_unstable_equilibrium_with_status_ok(plate):
-    """Random springs, some pressed, on bodies of random weight, from reference poses that are nowhere near an equilibrium."""
+    """Random springs, some compressed, on bodies of random weight, from reference poses far from an equilibrium."""
     count = 200
     ends = ("a", "b")
     points = {
@@ -208,7 +208,7 @@ def test_matrices_are_second_derivatives_of_the_energies_at_any_state(rig):
 
 
 def test_matrices_of_an_arm_on_a_bushing_are_second_derivatives_of_its_energies():
-    """The same of one body on a hinge, turned far from the axes of its mount, and stayed to the world."""
+    """The same for one body on a hinge, at a large rotation from the axes of its mount, with a spring to the world."""
     p = rigs.PARAMETERS
     mount = {**rigs.MOUNT, "orientation": rigs.unit(rigs.MOUNT["orientation"])}
     model = jb.Model(
@@ -389,7 +389,7 @@ def test_a_search_with_too_few_steps_reports_its_residual(plate):
 
 
 def test_derivative_through_a_failed_or_singular_equilibrium_is_nan():
-    """A bead pulled down a guide by its weight; with a slack string in the normal direction it is free to move."""
+    """A bead on a guide under its weight; with an unstressed string across the guide it is free to move."""
 
     def place(stiffness, free_length, gravity, max_steps):
         model = jb.replace(bead(), {"*.stiffness": stiffness, "*.free_length": free_length, "gravity": jnp.stack([0.0, gravity, 0.0])})

@@ -30,7 +30,7 @@ def web(nodes, links):
 
 
 def least_energy(nodes, links, forces):
-    """Displacements of the nodes by SciPy: springs of the same energy, dead forces; from displacements along the forces."""
+    """Displacements of the nodes by SciPy's minimum of energy, started along the forces."""
     names = list(nodes)
     X, F = np.array([nodes[name] for name in names], float), np.array([forces.get(name, (0, 0, 0)) for name in names], float)
     ends = [(names.index(a), names.index(b) if isinstance(b, str) else np.array(b, float), k) for a, b, k in links]
@@ -98,7 +98,7 @@ def test_strings_and_nets_without_stress_carry_loads_across(name):
     eq = jb.equilibrium(web(nodes, links), loads={f"on {node}": jb.Force(node, force=force) for node, force in forces.items()})
     assert eq.ok and bool(eq.descended)
     exact = least_energy(nodes, links, forces)
-    np.testing.assert_allclose(eq.state.q, exact, atol=1e-7 * abs(exact).max())  # what BFGS leaves
+    np.testing.assert_allclose(eq.state.q, exact, atol=1e-7 * abs(exact).max())  # error of BFGS
     if len(nodes) == 1:  # 2 k (L - 1) y/L = F along the force
         y = brentq(lambda y: 200 * (np.hypot(1, y) - 1) * y / np.hypot(1, y) - 5.0, 0, 10, xtol=1e-15)
         np.testing.assert_allclose(eq.state.q, [0, 0.6 * y, -0.8 * y], atol=1e-12)

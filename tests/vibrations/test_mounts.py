@@ -1,4 +1,4 @@
-"""Which of the twelve stiffnesses of four parallel three-axis mounts the natural motions of a rigid body can tell.
+"""Which of the twelve stiffnesses of four parallel three-axis mounts the natural motions of a rigid body determine.
 
 The motions give the 6 x 6 stiffness matrix at most. Mounts at the corners of a rectangle in a plane leave 8 combinations of the
 stiffnesses, another plane quadrilateral 9, four points in general position all 12.

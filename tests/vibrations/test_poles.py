@@ -354,7 +354,7 @@ def test_mac_by_its_definition():
 
 @pytest.fixture(scope="module")
 def crossing():
-    """Three masses on guides across one another: frequencies that do not know of one another."""
+    """Three masses on perpendicular guides: independent frequencies."""
     axes = np.eye(3)
     model = jb.Model(
         bodies={f"m{i}": jb.Body(mass=1.0, inertia=[1, 1, 1]) for i in range(3)},
