@@ -141,7 +141,7 @@ def _forward_mode_explained(adjoint: Any) -> Iterator[None]:
     except TypeError as error:
         if "forward-mode" not in str(error):
             raise
-        message = "has derivatives in reverse mode only with this solver; jax.jvp, jacfwd or hessian asks for forward mode"
+        message = "has derivatives in reverse mode only with this solver; jax.jvp, jacfwd and hessian need forward mode"
         hint = "Give adjoint=diffrax.ForwardMode(), or leave solver= and stepsize_controller= out: both modes then work."
         raise JaxbodyError(Problem("NO_FORWARD_MODE", "simulate.adjoint", message, adjoint, hint=hint)) from None
 
