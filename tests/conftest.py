@@ -1,9 +1,11 @@
 """The tests compute in float64, each draws its own random numbers, the same in every run, and programs compiled for a file go with it."""
 
+import ctypes
 import gc
 import os
 from pathlib import Path
 
+import equinox as eqx
 import jax
 import jaxlib.version
 import numpy as np
@@ -12,12 +14,15 @@ import pytest
 from jaxbody.numerics import lanes
 
 jax.config.update("jax_enable_x64", True)
+# What is traced are millions of objects that stay: looking for garbage among them as often as by default takes a tenth of the time
+gc.set_threshold(50_000, 20, 50)
+
 # `jaxbody.quick_options` for all programs, else a third of the time of the tests is compiling
 if jaxlib.version.__version__.startswith("0.10."):
     os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_use_fusion_emitters=false"
 
-MAPS = Path("/proc/self/maps")
-MANY = 20_000  # pieces of mapped memory; Linux ends a process that asks for more than 65530
+STATM = Path("/proc/self/statm")
+MUCH, MUCH_BETWEEN_FILES = 1.2e9, 0.8e9  # bytes of memory that a worker has in use; a file shares what it compiles
 
 
 @pytest.fixture
@@ -35,12 +40,15 @@ def batches(request):
             yield
 
 
-@pytest.fixture(autouse=True, scope="module")
-def room_for_programs():
-    """Every compiled program is mapped memory."""
-    yield
-    if MAPS.exists() and MAPS.read_text().count("\n") > MANY:
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item, nextitem):
+    """Room for programs: each is mapped memory, and JAX keeps what was traced for it. What is let go goes back to the system, too."""
+    most = MUCH if nextitem and nextitem.path == item.path else MUCH_BETWEEN_FILES
+    if STATM.exists() and int(STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > most:
+        eqx.clear_caches()
         jax.clear_caches()
+        gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def pytest_sessionfinish():
