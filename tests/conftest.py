@@ -17,12 +17,17 @@ jax.config.update("jax_enable_x64", True)
 # What is traced are millions of objects that stay: looking for garbage among them as often as by default takes a tenth of the time
 gc.set_threshold(50_000, 20, 50)
 
-# `jaxbody.quick_options` for all programs, else a third of the time of the tests is compiling
-if jaxlib.version.__version__.startswith("0.10."):
-    os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_use_fusion_emitters=false"
-
 STATM = Path("/proc/self/statm")
 MUCH, MUCH_BETWEEN_FILES = 1.2e9, 0.8e9  # bytes of memory that a worker has in use; a file shares what it compiles
+
+
+def pytest_configure(config):
+    """XLA compiles in less time, as compiling is most of what tests do: all programs as with `jaxbody.quick_options`, those of the quick tests
+    without optimization. The others, and those chosen for every Python, run what users run."""
+    if jaxlib.version.__version__.startswith("0.10."):
+        os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_use_fusion_emitters=false"
+    if config.option.markexpr == "not long":
+        os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"
 
 
 @pytest.fixture
