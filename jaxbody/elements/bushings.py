@@ -42,9 +42,9 @@ class Bushing(Element):
     )
     stiffness: Float[Array, "*k"] = field("N/m, N; N, N m/rad", "definite unless allow_negative", code="NEGATIVE_STIFFNESS", hint=MEANT)
     damping: Float[Array, "*k"] = field("N s/m, N s; N s, N m s/rad", "definite unless allow_negative", code="NEGATIVE_DAMPING", hint=MEANT)
-    allow_negative: bool = eqx.field(static=True)
     orientation: Float[Array, "4"] = field("", "rotation")
     orientation_b: Float[Array, "4"] = field("", "rotation")
+    allow_negative: bool = eqx.field(default=False, static=True)
 
     def __init__(self, a, b, *, stiffness, damping=None, orientation=IDENTITY, orientation_b=IDENTITY, allow_negative: bool = False):
         problems = Problems()

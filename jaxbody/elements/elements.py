@@ -28,11 +28,12 @@ ALLOWED = {"NEGATIVE_STIFFNESS": "an equilibrium may be unstable", "NEGATIVE_DAM
 class Element(eqx.Module):
     """The base of all elements between frames A and B, or more; `between` names them, `a` and `b` are the points where it is attached.
 
-    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness are their derivatives. Two equal charges, one
+    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness are their derivatives. `jb.field` says what its
+    numbers are: their unit, and what `replace`, `fit` and `tune` keep them to. Two equal charges, one
     of them hovering over the other where strength / e^2 = m g:
 
     >>> class Charges(Element):
-    ...     strength: jax.Array  # N m2
+    ...     strength: jax.Array = jb.field("N m2", "positive")
     ...     def deformation(self, A, B):
     ...         return jnp.linalg.norm(B.point(self.b) - A.point(self.a))
     ...     def energy(self, e):

@@ -27,7 +27,7 @@ class Spring(LineElement):
 
     stiffness: Float[Array, ""] = field("N/m", "nonnegative unless allow_negative", code="NEGATIVE_STIFFNESS", hint=MEANT)
     damping: Float[Array, ""] = field("N s/m", "nonnegative unless allow_negative", code="NEGATIVE_DAMPING", hint=MEANT)
-    allow_negative: bool = eqx.field(static=True)
+    allow_negative: bool = eqx.field(default=False, static=True)
 
     def __init__(self, a, b, *, stiffness, free_length=0.0, damping=0.0, allow_negative: bool = False):
         problems = Problems()

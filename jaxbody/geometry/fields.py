@@ -85,7 +85,8 @@ def kind_along(root: Any, keys: tuple[Any, ...]) -> Kind:
             words = {**words, **{word: resolved(text, owner, words) for word, text in _said(owner, name)[1].items()}}
             owner = getattr(owner, name, None)
         else:
-            owner = owner[getattr(key, "key", getattr(key, "idx", None))] if isinstance(owner, dict | list | tuple) else None
+            index: Any = getattr(key, "key", getattr(key, "idx", None))
+            owner = owner[index] if isinstance(owner, dict | list | tuple) else None
     return kind
 
 

@@ -18,7 +18,7 @@ from jaxbody.core.errors import JaxbodyError, Problems, unknown
 from jaxbody.elements.element_checks import check_laws, check_leaves
 from jaxbody.elements.elements import Element
 from jaxbody.geometry import rotations
-from jaxbody.geometry.fields import field
+from jaxbody.geometry.fields import field, kind_of, units_of
 from jaxbody.geometry.frames import Pose
 from jaxbody.laws.laws import Law, Sum
 from jaxbody.models.bodies import Body, Support, warn_of_points
@@ -136,18 +136,25 @@ class Model(eqx.Module):
         ]
         shown = [tables.PrintedTable("Model", ("body", "joint", "on", "mass [kg]", "position [m]"), rows)]
         for table in self.elements:
-            columns = [f for f in table.rows.__dataclass_fields__ if f in SHOWN and getattr(table.rows, f) is not None]
-            kind = type(table.rows).__name__.lower()
+            columns, kind = self._columns(table), type(table.rows).__name__.lower()
             rows = [
                 (name, *link, *(_shown(getattr(table.row(name), c)) for c in columns))
                 for name, link in zip(table.names, table.links, strict=True)
             ]
             heads = ("from", "to", "on")[: len(table.links[0])]
-            shown.append(tables.PrintedTable("", (kind, *heads, *(c.replace("_", " ") for c in columns)), rows))
+            shown.append(tables.PrintedTable("", (kind, *heads, *columns.values()), rows))
         return shown
 
-
-SHOWN = ("spring", "damper", "stiffness", "free_length", "free_angle", "radius", "damping")  # of elements, when a model prints
+    def _columns(self, table: KindTable) -> dict[str, str]:
+        """Fields of elements that print, with their heads: laws, numbers and matrices of coefficients, but no points and directions."""
+        row, heads, batch = table.row(table.names[0]), {}, self.gravity.ndim - 1
+        for name in row.__dataclass_fields__:
+            value, kind = getattr(row, name, None), kind_of(row, name)
+            shape = np.shape(value)[batch:] if hasattr(value, "ndim") else None
+            if isinstance(value, Law) or shape == () or (shape and kind.domain in ("definite", "symmetric")):
+                units = set(units_of(kind, shape)) if shape is not None else {""}
+                heads[name] = name.replace("_", " ") + (f" [{unit}]" if len(units) == 1 and (unit := units.pop()) else "")
+        return heads
 
 
 def _shown(value: Any) -> Any:

@@ -108,7 +108,7 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",),
     problems.raise_if_any()
     matched = matching(leaves_of(model), [free] if isinstance(free, str) else free, "free")
     leaves = tuple(dict.fromkeys(leaf for group in matched.values() for leaf in group))
-    wrong = [leaf.path for leaf in leaves if leaf.field not in ("free_length", "free_angle")]
+    wrong = [leaf.path for leaf in leaves if leaf.kind.unit not in ("m", "rad") or leaf.rank]
     if wrong:
         raise JaxbodyError(
             *(Problem("NOT_A_LENGTH", "free", f"{path} is not a free length", path, "free_length, free_angle") for path in wrong)
@@ -149,9 +149,9 @@ def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[i
     residual = unbalanced(u)
     weights = jnp.sum(model.bodies.rows.mass) * jnp.linalg.norm(model.gravity)
     largest = jnp.maximum(jnp.maximum(weights, jnp.max(jnp.abs(unbalanced(start)), initial=0.0)), 1e-300)
-    angles = np.array([leaf.field == "free_angle" for leaf in leaves], bool)
+    signed = np.array([leaf.kind.domain == "any" for leaf in leaves], bool)
     status = jnp.select(
-        [~(jnp.max(jnp.abs(residual), initial=0.0) <= reachable(BALANCED, residual.dtype, 256) * largest), jnp.any((u[:n] < 0) & ~angles)],
+        [~(jnp.max(jnp.abs(residual), initial=0.0) <= reachable(BALANCED, residual.dtype, 256) * largest), jnp.any((u[:n] < 0) & ~signed)],
         [Status.UNBALANCED.value, Status.NEGATIVE_LENGTH.value],
         Status.OK.value,
     )

@@ -2,7 +2,9 @@
 
 import doctest
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxbody as jb
@@ -56,3 +58,45 @@ def test_the_docstring_shows_a_whole_class_that_is_used(base, uses):
     assert any(f"({base.__name__}):" in source for source in sources) and any(uses in source for source in sources)
     assert sum(source.count("\n") for source in sources) < 20
     assert not any("issubclass" in source for source in sources)
+
+
+class Charges(jb.Element):
+    """Repelling charges, with a unit and a domain stated, and a number without."""
+
+    strength: jax.Array = jb.field("N m2", "positive")
+    offset: jax.Array
+
+    def deformation(self, A, B):
+        return jnp.linalg.norm(B.point(self.b) - A.point(self.a)) + 0 * self.offset
+
+    def energy(self, e):
+        return self.strength / e
+
+    def dissipation(self, e, e_dot):
+        return jnp.zeros_like(e)
+
+
+def test_a_field_of_ones_own_is_fitted_tuned_and_printed_with_its_unit():
+    """Released at rest at height h over the other charge, x'' = strength/(m x^2) - g; at 0.5 m it stays where strength = 0.5^2 m g."""
+    pair = Charges(("ball", "world"), jnp.zeros(3), jnp.zeros(3), jnp.array(0.3), jnp.array(-1.0))
+    model = jb.Model(
+        bodies={"ball": jb.Body(mass=0.2, inertia=[1, 1, 1], position=[0, 0, 0.5])},
+        joints={"ball": jb.Guide("world", axis=[0, 0, 1])},
+        elements={"pair": pair},
+        gravity=[0, 0, -10],
+    )
+    assert "strength [N m2]" in str(model) and "offset [" not in str(model)
+    run = jb.Experiment(
+        [0.0, 0.05, 0.1, 0.15],
+        sensors={"z": jb.Position("ball", axis=[0, 0, 1])},
+        measured={"z": 0.5 + 1e-6 * np.array([0, 1, -1, 1])},
+        noise=1e-5,
+    )
+    found = jb.fit(model, {"run": run}, free=["pair.strength"])
+    np.testing.assert_allclose(found.estimates["pair.strength"], 0.5, rtol=1e-3)
+    assert " N m2 " in str(found)
+    tuned = jb.tune(model, lambda model: (model["pair"].strength - 0.7) ** 2, free="pair.strength")
+    np.testing.assert_allclose(tuned.model["pair"].strength, 0.7, rtol=1e-3)
+    with pytest.raises(jb.JaxbodyError, match=r"-1 N m2.*NOT_POSITIVE"):
+        jb.replace(model, {"pair.strength": -1.0})
+    assert jb.replace(model, {"pair.offset": -5.0})["pair"].offset == -5.0
