@@ -147,6 +147,35 @@ def test_a_class_or_type_has_a_name_of_its_own():
     assert {name: modules for name, modules in places.items() if len(modules) > 1 and name not in TWICE} == {}
 
 
+DERIVED = {  # from these concrete classes others derive, which are all that they are and more
+    "Pose": "a frame is a pose with velocities",
+    "Frame": "an instant is a table of frames with the state that it comes from",
+    "Chart": "coordinates are a chart with the reference poses",
+    "InitialConfiguration": "several are one more row each",
+    "Law": "states its force or its potential, either by the other; its constructor asks for one",
+}
+
+
+def test_a_class_that_others_derive_from_is_abstract():
+    """By a method or a field that it leaves to them; Equinox and abc then refuse to make one."""
+    classes = set()
+    for module in NAMED:
+        imported = importlib.import_module(f"jaxbody.{module}")
+        classes |= {x for x in vars(imported).values() if inspect.isclass(x) and x.__module__ == imported.__name__}
+    left = ("__abstractmethods__", "__abstractvars__", "__abstractclassvars__")
+    concrete = {base.__name__ for x in classes for base in x.__bases__ if base in classes and not any(getattr(base, a, ()) for a in left)}
+    assert concrete == set(DERIVED)
+
+
+@pytest.mark.parametrize(
+    "base, missing",
+    [(jb.Element, "deformation"), (jb.Joint, "motions"), (jb.Sensor, "shape"), (jb.signals.Signal, "__call__"), (jb.laws.Law, "force")],
+)
+def test_an_abstract_class_says_what_it_lacks(base, missing):
+    with pytest.raises((TypeError, jb.JaxbodyError), match=missing):
+        base()
+
+
 @pytest.mark.parametrize("module", MODULES)
 def test_the_first_line_of_a_module_is_its_idea(module):
     first = path_of(module).read_text().splitlines()[0]

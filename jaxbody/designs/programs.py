@@ -91,7 +91,7 @@ class Program:
 
     def quantities(self, values: np.ndarray) -> Quantities:
         parts = np.split(values, np.cumsum([int(np.prod(shape)) for _, shape in self.shapes])[:-1], axis=-1)
-        return {name: part.reshape((*values.shape[:-1], *shape)) for (name, shape), part in zip(self.shapes, parts, strict=True)}
+        return {name: part.reshape((*values.shape[:-1], *shape)) for (name, shape), part in zip(self.shapes, parts, strict=True)}  # pyright: ignore[reportReturnType]  NumPy's
 
 
 @jit_optimized

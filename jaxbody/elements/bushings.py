@@ -56,13 +56,13 @@ class Bushing(Element):
         self.orientation_b = as_quaternion(orientation_b, "Bushing.orientation_b", problems)
         problems.raise_if_any()
 
-    def deformation(self, A, B):
+    def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         R_A, R = turned(self, A, B)
         p = rotate_back(R_A, (B.p - A.p) + (rotate(B.R, self.b) - rotate(A.R, self.a)))
         theta = rotations.log_below_half_turn(R)
         return jnp.concatenate([rotations.inverse_left_jacobian(theta, p), theta])
 
-    def away_from_jump(self, A, B):
+    def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         return rotations.away_from_half_turn(turned(self, A, B)[1]) / 4
 
     def energy(self, e):

@@ -81,7 +81,7 @@ class Tyre(Touching):
         self.axis = unit_vector(axis, "Tyre.axis", problems)
         problems.raise_if_any()
 
-    def deformation(self, hub, road):
+    def deformation(self, hub, road):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         return dot(rotate(road.R, self.axis), hub.point(self.a) - road.point(self.b)) - self.radius
 
 

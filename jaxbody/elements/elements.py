@@ -140,11 +140,11 @@ class LineElement(Element):
         """|AB|, its derivatives zero at zero length."""
         return length_and_direction(B.point(self.b) - A.point(self.a))[0]
 
-    def deformation(self, A, B):
+    def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         """The elongation s = |AB| - l0 (31)."""
         return self.length(A, B) - self.free_length
 
-    def away_from_jump(self, A, B):
+    def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         """AB over the free length; where it neither pulls nor pushes at zero length, nothing jumps."""
         _, rest, _ = self.split(jnp.zeros_like(self.free_length))
         jumps = (self.free_length > 0) & (rest != 0)
@@ -153,14 +153,14 @@ class LineElement(Element):
     def damping_force(self, e, e_dot):
         return self.damper_tension(e, e_dot)
 
-    def potential(self, A, B):
+    def potential(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         d = B.point(self.b) - A.point(self.a)
         L, _ = length_and_direction(d)
         k0, _, _ = self.split(L)
         without_norm = 0.5 * k0 * dot(d, d) + (self.energy(L - self.free_length) - 0.5 * k0 * L**2)  # exact at d = 0 where l0 = 0
         return jnp.where(self.free_length == 0, without_norm, self.energy(L - self.free_length))
 
-    def wrenches(self, A, B):
+    def wrenches(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         """Closed form: the tension along AB."""
         arm_a, arm_b = rotate(A.R, self.a), rotate(B.R, self.b)
         d = kept((B.p - A.p) + (arm_b - arm_a))

@@ -78,11 +78,11 @@ class Torsion(LawElement):
         problems.raise_if_any()
         warn_of_degrees(self.free_angle, "Torsion.free_angle")
 
-    def deformation(self, A, B):
+    def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         sine, cosine = self._half(A, B)
         return 2 * jnp.arctan2(sine, cosine) - self.free_angle
 
-    def away_from_jump(self, A, B):
+    def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         return jnp.stack(self._half(A, B)) / 4
 
     def _half(self, A, B):
@@ -122,5 +122,5 @@ class AntiRollBar(LawElement):
     def points(self):
         return self.a, self.b, self.c
 
-    def deformation(self, left, right, body):
+    def deformation(self, left, right, body):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         return dot(rotate(body.R, self.axis), left.point(self.a) - right.point(self.b))

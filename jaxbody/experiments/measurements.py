@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -21,7 +22,7 @@ class Measurement(eqx.Module):
 
     @property
     @abstractmethod
-    def channels(self) -> dict[str, Channel]: ...
+    def channels(self) -> Mapping[str, Channel]: ...
 
     @abstractmethod
     def readings(self, model: Any, integration: Any) -> dict[str, Array]:
@@ -50,13 +51,13 @@ class Measurement(eqx.Module):
         """Why readings are not finite."""
         return "the model has no finite number there"
 
+    @abstractmethod
     def axis(self, channel: str) -> tuple[str, Array | np.ndarray, str]:
         """What the rows of a channel's record are over: its name, values, unit."""
-        raise NotImplementedError  # pragma: no cover
 
+    @abstractmethod
     def place(self, row: int) -> tuple[str, float]:
         """Where a row of `measured` is, in words and as a number."""
-        raise NotImplementedError  # pragma: no cover
 
     def present(self, name: str) -> np.ndarray:
         """Which components of the residuals of a channel have their samples."""

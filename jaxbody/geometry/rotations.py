@@ -53,13 +53,13 @@ def exp(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     """Rotation matrix of a rotation vector, exp([phi]) = I + sin(t)/t [phi] + (1 - cos(t))/t^2 [phi]^2."""
     a, b = _coefficients(dot(phi, phi))
     P = skew(phi)
-    return np.eye(3, dtype=P.dtype) + a[..., None, None] * P + b[..., None, None] * product(P, P)
+    return np.eye(3, dtype=P.dtype) + a[..., None, None] * P + b[..., None, None] * product(P, P)  # pyright: ignore[reportReturnType]  a JAX array
 
 
 def about(n: Float[Array, "*n 3"], angle: Float[Array, "*n"]) -> Float[Array, "*n 3 3"]:
     """Rotation matrix of a turn about a unit vector, I + sin(angle) [n] + (1 - cos(angle)) [n]^2."""
     N = skew(n)
-    return np.eye(3, dtype=N.dtype) + jnp.sin(angle)[..., None, None] * N + (1 - jnp.cos(angle))[..., None, None] * product(N, N)
+    return np.eye(3, dtype=N.dtype) + jnp.sin(angle)[..., None, None] * N + (1 - jnp.cos(angle))[..., None, None] * product(N, N)  # pyright: ignore[reportReturnType]  a JAX array
 
 
 def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
@@ -72,7 +72,7 @@ def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     third = [(-1) ** n / factorial(2 * n + 3) for n in range(TERMS)]  # (t - sin(t))/t^3
     c = kept(jnp.where(small, polynomial(third, near), (t - sincos(t)[0]) / (far * t)))
     P = skew(phi)
-    return np.eye(3, dtype=P.dtype) + b[..., None, None] * P + c[..., None, None] * product(P, P)
+    return np.eye(3, dtype=P.dtype) + b[..., None, None] * P + c[..., None, None] * product(P, P)  # pyright: ignore[reportReturnType]  a JAX array
 
 
 def exp_quaternion(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:

@@ -169,7 +169,7 @@ def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Le
     noise = {run: {name: (e.noise or {}).get(name, spread[name]) for name in e.channels} for run, e in experiments.items()}
     stated = [name in (e.noise or {}) for e in experiments.values() for name in e.channels]
     units = sum(np.size(level) for level in spread.values())
-    return noise, not all(stated) and (absolute or units > 1 or any(stated))
+    return noise, not all(stated) and (absolute or units > 1 or any(stated))  # pyright: ignore[reportReturnType]  `get` with a default gives no None
 
 
 def away(experiment: Measurement, name: str) -> Array:

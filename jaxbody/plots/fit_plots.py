@@ -121,7 +121,7 @@ def chosen(fit: Fit, run: str | None, sensor: str | None, where: str) -> tuple[s
     if run not in fit.experiments:
         raise JaxbodyError(unknown(run, f"{where}.run", tuple(fit.experiments)))
     given = fit.experiments[run]
-    names = {name: (name, None) for name in given.channels}
+    names: dict[str, tuple[str, int | None]] = {name: (name, None) for name in given.channels}
     names |= {f"{name} {part}": (name, i) for name, channel in given.channels.items() for i, part in enumerate(channel.parts)}
     sensor = sensor or next(iter(names))
     if sensor not in names:

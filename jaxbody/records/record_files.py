@@ -87,7 +87,7 @@ def _wanted(spec: Any, where: str, problems: Problems) -> tuple[list[Asked], str
     if not names or not all(isinstance(name, str | int) for name in names) or not isinstance(unit, str | None):
         problems.add("WRONG_KIND", where, f"is {spec!r:.60}", value=spec, limit='"ax", ("ax", "m/s2") or (["ax", "ay"], "m/s2")')
         return [], None
-    return names, unit
+    return names, unit  # pyright: ignore[reportReturnType]  checked above
 
 
 def _part(column: Column, asked: Asked) -> np.ndarray:

@@ -7,6 +7,7 @@ cycle/m divided by the speed, a two-sided one doubled.
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
@@ -40,8 +41,8 @@ class Spectrum(eqx.Module):
 
     quantity: eqx.AbstractVar[str]
 
-    def __call__(self, f: Float[Array, "nf"]) -> Float[Array, "nf"]:
-        raise TypeError("a Spectrum must define __call__(f)")  # pragma: no cover
+    @abstractmethod
+    def __call__(self, f: Float[Array, "nf"]) -> Float[Array, "nf"]: ...
 
 
 class PowerLaw(Spectrum):

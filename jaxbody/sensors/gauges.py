@@ -50,18 +50,8 @@ class Gauge(Sensor):
         return A, B
 
 
-class Displacement(Gauge):
-    """Displacement [m] of a point against a body or support, in the axes of that one: R_B' (a - b), as an LVDT or a ruler on it reads.
-
-    `a`, `b`: (name, point), or a name for its origin; without b against the world. `axis`: the one direction in the axes of b that is
-    read, one number; without it three. The chain: see Sensor; its `bias` sets the zero. Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_AXIS,
-    BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
-
-    >>> Displacement(("plate", [0.1, 0, 0]), "base", axis=[0, 0, 1]).shape
-    ()
-    """
-
-    unit = "m"
+class Relative(Gauge):
+    """The base of what reads a point of A from B, in the axes of B."""
 
     def __init__(self, a, b=WORLD, *, axis=None, **chain: Unpack[Chain]):
         self.spanned(a, b, axis, chain)
@@ -75,12 +65,26 @@ class Displacement(Gauge):
         d = rotate_back(B.R, A.point(self.a) - B.p) - self.b
         return d if self.axis is None else dot(jnp.asarray(self.axis), d)
 
+
+class Displacement(Relative):
+    """Displacement [m] of a point against a body or support, in the axes of that one: R_B' (a - b), as an LVDT or a ruler on it reads.
+
+    `a`, `b`: (name, point), or a name for its origin; without b against the world. `axis`: the one direction in the axes of b that is
+    read, one number; without it three. The chain: see Sensor; its `bias` sets the zero. Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_AXIS,
+    BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> Displacement(("plate", [0.1, 0, 0]), "base", axis=[0, 0, 1]).shape
+    ()
+    """
+
+    unit = "m"
+
     def reading(self, model, frames):
         A, B = self.ends_of(model, frames)
         return self.seen(A.pose(), B.pose())
 
 
-class Velocity(Displacement):
+class Velocity(Relative):
     """Velocity [m/s] of a point against a body or support, in the axes of that one: the rate of a Displacement with the same arguments, errors and chain.
 
     Against the world it is what a geophone's or velocity transducer's record is meant to be.

@@ -73,7 +73,7 @@ def innovations(process: Autoregression, r: np.ndarray) -> np.ndarray:
     """What is new at every sample, e_t."""
     from scipy.signal import lfilter
 
-    return lfilter(np.append(1.0, -process.phi), np.ones(1), r)
+    return lfilter(np.append(1.0, -process.phi), np.ones(1), r)  # pyright: ignore[reportReturnType]  one array without `zi`
 
 
 class Whiteness(NamedTuple):

@@ -264,7 +264,7 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...])
 def full_matrices(lin: Any) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, "n n"]]:
     """K, C and M of (Delta, Xi)."""
     blocks = ((lin.K, lin.K_tilde, lin.K_bb), (lin.C, lin.C_tilde, lin.C_bb), (lin.M, lin.M_tilde, lin.M_bb))
-    return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)
+    return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)  # pyright: ignore[reportReturnType]  of three
 
 
 def ports_of(
