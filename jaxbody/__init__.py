@@ -42,7 +42,7 @@ _MODULES = {  # that are public themselves
 _NAMES = {  # what is public of each module; `__init__.pyi` says the same to editors and type checkers
     "jaxbody.core.compilations": ("compile_times",),
     "jaxbody.core.compile_options": ("fast_loops", "quick_options"),
-    "jaxbody.core.errors": ("JaxbodyError", "JaxbodyWarning", "Status"),
+    "jaxbody.core.errors": ("JaxbodyError", "JaxbodyWarning", "Status", "codes"),
     "jaxbody.designs.fronts": ("Front", "pareto"),
     "jaxbody.designs.sensitivity_analyses": ("sensitivities",),
     "jaxbody.designs.sweeps": ("sweep",),

@@ -10,6 +10,7 @@ from jaxbody.core.compile_options import quick_options as quick_options
 from jaxbody.core.errors import JaxbodyError as JaxbodyError
 from jaxbody.core.errors import JaxbodyWarning as JaxbodyWarning
 from jaxbody.core.errors import Status as Status
+from jaxbody.core.errors import codes as codes
 from jaxbody.designs import objectives as objectives
 from jaxbody.designs.fronts import Front as Front
 from jaxbody.designs.fronts import pareto as pareto

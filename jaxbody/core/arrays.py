@@ -76,6 +76,11 @@ def stack(rows: list[Any]) -> jax.Array:
     return device_array(np.stack(rows))
 
 
+def module_of(x: Any) -> Any:
+    """numpy for its own arrays, jax.numpy for all others."""
+    return np if isinstance(x, np.ndarray) else jnp
+
+
 def concrete(value: Any) -> np.ndarray | None:
     """The value as a NumPy array; None while it is being traced."""
     return None if isinstance(value, Tracer) else np.asarray(value)

@@ -1,6 +1,6 @@
 """The base class of results: a status with its message, and printing as small tables."""
 
-from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -12,7 +12,7 @@ from jaxbody.core.errors import MESSAGES, MOST_PROBLEMS, JaxbodyError, Problem, 
 from jaxbody.core.jax_internals import Tracer
 
 
-class Result(eqx.Module):
+class Result(tables.Printed, eqx.Module):
     """`.status` (one code per sample), `.ok`, `.report()`, `.raise_if_failed()`, and printing as tables."""
 
     status: eqx.AbstractVar[Any]
@@ -23,11 +23,15 @@ class Result(eqx.Module):
         return self.status == Status.OK
 
     def explain(self) -> str:
-        """Details of the failure of a single sample; empty where there are none."""
+        """Details of the failure of a single sample; empty where there are none. Those of a trajectory or an equilibrium are computed."""
         return ""
 
     def report(self) -> str:
-        """The status with its message; for a batch, the number of samples of each status; "traced" inside jit or vmap."""
+        """The status with its message and details; for a batch, the number of samples of each status; "traced" inside jit or vmap."""
+        return self.message(type(self).explain)
+
+    def message(self, details: Callable[[Any], str]) -> str:
+        """The same with other details than those of `explain`."""
         if not is_concrete(self.status):
             return "traced"
         codes = np.asarray(self.status)
@@ -36,23 +40,10 @@ class Result(eqx.Module):
                 return "ok"
             message = MESSAGES[Status(int(codes))]
             plain = without_derivatives(self)
-            details = plain.explain() if is_concrete(plain) else ""
-            return f"{Status(int(codes)).name}: {message}" + (f"; {details}" if details else "")
+            more = details(plain) if is_concrete(plain) else ""
+            return f"{Status(int(codes)).name}: {message}" + (f"; {more}" if more else "")
         values, counts = np.unique(codes, return_counts=True)
         return ", ".join(f"{count} {Status(int(value)).name}" for value, count in zip(values, counts, strict=True))
-
-    @abstractmethod
-    def _tables(self) -> list[tables.PrintedTable]:
-        """The tables that are printed."""
-
-    def __repr__(self) -> str:
-        return tables.text(*self._tables())
-
-    def __str__(self) -> str:
-        return tables.printed(*self._tables())
-
-    def _repr_html_(self) -> str:
-        return tables.html(*self._tables())
 
     def raise_if_failed(self) -> None:
         """Raise a JaxbodyError unless every sample is ok; a batch lists the indices that are not. Error inside jit or vmap: TRACED."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxbody.core.jax_internals import Tracer
@@ -22,6 +24,35 @@ class PrintedTable:
     columns: tuple[str, ...]
     rows: list[tuple[Any, ...]]
     note: str = ""
+
+
+class Printed:
+    """An object that prints as tables. They are made of its arrays in NumPy, so that printing runs no program of JAX."""
+
+    @abstractmethod
+    def _tables(self) -> list[PrintedTable]:
+        """The tables that are printed."""
+
+    def __repr__(self) -> str:
+        return text(*in_numpy(self)._tables())
+
+    def __str__(self) -> str:
+        return f"\n{self!r}\n"  # blank lines keep printed results apart
+
+    def _repr_html_(self) -> str:
+        return html(*in_numpy(self)._tables())
+
+
+def in_numpy(tree: Any) -> Any:
+    """The tree with arrays of JAX as arrays of NumPy; tracers stay."""
+    return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) and not isinstance(x, Tracer) else x, tree)
+
+
+def of_matrix(title: str, matrix: Any, names: tuple[str, ...]) -> PrintedTable:
+    """A square matrix with the names of its rows; dots for a large matrix or a batch."""
+    few, matrix = matrix.ndim == 2 and len(names) <= 12, without_dust(matrix)
+    heads = map(str, range(len(names))) if few else [""]
+    return PrintedTable(title, ("", *heads), [(name, *(matrix[i] if few else ["..."])) for i, name in enumerate(names)])
 
 
 def number(value: Any) -> str:
@@ -87,11 +118,6 @@ def text(*shown: PrintedTable) -> str:
 
 def _rest(table: PrintedTable) -> str:
     return f"... {len(table.rows) - MOST_ROWS} more of {len(table.rows)} rows; the result's attributes have all of them"
-
-
-def printed(*shown: PrintedTable) -> str:
-    """The text for `print`, with a blank line before and after, so that printed results stay apart."""
-    return f"\n{text(*shown)}\n"
 
 
 def html(*shown: PrintedTable) -> str:

@@ -47,7 +47,7 @@ def sweep(
     (hypercube), scrambled by `key`. A value that a pattern means serves all its matches. chunk: how many models at a time; without it as many, up to 1024, as
     take less than 1 GiB. The same `evaluate` is compiled once. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True tells on stderr at once.
 
-    Errors: those of `replace`, NON_FINITE, WRONG_KIND of a key, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, NO_XARRAY.
+    Errors: those of `replace`, NON_FINITE, WRONG_KIND of a key, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, MISSING_EXTRA.
 
     >>> car = jb.presets.quarter_car()
     >>> def sag(model):

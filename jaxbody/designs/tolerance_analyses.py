@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
-from jaxbody.core.arrays import concrete, float_array
+from jaxbody.core.arrays import concrete, float_array, module_of
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.progress_lines import working
@@ -48,11 +48,11 @@ class Tolerances(Result):
 
     @property
     def sampled_mean(self) -> Float[Array, "m"]:
-        return jnp.nanmean(self.samples, 0)
+        return module_of(self.samples).nanmean(self.samples, 0)
 
     @property
     def sampled_deviation(self) -> Float[Array, "m"]:
-        return jnp.nanstd(self.samples, 0, ddof=1)
+        return module_of(self.samples).nanstd(self.samples, 0, ddof=1)
 
     def row(self, quantity: str) -> int:
         if quantity not in self.quantities:
@@ -60,7 +60,7 @@ class Tolerances(Result):
         return self.quantities.index(quantity)
 
     def explain(self) -> str:
-        return f"{int(jnp.sum(~jnp.isfinite(self.samples).all(-1)))} of {len(self.samples)} samples have no numbers"
+        return f"{int(np.sum(~np.isfinite(self.samples).all(-1)))} of {len(self.samples)} samples have no numbers"
 
     def _tables(self) -> list[tables.PrintedTable]:
         columns = (self.nominal, self.first, self.mean, self.deviation, self.sampled_mean, self.sampled_deviation)

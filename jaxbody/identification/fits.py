@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -63,10 +62,8 @@ class Fit(Result):
     @property
     def estimates(self) -> dict[str, Array]:
         """{path: value}."""
-        values = lambda task, u: task.values(u)  # noqa: E731
-        for _ in range(self.u.ndim - 1):
-            values = eqx.filter_vmap(values)
-        return dict(zip(self.paths, values(self.task, self.u), strict=True))
+        arrays = {run: jax.tree.leaves(tree) for run, tree in {"": self.model, **self.experiments}.items()}
+        return {f.path: leaf.read(arrays[run]) for f in self.task.free for run, leaf in f.places[:1]}
 
     def _assessed(self) -> Uncertainty:
         if self.uncertainty is None:
@@ -82,32 +79,29 @@ class Fit(Result):
     def _lost(self) -> dict[str, np.ndarray]:
         """Which numbers of a direction or an orientation move only to second order, in what the data cannot tell: a tilted axis z has
         a first derivative of zero along z."""
-        error, _ = self._assessed().spread(np.eye(self.u.size))
+        u = self._assessed()
+        error, _ = u.spread(np.eye(self.u.size))
         found, first = {}, 0
-        for f in self.task.free:
+        for f, slopes in zip(self.task.free, u.slopes, strict=True):
             mine = slice(first, first + f.form.size)
             first = mine.stop
             found[f.path] = np.zeros(f.form.start.shape, bool)
             if isinstance(f.form, Direction | Rotation) and not np.isfinite(error[mine]).all():
-                G = np.asarray(jax.jacfwd(f.form.value)(self.u[mine]))
-                size = np.linalg.norm(G, axis=-1)
+                size = np.linalg.norm(slopes[..., mine], axis=-1)
                 found[f.path] = size <= STILL * size.max()
         return found
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """{path: (lower, upper)}, confidence intervals of this level: of what is positive by its logarithm, at a bound with one side. Error: BAD_LEVEL."""
         check_level(level, "fit.intervals.level")
-        found = intervals_of(self.task.free, np.asarray(self.u), self._slopes(), self._assessed(), level)
+        found = intervals_of(self.task.free, np.asarray(self.u), self.estimates, self._assessed(), level)
         lost = self._lost()
         return {path: (np.where(lost[path], -np.inf, low), np.where(lost[path], np.inf, high)) for path, (low, high) in found.items()}
-
-    def _slopes(self) -> list[np.ndarray]:
-        return [np.asarray(G) for G in jax.jacfwd(self.task.values)(self.u)]
 
     @property
     def degrees_of_freedom(self) -> dict[str, np.ndarray]:
         """{path: degrees of freedom} of Student's t in its interval: few where samples are few, or noise is correlated for long."""
-        return freedoms_of(self.task.free, self._slopes(), self._assessed())
+        return freedoms_of(self.task.free, self._assessed())
 
     @property
     def covariance(self) -> np.ndarray:

@@ -34,28 +34,28 @@ def interval_of_u(u: np.ndarray, worth: Uncertainty, level: float) -> Interval:
 
 
 def intervals_of(
-    free: tuple[FreeParameter, ...], u: np.ndarray, slopes: list[np.ndarray], worth: Uncertainty, level: float
+    free: tuple[FreeParameter, ...], u: np.ndarray, values: dict[str, Any], worth: Uncertainty, level: float
 ) -> dict[str, Interval]:
     """{path: (lower, upper)}, arrays like the leaf; of a matrix or a direction by its elements' standard errors, which are all it has."""
     low, high = interval_of_u(u, worth, level)
     found, first = {}, 0
-    for f, G in zip(free, slopes, strict=True):
+    for f, G in zip(free, worth.slopes, strict=True):
         form, mine = f.form, slice(first, first + f.form.size)
         first = mine.stop
         if isinstance(form, Positive | Shifted):
             with np.errstate(over="ignore"):
-                found[f.path] = tuple(np.asarray(form.value(end[mine])) for end in (low, high))
+                found[f.path] = tuple(form.value(end[mine]) for end in (low, high))
             continue
         error, freedom = worth.spread(G.reshape(-1, len(u)))
-        value, far = np.asarray(form.value(u[mine])), (quantile(level, freedom) * error).reshape(G.shape[:-1])
+        value, far = np.asarray(values[f.path]), (quantile(level, freedom) * error).reshape(G.shape[:-1])
         found[f.path] = (value - far, value + far)
     return found
 
 
-def freedoms_of(free: tuple[FreeParameter, ...], slopes: list[np.ndarray], worth: Uncertainty) -> dict[str, np.ndarray]:
+def freedoms_of(free: tuple[FreeParameter, ...], worth: Uncertainty) -> dict[str, np.ndarray]:
     """{path: degrees of freedom}, arrays like the leaf, of the t in these intervals."""
     freedoms, first = {}, 0
-    for f, G in zip(free, slopes, strict=True):
+    for f, G in zip(free, worth.slopes, strict=True):
         _, freedom = worth.spread(G.reshape(-1, G.shape[-1]))
         if isinstance(f.form, Positive | Shifted):
             freedom = np.array([worth.pressed[first + i][3] if first + i in worth.pressed else x for i, x in enumerate(freedom)])

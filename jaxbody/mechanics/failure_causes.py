@@ -103,12 +103,16 @@ def force_jump_at(model: Model, motions: Motions, t: Array, state: State) -> str
     return "; ".join(message for _, message in _messages(model, [["" if x else None for x in rows] for rows in near]))
 
 
-def force_jumps_along(model: Model, motions: Motions, times: Array, states: State) -> list[tuple[str, str]]:
-    """Code and message of the elements whose force jumps between these samples, with the time of the first."""
+def force_jumps_along(model: Model, motions: Motions, times: Array, states: State) -> list[Float[np.ndarray, "n"]]:
+    """The time of the first jump of the force of each element between these samples, NaN without one, by tables; empty where no force can jump."""
     if not any(table.rows.jump for table in model.elements):
         return []
     away = jax.tree.map(np.asarray, _away(model, motions, times, states))
-    times_of_jumps = [_zero_crossings(np.asarray(times), *rows) for rows in away]
+    return [_zero_crossings(np.asarray(times), *rows) for rows in away]
+
+
+def force_jump_messages(model: Model, times_of_jumps: list[Float[np.ndarray, "n"]]) -> list[tuple[str, str]]:
+    """Code and message of the elements whose force jumps, at the times of `force_jumps_along`."""
     return _messages(model, [[f" at t = {t:.6g} s" if np.isfinite(t) else None for t in rows] for rows in times_of_jumps])
 
 
@@ -125,7 +129,7 @@ def _away(model: Model, motions: Motions, times: Float[Array, "nt"], states: Sta
 def _messages(model: Model, moments: list[Any]) -> list[tuple[str, str]]:
     """Code and message for each table with elements at a jump of their force: `moments` has the time as text for these, else None."""
     messages = []
-    for table, rows in zip(model.elements, moments, strict=True):
+    for table, rows in zip(model.elements, moments, strict=False):
         chosen = [(name, moment) for name, moment in zip(table.names, rows, strict=True) if moment is not None]
         if chosen:
             code, what, remedy = table.rows.jump

@@ -29,7 +29,7 @@ from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable, tabulate, tabulate_by_structure
 
 
-class Model(eqx.Module):
+class Model(tables.Printed, eqx.Module):
     """Rigid bodies on elements between each other, `world` and supports whose motion is imposed.
 
     bodies, supports, elements: by name. joints: by the name of the body that they carry; a body without one is free. gravity [m/s2].
@@ -118,15 +118,6 @@ class Model(eqx.Module):
     def reference(self) -> State:
         """The state at rest in the reference pose."""
         return _reference(self)
-
-    def __repr__(self) -> str:
-        return tables.text(*self._tables())
-
-    def __str__(self) -> str:
-        return tables.printed(*self._tables())
-
-    def _repr_html_(self) -> str:
-        return tables.html(*self._tables())
 
     def _tables(self) -> list[tables.PrintedTable]:
         layout = self.layout

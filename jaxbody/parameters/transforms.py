@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import concrete
+from jaxbody.core.arrays import concrete, module_of
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.vectors import cross, dot
@@ -52,7 +52,7 @@ class Positive(Parametrization):
     """x = x0 exp(u)."""
 
     def value(self, u):
-        return self.start * jnp.exp(u.reshape(self.start.shape))
+        return self.start * module_of(u).exp(u.reshape(self.start.shape))
 
     def inverse(self, x: Any) -> np.ndarray:
         """u of a value, -inf at zero and below."""

@@ -90,7 +90,7 @@ def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
     factor, smallest = (np.asarray(x) for x in (eq.path.factor, eq.path.smallest))
     ax.plot(factor, smallest, "o-", ms=4, color=COLORS[0])
     ax.axhline(0, color=GRAY, lw=0.8)
-    ax.set(xlabel="load factor", ylabel="smallest eigenvalue of K", title=eq.report().split(";")[0] if int(eq.status) else "")
+    ax.set(xlabel="load factor", ylabel="smallest eigenvalue of K", title=eq.message(lambda eq: "") if int(eq.status) else "")
     return ax
 
 

@@ -13,7 +13,7 @@ from jaxbody.records.repairs import FILLS, filled, without_duplicates, without_e
 from jaxbody.records.samplings import Sampling, check_sampling, check_values, sampling_of
 
 
-class Record:
+class Record(tables.Printed):
     """What instruments wrote down: `times` [s] (n,), `channels` {name: (n,) or (n, k)} in SI units, NaN where a sample is missing;
     `units` {name: SI unit}, `stated` {name: unit given}, `sampling` (step, jitter, missing), `notes` on what was done. `record["acc"]` is a
     channel, `record.part(0, 2)` the samples from 0 to 2 s. Prints as a table.
@@ -111,15 +111,6 @@ class Record:
         note = f"{len(self.times)} times, {self.times[0]:.6g} to {self.times[-1]:.6g} s: {s.rate:.6g} Hz, {f'jitter {jitter}, ' if jitter else ''}{s.missing} missing"
         heads = ("channel", "unit", "stated in", "samples", "gaps", "least", "largest")
         return [tables.PrintedTable("Record", heads, rows, "\n".join([note, *self.notes]))]
-
-    def __repr__(self) -> str:
-        return tables.text(*self._tables())
-
-    def __str__(self) -> str:
-        return tables.printed(*self._tables())
-
-    def _repr_html_(self) -> str:
-        return tables.html(*self._tables())
 
 
 def _check_options(rate: Any, fill: Any, max_gap: Any, drop: Any, problems: Problems) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -18,7 +19,7 @@ from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.inputs.motions import AtRest, Motion, as_motion, check_motion
-from jaxbody.mechanics.failure_causes import force_jumps_along
+from jaxbody.mechanics.failure_causes import force_jump_messages, force_jumps_along
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions
 from jaxbody.models.models import Model
@@ -86,7 +87,7 @@ def simulate(
     Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME of a support,
     UNKNOWN_BODY of a load. An integration that ends early warns, and returns its samples with a status. Warns SPRING_COLLAPSED of a spring
     that passes through zero length and HALF_TURN of a Bushing or Torsion past half a turn, with the time, where samples show it and many
-    steps were rejected; the printed trajectory always shows it.
+    steps were rejected; the `summary()` of a trajectory always shows it.
 
     >>> import jax.numpy as jnp
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
@@ -118,19 +119,21 @@ def simulate(
         if is_concrete(result.status):
             jax.block_until_ready(result.status)
     warn_if_failed(result)
-    _warn_of_jumps(result)
-    return result
+    return _with_jumps(result)
 
 
-def _warn_of_jumps(result: Trajectory) -> None:
+def _with_jumps(result: Trajectory) -> Trajectory:
     """Warn of springs through zero length and elements past half a turn, if as many steps were rejected as a jump of force costs."""
     if not is_concrete(result.statistics):
-        return
+        return result
     accepted, rejected = (int(result.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
     primal = without_derivatives(result) if rejected >= max(MANY, OFTEN * accepted) else None
-    if primal is not None and is_concrete(primal):
-        for code, message in force_jumps_along(primal.model, primal.motions, primal.times, primal.state):
-            warn(code, f"simulate: {message}")
+    if primal is None or not is_concrete(primal):
+        return result
+    jumps = force_jumps_along(primal.model, primal.motions, primal.times, primal.state)
+    for code, message in force_jump_messages(primal.model, jumps):
+        warn(code, f"simulate: {message}")
+    return dataclasses.replace(result, jumps=jumps)
 
 
 @contextmanager

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import combine, is_array, partition
+from equinox import combine, field, is_array, partition
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
@@ -20,7 +21,7 @@ from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.energies import damping_power, each_element, kinetic, outside_law_range, potential
 from jaxbody.mechanics.equations_of_motion import Dynamics
-from jaxbody.mechanics.failure_causes import force_jump_at, force_jumps_along, nonfinite_ahead
+from jaxbody.mechanics.failure_causes import force_jump_at, force_jump_messages, force_jumps_along, nonfinite_ahead
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.leaf_paths import by_name, springs_of
@@ -36,7 +37,8 @@ class Trajectory(Result):
     `reactions` [N, N m].
 
     `status`: MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED if the integration ended early, later samples being NaN; TABLE_RANGE if a motion
-    left the table of a law. `statistics`: steps accepted and rejected."""
+    left the table of a law. `statistics`: steps accepted and rejected. Printing computes nothing;
+    what is by name, and `summary()`, does."""
 
     times: Float[Array, "nt"]
     state: State
@@ -46,6 +48,9 @@ class Trajectory(Result):
     model: Model
     motions: Motions
     loads: tuple[Load, ...] = ()
+    jumps: list[Float[np.ndarray, "n"]] = field(
+        default_factory=list
+    )  # of force, as `force_jumps_along` says them where simulate looked for them
 
     @property
     def poses(self) -> dict[str, Pose]:
@@ -96,12 +101,16 @@ class Trajectory(Result):
         with_loads = (self.loads,) if loads else ()
         return _evaluate(function, self.times.ndim - 1, self.model, self.motions, with_loads, self.times, self.state, more)
 
-    def explain(self) -> str:
-        t, status = float(self.end[0]), Status(int(self.status))
+    def _ended(self) -> str:
+        """When and after how many steps it ended."""
+        if self.status == Status.TABLE_RANGE:
+            return "report() names the elements"
         taken, rejected = (int(self.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
-        message = (
-            f"at t = {t:.6g} s of {float(self.times[-1]):.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
-        )
+        t, last = float(self.end[0]), float(self.times[-1])
+        return f"at t = {t:.6g} s of {last:.6g} s, {taken} steps accepted, {rejected} rejected; samples after it are NaN"
+
+    def explain(self) -> str:
+        message, status = self._ended(), Status(int(self.status))
         if status in (Status.MAX_STEPS, Status.DT_MIN):
             jump = force_jump_at(self.model, self.motions, *self.end)
             usual = in_float64(self.state.q.dtype) or "try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
@@ -159,30 +168,32 @@ class Trajectory(Result):
         result = dataset(variables, coordinates, "trajectory")
         return result.assign(status=(result["kinetic_energy"].dims[:-1], np.asarray(self.status)))
 
+    def summary(self) -> str:
+        """The printed table of one motion, with positions of frames, elongations and tensions of springs, and jumps of forces."""
+        known = replace(self, jumps=force_jumps_along(self.model, self.motions, self.times, self.state))
+        rows = [(name, *map(_range, np.asarray(pose.p).T)) for name, pose in self.poses.items()]
+        forces = self.forces
+        springs = [(name, _range(e), _range(forces[name])) for name, e in self.elongations.items() if e.ndim == 1]
+        added = (
+            tables.PrintedTable("Positions", ("frame", "x [m]", "y [m]", "z [m]"), rows),
+            tables.PrintedTable("", ("spring", "elongation [m]", "tension [N]"), springs),
+        )
+        return tables.text(*tables.in_numpy(known)._tables(), *added)
+
     def _tables(self) -> list[tables.PrintedTable]:
         if self.times.ndim > 1 or not is_concrete(self.state.q):
-            return [
-                tables.PrintedTable(
-                    "Trajectories",
-                    ("", ""),
-                    [("states", self.state.q), ("status", self.report() if is_concrete(self.status) else "traced")],
-                )
-            ]
-        rows = [
-            (name, *(f"{low:.4g} .. {high:.4g}" for low, high in zip(np.nanmin(p, 0), np.nanmax(p, 0), strict=True)))
-            for name, p in ((name, np.asarray(pose.p)) for name, pose in self.poses.items())
-        ]  # fmt: skip
-        springs = [
-            (name, f"{np.nanmin(e):.4g} .. {np.nanmax(e):.4g}", f"{np.nanmin(f):.4g} .. {np.nanmax(f):.4g}")
-            for name, e, f in ((name, np.asarray(e), np.asarray(self.forces[name])) for name, e in self.elongations.items())
-            if e.ndim == 1
-        ]
-        jumps = [message for _, message in force_jumps_along(self.model, self.motions, self.times, self.state)]
+            return [tables.PrintedTable("Trajectories", ("", ""), [("states", self.state.q), ("status", self.message(Trajectory._ended))])]
+        layout, q = self.model.layout, self.state.q
+        ends = [f.reduce(q, 0) for f in (np.fmin, np.fmax)]
+        rows = [(name, *(end[layout.q_slices[name]] for end in ends)) for name in layout.bodies]
+        jumps = [message for _, message in force_jump_messages(self.model, self.jumps)]
+        note = "; ".join([self.message(Trajectory._ended), *jumps])
         title = f"Trajectory, {len(self.times)} samples, {float(self.times[0]):.4g} to {float(self.times[-1]):.4g} s"
-        return [
-            tables.PrintedTable(title, ("frame", "x [m]", "y [m]", "z [m]"), rows),
-            tables.PrintedTable("", ("spring", "elongation [m]", "tension [N]"), springs, "; ".join([self.report(), *jumps])),
-        ]
+        return [tables.PrintedTable(title, ("body", "least q [m, rad, -]", "largest"), rows, note)]
+
+
+def _range(values: Any) -> str:
+    return f"{np.nanmin(values):.4g} .. {np.nanmax(values):.4g}"
 
 
 def _frames(model, motions, t, state) -> Pose:

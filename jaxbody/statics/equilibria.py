@@ -69,6 +69,7 @@ class Equilibrium(Result):
     load_factor: Float[Array, ""]
     path: Path | None
     descended: Bool[Array, ""]
+    beyond: Bool[Array, "ne"]  # the elements used beyond the points of their tables
 
     @property
     def elongations(self) -> dict[str, Array]:
@@ -83,31 +84,33 @@ class Equilibrium(Result):
         status = Status(int(self.status))
         if status == Status.SINGULAR_K:
             return "; ".join(zero_modes(self.model, self.state))
+        if status == Status.NO_EQUILIBRIUM and self.path is None and not self.descended:
+            return self._how_much()
+        size = float(size_of(self.model))
+        if status == Status.NOT_CONVERGED and (bad := nonfinite_downhill(self.model, self.state.q, self.residual, size)):
+            where = f"after {int(self.steps)} steps or just downhill; its law is not defined there"
+            return f"energy, force or stiffness of element '{bad[0]}' is not finite {where}"
+        return self._known()
+
+    def _known(self) -> str:
+        """What the result itself knows of a failure."""
+        status = Status(int(self.status))
+        if status == Status.SINGULAR_K:
+            return "report() names it"
         if status == Status.UNSTABLE:
             return f"{int(self.negative)} negative eigenvalue(s) of K; start from a state moved along that mode to descend"
         if status == Status.TABLE_RANGE:
-            return "; ".join(
-                f"'{name}'" for name, out in zip(self.model.element_names, _outside(self.model, self.state), strict=True) if out
-            )
-        if status in (Status.NO_EQUILIBRIUM, Status.LIMIT_POINT):
-            return self._carried_fraction()
+            return "; ".join(f"'{name}'" for name, out in zip(self.model.element_names, np.asarray(self.beyond), strict=True) if out)
         if status == Status.NOT_CONVERGED:
             worst = int(np.argmax(np.abs(np.asarray(self.residual)))) if np.isfinite(np.asarray(self.residual)).all() else 0
             unit = "N m" if self.layout.turns[worst] else "N"
-            if bad := nonfinite_downhill(self.model, self.state.q, self.residual, float(size_of(self.model))):
-                return (
-                    f"energy, force or stiffness of element '{bad[0]}' is not finite after {int(self.steps)} steps or just downhill; "
-                    "its law is not defined there"
-                )
             remedy = in_float64(self.state.q.dtype) or "start nearer, or give more max_steps"
             return (
                 f"after {int(self.steps)} steps the largest residual is {float(np.abs(self.residual[worst])):.3g} {unit} "
                 f"in '{self.layout.motions[worst][0]}' ({self.layout.motions[worst][1]}); {remedy}"
             )
-        return ""
-
-    def _carried_fraction(self) -> str:
-        """The fraction of the loads, or of the weights, that is carried."""
+        if status not in (Status.NO_EQUILIBRIUM, Status.LIMIT_POINT):
+            return ""
         if self.descended:
             return (
                 "none was found by raising the loads, as K is singular without them, nor by descent of their potential from the start, "
@@ -121,15 +124,17 @@ class Equilibrium(Result):
                 f"the smallest eigenvalue of K, relative to the largest without loads, went from {smallest[0]:.3g} to {last:.3g} "
                 "(plots.load_path draws it)"
             )
+        return "none was found by descent; report() says how much of the weights is carried"
+
+    def _how_much(self) -> str:
+        """How much of the weights is carried."""
         weightless = with_gravity(self.model, -self.model.gravity)
         start = equilibrium_of(weightless, None, 200)
         if int(start.status) not in (Status.OK, Status.SINGULAR_K):
             return "none was found by descent, nor without the weights"
         applied = AppliedLoads((), np.zeros(0), self.model.gravity)
-        return (
-            "none was found by descent; "
-            f"{100 * float(_along_path(weightless, start, applied, False)[0].factor):.4g} % of the weights is carried"
-        )
+        factor = float(_along_path(weightless, start, applied, False)[0].factor)
+        return f"none was found by descent; {100 * factor:.4g} % of the weights is carried"
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: q by part, residual by coordinate, elongation by spring, energy, status."""
@@ -153,7 +158,7 @@ class Equilibrium(Result):
         rows = [
             (name, kind.__name__.lower(), q[..., layout.q_slices[name]]) for name, kind in zip(layout.bodies, layout.kinds, strict=True)
         ]
-        note = self.report() if is_concrete(self.status) else ""
+        note = self.message(Equilibrium._known) if is_concrete(self.status) else ""
         note += ", a local one" if note == "ok" else ""
         if is_concrete(self.descended) and np.any(self.descended):
             note += f"; {DESCENDED}"
@@ -318,9 +323,9 @@ def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: Appl
     q = _implicit((coordinates, applied), search.q, ~failed & ~search.singular)
     model, at = coordinates.model, configuration_at(coordinates, q, base=False)
     zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
-    outside = jnp.any(outside_law_range(model, frames)) if has_range(model.elements) else jnp.array(False)
+    outside = outside_law_range(model, frames) if has_range(model.elements) else jnp.zeros(len(model.element_names), bool)
     status = jnp.select(
-        [failed, search.negative > 0, search.singular, outside],
+        [failed, search.negative > 0, search.singular, jnp.any(outside)],
         [search.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
     return Equilibrium(
@@ -328,18 +333,13 @@ def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: Appl
         ~failed & (search.negative == 0), status, search.steps,
         tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))),
         model, applied.loads, search.factor, search.path,
-        jnp.asarray(search.descended),
+        jnp.asarray(search.descended), outside,
     )  # fmt: skip
 
 
 def no_loads(dtype) -> AppliedLoads:
     """No loads and no change of gravity."""
     return AppliedLoads((), jnp.zeros(0, dtype), jnp.zeros(3, dtype))
-
-
-@jit_unoptimized
-def _outside(model: Model, state: State) -> Bool[Array, "ne"]:
-    return outside_law_range(model, Coordinates(model).at_rest(state.q, state.v))
 
 
 @jax.custom_jvp

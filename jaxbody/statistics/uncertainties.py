@@ -36,6 +36,7 @@ class Uncertainty(eqx.Module):
     white_covariance: np.ndarray
     parts: np.ndarray
     null: np.ndarray
+    slopes: list[np.ndarray]
     standard_errors: dict[str, np.ndarray]
     singular_values: np.ndarray
     rank: int
@@ -139,7 +140,7 @@ def assess(
     tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in records}
     correlation, significant = lag_one(r, U[:, known], records)
     found = Uncertainty(
-        covariance, white, np.reshape(parts, (len(parts), *covariance.shape)), null, {}, S, int(known.sum()),
+        covariance, white, np.reshape(parts, (len(parts), *covariance.shape)), null, slopes, {}, S, int(known.sum()),
         in_words(Vt[~known].T, labels, still), still, correlation, significant and bool(r @ r > exact**2), tests,
         noise.orders, noise.pairs, _pressed(r, J, inside, records), _beyond_stated(r, U[:, known], records), sum(len(c.rows) for c in records),
     )  # fmt: skip

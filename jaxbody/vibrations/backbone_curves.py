@@ -31,6 +31,7 @@ from equinox import field
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
+from jaxbody.core.arrays import module_of
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import MESSAGES, Status, is_concrete
@@ -79,16 +80,15 @@ class Backbones(Result):
         """The amplitudes up to which the restoring force along phi is within a percentage of the linear one:
 
         |V'''| a/(2 V'') + |V''''| a^2/(6 V'') = percent/100; it depends on the chart where bodies turn about several axes."""
-        b, c, p = jnp.abs(self.third) / (2 * self.stiffness), jnp.abs(self.fourth) / (6 * self.stiffness), percent / 100
+        xp = module_of(self.third)
+        b, c, p = abs(self.third) / (2 * self.stiffness), abs(self.fourth) / (6 * self.stiffness), percent / 100
         square = b**2 + 4 * c * p
         nonlinear = square > 0
-        return jnp.where(
-            nonlinear, 2 * p / (b + jnp.sqrt(jnp.where(nonlinear, square, 1.0))), jnp.where(jnp.isnan(square), jnp.nan, jnp.inf)
-        )
+        return xp.where(nonlinear, 2 * p / (b + xp.where(nonlinear, square, 1.0) ** 0.5), xp.where(xp.isnan(square), xp.nan, xp.inf))
 
     def frequency_within(self, percent: float) -> Float[Array, "nv"]:
         """The amplitudes up to which the frequency is within a percentage of that of small motions, sqrt(percent/100/|gamma|)."""
-        return jnp.sqrt(percent / 100 / jnp.abs(self.curvature))
+        return (percent / 100 / abs(self.curvature)) ** 0.5
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: frequency, curvature and the derivatives of V by mode, shapes by mode and named coordinate."""

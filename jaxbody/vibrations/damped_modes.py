@@ -23,9 +23,10 @@ from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.numerics.eigenproblems import cholesky_of_mass, pole_clusters, poles, refused_if_shared
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.descents import SINGULAR
-from jaxbody.statics.equilibria import NOT_AT_REST, massless_motions
+from jaxbody.statics.equilibria import NOT_AT_REST
 from jaxbody.vibrations.linearizations import Linearization, check_linearization
-from jaxbody.vibrations.mode_names import mark_note, names_of_shapes
+from jaxbody.vibrations.mode_names import Placed, mark_note, names_of_shapes, placed_bodies
+from jaxbody.vibrations.natural_modes import details_of
 from jaxbody.vibrations.spins import SpinLinearization
 
 REST = 1e-7  # relative to the largest pole: the root of rounding, the error of a double pole at zero
@@ -51,7 +52,7 @@ class ComplexModes(Result):
     status: Int[Array, ""]
     M: Float[Array, "nv nv"]
     model: Model
-    q: Float[Array, "nq"]
+    placed: Placed
 
     @property
     def layout(self) -> Layout:
@@ -60,17 +61,10 @@ class ComplexModes(Result):
     @property
     def names(self) -> tuple[str, ...]:
         """Each mode by the body and direction with most of its kinetic energy (the mean over a period), or several bodies that share it."""
-        return names_of_shapes(self.model, self.q, self.shapes, self.cluster, np.asarray(self.poles)[:, 0])
+        return names_of_shapes(self.model, self.placed, self.shapes, self.cluster, np.asarray(self.poles)[:, 0])
 
     def explain(self) -> str:
-        status = Status(int(self.status))
-        if status == Status.UNSTABLE:
-            return f"{tables.counted(int((np.asarray(self.decay_rate) < 0).sum()), 'mode')} of growing motion"
-        if status == Status.SINGULAR_K:
-            return f"{tables.counted(int((np.asarray(self.natural_frequency) == 0).sum()), 'mode')} of zero frequency"
-        if status == Status.SINGULAR_M:
-            return "; ".join(massless_motions(self.layout, self.M))
-        return ""
+        return details_of(self, np.asarray(self.decay_rate) < 0, np.asarray(self.natural_frequency) == 0)
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: frequencies, damping ratio, decay rate, poles and shapes by mode."""
@@ -121,7 +115,9 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     spins = isinstance(lin, SpinLinearization)
     D = lin.C + lin.G if isinstance(lin, SpinLinearization) else lin.C
     unit = jax.lax.stop_gradient(scale_of(lin.model, size_of(lin.model)))  # nondimensional; results do not depend on it
-    result = ComplexModes(*_complex_modes(lin.M, D, lin.K, unit, lin.status, spins), M=lin.M, model=lin.model, q=lin.state.q)
+    result = ComplexModes(
+        *_complex_modes(lin.M, D, lin.K, unit, lin.status, spins), M=lin.M, model=lin.model, placed=placed_bodies(lin.model, lin.state.q)
+    )
     warn_if_failed(result)
     return result
 

@@ -135,13 +135,8 @@ class Linearization(Result):
         return state_space(self, inputs, outputs)
 
     def _tables(self) -> list[tables.PrintedTable]:
-        heads = [str(i) for i in range(self.K.shape[-1])]
-        few = self.K.ndim == 2 and len(heads) <= 12
-        shown = []
-        for name, unit in (("M", "kg, kg m, kg m2"), ("C", "N s/m, ..."), ("K", "N/m, N, N m")):
-            matrix = tables.without_dust(getattr(self, name))
-            rows = [(c, *(matrix[i] if few else ["..."])) for i, c in enumerate(self.coordinates)]
-            shown.append(tables.PrintedTable(f"{name} [{unit}]", ("", *(heads if few else [""])), rows))
+        units = {"M": "kg, kg m, kg m2", "C": "N s/m, ...", "K": "N/m, N, N m"}
+        shown = [tables.of_matrix(f"{name} [{unit}]", getattr(self, name), self.coordinates) for name, unit in units.items()]
         shown[-1].note = "chart: displacement of O and rotation vector, world axes (joints: their coordinates, axes of the parent)"
         return shown
 

@@ -106,8 +106,8 @@ class ModeEnergies(Result):
         heads = tuple(f"{f:.4g} Hz" for f in self.frequency)
         parts = {
             "Kinetic energy [%]": dict(zip(self.rows, self.kinetic_shares.reshape(-1, count), strict=True)),
-            "Strain energy [%]": self.strain | {name: x for name, x in self.other_strain.items() if jnp.abs(x).max() > 1e-6},
-            "Dissipation [%]": {name: x for name, x in self.dissipation.items() if jnp.any(x > 0)},
+            "Strain energy [%]": self.strain | {name: x for name, x in self.other_strain.items() if np.abs(x).max() > 1e-6},
+            "Dissipation [%]": {name: x for name, x in self.dissipation.items() if np.any(x > 0)},
         }
         shown = [
             tables.PrintedTable(
@@ -116,7 +116,7 @@ class ModeEnergies(Result):
                 [
                     (name, *(f"{round(float(x), 2) + 0.0:.2f}" for x in row))
                     for name, row in rows.items()
-                    if not jnp.max(jnp.abs(row)) < 0.005
+                    if not np.max(np.abs(row)) < 0.005
                 ],
             )
             for title, rows in parts.items()

@@ -17,6 +17,7 @@ from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 
+Placed = tuple[Float[Array, "nb 3 3"], Float[Array, "frames nv 6"] | None]  # orientations of bodies, and how coordinates move frames
 AXES = "xyz"
 ALIKE = 0.5  # relative to the largest share: another body above it in the same direction is named too
 MOST_NAMED = 4  # bodies; if more move alike they are counted
@@ -49,9 +50,9 @@ def upward_axis(model: Model) -> str | None:
     return AXES[int(np.argmax(np.abs(g)))]
 
 
-def names_of_shapes(model: Model, q: Float[Array, "nq"], shapes: Any, cluster: Any, values: Any) -> tuple[str, ...]:
-    """The names of shapes (columns, real or complex) at the configuration q; `values`: their frequencies or poles."""
-    R, J = (None if x is None else np.asarray(x) for x in _orientations_and_jacobian(model, q))
+def names_of_shapes(model: Model, placed: Placed, shapes: Any, cluster: Any, values: Any) -> tuple[str, ...]:
+    """The names of shapes (columns, real or complex) with the bodies where they are placed; `values`: their frequencies or poles."""
+    R, J = (None if x is None else np.asarray(x) for x in placed)
     assert R is not None
     bodies, shapes, cluster = model.bodies.rows, np.asarray(shapes), np.asarray(cluster)
     nb, nv = len(model.layout.bodies), model.layout.nv
@@ -80,8 +81,8 @@ def _basis(shapes: np.ndarray, M: np.ndarray) -> np.ndarray:
 
 
 @jit_unoptimized
-def _orientations_and_jacobian(model: Model, q: Float[Array, "nq"]):
-    """The orientations of the bodies and their Jacobian J."""
+def placed_bodies(model: Model, q: Float[Array, "nq"]) -> Placed:
+    """The orientations of the bodies and J of `hessians`."""
     at = configuration_at(Coordinates(model), q, base=False)
     return at.frames.R[model.layout.first_body :], at.J
 

@@ -21,7 +21,7 @@ from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.equilibria import NOT_AT_REST, massless_motions
 from jaxbody.vibrations.linearizations import Linearization, check_linearization
-from jaxbody.vibrations.mode_names import mark_note, names_of_shapes
+from jaxbody.vibrations.mode_names import Placed, mark_note, names_of_shapes, placed_bodies
 
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
 
@@ -45,7 +45,7 @@ class Modes(Result):
     status: Int[Array, ""]
     M: Float[Array, "nv nv"]
     model: Model
-    q: Float[Array, "nq"]
+    placed: Placed
 
     @property
     def layout(self) -> Layout:
@@ -54,17 +54,10 @@ class Modes(Result):
     @property
     def names(self) -> tuple[str, ...]:
         """Each mode by the body and direction with most of its kinetic energy, or several bodies that share it, as in `mode_energies`."""
-        return names_of_shapes(self.model, self.q, self.shapes, self.cluster, self.frequency)
+        return names_of_shapes(self.model, self.placed, self.shapes, self.cluster, self.frequency)
 
     def explain(self) -> str:
-        status = Status(int(self.status))
-        if status == Status.UNSTABLE:
-            return f"{tables.counted(int(np.isnan(self.frequency).sum()), 'mode')} of growing motion"
-        if status == Status.SINGULAR_K:
-            return f"{tables.counted(int((np.asarray(self.frequency) == 0).sum()), 'mode')} of zero frequency"
-        if status == Status.SINGULAR_M:
-            return "; ".join(massless_motions(self.layout, self.M))
-        return ""
+        return details_of(self, np.isnan(self.frequency), np.asarray(self.frequency) == 0)
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: frequency, damping ratio and shape by mode and named coordinate."""
@@ -92,6 +85,15 @@ class Modes(Result):
         ]
 
 
+def details_of(modes: Any, growing: np.ndarray, still: np.ndarray) -> str:
+    """Details of the status of natural or complex modes, of which these grow and these have no frequency."""
+    status = Status(int(modes.status))
+    if status == Status.SINGULAR_M:
+        return "; ".join(massless_motions(modes.layout, modes.M))
+    marked = {Status.UNSTABLE: (growing, "growing motion"), Status.SINGULAR_K: (still, "zero frequency")}.get(status)
+    return f"{tables.counted(int(marked[0].sum()), 'mode')} of {marked[1]}" if marked else ""
+
+
 def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     """Natural frequencies, mass-normalized shapes and damping ratios of small motions.
 
@@ -108,9 +110,15 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     """
     check_linearization(lin, "modes")
     check_precision("modes", lin.model, allow_float32=allow_float32)
-    result = Modes(*modes_of(lin), M=lin.M, model=lin.model, q=lin.state.q)
+    result = Modes(*_modes(lin))
     warn_if_failed(result)
     return result
+
+
+@jit_unoptimized
+def _modes(lin: Linearization) -> tuple[Any, ...]:
+    """The fields of Modes."""
+    return *modes_of(lin), lin.M, lin.model, placed_bodies(lin.model, lin.state.q)
 
 
 @jit_unoptimized

@@ -15,6 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
@@ -59,7 +60,7 @@ class SpinLinearization(Result):
     def explain(self) -> str:
         if not int(self.status):
             return ""
-        worst = int(jnp.argmax(jnp.abs(self.acceleration)))
+        worst = int(np.argmax(np.abs(self.acceleration)))
         message = f"the largest change of speed is {float(self.acceleration[worst]):.3g} /s2 in '{self.coordinates[worst]}'"
         return message + "; spin a body about its axis of symmetry, in equilibrium, with no load or damper that turns with it or brakes it"
 
@@ -79,13 +80,8 @@ class SpinLinearization(Result):
         )
 
     def _tables(self) -> list[tables.PrintedTable]:
-        heads = [str(i) for i in range(self.K.shape[-1])]
-        few = self.K.ndim == 2 and len(heads) <= 12
-        shown = []
-        for name, unit in (("M", "kg, kg m, kg m2"), ("C", "N s/m, ..."), ("G", "N s/m, ..."), ("K", "N/m, N, N m")):
-            matrix = tables.without_dust(getattr(self, name))
-            rows = [(c, *(matrix[i] if few else ["..."])) for i, c in enumerate(self.coordinates)]
-            shown.append(tables.PrintedTable(f"{name} [{unit}]", ("", *(heads if few else [""])), rows))
+        units = {"M": "kg, kg m, kg m2", "C": "N s/m, ...", "G": "N s/m, ...", "K": "N/m, N, N m"}
+        shown = [tables.of_matrix(f"{name} [{unit}]", getattr(self, name), self.coordinates) for name, unit in units.items()]
         shown[-1].note = self.report()
         return shown
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from equinox import field
 from jaxtyping import Array, Float, Int
 
@@ -35,7 +36,7 @@ class StateSpace(Result):
     def explain(self) -> str:
         if int(self.status) != Status.IMPROPER:
             return ""
-        pairs = [(self.outputs[i], self.inputs[j]) for i, j in jnp.argwhere(jnp.isnan(self.D)).tolist()]
+        pairs = [(self.outputs[i], self.inputs[j]) for i, j in np.argwhere(np.isnan(self.D)).tolist()]
         listed = ", ".join(f"'{output}' of '{name}'" for output, name in pairs[:4])
         return f'{listed}: make the input the acceleration of the support, kind="acceleration"'
 

@@ -1,0 +1,120 @@
+"""Results do not compute when they are looked at: what prints of every class is made with NumPy, and JAX is asked for nothing."""
+
+import pkgutil
+import warnings
+from importlib import import_module
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody.core.results import Result
+from jaxbody.identification.multistarts import Multistart
+from jaxbody.statics.cases import LoadCases
+from jaxbody.statics.equilibrium_searches import Equilibria
+from jaxbody.statics.load_paths import Path
+from jaxbody.vibrations.backbone_curves import Backbones
+from jaxbody.vibrations.mode_branches import Branches
+from jaxbody.vibrations.spins import SpinLinearization
+
+TIMES = np.linspace(0, 1, 21)
+SWING = np.cos(2 * np.pi * TIMES) + 0.02 * np.cos(300 * TIMES**2)
+
+
+def two_of(**more):
+    """A mass on a guide, its spring and damper to a base; a box that hangs from it on a bushing."""
+    return jb.Model(
+        bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0]), "box": jb.Body(mass=1.0, inertia=[1, 2, 3])},
+        supports={"base": jb.Support()},
+        joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+        elements={
+            "spring": jb.Spring(("mass", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=30.0, damping=0.5),
+            "mount": jb.Bushing(("box", [0, 0, 0]), ("mass", [0, 0, 0]), stiffness=np.diag([30.0, 40, 50, 3, 4, 5]), damping=np.eye(6)),
+        }
+        | more,
+    )
+
+
+def one_of(**law):
+    return jb.Model(
+        bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+        joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
+        supports={"base": jb.Support()},
+        elements={"spring": jb.Spring(("mass", [0, 0, 0]), ("base", [0, 0, 0]), **({"stiffness": 30.0} | law))},
+    )
+
+
+def quantities(model):
+    c = model["spring"].stiffness / 30.0
+    return {"shake": c + 1 / c, "travel": 1 / c}
+
+
+def measured(times):
+    sensors = {"x": jb.Position("mass", axis=[1, 0, 0])}
+    return jb.Experiment(times, sensors=sensors, measured={"x": np.interp(times, TIMES, SWING)})
+
+
+def made():
+    """One small of every class of results, from one model or two; what takes long to compile is put together by hand."""
+    model, one, free = two_of(), one_of(), ["spring.stiffness"]
+    eq, lin = jb.equilibrium(model), jb.linearize(model, model.reference)
+    still, small, nv = jb.equilibrium(one), jb.linearize(one, one.reference), lin.K.shape[0]
+    shaken, moved, bounds = (
+        {"base": jb.BaseMotion("base", "x")},
+        {"mass": jb.PointMotion("mass", direction="x")},
+        {"*.stiffness": (3.0, 300.0)},
+    )
+    found, modes = jb.fit(one, {"run": measured(TIMES)}, free=free), jb.modes(lin)
+    acceleration = jb.Record(np.arange(400) / 20, {"acc": (np.cos(np.arange(400) / 20 * 6), "m/s2")})
+    path = Path(jnp.linspace(0, 1, 3), jnp.array([1.0, 0.5, jnp.nan]))
+    x, (strokes, forces) = jnp.ones((1, 2, 3)), 2 * [tuple(jnp.ones((1, *e.shape)) for e in eq.deformations)]
+    o, i = jnp.ones(nv), jnp.zeros(nv, int)
+    return [
+        jb.simulate(model, TIMES[:3]), eq, eqx.tree_at(lambda e: e.path, eq, path, is_leaf=lambda x: x is None), Equilibria(0, (still,), np.ones(1), np.ones(1), 4),
+        LoadCases(jnp.zeros(1, int), jnp.ones(1), eq.state, eq, x, x, strokes, forces, jnp.array([True]), jnp.array([True]), ("bump",)), jb.preload(one),
+        lin, lin.state_space(shaken, moved), modes, jb.complex_modes(lin), jb.mode_energies(lin), jb.elastic_axes(lin, "box"), jb.torque_roll_axis(lin, "box", [1, 0, 0]),
+        Backbones(o, lin.K, 0 * i, o, lin.K, lin.K, o, o, o, i, model.layout),
+        SpinLinearization(lin.M, lin.C, lin.C, lin.K, lin.K, lin.K[0], lin.status, lin.state, model),
+        Branches(jnp.ones(2), *(jnp.ones((2, *shape)) for shape in [(nv,), (nv,), (nv, nv), (nv,), (nv,)]), jnp.zeros(2, int), modes),
+        jb.frequency_response(small, [1.0, 2.0], shaken, moved), jb.random_response(small, jb.Band(0.5, 5.0), shaken, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}),
+        jb.weighted_signal(np.arange(400) / 400, np.cos(np.arange(400)), "Wk"), jb.base_motion(acceleration, "acc", axis=[1, 0, 0]),
+        found, Multistart(found, np.ones(1), np.ones(1, int), found.estimates, 4, 3, found.status), jb.validate(found, {"later": measured(TIMES)}),
+        jb.profile(found, free[0]), jb.bands(found, lambda model: model["spring"].stiffness), jb.diagnose(one, {"run": measured(TIMES)}), jb.plausibility(one),
+        jb.tune(one, quantities, free=free, minimize="shake", bounds=bounds, starts=1), jb.sensitivities(one, quantities, free=free),
+        jb.tolerances(one, quantities, {"spring.stiffness": 1.0}, samples=100),
+        jb.pareto(one, quantities, minimize=["shake", "travel"], free=free, bounds=bounds, points=3),
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def results():
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return made()
+
+
+def looked_at(thing):
+    return str(thing), repr(thing), thing._repr_html_(), dir(thing)
+
+
+def classes(of=Result):
+    return {c for each in of.__subclasses__() for c in ({each} | classes(each)) if c.__module__.startswith("jaxbody.")}
+
+
+def test_no_result_computes_when_it_is_looked_at(results):
+    """Neither what is compiled nor what is compiled already: inside make_jaxpr all that JAX is asked for becomes part of a program, which stays empty.
+    So for results that are good, and as if they had ended in any other way."""
+    for module in pkgutil.walk_packages(jb.__path__, "jaxbody."):
+        import_module(module.name)
+    assert {type(result) for result in results} == classes()
+    for result in results:
+        with jb.compile_times() as times:
+            looked_at(result)
+        assert times.count == 0, times
+        for status in jb.Status:
+            ended = eqx.tree_at(lambda r: r.status, result, np.full(np.shape(result.status), status.value))
+            program = jax.make_jaxpr(lambda ended=ended: looked_at(ended) and ())()
+            assert not program.eqns, (type(result).__name__, status.name)
