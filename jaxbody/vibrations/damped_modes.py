@@ -144,10 +144,10 @@ def _complex_modes(M, D, K, unit, lin_status, spins: bool) -> tuple[Array, ...]:
     natural = jnp.where(product > 0, w, jnp.where(rigid, 0.0, jnp.nan)) / (2 * jnp.pi)
     ratio = jnp.where(product > 0, -(one + other).real / (2 * w), jnp.nan)
     failed = jnp.isin(lin_status, jnp.array([*NOT_AT_REST, Status.NOT_STEADY]))
-    growing = jnp.any(jnp.maximum(one.real, other.real) > reachable(GROWS, largest.dtype, 256) * largest)
     own_status = jnp.select(
         # a change of the spin is a motion that nothing resists
-        [~finite, massless, growing, jnp.sum(rigid) > spins],
+        [~finite, massless, jnp.any(jnp.maximum(one.real, other.real) > reachable(GROWS, largest.dtype, 256) * largest),
+         jnp.sum(rigid) > spins],
         [Status.NONFINITE.value, Status.SINGULAR_M.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,
     )  # fmt: skip
     shapes = refused_if_shared(X[:n] * unit[:, None], pole_clusters(frozen))[:, pairs[:, 0]]

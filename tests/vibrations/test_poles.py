@@ -151,7 +151,7 @@ def test_equal_poles_have_sums_and_one_sided_derivatives():
 def test_growth_and_free_motion_are_reported():
     """A negative stiffness grows; a mass that nothing holds has zero frequency and may have a damper."""
     for stiffness, status in ((-5.0, Status.UNSTABLE), (0.0, Status.SINGULAR_K)):
-        spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=1.0, free_length=1.0, damping=1.0)
+        spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=1.0, free_length=1.0, damping=1.0, allow_negative=True)
         model = jb.Model(
             bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
             joints={"mass": jb.Guide("world", axis=[0, 0, 1])},
