@@ -46,8 +46,8 @@ class Model(tables.Printed, eqx.Module):
     supports: KindTable
     joints: tuple[KindTable, ...]
     elements: tuple[KindTable, ...]
-    gravity: Float[Array, "3"] = field("m/s2")
     layout: Layout = eqx.field(static=True)
+    gravity: Float[Array, "3"] = field("m/s2")
 
     def __init__(
         self,
@@ -140,7 +140,8 @@ class Model(tables.Printed, eqx.Module):
         """Fields of elements that print, with their heads: laws, numbers and matrices of coefficients, but no points and directions."""
         row, heads, batch = table.row(table.names[0]), {}, self.gravity.ndim - 1
         for name in row.__dataclass_fields__:
-            value, kind = getattr(row, name, None), kind_of(row, name)
+            value: Any = getattr(row, name, None)
+            kind = kind_of(row, name)
             shape = np.shape(value)[batch:] if hasattr(value, "ndim") else None
             if isinstance(value, Law) or shape == () or (shape and kind.domain in ("definite", "symmetric")):
                 units = set(units_of(kind, shape)) if shape is not None else {""}
