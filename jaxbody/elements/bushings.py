@@ -1,4 +1,4 @@
-"""Bushings: six numbers of one frame in another, with stiffness and damping for each or as a matrix."""
+"""Bushings: the relative pose of two frames, six numbers, with stiffness and damping for three of them or as 6 x 6 matrices."""
 
 from __future__ import annotations
 
@@ -24,9 +24,17 @@ class Bushing(Element):
 
         V = 1/2 e' K e,   R = 1/2 e_dot' C e_dot,   e = log(X_A^-1 X_B) = (translation, rotation vector), axes of the frame at a
 
-    `stiffness` K and `damping` C: 6 x 6 matrices, symmetric and positive semidefinite, or three numbers: translational along the
-    bushing's axes [N/m], [N s/m], no resistance to turning. `orientation` (of the frame at a in its body) and `orientation_b`
-    give the axes; the bushing is relaxed where the two frames coincide. e is the logarithm of SE(3): exchanging the ends changes only its sign.
+    The bushing is relaxed where the two frames coincide. e is the logarithm of SE(3): exchanging the ends changes only its sign.
+
+    Args:
+        a, b: (name of a body, a support or `world`, point in its frame [m])
+        stiffness: K, a symmetric positive semidefinite 6 x 6 matrix, or three numbers along the bushing's axes [N/m], with no rotational
+            stiffness
+        damping: C likewise [N s/m]; None: no damping
+        orientation: of the frame at a in its body
+        orientation_b: of the frame at b in its body
+        allow_negative: warn of negative coefficients instead of refusing them
+
     Errors: NOT_SYMMETRIC, NEGATIVE_STIFFNESS, NEGATIVE_DAMPING, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION.
 
     >>> mount = Bushing(("engine", [0.4, 0, 0]), ("base", [0.4, 0, 0]), stiffness=[9e4, 2e5, 5e5], damping=[900.0, 2000.0, 200.0])
@@ -38,7 +46,7 @@ class Bushing(Element):
     jump = (
         "HALF_TURN",
         "is turned by 180 degrees",
-        "a bushing is for less than half a turn, where its deformation jumps: let a joint (jb.Hinge, jb.Ball) guide what turns further, or hold it by springs",
+        "the deformation of a bushing jumps at half a turn: for larger rotations use a joint (jb.Hinge, jb.Ball), or springs",
     )
     stiffness: Float[Array, "*k"] = field("N/m, N; N, N m/rad", "definite unless allow_negative", code="NEGATIVE_STIFFNESS", hint=MEANT)
     damping: Float[Array, "*k"] = field("N s/m, N s; N s, N m s/rad", "definite unless allow_negative", code="NEGATIVE_DAMPING", hint=MEANT)

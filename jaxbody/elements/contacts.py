@@ -1,10 +1,10 @@
-"""What pushes only while it touches: the tyre on its road, and a contact between two points.
+"""Unilateral contacts: the tyre on its road, and a stop between two points.
 
-With the penetration delta = -e, the elastic push P and a damper that comes in over the engagement w,
+With the penetration delta = -e, the elastic force P and a damper that builds up over the engagement w,
 
     P = k r(delta),  V = int P d delta,   damping: max(c_e delta_dot, -P),  c_e = c delta/w, at least 0, at most c
 
-where r(delta) is 0 for delta < 0, delta^2/(2 w) up to w and then delta - w/2. The push P + max(c_e delta_dot, -P) is never a pull and
+where r(delta) is 0 for delta < 0, delta^2/(2 w) up to w and then delta - w/2. The total force P + max(c_e delta_dot, -P) never pulls and
 has no jumps.
 """
 
@@ -23,7 +23,7 @@ from jaxbody.laws.spring_laws import ramp, ramp_energy, ramp_slope
 
 
 class Touching(Element):
-    """The base of both: `stiffness` k [N/m], `damping` c [N s/m], `engagement` w [m].
+    """The base class of both: `stiffness` k [N/m], `damping` c [N s/m], `engagement` w [m].
 
     >>> issubclass(Tyre, Touching) and issubclass(Contact, Touching)
     True
@@ -59,12 +59,22 @@ class Touching(Element):
 
 
 class Tyre(Touching):
-    """A tyre, vertical: it pushes the hub a from the road b while the hub is lower than the radius, and may leave the ground.
+    """The vertical force of a tyre: it pushes the hub a up from the road b while the hub is lower than the radius; it may lift off.
 
         e = n . (A - B) - radius,   n the road's normal, `axis` in the road's frame; the penetration is -e
 
-    `stiffness` [N/m], `damping` [N s/m], `radius` unloaded [m], `engagement` [m] over which both come in. The road is a support that follows
-    the profile under the wheel (jb.Road, which averages it over the footprint), or the world. Errors: NEGATIVE, NOT_POSITIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE.
+    The road is a support that follows the profile under the wheel (jb.Road, which averages it over the footprint), or the world.
+
+    Args:
+        hub: name of the wheel, or (name, point)
+        road: name of the support, or (name, point)
+        stiffness: [N/m]
+        damping: [N s/m]
+        radius: unloaded [m]
+        engagement: penetration over which stiffness and damping build up [m]
+        axis: the road's normal, in the road's frame
+
+    Errors: NEGATIVE, NOT_POSITIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE.
 
     >>> tyre = Tyre(("wheel", [0, 0, 0]), ("road", [0, 0, 0]), stiffness=2e5, damping=50.0, radius=0.31)
     >>> tyre.between
@@ -88,15 +98,21 @@ class Tyre(Touching):
 class Contact(Touching, LineElement):
     """A stop between two points, or two balls: it pushes them apart while they are nearer than a distance, e = |AB| - distance.
 
-    `stiffness` [N/m], `damping` [N s/m], `distance` [m], `engagement` [m] over which both come in. Errors: NEGATIVE, NOT_POSITIVE, SELF_SPRING,
-    ZERO_LENGTH, BAD_SHAPE, NON_FINITE.
+    Args:
+        a, b: (name, point in its frame [m])
+        distance: at which the points touch [m]
+        stiffness: [N/m]
+        damping: [N s/m]
+        engagement: penetration over which stiffness and damping build up [m]
+
+    Errors: NEGATIVE, NOT_POSITIVE, SELF_SPRING, ZERO_LENGTH, BAD_SHAPE, NON_FINITE.
 
     >>> stop = Contact(("arm", [0.5, 0, 0]), ("base", [0.5, 0, -0.3]), distance=0.05, stiffness=1e6, damping=100.0)
     >>> float(stop.energy(jnp.array(0.01)))
     0.0
     """
 
-    free_length: Float[Array, ""] = field("m", "positive", hint="Give how near the points may come before they touch.")
+    free_length: Float[Array, ""] = field("m", "positive", hint="Give the distance of the points at which they touch.")
 
     def __init__(self, a, b, *, distance, stiffness, damping=0.0, engagement=1e-3):
         problems = Problems()

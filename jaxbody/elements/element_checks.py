@@ -1,4 +1,4 @@
-"""What elements and laws of users hold and return, checked when a model is built."""
+"""Checks of users' elements and laws when a model is built: what they hold and what they return."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jaxbody.laws.laws import Law, parts
 
 
 def check_leaves(problems: Problems, elements: dict[str, Element]) -> None:
-    """What an element holds is numbers, functions or static."""
+    """Check that elements hold only numbers, functions and static fields."""
     for name, element in elements.items():
         for keys, leaf in jax.tree_util.tree_leaves_with_path(element):
             if not isinstance(leaf, np.ndarray | jax.Array):
@@ -23,12 +23,12 @@ def check_leaves(problems: Problems, elements: dict[str, Element]) -> None:
                 try:
                     float_array(leaf, where)
                 except JaxbodyError as error:
-                    hint = "What is no number is a static field: mode: str = equinox.field(static=True)."
+                    hint = "Declare what is not a number as a static field: mode: str = equinox.field(static=True)."
                     problems.collected += [replace(problem, hint=hint) for problem in error.problems]
 
 
 def check_laws(problems: Problems, elements: dict[str, Element]) -> None:
-    """Laws of the user's can be traced and return one number; those of one structure are traced once."""
+    """Check that JAX can trace users' laws and that they return one number; each structure is traced once."""
     checked = set()
     for name, element in elements.items():
         for field, law in vars(element).items():

@@ -1,7 +1,6 @@
-"""What every element is: it states one geometric function, its deformation e(A, B) between two frames (or more), its potential
-energy V(e) and its dissipation R(e, e_dot); forces, stiffness and the rest are derivatives.
+"""The base class of elements: deformation e(A, B) between two or more frames, potential energy V(e) and dissipation R(e, e_dot).
 
-Points and orientations of an element are in the frame of the body or support that its end is on.
+Forces and stiffness are derivatives of these. Points and orientations at an end are in the frame of the body or support of that end.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ ALLOWED = {"NEGATIVE_STIFFNESS": "an equilibrium may be unstable", "NEGATIVE_DAM
 
 
 class Element(eqx.Module):
-    """The base of all elements between frames A and B, or more; `between` names them, `a` and `b` are the points where it is attached.
+    """The base class of elements between two or more frames, named in `between`; `a` and `b` are the points where it is attached.
 
-    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness are their derivatives. `jb.field` says what its
-    numbers are: their unit, and what `replace`, `fit` and `tune` keep them to. Two equal charges, one
-    of them hovering over the other where strength / e^2 = m g:
+    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness are their derivatives. `jb.field` gives
+    the unit and the domain of its numbers, which `replace`, `fit` and `tune` respect. Two equal charges, one of which floats above the
+    other where strength / e^2 = m g:
 
     >>> class Charges(Element):
     ...     strength: jax.Array = jb.field("N m2", "positive")
@@ -40,7 +39,8 @@ class Element(eqx.Module):
     ...         return self.strength / e
     ...     def dissipation(self, e, e_dot):
     ...         return jnp.zeros_like(e)
-    >>> model = Model(bodies={"ball": Body(mass=0.2, inertia=[1, 1, 1], position=[0, 0, 0.6])}, joints={"ball": Guide("world", axis=[0, 0, 1])},
+    >>> ball = Body(mass=0.2, inertia=[1, 1, 1], position=[0, 0, 0.6])
+    >>> model = Model(bodies={"ball": ball}, joints={"ball": Guide("world", axis=[0, 0, 1])},
     ...               elements={"pair": Charges(("ball", "world"), jnp.zeros(3), jnp.zeros(3), jnp.array(0.5))}, gravity=[0, 0, -10])
     >>> round(float(equilibrium(model).elongations["pair"]), 9)
     0.5
@@ -54,7 +54,7 @@ class Element(eqx.Module):
 
     @property
     def points(self) -> tuple[Float[Array, "3"], ...]:
-        """Where it is attached, a point in each frame."""
+        """The points of attachment, one in each frame."""
         return self.a, self.b
 
     @abstractmethod
@@ -70,11 +70,11 @@ class Element(eqx.Module):
         """R(e, e_dot) [W], half the dissipated power where damping is linear."""
 
     def beyond(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Bool[Array, ""]:
-        """True where a law is used beyond what it is known for."""
+        """True where a law is used beyond the range for which it is known."""
         return jnp.array(False)
 
     def away_from_jump(self, *poses: Pose) -> Float[Array, "*n"]:
-        """A vector that passes through zero where the force jumps, as `jump` says; its length is about 1 far from there."""
+        """A vector that is zero where the force jumps (see `jump`) and has a length of about 1 far from there."""
         return jnp.ones(1)
 
     def potential(self, *poses: Pose) -> Float[Array, ""]:
@@ -90,7 +90,7 @@ class Element(eqx.Module):
         return jax.grad(self.dissipation, argnums=1)(e, e_dot)
 
     def force(self, *frames: Frame) -> Float[Array, "*m"]:
-        """dV/de + dR/de_dot, what the element exerts against its deformation: of a spring the tension [N]."""
+        """dV/de + dR/de_dot, the force against the deformation: the tension of a spring [N]."""
         e, e_dot = self.rates(*frames)
         return jax.grad(self.energy)(e) + self.damping_force(e, e_dot)
 
@@ -100,9 +100,9 @@ class Element(eqx.Module):
         return jnp.sum(self.damping_force(e, e_dot) * e_dot)
 
     def wrenches(self, *frames: Frame) -> tuple[Wrench, ...]:
-        """What the element exerts on each frame: minus the derivatives of V and R, carried from e to the frames."""
-        _, pull = jax.vjp(self.deformation, *(f.pose() for f in frames))
-        return tuple(_wrench(on, f.R) for on, f in zip(pull(-self.force(*frames)), frames, strict=True))
+        """The wrench on each frame: minus the derivatives of V and R with respect to its displacement and velocity."""
+        _, pull_back = jax.vjp(self.deformation, *(f.pose() for f in frames))
+        return tuple(_wrench(cotangent, f.R) for cotangent, f in zip(pull_back(-self.force(*frames)), frames, strict=True))
 
 
 def _wrench(cotangent: Pose, R: Float[Array, "3 3"]) -> Wrench:
@@ -111,17 +111,17 @@ def _wrench(cotangent: Pose, R: Float[Array, "3 3"]) -> Wrench:
 
 
 class LineElement(Element):
-    """The base of elements along the line from the point a of one body to the point b of another: e = |AB| - l0.
+    """The base class of elements along the line from the point a of one body to the point b of another: e = |AB| - l0.
 
-    A tension T(L) along it is split, T = k0 L + rest, so that the force k0 d + rest d/L has the right derivatives at d = 0 where the rest
-    vanishes with L.
+    The tension is split, T(L) = k0 L + rest, so that the force k0 d + rest d/L has the right derivatives at d = 0 where the rest vanishes
+    there.
     """
 
     free_length: Float[Array, ""] = field("m", "nonnegative", code="NEGATIVE_LENGTH", hint="Give 0 or more.")
     jump = (
         "SPRING_COLLAPSED",
         "has shrunk to a point",
-        "its direction jumps there: let its ends pass beside each other, hold them apart by a stop, or use a Bushing",
+        "its direction jumps there: offset its ends so that they pass each other, keep them apart by a stop, or use a Bushing",
     )
 
     @abstractmethod
@@ -133,7 +133,7 @@ class LineElement(Element):
         """dR/de_dot."""
 
     def has_no_direction(self) -> bool:
-        """True when it neither pulls nor damps at zero length, and so needs no direction there (of numbers that can be seen)."""
+        """True when it exerts no force at zero length, and so needs no direction there (for numbers that are not traced)."""
         return False
 
     def length(self, A: Pose, B: Pose) -> Float[Array, ""]:
@@ -145,7 +145,7 @@ class LineElement(Element):
         return self.length(A, B) - self.free_length
 
     def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        """AB over the free length; where it neither pulls nor pushes at zero length, nothing jumps."""
+        """AB over the free length; 1 where the force at zero length is zero, as nothing jumps then."""
         _, rest, _ = self.split(jnp.zeros_like(self.free_length))
         jumps = (self.free_length > 0) & (rest != 0)
         return jnp.where(jumps, (B.point(self.b) - A.point(self.a)) / jnp.where(jumps, self.free_length, 1.0), 1.0)
@@ -179,7 +179,7 @@ def length_and_direction(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[
 
 
 def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
-    """The axes at the first end of an element with `orientation` and `orientation_b`, to the world, and those at the second end to them."""
+    """For an element with `orientation` and `orientation_b`: the axes of its first end to the world, those of the second to the first."""
     R_A, R_B = product(A.R, rotations.matrix(element.orientation)), product(B.R, rotations.matrix(element.orientation_b))
     return R_A, product(jnp.swapaxes(R_A, -1, -2), R_B)
 

@@ -1,4 +1,4 @@
-"""Second derivatives of the energies of elements in the displacements of their two frames, in closed forms and by jax.hessian."""
+"""Second derivatives of the energies of elements with respect to the displacements of their frames: closed forms, and jax.jacfwd."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from jaxbody.geometry.vectors import cross, dot, product, rotate, rotate_back, s
 from jaxbody.numerics.xla_workarounds import inverse_root
 
 DeformationSlopes = tuple[Float[Array, "6"], ...]  # of each frame of an element
-# Where in a block h is, where Q, and where the components of x and of y are, and with which sign
+# Positions and signs in a block: of h, of Q, and of the components of x and y
 SKEW = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)  # [e_x], [e_y], [e_z]
 UPPER_LEFT, LOWER_RIGHT = np.kron(np.diag([1.0, 0.0]), np.eye(3)), np.kron(np.diag([0.0, 1.0]), np.ones((3, 3)))
 LOWER_LEFT, UPPER_RIGHT = np.kron([[0.0, 0.0], [1.0, 0.0]], SKEW), np.kron([[0.0, 1.0], [0.0, 0.0]], -SKEW)
 
 
 class Block(NamedTuple):
-    """A block of a Hessian in the displacements of two frames, P + [[h I, -[y]], [[x], Q]]: sums of many are worked out part by part."""
+    """A block of a Hessian in the displacements of two frames, P + [[h I, -[y]], [[x], Q]], whose parts are summed separately."""
 
     P: Float[Array, "*n 6 6"] | None = None
     h: Float[Array, "*n"] | None = None
@@ -54,12 +54,12 @@ class Block(NamedTuple):
         return sum(parts, 0.0)
 
 
-Blocks = dict[tuple[int, int], Block]  # of each two of an element's frames, the first not after the second
+Blocks = dict[tuple[int, int], Block]  # for each pair (i, j) of an element's frames, i <= j
 
 
 @singledispatch
 def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, Blocks]:
-    """Gradient and Hessian of V, this as the symmetric part of the derivative of the wrenches: what increments of rotations add is skew."""
+    """Gradient and Hessian of V; the Hessian is the symmetric part of the derivative of the wrenches, as rotations only add a skew part."""
     n = 6 * len(frames)
 
     def moved(frame, x):
@@ -99,8 +99,9 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, Blocks]
 
 @second_order.register
 def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[DeformationSlopes, Blocks]:
-    """By what V depends on: in the axes of the bushing on A, where its end on B is, t, and how it is turned, R = exp([theta]), that is
-    t -> t + tau, R -> exp([psi]) R. In world axes, to second order in the displacements of the frames, b the arm of B, P from A's origin to B's end,
+    """V depends on the relative pose, in the axes of the bushing on A: position t of the end on B and orientation R = exp([theta]), which
+    change as t -> t + tau, R -> exp([psi]) R. In world axes, to second order in the displacements of the frames, with b the arm of B and P
+    the vector from A's origin to B's end,
 
         tau = d_b - d_a + phi_b x b - phi_a x P - phi_a x (d_b - d_a + phi_b x b) + phi_a x (phi_a x P)/2 + phi_b x (phi_b x b)/2
         psi = phi_b - phi_a - phi_a x phi_b/2
@@ -125,8 +126,9 @@ def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[DeformationSlopes, Blocks]:
 def _in_relative_motion(bushing: Bushing, theta: Float[Array, "3"], t: Float[Array, "3"]) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
     """Gradient and Hessian of V in (tau, psi), for e = (J t, theta), J = 1 - [theta]/2 + c [theta]^2, c a function of x = |theta|^2.
 
-    With eta = J psi the changes are d theta = eta, d2 theta = N(psi) eta, du = J tau + N(t) eta, d2u = 2 N(tau) eta + N(t) d2 theta + D2J(t)[eta, eta],
-    where N(y) eta is the derivative of J y along eta; P(g) is the matrix of eta . P(g) y = g . N(y) eta, S that of f . D2J(t)[eta, eta]."""
+    With eta = J psi the changes are d theta = eta, d2 theta = N(psi) eta, du = J tau + N(t) eta,
+    d2u = 2 N(tau) eta + N(t) d2 theta + D2J(t)[eta, eta], where N(y) eta is the derivative of J y along eta; P(g) is the matrix of
+    eta . P(g) y = g . N(y) eta, S that of f . D2J(t)[eta, eta]."""
     c, c1, c2 = _with_derivatives(rotations.cotc, dot(theta, theta))
     T = skew(theta)
     J = np.eye(3, dtype=t.dtype) - T / 2 + c * product(T, T)
@@ -180,7 +182,7 @@ def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Arr
 
 @singledispatch
 def dissipation_hessian(element: Element, *frames: Frame) -> Blocks:
-    """Of R, in the velocities of the frames: J' R'' J, J the rates of the deformation per unit of each."""
+    """Hessian of R in the velocities of the frames: J' R'' J, with J the derivative of e_dot in these velocities."""
     e, e_dot = element.rates(*frames)
     n = 6 * len(frames)
 

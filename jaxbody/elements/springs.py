@@ -18,9 +18,17 @@ class Spring(LineElement):
 
         V = 1/2 k (|AB| - l0)^2,   R = 1/2 c (d|AB|/dt)^2,   tension = k (|AB| - l0) + c d|AB|/dt
 
-    `stiffness` k [N/m], `free_length` l0 [m], `damping` c [N s/m]. With l0 = 0 the spring is exact down to zero length, where
-    its damper has no direction and exerts nothing. Errors: NEGATIVE_STIFFNESS, NEGATIVE_DAMPING (warnings with `allow_negative`),
-    NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE. Source: (20)-(28) of the paper.
+    With l0 = 0 the spring is exact down to zero length, where its damper has no direction and exerts no force.
+
+    Args:
+        a, b: (name of a body, a support or `world`, point in its frame [m])
+        stiffness: k [N/m]
+        free_length: l0 [m]
+        damping: c [N s/m]
+        allow_negative: warn of negative coefficients instead of refusing them
+
+    Errors: NEGATIVE_STIFFNESS, NEGATIVE_DAMPING (warnings with `allow_negative`), NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE.
+    Source: (20)-(28) of the paper.
 
     >>> spring = Spring(("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8)
     """
@@ -58,8 +66,13 @@ class SpringDamper(LineElement):
 
         V = U_s(|AB| - l0),   R = U_d(d|AB|/dt),   tension = F_s(|AB| - l0) + F_d(d|AB|/dt)
 
-    `spring` and `damper`: laws (jb.laws), numbers for linear ones [N/m], [N s/m], or JAX functions x -> F; either may be missing. `free_length` l0
-    [m], the length at which the spring's law has x = 0. Errors: NEGATIVE, NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
+    Args:
+        a, b: (name, point in its frame [m])
+        spring: a law (jb.laws), the stiffness of a linear one [N/m] or a JAX function x -> F; None: no spring
+        damper: likewise, over the rate; a number is a damping [N s/m]
+        free_length: l0, the length at which the spring's law has x = 0 [m]
+
+    Errors: NEGATIVE, NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
 
     >>> strut = SpringDamper(("car", [1.4, 0.7, 0]), ("wheel", [0, 0, 0]), free_length=0.5,
     ...                      spring=jb.laws.Linear(2e4) + jb.laws.Stop(gap=0.08, stiffness=1e5, engagement=0.01),

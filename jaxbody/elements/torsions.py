@@ -17,7 +17,7 @@ from jaxbody.laws import laws
 
 
 class LawElement(Element):
-    """The base of elements whose deformation is one number, with a law for it and one for its rate."""
+    """The base class of elements with one deformation, a law for it and one for its rate."""
 
     spring: laws.Law | None = field()
     damper: laws.Law | None = field()
@@ -44,10 +44,20 @@ class Torsion(LawElement):
 
         e = 2 atan2(n . w, 1 + tr R) - e0,   R = R_A' R_B,   w = (R32 - R23, R13 - R31, R21 - R12),   |e + e0| < pi
 
-    of any other turn the part about n (the twist). At half a turn e jumps by 2 pi, and `simulate` warns HALF_TURN. `axis` n in the axes of A; `spring` [rad -> N m] and `damper` [rad/s -> N m]: laws, numbers
-    (N m/rad, N m s/rad) or functions; `free_angle` e0 [rad], counted from where the axes of the two frames coincide; `orientation`,
-    `orientation_b`: of these axes in A and B. At a ball, take a Bushing for all three axes. The ends are names, or (name, point) where it is drawn.
-    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, those of the laws. Warns UNIT of a free angle of more than a turn.
+    for a general rotation the part about n (the twist). At half a turn e jumps by 2 pi, and `simulate` warns HALF_TURN. At a ball joint use
+    a Bushing for all three axes.
+
+    Args:
+        a, b: names, or (name, point) where the element is drawn
+        axis: n, in the axes of A
+        spring: a law [rad -> N m], a stiffness [N m/rad] or a function; None: no spring
+        damper: likewise [rad/s -> N m], [N m s/rad]
+        free_angle: e0 [rad], from where the axes of the two frames coincide
+        orientation: of these axes in A
+        orientation_b: of these axes in B
+
+    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, those of the laws.
+    Warns UNIT of a free angle of more than a turn.
 
     >>> spring = Torsion("arm", "base", axis=[0, 0, 1], spring=30.0, damper=0.5)
     >>> spring.between
@@ -57,7 +67,7 @@ class Torsion(LawElement):
     jump = (
         "HALF_TURN",
         "is turned by 180 degrees",
-        "a torsion spring is for less than half a turn either way, where its angle jumps: turn `orientation` to the middle of its motion, or put two in series",
+        "the angle of a torsion spring jumps at half a turn: turn `orientation` to the middle of its motion, or put two in series",
     )
     spring: laws.Law | None = field(words={"force": "N m", "argument": "rad"})
     damper: laws.Law | None = field(words={"force": "N m", "argument": "rad/s"})
@@ -93,12 +103,18 @@ class Torsion(LawElement):
 
 
 class AntiRollBar(LawElement):
-    """An anti-roll bar: it resists that two wheels travel differently against the body that carries the bar,
+    """An anti-roll bar: it resists a difference in travel of two wheels relative to the body that carries the bar,
 
         e = n . (P_left - P_right),   n = R_body `axis`
 
-    the points being attached where the drop links are. `spring`: a law or number, N/m at the wheels (torsional stiffness of the bar over the square
-    of its lever arm); `damper` alike; `axis`: up, in body axes. Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
+    Args:
+        left, right: (name of the wheel, point of its drop link)
+        body: name of the body that carries the bar, or (name, point)
+        axis: upwards, in body axes
+        spring: a law, or the stiffness at the wheels [N/m]: torsional stiffness of the bar over the square of its lever arm
+        damper: likewise, over the rate [N s/m]
+
+    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
 
     >>> bar = AntiRollBar(("left wheel", [0, -0.1, 0]), ("right wheel", [0, 0.1, 0]), "car", spring=1.2e4)
     >>> bar.between

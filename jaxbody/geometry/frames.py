@@ -13,7 +13,7 @@ Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about t
 
 
 class Pose(eqx.Module):
-    """Where a frame is: its origin p and its orientation R, frame to world; leading axes are rows of a table."""
+    """Position p of a frame's origin and orientation R, frame to world; leading axes are rows of a table."""
 
     p: Float[Array, "*n 3"]
     R: Float[Array, "*n 3 3"]
@@ -30,7 +30,7 @@ class Pose(eqx.Module):
         return Pose(-rotate_back(self.R, self.p), jnp.swapaxes(self.R, -1, -2))
 
     def at_rest(self) -> Frame:
-        """The frame that stays here."""
+        """The pose as a frame with zero velocity."""
         return Frame(self.p, self.R, jnp.zeros_like(self.p), jnp.zeros_like(self.p))
 
     def displaced(self, xi: Float[Array, "*n 6"]) -> Pose:
@@ -64,7 +64,7 @@ class Frame(Pose):
 
 
 def stack(frames: list[Frame]) -> Frame:
-    """One table of the rows of several."""
+    """The rows of several tables in one."""
     if len(frames) == 1:
         return frames[0]
     return Frame(*(jnp.concatenate([getattr(f, name) for f in frames]) for name in ("p", "R", "v", "w")))

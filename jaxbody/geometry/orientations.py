@@ -19,10 +19,11 @@ AXES = "xyz"
 
 
 class Euler(eqx.Module):
-    """An orientation by successive turns, for any argument that takes one: R = R_1 R_2 R_3 about axes that turn with the frame, R_3 R_2 R_1 about axes that stay.
+    """An orientation by Euler angles: R = R_1 R_2 R_3 about axes that turn with the frame, R_3 R_2 R_1 about fixed axes.
 
-    `sequence`: the axis of each turn, one to three letters; capitals ("ZYX": yaw, then pitch, then roll) for axes that turn with the frame (intrinsic), small
-    letters ("xyz") for those of the parent, which stay (extrinsic). `angles` [rad], one for each. Errors: BAD_SEQUENCE, BAD_SHAPE, NON_FINITE, DEGREES.
+    `sequence`: the axis of each turn, one to three letters; capitals ("ZYX": yaw, then pitch, then roll) for axes that turn with the
+    frame (intrinsic), small letters ("xyz") for the fixed axes of the parent (extrinsic). `angles` [rad], one for each letter.
+    Errors: BAD_SEQUENCE, BAD_SHAPE, NON_FINITE, DEGREES.
 
     >>> [round(float(x), 6) for x in np.asarray(Euler("ZYX", [np.pi / 2, 0, 0]))]
     [0.707107, 0.0, 0.0, 0.707107]
@@ -33,19 +34,19 @@ class Euler(eqx.Module):
 
     def __init__(self, sequence: str, angles):
         problems = Problems()
-        known = isinstance(sequence, str) and 1 <= len(sequence) <= 3 and (sequence.islower() or sequence.isupper())
-        if not known or set(sequence.lower()) - set(AXES) or any(a == b for a, b in pairwise(sequence)):
-            hint = 'Capitals turn with the frame ("ZYX": yaw, pitch, roll), small letters stay; no axis twice in a row.'
+        one_case = isinstance(sequence, str) and 1 <= len(sequence) <= 3 and (sequence.islower() or sequence.isupper())
+        if not one_case or set(sequence.lower()) - set(AXES) or any(a == b for a, b in pairwise(sequence)):
+            hint = 'Capitals: axes that turn with the frame ("ZYX": yaw, pitch, roll); small letters: fixed axes; no axis twice in a row.'
             problems.add(
                 "BAD_SEQUENCE", "Euler.sequence", f"is {sequence!r}", value=sequence, limit="one to three of XYZ, or of xyz", hint=hint
             )
             problems.raise_if_any()
         self.sequence = sequence
         self.angles = checked(angles, ((len(sequence),),), "Euler.angles", problems, "One angle [rad] for each letter of the sequence.")
-        turned = None if self.angles is None else concrete(self.angles)
-        if turned is not None and (np.abs(turned) > 2 * np.pi).any():
-            hint = "Are these degrees? np.deg2rad makes radians of them."
-            problems.add("DEGREES", "Euler.angles", f"is {turned.tolist()} rad", value=turned, limit="2 pi", hint=hint)
+        known = None if self.angles is None else concrete(self.angles)
+        if known is not None and (np.abs(known) > 2 * np.pi).any():
+            hint = "Are these degrees? np.deg2rad converts them."
+            problems.add("DEGREES", "Euler.angles", f"is {known.tolist()} rad", value=known, limit="2 pi", hint=hint)
         problems.raise_if_any()
 
     def _quaternion(self, xp):
@@ -69,7 +70,7 @@ def _product(p: list[Any], q: list[Any]) -> list[Any]:
 
 
 def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
-    """A unit quaternion of a quaternion (length 1 within 1e-3), a rotation matrix (orthogonal within 1e-12) or Euler angles."""
+    """The unit quaternion of a quaternion (length 1 within 1e-3), a rotation matrix (orthogonal within 1e-12) or Euler angles."""
     array = checked(
         value, ((4,), (3, 3)), where, problems, "Give a quaternion w, x, y, z, a rotation matrix or jb.Euler(sequence, angles)."
     )
@@ -90,7 +91,7 @@ def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
         problems.add(
             "BAD_ROTATION",
             where,
-            f"is no rotation: |R'R - I| = {error:.2g}, det R = {det:.6g}",
+            f"is not a rotation: |R'R - I| = {error:.2g}, det R = {det:.6g}",
             value=known,
             limit="|R'R - I| <= 1e-12, det R = 1",
             hint="Make its axes right-handed." if det < 0 else "If it is rounded, orthonormalize it: U V' of its SVD U S V'.",
@@ -100,7 +101,7 @@ def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
 
 
 def _quaternion(R: np.ndarray) -> np.ndarray:
-    """The unit quaternion of a rotation matrix, as the dominant eigenvector of 4 q q' - I; in NumPy, as checks run before any compiler."""
+    """The unit quaternion of a rotation matrix, as the dominant eigenvector of 4 q q' - I; in NumPy, so that a check compiles nothing."""
     x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     S = R + R.T
     K = np.block([[np.array([[np.trace(R)]]), np.array([[x, y, z]])], [np.array([[x], [y], [z]]), S - np.trace(R) * np.eye(3)]])
@@ -109,7 +110,7 @@ def _quaternion(R: np.ndarray) -> np.ndarray:
 
 
 def matrix(q: Any) -> Any:
-    """Rotation matrix of a unit quaternion; in NumPy where it is known: a check must not wait for a compiler."""
+    """Rotation matrix of a unit quaternion; in NumPy unless it is traced, so that a check compiles nothing."""
     q = known if (known := concrete(q)) is not None else q
     if not isinstance(q, np.ndarray):
         return rotations.matrix(q)

@@ -15,7 +15,7 @@ ORDER = ("first", "second", "third")
 
 
 def unit_vector(axis, where: str, problems: Problems) -> Any:
-    """The unit vector of a direction of any length."""
+    """The unit vector along a direction of any length."""
     n = checked(axis, ((3,),), where, problems)
     if n is None:
         return np.array([0.0, 0, 1])
@@ -29,8 +29,8 @@ def unit_vector(axis, where: str, problems: Problems) -> Any:
 
 
 def ends(given, kind: str, problems: Problems, *, points: bool = True):
-    """((name, ...), [point, ...]) of (name, point) pairs; without `points`, of names that may stand alone."""
-    names, found = [], []
+    """((name, ...), [point, ...]) of (name, point) pairs; where `points` is False, a pair may be a name alone."""
+    names, coordinates = [], []
     for end, order in zip(given, ORDER, strict=False):
         where = f"{kind}, {order} end"
         if not points and isinstance(end, str):
@@ -46,10 +46,10 @@ def ends(given, kind: str, problems: Problems, *, points: bool = True):
             )
             end = ("?", (0, 0, 0))
         names.append(plain(end[0]))
-        found.append(vector(end[1], f"{where} ({end[0]})", problems))
+        coordinates.append(vector(end[1], f"{where} ({end[0]})", problems))
     twice = [name for i, name in enumerate(names) if name in names[:i] and name != "?"]
     if twice:
-        hint = "It would do nothing: name another body or support at one end."
-        told = "has both ends" if len(names) == 2 else "has two of its ends"
-        problems.add("SELF_SPRING", kind, f"{told} on '{twice[0]}'", value=twice[0], limit="different bodies or supports", hint=hint)
-    return tuple(names), found
+        hint = "It would exert no force: name another body or support at one end."
+        which = "has both ends" if len(names) == 2 else "has two of its ends"
+        problems.add("SELF_SPRING", kind, f"{which} on '{twice[0]}'", value=twice[0], limit="different bodies or supports", hint=hint)
+    return tuple(names), coordinates

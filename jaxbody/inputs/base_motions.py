@@ -1,10 +1,10 @@
-"""The motion of a base from what an accelerometer on it, and perhaps a gyro, recorded: integrated without drift, saying what was removed.
+"""The motion of a base from a recorded acceleration, and angular rate where there is a gyro: integrated, with its drift removed.
 
     x(t) = x0 + v0 t + int int (a - b),   b = sum_k c_k B_k(t),   c, x0, v0: least squares of x over the record
 
-A bias that the instrument adds grows with t^2 in x. It cannot be told from a true slow motion; so all slow motion is removed: that of the functions B_k, a
-polynomial, or all cosines up to a cutoff frequency. What is left is one C2 function of time, whose second derivative at the samples is the
-corrected acceleration itself.
+The error of x from a bias of the instrument grows with t^2. It cannot be distinguished from true slow motion, so all slow motion is
+removed: that of the functions B_k, a polynomial, or all cosines up to a cutoff frequency. The result is a C2 function of time, whose second
+derivative at the samples is the corrected acceleration.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ NAMES = ("x", "y", "z", "about x", "about y", "about z")
 
 
 class Recovered(Result):
-    """A base motion from its accelerations: `motion` (a Motion), `removed` (n, 6), what was taken off the accelerations [m/s2] and rates [rad/s] at
-    `times`, `words` that say it."""
+    """A base motion from its accelerations: `motion` (a Motion); `removed` (n, 6), the part removed from the accelerations [m/s2] and
+    rates [rad/s] at `times`; `words`, its description."""
 
     motion: Sampled
     times: Float[Array, "n"]
@@ -47,7 +47,7 @@ class Recovered(Result):
             for i, name in enumerate(NAMES)
             if peak[i] > 0
         ]
-        heads = ("component", "mean removed", "about it up to", "", "largest motion", "")
+        heads = ("component", "mean removed", "rest removed up to", "", "largest motion", "")
         return [tables.PrintedTable("Base motion", heads, rows, "\n".join(self.words))]
 
 
@@ -65,21 +65,27 @@ def base_motion(
 ) -> Recovered:
     """The motion of a support from the channel `acceleration` of an accelerometer on it, (n, 3) in its axes, or (n,) along `axis`.
 
-    `rates`, the channel of a gyro (n, 3) beside it; without one the base does not turn. `axes` (3, 3), the instrument's axes as columns, in
-    world axes, base in its reference pose (its own are the world's without); `at` [m], its place from the support's origin, which matters where the
-    base turns. `gravity` [m/s2], world axes, where the accelerometer reads it (+g upward at rest): needed with `rates`, as a tilted one then reads
-    it elsewhere; else it goes with the constant. The base is in its reference pose on average.
+    Args:
+        record: with the channels
+        acceleration: name of the accelerometer's channel [m/s2]
+        axis: direction of a channel of one column, world axes
+        rates: name of a gyro's channel (n, 3) [rad/s]; None: the base does not turn
+        axes: (3, 3), the instrument's axes as columns, in world axes with the base in its reference pose; None: the world's axes
+        at: position of the instrument from the support's origin [m], which matters where the base turns
+        gravity: world axes [m/s2], where the accelerometer reads it (+g upward at rest); required with `rates`, as the base tilts
+        degree: of the polynomial removed from the accelerations; 0: a constant bias; None: nothing, the base starts at rest in its
+            reference pose
+        cutoff: frequency [Hz] below which all motion is removed, true or not; None: no cutoff
 
-    Removed is all slow motion: that whose acceleration is a polynomial of `degree` (0, a constant bias; None, nothing: it starts at rest
-    in the reference pose), and with `cutoff` [Hz] all up to that frequency, true or not. The same is removed from the rates, and then one degree more from the accelerations,
-    as an angle that drifts tilts gravity.
+    The base is in its reference pose on average. The same polynomial is removed from the rates, and one of the next degree from the
+    accelerations, as a drifting angle tilts gravity.
 
     Errors, all at once: UNKNOWN_CHANNEL, WRONG_DIMENSION, BAD_SHAPE, GAPS, BAD_OPTION, NO_GRAVITY, BAD_AXES. Warns BASE_JUMP.
 
     >>> times = jnp.arange(2000) / 100
     >>> record = Record(times, {"acc": (0.2 - jnp.cos(2 * jnp.pi * times), "m/s2")})
     >>> motion = base_motion(record, "acc", axis=[1, 0, 0]).motion
-    >>> round(float(motion(jnp.array(10.0))[0]) * 39.478, 2)  # cos(2 pi t)/(2 pi)^2, but for the little of it that is slow
+    >>> round(float(motion(jnp.array(10.0))[0]) * 39.478, 2)  # cos(2 pi t)/(2 pi)^2, less its small slow part
     1.0
     """
     problems = Problems()
@@ -90,69 +96,67 @@ def base_motion(
     g = None if gravity is None else checked(gravity, ((3,),), "base_motion.gravity", problems)
     _check_options(record, degree, cutoff, problems)
     if w is not None and gravity is None:
-        hint = "Say gravity=[0, 0, -9.81], or zeros if the accelerometer does not read it."
+        hint = "Give gravity=[0, 0, -9.81], or zeros if the accelerometer does not read it."
         problems.add("NO_GRAVITY", "base_motion.gravity", "is not stated, with rates", limit="three numbers [m/s2]", hint=hint)
     problems.raise_if_any()
     t = record.times - record.times[0]
-    turn, gone = np.zeros((len(t), 3)), np.zeros((len(t), 6))
+    turn, removed = np.zeros((len(t), 3)), np.zeros((len(t), 6))
     a = f @ A.T
     if w is not None:
-        turn, gone[:, 3:] = _turned(t, w @ A.T, _slow(t, degree, cutoff))
-        degree = None if degree is None else degree + 1  # what a bias of the rates leaves in the angles tilts gravity
+        turn, removed[:, 3:] = _turned(t, w @ A.T, _slow(t, degree, cutoff))
+        degree = None if degree is None else degree + 1  # a bias of the rates tilts gravity
         a = np.asarray(jax.vmap(lambda phi, f: rotations.exp(phi) @ f)(turn, a)) + (0 if g is None else g)
         if np.any(r):
             a = a - _swing(record.times, turn, r)
     slow = _slow(t, degree, cutoff)
-    x0, v0, gone[:, :3] = _drift(t, a, slow)
+    x0, v0, removed[:, :3] = _drift(t, a, slow)
     motion = Sampled.from_accelerations(
-        record.times, translation=a - gone[:, :3], initial_position=[*x0, 0, 0, 0], initial_velocity=[*v0, 0, 0, 0]
+        record.times, translation=a - removed[:, :3], initial_position=[*x0, 0, 0, 0], initial_velocity=[*v0, 0, 0, 0]
     )
     if w is not None:
         spline = Sampled(record.times, rotation=turn)
         merged = [m.at[:, 3:].set(s[:, 3:]) for m, s in ((motion.values, spline.values), (motion.curvatures, spline.curvatures))]
         motion = eqx.tree_at(lambda m: (m.values, m.curvatures), motion, merged)
     return Recovered(
-        motion, jnp.asarray(record.times), jnp.asarray(gone), jnp.asarray(Status.OK), _words(t, degree, cutoff, slow, w is not None)
+        motion, jnp.asarray(record.times), jnp.asarray(removed), jnp.asarray(Status.OK), _words(t, degree, cutoff, slow, w is not None)
     )
 
 
 def _channel(record: Record, name: str, dimension: units.Dimension, axis: Any, problems: Problems) -> np.ndarray:
-    """A channel as (n, 3), zeros where it is not what it should be."""
-    where, nothing = f"Record['{name}']", np.zeros((len(record.times), 3))
+    """A channel as (n, 3); zeros where it is not suitable, with a problem added."""
+    where, zeros = f"Record['{name}']", np.zeros((len(record.times), 3))
     try:
         x = record[name]
     except JaxbodyError as error:
         problems.collected += error.problems
-        return nothing
-    if record.units[name] != (wanted := units.si_words(dimension)):
+        return zeros
+    if record.units[name] != (expected := units.si_words(dimension)):
         problems.add(
-            "WRONG_DIMENSION", where, f"is in {record.units[name]}", value=record.units[name], limit=wanted, hint="Name another channel."
+            "WRONG_DIMENSION", where, f"is in {record.units[name]}", value=record.units[name], limit=expected, hint="Name another channel."
         )
     if record.sampling.missing or np.isnan(x).any():
         count = record.sampling.missing + int(np.isnan(x).any(tuple(range(1, x.ndim))).sum())
         hint = 'Read the record with fill="spline", or take a part without gaps.'
-        problems.add("GAPS", where, f"lacks {count} samples", value=count, limit="none, for what is integrated", hint=hint)
+        problems.add("GAPS", where, f"lacks {count} samples", value=count, limit="none, as it is integrated", hint=hint)
     if axis is not None and x.ndim == 1:
         direction = checked(axis, ((3,),), "base_motion.axis", problems)
         length = 0.0 if direction is None else float(np.linalg.norm(direction))
         if direction is not None and not length:
             problems.add("ZERO_AXIS", "base_motion.axis", "has length zero", value=axis, limit="> 0", hint="Give a direction.")
-        return nothing if not length else x[:, None] * direction / length
-    if x.shape != nothing.shape or axis is not None:
-        hint = "Give axis= with one column, and none with three."
-        problems.add(
-            "BAD_SHAPE", where, f"has shape {x.shape}", value=x.shape, limit=f"{nothing.shape}, or one column and axis=", hint=hint
-        )
-        return nothing
+        return zeros if not length else x[:, None] * direction / length
+    if x.shape != zeros.shape or axis is not None:
+        hint = "Give axis= for one column, and leave it out for three."
+        problems.add("BAD_SHAPE", where, f"has shape {x.shape}", value=x.shape, limit=f"{zeros.shape}, or one column and axis=", hint=hint)
+        return zeros
     return x
 
 
 def _axes(axes: Any, problems: Problems) -> np.ndarray:
     A = shaped(axes, (3, 3), "base_motion.axes", problems)
     if not problems.collected and (np.abs(A.T @ A - np.eye(3)).max() > 1e-6 or np.linalg.det(A) < 0):
-        told = f"is no rotation: |A'A - 1| = {np.abs(A.T @ A - np.eye(3)).max():.2g}, determinant {np.linalg.det(A):.3g}"
+        message = f"is not a rotation: |A'A - 1| = {np.abs(A.T @ A - np.eye(3)).max():.2g}, determinant {np.linalg.det(A):.3g}"
         problems.add(
-            "BAD_AXES", "base_motion.axes", told, value=A, limit="orthogonal, right-handed", hint="Columns: the instrument's axes."
+            "BAD_AXES", "base_motion.axes", message, value=A, limit="orthogonal, right-handed", hint="Columns: the instrument's axes."
         )
     return np.asarray(A)
 
@@ -162,11 +166,11 @@ def _check_options(record: Record, degree: Any, cutoff: Any, problems: Problems)
         problems.add(
             "BAD_OPTION", "base_motion.degree", f"is {degree!r}", value=degree, limit="0 to 10, or None", hint="0 is a constant bias."
         )
-    most = record.sampling.rate / 10
-    if cutoff is not None and not (isinstance(cutoff, int | float) and 0 < cutoff <= most and degree is not None):
-        hint = "With a cutoff a constant is always removed: leave degree=0." if degree is None else "In Hz, below what matters."
+    highest = record.sampling.rate / 10
+    if cutoff is not None and not (isinstance(cutoff, int | float) and 0 < cutoff <= highest and degree is not None):
+        hint = "A cutoff always removes a constant too: leave degree=0." if degree is None else "In Hz, below the frequencies of interest."
         problems.add(
-            "BAD_OPTION", "base_motion.cutoff", f"is {cutoff!r} Hz", value=cutoff, limit=f"0 to {most:.4g} Hz, degree >= 0", hint=hint
+            "BAD_OPTION", "base_motion.cutoff", f"is {cutoff!r} Hz", value=cutoff, limit=f"0 to {highest:.4g} Hz, degree >= 0", hint=hint
         )
 
 
@@ -180,26 +184,26 @@ def _slow(t: np.ndarray, degree: int | None, cutoff: float | None) -> np.ndarray
 
 
 def _integral(t: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """From zero, of what is linear between samples."""
+    """Integral from zero of a function that is linear between samples."""
     h = np.diff(t)[:, None]
     return np.concatenate([np.zeros((1, a.shape[1])), np.cumsum(h * (a[1:] + a[:-1]) / 2, 0)])
 
 
 def _double_integral(t: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """From zero at zero speed, of what is linear between samples."""
+    """Double integral from zero, at zero speed, of a function that is linear between samples."""
     h = np.diff(t)[:, None]
     steps = h * _integral(t, a)[:-1] + h**2 * (2 * a[:-1] + a[1:]) / 6
     return np.concatenate([np.zeros((1, a.shape[1])), np.cumsum(steps, 0)])
 
 
 def _least(basis: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Coefficients of least squares, columns scaled."""
+    """Least-squares coefficients, with scaled columns."""
     scale = np.linalg.norm(basis, axis=0)
     return np.linalg.lstsq(basis / scale, x, rcond=1e-13)[0] / scale[:, None]
 
 
 def _drift(t: np.ndarray, a: np.ndarray, slow: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x0, v0 and b that leave the least of x."""
+    """x0, v0 and b that minimize the sum of squares of x."""
     if not slow.shape[1]:
         return np.zeros(3), np.zeros(3), np.zeros_like(a)
     mean = a.mean(0)
@@ -209,21 +213,21 @@ def _drift(t: np.ndarray, a: np.ndarray, slow: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _turned(t: np.ndarray, w: np.ndarray, slow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation vectors at the samples from rates in body axes without their drift, and that drift.
+    """Rotation vectors at the samples from rates in body axes, less their drift; and the drift.
 
     R_{i+1} = R_i exp(h (w_i + w_{i+1})/2 + h^2/12 w_i x w_{i+1}), w linear between samples; the mean rotation vector is zero.
     """
     basis = np.hstack([np.ones((len(t), 1)), _integral(t, slow)])
-    gone, start = np.zeros_like(w), np.zeros(3)
+    drift, start = np.zeros_like(w), np.zeros(3)
     if slow.shape[1]:
-        for _ in range(3):  # the drift of small turns, and what the order of turns adds
-            phi = _followed(t, w - gone, start)
+        for _ in range(3):  # first the drift of small turns, then the effect of their order
+            phi = _integrated_turns(t, w - drift, start)
             c = _least(basis, phi)
-            gone, start = gone + slow @ c[1:], start - c[0]
-    return _followed(t, w - gone, start), gone
+            drift, start = drift + slow @ c[1:], start - c[0]
+    return _integrated_turns(t, w - drift, start), drift
 
 
-def _followed(t: np.ndarray, w: np.ndarray, start: np.ndarray) -> np.ndarray:
+def _integrated_turns(t: np.ndarray, w: np.ndarray, start: np.ndarray) -> np.ndarray:
     h = np.diff(t)[:, None]
     return np.asarray(_product(h * (w[1:] + w[:-1]) / 2 + h**2 / 12 * np.cross(w[:-1], w[1:]), start))
 
@@ -240,7 +244,7 @@ def _product(steps: Float[Array, "n 3"], start: Float[Array, "3"]) -> Float[Arra
 
 
 def _swing(times: np.ndarray, turn: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """The acceleration of R r [m/s2] at the samples, of the spline through the turns."""
+    """The acceleration of R r [m/s2] at the samples, from a spline through the turns."""
     motion = Sampled(times, rotation=turn)
 
     def place(t):

@@ -1,6 +1,6 @@
-"""Loads: forces and moments on bodies that no spring exerts, as functions of time. They belong to a run, as the motions of supports do.
+"""Loads: external forces and moments on bodies as functions of time. They belong to a run, like the motions of supports.
 
-A load F, M at a point P of a body enters by its virtual power F . v*_P + M . w*.
+A load F, M at a point P of a body enters the equations of motion by its virtual power F . v*_P + M . w*.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ STANDARD_GRAVITY = 9.80665  # m/s2
 
 
 class Load(eqx.Module):
-    """The base of all loads: a load of one's own derives from it and states `at_point`.
+    """The base class of loads: a load of your own derives from it and states `at_point`.
 
     >>> class Thrust(Load):
     ...     level: jax.Array
@@ -45,11 +45,11 @@ class Load(eqx.Module):
         """Force [N] and moment [N m] at the point, world axes."""
 
     def signals(self) -> tuple[Signal, ...]:
-        """What of it varies with time."""
+        """Its functions of time."""
         return ()
 
     def dead_force(self, t: Float[Array, ""]) -> Float[Array, "3"]:
-        """The force [N] at the point, world axes, of a load that is no more than that wherever its body goes; NaN of others."""
+        """The force [N] at the point, world axes, of a load that does not depend on the motion of its body; NaN for other loads."""
         return jnp.full(3, jnp.nan, t.dtype)
 
     def wrench(self, t: Float[Array, ""], frame: Frame) -> Wrench:
@@ -61,8 +61,13 @@ class Load(eqx.Module):
 class Force(Load):
     """A force and a moment at a point of a body, constant or varying with time, in the axes of the world (dead) or of the body (following).
 
-    `on`: the body, or (body, point). `force` [N] and `moment` [N m]: three numbers each, a Signal (jb.signals) or a function of time. `axes`:
-    "world" or "body". Errors: BAD_AXES, BAD_SHAPE, NON_FINITE.
+    Args:
+        on: the body, or (body, point)
+        force: [N], three numbers, a Signal (jb.signals) or a function of time
+        moment: [N m], likewise
+        axes: "world" or "body"
+
+    Errors: BAD_AXES, BAD_SHAPE, NON_FINITE.
 
     >>> pull = Force(("engine", [0, 0, 0.2]), force=[100.0, 0, 0])
     >>> pull.on
@@ -78,7 +83,9 @@ class Force(Load):
         self.on, self.point = _place(on, "Force", problems)
         self.force, self.moment = (as_signal(x, f"Force.{name}", problems, (3,)) for name, x in (("force", force), ("moment", moment)))
         if axes not in ("world", "body"):
-            problems.add("BAD_AXES", "Force.axes", f"is {axes!r}", value=axes, limit="world or body", hint="Say which axes it keeps.")
+            problems.add(
+                "BAD_AXES", "Force.axes", f"is {axes!r}", value=axes, limit="world or body", hint="Name the axes in which it is given."
+            )
         self.axes = axes
         problems.raise_if_any()
 
@@ -98,9 +105,18 @@ class Unbalance(Load):
 
         F = u (phi'^2 (n1 cos phi + n2 sin phi) + phi'' (n1 sin phi - n2 cos phi))
 
-    n1, n2 across the shaft, `axis`, right-handed: n1 is the projection of the body's x axis (of y, where the shaft is along x). `on`: the body, or
-    (body, point of the shaft); `unbalance` u [kg m]; `frequency` f [Hz] at t = 0, `run_up` r [Hz/s], `phase` p [rad]. The rotor's mass belongs to the body;
-    what the body's own motion does to the unbalance is left out, as u is small beside m L.
+    n1 and n2 are perpendicular to the shaft and make a right-handed frame with `axis`: n1 is the projection of the body's x axis (of y
+    where the shaft is along x). The rotor's mass is part of the body's. The effect of the body's motion on the unbalance is neglected, as u
+    is small compared with the body's mass times its size.
+
+    Args:
+        on: the body, or (body, point of the shaft)
+        axis: of the shaft, body axes
+        unbalance: u [kg m]
+        frequency: f at t = 0 [Hz]
+        run_up: rate r of the frequency [Hz/s]
+        phase: p [rad]
+
     Errors: ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
     >>> motor = Unbalance("motor", axis=[0, 1, 0], unbalance=1e-3, frequency=50.0)
@@ -139,12 +155,22 @@ class Unbalance(Load):
 
 
 class EngineTorque(Load):
-    """The torque of a running engine on its block by orders of the crank's turning,
+    """The reaction torque of a running engine on its block, in orders of the crank's speed,
 
         M = -n (T_0 + sum T_i cos(2 pi o_i f t + p_i))
 
-    opposite to the torque on the crank along n = `axis`, body axes. `frequency` f of the crank [Hz] (3000 rpm: 50), `mean` T_0 [N m], `orders` o_i
-    (2, 4, 6 of a four-cylinder four-stroke engine), `amplitudes` T_i [N m], `phases` p_i [rad]. Errors: ZERO_AXIS, BAD_SHAPE, NON_FINITE.
+    opposite to the torque on the crank.
+
+    Args:
+        on: the body
+        axis: n, the direction of the crank, body axes
+        frequency: f of the crank [Hz] (3000 rpm: 50)
+        orders: o_i, such as 2, 4, 6 for a four-cylinder four-stroke engine
+        amplitudes: T_i [N m]
+        phases: p_i [rad]; None: zero
+        mean: T_0 [N m]
+
+    Errors: ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
     >>> torque = EngineTorque("engine", axis=[1, 0, 0], frequency=13.0, mean=20.0, orders=[2, 4], amplitudes=[60.0, 15.0])
     >>> torque.phases.tolist()
@@ -188,14 +214,16 @@ def loads_of(loads: dict[str, Load] | None, bodies: tuple[str, ...], where: str 
     given = loads_by_name(loads, where, problems)
     for name, load in given.items():
         if load.on not in bodies:
-            words = f"is on '{load.on}', which is no body"
-            problems.add("UNKNOWN_BODY", f"{where}[{name!r}]", words, value=load.on, limit=" ".join(bodies), hint="A load acts on a body.")
+            message = f"is on '{load.on}', which is not a body"
+            problems.add(
+                "UNKNOWN_BODY", f"{where}[{name!r}]", message, value=load.on, limit=" ".join(bodies), hint="A load acts on a body."
+            )
     problems.raise_if_any()
     return tuple(jax.tree.map(device_array, load) for load in given.values())
 
 
 def loads_by_name(loads: Any, where: str, problems: Problems) -> dict[str, Load]:
-    """What of a dict are loads; what is not goes to `problems`."""
+    """The loads of a dict; anything else in it is a problem."""
     given = checked_dict(loads, where, "name: jb.Force(...)", problems)
     for name, load in given.items():
         check_kind(load, Load, f"{where}[{name!r}]", "jb.Force(...) or another Load", problems)

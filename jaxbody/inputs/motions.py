@@ -1,6 +1,6 @@
 """Imposed motions: one function of time, Xi(t) = (translation of the support's origin, rotation vector), from its reference pose.
 
-Velocity and acceleration are derivatives of that function, so they cannot disagree with it.
+Velocity and acceleration are derivatives of this function, and so always consistent with it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from jaxbody.inputs.samples import cell, curvatures, is_uniform, kinks_of
 from jaxbody.numerics.elementary_functions import sincos
 
 JUMP = 20  # standard deviations of the steps from sample to sample
-LARGEST_TURN = np.deg2rad(30)  # between samples
+LARGEST_TURN = np.deg2rad(30)  # from sample to sample
 
 
 class Motion(eqx.Module):
@@ -45,7 +45,7 @@ class Motion(eqx.Module):
         return -np.inf, np.inf
 
     def kinks(self) -> Array | None:
-        """Times [s] between which it is smooth and at which it is rough, where steps of an integration had better end."""
+        """Times [s] at which the motion is not smooth, where integration steps should end; None where there are none."""
 
     def __add__(self, other: Motion | Callable[[Array], Array]) -> MotionSum:
         return MotionSum((self, as_motion(other)))
@@ -68,8 +68,14 @@ class AtRest(Motion):
 class Harmonic(Motion):
     """Xi_i = a_i cos(2 pi f t + p_i).
 
-    frequency f [Hz], one number or one per component; amplitudes `translation` [m] and `rotation` [rad];
-    phases `translation_phase` and `rotation_phase` [rad]. Warns UNIT of turns by more than one. Source: the paper's (78), with a phase per axis.
+    Args:
+        frequency: f [Hz], one number or one per component
+        translation: amplitudes [m]
+        rotation: amplitudes [rad]
+        translation_phase: p_i [rad], one number or one per axis
+        rotation_phase: p_i [rad], one number or one per axis
+
+    Warns UNIT of amplitudes of more than one turn. Source: the paper's (78), with a phase per axis.
 
     >>> import jax.numpy as jnp
     >>> Harmonic(frequency=2.0, translation=[0.01, 0, 0])(jnp.array(0.25)).tolist()[0]
@@ -120,7 +126,7 @@ class MotionSum(Motion):
 
 
 class Delayed(Motion):
-    """Xi(t) = motion(t - delay): the same motion `delay` [s] later, such as what a rear wheel feels of a front wheel's road.
+    """Xi(t) = motion(t - delay): the same motion `delay` [s] later, such as that of a rear wheel on the front wheel's road.
 
     >>> import jax.numpy as jnp
     >>> motion = Delayed(Harmonic(frequency=2.0, translation=[0.01, 0, 0]), 0.25)
@@ -150,7 +156,7 @@ class Delayed(Motion):
 
 
 class MotionFunction(Motion):
-    """Any JAX function of time that returns Xi; a re-made function is compiled anew (make it a Motion with array leaves to avoid that)."""
+    """Any JAX function of time that returns Xi. Each new function object is compiled again; a Motion with array leaves avoids that."""
 
     function: Callable[[Array], Array] = eqx.field(static=True)
 
@@ -159,15 +165,15 @@ class MotionFunction(Motion):
 
 
 class Sampled(Motion):
-    """A C2 cubic spline through samples: translation [m] and rotation vectors [rad] (or unit quaternions w, x, y, z) at increasing times [s].
+    """A C2 cubic spline through samples of translation [m] and rotation vectors [rad] (or unit quaternions w, x, y, z) at times [s].
 
-    Between knots h = t_{i+1} - t_i apart, with a = (t_{i+1} - t)/h and b = (t - t_i)/h, values y and second derivatives m,
+    Between samples h = t_{i+1} - t_i apart, with a = (t_{i+1} - t)/h and b = (t - t_i)/h, values y and second derivatives m,
 
         Xi(t) = a y_i + b y_{i+1} + h^2/6 ((a^3 - a) m_i + (b^3 - b) m_{i+1}).
 
-    Through positions the m follow from continuity of Xi', with the end slopes of the cubic through the four outermost samples.
-    `Sampled.from_accelerations` takes the m themselves and integrates them from stated initial values: acceleration is then linear
-    between samples, as in earthquake engineering. Asking outside the samples is an error; warns BASE_JUMP of a step of more than 20 standard deviations of the steps.
+    The m follow from continuity of Xi', with the end slopes of the cubic through the four outermost samples. `Sampled.from_accelerations`
+    takes the m and integrates them from given initial values: acceleration is then linear between samples, as in earthquake
+    engineering. Times outside the samples are an error. Warns BASE_JUMP of a step of more than 20 standard deviations of the steps.
 
     >>> times = jnp.linspace(0, 1, 11)
     >>> drift = Sampled(times, translation=jnp.stack([times**2, 0 * times, 0 * times], 1))
@@ -179,7 +185,7 @@ class Sampled(Motion):
     values: Float[Array, "n 6"] = field("m, rad")
     curvatures: Float[Array, "n 6"] = field("m/s2, rad/s2")
     uniform: bool = eqx.field(static=True)
-    rough: bool = eqx.field(static=True)  # as accelerations with their noise are
+    rough: bool = eqx.field(static=True)  # from accelerations with noise
 
     def __init__(self, times, *, translation=None, rotation=None):
         times, values = _samples(times, translation, rotation, Problems(), minimum=4)
@@ -191,8 +197,15 @@ class Sampled(Motion):
     def from_accelerations(
         cls, times, *, translation=None, rotation=None, initial_position=(0, 0, 0, 0, 0, 0), initial_velocity=(0, 0, 0, 0, 0, 0)
     ) -> Sampled:
-        """Xi'' linear between the samples `translation` [m/s2] and `rotation` (second derivative of the rotation vector [rad/s2];
-        the angular acceleration where the turn keeps its axis), Xi and Xi' at the first sample as stated (6 numbers each)."""
+        """The motion whose Xi'' is linear between samples.
+
+        Args:
+            times: of the samples [s], increasing
+            translation: accelerations [m/s2]
+            rotation: second derivative of the rotation vector [rad/s2], which is the angular acceleration where the axis is constant
+            initial_position: Xi at the first sample, 6 numbers [m, rad]
+            initial_velocity: Xi' at the first sample, 6 numbers [m/s, rad/s]
+        """
         problems = Problems()
         x0 = shaped(initial_position, (6,), "Sampled.initial_position", problems)
         v0 = shaped(initial_velocity, (6,), "Sampled.initial_velocity", problems)
@@ -221,7 +234,7 @@ class Sampled(Motion):
 
 
 def as_motion(motion: Motion | Callable[[Array], Array], where: str = "motion") -> Motion:
-    """A motion stays one; a bare Python function of time becomes one."""
+    """The Motion of a motion or of a Python function of time."""
     if not callable(motion) or isinstance(motion, type):
         hint = "Give a Motion or a function t -> Xi, 6 numbers."
         raise JaxbodyError(Problem("WRONG_KIND", where, f"is {kind_of(motion)}", motion, "a Motion, as jb.Harmonic(...)", hint))
@@ -229,7 +242,7 @@ def as_motion(motion: Motion | Callable[[Array], Array], where: str = "motion") 
 
 
 def check_motion(motion: Motion, where: str, problems: Problems) -> None:
-    """A motion of the user's can be traced and returns six numbers; those of one structure are traced once."""
+    """Check that JAX can trace the user's parts of a motion and that they return six numbers; each structure is traced once."""
     if any(map(is_own, _parts(motion))):
         leaves, structure = jax.tree.flatten(functions_as_nodes(motion))
         kinds = tuple(jax.ShapeDtypeStruct(np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
@@ -237,9 +250,9 @@ def check_motion(motion: Motion, where: str, problems: Problems) -> None:
 
 
 def _parts(motion: Motion) -> list[Motion]:
-    """The motions that a motion is made of."""
-    within = motion.terms if isinstance(motion, MotionSum) else (motion.motion,) if isinstance(motion, Delayed) else ()
-    return [part for one in within for part in _parts(one)] if within else [motion]
+    """The elementary motions of a motion, with sums and delays taken apart."""
+    inner = motion.terms if isinstance(motion, MotionSum) else (motion.motion,) if isinstance(motion, Delayed) else ()
+    return [part for one in inner for part in _parts(one)] if inner else [motion]
 
 
 @functools.lru_cache(maxsize=64)
@@ -250,7 +263,7 @@ def _faults(structure: Any, kinds: tuple[Any, ...]) -> list[Problem]:
 
 
 def _samples(times, translation, rotation, problems: Problems, minimum: int, turns: bool = True):
-    """Samples of translation and rotation as (times, (n, 6) values); raises with all that is wrong, earlier problems included."""
+    """Samples of translation and rotation as (times, (n, 6) values); raises all problems, earlier ones included."""
     times = check_times(times, problems, "Sampled.times", minimum)
     n = None if times is None else times.shape[0]
     columns = [
@@ -267,7 +280,7 @@ def _samples(times, translation, rotation, problems: Problems, minimum: int, tur
 
 
 def warn_of_jumps(values: Any, times: Any, where: str) -> None:
-    """BASE_JUMP: a step from one sample to the next of more than 20 standard deviations of the steps."""
+    """Warn BASE_JUMP of a step between samples of more than 20 standard deviations of the steps."""
     known, t = concrete(values), concrete(times)
     if known is None or t is None:
         return
@@ -275,36 +288,36 @@ def warn_of_jumps(values: Any, times: Any, where: str) -> None:
     spread = np.sqrt(np.mean(steps**2, 0))
     if (steps > JUMP * spread).any():
         i, k = np.argwhere(steps > JUMP * spread)[0]
-        words = f"{where} jumps by {steps[i, k]:.4g} along {'xyz'[k]} at {t[i]:.6g} s, {steps[i, k] / spread[k]:.3g} times the usual step"
-        warn("BASE_JUMP", words)
+        message = f"{where} jumps by {steps[i, k]:.4g} along {'xyz'[k]} at {t[i]:.6g} s, {steps[i, k] / spread[k]:.3g} times the usual step"
+        warn("BASE_JUMP", message)
 
 
 def _rows(value: Any, n: int | None, widths: tuple[int, ...], where: str, problems: Problems):
-    """Finite rows of numbers, one per time where their number n is known; zeros where there are none, or not such."""
-    nothing = np.zeros((n or 0, 3))
+    """Finite rows of numbers, one per time where their number n is known; zeros for None, and where a problem is added."""
+    zeros = np.zeros((n or 0, 3))
     if value is None:
-        return nothing
+        return zeros
     try:
         array = float_array(value, where)
     except JaxbodyError as error:
         problems.collected += error.problems
-        return nothing
+        return zeros
     if array.ndim != 2 or array.shape[1] not in widths or n not in (None, array.shape[0]):
         limit = " or ".join(f"({n or 'n'}, {width})" for width in widths)
         hint = "The array looks transposed." if array.ndim == 2 and array.shape[0] in widths else "One row per time."
         problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=limit, hint=hint)
-        return nothing
+        return zeros
     known = concrete(array)
     if known is not None and not np.isfinite(known).all():
         row = int(np.argwhere(~np.isfinite(known))[0][0])
         hint = "Cut the record or fill the gap first."
         problems.add("NON_FINITE", where, f"is {known[row].tolist()} at row {row}", value=known[row], limit="finite", hint=hint)
-        return nothing
+        return zeros
     return array
 
 
 def _continuous(samples, problems: Problems, where: str):
-    """Rotation vectors that follow one another without jumps of a whole turn; neighbours must be less than 30 degrees apart."""
+    """Rotation vectors without jumps of a whole turn between samples; neighboring ones must be less than 30 degrees apart."""
     known = concrete(samples)
     if known is None:
         phi = samples if samples.shape[1] == 3 else rotations.log_quaternion(rotations.normalize(samples))
@@ -318,8 +331,8 @@ def _continuous(samples, problems: Problems, where: str):
         norms = np.linalg.norm(known, axis=1)
         if (abs(norms - 1) > 1e-3).any():
             row = int(np.argmax(abs(norms - 1)))
-            told, hint = f"has length {norms[row]:.6g} at row {row}", "Divide it by its length; the order is w, x, y, z."
-            problems.add("BAD_QUATERNION", where, told, value=known[row], limit="1 within 1e-3", hint=hint)
+            message, hint = f"has length {norms[row]:.6g} at row {row}", "Divide it by its length; the order is w, x, y, z."
+            problems.add("BAD_QUATERNION", where, message, value=known[row], limit="1 within 1e-3", hint=hint)
             return np.zeros((len(known), 3))
         w, v = known[:, :1], known[:, 1:]
         v, w = np.where(w < 0, -v, v), abs(w)
@@ -337,14 +350,14 @@ def _continuous(samples, problems: Problems, where: str):
             f"turns by {np.rad2deg(steps[row]):.3g} degrees between rows {row} and {row + 1}",
             value=row,
             limit="30 degrees",
-            hint="Sample faster, or turn the reference pose so that the motion stays clear of whole turns about a changing axis.",
+            hint="Sample faster, or choose a reference pose from which the motion never reaches a whole turn about a changing axis.",
         )
     return out
 
 
 def _nearest(previous, phi, xp):
-    """The rotation of phi as the rotation vector nearest to the previous one: whole turns more or less about its axis, which for no
-    rotation at all is the previous one's."""
+    """The rotation vector of the same rotation, up to whole turns about its axis, that is nearest to the previous one. The axis of a zero
+    rotation is that of the previous one."""
     along = xp.where(xp.any(phi != 0), phi, previous)
     square = xp.sum(along * along)
     axis = along / xp.sqrt(xp.where(square > 0, square, 1.0))

@@ -15,23 +15,31 @@ from jaxbody.core.errors import JaxbodyError, Problems
 from jaxbody.geometry.fields import check_domain, field, kind_of
 from jaxbody.inputs.motions import Motion
 
-FEWEST = 16  # pieces of a profile to look at
+FEWEST = 16  # pieces of a profile in the window
 
 
 class Road(Motion):
-    """What a wheel feels of a road that it drives along: Xi = (0, 0, z_f(s), 0, 0, 0) at the station s = position + speed t, with
+    """The road under a wheel of a moving vehicle: Xi = (0, 0, z_f(s), 0, 0, 0) at the distance s = position + speed t, with
 
         z_f(s) = 1/L int_{s - L/2}^{s + L/2} z ds,
 
-    the average over the contact patch of the tyre (its envelopment of short unevenness; Sayers takes L = 0.25 m), z itself where L = 0.
+    the average over the contact patch of the tyre (its envelopment of short unevenness; Sayers uses L = 0.25 m), or z where L = 0.
 
-    `heights` z [m] at increasing `distances` [m] along the road, linear between them, level beyond the first and the last; `speed` [m/s];
-    `position` [m] of the wheel ahead of the vehicle's origin, negative behind it: a rear wheel feels what the front wheel felt a wheelbase
-    earlier; `footprint` L [m], the length of the contact patch. The model stands in axes that travel with the vehicle, z up. All numbers may
-    be free; only a patch that has grown since to more than twice its length, over more than 16 pieces of the profile, feels NaN.
+    The model is in axes that travel with the vehicle, z up.
 
-    The profile has a kink at every point, which an adaptive step finds by many trials: for a rough road take constant steps, no longer than
-    the time from point to point. Springs and dampers feel it as it is; a joint on the support would miss the jumps of velocity at kinks.
+    Args:
+        distances: along the road [m], increasing
+        heights: z [m] at the distances, linear between them, constant before the first and after the last
+        speed: of the vehicle [m/s]
+        position: of the wheel ahead of the vehicle's origin [m], negative behind it: a rear wheel follows a wheelbase later
+        footprint: L, length of the contact patch [m]; 0: a point
+
+    All numbers may be free in a fit. z_f is NaN where the footprint has since grown to more than twice its length and covers more than 16
+    pieces of the profile.
+
+    The profile has a kink at every point, which costs adaptive steps many rejected trials: for a rough road use constant steps, no longer
+    than the time between points. Springs and dampers follow the profile exactly; a joint on the support would miss the jumps of velocity
+    at kinks.
 
     Errors: NOT_INCREASING distances, BAD_FOOTPRINT below zero, BAD_SHAPE, NON_FINITE, COMPLEX, NOT_A_NUMBER.
     Source: M. W. Sayers, On the calculation of international roughness index from longitudinal road profile, TRR 1501, 1995.
@@ -68,7 +76,15 @@ class Road(Motion):
 
     @classmethod
     def kerb(cls, height, *, at, ramp, speed, position=0.0, footprint=0.0) -> Road:
-        """A level road that rises by `height` [m] (or falls, if negative) on a straight `ramp` [m] long that begins at the distance `at` [m].
+        """A level road with one step on a straight ramp.
+
+        Args:
+            height: of the step [m], negative downwards
+            at: distance at which the ramp begins [m]
+            ramp: its length [m]
+            speed: of the vehicle [m/s]
+            position: of the wheel ahead of the vehicle's origin [m]
+            footprint: length of the contact patch [m]
 
         >>> Road.kerb(0.1, at=5.0, ramp=0.02, speed=8.0).heights.tolist()
         [0.0, 0.1]
@@ -83,28 +99,27 @@ class Road(Motion):
         return jnp.zeros(6, z.dtype).at[2].set(z)
 
     def felt(self, s: Float[Array, ""]) -> Float[Array, ""]:
-        """z_f at the station s [m] of the middle of the patch: the sum over the pieces of the profile, as far as they are in the patch, of
-        length times height in the middle. Lengths are counted from s: differences of antiderivatives would have no digits left far along a
-        long road."""
+        """z_f at the distance s [m] of the middle of the patch: the sum over the pieces of the profile in the patch of length times height
+        at the middle. Lengths are counted from s, as differences of antiderivatives lose all digits far along a long road."""
         last, half = len(self.distances) - 1, self.footprint / 2
         rear = jax.lax.stop_gradient(s - half)
         behind = jnp.searchsorted(self.distances, rear, side="right", method="scan_unrolled") - 1
         first = jnp.clip(behind, 0, last - self.window)
-        # by index: a slice that starts where it may copies the whole profile in a loop
+        # by index: a slice with a variable start copies the whole profile in a loop
         points, z = (x[first + np.arange(self.window + 1)] for x in (self.distances, self.heights))
         d = points - s
-        within = jnp.clip(d, -half, half)
-        middles = (within[1:] + within[:-1]) / 2
-        pieces = jnp.diff(within) * (z[:-1] + jnp.diff(z) / jnp.diff(points) * (middles - d[:-1]))
-        area = (within[0] + half) * z[0] + jnp.sum(pieces) + (half - within[-1]) * z[-1]
+        edges = jnp.clip(d, -half, half)
+        middles = (edges[1:] + edges[:-1]) / 2
+        pieces = jnp.diff(edges) * (z[:-1] + jnp.diff(z) / jnp.diff(points) * (middles - d[:-1]))
+        area = (edges[0] + half) * z[0] + jnp.sum(pieces) + (half - edges[-1]) * z[-1]
         average = area / jnp.where(half > 0, self.footprint, 1.0)
-        seen = (d[-1] >= half) | (first + self.window == last)
-        return jnp.where(seen, jnp.where(half > 0, average, jnp.interp(0.0, d, z)), jnp.nan)
+        covered = (d[-1] >= half) | (first + self.window == last)
+        return jnp.where(covered, jnp.where(half > 0, average, jnp.interp(0.0, d, z)), jnp.nan)
 
 
 def _window(distances, footprint) -> int:
-    """The number of pieces to look at: those under a patch of twice the length, as a power of two for few compilations; all that there are
-    where distances or footprint are being traced."""
+    """The number of pieces in the window: those under a patch of twice the length, rounded up to a power of two so that few programs are
+    compiled; all pieces where distances or footprint are being traced."""
     s, length = concrete(distances), concrete(footprint)
     last = len(distances) - 1
     if s is None or length is None:
@@ -135,5 +150,5 @@ def _check_increasing(distances, problems: Problems) -> None:
         f"has {known[i + 1]:.9g} m after {known[i]:.9g} m, at index {i + 1}",
         value=i + 1,
         limit="increasing",
-        hint="Sort the points; give a step a short ramp.",
+        hint="Sort the points; replace a step by a short ramp.",
     )

@@ -1,4 +1,4 @@
-"""Samples in time: cells, slopes and curvatures of cubic splines, and where a function of time has kinks."""
+"""Samples in time: cells, slopes and curvatures of cubic splines, and the kinks of functions of time."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from jaxbody.core.arrays import concrete
 
 
 def kinks_of(functions: Iterable[Any]) -> Array | None:
-    """Those of several functions of time, in order."""
+    """The kinks of several functions of time, in order."""
     known = [kinks for function in functions if (kinks := function.kinks()) is not None]
     return jnp.sort(jnp.concatenate(known)) if known else None
 
 
 def cell(times: Float[Array, "n"], uniform: bool, t: Float[Array, ""]):
-    """Which samples t is between, i and i + 1, how far apart they are, and the weights a, b of both."""
+    """The index i of the sample before t, the distance to the next one, and the weights a, b of both."""
     n = times.shape[0]
     if uniform:
         i = jnp.floor((t - times[0]) / (times[-1] - times[0]) * (n - 1)).astype(int)
@@ -32,7 +32,7 @@ def cell(times: Float[Array, "n"], uniform: bool, t: Float[Array, ""]):
 
 
 def is_uniform(times) -> bool:
-    """Whether times are equally spaced; False inside jit, where nobody can tell."""
+    """Whether times are equally spaced; False where they are traced."""
     known = concrete(times)
     if known is None:
         return False

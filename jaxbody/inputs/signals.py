@@ -48,11 +48,11 @@ class Signal(eqx.Module):
         return -np.inf, np.inf
 
     def kinks(self) -> Array | None:
-        """Times [s] between which it is smooth and at which its slope jumps, where steps of an integration had better end."""
+        """Times [s] at which its slope jumps, where integration steps should end; None where there are none."""
 
 
 class Constant(Signal):
-    """The same at all times.
+    """A constant.
 
     >>> float(Constant(3.0)(jnp.array(1.0)))
     3.0
@@ -135,7 +135,7 @@ class Samples(Signal):
 
 
 class Function(Signal):
-    """Any JAX function of time; one that is made anew is compiled anew (make it a Signal with array leaves to avoid that).
+    """Any JAX function of time. Each new function object is compiled again; a Signal with array leaves avoids that.
 
     >>> Function(lambda t: 3.0 * t)(0.5).item()
     1.5
@@ -148,7 +148,7 @@ class Function(Signal):
 
 
 def as_signal(value: Any, where: str, problems: Problems, size: tuple[int, ...]) -> Signal:
-    """A signal stays one; a Python function of time, numbers of the size wanted become one."""
+    """The Signal of a signal, of a Python function of time, or of constant numbers of this size."""
     if isinstance(value, Signal):
         signal = value
     elif callable(value):
@@ -161,8 +161,8 @@ def as_signal(value: Any, where: str, problems: Problems, size: tuple[int, ...])
 
 
 def _number_or_vector(value: Any, where: str, problems: Problems) -> Any:
-    found = checked(value, ((), (np.size(value),)), where, problems)
-    return np.zeros(()) if found is None else found
+    array = checked(value, ((), (np.size(value),)), where, problems)
+    return np.zeros(()) if array is None else array
 
 
 def _rows(values: Any, times: Any, problems: Problems) -> Any:

@@ -1,4 +1,4 @@
-"""An imposed motion whose values are not known: a uniform cubic B-spline whose coefficients are fitted along."""
+"""An unknown imposed motion: a uniform cubic B-spline whose coefficients are identified in the fit."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ MOST = 100_000  # intervals
 
 
 class Spline(Motion):
-    """Xi(t) = sum_j B_j(t) values_j . directions, with B_j the cubic B-splines on intervals of equal length from `start` to `stop` [s]: C2 for any
-    values, and each of them felt over four intervals only. In a fit "run1.base.values" may be free, when the base was measured
-    badly or nowhere but through what it shook.
+    """Xi(t) = sum_j B_j(t) values_j . directions, with B_j the cubic B-splines on equal intervals from `start` to `stop` [s]: C2 for any
+    values, each of which acts over four intervals only. In a fit "run1.base.values" may be free, where the motion of the base was measured
+    badly or not at all. `values` (m, k) has a column [m or rad] for each direction. Times outside start to stop are an error.
 
-    `interval` [s], about a third of the shortest period that matters; fewer coefficients than samples. `along`, directions of translation,
-    and `about`, of rotation: rows of three, world axes; `values` (m, k) has a column for each [m or rad]. It starts from zero, or near the
-    motion `like`, by least squares. Asking outside start to stop is an error.
+    Args:
+        start, stop: first and last time [s]
+        interval: [s], about a third of the shortest period of interest; there must be fewer coefficients than samples
+        along: directions of translation, rows of three, world axes
+        about: axes of rotation, rows of three, world axes
+        like: motion that the initial values fit by least squares; None: they are zero
 
     Errors, all at once: BAD_SPAN, BAD_INTERVAL, NO_DIRECTION, BAD_SHAPE, NON_FINITE, TOO_LARGE.
     Source: C. de Boor, A Practical Guide to Splines, 1978, ch. IX.
@@ -66,7 +69,7 @@ class Spline(Motion):
         return weights @ self.values[i + np.arange(4)] @ self.directions
 
     def _weights(self, t: Float[Array, ""]):
-        """The first of the four coefficients that t feels, and their weights, with u the place within the interval."""
+        """The first of the four coefficients at time t, and their weights, with u the position in the interval."""
         n = self.values.shape[0] - 3
         s = (t - self.start) / (self.stop - self.start) * n
         i = jnp.clip(jnp.floor(jax.lax.stop_gradient(s)), 0, n - 1)
@@ -85,8 +88,8 @@ def _intervals(start: float, stop: float, interval: float, problems: Problems) -
             "BAD_INTERVAL", "Spline.interval", f"is {interval:g} s", value=interval, limit="> 0", hint="Give its length in seconds."
         )
     elif (stop - start) / interval > MOST:
-        told, hint = f"makes {(stop - start) / interval:.3g} intervals", "Is it in seconds?"
-        problems.add("TOO_LARGE", "Spline.interval", told, value=interval, limit=f"{MOST}", hint=hint)
+        message, hint = f"makes {(stop - start) / interval:.3g} intervals", "Is it in seconds?"
+        problems.add("TOO_LARGE", "Spline.interval", message, value=interval, limit=f"{MOST}", hint=hint)
     else:
         return max(1, int(np.ceil((stop - start) / interval * (1 - 1e-12))))
     return 1
@@ -97,8 +100,8 @@ def _rows(value: Any, where: str, problems: Problems) -> np.ndarray:
     shape = (len(value), 3) if hasattr(value, "__len__") else (1, 3)
     if shape[0] == 0:
         return np.zeros((0, 3))
-    found = checked(value, (shape,), where, problems, "Give rows of three numbers, [[1, 0, 0]].")
-    return np.zeros((0, 3)) if found is None else np.asarray(found)
+    array = checked(value, (shape,), where, problems, "Give rows of three numbers, [[1, 0, 0]].")
+    return np.zeros((0, 3)) if array is None else np.asarray(array)
 
 
 @eqx.filter_jit
@@ -113,8 +116,8 @@ def _design(spline: Spline, times: Float[Array, "n"]) -> Float[Array, "n m"]:
 
 
 def _near(spline: Spline, motion: Motion) -> Array:
-    """Values by least squares over four times per interval."""
+    """Values by least squares at four times per interval."""
     times = jnp.linspace(spline.start, spline.stop, 4 * spline.values.shape[0])
-    wanted = np.asarray(jax.jit(jax.vmap(motion))(times))
-    components = np.linalg.lstsq(np.asarray(spline.directions).T, wanted.T, rcond=None)[0].T
+    targets = np.asarray(jax.jit(jax.vmap(motion))(times))
+    components = np.linalg.lstsq(np.asarray(spline.directions).T, targets.T, rcond=None)[0].T
     return device_array(np.linalg.lstsq(np.asarray(_design(spline, times)), components, rcond=None)[0])

@@ -1,4 +1,4 @@
-"""Measured curves from files: two columns of text with the units that the file states for them."""
+"""Measured curves from text files: two columns, in the units that the file states."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ FORCES = (units.FORCE, units.MOMENT)
 def read_columns(path: Path, *, largest: float, **text: Any) -> list[Any]:
     """Two columns in SI units."""
     check_file(path, largest)
-    found, problems = read_text(path.read_bytes(), path.name, **text), Problems()
-    where, width = f"{path.name}:{found.head}", len(found.columns)
+    contents, problems = read_text(path.read_bytes(), path.name, **text), Problems()
+    where, width = f"{path.name}:{contents.head}", len(contents.columns)
     if width != 2:
-        hint = "First elongation or its rate, then force or moment; separator= is what stands between them."
+        hint = "First elongation or its rate, then force or moment; separator= states what separates them."
         raise JaxbodyError(Problem("BAD_SHAPE", where, f"has {width} column{'s' * (width > 1)}", width, "two", hint))
-    columns, of = [], []
-    for (name, column), dimensions in zip(found.columns.items(), (LENGTHS, FORCES), strict=True):
+    columns, read_dimensions = [], []
+    for (name, column), dimensions in zip(contents.columns.items(), (LENGTHS, FORCES), strict=True):
         if column.unit is None:
-            hint = "Write a line of names with their units above the numbers."
+            hint = "Write a line of names with units above the numbers."
             problems.add("NO_UNIT", where, f"states no unit of column '{name}'", limit="elongation [mm], force [N]", hint=hint)
             continue
         unit = problems.gather(lambda column=column: units.parse(column.unit or "", where))
@@ -34,9 +34,9 @@ def read_columns(path: Path, *, largest: float, **text: Any) -> list[Any]:
             hint = "First elongation or its rate, then force or moment."
             problems.add("WRONG_DIMENSION", where, f"has '{name}' in '{unit.text}'", value=unit.text, limit=limit, hint=hint)
         columns.append(column.values * (unit.factor if unit else 1.0))
-        of.append(unit and unit.dimension)
+        read_dimensions.append(unit and unit.dimension)
     problems.raise_if_any()
-    if (of[0] in (units.ANGLE, units.ANGULAR_RATE)) != (of[1] == units.MOMENT):
-        words, hint = "has an angle over a force, or a length over a moment", "A turn goes with a moment, an elongation with a force."
-        raise JaxbodyError(Problem("WRONG_DIMENSION", where, words, tuple(found.columns), "[m] and [N], or [rad] and [N m]", hint))
+    if (read_dimensions[0] in (units.ANGLE, units.ANGULAR_RATE)) != (read_dimensions[1] == units.MOMENT):
+        message, hint = "has an angle with a force, or a length with a moment", "An angle needs a moment, an elongation a force."
+        raise JaxbodyError(Problem("WRONG_DIMENSION", where, message, tuple(contents.columns), "[m] and [N], or [rad] and [N m]", hint))
     return columns

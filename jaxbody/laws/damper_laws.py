@@ -38,7 +38,7 @@ class Digressive(Law):
 
 
 class Friction(Law):
-    """Dry friction, regularized: F = F0 x/sqrt(x^2 + v0^2), 71 % of F0 at the velocity v0, 99.5 % at 10 v0. It creeps where it should stick.
+    """Dry friction, regularized: F = F0 x/sqrt(x^2 + v0^2), 71 % of F0 at the velocity v0, 99.5 % at 10 v0. It creeps instead of sticking.
 
     `level` F0 [N], `velocity` v0 [m/s]. Errors: NEGATIVE, NOT_POSITIVE of the velocity.
 
@@ -48,7 +48,7 @@ class Friction(Law):
 
     words: ClassVar[dict[str, str]] = {"force": "N", "argument": "m/s"}
     level: Number = field("force", "nonnegative")
-    velocity: Number = field("argument", "positive", hint="Say how fast it slides before the full force is there.")
+    velocity: Number = field("argument", "positive", hint="Give the velocity at which it slides with 71 % of the force.")
 
     def __init__(self, *, level, velocity):
         problems = Problems()

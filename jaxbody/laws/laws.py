@@ -1,11 +1,10 @@
-"""Force laws F(x) of one number: of springs over the elongation x [m], F and its energy U; of dampers over the rate of it x [m/s], F and
-its dissipation potential U.
+"""Force laws F(x) of one variable: elongation of a spring [m], U its energy, or rate of a damper [m/s], U its dissipation potential.
 
     F(x) = dU/dx,   U(0) = 0
 
-A law states one of the two; the other is its derivative, or its integral by Gauss-Legendre quadrature. Tension is positive, so a spring
-that is pressed has x < 0 and F < 0. Everything in a law is an array and can be free in a fit. Laws add. Torsion elements take the same
-laws in rad and N m.
+A law states one of the two; the other is its derivative, or its integral by Gauss-Legendre quadrature. Tension is positive: in
+compression x < 0 and F < 0. All coefficients are arrays and can be free in a fit. Laws can be added. Torsion elements use the same laws
+in rad and N m.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
 
 
 class Law(eqx.Module):
-    """The base of all laws: a law of one's own derives from it and states `force` or `potential`.
+    """The base class of laws: a law of your own derives from it and states `force` or `potential`.
 
     >>> class Cubic(Law):
     ...     coefficient: jax.Array
@@ -53,11 +52,11 @@ class Law(eqx.Module):
         return jax.grad(self.potential)(x)
 
     def slope(self, x: Number) -> Number:
-        """dF/dx, the stiffness or damping there."""
+        """dF/dx, the tangent stiffness or damping."""
         return jax.jvp(self.force, (x,), (jnp.ones_like(x),))[1]
 
     def beyond(self, x: Number) -> Bool[Array, ""]:
-        """True where the law is continued beyond what it is known for."""
+        """True where x lies beyond the range for which the law is known."""
         return jnp.zeros(jnp.shape(x), bool)
 
     def __add__(self, other: Any) -> Sum:
@@ -65,7 +64,7 @@ class Law(eqx.Module):
 
 
 def as_law(value: Any, where: str, problems: Problems) -> Law | None:
-    """A law stays one; a number is the coefficient of a linear one; a Python function x -> F becomes one; None is no law."""
+    """The law of a law, of the coefficient of a linear one, or of a Python function x -> F; None for None."""
     if value is None or isinstance(value, Law):
         return value
     if callable(value):
@@ -85,7 +84,7 @@ class Linear(Law):
     20.0
     """
 
-    coefficient: Number = field("force/argument", "nonnegative", hint="If it is meant, say Polynomial([...]).")
+    coefficient: Number = field("force/argument", "nonnegative", hint="If this is intended, use Polynomial([...]).")
 
     def __init__(self, coefficient):
         problems = Problems()
@@ -100,8 +99,8 @@ class Linear(Law):
 
 
 class Function(Law):
-    """Any JAX function x -> F of the user; one that is made anew is compiled anew (make it a Law with array leaves to avoid that). Its energy
-    is a quadrature with twenty nodes, exact where F is smooth.
+    """Any JAX function x -> F. Each new function object is compiled again; a Law with array leaves avoids that. The energy is a quadrature
+    with twenty nodes, exact to rounding where F is smooth.
 
     >>> round(float(Function(lambda x: jnp.sinh(x)).potential(jnp.array(1.0))), 12)
     0.543080634815
@@ -114,7 +113,7 @@ class Function(Law):
 
 
 class Sum(Law):
-    """F = the sum of the forces of its laws: a spring and its bump stop.
+    """The sum of several laws, such as a spring and its bump stop.
 
     >>> float((Linear(100.0) + jb.laws.Stop(gap=0.1, stiffness=1000.0, engagement=0.01)).force(jnp.array(-0.2)))
     -115.0
@@ -172,12 +171,12 @@ def slope(law: Law | None, x: Number) -> Number:
 
 
 def beyond(law: Law | None, x: Number) -> Bool[Array, ""]:
-    """Whether a law is continued beyond what it is known for."""
+    """True where x lies beyond the range for which the law is known."""
     return jnp.zeros(jnp.shape(x), bool) if law is None else law.beyond(x)
 
 
 def parts(law: Law) -> list[Any]:
-    """The laws that a law is made of."""
+    """The elementary laws of a law, with sums and two-sided laws taken apart."""
     return jax.tree.leaves(law, is_leaf=lambda part: isinstance(part, Law) and not isinstance(part, Sum | TwoSided))
 
 
@@ -185,7 +184,7 @@ def parts(law: Law) -> list[Any]:
 
 
 def _made(kind: type, **fields) -> Any:
-    """A law of fields that are known to be good."""
+    """A law with these fields, which are already checked."""
     law = object.__new__(kind)
     for name, value in fields.items():
         object.__setattr__(law, name, value)
@@ -200,17 +199,16 @@ def law_of(value: Any, where: str, problems: Problems) -> Law:
 
 
 def row_of_numbers(value: Any, where: str, problems: Problems, least: int) -> Any:
-    """Finite numbers in a row."""
+    """A one-dimensional array of finite numbers."""
     n = max(np.size(value), 1) if not hasattr(value, "aval") else value.shape[0]
     array = checked(value, ((n,),), where, problems, f"Give a row of at least {least} numbers.")
     return np.zeros(0) if array is None else array
 
 
 class TwoSided(Law):
-    """One law on either side: F = bump(x) for x < 0, rebound(x) for x > 0; its slope at 0 is the mean of the two.
+    """Two laws: F = bump(x) for x < 0, rebound(x) for x > 0; the slope at 0 is the mean of both.
 
-    `bump` (a shortening spring or damper) and `rebound` (a lengthening one): laws or numbers; with numbers, as a damper, the bilinear
-    damper.
+    `bump` (spring or damper in compression) and `rebound` (in extension): laws or numbers. Two numbers make a bilinear damper.
 
     >>> damper = TwoSided(bump=800.0, rebound=2400.0)
     >>> float(damper.force(jnp.array(-0.5))), float(damper.force(jnp.array(0.5))), float(damper.slope(jnp.array(0.0)))
@@ -236,5 +234,5 @@ class TwoSided(Law):
 
     def _each(self, x, value):
         below, above = value(self.bump, jnp.where(x <= 0, x, 0.0)), value(self.rebound, jnp.where(x >= 0, x, 0.0))
-        side = jnp.sign(x)  # 0 at 0, where the derivatives are then those of the mean
+        side = jnp.sign(x)  # 0 at 0, so that derivatives there are the means of both sides
         return (1 - side) / 2 * below + (1 + side) / 2 * above

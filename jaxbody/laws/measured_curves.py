@@ -1,4 +1,4 @@
-"""Laws through measured points, of tables and of files."""
+"""Laws through measured points, from arrays or files."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from jaxbody.laws.laws import Law, row_of_numbers
 
 
 class Table(Law):
-    """Through measured points by monotone cubics (Fritsch, Carlson, SIAM J. Numer. Anal. 17 (1980) 238, slopes of Fritsch and Butland):
-    between x_i and x_{i+1}, h apart, with u = (x - x_i)/h,
+    """Interpolation of measured points by monotone cubics (Fritsch, Carlson, SIAM J. Numer. Anal. 17 (1980) 238, slopes of Fritsch and
+    Butland): between x_i and x_{i+1}, h apart, with u = (x - x_i)/h,
 
         F = (1 + 2u)(1 - u)^2 F_i + u^2 (3 - 2u) F_{i+1} + h u (1 - u)^2 m_i - h u^2 (1 - u) m_{i+1}
 
-    U is its exact integral. Beyond the points F goes on straight with the end slope, and results say TABLE_RANGE. `x` [m or m/s]
-    increasing, `forces` [N] not falling, at least four. `Table.read` takes them from a file with units. Errors, all at once: TABLE_SHORT,
-    TABLE_UNSORTED, TABLE_DUPLICATE, TABLE_FALLS, BAD_SHAPE, NON_FINITE.
+    U is its exact integral. Beyond the points F continues with the slope at the end, and results have the status TABLE_RANGE. At least
+    four points: `x` [m or m/s], increasing, and `forces` [N], not decreasing. `Table.read` reads them from a file with units.
+    Errors, all at once: TABLE_SHORT, TABLE_UNSORTED, TABLE_DUPLICATE, TABLE_FALLS, BAD_SHAPE, NON_FINITE.
 
     >>> float(Table([-1, 0, 1, 2], [-10, 0, 10, 40]).force(jnp.array(3.0))) > 70
     True
@@ -52,11 +52,19 @@ class Table(Law):
         footer: int = 0,
         largest: float = 1e8,
     ) -> Table:
-        """From a file of two columns with their names and units above them, `elongation [mm], force [kN]`; lines that start with # are comments.
+        """The law in a text file of two columns below their names and units, `elongation [mm], force [kN]`.
 
-        Units of length or angle or their rates, then of force or moment. `separator`, as the first line of numbers has it unless stated; `decimal`, "," of
-        decimal commas; `encoding`, `skip` and `footer`, lines left out at the start and at the end; `largest`, of the file [bytes]: as of `read_record`.
-        Errors: those of a table of text in `read_record`, NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, BAD_SHAPE of other than two columns, and those of the table.
+        Args:
+            path: of the file; its lines that start with # are comments. Units: length or angle or their rates, then force or moment
+            separator: between the columns; None: that of the first line of numbers
+            decimal: "," for decimal commas
+            encoding: of the text
+            skip: number of lines to leave out at the start
+            footer: number of lines to leave out at the end
+            largest: size of the file that is still read [bytes]
+
+        Errors: those of text files in `read_record`, NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, BAD_SHAPE unless there are two columns, and
+        those of the table.
         """
         text = {"separator": separator, "decimal": decimal, "encoding": encoding, "skip": skip, "footer": footer}
         return cls(*read_columns(Path(path), largest=largest, **text))
@@ -92,7 +100,7 @@ class Table(Law):
         return jnp.clip(jnp.sum(self.x <= jax.lax.stop_gradient(x)) - 1, 0, self.x.shape[0] - 2)
 
     def _cell(self, x):
-        """Place u within its cell, width, forces and slopes at both ends; and how far x lies before the first, after the last point."""
+        """Position u in the cell, its width, forces and slopes at both ends; distances of x before the first and after the last point."""
         i, m = self._index(x), self._slopes()
         inside = jnp.where(x < self.x[0], self.x[0], jnp.where(x > self.x[-1], self.x[-1], x))
         x_of, F_of = jnp.asarray(self.x), jnp.asarray(self.forces)
@@ -101,8 +109,8 @@ class Table(Law):
         return (inside - x_of[i]) / h, h, (F_of[i], F_of[i + 1], m[i], m[i + 1]), before, after
 
     def _slopes(self) -> Float[Array, "n"]:
-        """Inside, the weighted harmonic mean of the chords' slopes beside a point; at the ends, of the parabola through three points, kept
-        within the bounds that make the curve monotone."""
+        """Inside, the weighted harmonic mean of the slopes of the two chords; at the ends, the slope of the parabola through three points,
+        limited so that the curve is monotone."""
         h, d = jnp.diff(self.x), jnp.diff(self.forces) / jnp.diff(self.x)
         rising = d[:-1] * d[1:] > 0
         left, right = jnp.where(rising, d[:-1], 1.0), jnp.where(rising, d[1:], 1.0)
@@ -120,7 +128,7 @@ def _end_slope(h0, h1, d0, d1):
 
 
 def has_range(tree: Any) -> bool:
-    """True when a law in the tree is known for a range only."""
+    """True when the tree holds a law with a limited range."""
     return any(isinstance(leaf, Table) for leaf in jax.tree.leaves(tree, is_leaf=lambda x: isinstance(x, Table)))
 
 
@@ -134,17 +142,17 @@ def _check_table(x: Any, forces: Any, problems: Problems) -> None:
     if len(x) < 4:
         problems.add("TABLE_SHORT", "Table.x", f"has {len(x)} points", value=len(x), limit="at least 4", hint="Measure more points.")
     steps, rises = np.diff(x), np.diff(F)
-    for code, bad, told, hint in (
-        ("TABLE_DUPLICATE", steps == 0, "repeats", "Keep one force for each x, their mean perhaps."),
+    for code, bad, verb, hint in (
+        ("TABLE_DUPLICATE", steps == 0, "repeats", "Keep one force for each x, such as the mean."),
         ("TABLE_UNSORTED", steps < 0, "goes back", "Sort the points by x."),
     ):
         if bad.any():
             i = int(np.flatnonzero(bad)[0])
             problems.add(
-                code, "Table.x", f"{told} at index {i + 1}: {x[i]:g}, then {x[i + 1]:g}", value=i + 1, limit="increasing", hint=hint
+                code, "Table.x", f"{verb} at index {i + 1}: {x[i]:g}, then {x[i + 1]:g}", value=i + 1, limit="increasing", hint=hint
             )
     if (steps > 0).all() and (rises < 0).any():
         i = int(np.flatnonzero(rises < 0)[0])
-        told = f"falls from {F[i]:g} to {F[i + 1]:g} N between x = {x[i]:g} and {x[i + 1]:g}"
-        hint = "Is the sign that of tension? Smooth a noisy record; a law that is meant to fall is a Polynomial or a function."
-        problems.add("TABLE_FALLS", "Table.forces", told, value=i + 1, limit="not falling", hint=hint)
+        message = f"falls from {F[i]:g} to {F[i + 1]:g} N between x = {x[i]:g} and {x[i + 1]:g}"
+        hint = "Is tension positive? Smooth a noisy record; for a law that falls on purpose use a Polynomial or a function."
+        problems.add("TABLE_FALLS", "Table.forces", message, value=i + 1, limit="not falling", hint=hint)

@@ -50,11 +50,18 @@ class Polynomial(Law):
 
 
 class Stop(Law):
-    """A stop that is met after a gap: with the penetration d = -x - gap (an `extension` stop: d = x - gap), w the engagement,
+    """A stop behind a gap: with the penetration d = -x - gap (an `extension` stop: d = x - gap) and the engagement w,
 
         |F| = 0 for d < 0,   k d^2/(2 w) for 0 < d < w,   k (d - w/2) for d > w
 
-    `stiffness` k [N/m], `gap` [m], `engagement` w [m] over which the stiffness comes in: the force has no kink, and its slope at d = 0 is 0.
+    The force has no kink, and its slope at d = 0 is 0.
+
+    Args:
+        gap: [m]
+        stiffness: k [N/m]
+        engagement: w, over which the stiffness builds up [m]
+        extension: a stop against extension; False: against compression
+
     Errors: NEGATIVE of gap or stiffness, NOT_POSITIVE of the engagement.
 
     >>> round(float(Stop(gap=0.06, stiffness=2e5, engagement=0.01).force(jnp.array(-0.1))))
@@ -62,9 +69,9 @@ class Stop(Law):
     """
 
     words: ClassVar[dict[str, str]] = {"force": "N", "argument": "m"}
-    gap: Number = field("argument", "nonnegative", hint="A stop that is pressed at x = 0 is preload: change the free length.")
+    gap: Number = field("argument", "nonnegative", hint="For a stop that is compressed at x = 0 change the free length.")
     stiffness: Number = field("force/argument", "nonnegative")
-    engagement: Number = field("argument", "positive", hint="A hundredth of the travel does little harm.")
+    engagement: Number = field("argument", "positive", hint="A hundredth of the travel has little effect.")
     extension: bool = eqx.field(static=True)
 
     def __init__(self, *, gap, stiffness, engagement=1e-3, extension: bool = False):
@@ -101,7 +108,7 @@ def ramp_slope(d: Number, w: Number) -> Number:
 
 
 class TensionOnly(Law):
-    """A rope: F = k x for x > 0, nothing for x < 0; its slope at 0 is k/2. `stiffness` k [N/m]. Error: NEGATIVE.
+    """A rope: F = k x for x > 0, zero for x < 0; its slope at 0 is k/2. `stiffness` k [N/m]. Error: NEGATIVE.
 
     >>> float(TensionOnly(100.0).force(jnp.array(-0.1))), float(TensionOnly(100.0).force(jnp.array(0.1)))
     (0.0, 10.0)
@@ -123,11 +130,19 @@ class TensionOnly(Law):
 
 
 class AirSpring(Law):
-    """A gas in a cylinder, polytropic: F = A (p_a - p0 (1 + x/h)^-n).
+    """An air spring with a polytropic gas: F = A (p_a - p0 (1 + x/h)^-n).
 
-    `pressure` p0 [Pa, absolute] and `height` h of the column of gas [m] at x = 0, `area` A [m2], `exponent` n (1 isothermal, 1.4 adiabatic),
-    `ambient` p_a. Stiffness at x = 0: n p0 A/h. There is no force for x <= -h: NaN, which results report. Error: NOT_POSITIVE.
-    `AirSpring.carrying(load, ...)` is one that bears a load at x = 0.
+    The stiffness at x = 0 is n p0 A/h. The force is NaN for x <= -h, which results report. `AirSpring.carrying(load, ...)` is one that
+    carries a load at x = 0.
+
+    Args:
+        pressure: absolute, p0 at x = 0 [Pa]
+        area: A [m2]
+        height: h of the column of gas at x = 0 [m]
+        exponent: n, 1 isothermal, 1.4 adiabatic
+        ambient: pressure p_a [Pa]
+
+    Error: NOT_POSITIVE.
 
     >>> spring = AirSpring.carrying(2000.0, area=0.02, height=0.15)
     >>> round(float(spring.force(jnp.array(0.0))), 6), round(float(spring.slope(jnp.array(0.0))))
@@ -147,7 +162,15 @@ class AirSpring(Law):
 
     @classmethod
     def carrying(cls, load, *, area, height, exponent=1.4, ambient=ATMOSPHERE) -> AirSpring:
-        """p0 = p_a + load/A: the spring that pushes with `load` [N] at x = 0."""
+        """The spring that pushes with a force at x = 0: p0 = p_a + load/A.
+
+        Args:
+            load: force at x = 0 [N]
+            area: A [m2]
+            height: of the column of gas at x = 0 [m]
+            exponent: polytropic, 1 isothermal, 1.4 adiabatic
+            ambient: pressure p_a [Pa]
+        """
         return cls(pressure=ambient + load / area, area=area, height=height, exponent=exponent, ambient=ambient)
 
     def force(self, x):

@@ -1,1 +1,1 @@
-"""Bodies, supports and joints by name, kept as arrays; paths to every number."""
+"""Models: bodies, supports, joints and elements by name, stored as arrays; paths to every number."""

@@ -20,12 +20,17 @@ EPS = np.finfo(np.float64).eps
 class Body(eqx.Module):
     """A rigid body.
 
-    mass [kg]; inertia about the centre of mass in body axes [kg m2]: three principal moments, six numbers
-    (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries of the matrix, signs included) or the 3 x 3 matrix, without it none, as of a point mass; `com`, the centre of
-    mass in body coordinates [m]; `position` of the reference point O [m] and `orientation` (unit quaternion w, x, y, z, rotation matrix or `jb.Euler`, body to
-    world) in the reference pose, where the search for equilibrium starts. Of several parts: `Body.of_parts`.
+    Args:
+        mass: [kg]
+        inertia: about the centre of mass in body axes [kg m2]: three principal moments, six numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries
+            of the matrix, signs included) or the 3 x 3 matrix; default: a point mass
+        com: the centre of mass in body coordinates [m]
+        position: of the reference point O in the reference pose, where the search for equilibrium starts [m]
+        orientation: in the reference pose, body to world: unit quaternion w, x, y, z, rotation matrix or `jb.Euler`
 
-    Errors, all found at once: BAD_MASS, NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE, BAD_ROTATION, BAD_QUATERNION, BAD_SHAPE, NON_FINITE,
+    A body of several parts: `Body.of_parts`.
+
+    Errors, all at once: BAD_MASS, NOT_SYMMETRIC, NOT_POSITIVE, TRIANGLE, BAD_ROTATION, BAD_QUATERNION, BAD_SHAPE, NON_FINITE,
     COMPLEX, NOT_A_NUMBER.
 
     >>> float(Body(mass=3.0, inertia=[0.3, 0.9, 1.2]).inertia[1, 1])
@@ -49,11 +54,11 @@ class Body(eqx.Module):
 
     @classmethod
     def of_parts(cls, parts: Sequence[Body], *, position=(0, 0, 0), orientation=IDENTITY) -> Body:
-        """The one rigid body that bodies make together; of each part `position` and `orientation` are those in the whole, and no inertia is a point mass.
+        """One rigid body made of several; `position` and `orientation` of each part are those in the whole.
 
             m = sum m_i,   c = sum m_i c_i/m,   I = sum R_i I_i R_i' + m_i (|d_i|^2 - d_i d_i'),   d_i = c_i - c
 
-        `position` and `orientation`: of the whole, as of a Body. Error: NO_PARTS.
+        `position` and `orientation` are those of the whole, as for a Body. Error: NO_PARTS.
 
         >>> hammer = Body.of_parts([Body(mass=0.2, inertia=[0, 2e-3, 2e-3]), Body(mass=0.5, position=[0.15, 0, 0])])
         >>> round(float(hammer.com[0]), 6), round(float(hammer.inertia[2, 2]), 6)
@@ -73,7 +78,7 @@ class Body(eqx.Module):
 
 
 class Support(eqx.Module):
-    """A frame whose motion is imposed; `position` [m] and `orientation` (as of a body) are its reference pose, motions count from there.
+    """A frame whose motion is imposed, relative to its reference pose: `position` [m] and `orientation` (as for a body).
 
     >>> Support(position=[0, -1, 0]).position.tolist()
     [0.0, -1.0, 0.0]
@@ -97,8 +102,8 @@ def _mass(body: Body, value: Any, problems: Problems) -> Any:
 
 
 def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
-    """The 3 x 3 matrix, of which T sees the symmetric part alone. What round-off may do to it is measured by the inertia about the
-    reference point, I + m (c'c - c c'): that is where an inertia about the centre of mass often comes from."""
+    """The symmetric part of the 3 x 3 matrix. Its round-off is taken relative to the inertia about the reference point,
+    I + m (c'c - c c'), from which it was often computed."""
     where = "Body.inertia"
     hint = "Give three principal moments, (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or the matrix."
     array = checked(value, ((3,), (6,), (3, 3)), where, problems, hint)
@@ -119,7 +124,7 @@ def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Pro
     trace = np.trace(known)
     difference = known - known.T
     moments = np.linalg.eigvalsh((known + known.T) / 2)
-    told = ", ".join(f"{m:.6g}" for m in moments)
+    shown = ", ".join(f"{m:.6g}" for m in moments)
     signs = "Are the signs of the products right?" + (
         " With the other signs it is valid: give entries of the matrix, as Ixy = -sum m x y."
         if _is_valid(2 * np.diag(np.diag(known)) - known, round_off)
@@ -133,13 +138,13 @@ def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Pro
             f"is not symmetric: I - I' = {xy:.3g} (xy), {xz:.3g} (xz), {yz:.3g} (yz)",
             value=difference,
             limit=f"{1e-9 * abs(trace):.3g}",
-            hint="Give (I + I')/2 if that is meant.",
+            hint="Give (I + I')/2 if that is intended.",
         )
     elif moments[0] < -round_off:
         problems.add(
             "NOT_POSITIVE",
             where,
-            f"has principal moments {told} kg m2",
+            f"has principal moments {shown} kg m2",
             value=moments,
             limit=">= 0",
             hint=f"Is it about the centre of mass? {signs}",
@@ -149,10 +154,10 @@ def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Pro
         problems.add(
             "TRIANGLE",
             where,
-            f"has principal moments {told} kg m2: the largest exceeds the sum of the others by {deficit:.3g}",
+            f"has principal moments {shown} kg m2: the largest exceeds the sum of the others by {deficit:.3g}",
             value=moments,
             limit="at most the sum of the two others",
-            hint=f"Is it about the centre of mass? {signs} Are the units one and the same?",
+            hint=f"Is it about the centre of mass? {signs} Are all units the same?",
         )
 
 
@@ -172,23 +177,23 @@ def _matrix_of(array):
 
 
 def warn_of_tiny(names: tuple[str, ...], sizes: np.ndarray, what: str = "mass", unit: str = "kg") -> None:
-    """TINY_MASS: a mass, or an inertia, below 1e-12 of the largest makes the motion stiff."""
+    """Warn TINY_MASS of a mass, or an inertia, below 1e-12 of the largest: it makes the equations stiff."""
     for name, size in zip(names, sizes, strict=True):
         if 0 < size < 1e-12 * sizes.max():
             warn("TINY_MASS", f"{what} of '{name}' is {size:.3g} {unit}, {size / sizes.max():.1g} of the largest: its motion will be stiff")
 
 
 def warn_of_points(bodies: dict[str, Body]) -> None:
-    """ZERO_MOMENT: of these bodies, which are free to turn, those without inertia about an axis."""
+    """Warn ZERO_MOMENT of those of these free bodies that have no inertia about an axis."""
     for name, body in bodies.items():
         known = concrete(body.inertia)
         if known is None:
             continue
         moments, axes = np.linalg.eigh(known)
-        lost = [
+        massless_axes = [
             np.round(axis + 0.0, 3).tolist() for moment, axis in zip(moments, axes.T, strict=True) if moment <= 64 * EPS * np.trace(known)
         ]
-        if lost:
-            told = "any axis" if len(lost) == 3 else f"{lost[0]} of its axes"
-            remedy = "statics is right, modes and simulations need an inertia, or a joint that keeps it from turning there"
-            warn("ZERO_MOMENT", f"'{name}' is free to turn and has no inertia about {told}: {remedy}")
+        if massless_axes:
+            axis = "any axis" if len(massless_axes) == 3 else f"{massless_axes[0]} of its axes"
+            remedy = "statics is right, modes and simulations need an inertia, or a joint that prevents this rotation"
+            warn("ZERO_MOMENT", f"'{name}' is free to turn and has no inertia about {axis}: {remedy}")

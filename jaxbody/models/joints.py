@@ -1,8 +1,8 @@
-"""How a body may move against its parent, which is `world`, a support or another body.
+"""Joints: how a body can move relative to its parent, which is `world`, a support or another body.
 
-A joint knows four things: how its coordinates q change by an increment (`retract`), their rate for given speeds v (`rate`), the pose
-of the body on a posed parent (`pose`) and the velocity of the body per unit of each speed (`axes`). Everything else follows from these.
-The reference pose of the body on its parent, `rest`, belongs to q at rest. Axes and points are in the parent's frame.
+A joint states four functions: how its coordinates q change by an increment (`retract`), their rate for given speeds v (`rate`), the pose
+of the body for a pose of the parent (`pose`) and the velocity of the body per unit of each speed (`axes`). All else follows from these.
+`rest` gives the coordinates of the body's reference pose on its parent. Axes and points are in the parent's frame.
 """
 
 from abc import abstractmethod
@@ -28,11 +28,11 @@ MOVES = ("move along x", "move along y", "move along z")
 
 
 class Joint(eqx.Module):
-    """The base of all joints: nq coordinates, nv speeds; `motions` says in words what each speed does, `turns` which are turns [rad/s];
-    `in_series`, whether an earlier turn turns the axes of the later ones (else the turns of a joint act together).
+    """The base class of joints: nq coordinates, nv speeds; `motions` describes each speed, `turns` says which are rotations [rad/s];
+    `in_series`, whether an earlier rotation turns the axes of later ones (else the rotations of a joint act together).
 
-    A joint of your own states these, `pose` and `axes`; where q is not added up, also `rest`, `retract` and `rate`. A nut on a screw, which
-    falls by g / (1 + I / (m lead^2)):
+    A joint of your own states these, `pose` and `axes`, and, unless increments of q are added, also `rest`, `retract` and `rate`. A nut on
+    a screw, which falls with the acceleration g / (1 + I / (m lead^2)):
 
     >>> from jaxbody.geometry.frames import Pose
     >>> class Screw(Joint):
@@ -45,7 +45,8 @@ class Joint(eqx.Module):
     ...     def axes(self, q, parent, body):
     ...         n = parent.R[:, 2]
     ...         return self.lead * n[None], n[None]
-    >>> model = Model(bodies={"nut": Body(mass=0.3, inertia=[2e-5, 2e-5, 2e-5])}, joints={"nut": Screw("world", jnp.array(0.01))}, gravity=[0, 0, -9])
+    >>> nut = Body(mass=0.3, inertia=[2e-5, 2e-5, 2e-5])
+    >>> model = Model(bodies={"nut": nut}, joints={"nut": Screw("world", jnp.array(0.01))}, gravity=[0, 0, -9])
     >>> round(float(simulate(model, [0.0, 1.0]).poses["nut"].p[-1, 2]), 9)  # 9 / (1 + 2/3) / 2
     -2.7
     """
@@ -79,7 +80,7 @@ class Joint(eqx.Module):
 
 
 class Free(Joint):
-    """Six ways to move. q = (position of O, unit quaternion), v = (velocity of O, angular velocity), in the parent's axes.
+    """Six degrees of freedom: q = (position of O, unit quaternion), v = (velocity of O, angular velocity), in the parent's axes.
 
     >>> Free().parent
     'world'
@@ -110,7 +111,7 @@ class Free(Joint):
 
 
 class Fixed(Joint):
-    """No way to move: the body keeps its reference pose on the parent.
+    """No degree of freedom: the body keeps its reference pose on the parent.
 
     >>> Fixed("base").nq
     0
@@ -221,13 +222,13 @@ class Ball(Joint):
 
 
 class Series(Joint):
-    """Motions of one degree each, one after another with nothing heavy between them: moves along the parent's axes, then turns about
-    the body's reference point O,
+    """Several motions in series, without mass between them: translations along the parent's axes, then rotations about the body's
+    reference point O,
 
         O = O_rest + sum q_i e_i,    R = R_1(q_j) R_2(q_k) ... R_rest,
 
-    each turn about an axis that the turns before it have turned. q: displacements [m] and angles [rad] from the reference pose, v = q'.
-    A kind states `steps`: the axis of each, 0, 1, 2 for x, y, z.
+    each about an axis that the earlier rotations have turned. q: displacements [m] and angles [rad] from the reference pose, v = q'.
+    A subclass states `steps`: the axis of each motion, 0, 1, 2 for x, y, z.
     """
 
     steps: eqx.AbstractClassVar[tuple[int, ...]]
@@ -269,7 +270,7 @@ class Translation(Series):
 
 
 class HeavePitch(Series):
-    """A half car: q = (heave [m] along the parent's z, pitch [rad] about its y), from the reference pose, the turn about the body's
+    """A half car: q = (heave [m] along the parent's z, pitch [rad] about its y) from the reference pose, with the rotation about the body's
     reference point O. With x forward and z up, a positive pitch lowers the front.
 
     >>> HeavePitch("world").motions
@@ -281,9 +282,9 @@ class HeavePitch(Series):
 
 
 class HeavePitchRoll(Series):
-    """A full car: q = (heave [m] along the parent's z, pitch [rad] about its y, roll [rad] about the x that the pitch has turned), from the
-    reference pose, the turns about the body's reference point O. With x forward, y to the left and z up (ISO 8855), a positive pitch
-    lowers the front and a positive roll the right.
+    """A full car: q = (heave [m] along the parent's z, pitch [rad] about its y, roll [rad] about the x axis turned by the pitch) from the
+    reference pose, with the rotations about the body's reference point O. With x forward, y to the left and z up (ISO 8855), a positive
+    pitch lowers the front and a positive roll the right.
 
     >>> HeavePitchRoll("world").motions
     ('move along z', 'turn about y', 'turn about x')

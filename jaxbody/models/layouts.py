@@ -1,4 +1,4 @@
-"""Which coordinate belongs to which joint: names, slices, units and words for each row."""
+"""Layout of the coordinates: which belong to which joint, with names, slices, units and descriptions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ WORLD = "world"
 
 @dataclass(frozen=True)
 class Layout:
-    """What of a model is static: the order of its frames and coordinates, as the user gave the names."""
+    """The static part of a model: the order of its frames and coordinates, in which the user gave the names."""
 
     bodies: tuple[str, ...]
     supports: tuple[str, ...]
@@ -62,7 +62,7 @@ class Layout:
 
     @cached_property
     def depths(self) -> dict[str, int]:
-        """How many joints lie between a body and the world or a support."""
+        """The number of joints between a body and the joint on the world or a support."""
         parent = dict(zip(self.bodies, self.parents, strict=True))
 
         def depth(name: str) -> int:
@@ -72,7 +72,7 @@ class Layout:
 
     @cached_property
     def carries(self) -> np.ndarray:
-        """(nb, nv): 1 where a speed moves a body, being of its own joint or of one before it."""
+        """(nb, nv): 1 where a speed of a body's own joint, or of a joint below it, moves the body."""
         parent = dict(zip(self.bodies, self.parents, strict=True))
         mask = np.zeros((len(self.bodies), self.nv))
         for i, name in enumerate(self.bodies):
@@ -93,12 +93,12 @@ class Layout:
 
     @cached_property
     def motions(self) -> tuple[tuple[str, str], ...]:
-        """For each speed the body and what it does: ("plate", "turn about z")."""
+        """For each speed its body and motion: ("plate", "turn about z")."""
         return tuple((name, motion) for name, kind in zip(self.bodies, self.kinds, strict=True) for motion in kind.motions)
 
     @cached_property
     def coordinates(self) -> tuple[str, ...]:
-        """What each speed (and each component of Delta) does, in words."""
+        """A description of each speed (and each component of Delta)."""
         return tuple(f"{name} {motion}" for name, motion in self.motions)
 
     @cached_property

@@ -1,7 +1,7 @@
-"""Paths: every number of a model or an experiment by name, with wildcards, and back again.
+"""Paths: every number of a model or an experiment by name, with wildcards, to read and to replace it.
 
-A path is a name and a field, "AB.stiffness", "plate.mass", "AB.a"; `*`, `?` and `[...]` match as in file names. Of an experiment
-"run1.initial.v", "run1.base.frequency" (the motion of a support), "run1.corner.point" (a sensor).
+A path is a name and a field, "AB.stiffness", "plate.mass", "AB.a"; `*`, `?` and `[...]` match as in file names. Paths of an experiment
+are "run1.initial.v", "run1.base.frequency" (the motion of a support), "run1.corner.point" (a sensor).
 """
 
 from __future__ import annotations
@@ -50,13 +50,13 @@ class Leaf:
         return array if self.row is None else array[(..., self.row, *[slice(None)] * self.rank)]
 
     def shape(self, arrays: list[Array]) -> tuple[int, ...]:
-        """Of what `read` returns."""
+        """The shape of what `read` returns."""
         shape = arrays[self.array].shape
         return shape if self.row is None else shape[: self.axis(arrays)] + shape[self.axis(arrays) + 1 :]
 
 
 def numbered(tree: Any) -> Any:
-    """The same tree with the numbers of its arrays in their places."""
+    """The tree with each array replaced by its index."""
     treedef = jax.tree.structure(tree)
     return jax.tree.unflatten(treedef, range(treedef.num_leaves))
 
@@ -88,28 +88,28 @@ def _fields(numbers: Any, root: Any) -> list[tuple[str, int, Kind]]:
 def matching(
     leaves: list[Leaf], patterns: Iterable[str], where: str, problems: Problems | None = None, absent: dict[str, str] | None = None
 ) -> dict[str, list[Leaf]]:
-    """The leaves that each pattern means; a pattern that means nothing is an error with the nearest path, or with what `absent` {path: hint} says
-    of one that there could be. It goes to `problems`, where these are collected, and is raised where not."""
-    collected, found = problems is not None, {}
+    """The leaves that match each pattern. A pattern without a match is a problem, with the nearest path, or the hint that `absent`
+    {path: hint} has for it; it is added to `problems`, or raised where there are none."""
+    collect, matches = problems is not None, {}
     problems = Problems() if problems is None else problems
     by_path = {leaf.path: leaf for leaf in leaves}
     for pattern in patterns:
         exact = by_path.get(pattern)
-        found[pattern] = [leaf for leaf in leaves if fnmatchcase(leaf.path, str(pattern))] if exact is None else [exact]
-        if not found[pattern]:
+        matches[pattern] = [leaf for leaf in leaves if fnmatchcase(leaf.path, str(pattern))] if exact is None else [exact]
+        if not matches[pattern]:
             paths = [leaf.path for leaf in leaves]
             near = difflib.get_close_matches(str(pattern), paths, 3, 0.5) or paths[:3]
             hint = next(
                 (how for path, how in (absent or {}).items() if fnmatchcase(path, str(pattern))), f"Did you mean {' or '.join(near)}?"
             )
             problems.add("UNKNOWN_PATH", where, f"'{pattern}' matches nothing.", value=pattern, hint=hint)
-    if not collected:
+    if not collect:
         problems.raise_if_any()
-    return found
+    return matches
 
 
 def write(tree: Any, values: dict[Leaf, Any]) -> Any:
-    """The tree with new values at leaves."""
+    """The tree with new values of some leaves."""
     arrays, treedef = jax.tree.flatten(tree)
     for leaves in by_array(values).values():
         block = values[leaves[0]] if leaves[0].row is None else jnp.stack([values[leaf] for leaf in leaves], leaves[0].axis(arrays))
@@ -118,7 +118,7 @@ def write(tree: Any, values: dict[Leaf, Any]) -> Any:
 
 
 def by_array(leaves: Iterable[Leaf]) -> dict[int, list[Leaf]]:
-    """Leaves that are rows of one array together."""
+    """The leaves grouped by array."""
     groups: dict[int, list[Leaf]] = {}
     for leaf in leaves:
         groups.setdefault(leaf.array, []).append(leaf)
@@ -126,7 +126,7 @@ def by_array(leaves: Iterable[Leaf]) -> dict[int, list[Leaf]]:
 
 
 def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
-    """Write a block of rows into their array, by one operation for any number of them."""
+    """Write a block of rows into their array by one operation."""
     first, rows = leaves[0], [leaf.row for leaf in leaves]
     if first.row is None or rows == list(range(arrays[first.array].shape[first.axis(arrays)])):
         arrays[first.array] = block
@@ -136,7 +136,7 @@ def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
 
 
 def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
-    """{path: value} of everything that a pattern means, in a model or an experiment.
+    """{path: value} of all numbers in a model or an experiment that match a pattern.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -9.81])
     >>> list(paths(model, "mass.m*")), float(paths(model, "mass.mass")["mass.mass"])
@@ -149,8 +149,8 @@ def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
 def replace(tree: Any, values: dict[str, Any]) -> Any:
     """The model or experiment with other values: {path or pattern: value}.
 
-    A value has the shape of one leaf, and then serves every match, or one more leading axis with a value for each match, in the order
-    of `paths`. As when a model is built, an axis may have any length, and masses must be positive and quaternions of unit length.
+    A value has the shape of one leaf, and is then used for every match, or one more leading axis with a value for each match, in the
+    order of `paths`. As when a model is built, an axis may have any length, masses must be positive and quaternions of unit length.
     Errors, all at once: UNKNOWN_PATH, BAD_SHAPE, NON_FINITE, NOT_A_NUMBER, COMPLEX, LISTED_TWICE, BAD_MASS, ZERO_AXIS, BAD_QUATERNION.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})
@@ -158,21 +158,21 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
     3.0
     """
     arrays, treedef = jax.tree.flatten(tree)
-    problems, taken = Problems(), set()
+    problems, listed = Problems(), set()
     values = checked_dict(values, "replace.values", "path: value", problems)
     problems.raise_if_any()
     new: dict[int, list[tuple[list[Leaf], Any]]] = {}
     for pattern, leaves in matching(leaves_of(tree), values, "replace").items():
         where = f"replace['{pattern}']"
         for leaf in leaves:
-            if leaf in taken:
-                problems.add("LISTED_TWICE", where, f"means {leaf.path}, which another pattern means too", value=pattern)
-        taken |= set(leaves)
+            if leaf in listed:
+                problems.add("LISTED_TWICE", where, f"matches {leaf.path}, which another pattern matches too", value=pattern)
+        listed |= set(leaves)
         shapes = sorted({leaf.shape(arrays) for leaf in leaves})
         one = (shapes[0],) if len(shapes) == 1 else ()
         many = tuple((len(leaves), *shape) for shape in one)
-        told = ", ".join(leaf.path for leaf in leaves[:6]) + (", ..." if len(leaves) > 6 else "")
-        hint = f"It means {told}, of shape {' or '.join(map(str, shapes))}." + ("" if one else " Name those of one shape together.")
+        names = ", ".join(leaf.path for leaf in leaves[:6]) + (", ..." if len(leaves) > 6 else "")
+        hint = f"It matches {names}, of shape {' or '.join(map(str, shapes))}." + ("" if one else " Use one pattern for each shape.")
         value = checked(values[pattern], one + many, where, problems, hint)
         if value is None:
             continue
@@ -190,7 +190,7 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
 
 
 def _block(value: Any, rows: list[int] | int, first: Leaf, arrays: list[Array]) -> Any:
-    """Rows of a value, by their numbers in it or the same one repeated, with the axis of rows where the array has it."""
+    """Rows of a value, by their indices in it or the same one repeated, with the axis of rows where the array has it."""
     xp = np if isinstance(value, np.ndarray) else jnp
     if first.row is None:
         return value if isinstance(rows, int) else value[rows[0]]
@@ -227,11 +227,11 @@ def _made(leaf: Leaf, value: Any, where: str, problems: Problems) -> Any:
 
 
 def by_name(names: tuple[tuple[str, ...], ...], tables: tuple[Array, ...], axis: int = 0) -> dict[str, Array]:
-    """{name: row}, for tables of rows along `axis` and the names of their rows."""
+    """{name: row} of tables whose rows, along `axis`, have these names."""
     lead = (slice(None),) * axis
     return {name: table[(*lead, i)] for group, table in zip(names, tables, strict=True) for i, name in enumerate(group)}
 
 
 def springs_of(model: Any) -> list[str]:
-    """Elements whose deformation is one number."""
+    """Names of the elements whose deformation is one number."""
     return [name for table in model.elements if table.rows.size == 1 for name in table.names]

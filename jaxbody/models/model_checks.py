@@ -1,4 +1,4 @@
-"""What a model must be: names that exist, links that end at the world, lines with a direction in the reference pose."""
+"""Checks of a model: names that exist, joints that lead to the world, lines with a direction in the reference pose."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def check_names(problems: Problems, **groups: dict[str, Any]) -> None:
                 problems.add(
                     "BAD_NAME",
                     where,
-                    "is no name",
+                    "is not a valid name",
                     value=name,
                     limit="1 to 200 printable characters",
                     hint="Not `world`, and none of . * ? [ ].",
@@ -60,7 +60,7 @@ def check_names(problems: Problems, **groups: dict[str, Any]) -> None:
 
 
 def of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) -> dict[str, Any]:
-    """The things that are of their kind; those that are not go to `problems`."""
+    """The things of the right kind; a problem is added for each of the others."""
     for name, thing in things.items():
         check_kind(thing, kind, f"{group}[{name!r}]", f"a jb.{kind.__name__}", problems)
     if group == "bodies" and not things:
@@ -73,17 +73,17 @@ def check_links(problems: Problems, bodies, supports, elements, joints) -> None:
     for name, element in elements.items():
         for end in element.between:
             if end not in frames:
-                found = unknown(end, f"elements[{name!r}]", frames)
+                problem = unknown(end, f"elements[{name!r}]", frames)
                 limit = "a body, a support or world"
-                problems.add("UNKNOWN_BODY", found.where, f"body or support {found.message}", value=end, limit=limit, hint=found.hint)
+                problems.add("UNKNOWN_BODY", problem.where, f"body or support {problem.message}", value=end, limit=limit, hint=problem.hint)
     for name, joint in joints.items():
         if name not in bodies:
-            found = unknown(name, f"joints[{name!r}]", tuple(bodies))
-            problems.add("UNKNOWN_BODY", found.where, f"body {found.message}", value=name, limit="a body", hint=found.hint)
+            problem = unknown(name, f"joints[{name!r}]", tuple(bodies))
+            problems.add("UNKNOWN_BODY", problem.where, f"body {problem.message}", value=name, limit="a body", hint=problem.hint)
         if joint.parent not in frames:
-            found = unknown(joint.parent, f"joints[{name!r}]", frames)
+            problem = unknown(joint.parent, f"joints[{name!r}]", frames)
             limit = "a body, a support or world"
-            problems.add("UNKNOWN_BODY", found.where, f"parent {found.message}", value=joint.parent, limit=limit, hint=found.hint)
+            problems.add("UNKNOWN_BODY", problem.where, f"parent {problem.message}", value=joint.parent, limit=limit, hint=problem.hint)
     for name in joints:
         chain = [name]
         while chain[-1] in joints and len(chain) <= len(joints) + 1:
@@ -92,7 +92,7 @@ def check_links(problems: Problems, bodies, supports, elements, joints) -> None:
             problems.add(
                 "LOOP",
                 f"joints[{name!r}]",
-                f"hangs on itself: {' on '.join(chain[: chain.index(name, 1) + 1] if name in chain[1:] else chain[:4])}",
+                f"is its own parent: {' on '.join(chain[: chain.index(name, 1) + 1] if name in chain[1:] else chain[:4])}",
                 value=name,
                 limit="a tree that ends at world or a support",
                 hint="Give one of them another parent, and close the loop by a stiff Bushing in place of that joint.",
@@ -100,8 +100,8 @@ def check_links(problems: Problems, bodies, supports, elements, joints) -> None:
 
 
 def check_reference(problems: Problems, bodies, supports, elements) -> None:
-    """In the reference pose every line must have a direction and every bushing and torsion spring be short of half a turn, where its
-    deformation jumps."""
+    """Check that in the reference pose every line has a direction and every bushing and torsion spring is turned by less than half a turn,
+    where its deformation jumps."""
     places = {WORLD: (np.zeros(3), np.array([1.0, 0, 0, 0])), **{n: (b.position, b.orientation) for n, b in {**supports, **bodies}.items()}}
     for name, element in elements.items():
         check = next((check for kind, check in CHECKS if isinstance(element, kind)), None)
@@ -113,7 +113,7 @@ def check_reference(problems: Problems, bodies, supports, elements) -> None:
 
 
 def _check_length(problems: Problems, where: str, line: LineElement, A, B) -> None:
-    """Zero length is for springs of zero free length that have no damper and pull with no force there."""
+    """Check the length of a line: it may be zero where the free length is zero, there is no damper and the force is zero."""
     ends = [p + R @ point for (p, R), point in zip((A, B), (line.a, line.b), strict=True)]
     length, size = np.linalg.norm(ends[1] - ends[0]), np.abs(ends).max() or 1.0
     if length <= 1e-12 * size and not (line.free_length == 0 and line.has_no_direction()):
@@ -148,7 +148,7 @@ def warn_of_oddities(bodies, supports, elements) -> None:
         warn_of_tiny(tuple(bodies), np.trace(np.array(inertias), axis1=1, axis2=2), "inertia", "kg m2")
     for name, element in elements.items():
         if not set(element.between) & set(bodies):
-            warn("USELESS_SPRING", f"elements['{name}'] joins {' and '.join(element.between)}: no body feels it")
+            warn("USELESS_SPRING", f"elements['{name}'] joins {' and '.join(element.between)}: it acts on no body")
 
 
 CHECKS = ((LineElement, _check_length), (Bushing, _check_turn), (Torsion, _check_turn))

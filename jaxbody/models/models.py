@@ -30,11 +30,17 @@ from jaxbody.models.storage import KindTable, tabulate, tabulate_by_structure
 
 
 class Model(tables.Printed, eqx.Module):
-    """Rigid bodies on elements between each other, `world` and supports whose motion is imposed.
+    """Rigid bodies connected by elements and joints to each other, to `world` and to supports whose motion is imposed.
 
-    bodies, supports, elements: by name. joints: by the name of the body that they carry; a body without one is free. gravity [m/s2].
-    `model["AB"]` is the element, body or support of that name, `model.joint("arm")` a body's joint, `model.reference` the state of the
-    reference pose at rest. A derivative with respect to a model is a model. All problems of an input are told at once.
+    Args:
+        bodies: by name
+        supports: by name
+        elements: by name
+        joints: by the name of the body that they carry; a body without a joint is free
+        gravity: [m/s2], world axes
+
+    `model["AB"]` is the element, body or support of that name, `model.joint("arm")` a body's joint, `model.reference` the state at rest in
+    the reference pose. A derivative with respect to a model is a model. All problems of an input are in one error.
 
     >>> model = Model(bodies={"plate": Body(mass=3.0, inertia=[0.3, 0.9, 1.2])},
     ...               elements={"AB": Spring(("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8)})
@@ -150,7 +156,7 @@ class Model(tables.Printed, eqx.Module):
 
 
 def _shown(value: Any) -> Any:
-    """A law by its name, and its number where it has but one."""
+    """The name of a law, with its coefficient where it has only one."""
     if not isinstance(value, Law):
         return value
     if isinstance(value, Sum):
@@ -164,7 +170,7 @@ def _places(names: tuple[str, ...], order: tuple[str, ...]) -> np.ndarray:
 
 
 def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
-    """Pose of each body on its parent in the reference pose, rows in the order of the bodies, from those in the world."""
+    """Pose of each body on its parent in the reference pose, rows in the order of the bodies, from its pose in the world."""
     world = Pose(jnp.zeros((1, 3), bodies.p.dtype), np.eye(3, dtype=bodies.R.dtype)[None])
     p, R = (jnp.concatenate([getattr(x, name) for x in (world, supports, bodies)]) for name in ("p", "R"))
     rows = _places(model.layout.parents, model.layout.frames)

@@ -1,4 +1,4 @@
-"""Checks that several public functions make before they compute, in NumPy, where values can be looked at."""
+"""Checks that several public functions make before they compute, in NumPy: precision, memory, attachment, states."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from jaxbody.numerics.precisions import begin
 
 MOST_MEMORY = 8e9  # bytes that the matrices of a model may take
 PER_ELEMENT = 2000  # bytes: 1400 were measured with 10 000 springs
-_told_of_float32 = False
+_warned_of_float32 = False
 
 
 def check_precision(where: str, model: Model, *, allow_float32: bool | None = True) -> None:
-    """Float32 is said once; it is refused where half the digits would be lost, unless allowed (None where it cannot be). A switch that was moved
-    after the model was built is an error."""
-    global _told_of_float32
+    """Warn once of float32; refuse it where half the digits would be lost, unless allowed (None: it cannot be allowed). A change of the x64
+    switch after the model was built is an error."""
+    global _warned_of_float32
     if not isinstance(model, Model):
         raise JaxbodyError(
             Problem("WRONG_KIND", f"{where}.model", f"is a {type(model).__name__}", model, "jb.Model", "Give the model first.")
@@ -46,30 +46,31 @@ def check_precision(where: str, model: Model, *, allow_float32: bool | None = Tr
         hint = f"Say {switch}" + ("." if allow_float32 is None else "; or allow_float32=True.")
         raise JaxbodyError(Problem("FLOAT32", where, "is unreliable in float32", dtype, "float64", hint))
     begin(x64)
-    if not _told_of_float32:
-        _told_of_float32 = True
+    if not _warned_of_float32:
+        _warned_of_float32 = True
         warn("FLOAT32", f"{where}: computing in float32, with about 7 digits; for 16, say {switch}")
 
 
 def check_memory(where: str, model: Model) -> None:
-    """Matrices of all coordinates, about ten at once, and what every element adds to them, must have room. Error: TOO_LARGE."""
+    """Check the memory of about ten matrices of all coordinates, and of the contributions of all elements. Error: TOO_LARGE."""
     coordinates, elements = model.layout.nv, sum(len(table.names) for table in model.elements)
     needed = 10 * 8 * coordinates**2 + PER_ELEMENT * elements
     if needed > MOST_MEMORY:
-        words = f"has {coordinates} coordinates and {elements} elements, for whose matrices about {needed / 1e9:.3g} GB are needed"
-        hint = "Join what does not move by itself (jb.Fixed, Body.of_parts), or raise jaxbody.models.preconditions.MOST_MEMORY where there is room."
-        raise JaxbodyError(Problem("TOO_LARGE", f"{where}.model", words, needed, f"{MOST_MEMORY / 1e9:g} GB", hint))
+        message = f"has {coordinates} coordinates and {elements} elements, whose matrices need about {needed / 1e9:.3g} GB"
+        hint = "Join bodies that move together (jb.Fixed, Body.of_parts), or raise jaxbody.models.preconditions.MOST_MEMORY."
+        raise JaxbodyError(Problem("TOO_LARGE", f"{where}.model", message, needed, f"{MOST_MEMORY / 1e9:g} GB", hint))
 
 
 def check_attached(model: Model) -> None:
-    """Every body must have a path of elements and joints to the world or a support."""
+    """Check that every body has a path of elements and joints to the world or a support."""
     loose = unattached(model)
     if loose:
-        raise JaxbodyError(*(Problem("UNATTACHED", f"bodies['{name}']", "has no path of elements or joints to world or a support", name, hint="It has no equilibrium; attach it or leave it out.") for name in loose))  # fmt: skip
+        message, hint = "has no path of elements or joints to world or a support", "It has no equilibrium; attach it or leave it out."
+        raise JaxbodyError(*(Problem("UNATTACHED", f"bodies['{name}']", message, name, hint=hint) for name in loose))
 
 
 def unattached(model: Model) -> list[str]:
-    """Bodies that nothing ties to the world or a support."""
+    """Bodies without a path of elements and joints to the world or a support."""
     links = [link for table in model.elements for link in table.links]
     links += [
         (name, parent)
@@ -84,7 +85,7 @@ def unattached(model: Model) -> list[str]:
 
 
 def check_state(model: Model, state: State, where: str) -> None:
-    """q and v of the model's shapes and precision, finite, unit quaternions; everything wrong at once."""
+    """Check that q and v have the model's shapes and precision, are finite and have unit quaternions; all problems in one error."""
     problems = Problems()
     if not isinstance(state, State):
         raise JaxbodyError(
@@ -94,7 +95,7 @@ def check_state(model: Model, state: State, where: str) -> None:
                 f"is a {type(state).__name__}",
                 state,
                 "jb.State(q, v)",
-                "model.reference and equilibrium(model).state are such.",
+                "Examples are model.reference and equilibrium(model).state.",
             )
         )
     layout = model.layout

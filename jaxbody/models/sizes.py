@@ -1,4 +1,4 @@
-"""How large a model is: the length and the scale of each coordinate against which round-off is measured."""
+"""The size of a model: the length and the scales of the coordinates to which round-off is compared."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from jaxbody.models.models import Model
 
 
 def size_of(model: Model) -> Float[Array, ""]:
-    """A length of the model: the farthest that an element is attached, or a centre of mass lies, from a body's origin; else the longest
-    distance from the world's origin; else 1 m."""
+    """A length of the model: the largest distance of a point of attachment or a centre of mass from the origin of its body; where that is
+    zero, from the world's origin; else 1 m."""
     on_bodies, anywhere = [jnp.zeros((1, 3), model.gravity.dtype), model.bodies.rows.com], [model.bodies.rows.position]
     for table in model.elements:
         for end, points in enumerate(table.rows.points):
@@ -23,5 +23,5 @@ def size_of(model: Model) -> Float[Array, ""]:
 
 
 def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
-    """Delta per nondimensional increment: 1 for translations, 1/size for rotations (both in meters then)."""
+    """Delta per scaled increment: 1 for translations, 1/size for rotations, so that all increments are in meters."""
     return jnp.where(model.layout.turns, 1 / size, 1.0)

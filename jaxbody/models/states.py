@@ -1,4 +1,4 @@
-"""The state of a model, and the instant that elements, loads and instruments read."""
+"""The state of a model, and the motion of all frames at one instant."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ from jaxbody.geometry.vectors import cross, rotate
 
 
 class State(eqx.Module):
-    """Where everything is and how it moves: q the coordinates and v the speeds of the joints, in the order of the bodies; z the states
-    that elements carry themselves. For a free body q = (position of O, unit quaternion w, x, y, z), v = (velocity of O, angular
-    velocity), world axes. Leading axes are times or samples.
+    """Coordinates q and speeds v of the joints, in the order of the bodies, and internal states z of elements. For a free body
+    q = (position of O, unit quaternion w, x, y, z), v = (velocity of O, angular velocity), world axes. Leading axes are times or samples.
 
     >>> state = State(q=jnp.array([0.3]), v=jnp.array([0.0]))
     >>> state.z.shape
@@ -30,9 +29,9 @@ class State(eqx.Module):
 
 
 class Instant(Frame):
-    """The table of frames at one time with the state that it comes from; where instruments ask for them, the accelerations a of origins and
-    alpha of the frames, and the force F and moment M about its origin, world axes, that a frame passes on: what bodies and elements exert on world and
-    supports, and what a body, with all that it carries, exerts on its joint."""
+    """The frames at one time and their state; where instruments need them, also the accelerations a of the origins, the angular
+    accelerations alpha, and the force F and moment M about the origin, world axes: on world and supports those of bodies and elements, for
+    a body those that it exerts on its joint, with all bodies that it carries."""
 
     state: State
     a: Float[Array, "n 3"] | None = None

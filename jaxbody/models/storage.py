@@ -1,6 +1,6 @@
-"""Things of one kind as one struct of arrays with a static tuple of names; a single thing is a row of it.
+"""Tables: objects of one kind as one struct of arrays with a static tuple of names; each object is a row.
 
-(Compiling the gradient of a model of 200 springs takes 14 s when they are separate objects, 2 s as arrays.)
+(Compiling the gradient of a model of 200 springs takes 14 s with separate objects, 2 s with arrays.)
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jaxbody.core.errors import JaxbodyError, Problem
 
 
 class KindTable(eqx.Module):
-    """Rows of one kind: `rows` is one module whose leaves have a leading axis, `links` what each row hangs on, by name."""
+    """Rows of one kind: `rows` is one module whose leaves have a leading axis; `links` names what each row is attached to."""
 
     names: tuple[str, ...] = eqx.field(static=True)
     links: tuple[Any, ...] = eqx.field(static=True)
@@ -27,7 +27,7 @@ class KindTable(eqx.Module):
         return len(self.names)
 
     def row(self, name: str) -> Any:
-        """One thing by name; leading batch axes stay."""
+        """One row by name; leading batch axes are kept."""
         i = self.names.index(name)
         leaves, treedef = jax.tree.flatten(self.rows)
         if not all(leaf is None or hasattr(leaf, "__getitem__") for leaf in leaves):
@@ -36,12 +36,12 @@ class KindTable(eqx.Module):
         return with_link(jax.tree.unflatten(treedef, picked), self.links[i])
 
     def _no_node(self, name: str) -> Problem:
-        """What is wrong where leaves stand for arrays, as those that equinox.tree_at shows to its function."""
+        """The problem of a row of leaves that are not arrays, as when equinox.tree_at calls its function."""
         paths = [jax.tree_util.keystr(keys, simple=True, separator=".") for keys, _ in jax.tree_util.tree_leaves_with_path(self.rows)]
         path = next((path for path in paths if path in ("stiffness", "mass")), paths[-1])
-        told = "is a row of arrays and no node of the tree, so equinox.tree_at cannot replace it"
+        message = "is a row of arrays and not a node of the tree, so equinox.tree_at cannot replace it"
         hint = f'Use jb.replace(model, {{"{name}.{path}": value}}); it has {", ".join(paths[:8])}{", ..." if len(paths) > 8 else ""}.'
-        return Problem("NO_NODE", f"model['{name}']", told, name, "whole arrays, as model.elements[0].rows.stiffness", hint)
+        return Problem("NO_NODE", f"model['{name}']", message, name, "whole arrays, as model.elements[0].rows.stiffness", hint)
 
 
 def tabulate(things: dict[str, Any], template: Any = None) -> KindTable:
@@ -68,13 +68,13 @@ def tabulate_by_structure(things: dict[str, Any], key=lambda name: None) -> tupl
 
 
 def link_of(module: Any) -> Any:
-    """The names that a thing hangs on: an element's `between`, a joint's `parent`."""
+    """The names that an object is attached to: `between` of an element, `parent` of a joint."""
     return getattr(module, "between", getattr(module, "parent", None))
 
 
 def with_link(module: Any, link: Any) -> Any:
-    """A copy with another link, which is static and so beyond `eqx.tree_at`."""
+    """A copy with another link, which is static, so that `eqx.tree_at` cannot replace it."""
     copy = object.__new__(type(module))
-    for name, value in vars(module).items():  # no more than it has: an attribute of the class on the copy would make another tree structure
+    for name, value in vars(module).items():  # its own attributes only: those of the class would change the tree structure
         object.__setattr__(copy, name, link if name in ("between", "parent") else value)
     return copy

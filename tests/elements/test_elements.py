@@ -1,4 +1,4 @@
-"""Elements: forces are what their energies say, act on all their frames alike, and stay finite where a length is zero."""
+"""Elements: forces are the derivatives of their energies, balance over all frames, and stay finite where a length is zero."""
 
 import equinox as eqx
 import jax
@@ -52,7 +52,7 @@ PIECEWISE = ("strut with a bump stop", "strut of measured curves", "tyre", "cont
 
 
 def some_frames():
-    """Pairs of frames anywhere, moving; what a bushing joins is turned by up to 2.8 rad, as derivatives lose digits at half a turn."""
+    """Random pairs of moving frames, for bushings turned by up to 2.8 rad, as derivatives lose digits at half a turn."""
     R_A = Rotation.random(N, rng=RNG).as_matrix()
     one, other = (matrix(q) for q in TURNED.values())
     phi = RNG.normal(size=(N, 3))
@@ -66,7 +66,7 @@ A, B, C = some_frames()
 
 
 class Acting(eqx.Module):
-    """What an element does between many pairs of frames."""
+    """Deformations, energies and forces of an element between many pairs of frames."""
 
     V: jax.Array
     V_dot: jax.Array
@@ -156,7 +156,7 @@ def test_the_wrenches_at_all_ends_balance(case):
     assert largest(sum(moments) + sum(about)) <= 2e-13 * max(largest(about[0]), largest(moments[0]))
 
 
-def test_the_power_of_an_element_is_minus_the_change_of_its_energy_minus_what_its_damper_loses(case):
+def test_the_power_of_an_element_is_minus_the_rates_of_stored_and_dissipated_energy(case):
     done = sum(power(wrench, frame) for wrench, frame in zip(case.on, (A, B, C), strict=False))
     assert (case.lost >= 0).all() and (case.R >= 0).all()
     assert largest(done + case.V_dot + case.lost) <= 1e-13 * largest(done)
@@ -164,7 +164,7 @@ def test_the_power_of_an_element_is_minus_the_change_of_its_energy_minus_what_it
 
 def test_a_spring_pulls_along_its_line_with_its_tension():
     """tension = k (|AB| - l0) + c d|AB|/dt, on A towards B; (20), (21) of the paper."""
-    found = acting(ELEMENTS["spring"], A, B)
+    result = acting(ELEMENTS["spring"], A, B)
     r_A, r_B = np.einsum("nij,j->ni", A.R, ENDS[0][1]), np.einsum("nij,j->ni", B.R, ENDS[1][1])
     d = B.p + r_B - A.p - r_A
     d_dot = B.v + np.cross(B.w, r_B) - A.v - np.cross(A.w, r_A)
@@ -173,26 +173,32 @@ def test_a_spring_pulls_along_its_line_with_its_tension():
     L_dot = np.sum(u * d_dot, 1)
     tension = 120.0 * (L - 0.7) + 3.0 * L_dot
     pull = tension[:, None] * u
-    pairs = [(found.e, L - 0.7), (found.e_dot, L_dot), (found.V, 60 * (L - 0.7) ** 2), (found.R, 1.5 * L_dot**2), (found.force, tension)]
-    for x, exact in [*pairs, (found.on_A[0], pull), (found.on_A[1], np.cross(r_A, pull)), (found.on_B[1], -np.cross(r_B, pull))]:
+    pairs = [
+        (result.e, L - 0.7),
+        (result.e_dot, L_dot),
+        (result.V, 60 * (L - 0.7) ** 2),
+        (result.R, 1.5 * L_dot**2),
+        (result.force, tension),
+    ]
+    for x, exact in [*pairs, (result.on_A[0], pull), (result.on_A[1], np.cross(r_A, pull)), (result.on_B[1], -np.cross(r_B, pull))]:
         assert largest(x - exact) <= 1e-14 * largest(exact)
 
 
 @pytest.mark.parametrize(("length", "sign"), [(0.75, 0), (1.0, 1), (0.5, -1)], ids=["rest", "longer", "shorter"])
 @pytest.mark.parametrize("kind", ["spring", "bushing"])
 def test_tension_is_positive(length, sign, kind):
-    """Longer than at rest, an element pulls its ends together; shorter, it pushes them apart."""
+    """An extended element pulls its ends together; a compressed one pushes them apart."""
     kinds = {
         "spring": jb.Spring(("one", [0, 0, 0]), ("other", [0, 0, 0]), stiffness=100.0, free_length=0.75),
         "bushing": jb.Bushing(("one", [0.75, 0, 0]), ("other", [0, 0, 0]), stiffness=[100.0, 100.0, 100.0]),
     }
     still, x = jnp.zeros((N, 3)), jnp.tile(jnp.array([1.0, 0, 0]), (N, 1))
     one, other = (Frame(length * p, jnp.tile(jnp.eye(3), (N, 1, 1)), still, still) for p in (still, x))
-    found = acting(kinds[kind], one, other)
-    assert largest(found.on_A[0] - 25.0 * sign * x) <= 1e-14
-    assert largest(found.on_B[0] + 25.0 * sign * x) <= 1e-14
-    assert largest(found.force.reshape(N, -1)[:, 0] - 25.0 * sign) <= 1e-14
-    assert largest(found.V - 3.125 * sign**2) <= 1e-15
+    result = acting(kinds[kind], one, other)
+    assert largest(result.on_A[0] - 25.0 * sign * x) <= 1e-14
+    assert largest(result.on_B[0] + 25.0 * sign * x) <= 1e-14
+    assert largest(result.force.reshape(N, -1)[:, 0] - 25.0 * sign) <= 1e-14
+    assert largest(result.V - 3.125 * sign**2) <= 1e-15
 
 
 def test_a_torsion_spring_feels_the_twist_about_its_axis():
@@ -206,21 +212,21 @@ def test_a_torsion_spring_feels_the_twist_about_its_axis():
     spring = jb.Torsion("one", "other", axis=n, spring=30.0, damper=2.0)
     still, turned = jnp.zeros((N, 3)), jnp.asarray(Rotation.from_rotvec(np.linspace(-3, 3, N)[:, None] * n).as_matrix())
     frames = Frame(still, jnp.tile(jnp.eye(3), (N, 1, 1)), still, still), Frame(still, turned, still, jnp.tile(5.0 * n, (N, 1)))
-    found = acting(spring, *frames)
+    result = acting(spring, *frames)
     moment = 30 * np.linspace(-3, 3, N) + 2 * 5.0
-    assert largest(found.on_B[1] + moment[:, None] * n) <= 1e-12 * largest(moment)
-    assert largest(found.on_A[1] - moment[:, None] * n) <= 1e-12 * largest(moment)
+    assert largest(result.on_B[1] + moment[:, None] * n) <= 1e-12 * largest(moment)
+    assert largest(result.on_A[1] - moment[:, None] * n) <= 1e-12 * largest(moment)
 
 
 def test_an_anti_roll_bar_feels_the_difference_of_travel_along_the_bodys_axis():
-    found = acting(ELEMENTS["anti-roll bar"], A, B, C)
+    result = acting(ELEMENTS["anti-roll bar"], A, B, C)
     n = np.einsum("nij,j->ni", C.R, np.array([0, 1, 2]) / np.sqrt(5))
     P, Q = (f.p + np.einsum("nij,j->ni", f.R, end[1]) for f, end in zip((A, B), ENDS, strict=True))
     e = np.sum(n * (P - Q), 1)
-    assert largest(found.e - e) <= 1e-14 * largest(e)
-    force = 120 * e + 5 * e**2 + 30 * e**3 + 4 * found.e_dot
-    assert largest(found.on_A[0] + force[:, None] * n) <= 1e-12 * largest(force)
-    assert largest(found.on[2][0]) <= 1e-12 * largest(force)  # only a moment on the body
+    assert largest(result.e - e) <= 1e-14 * largest(e)
+    force = 120 * e + 5 * e**2 + 30 * e**3 + 4 * result.e_dot
+    assert largest(result.on_A[0] + force[:, None] * n) <= 1e-12 * largest(force)
+    assert largest(result.on[2][0]) <= 1e-12 * largest(force)  # only a moment on the body
 
 
 @pytest.mark.parametrize("name", ["tyre", "contact"])
@@ -264,9 +270,9 @@ def test_a_bushing_is_exact_next_to_half_a_turn(short_of):
     turns = np.resize((np.pi - short_of) * np.concatenate([np.eye(3), [AXIS, -AXIS, [0.6, 0.8, 0]]]), (N, 3))
     still = jnp.zeros((N, 3))
     one, other = (Frame(still, jnp.asarray(Rotation.from_rotvec(turn).as_matrix()), still, still) for turn in (0 * turns, turns))
-    found = acting(twist, one, other)
-    assert largest(found.e[:, 3:] - turns) <= 2e-15 / short_of
-    assert largest(found.V - 2 * (np.pi - short_of) ** 2) <= 2e-14 / short_of
+    result = acting(twist, one, other)
+    assert largest(result.e[:, 3:] - turns) <= 2e-15 / short_of
+    assert largest(result.V - 2 * (np.pi - short_of) ** 2) <= 2e-14 / short_of
 
 
 def test_exchanging_the_ends_of_a_bushing_changes_only_the_sign_of_its_deformation():
@@ -283,8 +289,8 @@ def test_exchanging_the_ends_of_a_bushing_changes_only_the_sign_of_its_deformati
 
 def test_three_numbers_of_a_bushing_are_the_diagonal_of_its_matrices():
     diagonal = jb.Bushing(*ENDS, stiffness=np.diag([10, 20, 30, 0, 0, 0]), damping=np.diag([1, 2, 3, 0, 0, 0]), **TURNED)
-    found, exact = acting(ELEMENTS["bushing of three numbers"], A, B), acting(diagonal, A, B)
-    for x, y in zip(jax.tree.leaves(found), jax.tree.leaves(exact), strict=True):
+    result, exact = acting(ELEMENTS["bushing of three numbers"], A, B), acting(diagonal, A, B)
+    for x, y in zip(jax.tree.leaves(result), jax.tree.leaves(exact), strict=True):
         assert largest(x - y) <= 1e-14 * largest(y)
 
 
@@ -307,10 +313,10 @@ def test_no_work_is_done_around_a_closed_path(rng, name):
     B, B_moving = path([0.5, 1.0, 2.0], one @ other.T, 0.2 * rng.normal(size=(3, 6)))
     C, C_moving = path([0.0, 0, 0], jnp.eye(3), 0.2 * rng.normal(size=(3, 6)))
     frames, moving = ((A, B, C), (A_moving, B_moving, C_moving)) if name == "anti-roll bar" else ((A, B), (A_moving, B_moving))
-    found = acting(ELEMENTS[name], *frames)
-    work = np.mean(sum(power(wrench, frame) for wrench, frame in zip(found.on, moving, strict=True))) * 2 * np.pi
-    assert np.ptp(found.V) > 1
-    assert abs(work) <= 1e-10 * found.V.max()
+    result = acting(ELEMENTS[name], *frames)
+    work = np.mean(sum(power(wrench, frame) for wrench, frame in zip(result.on, moving, strict=True))) * 2 * np.pi
+    assert np.ptp(result.V) > 1
+    assert abs(work) <= 1e-10 * result.V.max()
 
 
 FREE_BASE = {"position": [0.2, -0.3, 0.1], "orientation": TURNED["orientation"]}
@@ -360,8 +366,8 @@ def test_forces_are_minus_the_gradients_of_the_energies_of_the_model(rng):
     v, xi_dot = jnp.asarray(rng.normal(size=12)), jnp.asarray(rng.normal(size=(1, 6)))
     _, dV, _, dR, (F, M) = everything(MODEL, NOWHERE[0], v, NOWHERE[1], xi_dot)
     on_bodies, on_base = (-np.asarray(x + y).reshape(-1, 6) for x, y in zip(dV, dR, strict=True))
-    found = np.concatenate([F, M], 1)  # rows world, base, bodies
-    assert largest(found - np.concatenate([np.zeros((1, 6)), on_base, on_bodies])) <= 1e-13 * largest(found)
+    result = np.concatenate([F, M], 1)  # rows world, base, bodies
+    assert largest(result - np.concatenate([np.zeros((1, 6)), on_base, on_bodies])) <= 1e-13 * largest(result)
 
 
 def test_a_rigid_motion_of_base_and_bodies_together_changes_no_elastic_energy(rng):
@@ -386,7 +392,7 @@ def test_a_rigid_velocity_of_base_and_bodies_together_dissipates_nothing(rng):
 
 
 def test_a_damper_to_a_moving_base_feels_its_velocity():
-    """A body at rest beside a base that passes its reference pose at a speed and turning: tension = c times the rate of the length."""
+    """A body at rest beside a base that moves and turns: tension = c times the rate of the length."""
     at, point, c, m = np.array([0.3, 0.1, -0.2]), np.array([0.4, -0.5, 0.6]), 3.0, 2.0
     model = jb.Model(
         bodies={"body": jb.Body(mass=m, inertia=[1, 1, 1], position=[1.0, 2.0, 0.5])},
@@ -461,6 +467,6 @@ def test_a_spring_of_zero_length_beside_the_origin_has_the_stiffness_of_its_poin
 
 @pytest.mark.parametrize("name", ["stiffness", "free_length"])
 def test_a_model_with_a_spring_of_zero_length_can_be_built_while_it_is_traced(name):
-    """As in a gradient or a sweep of its stiffness or free length: the check of the length is for numbers that can be seen."""
+    """As in a gradient or a sweep of its stiffness or free length: the length is checked only where it is not traced."""
     value, slope = jax.jit(jax.value_and_grad(lambda x: jb.potential_energy(model := short(**{name: x}), model.reference)))(0.0)
     assert (value, slope) == (0.0, 0.0)

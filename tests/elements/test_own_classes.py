@@ -1,4 +1,4 @@
-"""Elements, joints, sensors, loads, motions and laws of the user's own: one example each that runs, and a clear error for what was left out."""
+"""Classes of the user's own: a runnable example for each base class, and a clear error for each missing part."""
 
 import doctest
 

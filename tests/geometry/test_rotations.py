@@ -159,16 +159,16 @@ def test_inverse_left_jacobian_is_the_inverse_and_the_derivative_of_log():
     assert np.abs(inverse - np.linalg.inv([matrix_series(w, 1) for w in points])).max() <= 2e-15
     change = jax.jacrev(lambda e, R: rotations.log(vectors.product(rotations.exp(e), R)))
     singular = np.concatenate([np.zeros((1, 3)), 1e-160 * AXIS[None], 1e-300 * AXIS[None], HALF_TURNS])  # squares underflow, sign open
-    found = jax.jit(jax.vmap(change, (None, 0)))(jnp.zeros(3), rotations.exp(np.concatenate([points, singular])))
-    assert np.abs(found[: len(points)] - inverse).max() <= 1e-14
-    assert np.isfinite(found).all()
+    result = jax.jit(jax.vmap(change, (None, 0)))(jnp.zeros(3), rotations.exp(np.concatenate([points, singular])))
+    assert np.abs(result[: len(points)] - inverse).max() <= 1e-14
+    assert np.isfinite(result).all()
 
 
 def test_quaternions_and_matrices_agree_with_scipy(rng):
     q, R = Rotation.from_rotvec(PHI).as_quat(scalar_first=True), Rotation.from_rotvec(PHI).as_matrix()
     scale = rng.uniform(0.5, 2, size=(len(q), 1))
-    found = np.asarray(rotations.exp_quaternion(PHI))
-    assert np.abs(found * np.sign(np.sum(found * q, 1, keepdims=True)) - q).max() <= 1e-14
+    result = np.asarray(rotations.exp_quaternion(PHI))
+    assert np.abs(result * np.sign(np.sum(result * q, 1, keepdims=True)) - q).max() <= 1e-14
     assert np.abs(rotations.matrix(q * scale) - R).max() <= 1e-15
     assert np.abs(rotations.normalize(q * scale) - q).max() <= 4e-16
     assert np.abs(rotations.log_quaternion(q) - Rotation.from_quat(q, scalar_first=True).as_rotvec()).max() <= 4e-15

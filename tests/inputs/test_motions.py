@@ -34,9 +34,9 @@ def within(rng, times, n=300):
     return np.sort(rng.uniform(times[0], times[-1], size=n))
 
 
-def worst(found, exact):
+def worst(result, exact):
     """Largest error, relative to the largest value where that exceeds 1."""
-    return np.abs(np.asarray(found) - exact).max() / max(1.0, np.abs(exact).max())
+    return np.abs(np.asarray(result) - exact).max() / max(1.0, np.abs(exact).max())
 
 
 def test_at_rest_is_zero():
@@ -52,8 +52,8 @@ def test_a_harmonic_motion_and_its_derivatives_are_cosines_and_sines(rng, freque
     w = 2 * np.pi * np.broadcast_to(frequency, 6)
     angle = w * EVEN[:, None] + phase
     exact = amplitude * np.cos(angle), -amplitude * w * np.sin(angle), -amplitude * w**2 * np.cos(angle)
-    for found, right in zip(with_derivatives(motion, EVEN), exact, strict=True):
-        assert worst(found, right) <= 2e-15
+    for result, right in zip(with_derivatives(motion, EVEN), exact, strict=True):
+        assert worst(result, right) <= 2e-15
 
 
 def test_one_phase_stands_for_three_axes():
@@ -84,8 +84,8 @@ def test_a_delayed_motion_is_the_same_later(rng):
     """Xi, Xi' and Xi'' at t of the motion itself at t - delay; it is known as much later."""
     motion = jb.Sampled(UNEVEN, translation=rng.normal(size=(len(UNEVEN), 3)))
     t = within(rng, UNEVEN)
-    for found, exact in zip(with_derivatives(jb.Delayed(motion, 0.3), t + 0.3), with_derivatives(motion, t), strict=True):
-        assert worst(found, exact) <= 1e-12  # t + 0.3 - 0.3 is t to 1e-16, times the slopes of a spline through noise
+    for result, exact in zip(with_derivatives(jb.Delayed(motion, 0.3), t + 0.3), with_derivatives(motion, t), strict=True):
+        assert worst(result, exact) <= 1e-12  # t + 0.3 - 0.3 is t to 1e-16, times the slopes of a spline through noise
     assert jb.Delayed(motion, 0.3).covers() == (UNEVEN[0] + 0.3, UNEVEN[-1] + 0.3)
     assert jb.Delayed(jnp.ones_like, jnp.array(0.3)).covers() == (-np.inf, np.inf)
 
@@ -99,8 +99,8 @@ def cubic(t):
 def test_a_spline_is_exact_for_cubics(rng, times):
     motion = jb.Sampled(times, translation=cubic(times)[0], rotation=0.05 * cubic(times)[0])
     t = within(rng, times)
-    for found, exact, limit in zip(with_derivatives(motion, t), cubic(t), (1e-14, 1e-12, 1e-10), strict=True):
-        assert worst(found, np.concatenate([exact, 0.05 * exact], 1)) <= limit
+    for result, exact, limit in zip(with_derivatives(motion, t), cubic(t), (1e-14, 1e-12, 1e-10), strict=True):
+        assert worst(result, np.concatenate([exact, 0.05 * exact], 1)) <= limit
 
 
 @pytest.mark.parametrize("times", [EVEN, UNEVEN], ids=["even", "uneven"])
@@ -114,8 +114,8 @@ def test_a_spline_is_scipys_and_meets_its_samples(rng, times):
     spline = CubicSpline(times, y, bc_type=((1, slopes[0]), (1, slopes[1])))
     motion = jb.Sampled(times, translation=y[:, :3], rotation=y[:, 3:])
     t = within(rng, times)
-    for n, (found, limit) in enumerate(zip(with_derivatives(motion, t), (1e-14, 1e-12, 1e-11), strict=True)):
-        assert worst(found, spline(t, n)) <= limit
+    for n, (result, limit) in enumerate(zip(with_derivatives(motion, t), (1e-14, 1e-12, 1e-11), strict=True)):
+        assert worst(result, spline(t, n)) <= limit
     assert np.abs(with_derivatives(motion, np.repeat(times, 8)[:300])[0] - np.repeat(y, 8, 0)[:300]).max() <= 1e-15
 
 
@@ -149,8 +149,8 @@ def test_accelerations_are_integrated_exactly(rng, times):
     t = within(rng, times)
     exact = line.antiderivative(2)(t) + x0 + v0 * (t - times[0])[:, None], line.antiderivative(1)(t) + v0, line(t)
     motion = jb.Sampled.from_accelerations(times, translation=m[:, :3], rotation=m[:, 3:], initial_position=x0, initial_velocity=v0)
-    for found, right, limit in zip(with_derivatives(motion, t), exact, (1e-12, 1e-12, 1e-12), strict=True):
-        assert worst(found, right) <= limit
+    for result, right, limit in zip(with_derivatives(motion, t), exact, (1e-12, 1e-12, 1e-12), strict=True):
+        assert worst(result, right) <= limit
 
 
 def turning(angle, axis=AXIS):
@@ -288,7 +288,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_samples_are_told_by_name(case):
+def test_bad_samples_are_reported_by_name(case):
     build, code, where, value = BAD[case]
     with pytest.raises(jb.JaxbodyError) as caught:
         build()
@@ -299,7 +299,7 @@ def test_bad_samples_are_told_by_name(case):
         np.testing.assert_equal(np.asarray(error.value), np.asarray(value))
 
 
-def test_all_that_is_wrong_with_a_record_is_told_at_once():
+def test_all_that_is_wrong_with_a_record_is_reported_at_once():
     with pytest.raises(jb.JaxbodyError) as caught:
         jb.Sampled([0, 1, 1, 2, 3], translation=with_nan(GOOD, 0, 0), rotation=2 * QUARTER)
     assert [problem.code for problem in caught.value.problems] == ["DUPLICATE_TIME", "NON_FINITE", "BAD_QUATERNION"]

@@ -21,7 +21,7 @@ def slider(spring=100.0, damper=None):
 
 
 class Counted(jb.Motion):
-    """It counts how often it is asked."""
+    """A motion that counts its calls."""
 
     amplitude: jax.Array
     calls: ClassVar[list] = []

@@ -1,4 +1,4 @@
-"""Roads against quadrature of their profiles: what a wheel feels, how fast it changes, and how it depends on every number."""
+"""Roads against quadrature of their profiles: the height under a wheel, its rate, and its derivatives in every number."""
 
 import itertools
 
@@ -90,7 +90,7 @@ def test_a_patch_far_along_a_road_is_felt_to_all_digits(kilometre):
 
 
 def test_a_footprint_may_grow_to_twice_its_length_and_is_never_cut_short(kilometre):
-    """Only the pieces near by are looked at: of 32000, 16 for 0.2 m and what it may grow to."""
+    """Only nearby pieces are evaluated: 16 of 32000 for a patch of 0.2 m and for twice that."""
     road = jb.Road(*kilometre, speed=1.0, footprint=0.2)
     assert road.window == 16
     for footprint, right in ((0.4, True), (0.6, False), (5.0, False)):
@@ -186,7 +186,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_a_bad_road_is_told_by_name(case):
+def test_a_bad_road_is_reported_by_name(case):
     build, code, where, value = BAD[case]
     with pytest.raises(jb.JaxbodyError) as caught:
         build()
@@ -197,7 +197,7 @@ def test_a_bad_road_is_told_by_name(case):
         np.testing.assert_equal(np.asarray(error.value), np.asarray(value))
 
 
-def test_all_that_is_wrong_with_a_road_is_told_at_once():
+def test_all_that_is_wrong_with_a_road_is_reported_at_once():
     with pytest.raises(jb.JaxbodyError) as caught:
         jb.Road([0, 1, 1], [0, 0], speed="fast", footprint=-1.0)
     assert [problem.code for problem in caught.value.problems] == ["BAD_SHAPE", "NOT_A_NUMBER", "NOT_INCREASING", "BAD_FOOTPRINT"]

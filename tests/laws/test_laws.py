@@ -1,4 +1,4 @@
-"""Force laws against formulas in NumPy and quadrature by SciPy; at their kinks what their docstrings say; bad input is refused with a reason."""
+"""Force laws against formulas in NumPy and quadrature by SciPy, slopes at kinks as documented, and messages for bad input."""
 
 import jax
 import jax.numpy as jnp
@@ -130,7 +130,7 @@ def test_slopes_at_kinks_are_as_documented(law, x, slope):
     assert abs(float(jax.hessian(law.potential)(jnp.array(x))) - slope) <= 1e-10
 
 
-def test_a_table_is_scipys_monotone_curve_and_goes_on_straight():
+def test_a_table_is_scipys_monotone_curve_and_continues_straight():
     law = jax.tree.map(jnp.asarray, LAWS["table"][0])
     x = np.linspace(-1, 1, 301)
     assert largest(jax.vmap(law.force)(x) - PCHIP(x)) <= 1e-12
@@ -155,7 +155,7 @@ def test_the_energy_of_a_gas_is_smooth_where_it_is_isothermal(exponent):
     assert abs(slope - (U(exponent + 1e-4) - U(exponent - 1e-4)) / 2e-4) <= 1e-6 * abs(slope)
 
 
-def test_a_gas_that_is_squeezed_to_nothing_is_not_a_number_and_named():
+def test_a_gas_compressed_to_zero_volume_is_nan_and_named():
     gas = laws.AirSpring(pressure=3e5, area=0.01, height=0.5)
     model = jb.Model(
         bodies={"body": jb.Body(mass=1.0, inertia=[1, 1, 1])},
@@ -182,7 +182,7 @@ def test_a_table_from_a_file_is_in_si_units(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "code", "told"),
+    ("text", "code", "message"),
     [
         ("-500,-1.0\n-100,-0.4\n0,0\n100,0.9\n", "NO_UNIT", "curve.csv:1 elongation [mm]"),
         ("velocity, force\n-500,-1.0\n", "NO_UNIT", "curve.csv:1"),
@@ -193,11 +193,11 @@ def test_a_table_from_a_file_is_in_si_units(tmp_path):
         ("travel [mm], force [N]\n1,2\n2,3\n3,4\n", "TABLE_SHORT", "3 points at least 4"),
     ],
 )
-def test_files_without_units_or_numbers_are_refused(tmp_path, text, code, told):
+def test_files_without_units_or_numbers_are_refused(tmp_path, text, code, message):
     with pytest.raises(jb.JaxbodyError) as refused:
         laws.Table.read(written(tmp_path, text))
     assert refused.value.code == code
-    for word in told.split():
+    for word in message.split():
         assert word in str(refused.value)
 
 
@@ -244,16 +244,16 @@ BAD = {
 
 @pytest.mark.parametrize("name", BAD)
 def test_bad_laws_and_elements_are_refused(name):
-    make, code, where, told = BAD[name]
+    make, code, where, message = BAD[name]
     with pytest.raises(jb.JaxbodyError) as refused:
         make()
-    found = next(p for p in refused.value.problems if p.code == code)
-    assert found.where == where
-    for word in told.split():
-        assert word in str(found), word
+    result = next(p for p in refused.value.problems if p.code == code)
+    assert result.where == where
+    for word in message.split():
+        assert word in str(result), word
 
 
-def test_all_that_is_wrong_is_told_at_once():
+def test_all_that_is_wrong_is_reported_at_once():
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.SpringDamper(("body", [0, 0]), ("world", [0, 0, 1]), free_length=-1.0, spring=-5.0, damper="oil")
     assert {p.code for p in refused.value.problems} == {"BAD_SHAPE", "NEGATIVE_LENGTH", "NEGATIVE", "NOT_A_NUMBER"}

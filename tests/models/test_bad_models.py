@@ -1,4 +1,4 @@
-"""What a user is told of a model that cannot be: the object, the value, the limit and the remedy, all problems at once."""
+"""Messages for invalid models: the object, the value, the limit and the remedy, all problems in one error."""
 
 import re
 import warnings
@@ -184,7 +184,7 @@ def error_of(build):
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_told_by_name_and_value(case):
+def test_bad_input_is_reported_by_name_and_value(case):
     build, code, where, value, words = BAD[case]
     error = error_of(build)
     assert (error.code, error.where) == (code, where)
@@ -209,13 +209,13 @@ def test_a_message_has_object_limit_remedy_and_code_and_no_word_of_the_machinery
     assert not re.search(r"jax\b|tracer|xla|equinox|traceback", message.replace("jaxbody", ""), re.IGNORECASE)
 
 
-def test_all_problems_of_a_body_are_told_at_once():
+def test_all_problems_of_a_body_are_reported_at_once():
     error = error_of(lambda: jb.Body(mass=-1, inertia=[1, 1, 3], com=[0, 0], position=[NAN, 0, 0], orientation=[0, 0, 0, 0]))
     assert [problem.code for problem in error.problems] == ["BAD_MASS", "BAD_SHAPE", "TRIANGLE", "NON_FINITE", "BAD_QUATERNION"]
     assert all(str(problem) in str(error) for problem in error.problems)
 
 
-def test_all_problems_of_an_element_or_a_joint_are_told_at_once():
+def test_all_problems_of_an_element_or_a_joint_are_reported_at_once():
     ends = ("engine", [0, NAN, 0]), ("engine", [0, 0])
     codes = [problem.code for problem in error_of(lambda: jb.Spring(*ends, stiffness=-1, free_length=[1], damping=1j)).problems]
     assert codes == ["NON_FINITE", "BAD_SHAPE", "SELF_SPRING", "BAD_SHAPE", "COMPLEX", "NEGATIVE_STIFFNESS"]
@@ -223,7 +223,7 @@ def test_all_problems_of_an_element_or_a_joint_are_told_at_once():
     assert codes == ["ZERO_AXIS", "BAD_SHAPE"]
 
 
-def test_all_problems_of_a_model_are_told_at_once():
+def test_all_problems_of_a_model_are_reported_at_once():
     error = error_of(
         lambda: jb.Model(
             bodies={"engine": BODY, "gear": body(), "a.b": body(), "tank": 3.0, "left": body(), "right": body()},
@@ -237,8 +237,8 @@ def test_all_problems_of_a_model_are_told_at_once():
             gravity=[0, 0, NAN],
         )
     )
-    found = {(problem.code, problem.where) for problem in error.problems}
-    assert found == {
+    result = {(problem.code, problem.where) for problem in error.problems}
+    assert result == {
         ("BAD_NAME", "bodies['a.b']"),
         ("WRONG_KIND", "bodies['tank']"),
         ("DUPLICATE_NAME", "supports['gear']"),
@@ -260,7 +260,7 @@ def test_a_message_stays_short_however_many_problems_there_are():
     assert "40 problems" in str(error) and "more" in str(error).splitlines()[-1]
 
 
-def test_a_loop_of_joints_is_told_by_its_bodies():
+def test_a_loop_of_joints_is_reported_by_its_bodies():
     names = ["a", "b", "c"]
     bodies = {name: body() for name in [*names, "tail"]}
     joints = {name: jb.Fixed(parent) for name, parent in zip(names, [*names[1:], "a"], strict=True)}
@@ -281,7 +281,7 @@ def test_other_names_are_good(name):
     assert model(bodies={name: BODY})[name].mass == 1.0
 
 
-def test_what_does_nothing_or_is_tiny_is_warned_of():
+def test_elements_without_effect_and_tiny_masses_issue_warnings():
     with pytest.warns(jb.JaxbodyWarning, match="elements\\['m'\\]") as caught:
         model(elements={"m": jb.Spring(("world", [0, 0, 0]), ("base", [0, 0, 1]), stiffness=1.0)})
     assert [warning.message.code for warning in caught] == ["USELESS_SPRING"]
@@ -329,9 +329,9 @@ def test_an_inertia_beyond_round_off_is_rejected(rng):
     ids=["list", "integers", "tuple", "six", "matrix", "jax"],
 )
 def test_every_form_of_an_inertia_is_the_same_matrix_of_floats(form):
-    found = body(inertia=form).inertia
-    assert found.dtype == np.float64
-    assert (found == np.diag([2.0, 3, 4])).all()
+    result = body(inertia=form).inertia
+    assert result.dtype == np.float64
+    assert (result == np.diag([2.0, 3, 4])).all()
 
 
 def test_six_numbers_of_an_inertia_are_the_entries_of_the_matrix():
@@ -344,9 +344,9 @@ def test_every_form_of_an_orientation_is_the_same_unit_quaternion(kind, rng):
     for R in [Rotation.identity(), *half_turns, *Rotation.random(20, rng=rng)]:
         q = R.as_quat(scalar_first=True)
         given = {"quaternion": q, "scaled quaternion": 1.0005 * q, "negative quaternion": -q, "matrix": R.as_matrix()}[kind]
-        found = body(orientation=given).orientation
-        assert abs(np.linalg.norm(found) - 1) <= 1e-15
-        assert np.abs(Rotation.from_quat(found, scalar_first=True).as_matrix() - R.as_matrix()).max() <= 2e-15
+        result = body(orientation=given).orientation
+        assert abs(np.linalg.norm(result) - 1) <= 1e-15
+        assert np.abs(Rotation.from_quat(result, scalar_first=True).as_matrix() - R.as_matrix()).max() <= 2e-15
 
 
 def test_whole_numbers_become_floats_and_what_was_given_is_not_changed():
@@ -374,7 +374,7 @@ def test_negative_coefficients_that_are_meant_are_warned_of(case):
         assert build() is not None
 
 
-def test_what_is_allowed_is_allowed():
+def test_special_cases_that_are_allowed():
     """Zero stiffness along an axis of a bushing (25), and no length without free length (20)."""
     model(elements={"m": bushing(stiffness=[1, 0, 0]), "n": bushing(stiffness=np.diag([1.0, 0, 0, 0, 0, 0]))})
     built = model(bodies={"engine": body()}, elements={"m": spring()})
@@ -395,7 +395,7 @@ def test_a_body_is_built_from_traced_numbers_in_every_place():
 
 
 def test_angles_in_degrees_are_warned_of():
-    """More than a turn, where a part of one is usual; a turn and a half of a wound spring is the user's to say."""
+    """Angles of more than one turn; for a wound spring of one and a half turns the user ignores the warning."""
     with pytest.warns(jb.JaxbodyWarning, match=r"Torsion.free_angle is 30 rad, more than a turn.*np.deg2rad\(30\) \[UNIT\]"):
         jb.Torsion("engine", "base", axis=[0, 0, 1], spring=30.0, free_angle=30.0)
     with pytest.warns(jb.JaxbodyWarning, match=r"Harmonic.rotation is 30 rad.*\[UNIT\]"):
@@ -419,11 +419,13 @@ def test_products_with_the_other_sign_are_named_where_they_would_be_valid():
     assert "other signs" not in str(refused.value)
 
 
-def test_a_model_whose_matrices_have_no_room_is_refused_before():
+def test_a_model_whose_matrices_exceed_the_memory_is_refused():
     """Ten matrices of 12 000 x 12 000 numbers of 8 bytes are 11.5 GB."""
     many = jb.Model(bodies={f"b{i}": BODY for i in range(2000)})
     state = jb.State(np.zeros(14000), np.zeros(12000))
     for compute in (lambda: jb.linearize(many, state), lambda: jb.equilibrium(many), lambda: jb.find_equilibria(many)):
-        with pytest.raises(jb.JaxbodyError, match=r"12000 coordinates and 0 elements, .* 11\.5 GB are needed \(allowed: 8 GB\)") as refused:
+        with pytest.raises(
+            jb.JaxbodyError, match=r"12000 coordinates and 0 elements, whose matrices need about 11\.5 GB \(allowed: 8 GB\)"
+        ) as refused:
             compute()
         assert refused.value.code == "TOO_LARGE"

@@ -1,4 +1,4 @@
-"""Bodies as users give them: orientations by Euler angles, inertia of parts and points, what has no inertia where it may turn."""
+"""Bodies as users give them: orientations by Euler angles, inertia of parts and points, bodies free to turn without inertia."""
 
 from itertools import pairwise, product
 
@@ -113,7 +113,7 @@ def test_a_point_mass_on_a_joint_that_does_not_turn_it_is_accepted():
     np.testing.assert_allclose(jb.modes(lin).frequency, np.sqrt(np.array([2100, 2400, 2700]) / 2) / (2 * np.pi), rtol=1e-12)
 
 
-def test_what_may_turn_without_inertia_is_told_when_a_model_is_built():
+def test_what_may_turn_without_inertia_is_reported_when_a_model_is_built():
     with pytest.warns(
         jb.JaxbodyWarning, match=r"'body' is free to turn and has no inertia about \[0.0, 0.0, 1.0\] of its axes.*ZERO_MOMENT"
     ):
@@ -123,22 +123,22 @@ def test_what_may_turn_without_inertia_is_told_when_a_model_is_built():
 
 
 @pytest.mark.filterwarnings("ignore:.*ZERO_MOMENT")
-def test_a_singular_mass_matrix_is_told_as_such():
-    """K is fine; the rod's inertia about its own axis z is not. Six zero frequencies and SINGULAR_K were said."""
+def test_a_singular_mass_matrix_is_reported_as_such():
+    """K is regular; the rod has no inertia about its own axis z. Once six zero frequencies and SINGULAR_K were reported."""
     model = mounted(jb.Body(mass=1.0, inertia=[1, 1, 0], orientation=jb.Euler("x", [0.0])))
     eq = jb.equilibrium(model)
     assert eq.ok  # statics is right
     lin = jb.linearize(model, eq)
     for analyse in (jb.modes, jb.complex_modes):
         with pytest.warns(jb.JaxbodyWarning, match=r"'body' has no inertia to turn about z.*SINGULAR_M"):
-            found = analyse(lin)
-        assert int(found.status) == jb.Status.SINGULAR_M and np.isnan(found.frequency).all()
+            result = analyse(lin)
+        assert int(result.status) == jb.Status.SINGULAR_M and np.isnan(result.frequency).all()
     with pytest.warns(jb.JaxbodyWarning, match="SINGULAR_M"):
         assert np.isnan(np.array(list(jb.mode_energies(lin).kinetic.values()))).all()
 
 
 @pytest.mark.filterwarnings("ignore:.*ZERO_MOMENT")
-def test_a_simulation_without_inertia_says_why_it_cannot_begin():
+def test_a_simulation_without_inertia_states_the_reason():
     model = mounted(jb.Body(mass=1.0, inertia=[1, 1, 0]))
     with pytest.warns(jb.JaxbodyWarning, match=r"'body' has no inertia to turn about z.*NONFINITE"):
         jb.simulate(model, [0.0, 0.1])
@@ -161,5 +161,5 @@ def test_a_matrix_with_nan_has_no_frequency(letter):
     broken = eqx.tree_at(lambda lin: getattr(lin, letter), lin, getattr(lin, letter).at[1, 1].set(jnp.nan))
     for analyse in (jb.modes, jb.complex_modes):
         with pytest.warns(jb.JaxbodyWarning, match="NONFINITE"):
-            found = analyse(broken)
-        assert int(found.status) == jb.Status.NONFINITE and np.isnan(found.frequency).all()
+            result = analyse(broken)
+        assert int(result.status) == jb.Status.NONFINITE and np.isnan(result.frequency).all()

@@ -194,8 +194,8 @@ def test_velocities_of_all_frames_are_the_derivatives_of_their_poses_in_time(q, 
     """Supports moving and turning, all joints moving: v = dp/dt, [w] R = dR/dt."""
     frames, _ = posed
     d = change(q, V, 0 * V, XI_DOT)
-    for found, exact in ((d.p, frames.v), (d.R, spun(frames.w, frames.R))):
-        assert np.abs(found - exact).max() <= 1e-14 * max(1, np.abs(exact).max())
+    for result, exact in ((d.p, frames.v), (d.R, spun(frames.w, frames.R))):
+        assert np.abs(result - exact).max() <= 1e-14 * max(1, np.abs(exact).max())
 
 
 def test_velocities_of_supports_are_the_derivatives_of_their_imposed_motions():
@@ -221,8 +221,8 @@ def test_a_quaternion_and_its_negative_are_the_same_pose(q, posed):
         if name.startswith(("free", "ball", "carrier")):
             flip[LAYOUT.q_slices[name]][-4:] = -1
     frames, _ = frames_and_axes(q * flip, V, XI, XI_DOT)
-    for found, exact in zip(jax.tree.leaves(frames), jax.tree.leaves(posed[0]), strict=True):
-        assert (found == exact).all()
+    for result, exact in zip(jax.tree.leaves(frames), jax.tree.leaves(posed[0]), strict=True):
+        assert (result == exact).all()
 
 
 def test_a_joint_may_turn_any_number_of_times(q):

@@ -75,20 +75,20 @@ def other_value(path, value):
 def test_paths_lead_to_every_number_of_a_model_once(zoo):
     expected = {f"{name}.{field}" for name, kind in KINDS.items() for field in FIELDS[kind]} | {"gravity"}
     expected |= {f"{name}.{field}" for name, fields in JOINTS.items() for field in fields}
-    found = jb.paths(zoo)
-    assert set(found) == expected and len(found) == len(expected)
-    assert sum(value.size for value in found.values()) == sum(leaf.size for leaf in jax.tree.leaves(zoo))
+    result = jb.paths(zoo)
+    assert set(result) == expected and len(result) == len(expected)
+    assert sum(value.size for value in result.values()) == sum(leaf.size for leaf in jax.tree.leaves(zoo))
 
 
 def test_a_path_reads_what_the_name_gives(zoo):
-    found = jb.paths(zoo)
+    result = jb.paths(zoo)
     for name, kind in KINDS.items():
         for field in FIELDS[kind]:
-            np.testing.assert_array_equal(found[f"{name}.{field}"], getattr(zoo[name], field))
+            np.testing.assert_array_equal(result[f"{name}.{field}"], getattr(zoo[name], field))
     for name, fields in JOINTS.items():
         for field in fields:
-            np.testing.assert_array_equal(found[f"{name}.{field}"], getattr(zoo.joint(name), field))
-    np.testing.assert_array_equal(found["gravity"], zoo.gravity)
+            np.testing.assert_array_equal(result[f"{name}.{field}"], getattr(zoo.joint(name), field))
+    np.testing.assert_array_equal(result["gravity"], zoo.gravity)
 
 
 def test_replace_changes_one_leaf_and_no_other(zoo):
@@ -205,10 +205,10 @@ def test_paths_of_an_experiment_are_its_initial_state_motions_and_sensors(run):
     harmonic = ("frequency", "translation", "rotation", "translation_phase", "rotation_phase")
     expected = {"initial.q", "initial.v", "corner.point", "height.point", "height.axis"}
     expected |= {f"wall.{field}" for field in harmonic} | {f"base.terms.{i}.{field}" for i in (0, 1) for field in harmonic}
-    found = jb.paths(run)
-    assert set(found) == expected
-    assert found["base.terms.1.frequency"] == 3.0
-    np.testing.assert_array_equal(found["height.axis"], [0, 0, 1])
+    result = jb.paths(run)
+    assert set(result) == expected
+    assert result["base.terms.1.frequency"] == 3.0
+    np.testing.assert_array_equal(result["height.axis"], [0, 0, 1])
 
 
 def test_replace_works_on_an_experiment(run):
@@ -230,7 +230,7 @@ def refused(tree, values):
     return caught.value
 
 
-def test_an_unknown_path_is_told_with_the_nearest(zoo, run):
+def test_an_unknown_path_is_reported_with_the_nearest(zoo, run):
     error = refused(zoo, {"s1.stifness": 1.0})
     assert error.code == "UNKNOWN_PATH" and error.value == "s1.stifness" and "s1.stiffness" in str(error)
     assert refused(run, {"cormer.point": [0, 0, 0]}).hint.startswith("Did you mean corner.point")
@@ -239,25 +239,25 @@ def test_an_unknown_path_is_told_with_the_nearest(zoo, run):
     assert refused(zoo, {3: 1.0}).code == "UNKNOWN_PATH"
 
 
-def test_a_leaf_that_two_patterns_mean_is_an_error(zoo):
+def test_a_leaf_that_two_patterns_match_is_an_error(zoo):
     error = refused(zoo, {"s1.stiffness": 1.0, "s?.stiffness": 2.0})
     assert error.code == "LISTED_TWICE" and "s1.stiffness" in str(error) and len(error.problems) == 1
 
 
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "message"),
     [
         ({"s1.a": [1.0, 2.0]}, "(3,)"),
         ({"s1.a": 0.0}, "(3,)"),
         ({"s?.stiffness": [1.0, 2.0]}, "(3,)"),
         ({"mount.stiffness": 5.0}, "(6, 6)"),
-        ({"*.stiffness": 5.0}, "Name those of one shape together"),
+        ({"*.stiffness": 5.0}, "Use one pattern for each shape"),
         ({"gravity": np.zeros((2, 3))}, "(1, 3)"),
     ],
 )
-def test_a_value_of_a_wrong_shape_is_an_error_that_tells_the_right_ones(zoo, values, told):
+def test_a_value_of_a_wrong_shape_is_an_error_that_states_the_right_ones(zoo, values, message):
     error = refused(zoo, values)
-    assert error.code == "BAD_SHAPE" and told in str(error) + error.limit
+    assert error.code == "BAD_SHAPE" and message in str(error) + error.limit
 
 
 @pytest.mark.parametrize(
@@ -273,12 +273,12 @@ def test_a_value_of_a_wrong_shape_is_an_error_that_tells_the_right_ones(zoo, val
         ("mount.orientation_b", [0, 0, 0, 0], "BAD_QUATERNION"),
     ],
 )
-def test_a_value_that_its_maker_would_refuse_is_refused(zoo, path, value, code):
+def test_a_value_that_the_constructor_would_refuse_is_refused(zoo, path, value, code):
     error = refused(zoo, {path: value})
     assert error.code == code and path in str(error)
 
 
-def test_all_problems_of_values_are_told_at_once(zoo):
+def test_all_problems_of_values_are_reported_at_once(zoo):
     error = refused(zoo, {"s1.a": [1, 2], "s1.stiffness": np.nan, "plate.mass": 0.0, "s1.damping": 1j, "s?.damping": 1.0})
     assert [problem.code for problem in error.problems] == ["BAD_SHAPE", "NON_FINITE", "BAD_MASS", "COMPLEX", "LISTED_TWICE"]
 

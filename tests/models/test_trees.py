@@ -143,7 +143,7 @@ def test_the_energy_of_a_network_is_the_integral_of_its_force():
     assert float(law.potential(jnp.array(0.3))) == pytest.approx(np.trapezoid(forces, x), rel=1e-8)  # the rule's error is h^2/12 f''
 
 
-def test_what_a_law_holds_that_is_no_number_is_static_or_refused_by_its_place():
+def test_a_field_of_a_law_that_is_not_a_number_is_static_or_refused_by_its_path():
     class Named(jb.laws.Law):
         mode: str
         stiffness: float

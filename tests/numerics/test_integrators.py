@@ -203,7 +203,7 @@ def test_steps_end_where_measured_accelerations_and_forces_have_their_samples(rn
     along = np.array([1.0, 0, 0])
     push = jb.Force("mass", force=jb.signals.Samples(knots, force[:, None] * along, kind="linear"))
     shaken = jb.Sampled.from_accelerations(times, translation=ground[:, None] * along)
-    found = jb.simulate(model, times, motion={"ground": shaken}, loads={"push": push})
+    result = jb.simulate(model, times, motion={"ground": shaken}, loads={"push": push})
     every = np.union1d(times, knots)
     u = np.interp(every, knots, force) - np.interp(every, times, ground)
     z, exact = np.zeros(2), {0.0: 0.0}
@@ -213,8 +213,8 @@ def test_steps_end_where_measured_accelerations_and_forces_have_their_samples(rn
         z = (scipy.linalg.expm(A * h) @ [*z, u[i], (u[i + 1] - u[i]) / h])[:2]
         exact[every[i + 1]] = z[0]
     exact = np.array([exact[t] for t in times])
-    np.testing.assert_allclose(found.state.q[:, 0], exact, atol=1e-10 * np.abs(exact).max())
-    assert int(found.statistics["num_accepted_steps"]) <= len(every) + 10 and int(found.statistics["num_rejected_steps"]) < 10
+    np.testing.assert_allclose(result.state.q[:, 0], exact, atol=1e-10 * np.abs(exact).max())
+    assert int(result.statistics["num_accepted_steps"]) <= len(every) + 10 and int(result.statistics["num_rejected_steps"]) < 10
 
 
 class Interpolated(jb.laws.Law):

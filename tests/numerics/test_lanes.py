@@ -267,8 +267,8 @@ def test_a_rule_of_a_law_of_ones_own_is_kept_in_batches_of_drivers():
         spring = jb.SpringDamper(("mass", [0, 0, 0]), ("world", [0, 2.0, 0]), spring=Ruled(k), free_length=2.0)
         bodies, joints = {"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}, {"mass": jb.Guide("world", axis=[0, 1, 0])}
         model = jb.Model(bodies=bodies, joints=joints, elements={"spring": spring}, gravity=[0, -9.81, 0])
-        found = jb.equilibrium(model)
-        return found.state.q[0], jb.linearize(model, found).K[0, 0], jb.simulate(model, jnp.linspace(0, 0.1, 3)).state.q[-1, 0]
+        result = jb.equilibrium(model)
+        return result.state.q[0], jb.linearize(model, result).K[0, 0], jb.simulate(model, jnp.linspace(0, 0.1, 3)).state.q[-1, 0]
 
     k = jnp.array([40.0, 50.0])
     _, after = jax.jit(lambda k: jax.jvp(jax.vmap(drivers), (k,), (jnp.ones(2),)))(k)

@@ -245,8 +245,8 @@ def test_a_heading_without_end_is_read_at_once(head, parts):
 def test_blanks_and_digits_without_end_are_read_at_once(tmp_path):
     """The file of the report had 40 kB of blanks in its heading, for 11.5 s."""
     blanks = " " * LONG
-    found = read_text(f"t [s],a{blanks}x [g]\n0,1\n1,2\n".encode(), "run.csv")
-    assert [column.unit for column in found.columns.values()] == ["s", "g"]
+    result = read_text(f"t [s],a{blanks}x [g]\n0,1\n1,2\n".encode(), "run.csv")
+    assert [column.unit for column in result.columns.values()] == ["s", "g"]
     digits = "1" * LONG
     with refused("NO_NUMBERS", "run.csv"):
         read_text(f"t,a\n{digits}x,{digits}x\n".encode(), "run.csv")

@@ -1,4 +1,4 @@
-"""Records: what files hold arrives in SI as it was measured, and every bad input is told with its place, its value and a hint."""
+"""Records: files are read in SI units without changes, and every bad input is reported with its place, its value and a hint."""
 
 import gzip
 import warnings
@@ -56,12 +56,12 @@ def test_units_lead_to_si(text, factor, si):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"), [("furlong", "furlong"), ("mg", "kg for mass"), ("N/m s", "two ways"), ("m/", "m/"), ("lb", "lbf or kg")]
+    ("text", "words"), [("furlong", "furlong"), ("mg", "kg for mass"), ("N/m s", "two ways"), ("m/", "m/"), ("lb", "lbf or kg")]
 )
-def test_unknown_units_are_told(text, told):
+def test_unknown_units_are_reported(text, words):
     with pytest.raises(jb.JaxbodyError) as refused:
         units.parse(text, "run.csv")
-    assert refused.value.code == "UNKNOWN_UNIT" and told in str(refused.value) and "run.csv" in str(refused.value)
+    assert refused.value.code == "UNKNOWN_UNIT" and words in str(refused.value) and "run.csv" in str(refused.value)
 
 
 @given(st.text(max_size=20) | st.text("mskgNVdegrad/*^.()- 123", max_size=20))
@@ -201,10 +201,10 @@ def test_channels_by_number_and_by_id_line(tmp_path):
     record = jb.read_record(path, channels={"first": 0, "last": 2, "named": "seat", "placed": "4+Y"})
     for name, k in (("first", 0), ("last", 2), ("named", 0), ("placed", 1)):
         np.testing.assert_allclose(record[name], X[:, k], rtol=1e-6)
-    for asked, told in (("rail", "It has: 4+X, 4+Y, 4+Z, seat"), (3, "has no channel of number 3: it has 3, counted from 0")):
+    for asked, words in (("rail", "It has: 4+X, 4+Y, 4+Z, seat"), (3, "has no channel of number 3: it has 3, counted from 0")):
         with pytest.raises(jb.JaxbodyError, match="UNKNOWN_CHANNEL") as refused:
             jb.read_record(path, channels={"a": asked})
-        assert told in str(refused.value)
+        assert words in str(refused.value)
     record = jb.read_record(written(tmp_path, GOOD), time=(0, "s"), channels={"a": (1, "m")})
     assert record["a"].tolist() == [1, 2, 3]
     with pytest.raises(jb.JaxbodyError, match="is no universal file: it has no sets"):
@@ -255,7 +255,7 @@ NPTS=  7, DT=  .0050 SEC,
 """
 
 
-def test_channels_of_different_clocks_are_told(tmp_path):
+def test_channels_of_different_clocks_are_reported(tmp_path):
     nptdms = pytest.importorskip("nptdms", reason="npTDMS is not installed: pip install 'jaxbody[files]'")
     with nptdms.TdmsWriter(tmp_path / "run.tdms") as file:
         for name, step in (("slow", 1 / 100), ("fast", 1 / 200)):
@@ -334,7 +334,7 @@ FILES = {  # content, file, options, code, place and words
 
 
 @pytest.mark.parametrize("case", FILES)
-def test_bad_files_are_told(case, tmp_path):
+def test_bad_files_are_reported(case, tmp_path):
     content, name, options, code, words = FILES[case]
     options = {"time": ("t", "s"), "channels": {"a": ("a", "m/s2")}} | options
     with pytest.raises(jb.JaxbodyError) as refused:
@@ -356,7 +356,7 @@ def test_a_file_that_is_missing_or_a_directory(tmp_path):
         assert refused.value.code == code
 
 
-def test_columns_and_units_that_are_wrong_are_told_at_once(tmp_path):
+def test_columns_and_units_that_are_wrong_are_reported_at_once(tmp_path):
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.read_record(written(tmp_path, GOOD), time=("tt", "s"), channels={"a": ("a", "m/parsec"), "b": ("bb", "m")})
     assert [problem.code for problem in refused.value.problems] == ["UNKNOWN_UNIT", "UNKNOWN_CHANNEL", "UNKNOWN_CHANNEL"]
@@ -424,7 +424,7 @@ RECORDS = {  # times, channel and unit, options, code, words
 
 
 @pytest.mark.parametrize("case", RECORDS)
-def test_bad_records_are_told(case):
+def test_bad_records_are_reported(case):
     times, channel, options, code, words = RECORDS[case]
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.Record(times, {"x": channel}, **options)
@@ -448,9 +448,9 @@ WARNED = {
 @pytest.mark.parametrize("case", WARNED)
 def test_suspicious_records_are_warned_of(case):
     times, channel, options, code, words = WARNED[case]
-    with pytest.warns(jb.JaxbodyWarning) as told:
+    with pytest.warns(jb.JaxbodyWarning) as caught:
         jb.Record(times, {"x": channel}, **options)
-    (message,) = [str(w.message) for w in told]
+    (message,) = [str(w.message) for w in caught]
     assert f"[{code}]" in message and [word for word in words.split() if word not in message] == [], message
 
 

@@ -58,31 +58,31 @@ def at(model, q, v, sensors=ON_ROD):
 @pytest.mark.parametrize(("q", "w"), [(0.0, 0.0), (0.7, 0.0), (0.7, 3.0), (-2.2, -5.0), (9.0, 1.0)])
 def test_instruments_on_a_pendulum_are_those_of_its_closed_form(pendulum, q, w):
     """At the radius r below the hinge f = (g sin q - w' r ..., g cos q + w^2 r) along the arcs and the rod; w' = -m g l sin q/(J + m l^2)."""
-    found = at(pendulum, q, w)
+    result = at(pendulum, q, w)
     m, l, J = 2.0, 0.6, 0.4
     alpha = -m * G * l * np.sin(q) / (J + m * l**2)
     f = np.array([-alpha * 1.0 - G * np.sin(q), 0.0, w**2 * 1.0 + G * np.cos(q)])  # of the tip, in the axes of the rod
     close = {"rtol": 0, "atol": 1e-12 * 40}
-    np.testing.assert_allclose(found["tip"], f, **close)
-    np.testing.assert_allclose(found["turned"], R_S.T @ f, **close)
-    np.testing.assert_allclose(found["along"], -f[2], **close)
-    np.testing.assert_allclose(found["gyro"], R_S.T @ [0, w, 0], rtol=0, atol=5e-15)
-    assert found["rate"] == w and found["angle"] == q
-    np.testing.assert_allclose(found["tilt"], np.arcsin(-np.sin(q)), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(result["tip"], f, **close)
+    np.testing.assert_allclose(result["turned"], R_S.T @ f, **close)
+    np.testing.assert_allclose(result["along"], -f[2], **close)
+    np.testing.assert_allclose(result["gyro"], R_S.T @ [0, w, 0], rtol=0, atol=5e-15)
+    assert result["rate"] == w and result["angle"] == q
+    np.testing.assert_allclose(result["tilt"], np.arcsin(-np.sin(q)), rtol=0, atol=1e-12)
     axes = Rotation.from_euler("y", q).apply(Rotation.from_euler("z", 0.3).as_matrix().T[:2])
-    np.testing.assert_allclose(found["tilts"], np.arcsin(axes[:, 2]), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(result["tilts"], np.arcsin(axes[:, 2]), rtol=0, atol=1e-12)
     a_C = 0.6 * np.array([-alpha * np.cos(q) + w**2 * np.sin(q), 0, alpha * np.sin(q) + w**2 * np.cos(q)])
-    np.testing.assert_allclose(found["held"], [*(-m * a_C - [0, 0, m * G]), 0, 0, 0], **close)
+    np.testing.assert_allclose(result["held"], [*(-m * a_C - [0, 0, m * G]), 0, 0, 0], **close)
 
 
 def test_a_sensor_at_rest_reads_g_upwards_whatever_its_axes(pendulum):
     box = jb.Body(mass=1.0, inertia=[1, 1, 1], orientation=MOUNTED, position=[1, 2, 3])
     model = jb.Model(bodies={"box": box}, joints={"box": jb.Fixed("base")}, supports={"base": jb.Support()}, gravity=[0.3, -0.2, -G])
     sensors = {"acc": jb.Accelerometer("box", P), "base": jb.Accelerometer("base", P, orientation=MOUNTED), "tilt": jb.Tilt("base")}
-    found = read_all(model, jnp.array(0.0), jnp.zeros(0), jnp.zeros(0), sensors, (jb.AtRest(),))
-    np.testing.assert_allclose(found["acc"], R_S.T @ [-0.3, 0.2, G], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found["base"], R_S.T @ [-0.3, 0.2, G], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found["tilt"], np.arcsin(np.array([-0.3, 0.2]) / np.linalg.norm([0.3, 0.2, G])), atol=1e-15)
+    result = read_all(model, jnp.array(0.0), jnp.zeros(0), jnp.zeros(0), sensors, (jb.AtRest(),))
+    np.testing.assert_allclose(result["acc"], R_S.T @ [-0.3, 0.2, G], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(result["base"], R_S.T @ [-0.3, 0.2, G], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(result["tilt"], np.arcsin(np.array([-0.3, 0.2]) / np.linalg.norm([0.3, 0.2, G])), atol=1e-15)
     assert at(pendulum, 0.0, 0.0)["tip"].tolist() == [0.0, 0.0, G]
 
 
@@ -95,11 +95,11 @@ def test_an_offset_accelerometer_of_a_free_body_feels_loads_and_its_spin_but_not
     load = jb.Force(("box", at_P), force=F, axes="body")
     v = np.concatenate([[0.1, -0.4, 2.0], R @ w])
     sensors = {"acc": jb.Accelerometer("box", P), "side": jb.Accelerometer("box", P, axis=[0, 1, 0])}
-    found = read_all(model, jnp.array(0.0), jnp.array(q), jnp.array(v), sensors, (), (load,))
+    result = read_all(model, jnp.array(0.0), jnp.array(q), jnp.array(v), sensors, (), (load,))
     alpha = (np.cross(at_P - c, F) - np.cross(w, J * w)) / J
     f = F / m + np.cross(alpha, P - c) + np.cross(w, np.cross(w, P - c))
-    np.testing.assert_allclose(found["acc"], f, rtol=0, atol=1e-12 * 10)
-    np.testing.assert_allclose(found["side"], f[1], rtol=0, atol=1e-12 * 10)
+    np.testing.assert_allclose(result["acc"], f, rtol=0, atol=1e-12 * 10)
+    np.testing.assert_allclose(result["side"], f[1], rtol=0, atol=1e-12 * 10)
 
 
 # Along a trajectory: against differences of poses, written out
@@ -209,8 +209,8 @@ def derivatives_agree(model, motions, t, state, sensors, loads=()):
     @jax.jit
     def reading(x):
         q, v, sensors = rebuild(x)
-        found = read(model, motions, t, jb.State(q, v), sensors, loads)
-        return jnp.concatenate([x.ravel() for x in found.values()])
+        result = read(model, motions, t, jb.State(q, v), sensors, loads)
+        return jnp.concatenate([x.ravel() for x in result.values()])
 
     towards, onto = RANDOM.normal(size=x0.size), RANDOM.normal(size=len(reading(x0)))
     forward = jax.jit(lambda x: jax.jvp(reading, (x,), (towards,))[1])(x0)
@@ -239,8 +239,8 @@ def test_zero_length_has_derivatives_of_zero_and_is_refused_as_a_beginning(pendu
 
     value, slopes = jax.value_and_grad(length, (0, 1))(jnp.array([0.3]), jnp.zeros(3))
     assert value == 0 and not np.any(slopes[0]) and not np.any(slopes[1])
-    found = problems_of(check_sensors, {"wire": wire}, pendulum, "sensors")
-    assert [p.code for p in found] == ["ZERO_LENGTH"] and "sensors['wire']" in found[0].where
+    result = problems_of(check_sensors, {"wire": wire}, pendulum, "sensors")
+    assert [p.code for p in result] == ["ZERO_LENGTH"] and "sensors['wire']" in result[0].where
 
 
 # The chain
@@ -265,16 +265,16 @@ def test_a_delay_is_exact_well_below_the_sampling_rate(times, f, limit):
     x = np.stack([sine(f, times), sine(f, times, 1.0)], 1)
     for tau in (0.005, -0.0033, 0.0271):
         expected = np.stack([sine(f, times - tau), sine(f, times - tau, 1.0)], 1)
-        found, slope = delay(times, x, tau)
-        np.testing.assert_allclose(found[10:-10], expected[10:-10], rtol=0, atol=limit)
+        result, slope = delay(times, x, tau)
+        np.testing.assert_allclose(result[10:-10], expected[10:-10], rtol=0, atol=limit)
         rates = -2 * np.pi * f * np.stack([np.cos(2 * np.pi * f * (times - tau) + p) for p in (0.3, 1.0)], 1)
         np.testing.assert_allclose(slope[10:-10], rates[10:-10], rtol=0, atol=10 * limit * 2 * np.pi * f)
 
 
 def test_at_the_ends_a_delay_goes_on_for_a_sample_and_then_does_not_count():
     tau, step = 0.0271, 0.01
-    found, weight = delay(TIMES, np.stack([sine(3.0, TIMES)] * 2, 1), tau)[0], delays_and_lags.known(TIMES, tau)
-    np.testing.assert_allclose(found[2:8, 0], sine(3.0, TIMES - tau)[2:8], rtol=0, atol=1e-6)
+    result, weight = delay(TIMES, np.stack([sine(3.0, TIMES)] * 2, 1), tau)[0], delays_and_lags.known(TIMES, tau)
+    np.testing.assert_allclose(result[2:8, 0], sine(3.0, TIMES - tau)[2:8], rtol=0, atol=1e-6)
     np.testing.assert_allclose(weight[:4], [0, 0, 1 - (tau - 2 * step) / step, 1], atol=1e-12)
     np.testing.assert_array_equal(weight[3:], 1)
     np.testing.assert_allclose(delays_and_lags.known(TIMES, -tau), weight[::-1], atol=1e-9)
@@ -289,9 +289,9 @@ def test_a_lag_is_that_of_the_closed_form_for_a_sine(T):
         t, f, y0 = times - times[0], 5.0, 0.2
         H = np.exp(1j * (2 * np.pi * f * t + 0.3)) / (1 + 2j * np.pi * f * T)
         expected = H.imag + (y0 - H.imag[0]) * np.exp(-t / T)
-        found = lag(times, sine(f, t), T, y0)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
-        np.testing.assert_allclose(found[12:-12], expected[12:-12], rtol=0, atol=1e-8 if T < 1 else 2e-9)
+        result = lag(times, sine(f, t), T, y0)
+        np.testing.assert_allclose(result, expected, rtol=0, atol=1e-7)
+        np.testing.assert_allclose(result[12:-12], expected[12:-12], rtol=0, atol=1e-8 if T < 1 else 2e-9)
 
 
 def test_a_lag_is_that_of_scipy_for_a_noise_of_few_frequencies_and_its_derivative_that_of_differences():
@@ -313,9 +313,9 @@ def test_attitudes_are_delayed_as_one_turning_whatever_the_signs_of_their_quater
     rate = np.array([0.3, -2.0, 1.1])
     q = Rotation.from_rotvec(np.array(TIMES)[:, None] * rate).as_quat()[:, [3, 0, 1, 2]] * RANDOM.choice([-1, 1], size=(200, 1))
     sensor = jb.Orientation("rod", delay=0.0123, bias=[0.01, 0.02, -0.03])
-    found = jax.jit(lambda t, q: sensor.transduced(t, q))(TIMES, jnp.asarray(q))
+    result = jax.jit(lambda t, q: sensor.transduced(t, q))(TIMES, jnp.asarray(q))
     expected = Rotation.from_rotvec([0.01, 0.02, -0.03]) * Rotation.from_rotvec((np.array(TIMES) - 0.0123)[:, None] * rate)
-    np.testing.assert_allclose(turned(found)[2:], expected.as_matrix()[2:], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(turned(result)[2:], expected.as_matrix()[2:], rtol=0, atol=1e-12)
 
 
 def swinging(model):
@@ -330,15 +330,15 @@ def test_the_chain_of_a_record_is_gain_lag_delay_and_bias(pendulum):
     run = swinging(pendulum)
     chain = {"gain": np.array([1.1, 0.9, -1.0]), "bias": 0.3, "delay": 0.0123, "lag": 0.02, "start": np.array([1.0, 2.0, 3.0])}
     bare, acc = jb.Accelerometer("rod", [0, 0, -1.0]), jb.Accelerometer("rod", [0, 0, -1.0], **chain)
-    found = jb.measure(run, {"bare": bare, "acc": acc})
-    x = jax.jit(lambda x: delays_and_lags.lagged(TIMES, delays_and_lags.delayed(TIMES, x, 0.0123), 0.02, chain["start"]))(found["bare"])
+    result = jb.measure(run, {"bare": bare, "acc": acc})
+    x = jax.jit(lambda x: delays_and_lags.lagged(TIMES, delays_and_lags.delayed(TIMES, x, 0.0123), 0.02, chain["start"]))(result["bare"])
     expected = np.asarray(chain["gain"] * x + 0.3)
-    assert np.isnan(found["acc"][:1]).all()  # 0.0123 s: the first sample is known a sample too early, the second extrapolated
-    np.testing.assert_allclose(found["acc"][1:], expected[1:], rtol=0, atol=1e-12)
+    assert np.isnan(result["acc"][:1]).all()  # 0.0123 s: the first sample is known a sample too early, the second extrapolated
+    np.testing.assert_allclose(result["acc"][1:], expected[1:], rtol=0, atol=1e-12)
     record = readings(run, {"acc": acc})["acc"]
     np.testing.assert_allclose(record, expected, rtol=0, atol=1e-12)
     np.testing.assert_allclose(acc.misfit(run.times, record, record - 1.0)[:3, 0], [0, 0.77, 1], atol=1e-12)
-    noisy = jb.measure(run, {"acc": acc}, noise=0.1, key=jax.random.key(0))["acc"] - found["acc"]
+    noisy = jb.measure(run, {"acc": acc}, noise=0.1, key=jax.random.key(0))["acc"] - result["acc"]
     assert np.isnan(noisy[0]).all() and abs(np.std(noisy[1:]) / 0.1 - 1) < 4 / np.sqrt(2 * 597)
 
 
@@ -366,9 +366,9 @@ def problems_of(function, *arguments, **options):
     ],
 )  # fmt: skip
 def test_an_instrument_tells_all_that_is_wrong_with_its_numbers(make, codes):
-    found = problems_of(make)
-    assert [problem.code for problem in found] == codes
-    assert all(problem.where.split(".")[0].split(",")[0] in type_names and "joint" not in str(problem) for problem in found)
+    result = problems_of(make)
+    assert [problem.code for problem in result] == codes
+    assert all(problem.where.split(".")[0].split(",")[0] in type_names and "joint" not in str(problem) for problem in result)
 
 
 type_names = ("Accelerometer", "Gyro", "Tilt", "Displacement", "Velocity", "LaserVibrometer", "LoadCell", "Orientation")
@@ -379,15 +379,15 @@ def test_an_argument_that_there_is_not_is_named():
         jb.Gyro("rod", gian=1.0)
 
 
-def test_what_does_not_fit_a_model_is_told_at_once(pendulum):
+def test_what_does_not_fit_a_model_is_reported_at_once(pendulum):
     still = jb.replace(pendulum, {"gravity": [0, 0, 0.0]})
     sensors = {
         "a": jb.Tilt("rod"), "b": jb.Displacement(("rod", P), "base"), "c": jb.LoadCell("s"), "d": jb.ForcePlate("rod"),
         "e": jb.JointAngle("rod", component=1), "f": jb.LaserDistance("rod", origin=[0, 0, 0], axis=[0, 0, 1], normal=[1, 0, 0]),
         "g": jb.StringPotentiometer(("rod", [0, 0, 0]), ("world", [0, 0, 0])),
     }  # fmt: skip
-    found = problems_of(check_sensors, sensors, still, "sensors")
-    assert [p.code for p in found] == [
+    result = problems_of(check_sensors, sensors, still, "sensors")
+    assert [p.code for p in result] == [
         "NO_GRAVITY",
         "UNKNOWN_NAME",
         "UNKNOWN_NAME",
@@ -396,20 +396,20 @@ def test_what_does_not_fit_a_model_is_told_at_once(pendulum):
         "GRAZING",
         "ZERO_LENGTH",
     ]
-    assert [p.where for p in found] == [f"sensors['{name}']" for name in sensors] and all(p.hint for p in found)
+    assert [p.where for p in result] == [f"sensors['{name}']" for name in sensors] and all(p.hint for p in result)
     free = jb.Model(bodies={"rod": jb.Body(mass=1.0, inertia=[1, 1, 1])}, elements={"m": jb.Bushing(("rod", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=[1, 1, 1])})  # fmt: skip
-    found = problems_of(
+    result = problems_of(
         check_sensors, {"a": jb.JointAngle("rod"), "b": jb.LoadCell("m"), "c": jb.LoadCell("m", component=6)}, free, "sensors"
     )
-    assert [p.code for p in found] == ["BAD_COMPONENT"] * 3 and "Free" in found[0].message
+    assert [p.code for p in result] == ["BAD_COMPONENT"] * 3 and "Free" in result[0].message
 
 
 def test_a_cell_in_a_bushing_reads_one_of_its_six_forces():
     mount = jb.Bushing(("box", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=[10, 20, 30], damping=[1, 2, 3])
     model = jb.Model(bodies={"box": jb.Body(mass=1.0, inertia=[1, 1, 1])}, elements={"m": mount})
     q, v = jnp.array([0.1, 0.2, 0.3, 1, 0, 0, 0]), jnp.array([1.0, 2, 3, 0, 0, 0])
-    found = read_all(model, jnp.array(0.0), q, v, {i: jb.LoadCell("m", component=i) for i in range(6)})
-    np.testing.assert_allclose([found[i] for i in range(3)], [-1 - 1, -4 - 4, -9 - 9], rtol=1e-13)  # from the box to the world
+    result = read_all(model, jnp.array(0.0), q, v, {i: jb.LoadCell("m", component=i) for i in range(6)})
+    np.testing.assert_allclose([result[i] for i in range(3)], [-1 - 1, -4 - 4, -9 - 9], rtol=1e-13)  # from the box to the world
 
 
 # Fits
@@ -440,15 +440,15 @@ def taken(cart, seeds, chain, noise=0.0):
     acc, gap = jb.Accelerometer("cart", axis=[1, 0, 0], **{**CHAIN, "start": None}), jb.Displacement("cart", "base", axis=[1, 0, 0])
     level = {"acc": max(noise, 1e-6), "gap": max(noise / 100, 1e-8)}
     initial = jax.tree.map(lambda x: x[1], whole.state)
-    found = {}
+    result = {}
     for seed in seeds:
         measured = jb.measure(
             whole, {"acc": acc, "gap": gap}, noise={name: noise and x for name, x in level.items()}, key=jax.random.key(seed)
         )
         measured = {name: x[1:] for name, x in measured.items()}
         sensors = {"acc": jb.Accelerometer("cart", axis=[1, 0, 0], **chain), "gap": gap}
-        found[f"run{seed}"] = jb.Experiment(times[1:], motion=motion, initial=initial, sensors=sensors, measured=measured, noise=level)
-    return found
+        result[f"run{seed}"] = jb.Experiment(times[1:], motion=motion, initial=initial, sensors=sensors, measured=measured, noise=level)
+    return result
 
 
 @pytest.mark.long
@@ -458,14 +458,14 @@ def test_a_fit_finds_gain_bias_delay_and_lag_of_each_run(cart, seeds):
     model, _ = cart
     runs = taken(cart, seeds, {"gain": 1.0, "bias": 0.0, "delay": 0.0, "lag": 0.02, "start": 0.0})
     start = jb.replace(model, {"s.stiffness": 480.0, "s.damping": 3.0})
-    found = jb.fit(
+    result = jb.fit(
         start, runs, free=["s.stiffness", "s.damping", "run?.acc.gain", "run?.acc.bias", "run?.acc.delay", "run?.acc.lag", "run?.acc.start"]
     )
-    assert found.ok
+    assert result.ok
     for run in runs:
         for name in ("gain", "bias", "delay", "lag"):
-            np.testing.assert_allclose(found.estimates[f"{run}.acc.{name}"], CHAIN[name], rtol=2e-5, err_msg=name)
-    np.testing.assert_allclose([found.estimates[f"s.{name}"] for name in ("stiffness", "damping")], [400.0, 4.0], rtol=1e-6)
+            np.testing.assert_allclose(result.estimates[f"{run}.acc.{name}"], CHAIN[name], rtol=2e-5, err_msg=name)
+    np.testing.assert_allclose([result.estimates[f"s.{name}"] for name in ("stiffness", "damping")], [400.0, 4.0], rtol=1e-6)
 
 
 def test_what_is_free_of_a_chain_moves_by_what_it_is_about_and_unknown_samples_do_not_count(cart):

@@ -31,12 +31,12 @@ def test_a_pendulum_pulls_on_its_hinge(q, w):
     rod = jb.Body(mass=m, inertia=[0.3, J, 0.1], position=pivot - l * np.eye(3)[2])  # O is the centre of mass
     model = jb.Model(bodies={"rod": rod}, joints={"rod": jb.Hinge("world", axis=[0, 1, 0], at=pivot)}, gravity=[0, 0, -G])
     sensors = {"hinge": jb.Reaction("rod"), "mass": jb.Reaction("rod", [0, 0, 0]), "up": jb.Reaction("rod", component=2)}
-    found = at(model, [q], [w], sensors)
+    result = at(model, [q], [w], sensors)
     along, across = np.array([np.sin(q), 0, np.cos(q)]), np.array([np.cos(q), 0, -np.sin(q)])
     F = (m * G * np.cos(q) + m * l * w**2) * along - m * G * np.sin(q) * J / (J + m * l**2) * across
-    np.testing.assert_allclose(found["hinge"], [*F, 0, 0, 0], rtol=0, atol=1e-12 * 60)
-    np.testing.assert_allclose(found["mass"], [*F, *np.cross(l * along, F)], rtol=0, atol=1e-12 * 60)
-    np.testing.assert_allclose(found["up"], F[2], rtol=0, atol=1e-12 * 60)
+    np.testing.assert_allclose(result["hinge"], [*F, 0, 0, 0], rtol=0, atol=1e-12 * 60)
+    np.testing.assert_allclose(result["mass"], [*F, *np.cross(l * along, F)], rtol=0, atol=1e-12 * 60)
+    np.testing.assert_allclose(result["up"], F[2], rtol=0, atol=1e-12 * 60)
 
 
 def test_a_chain_of_two_links_pulls_on_both_hinges():
@@ -67,10 +67,10 @@ def test_a_chain_of_two_links_pulls_on_both_hinges():
     g = np.array([0, 0, -G])
     lower = m[1] * (arm(L, a, da, dda) + arm(l[1], b, db, ddb) - g)
     upper = m[0] * (arm(l[0], a, da, dda) - g) + lower
-    found = at(model, [a, b - a], [da, db - da], {"upper": jb.Reaction("upper"), "lower": jb.Reaction("lower")})
+    result = at(model, [a, b - a], [da, db - da], {"upper": jb.Reaction("upper"), "lower": jb.Reaction("lower")})
     in_upper = np.array([[np.cos(a), 0, -np.sin(a)], [0, 1, 0], [np.sin(a), 0, np.cos(a)]])  # world to the axes of the upper rod
-    np.testing.assert_allclose(found["upper"], [*upper, 0, 0, 0], rtol=0, atol=1e-12 * 100)
-    np.testing.assert_allclose(found["lower"], [*in_upper @ lower, 0, 0, 0], rtol=0, atol=1e-12 * 100)
+    np.testing.assert_allclose(result["upper"], [*upper, 0, 0, 0], rtol=0, atol=1e-12 * 100)
+    np.testing.assert_allclose(result["lower"], [*in_upper @ lower, 0, 0, 0], rtol=0, atol=1e-12 * 100)
 
 
 def test_a_console_bends_its_hinge():
@@ -81,13 +81,13 @@ def test_a_console_bends_its_hinge():
     model = jb.Model(bodies={"beam": beam}, joints={"beam": jb.Hinge("world", axis=[0, 0, 1])}, gravity=[0, 0, -G])
     sensors = {"root": jb.Reaction("beam"), "plate": jb.ForcePlate("world")}
     load = (jb.Force(("beam", tip), force=F),)
-    found = at(model, [0.0], [0.0], sensors, (), load)
+    result = at(model, [0.0], [0.0], sensors, (), load)
     weight = np.array([0, 0, -m * G])
-    np.testing.assert_allclose(found["root"], -np.concatenate([weight + F, np.cross(c, weight) + np.cross(tip, F)]), rtol=0, atol=1e-11)
-    np.testing.assert_allclose(found["plate"], -found["root"], rtol=0, atol=1e-11)
+    np.testing.assert_allclose(result["root"], -np.concatenate([weight + F, np.cross(c, weight) + np.cross(tip, F)]), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(result["plate"], -result["root"], rtol=0, atol=1e-11)
     welded = jb.Model(bodies={"beam": beam}, joints={"beam": jb.Fixed("world")}, gravity=[0, 0, -G])
-    found = at(welded, [], [], {"root": jb.Reaction("beam")}, (), load)
-    np.testing.assert_allclose(found["root"], -np.concatenate([weight + F, np.cross(c, weight) + np.cross(tip, F)]), rtol=0, atol=1e-11)
+    result = at(welded, [], [], {"root": jb.Reaction("beam")}, (), load)
+    np.testing.assert_allclose(result["root"], -np.concatenate([weight + F, np.cross(c, weight) + np.cross(tip, F)]), rtol=0, atol=1e-11)
 
 
 def test_a_guide_on_a_moving_base_pushes_sideways():
@@ -101,13 +101,13 @@ def test_a_guide_on_a_moving_base_pushes_sideways():
         supports={"base": base}, joints={"carriage": jb.Guide("base", axis=[0, 0, 1])}, gravity=[0, 0, -G],
     )  # fmt: skip
     motion = (jb.Harmonic(frequency=f, translation=d),)
-    found = at(model, [0.1], [0.4], {"guide": jb.Reaction("carriage")}, motion, (), t)["guide"]
+    result = at(model, [0.1], [0.4], {"guide": jb.Reaction("carriage")}, motion, (), t)["guide"]
     w = 2 * np.pi * f
     acceleration = -(w**2) * np.asarray(motion[0](t))[:3]
     Rz = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])  # world to base
     F = Rz @ (m * acceleration * [1, 1, 0])
-    np.testing.assert_allclose(found[:3], F, rtol=0, atol=1e-12 * 100)
-    np.testing.assert_allclose(found[3:], np.cross(c, F), rtol=0, atol=1e-12 * 100)
+    np.testing.assert_allclose(result[:3], F, rtol=0, atol=1e-12 * 100)
+    np.testing.assert_allclose(result[3:], np.cross(c, F), rtol=0, atol=1e-12 * 100)
 
 
 # Everywhere: momentum and work
@@ -184,7 +184,7 @@ def test_what_joints_and_all_else_exert_is_the_rate_of_momentum(kind):
             read(model, SHAKEN, t, jb.State(q, v), sensors, PUSH),
         )
 
-    rate, frames, axes, elements, push, found = jax.tree.map(np.asarray, quantities(jnp.asarray(0.4 * RANDOM.normal(size=layout.nv))))
+    rate, frames, axes, elements, push, result = jax.tree.map(np.asarray, quantities(jnp.asarray(0.4 * RANDOM.normal(size=layout.nv))))
     row, p = {name: layout.frame(name) for name in layout.frames}, frames.p
 
     def about_origin(name, F, M):
@@ -192,11 +192,11 @@ def test_what_joints_and_all_else_exert_is_the_rate_of_momentum(kind):
 
     held = {}
     for name, parent in (("box", "arm"), ("arm", "base")):
-        F, M = (frames.R[row[parent]] @ x for x in np.split(found[name], 2))
+        F, M = (frames.R[row[parent]] @ x for x in np.split(result[name], 2))
         held[name] = about_origin(name, F, M)
         rows = slice(*{"box": (0, layout.nv - 1), "arm": (layout.nv - 1, layout.nv)}[name])
         power = axes[0][rows] @ F + axes[1][rows] @ M
-        np.testing.assert_allclose(power, 0, atol=1e-11 * np.abs(found[name]).max())
+        np.testing.assert_allclose(power, 0, atol=1e-11 * np.abs(result[name]).max())
     applied = {name: 0.0 for name in layout.frames}
     for i, ends in enumerate(elements):
         for end, wrench in zip(model[f"s{i}"].between, ends, strict=True):
@@ -335,8 +335,8 @@ def test_a_fit_takes_a_mass_from_a_hinge():
         warnings.simplefilter(
             "error", RuntimeWarning
         )  # the force across the plane of motion is zero throughout: it is correlated with nothing
-        found = jb.fit(jb.replace(model, {"rod.mass": 1.7}), {"run": run}, free=["rod.mass"])
-    np.testing.assert_allclose(found.model["rod"].mass, 2.0, rtol=1e-7)
+        result = jb.fit(jb.replace(model, {"rod.mass": 1.7}), {"run": run}, free=["rod.mass"])
+    np.testing.assert_allclose(result.model["rod"].mass, 2.0, rtol=1e-7)
 
 
 @pytest.mark.parametrize(

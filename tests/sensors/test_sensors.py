@@ -79,14 +79,14 @@ def by_hand():
 
 def test_readings_of_a_turned_arm_on_a_moving_base_are_those_by_hand(model, by_hand):
     t, state, expected = by_hand
-    found = jax.jit(read)(model, (jb.Harmonic(**SHAKING),), jnp.array(t), state, SENSORS)
+    result = jax.jit(read)(model, (jb.Harmonic(**SHAKING),), jnp.array(t), state, SENSORS)
     for name in ("point", "along", "anchor", "tie", "cord"):
-        assert found[name].shape == SENSORS[name].shape
-        np.testing.assert_allclose(found[name], expected[name], rtol=0, atol=3e-15, err_msg=name)
+        assert result[name].shape == SENSORS[name].shape
+        np.testing.assert_allclose(result[name], expected[name], rtol=0, atol=3e-15, err_msg=name)
     for name in ("pose", "floor"):
         p, R = expected[name]
-        np.testing.assert_allclose(found[name][:3], p, rtol=0, atol=3e-15)
-        np.testing.assert_allclose(turned(found[name][3:]), R.as_matrix(), rtol=0, atol=3e-15)
+        np.testing.assert_allclose(result[name][:3], p, rtol=0, atol=3e-15)
+        np.testing.assert_allclose(turned(result[name][3:]), R.as_matrix(), rtol=0, atol=3e-15)
 
 
 @pytest.fixture(scope="module")
@@ -157,11 +157,11 @@ def test_a_batch_of_trajectories_is_measured_one_by_one(trajectory):
     two = [jax.tree.map(lambda x, s=s: x * s, trajectory.state) for s in (1.0, 1.1)]
     runs = [type(trajectory)(trajectory.times, state, trajectory.status, trajectory.statistics, trajectory.end, trajectory.model, trajectory.motions) for state in two]  # fmt: skip
     batch = jax.tree.map(lambda *x: jnp.stack(x), *runs)
-    found = jb.measure(batch, SENSORS)
+    result = jb.measure(batch, SENSORS)
     for name in SENSORS:
         for i, run in enumerate(runs):
-            np.testing.assert_allclose(found[name][i], jb.measure(run, SENSORS)[name], rtol=0, atol=1e-14)
-    noise = jb.measure(batch, {"tie": SENSORS["tie"]}, noise=1e-3, key=jax.random.key(0))["tie"] - found["tie"]
+            np.testing.assert_allclose(result[name][i], jb.measure(run, SENSORS)[name], rtol=0, atol=1e-14)
+    noise = jb.measure(batch, {"tie": SENSORS["tie"]}, noise=1e-3, key=jax.random.key(0))["tie"] - result["tie"]
     assert noise.shape == (2, 4001) and abs(np.corrcoef(noise)[0, 1]) < 4 / np.sqrt(4001)
     is_white(noise.T, 1e-3)
 
@@ -173,8 +173,8 @@ def test_the_residual_of_a_pose_is_the_turn_from_the_measured_to_the_read_orient
         R, turn = Rotation.random(random_state=RANDOM), angle * np.array([0.48, 0.6, -0.64])
         q, read_q = (x.as_quat()[[3, 0, 1, 2]] for x in (R, Rotation.from_rotvec(turn) * R))
         for sign in (1, -1):  # q and -q are one orientation
-            found = residual(jnp.array([1.0, 2, 3, *read_q]), jnp.array([0.5, 2, 3.25, *(sign * q)]))
-            np.testing.assert_allclose(found, [0.5, 0, -0.25, *turn], rtol=0, atol=1e-15 * max(1, 10 * angle))
+            result = residual(jnp.array([1.0, 2, 3, *read_q]), jnp.array([0.5, 2, 3.25, *(sign * q)]))
+            np.testing.assert_allclose(result, [0.5, 0, -0.25, *turn], rtol=0, atol=1e-15 * max(1, 10 * angle))
     rounded = residual(jnp.array([0.0, 0, 0, *read_q]), jnp.array([0.0, 0, 0, *(1.0004 * read_q)]))
     np.testing.assert_allclose(rounded, 0, atol=1e-15)
 
@@ -197,8 +197,8 @@ def test_residuals_of_missing_samples_are_zero_with_zero_derivatives():
     pose, reading = jb.BodyPose("arm"), jnp.array([1.0, 2, 3, 0.8, 0.6, 0, 0])
     expected = [[0.9, 0, 2.7, 2 * np.arccos(0.8), 0, 0], [0.9, 1.8, 2.7, 0, 0, 0], np.zeros(6)]
     residual = jax.jit(jax.vmap(lambda x, y: (pose.residual(x, y), jax.jacfwd(pose.residual)(x, y)), (None, 0)))
-    found, slopes = residual(reading, measured)
-    np.testing.assert_allclose(found, expected, atol=1e-15)
+    result, slopes = residual(reading, measured)
+    np.testing.assert_allclose(result, expected, atol=1e-15)
     there = [[1, 0, 1, 1, 1, 1], [1, 1, 1, 0, 0, 0], np.zeros(6)]
     np.testing.assert_array_equal(~pose.missing(measured), np.array(there, bool))
     assert np.isfinite(slopes).all() and not slopes[2].any() and not slopes[1, 3:].any() and slopes[0, 3:].any()
@@ -214,13 +214,13 @@ def problems_of(function, *arguments, **options):
 
 def test_measure_tells_all_that_is_wrong_at_once(trajectory):
     wrong = {"a": jb.Position("armm"), "b": jb.Elongation("arm"), "c": 3.0}
-    found = problems_of(jb.measure, trajectory, wrong)
-    assert [problem.code for problem in found] == ["UNKNOWN_NAME", "UNKNOWN_NAME", "WRONG_KIND"]
-    assert "'arm'" in found[0].hint and "tie, cord" in found[1].hint
+    result = problems_of(jb.measure, trajectory, wrong)
+    assert [problem.code for problem in result] == ["UNKNOWN_NAME", "UNKNOWN_NAME", "WRONG_KIND"]
+    assert "'arm'" in result[0].hint and "tie, cord" in result[1].hint
     levels = {"point": -1.0, "tie": [1.0, 2.0], "along": np.nan, "cordd": 1.0, "pose": [1e-3, -1]}
-    found = problems_of(jb.measure, trajectory, SENSORS, noise=levels)
-    assert [problem.code for problem in found] == ["BAD_NOISE", "BAD_SHAPE", "NON_FINITE", "UNKNOWN_NAME", "BAD_NOISE", "NO_KEY"]
-    assert "'cord'" in found[3].hint
+    result = problems_of(jb.measure, trajectory, SENSORS, noise=levels)
+    assert [problem.code for problem in result] == ["BAD_NOISE", "BAD_SHAPE", "NON_FINITE", "UNKNOWN_NAME", "BAD_NOISE", "NO_KEY"]
+    assert "'cord'" in result[3].hint
     assert problems_of(jb.measure, trajectory, SENSORS, noise=1e-3)[0].code == "NO_KEY"
 
 
@@ -248,7 +248,7 @@ def test_an_experiment_takes_lists_masked_arrays_and_gaps():
     assert experiment(noise={"pose": [1e-3, 1e-2], "tie": 2}, **GOOD).noise["pose"].shape == (2,)
 
 
-def test_a_transposed_record_is_told_to_be_one():
+def test_a_transposed_record_is_reported_to_be_one():
     (problem,) = problems_of(experiment, point=np.zeros((3, 6)))
     assert (problem.code, problem.limit) == ("BAD_SHAPE", "(6, 3)") and "measured.T" in problem.hint and "point" in problem.where
     (problem,) = problems_of(experiment, point=np.zeros((6, 2)))
@@ -259,24 +259,24 @@ def test_a_transposed_record_is_told_to_be_one():
 
 @pytest.mark.parametrize("times", [[], [0.5]])
 def test_no_data_and_one_sample_are_no_experiment(times):
-    found = problems_of(experiment, times, tie=np.zeros(len(times)))
-    assert found[0].code == "NO_DATA" and "times" in found[0].where
+    result = problems_of(experiment, times, tie=np.zeros(len(times)))
+    assert result[0].code == "NO_DATA" and "times" in result[0].where
 
 
 def test_an_empty_record_is_no_data():
     assert problems_of(experiment, tie=[])[0].code == "NO_DATA"
-    found = problems_of(jb.Experiment, TIMES, sensors={}, measured={})
-    assert found[0].code == "NO_DATA" and "sensors" in found[0].where
+    result = problems_of(jb.Experiment, TIMES, sensors={}, measured={})
+    assert result[0].code == "NO_DATA" and "sensors" in result[0].where
 
 
 def test_a_channel_without_any_sample_is_named():
     point = np.zeros((6, 3))
     point[:, 1] = np.nan
     with pytest.warns(jb.JaxbodyWarning, match=r"33 %.*MISSING"):
-        found = problems_of(experiment, point=point, tie=np.full(6, np.nan))
-    assert [problem.code for problem in found] == ["ALL_NAN", "ALL_NAN"]
-    assert "component 1" in found[0].message and "point" in found[0].where
-    assert "tie" in found[1].where and "component" not in found[1].message
+        result = problems_of(experiment, point=point, tie=np.full(6, np.nan))
+    assert [problem.code for problem in result] == ["ALL_NAN", "ALL_NAN"]
+    assert "component 1" in result[0].message and "point" in result[0].where
+    assert "tie" in result[1].where and "component" not in result[1].message
 
 
 def test_above_a_fifth_missing_warns_and_below_does_not():
@@ -291,7 +291,7 @@ def test_above_a_fifth_missing_warns_and_below_does_not():
 def test_an_experiment_tells_all_that_is_wrong_at_once():
     pose = GOOD["pose"].copy()
     pose[3, 3:] = [0, 0, 0, 2]
-    found = problems_of(
+    result = problems_of(
         jb.Experiment,
         [0.0, 1, 1],
         sensors={"a.b": jb.Position("arm"), "base": jb.Elongation("tie"), "c": None, "lost": jb.Position("arm")},
@@ -299,11 +299,11 @@ def test_an_experiment_tells_all_that_is_wrong_at_once():
         motion={"base": jb.AtRest()},
         noise={"base": 0.0, "b": 1.0},
     )
-    codes = [problem.code for problem in found]
+    codes = [problem.code for problem in result]
     assert codes == ["DUPLICATE_TIME", "UNKNOWN_NAME", "UNKNOWN_NAME", "COMPLEX", "WRONG_KIND", "BAD_NOISE", "UNKNOWN_NAME", "DUPLICATE_NAME", "BAD_NAME"]  # fmt: skip
-    assert found[-2].message == "is the name of a support too"
-    found = problems_of(experiment, point=np.full((6, 3), np.inf), pose=pose)
-    assert [problem.code for problem in found] == ["NON_FINITE", "BAD_QUATERNION"] and "row 3" in found[1].message
+    assert result[-2].message == "is the name of a support too"
+    result = problems_of(experiment, point=np.full((6, 3), np.inf), pose=pose)
+    assert [problem.code for problem in result] == ["NON_FINITE", "BAD_QUATERNION"] and "row 3" in result[1].message
 
 
 @pytest.mark.parametrize("noise", [0.0, -1e-3, np.nan, {"tie": 0.0}])
