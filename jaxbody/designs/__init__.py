@@ -1,1 +1,1 @@
-"""Tuning: tune, pareto, sweep, tolerances, objectives."""
+"""Design: tune, pareto, sweep, tolerances, objectives."""

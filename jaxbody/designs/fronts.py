@@ -1,8 +1,8 @@
-"""Trade-offs: the designs in which no objective gets better without another getting worse, followed by gradients from one end to the other.
+"""Pareto fronts: designs in which no objective can be improved without degrading another, computed by constrained minimization.
 
     minimize f_1(x),   f_2(x) <= b_2, ...   and all limits,   for bounds b along the front
 
-Each point starts from the one before it; the multiplier of b, the slope of the front, says how far the next one lies.
+Each point starts from the previous one; the multiplier of b is the slope of the front and determines the next b.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from jaxbody.designs.tuners import tune
 from jaxbody.designs.tunings import Tuning
 from jaxbody.models.models import Model
 
-SAME, NOTABLE = 1e-6, 1e-3  # parts of the range of an objective
+SAME, NOTABLE = 1e-6, 1e-3  # differences relative to the range of an objective
 
 
 class Front(Result):
-    """`objectives` {name: (n,)} along the front, `values` {path: (n, ...)} and all `quantities` {name: (n, ...)} of its designs, `slopes` (n, k - 1): what one unit more
-    of each further objective adds to the first. `status` of each point, `designs` as `tune` gave them.
+    """`objectives` {name: (n,)} along the front, `values` {path: (n, ...)} and all `quantities` {name: (n, ...)} of its designs, `slopes`
+    (n, k - 1), the derivatives of the first objective with respect to the others, `status` of each point, and `designs`, the results of `tune`.
 
     >>> import inspect
     >>> inspect.signature(pareto).return_annotation  # pareto returns one
@@ -75,11 +75,17 @@ def pareto(
     limits: dict[str, Any] | None = None,
     **options: Any,
 ) -> Front:
-    """The front of two or three objectives, quantities of `evaluate` as in `tune`, whose other options this takes too.
+    """The Pareto front of two or three objectives.
 
-    Of two, from the design of least second objective to that of least first one, about equally far apart in both, relative to their ranges.
-    Of three, such fronts of the first and the third for some bounds on the second, about `points` in all, without what another design beats or
-    repeats. Warns by the worst status of a design. Errors: BAD_FRONT, those of `tune`.
+    Args:
+        model, evaluate, free, limits: as in `tune`.
+        minimize: names of two or three objectives.
+        points: number of designs on the front.
+        options: the other options of `tune`.
+
+    Two objectives: from the design with the least second objective to that with the least first one, about equally spaced relative to their
+    ranges. Three objectives: such fronts of the first and third for several bounds on the second, about `points` in all, without dominated or
+    repeated designs. Warns of the worst status of a design. Errors: BAD_FRONT, those of `tune`.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):
@@ -92,8 +98,8 @@ def pareto(
     names = [minimize] if isinstance(minimize, str) else list(minimize)
     problems = Problems()
     if len(set(names)) != len(names) or len(names) not in (2, 3):
-        words = f"has the objectives {', '.join(map(str, names))}"
-        problems.add("BAD_FRONT", "pareto.minimize", words, value=names, limit="two or three different names")
+        message = f"has the objectives {', '.join(map(str, names))}"
+        problems.add("BAD_FRONT", "pareto.minimize", message, value=names, limit="two or three different names")
     points = whole_number(points, "pareto.points", problems, least=3, code="BAD_FRONT")
     problems.raise_if_any()
 
@@ -106,13 +112,13 @@ def pareto(
             lower, upper = both.get(other, (None, None))
             both[other] = (lower, bound if upper is None else min(bound, upper))
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the front tells
+            warnings.simplefilter("ignore")  # the front has the status of each
             return tune(start, evaluate, minimize=name, free=free, limits=both, **(options if start is model else {**options, "starts": 1}))
 
     with working("pareto", options.get("progress")) as line:
         ends = [least(model, name, {}) for name in names]
-        found = _along(names, ends, least, points) if len(names) == 2 else _over(names, ends, least, points)
-    result = _front(names, found)
+        designs = _along(names, ends, least, points) if len(names) == 2 else _over(names, ends, least, points)
+    result = _front(names, designs)
     warn_if_failed(result)
     return result
 
@@ -122,57 +128,57 @@ def _value(design: Tuning, name: str) -> float:
 
 
 def _slack(x: float) -> float:
-    """A bound that its own design still keeps."""
+    """A bound that the design with this value still meets."""
     return x + MET * abs(x)
 
 
 def _along(names: list[str], ends: list[Tuning], least: Any, points: int) -> list[Tuning]:
-    """From the end of least second objective, by steps of equal length on the tangent."""
+    """The front of two objectives from the end with the least second one, by tangent steps of equal length."""
     one, other = names
     low, high = _value(ends[1], other), _value(ends[0], other)
-    first = least(ends[1].model, one, {other: _slack(low)})  # of those of least second objective the best
-    first = first if first.ok else ends[1]  # there may be but one, which limits that meet in a point do not tell
+    first = least(ends[1].model, one, {other: _slack(low)})  # the best of the designs with the least second objective
+    first = first if first.ok else ends[1]  # there may be only one such design
     width = high - low
     height = _value(first, one) - _value(ends[0], one)
     if width <= MET * abs(high) or height <= MET * abs(_value(first, one)):
         return [ends[0]]  # no conflict: one design is best in both
-    found, bound = [first], low
-    for left in range(points - 1, 1, -1):
-        rest = np.hypot((high - bound) / width, (_value(found[-1], one) - _value(ends[0], one)) / height)
-        slope = found[-1].multipliers.get(other, 0.0) * width / height
-        step = rest / left / np.hypot(1.0, slope)
-        bound = bound + width * min(max(step, 0.2 / points / points), (high - bound) / width / left * 2)
-        found.append(least(found[-1].model, one, {other: bound}))
-    return [*found, ends[0]]
+    designs, bound = [first], low
+    for remaining in range(points - 1, 1, -1):
+        length = np.hypot((high - bound) / width, (_value(designs[-1], one) - _value(ends[0], one)) / height)
+        slope = designs[-1].multipliers.get(other, 0.0) * width / height
+        step = length / remaining / np.hypot(1.0, slope)
+        bound = bound + width * min(max(step, 0.2 / points / points), (high - bound) / width / remaining * 2)
+        designs.append(least(designs[-1].model, one, {other: bound}))
+    return [*designs, ends[0]]
 
 
 def _over(names: list[str], ends: list[Tuning], least: Any, points: int) -> list[Tuning]:
-    """For each of some bounds on the second the front of the first and the third; then without what another design beats."""
+    """Fronts of the first and third objective for several bounds on the second, without dominated designs."""
     one, second, third = names
     count = max(3, round(points**0.5))
     at = [_value(end, second) for end in ends]
-    found = list(ends)
+    designs = list(ends)
     for bound in np.linspace(min(at), max(at), count + 1)[1:]:
 
         def within(start: Model, name: str, bounds: dict[str, float], bound=bound) -> Tuning:
             return least(start, name, {**bounds, second: _slack(float(bound))})
 
-        sides = [within(ends[0].model, one, {}), within(ends[2].model, third, {})]
-        found += _along([one, third], sides, within, count)
-    found = [design for design in found if design.ok]
-    values = np.array([[_value(design, name) for name in names] for design in found])
+        extremes = [within(ends[0].model, one, {}), within(ends[2].model, third, {})]
+        designs += _along([one, third], extremes, within, count)
+    designs = [design for design in designs if design.ok]
+    values = np.array([[_value(design, name) for name in names] for design in designs])
     size = np.ptp(values, axis=0)
-    gain = (values[:, None] - values[None]) / np.where(size > 0, size, 1.0)  # of the second of each pair over the first
-    beaten = (gain >= -SAME).all(-1) & (gain > NOTABLE).any(-1)
-    twice = np.triu((np.abs(gain) < NOTABLE).all(-1), 1).any(0)
-    return [design for design, worse, again in zip(found, beaten.any(1), twice, strict=True) if not worse and not again]
+    gain = (values[:, None] - values[None]) / np.where(size > 0, size, 1.0)  # of the second design of each pair over the first
+    dominated = (gain >= -SAME).all(-1) & (gain > NOTABLE).any(-1)
+    repeated = np.triu((np.abs(gain) < NOTABLE).all(-1), 1).any(0)
+    return [design for design, worse, duplicate in zip(designs, dominated.any(1), repeated, strict=True) if not worse and not duplicate]
 
 
-def _front(names: list[str], found: list[Tuning]) -> Front:
-    objectives = {name: np.array([_value(design, name) for design in found]) for name in names}
+def _front(names: list[str], designs: list[Tuning]) -> Front:
+    objectives = {name: np.array([_value(design, name) for design in designs]) for name in names}
     slopes = np.array(
-        [[design.multipliers.get(name, 0.0) if design.minimize == names[0] else np.nan for name in names[1:]] for design in found]
+        [[design.multipliers.get(name, 0.0) if design.minimize == names[0] else np.nan for name in names[1:]] for design in designs]
     )
-    values = {path: jnp.stack([design.values[path] for design in found]) for path in found[0].values}
-    quantities = {name: np.stack([design.after[name] for design in found]) for name in found[0].after}
-    return Front(objectives, values, quantities, slopes, np.array([int(design.status) for design in found]), tuple(found))
+    values = {path: jnp.stack([design.values[path] for design in designs]) for path in designs[0].values}
+    quantities = {name: np.stack([design.after[name] for design in designs]) for name in designs[0].after}
+    return Front(objectives, values, quantities, slopes, np.array([int(design.status) for design in designs]), tuple(designs))

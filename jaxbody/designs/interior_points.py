@@ -1,4 +1,4 @@
-"""Constrained minimization by IPOPT's interior-point method, as CasADi brings it: an extra, since that is 280 MB."""
+"""Constrained minimization by IPOPT's interior-point method through CasADi, an optional dependency of 280 MB."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ At = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray, np.ndarray]]  #
 def minimize_by_ipopt(
     at: At, u: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], limits: tuple[np.ndarray, np.ndarray], iterations: int, tolerance: float
 ) -> int:
-    """How many iterations it took; what is best among the points asked for is for `at` to keep. Source: A. Waechter, L. Biegler,
-    Mathematical Programming 106 (2006) 25; second derivatives by its limited-memory updates."""
+    """Minimize; returns the number of iterations, while `at` keeps the best point. Source: A. Waechter, L. Biegler, Mathematical
+    Programming 106 (2006) 25; second derivatives by limited-memory updates."""
     import casadi  # pyright: ignore
 
     n, m = len(u), len(limits[0])
 
     class Slopes(casadi.Callback):
-        """The derivatives of both in u; CasADi hands over their values too."""
+        """The derivatives of f and c in u; CasADi also passes their values."""
 
         def __init__(self, name: str, options: Any):
             casadi.Callback.__init__(self)
@@ -69,13 +69,13 @@ def minimize_by_ipopt(
             return True
 
         def get_jacobian(self, name, inputs, outputs, options):
-            self.slopes = Slopes(name, options)  # kept, as CasADi does not
+            self.slopes = Slopes(name, options)  # CasADi does not keep a reference
             return self.slopes
 
     values, x = Values(), casadi.MX.sym("u", n)
     f, c = values(x)
     quiet = {"print_time": False, "error_on_fail": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
-    asked = {"ipopt.max_iter": iterations, "ipopt.tol": tolerance, "ipopt.hessian_approximation": "limited-memory"}
-    solver = casadi.nlpsol("solver", "ipopt", {"x": x, "f": f, "g": c}, quiet | asked)
+    options = {"ipopt.max_iter": iterations, "ipopt.tol": tolerance, "ipopt.hessian_approximation": "limited-memory"}
+    solver = casadi.nlpsol("solver", "ipopt", {"x": x, "f": f, "g": c}, quiet | options)
     solver(x0=u, lbx=bounds[0], ubx=bounds[1], lbg=limits[0], ubg=limits[1])
     return int(solver.stats()["iter_count"])

@@ -1,6 +1,6 @@
-"""Quantities that designs are tuned for, smooth where modes cross and maxima change hands: what `tune` minimizes or limits.
+"""Objectives and constraints for `tune`, smooth even where modes cross or another value becomes the maximum.
 
-Each takes results of the library and returns one number; all differentiate by whatever those depend on.
+Each takes results of the library and returns one number, differentiable with respect to all parameters.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ def __dir__():
     return __all__
 
 
-LEAST_SHARE = 1e-6  # below, a share of energy counts as its square, so that there is no kink
+LEAST_SHARE = 1e-6  # shares of energy below this are rounded off to avoid a kink at zero
 SIGMAS = 3.0
 
 
 def smooth_max(x: Any, width: Any) -> Float[Array, ""]:
-    """The largest of numbers, worst over load cases say, without the kink where another becomes the largest.
+    """A smooth maximum, for example over load cases.
 
         width log(sum of exp(x/width)),   above the largest by at most width log(n)
 
@@ -67,11 +67,11 @@ def smooth_min(x: Any, width: Any) -> Float[Array, ""]:
 
 
 def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
-    """The largest modulus, of a force in an earthquake say, without kinks.
+    """The largest absolute value without kinks, for example of a force in an earthquake.
 
-        (sum of |x|^power)^(1/power),   above the largest by at most the factor n^(1/power), n as many as come near it
+        (sum of |x|^power)^(1/power),   above the largest by at most the factor n^(1/power), n the number of values near it
 
-    NaN where one of them is not finite. Errors: NOT_A_NUMBER, NO_DATA, BAD_NUMBER of a power below 1.
+    NaN if one of them is not finite. Errors: NOT_A_NUMBER, NO_DATA, BAD_NUMBER of a power below 1.
 
     >>> round(float(peak([-3.0, 1.0, 2.0])), 6)
     3.0
@@ -81,13 +81,13 @@ def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
     x = _numbers(jnp.abs(x) if hasattr(x, "dtype") else x, "peak.x")
     x = jnp.abs(x)
     largest = jax.lax.stop_gradient(jnp.max(x, initial=0.0))
-    largest = jnp.where(largest > 0, largest, 1.0)  # a factor that cancels, and keeps powers in range
+    largest = jnp.where(largest > 0, largest, 1.0)  # a factor that cancels and avoids overflow
     total = jnp.sum((x / largest) ** power)
-    return jnp.where(total > 0, largest * jnp.where(total > 0, total, 1.0) ** (1 / power), total)  # 0, or NaN of what is not finite
+    return jnp.where(total > 0, largest * jnp.where(total > 0, total, 1.0) ** (1 / power), total)  # 0 or NaN
 
 
 def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
-    """Of each mode the largest share of kinetic energy that one body and direction has [%]; 100 where the mode moves that alone. It has kinks: to look at.
+    """The largest share of kinetic energy in one body and direction for each mode [%]; 100 for an uncoupled mode. It has kinks: not an objective.
 
     >>> model = jb.presets.engine_on_mounts()
     >>> [round(float(x), 2) for x in dominant_shares(linearize(model, model.reference))]
@@ -97,13 +97,13 @@ def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
 
 
 def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
-    """How far the modes are from moving one body in one direction each: decoupling is making it small.
+    """Coupling of modes: zero if each mode moves one body in one direction only. Minimize it to decouple modes.
 
         sum over modes j of sum over i != k of |e_ij| |e_kj|,   e_ij = v_i (M v)_i/(v' M v), shares of kinetic energy as in `mode_energies`
 
-    It is 0 where each mode has but one share, and 5/6 a mode where six have equal ones. Shares may be negative where products of inertia
-    are, so their moduli count, sqrt(e^2 + 1e-12). Modes that coincide are taken along the directions as far as that can be, so that coinciding alone
-    couples nothing. Source: kinetic energy decoupling, T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
+    It is 0 if each mode has one share only, and 5/6 per mode for six equal shares. Shares may be negative with products of inertia, so their
+    absolute values count, sqrt(e^2 + 1e-12). Modes with equal frequencies are aligned with the directions, so that equal frequencies alone cause
+    no coupling. Source: kinetic energy decoupling, T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
 
     >>> model = jb.presets.isolated_table(at=(0.45, 0.3, 0.0))  # in the plane of its centre of mass
     >>> round(float(coupling_of_modes(linearize(model, model.reference))), 4)
@@ -115,7 +115,7 @@ def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
 
 
 def torque_roll_coupling(lin: Linearization, body: str, torque: Any) -> Float[Array, ""]:
-    """How far turning about the torque roll axis is from being a mode, squared so that it is smooth at 0.
+    """The deviation of a rotation about the torque roll axis from a mode, squared to be smooth at 0.
 
         |K r - w^2 M r|^2/(w^2 |M r|)^2 in the norm of M^-1,   r the turn about the torque roll axis, w^2 = r' K r/(r' M r)
 
@@ -129,12 +129,12 @@ def torque_roll_coupling(lin: Linearization, body: str, torque: Any) -> Float[Ar
 
 
 def band_intrusion(frequencies: Any, band: tuple[float, float]) -> Float[Array, ""]:
-    """How far frequencies [Hz] reach into a band that they should keep out of, such as the idle firing of an engine.
+    """A penalty on frequencies [Hz] in a band to be avoided, such as the firing frequency of an idling engine.
 
         sum of max(0, 1 - ((f - m)/h)^2)^2,   m the middle of the band, h half its width
 
-    It is 0 where all are outside and 1 for one in the middle; being a sum over all, it is smooth where frequencies cross. To keep them inside a band, limit
-    them: limits={"frequency": (6, 18)}. Errors: BAD_BAND, NOT_A_NUMBER.
+    It is 0 if all are outside and 1 for one in the middle; as a sum over all, it is smooth where frequencies cross. To keep frequencies inside a
+    band, limit them: limits={"frequency": (6, 18)}. Errors: BAD_BAND, NOT_A_NUMBER.
 
     >>> [round(float(band_intrusion([f, 40.0], (20.0, 30.0))), 4) for f in (25.0, 29.0, 31.0)]
     [1.0, 0.1296, 0.0]
@@ -148,7 +148,7 @@ def band_intrusion(frequencies: Any, band: tuple[float, float]) -> Float[Array, 
 
 
 def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Array, ""]:
-    """How much of an input arrives over the frequencies of a response, as a ratio or in the unit of one: the root of the mean square over the logarithm of frequency.
+    """The root mean square of a frequency response over the logarithm of frequency, in units of output per input.
 
         sqrt(int |H|^2 d ln f/int d ln f);   the largest is peak(response[output, name])
 
@@ -168,7 +168,7 @@ def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Ar
 
 
 def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
-    """The vibration total value [m/s2] of accelerations in a random response, {output: "Wk" (z) or "Wd" (x, y)}: less is more comfort.
+    """The vibration total value [m/s2] of accelerations in a random response, {output: "Wk" (z) or "Wd" (x, y)}; small is comfortable.
 
         sqrt(sum of a_w^2),   a_w^2 = int |W|^2 S_a df
 
@@ -184,11 +184,11 @@ def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
 
 
 def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, ""]:
-    """How much the forces of tyres vary against what they carry, {output, the force of a tyre: its static load [N]}: less is more grip.
+    """The rms variation of tyre forces relative to the static loads, {output: static load [N]}; small means good road holding.
 
-        sqrt(mean of (rms of F/load)^2);   a tyre leaves the road where three times that comes to 1
+        sqrt(mean of (rms of F/load)^2);   a tyre may lift off where three times that reaches 1
 
-    Errors: UNKNOWN_NAME, BAD_UNIT of what is no force.
+    Errors: UNKNOWN_NAME, BAD_UNIT if an output is not a force.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
@@ -199,14 +199,17 @@ def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, "
     for name in forces:
         unit = ride.units[ride.outputs.index(name)] if name in ride.outputs else "N"
         if unit != "N":
-            told, hint = f"is in {unit}", "Ask for the ElementForce of a tyre."
-            raise JaxbodyError(Problem("BAD_UNIT", f"road_holding[{name!r}]", told, unit, "N", hint))
+            raise JaxbodyError(
+                Problem("BAD_UNIT", f"road_holding[{name!r}]", f"is in {unit}", unit, "N", "Use the ElementForce of a tyre.")
+            )
     shares = jnp.stack([ride[name] / jnp.asarray(load, float) for name, load in forces.items()])
     return _root(jnp.mean(shares**2))
 
 
 def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Array, ""]:
-    """What an element's deformation, an output of a random response, stays below for 99.7 % of the time [m]: |static| + 3 rms. Error: UNKNOWN_NAME.
+    """The stroke [m] of an element, whose deformation is an output of a random response: |static| + 3 rms, not exceeded for 99.7 % of the time.
+
+    Error: UNKNOWN_NAME.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
@@ -231,6 +234,6 @@ def _numbers(x: Any, where: str) -> Float[Array, "*n"]:
 def _width(width: Any, where: str) -> Any:
     if is_concrete(width) and not width > 0:
         raise JaxbodyError(
-            Problem("BAD_WIDTH", where, f"is {width}", width, "> 0", "Give what difference counts as none, in the unit of x.")
+            Problem("BAD_WIDTH", where, f"is {width}", width, "> 0", "Give the largest negligible difference, in the unit of x.")
         )
     return width

@@ -1,4 +1,4 @@
-"""Quantities of a design and their exact derivatives as one compiled program, for one u or for a batch of them."""
+"""The quantities of a design and their exact derivatives as one compiled program, for one u or a batch."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
 from jaxbody.designs.searches import Rows, Search
 from jaxbody.parameters.design_spaces import Space
 
-MOST_FORWARD = 30  # free numbers up to which forward mode is the faster one
+MOST_FORWARD = 30  # free numbers up to which forward mode is faster
 
 Quantities = dict[str, Array]
 Evaluate = Callable[..., Any]
@@ -47,23 +47,27 @@ class Program:
         self.origin = np.zeros(0)
 
     def __call__(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values (b, m) and Jacobians (b, m, n), in batches of the one width that is compiled."""
+        """Values (b, m) and Jacobians (b, m, n), in batches of the compiled width."""
         self.count += 1
-        parts = [self._of(U[i : i + self.width]) for i in range(0, len(U), self.width)]
+        parts = [self._batch(U[i : i + self.width]) for i in range(0, len(U), self.width)]
         values, slopes = np.concatenate([v for v, _ in parts]), np.concatenate([J for _, J in parts])
-        words = f"evaluation {self.count}{self._least(values)}"
-        self.line(words)
+        message = f"evaluation {self.count}{self._least(values)}"
+        self.line(message)
         if self.progress:
-            print(words, file=sys.stderr, flush=True)
+            print(message, file=sys.stderr, flush=True)
         return values, slopes
 
     def _least(self, values: np.ndarray) -> str:
-        """Of all starts, in words."""
-        shown = values[:, self.rows.objective] if {self.minimize, *self.limits} <= set(dict(self.shapes)) else np.zeros(0)
-        finite = shown[np.isfinite(shown)]
-        return f", {self.minimize} {finite.min():.6g}" + (f" at least of {len(shown)}" if len(shown) > 1 else "") if len(finite) else ""
+        """The least objective of all starts, as text."""
+        objectives = values[:, self.rows.objective] if {self.minimize, *self.limits} <= set(dict(self.shapes)) else np.zeros(0)
+        finite = objectives[np.isfinite(objectives)]
+        return (
+            f", {self.minimize} {finite.min():.6g}" + (f", the least of {len(objectives)}" if len(objectives) > 1 else "")
+            if len(finite)
+            else ""
+        )
 
-    def _of(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _batch(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         filled = np.concatenate([U, np.repeat(U[-1:], self.width - len(U), 0)])
         u = jnp.asarray(filled if self.width > 1 else filled[0])
         values, slopes, self.shapes = values_and_slopes(self.space, self.evaluate, self.reverse, u, self.key)
@@ -73,16 +77,16 @@ class Program:
     @property
     def rows(self) -> Rows:
         ends = np.cumsum([0] + [int(np.prod(shape)) for _, shape in self.shapes])
-        at = {name: np.arange(i, j) for (name, _), i, j in zip(self.shapes, ends[:-1], ends[1:], strict=True)}
-        rows = [at[name] for name in self.limits]
+        rows_of = {name: np.arange(i, j) for (name, _), i, j in zip(self.shapes, ends[:-1], ends[1:], strict=True)}
+        rows = [rows_of[name] for name in self.limits]
         lower, upper = (
             np.concatenate([np.zeros(0), *(np.full(len(r), limit[k]) for r, limit in zip(rows, self.limits.values(), strict=True))])
             for k in (0, 1)
         )
-        return Rows(int(at[self.minimize][0]), np.concatenate([np.zeros(0, int), *rows]).astype(int), lower, upper)
+        return Rows(int(rows_of[self.minimize][0]), np.concatenate([np.zeros(0, int), *rows]).astype(int), lower, upper)
 
     def labels(self) -> list[str]:
-        """Of every value."""
+        """The name of every value."""
         return [
             name + (str(list(i)).replace(" ", "") if shape else "")
             for name, shape in self.shapes
@@ -96,30 +100,30 @@ class Program:
 
 @jit_optimized
 def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any):
-    """Nothing here knows what is minimized or limited, so that one program serves for all of that."""
-    told: list[tuple[str, tuple[int, ...]]] = []
+    """Values, derivatives and shapes; they do not depend on what is minimized or limited, so one program serves all choices."""
+    shapes: list[tuple[str, tuple[int, ...]]] = []
 
     def flat(u):
-        found = evaluated(evaluate, space.place(u), *(() if key is None else (key,)))
-        told[:] = [(name, x.shape) for name, x in found.items()]
-        return jnp.concatenate([x.ravel() for x in found.values()])
+        quantities = evaluated(evaluate, space.place(u), *(() if key is None else (key,)))
+        shapes[:] = [(name, x.shape) for name, x in quantities.items()]
+        return jnp.concatenate([x.ravel() for x in quantities.values()])
 
     def both(u):
-        back = u.size > MOST_FORWARD if reverse is None else reverse
-        if not back:
+        use_reverse = u.size > MOST_FORWARD if reverse is None else reverse
+        if not use_reverse:
             return value_and_forward_slopes(flat, u)
         values, pull = jax.vjp(needed(flat, u), u)
         return values, jax.vmap(lambda y: pull(y)[0])(jnp.eye(values.size))
 
     values, slopes = both(u) if u.ndim == 1 else jax.vmap(both)(u)
-    return values, slopes, tuple(told)
+    return values, slopes, tuple(shapes)
 
 
 def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array, "n"]) -> tuple[Float[Array, "m"], Float[Array, "m n"]]:
-    """The value and the Jacobian: linearized once, or direction by direction through loops of unknown length, such as simulations, which cannot be."""
+    """The value and the Jacobian: linearized once, or by directions if the function has loops of unknown length, such as simulations."""
     function = needed(function, u)
     try:
-        values, push = jax.linearize(function, u)
+        values, tangent = jax.linearize(function, u)
     except ValueError:
 
         def both(u):
@@ -128,37 +132,37 @@ def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array,
 
         slopes, values = jax.jacfwd(both, has_aux=True)(u)
         return values, slopes
-    return values, jax.lax.map(push, jnp.eye(u.size)).T  # one after the other: what each needs stays in the cache
+    return values, jax.lax.map(tangent, jnp.eye(u.size)).T  # one after the other, so that data stay in the cache
 
 
 def needed(function: Callable[[Array], Array], u: Float[Array, "n"]) -> Callable[[Array], Array]:
-    """The function without what its result does not need, of which nothing is then differentiated: to trace that takes as long as to compile the rest."""
+    """The function without computations that its result does not need; differentiating them would take as long as compiling the rest."""
     kept = only_what_is_needed(jax.make_jaxpr(function)(u))
     return lambda u: jaxpr_as_fun(kept)(u)[0]
 
 
 def evaluated(evaluate: Evaluate, *given: Any) -> Quantities:
-    """{name: array} of evaluate(model), while it is being traced. Error: BAD_OBJECTIVE."""
-    hint = "Return {name: number or array}, or one number, by JAX functions of the model: no float(), no numpy, no if of its numbers."
+    """{name: array} of evaluate(model) during tracing. Error: BAD_OBJECTIVE."""
+    hint = "Return {name: number or array}, or one number, computed by JAX functions of the model, without float(), numpy or if on its numbers."
     if not callable(evaluate):
         raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", f"is {evaluate!r:.60}", evaluate, "a function of the model", hint))
     try:
-        found = evaluate(*given)
+        result = evaluate(*given)
     except (jax.errors.ConcretizationTypeError, jax.errors.TracerArrayConversionError) as error:
-        told = f"makes a Python or NumPy number of one that JAX is still working with: {str(error).splitlines()[0]}"
-        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", told, hint=hint)) from error
-    named = found if isinstance(found, dict) else {"objective": found}
+        message = f"converts a traced JAX number to a Python or NumPy number: {str(error).splitlines()[0]}"
+        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", message, hint=hint)) from error
+    named = result if isinstance(result, dict) else {"objective": result}
     try:
         quantities = {str(name): jnp.asarray(x, float) for name, x in named.items()}
     except (TypeError, ValueError):
         quantities = {}
     if not quantities:
-        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", f"gives {found!r:.80}", found, "numbers", hint)) from None
+        raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", f"returns {result!r:.80}", result, "numbers", hint)) from None
     return quantities
 
 
 def check_names(program: Program) -> None:
-    """What is minimized and limited is there, and one number is minimized."""
+    """Check that the objective and the limited quantities exist and that the objective is a scalar."""
     problems, shapes = Problems(), dict(program.shapes)
     for where, names in (("tune.minimize", (program.minimize,)), ("tune.limits", program.limits)):
         problems.collected += [unknown(name, where, tuple(shapes)) for name in names if name not in shapes]
@@ -171,7 +175,7 @@ def check_names(program: Program) -> None:
 
 def limits_of(limits: dict[str, Any]) -> NamedLimits:
     """{name: (lower, upper)}."""
-    problems, found = Problems(), {}
+    problems, parsed = Problems(), {}
     if not isinstance(limits, dict):
         problems.add("BAD_LIMITS", "tune.limits", f"is {limits!r:.60}", value=limits, limit="{name: (lower, upper)}")
         problems.raise_if_any()
@@ -187,29 +191,29 @@ def limits_of(limits: dict[str, Any]) -> NamedLimits:
             problems.add("BAD_LIMITS", where, f"is {given!r:.60}", value=given, limit="a number at one end or both")
         elif not ends[0] <= ends[1]:
             problems.add("BAD_LIMITS", where, f"has lower {ends[0]:g} > upper {ends[1]:g}", value=given, limit="lower <= upper")
-        found[name] = ends
+        parsed[name] = ends
     problems.raise_if_any()
-    return found
+    return parsed
 
 
 def check_start(program: Program, U: np.ndarray) -> None:
-    """Evaluate the starts, of which the first is the model as it is; at least one must be finite. Of the first it is told what is not."""
+    """Evaluate all starts, the first of which is the model itself. Error: NONFINITE_START if none is finite, with details of the first."""
     values, _ = program(U)
     check_names(program)
     program.origin = values[0]
     rows = np.r_[program.rows.objective, program.rows.limited]
-    good = np.isfinite(values[:, rows]).all(-1)
-    if good.any():
+    finite = np.isfinite(values[:, rows]).all(-1)
+    if finite.any():
         return
     labels = program.labels()
     bad = [f"{labels[i]} = {values[0, i]}" for i in dict.fromkeys(rows) if not np.isfinite(values[0, i])]
-    told = f"gives {', '.join(bad)} at the start" + (f", and no numbers at any of {len(U)} starts" if len(U) > 1 else "")
-    hint = "Look at evaluate(model) there: an equilibrium may not exist, a mode be unstable."
-    raise JaxbodyError(Problem("NONFINITE_START", "tune.evaluate", told, values[0], "finite", hint))
+    message = f"returns {', '.join(bad)} at the start" + (f", and no finite values at any of {len(U)} starts" if len(U) > 1 else "")
+    hint = "Check evaluate(model): an equilibrium may not exist, or a mode may be unstable."
+    raise JaxbodyError(Problem("NONFINITE_START", "tune.evaluate", message, values[0], "finite", hint))
 
 
 def check_slopes(program: Program, search: Search) -> None:
-    """No start had derivatives: which are not finite."""
+    """Report derivatives that are not finite at any start. Error: NONFINITE_START."""
     labels, names = program.labels(), program.space.labels()
     rows = np.r_[program.rows.objective, program.rows.limited]
     bad = [
@@ -218,6 +222,6 @@ def check_slopes(program: Program, search: Search) -> None:
         for name, x in zip(names, search.slopes[i], strict=True)
         if not np.isfinite(x)
     ]
-    told = f"has derivatives that are not finite at the start: of {', '.join(bad[:4])}" + (", ..." if len(bad) > 4 else "")
-    hint = "Look for roots of zero, norms of zero, or simulate(adjoint=...); smooth quantities are in jb.objectives."
-    raise JaxbodyError(Problem("NONFINITE_START", "tune.evaluate", told, search.slopes, "finite", hint))
+    message = f"has derivatives that are not finite at the start: of {', '.join(bad[:4])}" + (", ..." if len(bad) > 4 else "")
+    hint = "Look for square roots and norms of zero, or simulate(adjoint=...); smooth quantities are in jb.objectives."
+    raise JaxbodyError(Problem("NONFINITE_START", "tune.evaluate", message, search.slopes, "finite", hint))

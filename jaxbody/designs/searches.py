@@ -1,8 +1,8 @@
-"""Searches from many starts hand in hand: each is SciPy's optimizer with exact derivatives, and what all of them ask for is one batch.
+"""Searches from many starts in lockstep: each is SciPy's optimizer with exact derivatives, and their evaluations form one batch.
 
     minimize f(u),   low <= u <= high,   c_min <= c(u) <= c_max
 
-Searches run as threads of which one is awake at a time, until each waits for an evaluation; then all evaluations are made at once.
+Searches are threads that run one at a time until each waits for an evaluation; then all evaluations are computed in one batch.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from threadpoolctl import threadpool_limits
 
 from jaxbody.designs.interior_points import minimize_by_ipopt
 
-ACTIVE = 1e-5  # scaled distance from a limit or bound that counts as at it
-MET = 1e-8  # scaled violation that counts as none
-ARRIVED = 1e-4  # slope left of the scaled objective, per unit of u, at which a search has arrived
-ASIDE = 1e-6  # how far in u derivatives are taken aside where they do not exist
-REPELLED = 1e3  # what a trial that is not finite costs, in scaled objectives
+ACTIVE = 1e-5  # scaled distance from a limit or bound up to which it is active
+MET = 1e-8  # negligible scaled violation
+CONVERGED = 1e-4  # largest remaining gradient of the scaled objective, per unit of u, at convergence
+OFFSET = 1e-6  # distance in u at which derivatives are taken where they do not exist
+PENALTY = 1e3  # scaled objective of a trial that is not finite
 MOST_RESTARTS = 4
 METHODS = ("slsqp", "trust-constr", "ipopt")
 
@@ -39,31 +39,31 @@ class Rows:
     upper: np.ndarray
 
     def violation(self, values: np.ndarray, scale: np.ndarray) -> Any:
-        """The largest, scaled."""
+        """The largest scaled violation."""
         c = values[..., self.limited]
         return np.max(np.maximum(self.lower - c, c - self.upper) / scale, axis=-1, initial=0.0)
 
 
 def one_thread() -> threadpool_limits:
-    """A context in which BLAS has one thread: matrices are small here, and threads would wait for each other most of the time."""
-    import scipy.optimize  # noqa: F401  # what is loaded later would not be limited
+    """A context in which BLAS has one thread, because several would only wait for each other with these small matrices."""
+    import scipy.optimize  # noqa: F401  # libraries loaded later would not be limited
 
     return threadpool_limits(1, "blas")
 
 
 class Stopped(Exception):
-    """The others failed; a search ends."""
+    """Ends a search because another one failed."""
 
 
 @dataclass
 class Search:
-    """One start between bounds, the best `u` found from it with its `values` and `slopes`, and the `history` of objective and violation."""
+    """One start between bounds, the best `u` reached from it with its `values` and `slopes`, and the `history` of objective and violation."""
 
     start: DesignVector
     low: DesignVector
     high: DesignVector
     finite: bool = False
-    size: float = 1.0  # of the objective, as far as it is known
+    size: float = 1.0  # of the objective
     history: list[tuple[float, float]] = field(default_factory=list)
     iterations: int = 0
     error: BaseException | None = None
@@ -74,16 +74,16 @@ class Search:
     u: DesignVector = field(init=False)
     values: DesignVector = field(init=False)
     slopes: np.ndarray = field(init=False)
-    asked: DesignVector = field(init=False)
+    requested: DesignVector = field(init=False)
 
     def __post_init__(self):
-        self.u = self.asked = self.start
+        self.u = self.requested = self.start
 
-    def found(self, u: DesignVector, values: DesignVector, slopes: np.ndarray) -> None:
+    def keep(self, u: DesignVector, values: DesignVector, slopes: np.ndarray) -> None:
         self.u, self.values, self.slopes = u, values, slopes
 
     def ask(self, u: DesignVector) -> tuple[DesignVector, np.ndarray]:
-        self.asked = np.array(u)
+        self.requested = np.array(u)
         self.back.release()
         self.go.acquire()
         if self.answer is None:
@@ -91,10 +91,10 @@ class Search:
         return self.answer
 
 
-def hand_in_hand(
+def run_in_lockstep(
     evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], searches: list[Search], run: Callable[[Search], None]
 ) -> None:
-    """`run(search)` for each; what they `ask` goes to `evaluate` (b, n) -> values (b, m), Jacobians (b, m, n) as one batch."""
+    """`run(search)` for each; their requests go to `evaluate` (b, n) -> values (b, m), Jacobians (b, m, n) as one batch."""
 
     def act(search: Search) -> None:
         search.go.acquire()
@@ -123,7 +123,7 @@ def hand_in_hand(
             if not waiting:
                 return
             for i, search in waiting:
-                batch[i] = search.asked
+                batch[i] = search.requested
             values, slopes = evaluate(batch)
             for i, search in waiting:
                 search.answer = values[i], slopes[i]
@@ -138,74 +138,74 @@ def hand_in_hand(
 
 
 class Scaled:
-    """The problem of one search in scaled numbers: the objective over its size at the start, each limit over its own."""
+    """The problem of one search, scaled: the objective by its size at the start, limited quantities by the sizes of their limits."""
 
     def __init__(self, search: Search, rows: Rows):
         self.search, self.rows = search, rows
-        self.asked = np.r_[rows.objective, rows.limited]
-        values, slopes = self._asked(search.start)
-        search.found(search.start, values, slopes)
+        self.requested = np.r_[rows.objective, rows.limited]
+        values, slopes = self._requested(search.start)
+        search.keep(search.start, values, slopes)
         search.finite = self._finite(values, slopes)
         self.size = search.size = float(abs(values[rows.objective])) or 1.0
         self.scale = scales(rows, values)
-        self.near = values, slopes  # of the last trial that was finite
+        self.last_finite = values, slopes  # of the last finite trial
         self.last: tuple[bytes, Any] = (b"", None)
 
     def _finite(self, *arrays: np.ndarray) -> bool:
-        return all(np.isfinite(x[self.asked]).all() for x in arrays)
+        return all(np.isfinite(x[self.requested]).all() for x in arrays)
 
-    def _asked(self, u: DesignVector) -> tuple[DesignVector, np.ndarray]:
-        """Values and derivatives; where these do not exist, those of a point a little aside."""
+    def _requested(self, u: DesignVector) -> tuple[DesignVector, np.ndarray]:
+        """Values and derivatives; where derivatives do not exist, those of a point nearby."""
         values, slopes = self.search.ask(u)
         if self._finite(values) and not self._finite(slopes):
-            step = ASIDE * np.cos(1.0 + np.arange(len(u)))
+            step = OFFSET * np.cos(1.0 + np.arange(len(u)))
             slopes = self.search.ask(np.clip(np.where(u + step > self.search.high, u - step, u + step), self.search.low, self.search.high))[
                 1
             ]
         return values, slopes
 
     def at(self, u: DesignVector) -> tuple[float, DesignVector, np.ndarray, np.ndarray]:
-        """f, its gradient, the limited c and their Jacobian, scaled. A trial that is not finite is much worse than the last that was."""
+        """f, its gradient, the limited c and their Jacobian, scaled. A trial that is not finite gets the last finite values plus a penalty."""
         key = u.tobytes()
         if self.last[0] != key:
             inside = np.clip(u, self.search.low, self.search.high)
-            values, slopes = self._asked(inside)
-            repelled = 0.0
+            values, slopes = self._requested(inside)
+            penalty = 0.0
             if self._finite(values, slopes):
-                self.near = values, slopes
+                self.last_finite = values, slopes
                 self._keep(inside, values, slopes)
             else:
-                values, slopes = self.near
-                repelled = REPELLED * (1 + abs(values[self.rows.objective]) / self.size)
+                values, slopes = self.last_finite
+                penalty = PENALTY * (1 + abs(values[self.rows.objective]) / self.size)
             f, c = self.rows.objective, self.rows.limited
             self.last = key, (
-                float(values[f] / self.size + repelled), slopes[f] / self.size, values[c] / self.scale, slopes[c] / self.scale[:, None],
+                float(values[f] / self.size + penalty), slopes[f] / self.size, values[c] / self.scale, slopes[c] / self.scale[:, None],
             )  # fmt: skip
         return self.last[1]
 
     def _keep(self, u: DesignVector, values: DesignVector, slopes: np.ndarray) -> None:
-        """Note it, and keep it where it is better than the best so far: nearer to the limits or, where both are within them, lower."""
+        """Add to the history, and keep u if it is better than the best so far: smaller violation or, if both are feasible, lower objective."""
         search, f = self.search, self.rows.objective
         violation, before = (float(self.rows.violation(x, self.scale)) for x in (values, search.values))
         search.history.append((float(values[f]), violation))
         lower = values[f] < search.values[f] if max(before, violation) <= MET else violation < before
         if lower:
-            search.found(u, values, slopes)
+            search.keep(u, values, slopes)
 
 
 def scales(rows: Rows, values: np.ndarray) -> np.ndarray:
-    """The size of each limit; of a limit at zero, that of what it limits."""
+    """The size of each limit; for a limit of zero, the size of the limited quantity."""
     finite = [np.where(np.isfinite(end), np.abs(end), 0.0) for end in (rows.lower, rows.upper)]
     size = np.maximum(*finite)
     return np.where(size > 0, size, np.maximum(np.abs(values[rows.limited]), 1e-12))
 
 
 def search_with(method: str, rows: Rows, iterations: int, tolerance: float) -> Callable[[Search], None]:
-    """What a search does: the method again from where it stopped, as long as that gains; where limits are not met, first the least violation."""
+    """The function that runs a search: the method, restarted while it improves; if limits are violated, the violation is minimized first."""
 
     def run(search: Search) -> None:
         problem = Scaled(search, rows)
-        free = (search.low < search.high).any()  # else all of it is chosen from catalogues
+        free = (search.low < search.high).any()  # otherwise all parameters come from catalogues
         for attempt in range(MOST_RESTARTS if search.finite and free else 0):
             if search.iterations >= iterations:
                 return
@@ -250,15 +250,15 @@ def _minimize(problem: Scaled, method: str, iterations: int, tolerance: float) -
                 lambda u: problem.at(u)[2], lower, upper, jac=lambda u: problem.at(u)[3], hess=scipy.optimize.BFGS()
             )
         inside = np.isfinite(np.r_[lower[lower != upper], upper[lower != upper], problem.search.low, problem.search.high]).any()
-        gtol = 1e-14 if inside else tolerance**0.8  # it would end at any barrier, however high
+        gtol = 1e-14 if inside else tolerance**0.8  # otherwise it would stop at any barrier parameter
         options = dict(maxiter=iterations, gtol=gtol, xtol=tolerance, barrier_tol=tolerance**0.8)
         common["hess"] = scipy.optimize.BFGS()
-    found = scipy.optimize.minimize(lambda u: problem.at(u)[0], u, constraints=limits, method=method, options=options, **common)
-    return int(found.nit)
+    solution = scipy.optimize.minimize(lambda u: problem.at(u)[0], u, constraints=limits, method=method, options=options, **common)
+    return int(solution.nit)
 
 
 def _restored(problem: Scaled, iterations: int) -> bool:
-    """Whether the limits can be met, by the least sum of the squares of violations."""
+    """Minimize the sum of squared violations; returns whether the limits can be met."""
     import scipy.optimize
 
     lower, upper = problem.rows.lower / problem.scale, problem.rows.upper / problem.scale
@@ -267,27 +267,27 @@ def _restored(problem: Scaled, iterations: int) -> bool:
 
     def squares(u):
         _, _, c, A = problem.at(u)
-        over = np.maximum(c - upper, 0) - np.maximum(lower - c, 0)
-        return float(over @ over), 2 * over @ A
+        excess = np.maximum(c - upper, 0) - np.maximum(lower - c, 0)
+        return float(excess @ excess), 2 * excess @ A
 
     bounds = list(zip(problem.search.low, problem.search.high, strict=True))
     options = dict(maxiter=iterations, ftol=1e-16, gtol=1e-10)
-    found = scipy.optimize.minimize(squares, problem.search.u, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
-    problem.search.iterations += int(found.nit)
+    solution = scipy.optimize.minimize(squares, problem.search.u, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
+    problem.search.iterations += int(solution.nit)
     return float(problem.rows.violation(problem.search.values, problem.scale)) <= MET
 
 
 @dataclass(frozen=True)
 class Multipliers:
-    """Of the optimum: d objective/d limit, in units of each, and the slope left, scaled."""
+    """Lagrange multipliers d objective/d limit, in their units, and the remaining scaled gradient."""
 
     limits: np.ndarray
     bounds: DesignVector
-    left: float
+    remaining: float
 
 
 def multipliers(search: Search, rows: Rows) -> Multipliers:
-    """grad f = sum of lambda grad c over the active limits and bounds, lambda of the sign of their side, by least squares."""
+    """grad f = sum of lambda grad c over the active limits and bounds, lambda with the sign of their side, by least squares."""
     import scipy.optimize
 
     values, slopes, u, low, high = search.values, search.slopes, search.u, search.low, search.high
@@ -296,14 +296,14 @@ def multipliers(search: Search, rows: Rows) -> Multipliers:
     at_lower, at_upper = c - rows.lower / scale <= ACTIVE, rows.upper / scale - c <= ACTIVE
     n = len(u)
     sides = [(A[at_lower], np.flatnonzero(at_lower), 1.0, 0), (-A[at_upper], np.flatnonzero(at_upper), -1.0, 0)]
-    for near, sign in ((u - low <= ACTIVE, 1.0), (high - u <= ACTIVE, -1.0)):
-        sides.append((sign * np.eye(n)[near], np.flatnonzero(near), sign, 1))
+    for nearest, sign in ((u - low <= ACTIVE, 1.0), (high - u <= ACTIVE, -1.0)):
+        sides.append((sign * np.eye(n)[nearest], np.flatnonzero(nearest), sign, 1))
     normals = np.concatenate([side[0] for side in sides])
     weights, _ = scipy.optimize.nnls(normals.T, g) if len(normals) else (np.zeros(0), 0.0)
-    found = np.zeros(len(rows.limited)), np.zeros(n)
+    lambdas = np.zeros(len(rows.limited)), np.zeros(n)
     first = 0
     for rows_of, where, sign, kind in sides:
-        np.add.at(found[kind], where, sign * weights[first : first + len(rows_of)])
+        np.add.at(lambdas[kind], where, sign * weights[first : first + len(rows_of)])
         first += len(rows_of)
-    left = float(np.abs(g - weights @ normals).max(initial=0.0))
-    return Multipliers(found[0] * size / scale, found[1] * size, left)
+    remaining = float(np.abs(g - weights @ normals).max(initial=0.0))
+    return Multipliers(lambdas[0] * size / scale, lambdas[1] * size, remaining)

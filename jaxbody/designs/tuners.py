@@ -1,8 +1,8 @@
-"""Designs: what is free in a model tuned by gradients, one quantity the least that limits on others allow.
+"""Design optimization: free parameters of a model minimize one quantity within limits on others, by exact gradients.
 
     minimize f(x),   lower <= c(x) <= upper,   x between bounds,   f and c any JAX functions of the model
 
-One function of the model gives all quantities: they and their exact derivatives are one compiled program, for one start or for a batch of them.
+One function of the model returns all quantities; they and their exact derivatives are one compiled program, for one start or a batch.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra, i
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
 from jaxbody.designs.programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of
-from jaxbody.designs.searches import MET, METHODS, Rows, Search, hand_in_hand, one_thread, scales, search_with
+from jaxbody.designs.searches import MET, METHODS, Rows, Search, one_thread, run_in_lockstep, scales, search_with
 from jaxbody.designs.tunings import Tuning, tuning_of
 from jaxbody.models.leaf_paths import matching
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.parameters.design_spaces import Space, at_value, drawn, space_of
 
-MOST_NEIGHBORS = 6  # parameters of catalogues of which all combinations of neighbors are tried
+MOST_NEIGHBORS = 6  # parameters from catalogues, at most, for which all combinations of neighbors are tried
 
 
 def tune(
@@ -50,22 +50,33 @@ def tune(
     reverse: bool | None = None,
     progress: bool | None = None,
 ) -> Tuning:
-    """The design of least f within limits, by exact gradients.
+    """The design with the least objective within limits, by exact gradients.
 
-    evaluate: model -> {name: number or array}, any JAX functions of a model, or one number, then called "objective". minimize: the name of f. limits:
-    {name: (lower, upper)}, either may be None, one number for equality; of an array for each of its numbers. free: paths or patterns, each
-    parameter by itself; "spring fl.stiffness = spring fr.stiffness" keeps what it names equal, "left.a = right.a * [1, -1, 1]" mirrored, by factors. bounds: {path or pattern: (lower, upper)}, never left. Stiffness,
-    damping and mass move by factors, orientations by turns. catalogues: {path or pattern: values that there are}: all neighbors of
-    the optimum among them are tried, the rest tuned again.
+    Args:
+        model: the initial design.
+        evaluate: model -> {name: number or array} by JAX functions, or one number, then called "objective".
+        free: paths or patterns, each parameter by itself; "spring fl.stiffness = spring fr.stiffness" ties parameters,
+            "left.a = right.a * [1, -1, 1]" with factors.
+        minimize: name of the objective.
+        limits: {name: (lower, upper)}, either may be None; one number for equality; for each element of an array.
+        bounds: {path or pattern: (lower, upper)}, in the units of the parameter, never violated.
+        catalogues: {path or pattern: available values}; all neighbors of the optimum are tried, with the other parameters tuned again.
+        starts: number of initial designs: the model, and others drawn between the bounds; all are evaluated in batches.
+        key: for the drawn designs and for stochastic objectives.
+        method: "slsqp" or "trust-constr" (SciPy), "ipopt" (needs jaxbody[ipopt]), restarted while they improve, or an optax optimizer
+            for large or stochastic objectives without limits, where `evaluate` may take a key as its second argument.
+        max_iterations: most iterations of each start; the number of steps with optax.
+        tolerance: of the objective, relative to its value at the start.
+        reverse: derivatives by reverse mode; None uses forward mode for up to thirty free numbers.
+        progress: None shows progress after five seconds, False is silent, True prints every evaluation to stderr.
 
-    starts: how many, the model as it is and others drawn between the bounds with `key`; all are evaluated side by side. method: "slsqp" or "trust-constr", SciPy's, or "ipopt", an extra (jaxbody[ipopt])
-    (restarted while that gains; where limits are not met, the least violation is sought first), or an optax optimizer for large or stochastic
-    objectives without limits: there `evaluate` may take a key besides the model, a new one each time, and max_iterations steps are made. reverse: derivatives by reverse mode; without it,
-    forward mode for up to thirty free numbers. A trial that is not finite is a step rejected; where derivatives do not exist, at modes that
-    coincide, they are taken a little aside: smooth quantities (`objectives`) don't need that. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True tells every evaluation on stderr.
+    Stiffness, damping and mass vary by factors, orientations by rotations. If limits are violated, the violation is minimized first. A trial that
+    is not finite is a rejected step. Where derivatives do not exist, as with equal natural frequencies, those of a point nearby are used;
+    smooth quantities (`objectives`) avoid this.
 
-    Errors: UNKNOWN_PATH, UNKNOWN_NAME, WRONG_KIND of a key, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE,
-    NONFINITE_START, MISSING_EXTRA, TRACED, FLOAT32. Warns INFEASIBLE, with what is not met, and NOT_CONVERGED.
+    Errors: UNKNOWN_PATH, UNKNOWN_NAME, WRONG_KIND of a key, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE,
+    BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE, NONFINITE_START, MISSING_EXTRA, TRACED, FLOAT32. Warns
+    INFEASIBLE, with the violated limits, and NOT_CONVERGED.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def sag(model):
@@ -90,23 +101,23 @@ def tune(
     key = jax.random.key(0) if key is None else key
     limited = limits_of(limits or {})
     space, low, high = space_of(model, free, bounds, "tune")
-    shelves = _shelves(space, catalogues, low, high)
-    _check_options(method, limited, shelves)
+    catalogs = _catalogs(space, catalogues, low, high)
+    _check_options(method, limited, catalogs)
     U = drawn(space, low, high, starts, key, "tune.bounds")
     stochastic = not isinstance(method, str) and len(inspect.signature(evaluate).parameters) > 1
     program = Program(space, evaluate, minimize, limited, width=starts, reverse=reverse, key=key if stochastic else None, progress=progress)
     with one_thread(), working("tune", progress) as program.line:
-        program.line("the first evaluation, which compiles")
+        program.line("first evaluation, compiling")
         check_start(program, U)
         searches = [Search(u, low, high) for u in U]
         if isinstance(method, str):
-            hand_in_hand(program, searches, search_with(method, program.rows, max_iterations, tolerance))
+            run_in_lockstep(program, searches, search_with(method, program.rows, max_iterations, tolerance))
         else:
-            _descend_all(program, searches, method, max_iterations, key)
+            _run_optax(program, searches, method, max_iterations, key)
         best = _best(program.rows, searches)
-        if shelves:
-            searches = _neighbors(program.space, best, shelves)
-            hand_in_hand(program, searches, search_with(method, program.rows, max_iterations, tolerance))
+        if catalogs:
+            searches = _neighbors(program.space, best, catalogs)
+            run_in_lockstep(program, searches, search_with(method, program.rows, max_iterations, tolerance))
             best = _best(program.rows, searches)
     if not best.finite:
         check_slopes(program, best)
@@ -115,9 +126,9 @@ def tune(
     return result
 
 
-def _shelves(space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np.ndarray) -> dict[int, np.ndarray]:
-    """{group: u of the values that there are}, and bounds drawn in to them."""
-    problems, shelves = Problems(), {}
+def _catalogs(space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np.ndarray) -> dict[int, np.ndarray]:
+    """{group: u of the available values}; narrows the bounds to them."""
+    problems, catalogs = Problems(), {}
     owner = {leaf: i for i, group in enumerate(space.groups) for leaf in group.leaves}
     for pattern, leaves in matching(list(owner), catalogues, "tune.catalogues").items():
         values = problems.gather(lambda path=pattern: _values(catalogues[path], f"tune.catalogues['{path}']"))
@@ -129,28 +140,34 @@ def _shelves(space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np
             if group.form.start.ndim or values.ndim != 1 or not values.size or not np.isfinite(values).all() or (values <= 0).any():
                 problems.add("BAD_CATALOGUE", where, f"is {values.tolist()}", value=values, limit="positive numbers, for one number")
                 continue
-            shelf = np.array([at_value(space, i, x)[0] for x in values])
-            inside = (shelf >= low[at] - 1e-12) & (shelf <= high[at] + 1e-12)
+            catalog = np.array([at_value(space, i, x)[0] for x in values])
+            inside = (catalog >= low[at] - 1e-12) & (catalog <= high[at] + 1e-12)
             if not inside.any():
                 problems.add("BAD_CATALOGUE", where, "has no value within the bounds", value=values, hint="Widen the bounds.")
                 continue
-            shelves[i] = shelf[inside]
-            low[at], high[at] = min(shelf[inside].min(), 0.0), max(shelf[inside].max(), 0.0)
+            catalogs[i] = catalog[inside]
+            low[at], high[at] = min(catalog[inside].min(), 0.0), max(catalog[inside].max(), 0.0)
     problems.raise_if_any()
-    return shelves
+    return catalogs
 
 
 def _values(given: Any, where: str) -> np.ndarray:
-    """What there is, sorted."""
+    """Available values, sorted."""
     values = float_array(list(given) if isinstance(given, Iterable) else given, where)
     return np.sort(values) if values.ndim == 1 else values  # pyright: ignore
 
 
-def _check_options(method: Any, limits: dict[str, Any], shelves: dict[int, Any]) -> None:
+def _check_options(method: Any, limits: dict[str, Any], catalogs: dict[int, Any]) -> None:
     problems = Problems()
     if isinstance(method, optax.GradientTransformation):
-        if limits or shelves:
-            problems.add("BAD_METHOD", "tune.method", "is of optax and keeps no limits", value=method, limit=" ".join(METHODS))
+        if limits or catalogs:
+            problems.add(
+                "BAD_METHOD",
+                "tune.method",
+                "is an optax optimizer, which has no limits or catalogues",
+                value=method,
+                limit=" ".join(METHODS),
+            )
     elif method not in METHODS:
         problems.add("BAD_METHOD", "tune.method", f"is {method!r:.60}", value=method, limit=" ".join(METHODS) + " or an optax optimizer")
     elif method == "ipopt":
@@ -158,13 +175,13 @@ def _check_options(method: Any, limits: dict[str, Any], shelves: dict[int, Any])
     problems.raise_if_any()
 
 
-def _neighbors(space: Space, best: Search, shelves: dict[int, np.ndarray]) -> list[Search]:
-    """Starts at all combinations of neighbors in the catalogues; beyond a few parameters the nearer neighbor of the clearest is taken at once."""
-    places = [space.ends[i].start for i in shelves]
-    pairs = [_beside(shelf, best.u[at]) for at, shelf in zip(places, shelves.values(), strict=True)]
+def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> list[Search]:
+    """Starts at all combinations of neighbors in the catalogues; with many parameters, the clearest ones take the nearer neighbor only."""
+    places = [space.ends[i].start for i in catalogs]
+    pairs = [_neighbors_of(catalog, best.u[at]) for at, catalog in zip(places, catalogs.values(), strict=True)]
     clear = [abs(np.diff(np.abs(pair - best.u[at])).sum()) if len(pair) > 1 else np.inf for at, pair in zip(places, pairs, strict=True)]
-    tried = np.argsort(clear)[:MOST_NEIGHBORS]
-    choices = [pair if i in tried else pair[:1] for i, pair in enumerate(pairs)]
+    trial = np.argsort(clear)[:MOST_NEIGHBORS]
+    choices = [pair if i in trial else pair[:1] for i, pair in enumerate(pairs)]
     searches = []
     for chosen in np.stack([x.ravel() for x in np.meshgrid(*choices, indexing="ij")], -1):
         u, low, high = best.u.copy(), best.low.copy(), best.high.copy()
@@ -174,22 +191,22 @@ def _neighbors(space: Space, best: Search, shelves: dict[int, np.ndarray]) -> li
     return searches
 
 
-def _beside(shelf: np.ndarray, u: float) -> np.ndarray:
+def _neighbors_of(catalog: np.ndarray, u: float) -> np.ndarray:
     """The neighbors of u, one below and one above, the nearer first."""
-    above = int(np.searchsorted(shelf, u))
-    pair = shelf[max(above - 1, 0) : above + 1]
+    above = int(np.searchsorted(catalog, u))
+    pair = catalog[max(above - 1, 0) : above + 1]
     return pair[np.argsort(np.abs(pair - u), kind="stable")]
 
 
-def _descend_all(program: Program, searches: list[Search], method: optax.GradientTransformation, steps: int, key: Any) -> None:
-    """By an optax optimizer, all starts in one program; u is kept between bounds after each step."""
+def _run_optax(program: Program, searches: list[Search], method: optax.GradientTransformation, steps: int, key: Any) -> None:
+    """Run an optax optimizer from all starts in one program; u is clipped to the bounds after each step."""
     U = jnp.asarray(np.stack([search.start for search in searches]))
     low, high = jnp.asarray(searches[0].low), jnp.asarray(searches[0].high)
     ends, history = _descend(program.space, program.evaluate, program.minimize, method, steps, program.key is not None, U, low, high, key)
     program.count += steps
     values, slopes = program(np.asarray(ends))
     for i, search in enumerate(searches):
-        search.found(np.asarray(ends[i]), values[i], slopes[i])
+        search.keep(np.asarray(ends[i]), values[i], slopes[i])
         search.iterations = steps
         search.finite = bool(np.isfinite(values[i, program.rows.objective]))
         search.history = [(float(f), 0.0) for f in history[i]]
@@ -209,8 +226,8 @@ def _descend(space: Space, evaluate: Evaluate, minimize: str, method, steps: int
             f, g = jax.value_and_grad(value)(u, key)
             g = jnp.where(jnp.isfinite(g), g, 0.0)
             change, state = optimizer.update(g, state, u, value=f, grad=g, value_fn=lambda u: value(u, key))
-            tried = jnp.clip(u + change, low, high)
-            return (jnp.where(jnp.isfinite(tried), tried, u), state), f
+            trial = jnp.clip(u + change, low, high)
+            return (jnp.where(jnp.isfinite(trial), trial, u), state), f
 
         (u, _), history = jax.lax.scan(step, (u, optimizer.init(u)), jax.random.split(key, steps))
         return u, history
@@ -219,7 +236,7 @@ def _descend(space: Space, evaluate: Evaluate, minimize: str, method, steps: int
 
 
 def _best(rows: Rows, searches: list[Search]) -> Search:
-    """Of those within limits the lowest, else the one nearest to them."""
+    """The feasible search with the lowest objective, otherwise the one with the smallest violation."""
 
     def rank(search: Search):
         if not search.finite:

@@ -1,4 +1,4 @@
-"""What a tuned design tells: its parameters and quantities before and after, what holds it back, and what more of that would buy."""
+"""Result of a tuning: parameters and quantities before and after, active constraints and their shadow prices."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
-from jaxbody.designs.kinks import jumping, setting_in
+from jaxbody.designs.kinks import at_kinks, jumping
 from jaxbody.designs.programs import NamedLimits, Program, Quantities
-from jaxbody.designs.searches import ACTIVE, ARRIVED, MET, Multipliers, Rows, Search, multipliers, scales
+from jaxbody.designs.searches import ACTIVE, CONVERGED, MET, Multipliers, Rows, Search, multipliers, scales
 from jaxbody.models.models import Model
 from jaxbody.parameters.design_spaces import Space
 from jaxbody.parameters.transforms import Positive
 
-DUST = 1e-12  # of what it was, at a bound of zero
-FAR = 12.0  # in u, a factor of 160 000, where only a bound could hold a search
-BOUND, CHOSEN, GONE = "at its bound", "of its catalogue", "held by nothing"
+DUST = 1e-12  # values below this, relative to the value before, print as zero
+FAR = 12.0  # distance in u, a factor of 160 000, that shows a parameter to be unbounded
+BOUND, CHOSEN, UNBOUNDED = "at its bound", "from its catalogue", "unbounded"
 
 
 class Runs(eqx.Module):
-    """Every start: `objective`, `violation` (the largest, relative to its limit), `status`, `values` {path: (n, ...)} and `quantities` {name: (n, ...)}."""
+    """Results of all starts: `objective`, `violation` (the largest, relative to its limit), `status`, `values` {path: (n, ...)} and `quantities` {name: (n, ...)}."""
 
     objective: Float[np.ndarray, "n"]
     violation: Float[np.ndarray, "n"]
@@ -39,10 +39,11 @@ class Runs(eqx.Module):
 
 
 class Tuning(Result):
-    """A tuned design: `model`, `values` {path: value}, quantities `before` and `after` {name: value}, `active` limits and bounds in words,
-    `multipliers` {name of a limited quantity or of a parameter at its bound: what one unit more of the limit adds to the objective}, `words` what one percent more of each buys, `history`
-    (evaluations, 2) of the objective and the violation of limits, `evaluations`, and all starts in `runs`. `places` {parameter: "at its bound", "of its catalogue" or "held by nothing"}. `status` INFEASIBLE where limits are not met, `unmet` says which,
-    and NOT_CONVERGED, with the `remedy`.
+    """A tuned design: `model`, `values` {path: value}, quantities `before` and `after` {name: value}, `active` constraints as text,
+    `multipliers` {limited quantity or parameter at its bound: shadow price, d objective/d limit}, `words`, the effect of one percent more of each
+    limit, `history` (evaluations, 2) of the objective and the violation of limits, `evaluations`, all starts in `runs`, `places` {parameter:
+    "at its bound", "from its catalogue" or "unbounded"}. `status` INFEASIBLE if limits are violated, listed in `unmet`, or
+    NOT_CONVERGED, with a `remedy`.
 
     >>> import inspect
     >>> inspect.signature(tune).return_annotation  # tune returns one
@@ -69,12 +70,12 @@ class Tuning(Result):
 
     def explain(self) -> str:
         if int(self.status) == Status.INFEASIBLE:
-            return "nearest to all limits " + "; ".join(self.unmet)
+            return "with the smallest violation of the limits, " + "; ".join(self.unmet)
         if int(self.status) == Status.NOT_CONVERGED:
-            gone = [name for name, where in self.places.items() if where == GONE]
-            if gone:
-                return f"{', '.join(gone)} went farther than a factor of {np.exp(FAR):.0f} and nothing holds it; give bounds or limits"
-            return f"after {self.evaluations} evaluations; the best so far is kept; {self.remedy}"
+            unbounded = [name for name, where in self.places.items() if where == UNBOUNDED]
+            if unbounded:
+                return f"{', '.join(unbounded)} changed by more than a factor of {np.exp(FAR):.0f} without reaching a limit; add bounds or limits"
+            return f"after {self.evaluations} evaluations; the best iterate is kept; {self.remedy}"
         return ""
 
     def to_xarray(self) -> Any:
@@ -111,7 +112,7 @@ class Tuning(Result):
 
 
 def _each(path: str, label: str, before: Any, after: Any) -> list[tuple[str, str, float, float]]:
-    """Of a scalar or an array, a row for each number."""
+    """A row for each number of a scalar or an array."""
     before, after = np.asarray(before), np.asarray(after)
     after = np.where(np.abs(after) < DUST * np.abs(before), 0.0, after)
     index = [""] if before.ndim == 0 else [str(list(i)).replace(" ", "") for i in np.ndindex(before.shape)]
@@ -128,55 +129,55 @@ def _limit(limit: tuple[float, float] | None) -> str:
 
 
 def _places(space: Space, search: Search) -> dict[str, str]:
-    """Parameters at a bound, chosen from a catalogue, or gone where no bound is."""
+    """Parameters at a bound, from a catalogue, or unbounded."""
     at = np.minimum(np.abs(search.u - search.low), np.abs(search.u - search.high)) <= ACTIVE
     factors = np.concatenate([np.full(group.form.size, isinstance(group.form, Positive)) for group in space.groups])
-    gone = factors & (np.abs(search.u) > FAR) & np.isinf(np.where(search.u < 0, search.low, search.high))
-    words = np.select([search.low == search.high, at, gone], [CHOSEN, BOUND, GONE], "")
+    unbounded = factors & (np.abs(search.u) > FAR) & np.isinf(np.where(search.u < 0, search.low, search.high))
+    words = np.select([search.low == search.high, at, unbounded], [CHOSEN, BOUND, UNBOUNDED], "")
     return {name: str(word) for name, word in zip(space.labels(), words, strict=True) if word}
 
 
-def _judged(search: Search, rows: Rows, space: Space) -> tuple[int, Multipliers | None]:
-    """How a search ended, by the conditions of the optimum and not by what the optimizer says."""
+def _status_and_multipliers(search: Search, rows: Rows, space: Space) -> tuple[int, Multipliers | None]:
+    """The status of a search and its multipliers, by the conditions of optimality rather than the optimizer's own report."""
     if not search.finite:
         return Status.NONFINITE.value, None
-    found = multipliers(search, rows)
+    lambdas = multipliers(search, rows)
     if rows.violation(search.values, scales(rows, search.values)) > 10 * MET:
-        return Status.INFEASIBLE.value, found
-    arrived = found.left <= ARRIVED and GONE not in _places(space, search).values()
-    return (Status.OK.value if arrived else Status.NOT_CONVERGED.value), found
+        return Status.INFEASIBLE.value, lambdas
+    converged = lambdas.remaining <= CONVERGED and UNBOUNDED not in _places(space, search).values()
+    return (Status.OK.value if converged else Status.NOT_CONVERGED.value), lambdas
 
 
 def _remedy(program: Program, best: Search, iterations: int) -> str:
-    """What to do about a search that has not arrived: more iterations only if it has used all, and where a derivative jumps, none help."""
+    """Advice for a search that has not converged: more iterations if it has used all; or bounds, if a derivative jumps at its end."""
     rows, labels = program.rows, program.labels()
-    asked = np.r_[rows.objective, rows.limited].astype(int)
+    requested = np.r_[rows.objective, rows.limited].astype(int)
     along = np.where(best.low < best.high, best.slopes[rows.objective], 0.0)
-    jumps = jumping(lambda U: program(np.clip(U, best.low, best.high))[1][:, asked], best.u, along)
+    jumps = jumping(lambda U: program(np.clip(U, best.low, best.high))[1][:, requested], best.u, along)
     if jumps.any():
-        names = ", ".join(dict.fromkeys(labels[i] for i, jump in zip(asked, jumps, strict=True) if jump))
-        stops = [f"'{name}'" for name in setting_in(_placed(program.space, jnp.asarray(best.u))[0])]
-        why = f", as a law sets in just where {', '.join(stops)} is at rest: a stop that touches" if stops else ""
-        return f"derivatives of {names} jump there, a kink{why}; it may be the optimum: bounds that keep to one side of it show that"
+        names = ", ".join(dict.fromkeys(labels[i] for i, jump in zip(requested, jumps, strict=True) if jump))
+        stops = [f"'{name}'" for name in at_kinks(_placed(program.space, jnp.asarray(best.u))[0])]
+        cause = f", because {', '.join(stops)} rests at a kink of its law, like a stop that just touches" if stops else ""
+        return f"derivatives of {names} jump there{cause}; this may be the optimum: check with bounds that exclude one side of the kink"
     if best.iterations >= iterations:
-        return "give more max_iterations"
-    return f"no step from there was better, after {best.iterations} of {iterations} iterations; try more starts, or another method"
+        return "increase max_iterations"
+    return f"no further step improved it, after {best.iterations} of {iterations} iterations; try more starts or another method"
 
 
 def tuning_of(program: Program, searches: list[Search], best: Search, iterations: int) -> Tuning:
-    """What searches from all starts came to, each of so many iterations at most, told of the best."""
+    """The result of searches from all starts, each of at most so many iterations."""
     rows, space, quantities = program.rows, program.space, program.quantities
     U, values = (np.stack([getattr(search, name) for search in searches]) for name in ("u", "values"))
-    codes = np.array([_judged(search, rows, space)[0] for search in searches])
+    codes = np.array([_status_and_multipliers(search, rows, space)[0] for search in searches])
     violation = rows.violation(values, scales(rows, best.values))
     runs = Runs(values[:, rows.objective], violation, codes, _values(space, jnp.asarray(U)), quantities(values))
-    status, prices = _judged(best, rows, space)
-    told = [] if prices is None or status == Status.INFEASIBLE else _held(program, best, prices)
+    status, prices = _status_and_multipliers(best, rows, space)
+    constraints = [] if prices is None or status == Status.INFEASIBLE else _active_constraints(program, best, prices)
     model, values_of = _placed(space, jnp.asarray(best.u))
     remedy = _remedy(program, best, iterations) if status == Status.NOT_CONVERGED else ""
     return Tuning(
-        model, values_of, quantities(program.origin), quantities(best.values), {held.name: held.price for held in told},
-        tuple(map(str, told)), tuple(held.worth(program.minimize, best.values[rows.objective]) for held in told), _places(space, best), _unmet(program, best.values),
+        model, values_of, quantities(program.origin), quantities(best.values), {constraint.name: constraint.price for constraint in constraints},
+        tuple(map(str, constraints)), tuple(constraint.effect(program.minimize, best.values[rows.objective]) for constraint in constraints), _places(space, best), _unmet(program, best.values),
         np.array(best.history).reshape(-1, 2), program.count, runs, np.asarray(status), space, program.minimize, program.limits, remedy,
     )  # fmt: skip
 
@@ -192,8 +193,8 @@ def _values(space: Space, U: Float[Array, "b n"]):
 
 
 @dataclass(frozen=True)
-class Held:
-    """A limit or bound that holds the optimum back: d objective/d limit is its `price`."""
+class ActiveConstraint:
+    """An active limit or bound with its shadow `price`, d objective/d limit."""
 
     name: str
     at: float
@@ -203,33 +204,33 @@ class Held:
     def __str__(self) -> str:
         return f"{self.name} {self.sign} {self.at:.6g}"
 
-    def worth(self, objective: str, f: float) -> str:
-        """What one percent more of the limit buys."""
+    def effect(self, objective: str, f: float) -> str:
+        """The effect of one percent more of the limit, as text."""
         if not self.at or not f:
-            return f"{self} : one unit more changes {objective} by {self.price:.3g}"
+            return f"{self}: one unit more changes {objective} by {self.price:.3g}"
         return f"{self}: 1 % more ({0.01 * self.at:.3g}) changes {objective} by {self.price * self.at / f:+.3g} %"
 
 
-def _held(program: Program, best: Search, prices: Multipliers) -> list[Held]:
+def _active_constraints(program: Program, best: Search, prices: Multipliers) -> list[ActiveConstraint]:
     rows, space, labels = program.rows, program.space, program.labels()
-    found = []
+    constraints = []
     for row, lower, upper, price in zip(rows.limited, rows.lower, rows.upper, prices.limits, strict=True):
         if price:
             sign = "=" if lower == upper else ">=" if price > 0 else "<="
-            found.append(Held(labels[row], float(lower if price > 0 else upper), float(price), sign))
+            constraints.append(ActiveConstraint(labels[row], float(lower if price > 0 else upper), float(price), sign))
     numbers, slopes = space.numbers(best.u)
     for name, x, slope, price, chosen in zip(space.labels(), numbers, slopes, prices.bounds, best.low == best.high, strict=True):
         if price and not chosen:
-            found.append(Held(name, float(x), float(price / slope), ">=" if price > 0 else "<="))
-    return found
+            constraints.append(ActiveConstraint(name, float(x), float(price / slope), ">=" if price > 0 else "<="))
+    return constraints
 
 
 def _unmet(program: Program, values: np.ndarray) -> tuple[str, ...]:
-    """Limits that are not kept, and by how much."""
-    rows, labels, told = program.rows, program.labels(), []
+    """Violated limits, and by how much."""
+    rows, labels, messages = program.rows, program.labels(), []
     for row, lower, upper, scale in zip(rows.limited, rows.lower, rows.upper, scales(rows, values), strict=True):
         x = values[row]
         if max(lower - x, x - upper) > 10 * MET * scale:
             end = lower if x < lower else upper
-            told.append(f"{labels[row]} is {x:.6g}, {'below' if x < lower else 'above'} {end:.6g} by {abs(x - end):.3g}")
-    return tuple(told)
+            messages.append(f"{labels[row]} is {x:.6g}, {'below' if x < lower else 'above'} {end:.6g} by {abs(x - end):.3g}")
+    return tuple(messages)
