@@ -311,8 +311,8 @@ def test_what_is_wrong_with_a_curve_is_named(text, options, code, words, tmp_pat
 @pytest.mark.parametrize(
     ("text", "code", "words"),
     [
-        ("angle [deg], force [N]\n-2,-2\n-1,-1\n0,0\n1,1\n", "WRONG_DIMENSION", "an angle over a force"),
-        ("stroke [mm], moment [N m]\n-2,-2\n-1,-1\n0,0\n1,1\n", "WRONG_DIMENSION", "a length over a moment"),
+        ("angle [deg], force [N]\n-2,-2\n-1,-1\n0,0\n1,1\n", "WRONG_DIMENSION", "an angle with a force"),
+        ("stroke [mm], moment [N m]\n-2,-2\n-1,-1\n0,0\n1,1\n", "WRONG_DIMENSION", "a length with a moment"),
         ("stroke [mm], force [N]\n-2,-2\n-1,-1\n0,0\n1_0,1\n", "BAD_LINE", "'1_0'"),
     ],
 )
