@@ -76,7 +76,7 @@ class Force(Load):
 
     force: Signal = field(words={"value": "N"})
     moment: Signal = field(words={"value": "N m"})
-    axes: str = eqx.field(static=True, converter=plain)
+    axes: str = field(static=True, converter=plain)
 
     def __init__(self, on, *, force=(0, 0, 0), moment=(0, 0, 0), axes: str = "world"):
         problems = Problems()
@@ -129,7 +129,7 @@ class Unbalance(Load):
     frequency: Float[Array, ""] = field("Hz")
     run_up: Float[Array, ""] = field("Hz/s")
     phase: Float[Array, ""] = field("rad")
-    across: int = eqx.field(static=True)
+    across: int = field(static=True)
 
     def __init__(self, on, *, axis, unbalance, frequency, run_up=0.0, phase=0.0):
         problems = Problems()

@@ -184,8 +184,8 @@ class Sampled(Motion):
     times: Float[Array, "n"] = field("s")
     values: Float[Array, "n 6"] = field("m, rad")
     curvatures: Float[Array, "n 6"] = field("m/s2, rad/s2")
-    uniform: bool = eqx.field(static=True)
-    rough: bool = eqx.field(static=True)  # from accelerations with noise
+    uniform: bool = field(static=True)
+    rough: bool = field(static=True)  # from accelerations with noise
 
     def __init__(self, times, *, translation=None, rotation=None):
         times, values = _samples(times, translation, rotation, Problems(), minimum=4)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -56,7 +55,7 @@ class Road(Motion):
     footprint: Float[Array, ""] = field(
         "m", "nonnegative", code="BAD_FOOTPRINT", hint="Give the length of the contact patch, or 0 for none."
     )
-    window: int = eqx.field(static=True)
+    window: int = field(static=True)
 
     def __init__(self, distances, heights, *, speed, position=0.0, footprint=0.0):
         problems = Problems()

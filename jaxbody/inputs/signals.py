@@ -103,8 +103,8 @@ class Samples(Signal):
     times: Float[Array, "n"] = field("s")
     values: Float[Array, "n *k"] = field("value")
     curvatures: Float[Array, "n *k"] | None = field("value/s2")
-    kind: str = eqx.field(static=True, converter=plain)
-    uniform: bool = eqx.field(static=True)
+    kind: str = field(static=True, converter=plain)
+    uniform: bool = field(static=True)
 
     def __init__(self, times, values, *, kind: str = "cubic"):
         problems = Problems()

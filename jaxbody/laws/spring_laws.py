@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -72,7 +71,7 @@ class Stop(Law):
     gap: Number = field("argument", "nonnegative", hint="For a stop that is compressed at x = 0 change the free length.")
     stiffness: Number = field("force/argument", "nonnegative")
     engagement: Number = field("argument", "positive", hint="A hundredth of the travel has little effect.")
-    extension: bool = eqx.field(static=True)
+    extension: bool = field(static=True)
 
     def __init__(self, *, gap, stiffness, engagement=1e-3, extension: bool = False):
         problems = Problems()

@@ -25,7 +25,7 @@ GRAZING = 1e-6  # cosine of beam and surface's normal below which there is no sp
 class Gauge(Sensor):
     """The base of instruments between the point a of one body or support and the point b of another; `between` names the two."""
 
-    between: tuple[str, str] = eqx.field(static=True)
+    between: tuple[str, str] = field(static=True)
     a: Float[Array, "3"] = field("m")
     b: Float[Array, "3"] = field("m")
     axis: Float[Array, "3"] | None = field("", "direction")

@@ -139,7 +139,7 @@ class Components(Sensor):
     """The base of sensors that read several numbers, or one `component` of them."""
 
     on: str = eqx.field(static=True, converter=plain)
-    component: int | None = eqx.field(static=True)
+    component: int | None = field(static=True)
 
     def __init__(self, on: str, *, component: int | None = None, **chain: Unpack[Chain]):
         problems = Problems()
@@ -273,7 +273,7 @@ class JointAngle(Sensor):
     """
 
     on: str = eqx.field(static=True, converter=plain)
-    component: int | None = eqx.field(static=True)
+    component: int | None = field(static=True)
     shape = ()
     unit = "rad"
 

@@ -75,7 +75,7 @@ class PointForce(eqx.Module):
     on: str = eqx.field(static=True, converter=plain)
     point: Float[Array, "3"] = field("m")
     axis: Float[Array, "3"] = field("", "direction")
-    turns: bool = eqx.field(static=True)
+    turns: bool = field(static=True)
 
     def __init__(self, on: str, point=(0, 0, 0), direction: Any = "z"):
         problems = Problems()
@@ -105,9 +105,9 @@ class PointMotion(eqx.Module):
     on: str = eqx.field(static=True, converter=plain)
     point: Float[Array, "3"] = field("m")
     axis: Float[Array, "3"] = field("", "direction")
-    turns: bool = eqx.field(static=True)
-    kind: str = eqx.field(static=True, converter=plain)
-    relative_to: str | None = eqx.field(static=True, converter=plain)
+    turns: bool = field(static=True)
+    kind: str = field(static=True, converter=plain)
+    relative_to: str | None = field(static=True, converter=plain)
 
     def __init__(self, on: str, point=(0, 0, 0), direction: Any = "z", *, kind: str = "displacement", relative_to: str | None = None):
         problems = Problems()
