@@ -54,7 +54,7 @@ def load(path: str | os.PathLike, task: Task) -> tuple[np.ndarray, Levels]:
     if not Path(path).is_file():
         raise JaxbodyError(Problem("NO_CHECKPOINT", where, "is no file", hint=ANEW))
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with Path(path).open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
     except Exception:  # what damaged bytes raise has many names, and NumPy's advice is to trust them
         raise JaxbodyError(Problem("NO_CHECKPOINT", where, "cannot be read: it is damaged, or no checkpoint", hint=ANEW)) from None

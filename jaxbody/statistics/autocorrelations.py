@@ -1,4 +1,4 @@
-"""How the samples of one record hang together: autocovariances, autoregressions of the order that BIC takes, and tests for whiteness.
+"""Autocorrelation of one record: autocovariances, autoregressions of the order chosen by BIC, and tests for whiteness.
 
     r_t = phi_1 r_(t-1) + ... + phi_q r_(t-q) + e_t,   e_t white,   gamma_k = E r_t r_(t+k)
 
@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-SHARPEST = 0.995  # largest partial autocorrelation: no record of finite length tells it from a walk
-FEWEST = 20  # samples from which a record is looked at at all
+SHARPEST = 0.995  # largest partial autocorrelation; beyond it a finite record looks like a random walk
+FEWEST = 20  # samples that an analysis of autocorrelation needs
 
 
 class Autoregression(NamedTuple):
-    """phi (q,), and the variance of what is new at every sample."""
+    """phi (q,), and the variance of the innovations e_t."""
 
     phi: np.ndarray
     variance: float
@@ -29,18 +29,18 @@ def products(r: np.ndarray, most: int) -> np.ndarray:
 
 
 def autoregressions(gamma: np.ndarray) -> list[Autoregression]:
-    """Those of all orders up to len(gamma) - 1, by Durbin's recursion; partial autocorrelations of one or more are taken for SHARPEST."""
+    """Autoregressions of all orders up to len(gamma) - 1, by Durbin's recursion; partial autocorrelations are limited to SHARPEST."""
     phi, variance = np.zeros(0), float(gamma[0])
-    found = [Autoregression(phi, variance)]
+    processes = [Autoregression(phi, variance)]
     for k in range(1, len(gamma)):
         partial = np.clip((gamma[k] - phi @ gamma[1:k][::-1]) / variance, -SHARPEST, SHARPEST) if variance > 0 else 0.0
         phi, variance = np.append(phi - partial * phi[::-1], partial), variance * (1 - partial**2)
-        found.append(Autoregression(phi, variance))
-    return found
+        processes.append(Autoregression(phi, variance))
+    return processes
 
 
 def most_lags(n: int) -> int:
-    """The largest order that is tried with n samples."""
+    """The largest order considered for n samples."""
     return 0 if n < FEWEST else int(min(10 * np.log10(n), n / 10))
 
 
@@ -70,14 +70,14 @@ def autocovariances(process: Autoregression, n: int) -> np.ndarray:
 
 
 def innovations(process: Autoregression, r: np.ndarray) -> np.ndarray:
-    """What is new at every sample, e_t."""
+    """The innovations e_t."""
     from scipy.signal import lfilter
 
     return lfilter(np.append(1.0, -process.phi), np.ones(1), r)  # pyright: ignore[reportReturnType]  one array without `zi`
 
 
 class Whiteness(NamedTuple):
-    """Lag-one correlation r1, Durbin and Watson's d, Ljung and Box's Q over `lags` and its p-value (of white noise being no whiter)."""
+    """Lag-one correlation r1, Durbin and Watson's d, Ljung and Box's Q over `lags` and its p-value (the chance that white noise has a larger Q)."""
 
     r1: float
     d: float
@@ -87,7 +87,7 @@ class Whiteness(NamedTuple):
 
 
 def whiteness(r: np.ndarray) -> Whiteness | None:
-    """Of a record; None of one too short to tell, or of zeros.
+    """Tests of a record; None if it is too short or zero.
 
     Q = n (n + 2) sum_k rho_k^2/(n - k),   d = sum (r_t - r_(t-1))^2 / sum r_t^2
     """

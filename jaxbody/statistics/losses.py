@@ -1,10 +1,10 @@
-"""Robust losses: what a residual of many standard deviations costs less than its square.
+"""Robust losses, which penalize residuals of many standard deviations less than their squares would.
 
-    soft_l1   rho(r) = c^2 (sqrt(1 + (r/c)^2) - 1)      c = 1.345    like |r| far out (pseudo-Huber)
-    cauchy    rho(r) = c^2/2 log(1 + (r/c)^2)           c = 2.385    outliers hardly count
+    soft_l1   rho(r) = c^2 (sqrt(1 + (r/c)^2) - 1)      c = 1.345    like |r| for large r (pseudo-Huber)
+    cauchy    rho(r) = c^2/2 log(1 + (r/c)^2)           c = 2.385    outliers have little influence
 
-r over the noise level; at either c the estimates of Gaussian data have 95 % of the efficiency of least squares. Fits see root(r) = sign(r) sqrt(2 rho(r)), whose
-sum of squares is twice the loss, so that every search for least squares is one for the least loss.
+r in units of the noise; with these c, estimates from Gaussian data have 95 % of the efficiency of least squares. Fits use root(r) =
+sign(r) sqrt(2 rho(r)), whose sum of squares is twice the loss, so that least-squares methods minimize the loss.
 
 Source: P. Huber, E. Ronchetti, Robust Statistics, 2nd ed. (2009), sections 6.4 (covariance) and 7.7 (scale); R. Holland, R. Welsch, Comm. Stat. A 6 (1977) 813 (c).
 """
@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from jaxbody.core.errors import JaxbodyError, Problem
 
 LOSSES = {"soft_l1": 1.345, "cauchy": 2.385}
-CLIPPED = 1.345  # standard deviations beyond which a residual does not raise the estimated noise level further
+CLIPPED = 1.345  # standard deviations at which residuals are clipped in the estimate of the noise level
 
 
 def check_loss(loss: str | None, where: str) -> None:
@@ -42,10 +42,10 @@ def root(r: Float[Array, "m"], loss: str | None) -> Float[Array, "m"]:
     return r * jnp.sqrt(jnp.where(small, 1 - z / 2 + z**2 / 3 - z**3 / 4, jnp.log1p(wide) / wide))
 
 
-def linearized(r, J, there: np.ndarray, loss: str | None) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals and Jacobian of the least-squares problem that has the optimum of the loss and its covariance, from r and the Jacobian of root(r).
+def linearized(r, J, present: np.ndarray, loss: str | None) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals and Jacobian of the least-squares problem with the optimum and covariance of the loss, from r and the Jacobian of root(r).
 
-    r* = rho'(r)/mean rho''(r),   J* = dr/du,   the mean over those that are `there`
+    r* = rho'(r)/mean rho''(r),   J* = dr/du,   the mean over samples that are `present`
     """
     if loss is None:
         return np.asarray(r), np.asarray(J)
@@ -53,11 +53,11 @@ def linearized(r, J, there: np.ndarray, loss: str | None) -> tuple[np.ndarray, n
     each = lambda f: jax.vmap(f)(r)  # noqa: E731
     rho = lambda x: 0.5 * root(x, loss) ** 2  # noqa: E731
     slope, curvature = each(jax.grad(rho)), each(jax.grad(jax.grad(rho)))
-    return np.asarray(slope / jnp.mean(curvature[there])), np.asarray(J) / np.asarray(each(jax.grad(lambda x: root(x, loss))))[:, None]
+    return np.asarray(slope / jnp.mean(curvature[present])), np.asarray(J) / np.asarray(each(jax.grad(lambda x: root(x, loss))))[:, None]
 
 
 def robust_level(mean_of_clipped_squares, start: Array) -> Array:
-    """Noise level s by Huber's Proposal 2, mean min((r/s)^2, c^2) = E min(z^2, c^2) of a standard normal z, from the function of s on its left."""
+    """Noise level s by Huber's Proposal 2: mean min((r/s)^2, c^2), a given function of s and c, equals E min(z^2, c^2) of a standard normal z."""
     c = CLIPPED
     tail, density = 0.5 * math.erfc(c / math.sqrt(2)), math.exp(-c * c / 2) / math.sqrt(2 * math.pi)
     expected = (1 - 2 * tail) - 2 * c * density + 2 * c * c * tail

@@ -10,7 +10,7 @@ from jaxbody.core.errors import JaxbodyError, Problem
 
 
 def quantile(level: float, freedom: Any, *, sides: int = 2) -> np.ndarray:
-    """Of Student's t."""
+    """Quantile of Student's t for a confidence level with `freedom` degrees of freedom."""
     from scipy.stats import t
 
     return np.asarray(t.ppf(1 - (1 - level) / sides, freedom))
