@@ -102,7 +102,7 @@ def check_kind(value: Any, kinds: type | tuple[type, ...], where: str, wanted: s
 
 def is_own(part: Any) -> bool:
     """True for a module of a class that the user wrote, and for one that holds a bare function."""
-    return not type(part).__module__.startswith("jaxbody.") or type(part).__name__ == "Function"
+    return not type(part).__module__.startswith("jaxbody.") or type(part).__name__.endswith("Function")
 
 
 def check_returned(call: Callable[[Any, Any], Any], module: Any, shape: tuple[int, ...], where: str, problems: Problems) -> None:

@@ -120,7 +120,7 @@ def test_samples_are_what_their_kind_says(kind):
 def test_asking_outside_of_a_recorded_force_is_refused():
     load = jb.Force("body", force=Samples([0.0, 0.5], [[0.0, 0, 0], [1.0, 0, 0]], kind="linear"))
     model = jb.Model(bodies={"body": jb.Body(mass=1.0, inertia=[1, 1, 1])})
-    with pytest.raises(jb.JaxbodyError, match=r"loads\['push'\].*0.5.*asked 0 to 1 s.*T_RANGE"):
+    with pytest.raises(jb.JaxbodyError, match=r"loads\['push'\].*0.5.*requested 0 to 1 s.*T_RANGE"):
         jb.simulate(model, [0.0, 1.0], loads={"push": load})
 
 
