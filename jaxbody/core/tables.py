@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -26,7 +26,7 @@ class PrintedTable:
     note: str = ""
 
 
-class Printed:
+class Printed(ABC):
     """An object that prints as tables. They are made of its arrays in NumPy, so that printing runs no program of JAX."""
 
     @abstractmethod
