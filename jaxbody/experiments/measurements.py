@@ -1,7 +1,5 @@
 """What any measurement says of itself, be it in time, in frequency or of modes, so that fits treat all alike."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Any
