@@ -318,7 +318,7 @@ CODES = {
     "SINGULAR_M": ("the mass matrix is singular: something moves without inertia", "give it mass or inertia"),
     "SLOW_COMPILATION": ("a function took over a minute to compile", "keep programs: JAX_COMPILATION_CACHE_DIR; see jb.compile_times"),
     "SPRING_COLLAPSED": ("a spring passes through zero length, where its direction jumps", "keep its ends apart, or use a Bushing"),
-    "STALE": ("the equilibrium is none of this model: forces are left over there", "work out the equilibrium again"),
+    "STALE": ("the equilibrium does not belong to this model, as forces remain there", "work out the equilibrium again"),
     "START_ON_BOUND": ("a search starts where its parameter cannot be moved", "start at a small positive number"),
     "START_OUTSIDE": ("a search starts outside its bounds", "move the start or the bound"),
     "STEP_TOO_LONG": ("constant steps are too long for the fastest motion", "give a shorter dt0, or leave the steps to the controller"),

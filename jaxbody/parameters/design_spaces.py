@@ -80,22 +80,25 @@ class Space(eqx.Module):
 
 def space_of(model: Model, free: str | Iterable[str], bounds: dict[str, Any], where: str) -> tuple[Space, np.ndarray, np.ndarray]:
     """The space of the free parameters, and the bounds of u."""
-    groups = _grouped(model, [free] if isinstance(free, str) else list(free), where)
+    groups = _grouped(model, [free] if isinstance(free, str) else list(free), bounds, where)
     return _bounded(Space(model, groups), bounds, f"{where}.bounds")
 
 
-def _grouped(model: Model, free: list[str], where: str) -> tuple[Group, ...]:
+def _grouped(model: Model, free: list[str], bounds: dict[str, Any], where: str) -> tuple[Group, ...]:
     problems = Problems()
     arrays, size = jax.tree.leaves(model), size_of(model)
     found = ties(leaves_of(model), free, f"{where}.free", problems)
-    groups = [_group(tie, arrays, model, size, problems) for tie in found]
+    bounded = [leaf for leaves in matching([leaf for tie in found for leaf in tie], bounds, f"{where}.bounds").values() for leaf in leaves]
+    groups = [_group(tie, arrays, model, size, bounded, problems) for tie in found]
     problems.raise_if_any()
     return tuple(group for group in groups if group is not None)
 
 
-def _group(tie: Tie, arrays, model: Model, size, problems: Problems) -> Group | None:
-    starts = [leaf.read(arrays) for leaf in tie]
-    form = parametrize(next(iter(tie)), starts[0], model, size)
+def _group(tie: Tie, arrays, model: Model, size, bounded: list[Leaf], problems: Problems) -> Group | None:
+    starts, first = [leaf.read(arrays) for leaf in tie], next(iter(tie))
+    form = parametrize(first, starts[0], model, size)
+    if isinstance(form, Problem) and first.kind.domain == "nonnegative" and (starts[0] == 0).all() and first in bounded:
+        form = Shifted(starts[0], size)  # from 0 between bounds
     if isinstance(form, Problem):
         problems.collected.append(form)
         return None
@@ -119,7 +122,8 @@ def _bounded(space: Space, bounds: dict[str, Any], where: str) -> tuple[Space, n
         slack = ALIKE * largest  # what a tuned model comes with
         if sound_bounds(form, ends, given, f"{where}['{path}']", problems, slack):
             lower, upper = ends  # pyright: ignore
-            if isinstance(form, Shifted) and np.isfinite(upper - lower).all():
+            reaches_zero = isinstance(form, Positive) and (lower == 0).all()  # which a logarithm does not
+            if (isinstance(form, Shifted) or reaches_zero) and np.isfinite(upper - lower).all():
                 forms[i] = form = Shifted(form.start, jnp.asarray((upper - lower).max() / 2))
             low[at], high[at] = form.inverse(lower), form.inverse(upper)  # pyright: ignore
     problems.raise_if_any()

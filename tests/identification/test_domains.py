@@ -33,6 +33,12 @@ class Force(Measurement):
         law = model["s"].spring or model["s"].damper
         return {"force": jax.vmap(law.force)(AT)}
 
+    def axis(self, channel):
+        return "x", AT, "m"
+
+    def place(self, row):
+        return "x", float(AT[row])
+
 
 PULLED = {  # a law, its coefficient, and forces that a negative one would give
     "linear": (Linear(2.0), "spring.coefficient", lambda x: -3 * x),

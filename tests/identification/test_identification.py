@@ -370,6 +370,12 @@ class Weighed(Measurement):
         along = model["s"].stiffness * model.joint("cart").axis
         return {"force": jnp.arange(1.0, 5.0)[:, None] * jnp.concatenate([along, along])}
 
+    def axis(self, channel):
+        return "sample", np.arange(4), ""
+
+    def place(self, row):
+        return "sample", float(row)
+
 
 def test_a_direction_that_the_data_cannot_tell_has_no_number_along_it_either():
     """The first derivative of a unit vector along itself is zero; what there is of it moves with what is not known."""
