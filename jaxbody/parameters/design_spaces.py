@@ -97,8 +97,8 @@ def _grouped(model: Model, free: list[str], bounds: dict[str, Any], where: str) 
 def _group(tie: Tie, arrays, model: Model, size, bounded: list[Leaf], problems: Problems) -> Group | None:
     starts, first = [leaf.read(arrays) for leaf in tie], next(iter(tie))
     form = parametrize(first, starts[0], model, size)
-    if isinstance(form, Problem) and first.kind.domain == "nonnegative" and (starts[0] == 0).all() and first in bounded:
-        form = Shifted(starts[0], size)  # from 0 between bounds
+    if isinstance(form, Problem) and first.kind.domain == "nonnegative" and first in bounded:
+        form = Shifted(starts[0], size)  # from 0, as bounds allow
     if isinstance(form, Problem):
         problems.collected.append(form)
         return None
