@@ -52,6 +52,15 @@ class Weight(laws.Law):
         return self.moment * (1 - jnp.cos(x))
 
 
+class Dry(laws.Law):
+    """F w/sqrt(w^2 + w0^2), as laws.Friction, but F may have either sign: whether its interval holds zero is the question."""
+
+    level: jax.Array
+
+    def force(self, w):
+        return self.level * w / jnp.sqrt(w**2 + 0.05**2)
+
+
 class Progressive(laws.Law):
     """c w + d w |w|."""
 
@@ -129,7 +138,7 @@ def by_its_period() -> float:
 
 
 dampers = {
-    "viscous and dry": (laws.Linear(0.01) + laws.Friction(level=0.003, velocity=0.05), ["terms.0.coefficient", "terms.1.level"]),
+    "viscous and dry": (laws.Linear(0.01) + Dry(jnp.array(0.003)), ["terms.0.coefficient", "terms.1.level"]),
     "progressive": (Progressive(jnp.array(0.01), jnp.array(0.01)), ["linear", "square"]),
 }
 print(record)
