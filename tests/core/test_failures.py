@@ -136,7 +136,6 @@ def test_an_error_states_the_allowed_values():
 
 
 @pytest.mark.long  # quick tests compile without optimization, and round-off decides whether steps get past the jump
-@pytest.mark.everywhere
 def test_a_spring_that_shrinks_to_a_point_is_named():
     """At 0.0743 s: x'' = 50 (1 - x) from 0.5 m at -8 m/s, so 1 - x = 0.5 cos wt + (8/w) sin wt = 1 with w = sqrt(50)/s."""
     trajectory, seen = warned(

@@ -23,7 +23,7 @@ SIGMA = {("x1", "force"): 2e-6, ("x2", "force"): 4e-6, ("x2", "base"): 0.02}
 ALONG = dict(axis=[1, 0, 0])
 
 
-def model_of(values):
+def model_of(values, **options):
     k1, k2, c1, c2, m2 = values.values()
     return jb.Model(
         bodies={"m1": jb.Body(mass=M1, inertia=[1, 1, 1]), "m2": jb.Body(mass=m2, inertia=[1, 1, 1], position=[1, 0, 0])},
@@ -31,7 +31,7 @@ def model_of(values):
         joints={"m1": jb.Guide("world", **ALONG), "m2": jb.Guide("world", **ALONG)},
         elements={
             "lower": jb.Spring(("base", [0, 0, 0]), ("m1", [0, 0, 0]), stiffness=k1, free_length=1.0, damping=c1),
-            "upper": jb.Spring(("m1", [0, 0, 0]), ("m2", [0, 0, 0]), stiffness=k2, free_length=1.0, damping=c2),
+            "upper": jb.Spring(("m1", [0, 0, 0]), ("m2", [0, 0, 0]), stiffness=k2, free_length=1.0, damping=c2, **options),
         },
     )
 
@@ -254,7 +254,8 @@ def test_what_is_wrong_with_them_is_told_at_once(measured):
 
 @pytest.mark.long
 def test_a_start_that_is_unstable_is_told_by_its_frequency(measured):
-    falling = jb.replace(model_of(START), {"upper.damping": -60.0})
+    with pytest.warns(jb.JaxbodyWarning, match="NEGATIVE_DAMPING"):
+        falling = model_of(START | {"upper.damping": -60.0}, allow_negative=True)
     with pytest.raises(jb.JaxbodyError) as error:
         jb.fit(falling, {"hammer": hammer(measured)}, free=["lower.stiffness"])
     assert error.value.problems[0].code == "NONFINITE_START" and "from 1 Hz on" in str(error.value)
