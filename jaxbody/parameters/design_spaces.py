@@ -88,17 +88,22 @@ def _grouped(model: Model, free: list[str], bounds: dict[str, Any], where: str) 
     problems = Problems()
     arrays, size = jax.tree.leaves(model), size_of(model)
     found = ties(leaves_of(model), free, f"{where}.free", problems)
-    bounded = [leaf for leaves in matching([leaf for tie in found for leaf in tie], bounds, f"{where}.bounds").values() for leaf in leaves]
-    groups = [_group(tie, arrays, model, size, bounded, problems) for tie in found]
+    by_pattern = matching([leaf for tie in found for leaf in tie], bounds, f"{where}.bounds")
+    given = {leaf: bounds[pattern] for pattern, leaves in by_pattern.items() for leaf in leaves}
+    groups = [_group(tie, arrays, model, size, given, problems) for tie in found]
     problems.raise_if_any()
     return tuple(group for group in groups if group is not None)
 
 
-def _group(tie: Tie, arrays, model: Model, size, bounded: list[Leaf], problems: Problems) -> Group | None:
+def _group(tie: Tie, arrays, model: Model, size, given: dict[Leaf, Any], problems: Problems) -> Group | None:
+    """Between bounds from zero on a number moves linearly, as a logarithm does not reach zero."""
     starts, first = [leaf.read(arrays) for leaf in tie], next(iter(tie))
     form = parametrize(first, starts[0], model, size)
-    if isinstance(form, Problem) and first.kind.domain == "nonnegative" and first in bounded:
-        form = Shifted(starts[0], size)  # from 0, as bounds allow
+    ends = pair_of(next((given[leaf] for leaf in tie if leaf in given), None), starts[0].shape)
+    if ends is not None and (ends[0] == 0).all():
+        on_bound = isinstance(form, Problem) and first.kind.domain == "nonnegative"
+        if on_bound or (isinstance(form, Positive) and np.isfinite(ends[1]).all()):
+            form = Shifted(starts[0], size)
     if isinstance(form, Problem):
         problems.collected.append(form)
         return None
@@ -122,8 +127,7 @@ def _bounded(space: Space, bounds: dict[str, Any], where: str) -> tuple[Space, n
         slack = ALIKE * largest  # what a tuned model comes with
         if sound_bounds(form, ends, given, f"{where}['{path}']", problems, slack):
             lower, upper = ends  # pyright: ignore
-            reaches_zero = isinstance(form, Positive) and (lower == 0).all()  # which a logarithm does not
-            if (isinstance(form, Shifted) or reaches_zero) and np.isfinite(upper - lower).all():
+            if isinstance(form, Shifted) and np.isfinite(upper - lower).all():
                 forms[i] = form = Shifted(form.start, jnp.asarray((upper - lower).max() / 2))
             low[at], high[at] = form.inverse(lower), form.inverse(upper)  # pyright: ignore
     problems.raise_if_any()

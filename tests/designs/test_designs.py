@@ -360,6 +360,12 @@ def test_a_tuned_design_is_a_start_within_its_bounds(weight):
     assert again.active == ("spring.free_length >= 0", "spring.stiffness >= 7")
 
 
+def test_bounds_below_zero_do_not_let_a_length_become_negative(weight):
+    at_zero = jb.replace(weight, {"spring.free_length": 0.0})
+    with pytest.raises(jb.JaxbodyError, match="START_ON_BOUND"):
+        jb.tune(at_zero, lambda model: model["spring"].free_length, free="spring.free_length", bounds={"spring.free_length": (-1.0, 1.3)})
+
+
 # What cannot be
 
 
