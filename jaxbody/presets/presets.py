@@ -14,23 +14,6 @@ from jaxbody.models.bodies import Body, Support
 from jaxbody.models.joints import Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
 from jaxbody.models.models import Model
 
-__all__ = [
-    "coupled_gliders",
-    "double_pendulum",
-    "elastic_pendulum",
-    "engine_on_mounts",
-    "full_car",
-    "half_car",
-    "isolated_table",
-    "quarter_car",
-    "stewart_table",
-]
-
-
-def __dir__():
-    return __all__
-
-
 G = 9.81
 UP = (0, 0, 1)
 POINT = np.full(3, 1e-3)  # kg m2, of bodies that do not turn
