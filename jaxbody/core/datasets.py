@@ -27,4 +27,5 @@ def dataset(variables: dict[str, tuple[tuple[str, ...], Any, str]], coordinates:
 
 
 def rows_of(arrays: list[Any], axis: int) -> np.ndarray:
+    """Arrays side by side along a new axis, in NumPy."""
     return np.stack([np.asarray(array) for array in arrays], axis)

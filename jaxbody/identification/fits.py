@@ -1,4 +1,4 @@
-"""A fit, as it is told: estimates, their standard errors, what could not be told, how the measurements were met."""
+"""Result of a fit: estimates, standard errors, unidentified parameters, residuals."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From measurements to parameters: least squares with exact derivatives, by three families of methods, and what the estimates are worth.
+"""From measurements to parameters: least squares with exact derivatives, by three families of methods; uncertainty of the estimates.
 
 r = (reading(u) - measured)/noise,    minimize 1/2 r'r over u
 """

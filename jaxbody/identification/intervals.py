@@ -2,7 +2,7 @@
 
     value(u - t s) to value(u + t s),    s the standard error of u, t the quantile for the degrees of freedom of s
 
-At a bound the interval has one side, by the likelihood: how far u may go from it until the cost has risen by what a standard error is worth,
+At a bound the interval has one side, by the likelihood: how far u may go from it until the cost has risen as t standard errors raise it at an optimum,
 2 g d + h d^2 = t^2 h s^2, g the slope there and h the curvature with all others following.
 """
 
@@ -21,12 +21,12 @@ Interval = tuple[np.ndarray, np.ndarray]
 FEW = 13  # degrees of freedom, below which Student's t widens intervals of 95 % by more than a tenth
 
 
-def interval_of_u(u: np.ndarray, worth: Uncertainty, level: float) -> Interval:
+def interval_of_u(u: np.ndarray, uncertainty: Uncertainty, level: float) -> Interval:
     """(lower, upper) of each u, unbounded where the data cannot tell."""
-    error, freedom = worth.spread(np.eye(len(u)))
+    error, freedom = uncertainty.spread(np.eye(len(u)))
     far = quantile(level, freedom) * error
     low, high = u - far, u + far
-    for i, (slope, curvature, error, freedom) in worth.pressed.items():
+    for i, (slope, curvature, error, freedom) in uncertainty.pressed.items():
         t = float(quantile(level, freedom, sides=1))
         away = t**2 * error**2 * curvature / (abs(slope) + np.sqrt(slope**2 + (t * error * curvature) ** 2))
         low[i], high[i] = (u[i], u[i] + away) if slope > 0 else (u[i] - away, u[i])
@@ -34,31 +34,33 @@ def interval_of_u(u: np.ndarray, worth: Uncertainty, level: float) -> Interval:
 
 
 def intervals_of(
-    free: tuple[FreeParameter, ...], u: np.ndarray, values: dict[str, Any], worth: Uncertainty, level: float
+    free: tuple[FreeParameter, ...], u: np.ndarray, values: dict[str, Any], uncertainty: Uncertainty, level: float
 ) -> dict[str, Interval]:
     """{path: (lower, upper)}, arrays like the leaf; of a matrix or a direction by its elements' standard errors, which are all it has."""
-    low, high = interval_of_u(u, worth, level)
+    low, high = interval_of_u(u, uncertainty, level)
     found, first = {}, 0
-    for f, G in zip(free, worth.slopes, strict=True):
+    for f, G in zip(free, uncertainty.slopes, strict=True):
         form, mine = f.form, slice(first, first + f.form.size)
         first = mine.stop
         if isinstance(form, Positive | Shifted):
             with np.errstate(over="ignore"):
                 found[f.path] = tuple(form.value(end[mine]) for end in (low, high))
             continue
-        error, freedom = worth.spread(G.reshape(-1, len(u)))
+        error, freedom = uncertainty.spread(G.reshape(-1, len(u)))
         value, far = np.asarray(values[f.path]), (quantile(level, freedom) * error).reshape(G.shape[:-1])
         found[f.path] = (value - far, value + far)
     return found
 
 
-def freedoms_of(free: tuple[FreeParameter, ...], worth: Uncertainty) -> dict[str, np.ndarray]:
+def freedoms_of(free: tuple[FreeParameter, ...], uncertainty: Uncertainty) -> dict[str, np.ndarray]:
     """{path: degrees of freedom}, arrays like the leaf, of the t in these intervals."""
     freedoms, first = {}, 0
-    for f, G in zip(free, worth.slopes, strict=True):
-        _, freedom = worth.spread(G.reshape(-1, G.shape[-1]))
+    for f, G in zip(free, uncertainty.slopes, strict=True):
+        _, freedom = uncertainty.spread(G.reshape(-1, G.shape[-1]))
         if isinstance(f.form, Positive | Shifted):
-            freedom = np.array([worth.pressed[first + i][3] if first + i in worth.pressed else x for i, x in enumerate(freedom)])
+            freedom = np.array(
+                [uncertainty.pressed[first + i][3] if first + i in uncertainty.pressed else x for i, x in enumerate(freedom)]
+            )
         freedoms[f.path] = freedom.reshape(G.shape[:-1])
         first += f.form.size
     return freedoms

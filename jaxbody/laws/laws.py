@@ -192,6 +192,7 @@ def _made(kind: type, **fields) -> Any:
 
 
 def law_of(value: Any, where: str, problems: Problems) -> Law:
+    """A law of a law, a number or a function, where one is needed. Error: WRONG_KIND."""
     law = as_law(value, where, problems)
     if law is None and not problems.collected:
         problems.add("WRONG_KIND", where, "is None", limit="a law or a number", hint="Give 0 for no force.")

@@ -22,6 +22,7 @@ LARGEST_TURN = 179.0  # degrees, of a bushing in the reference pose
 
 
 def check_names(problems: Problems, **groups: dict[str, Any]) -> None:
+    """One name, one thing. Errors: BAD_NAME, DUPLICATE_NAME; warns LOOK_ALIKE."""
     seen: dict[str, str] = {}
     folded: dict[str, str] = {}
     for group, things in groups.items():
@@ -69,6 +70,7 @@ def of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) 
 
 
 def check_links(problems: Problems, bodies, supports, elements, joints) -> None:
+    """Elements and joints end on what there is, and every chain of joints on the world or a support."""
     frames = (*bodies, *supports, WORLD)
     for name, element in elements.items():
         for end in element.between:
@@ -142,6 +144,7 @@ def _check_turn(problems: Problems, where: str, element: Bushing | Torsion, A, B
 
 
 def warn_of_oddities(bodies, supports, elements) -> None:
+    """Warnings about what is allowed but rarely meant."""
     masses, inertias = ([concrete(getattr(body, name)) for body in bodies.values()] for name in ("mass", "inertia"))
     if all(x is not None for x in masses + inertias):
         warn_of_tiny(tuple(bodies), np.array(masses))
