@@ -45,7 +45,7 @@ def read_matlab(path: Path, largest: float) -> dict[str, np.ndarray]:
 
 
 def check(data: bytes, name: str, largest: float) -> None:
-    """Raise ValueError unless every element of the file is whole and of a type that belongs there. Error: TOO_LARGE, of all numbers together."""
+    """Raise ValueError unless every element of the file is complete and of the right type. Error: TOO_LARGE, of all numbers together."""
     if len(data) < 136 or data[126:128] not in (b"IM", b"MI"):
         raise ValueError("no header of a MATLAB file of version 5 to 7")
     order = "<" if data[126:128] == b"IM" else ">"
@@ -88,7 +88,7 @@ def _elements(data: bytes, order: str, name: str, largest: float) -> list[tuple[
 
 
 def _check_matrix(content: bytes, order: str, depth: int, name: str, largest: float) -> int:
-    """Flags, dimensions, name, and as many parts as its class has, of types that belong there; how many numbers they take the room of."""
+    """Check flags, dimensions, name and the parts of a matrix; returns the memory that they take, in numbers of 8 bytes."""
     if not content:
         return ELEMENT  # an empty cell
     if depth > DEEPEST:

@@ -1,4 +1,4 @@
-"""Measurement files by format: the columns that are wanted, with the units and times that the file itself states.
+"""Readers of measurement files by format: the requested columns, with the units and times that the file states.
 
     .csv .txt .tsv .dat .asc, also .gz     a table of text
     .parquet .pq                           pyarrow      unit in the field's metadata or the name
@@ -9,8 +9,8 @@
     .mf4 .mdf                              asammdf      unit and times in the file
     .at2 .vt2 .dt2                         PEER ground motions
 
-Readers are imported where they are used, and said by name where they are missing. Nothing is unpickled, no network is used, and nothing is read but the
-file itself. How many numbers a file holds is looked up, and compared with the limit, before they are read: a little can hold a lot.
+Packages are imported when they are used, and named where they are missing. Nothing is unpickled, no network is used, and only the file
+itself is read. The number of values is compared with the limit before they are read, as a small file can hold many.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.records.matlab_files import read_matlab
-from jaxbody.records.sources import Asked, Pick, check_numbers, check_size, find_name, kind_of, numeric, told_of
+from jaxbody.records.sources import Asked, Pick, check_numbers, check_size, find_name, kind_of, numeric, reader_errors
 from jaxbody.records.text_tables import Column, Contents, read_text, split_unit
 from jaxbody.records.universal_files import read_uff
 
@@ -36,10 +36,10 @@ DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3  # HDF5's numbers of its filters
 
 
 def read_columns(path: Any, wanted: list[Asked], *, format: str | None = None, largest: float = 1e9, **text: Any) -> Contents:
-    """The columns that are wanted of a file, under the names that they were asked for.
+    """The requested columns of a file, under the names of the request.
 
-    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA, UNREADABLE, UNKNOWN_CHANNEL,
-    NOT_A_NUMBER, EXTERNAL_DATA and those of text tables.
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA, UNREADABLE,
+    UNKNOWN_CHANNEL, NOT_A_NUMBER, EXTERNAL_DATA and those of text tables.
     """
     path = Path(path)
     kind = kind_of(path, format, largest)
@@ -50,7 +50,7 @@ def read_columns(path: Any, wanted: list[Asked], *, format: str | None = None, l
         problems.raise_if_any()
         return found
 
-    with told_of(path, kind):
+    with reader_errors(path, kind):
         return READERS[kind](path, pick, largest, **(text if kind == "text" else {}))
 
 
@@ -129,7 +129,7 @@ def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> C
 
 
 def _check_chunks(where: str, data: Any, largest: float) -> None:
-    """That no chunk inflates beyond the size that is stated: HDF5 looks when it has done so. Only those are tried that could pass the limit."""
+    """Check that no chunk inflates beyond its stated size, which HDF5 checks only afterwards; only chunks that could pass the limit."""
     plan = data.id.get_create_plist()
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
     most = MOST_INFLATED ** filters.count(DEFLATE)

@@ -29,16 +29,28 @@ def read_record(
     footer: int = 0,
     **options: Any,
 ) -> Record:
-    """The Record in a file: CSV and other tables of text (also .gz), Parquet, MATLAB, HDF5, UFF58, TDMS, MDF4, PEER AT2, by its ending or `format`.
+    """The Record in a file: CSV and other text tables (also .gz), Parquet, MATLAB, HDF5, UFF58, TDMS, MDF4, PEER AT2.
 
-    channels {name: columns} or {name: (columns, unit)}: columns is a column's name or number (counted from 0), or a list of them; "X[2]" is a column of an
-    array, "1+Z" in a UFF file what node 1 did along Z, which may also be named by its id line where that is like no other. time, the same: a name, or (name, unit). Units come from the file, "acc [g]" or its own fields, or from you; where both state one they
-    must agree. UFF, TDMS, MDF and AT2 files state times themselves; without any, give rate=. Text: encoding, separator, decimal, and how many lines
-    to skip at the start and, of a footer, at the end. largest [bytes], of a file and of the numbers read from it, 8 bytes each. Further options as of
-    `Record`. The one channel of an AT2 file is called "motion".
+    Args:
+        path: of the file
+        channels: {name: columns} or {name: (columns, unit)}, with the name or number (from 0) of a column, or a list of them; "X[2]" is a
+            column of an array; "1+Z" in a UFF file is node 1 along Z, which its id line may name too where that is unique
+        time: a column or (column, unit); None: the times that UFF, TDMS, MDF and AT2 files state, or those of `rate=`
+        format: None: by the ending of the file
+        largest: size of a file, and of the numbers read from it, 8 bytes each [bytes]
+        encoding: of text
+        separator: between columns of text; None: that of the first line of numbers
+        decimal: "," for decimal commas
+        skip: number of lines to leave out at the start of text
+        footer: number of lines to leave out at its end
+        options: of `Record`
 
-    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE (a pipe, a device), EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA, UNREADABLE,
-    UNKNOWN_CHANNEL, NOT_A_NUMBER, EXTERNAL_DATA (HDF5 that points to other files), of text with the line ENCODING, NO_NUMBERS, BAD_LINE, RAGGED_LINE, DECIMAL_COMMA, TRUNCATED; UNIT_CONFLICT, DIFFERENT_TIMES and those of `Record`.
+    Units come from the file, "acc [g]" or its own fields, or from you; where both state one they must agree. The channel of an AT2 file is
+    called "motion".
+
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE (a pipe, a device), EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA,
+    UNREADABLE, UNKNOWN_CHANNEL, NOT_A_NUMBER, EXTERNAL_DATA (HDF5 that points to other files); for text, with the line, ENCODING,
+    NO_NUMBERS, BAD_LINE, RAGGED_LINE, DECIMAL_COMMA, TRUNCATED; UNIT_CONFLICT, DIFFERENT_TIMES and those of `Record`.
 
     >>> import pathlib, tempfile
     >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.csv"
@@ -104,7 +116,7 @@ def _part(column: Column, asked: Asked) -> np.ndarray:
 
 
 def _unit(stated: str | None, said: set[str | None], where: str, problems: Problems, notes: list[str]) -> str:
-    """The unit that the user states, the file says, or both alike."""
+    """The unit stated by the user, by the file, or by both in agreement."""
     told = said - {None}
     if stated is None and (len(said) != 1 or not told):
         what = "no unit" if not told else f"different units {sorted(map(str, said))}"

@@ -1,4 +1,4 @@
-"""A measured record: times and channels in SI units, checked and as they were measured; repairs on request only."""
+"""Measured records: times and channels in SI units, checked and unchanged; repairs on request only."""
 
 from __future__ import annotations
 
@@ -14,16 +14,24 @@ from jaxbody.records.samplings import Sampling, check_sampling, check_values, sa
 
 
 class Record(tables.Printed):
-    """What instruments wrote down: `times` [s] (n,), `channels` {name: (n,) or (n, k)} in SI units, NaN where a sample is missing;
+    """A measured record: `times` [s] (n,), `channels` {name: (n,) or (n, k)} in SI units, NaN where a sample is missing;
     `units` {name: SI unit}, `stated` {name: unit given}, `sampling` (step, jitter, missing), `notes` on what was done. `record["acc"]` is a
     channel, `record.part(0, 2)` the samples from 0 to 2 s. Prints as a table.
 
-    channels {name: (values, unit)}; times, in `time_unit`, or None and `rate` [Hz], the first sample then at 0. With both, they must agree
-    within 0.1 %. `highest` [Hz], the highest frequency that matters, is compared with the rate. The times must be even to 5 % and 95 % of
-    the samples there, unless `irregular=True` says that they are true as they are.
+    Args:
+        times: in `time_unit`; None: from `rate`, the first sample at 0
+        channels: {name: (values, unit)}
+        time_unit: of the times
+        rate: sampling rate [Hz]; it must agree with the times within 0.1 % where both are given
+        highest: the highest frequency of interest [Hz], compared with the rate; None: no comparison
+        irregular: accept jitter above 5 % of a step and more than 5 % of missing samples
+        drop_duplicates: leave out rows that repeat the one before
+        fill: "linear" or "spline", to fill gaps of up to `max_gap` samples, in a channel or of whole rows; None: gaps remain
+        max_gap: longest gap that is filled [samples]
+        drop: "all_nan" to leave out channels without a sample
+        name: of the record, in messages
 
-    Nothing is repaired unless asked for, and then it stands in the notes: `drop_duplicates` (rows that repeat one before), `fill` "linear" or
-    "spline" (gaps of up to `max_gap` samples, in a channel or of whole rows), `drop="all_nan"` (channels without a sample).
+    Repairs are made on request only, and are listed in the notes.
 
     Errors, all at once: NO_DATA, NAN_TIME, UNSORTED_TIME, DUPLICATE_TIME, RATE_MISMATCH, JITTER, GAPS, NO_TIME, NO_UNIT, UNKNOWN_UNIT,
     WRONG_DIMENSION, BAD_SHAPE, NON_FINITE, ALL_NAN, BAD_OPTION. Warns MISSING, DEAD, SATURATED, UNIT (g for m/s2, degrees for radians),

@@ -1,4 +1,4 @@
-"""What may be done to a record when it is asked for, and is then noted: repeated rows, empty channels, short gaps."""
+"""Repairs of records on request, each with a note: repeated rows, empty channels, short gaps."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ FILLS = ("linear", "spline")
 
 
 def without_duplicates(t: np.ndarray, given: dict[str, Any], name: str, notes: list[str]) -> tuple[np.ndarray, dict[str, Any]]:
-    """Without rows that repeat the one before, time and values; a time with other values is left for the check to find."""
+    """Without rows that repeat the one before in time and values; a repeated time with other values is left for the check."""
     same = np.diff(t) == 0
     for x, _ in given.values():
         rows = x.reshape(len(x), -1)
@@ -37,7 +37,7 @@ def without_empty(given: dict[str, Any], notes: list[str], name: str) -> dict[st
 
 
 def filled(t: np.ndarray, given: dict[str, Any], fill: str, max_gap: int, notes: list[str]) -> tuple[np.ndarray, dict[str, Any]]:
-    """Rows put in where up to `max_gap` are missing, and numbers where up to so many in a row are; longer gaps stay as they are."""
+    """With gaps of up to `max_gap` rows, or samples of one channel, filled; longer gaps remain."""
     from scipy.interpolate import CubicSpline
 
     counts = counts_of(t).astype(int)

@@ -14,10 +14,10 @@ from jaxbody.records.universal_files import read_uff_responses
 def read_responses(
     path: Any, pairs: dict[tuple[str, str], Any], *, largest: float = 1e9
 ) -> tuple[np.ndarray, dict[tuple[str, str], np.ndarray]]:
-    """(frequencies [Hz], {(output, input): complex (nf,)}) of the frequency responses in a universal file (UFF, UNV), sets 58 of function type 4.
+    """(frequencies [Hz], {(output, input): complex (nf,)}) of the frequency responses in a universal file (sets 58 of function type 4).
 
-    pairs {(output, input): "4+Z/1+Z"}: response over reference, each a node and a direction, +X to -Z or +RX to -RZ; or {(output, input): ("4+Z/1+Z",
-    "m/s2", "N")} with their units, where the file states none. Where both do, they must agree.
+    pairs {(output, input): "4+Z/1+Z"}: response over reference, each a node and a direction, +X to -Z or +RX to -RZ; or
+    {(output, input): ("4+Z/1+Z", "m/s2", "N")} with their units, where the file states none. Where both state one, they must agree.
 
     Errors: those of a file in `read_record`, NOT_A_RESPONSE, NO_UNIT, UNKNOWN_UNIT, UNIT_CONFLICT, DIFFERENT_FREQUENCIES.
 
@@ -41,7 +41,7 @@ def read_responses(
 
 
 def _factor(stated: str | None, said: str | None, where: str, problems: Problems) -> float:
-    """To SI, of the unit that is stated, said by the file, or both alike."""
+    """The factor to SI of the unit stated by the user, by the file, or by both in agreement."""
     found = []
     for text in (stated, said):
         try:

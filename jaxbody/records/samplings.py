@@ -1,4 +1,4 @@
-"""How a record was sampled and what its samples look like: rate, jitter, gaps, dead and saturated channels, numbers in other units."""
+"""Checks of the sampling and the samples of a record: rate, jitter, gaps, dead and saturated channels, likely wrong units."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class Sampling:
 
 
 def counts_of(times: np.ndarray) -> np.ndarray:
-    """How many sampling steps lie between neighbors: 1, or more where samples are missing."""
+    """The number of sampling steps between neighbors: 1, or more where samples are missing."""
     steps = np.diff(times)
     return np.maximum(np.round(steps / np.median(steps)), 1)
 
 
 def sampling_of(times: np.ndarray) -> Sampling:
-    """Of increasing times, two or more."""
+    """The sampling of two or more increasing times."""
     counts = counts_of(times)
     step = float((times[-1] - times[0]) / counts.sum())
     jitter = float(np.sqrt(np.mean((np.diff(times) - counts * step) ** 2)))
@@ -79,7 +79,7 @@ def check_sampling(
 
 
 def check_values(values: np.ndarray, unit: units.Unit, times: np.ndarray, problems: Problems, where: str, *, may_lack: bool) -> None:
-    """Of one channel (n,) or (n, k), before conversion. Errors: NON_FINITE, ALL_NAN; warns MISSING, DEAD, SATURATED, UNIT."""
+    """Check the values of one channel (n,) or (n, k), before conversion. Errors: NON_FINITE, ALL_NAN; warns MISSING, DEAD, SATURATED, UNIT."""
     if np.isinf(values).any():
         i = int(np.argwhere(np.isinf(values))[0][0])
         problems.add("NON_FINITE", where, f"is {values[i]} at index {i}", value=i, limit="finite, or NaN where a sample is missing")
@@ -99,7 +99,7 @@ def check_values(values: np.ndarray, unit: units.Unit, times: np.ndarray, proble
 
 
 def warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -> None:
-    """DEAD: a channel that does not change; SATURATED: one that stays at its largest or smallest number."""
+    """Warn DEAD of a channel that does not change, SATURATED of one that stays at its largest or smallest number."""
     for k, x in enumerate(rows.T):
         name = where + (f"[{k}]" if rows.shape[1] > 1 else "")
         here = x[np.isfinite(x)]
@@ -119,7 +119,7 @@ def _warn_of_rails(x: np.ndarray, unit: str, times: np.ndarray, where: str) -> N
 
 
 def _turns(x: np.ndarray, i: int, j: int) -> bool:
-    """Whether x[i:j], all one number, is where a rounded motion turns: a parabola through two samples on either side goes no farther than rounding."""
+    """Whether equal samples x[i:j] are the peak of a rounded motion: a parabola through two samples on either side stays within rounding."""
     beside = [k for k in (i - 2, i - 1, j, j + 1) if 0 <= k < len(x) and np.isfinite(x[k])]
     if len(beside) < 4:
         return False
@@ -129,7 +129,7 @@ def _turns(x: np.ndarray, i: int, j: int) -> bool:
 
 
 def _check_unit(rows: np.ndarray, unit: units.Unit, where: str) -> None:
-    """Numbers that look like those of another unit than the one stated."""
+    """Warn UNIT of numbers that look like those of another unit than the stated one."""
     largest = float(np.nanmax(np.abs(rows))) if np.isfinite(rows).any() else 0.0
     if unit.dimension == units.ANGLE and unit.factor == 1.0 and largest > 2 * np.pi:
         warn("UNIT", f"{where} reaches {largest:.4g} rad, more than a turn; is it in degrees?")

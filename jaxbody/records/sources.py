@@ -1,4 +1,4 @@
-"""A measurement file before and while it is read: that it is there, of which format it is, which of its names is meant, what went wrong."""
+"""Measurement files before they are read: existence, format and size, names of channels, and errors of readers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SUFFIXES = {
 
 
 def kind_of(path: Path, format: str | None, largest: float) -> str:
-    """The format of a file that is there, by its suffix or as stated, and not against its first bytes."""
+    """The format of an existing file, by its suffix or as stated, checked against its first bytes."""
     if format is not None and format not in SUFFIXES:
         raise JaxbodyError(Problem("UNKNOWN_FORMAT", "format", f"is {format!r}", format, " ".join(SUFFIXES), "Give one of these."))
     check_file(path, largest)
@@ -46,8 +46,8 @@ def kind_of(path: Path, format: str | None, largest: float) -> str:
 
 
 def check_file(path: Path, largest: float = np.inf) -> None:
-    """That a path is a regular file, not empty, of at most `largest` bytes, and may be read. A pipe or a device is refused before it is opened: it may
-    block for ever, or never end. Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
+    """Check that a path is a regular file, not empty, of at most `largest` bytes, and readable. A pipe or a device is refused before it is
+    opened, as it might block or never end. Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
     try:
         found = path.stat()
         if stat.S_ISREG(found.st_mode):
@@ -66,20 +66,20 @@ def check_file(path: Path, largest: float = np.inf) -> None:
 
 
 def check_size(name: str, size: float, largest: float, what: str = "bytes") -> None:
-    """That a file, or the numbers in it, 8 bytes each, take at most `largest` bytes. Error: TOO_LARGE."""
+    """Check that a file, or its numbers at 8 bytes each, take at most `largest` bytes. Error: TOO_LARGE."""
     if size > largest:
         hint = f"Say largest={max(1, round(size * 1.1 / 1e9))}e9 if there is memory for about five times that, or cut the file."
         raise JaxbodyError(Problem("TOO_LARGE", name, f"has {size:.4g} {what}", size, f"{largest:.4g} bytes", hint))
 
 
 def check_numbers(name: str, count: float, largest: float) -> None:
-    """The same of so many numbers that are to be read."""
+    """Check that this many numbers to be read take at most `largest` bytes. Error: TOO_LARGE."""
     check_size(name, 8.0 * count, largest, f"bytes of numbers ({count:.4g})")
 
 
 def find_name(asked: str | int, names: list[str], where: str, aliases: list[str] | None = None) -> str:
-    """The name in the file of a channel, or one of `aliases` of channels: itself, without its unit, without an index such as [2]; a number counts
-    the names from 0."""
+    """The name of a channel in the file, or its alias, for a name as it is, without its unit or without an index such as [2]; a number
+    counts the names from 0."""
     if isinstance(asked, int):
         if 0 <= asked < len(names):
             return names[asked]
@@ -100,8 +100,8 @@ def _shown(names: list[str]) -> str:
 
 
 @contextlib.contextmanager
-def told_of(path: Path, kind: str) -> Iterator[None]:
-    """Whatever a reader of another project raises on a broken file becomes an error that says so."""
+def reader_errors(path: Path, kind: str) -> Iterator[None]:
+    """Turn any exception of a third-party reader on a broken file into UNREADABLE."""
     try:
         yield
     except JaxbodyError:
@@ -118,7 +118,7 @@ def told_of(path: Path, kind: str) -> Iterator[None]:
 
 
 def numeric(values: Any, name: str, where: str) -> np.ndarray:
-    """Float64 numbers (n,) or (n, k); what is no number is an error."""
+    """Float64 numbers (n,) or (n, k). Error: NOT_A_NUMBER."""
     array = np.asarray(values)
     if array.dtype.kind not in "biuf" or array.ndim not in (1, 2):
         told = f"'{name}' holds {array.dtype} of shape {array.shape}"

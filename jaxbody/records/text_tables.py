@@ -1,7 +1,7 @@
-"""Tables of numbers in text files: lines of equal length under a line of names, read as they stand or refused with the line.
+"""Tables of numbers in text files: lines of equal length below a line of names, read as they are or refused with the number of the line.
 
-What is before the numbers is looked at for names and units, "acc [g]" or a line of units below the names, and said in the notes. Nothing
-is guessed about the numbers: a decimal comma, a footer, a line of another length is an error until it is stated.
+Names and units are taken from the lines before the numbers, "acc [g]" or a line of units below the names; skipped lines are in the notes.
+Nothing is guessed about the numbers: a decimal comma, a footer or a line of another length is an error unless it is stated.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ LONGEST_PREAMBLE = 1000
 
 @dataclass
 class Column:
-    """What a file holds of one channel: values (n,) or (n, k), the unit that the file states, times [s] where it has them itself."""
+    """One channel of a file: values (n,) or (n, k), the unit that the file states, and its own times [s] where it has them."""
 
     values: np.ndarray
     unit: str | None = None
@@ -36,7 +36,7 @@ class Column:
 
 @dataclass
 class Contents:
-    """Columns by name, what was done to read them, and of text the line of their names, or of the first numbers where there are none."""
+    """Columns by name, notes on how they were read, and for text the line number of the names, or else of the first numbers."""
 
     columns: dict[Any, Column]
     notes: list[str] = field(default_factory=list)
@@ -108,7 +108,7 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _fits_head(head: str, separator: str, width: int) -> bool:
-    """Whether a line above the numbers may stand there: as many names as columns, or a comment, or a line of something else."""
+    """Whether a line above the numbers is valid: as many names as columns, a comment, or other text."""
     cells = _cells(head, separator)
     return head.startswith(COMMENTS) or separator == " " or len(cells) in (1, width) or (len(cells) == width + 1 and not cells[-1])
 
@@ -131,7 +131,7 @@ def _pointed(cell: str, decimal: str) -> str:
 
 
 def _thousands(cells: list[str]) -> str:
-    """What is told of a number in groups of three digits; "" where there is none."""
+    """The hint for a number with separators of thousands; "" where there is none."""
     cell = next((cell for cell in cells if THOUSANDS.fullmatch(cell) and not NUMBER.fullmatch(cell)), None)
     return "" if cell is None else f"{cell!r} has separators of thousands, or quotes around them: write numbers without."
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, import_extra
-from jaxbody.records.sources import Pick, find_name, kind_of, numeric, told_of
+from jaxbody.records.sources import Pick, find_name, kind_of, numeric, reader_errors
 from jaxbody.records.text_tables import Column, Contents
 
 DIRECTIONS = {0: "", 1: "+X", -1: "-X", 2: "+Y", -2: "-Y", 3: "+Z", -3: "-Z", 4: "+RX", -4: "-RX", 5: "+RY", -5: "-RY", 6: "+RZ", -6: "-RZ"}
@@ -79,7 +79,7 @@ def read_uff_responses(path: Any, wanted: list[str], largest: float) -> dict[str
     """Frequency responses of a universal file by "response/reference"."""
     path = Path(path)
     kind_of(path, "uff", largest)
-    with told_of(path, "uff"):
+    with reader_errors(path, "uff"):
         sets = [s for s in sets_of(path) if int(s["func_type"]) == 4]
         names = _distinct([f"{_uff_place(s, 'rsp')}/{_uff_place(s, 'ref')}" for s in sets])
         found = {}

@@ -1,1 +1,1 @@
-"""What instruments on bodies read, with gain, bias, delay and lag."""
+"""Sensors: the readings of instruments on bodies, with gain, bias, delay and lag."""

@@ -1,4 +1,4 @@
-"""What reads an orientation: unit quaternions, whose residuals are rotation vectors."""
+"""Sensors of orientation: unit quaternions, whose residuals are rotation vectors."""
 
 from typing import ClassVar, Unpack
 
@@ -20,9 +20,10 @@ BACK = np.array([1.0, -1, -1, -1])  # conjugates a quaternion
 
 
 class Attitude(Sensor):
-    """The base of readings that end in a unit quaternion w, x, y, z, after `places` numbers of another kind.
+    """The base class of readings that end in a unit quaternion w, x, y, z, after `places` other numbers.
 
-    The residual has a rotation vector in its place, from the measured to the read orientation, world axes. So has `bias`: the reading is turned by it."""
+    The residual has a rotation vector in place of the quaternion, from the measured to the read orientation, in world axes. `bias` has one
+    too, by which the reading is turned."""
 
     places: ClassVar[int] = 0
     stages = ("bias", "delay")
@@ -52,7 +53,7 @@ class Attitude(Sensor):
         return jnp.concatenate([reading[..., :n] + noise[..., :n], turned], -1)
 
     def delayed(self, times, x):
-        """The polynomial through quaternions of one sign, made unit again."""
+        """The polynomial through quaternions with consistent signs, normalized."""
         n, q = self.places, x[..., self.places :]
         turns = jnp.where(jnp.sum(q[1:] * q[:-1], -1, keepdims=True) < 0, -1.0, 1.0)
         signs = jnp.concatenate([jnp.ones_like(q[:1, :1]), jax.lax.stop_gradient(jnp.cumprod(turns, 0))])
@@ -64,16 +65,16 @@ class Attitude(Sensor):
         off = np.flatnonzero(np.abs(length - 1) > 1e-3)  # not where it is NaN
         if not len(off):
             return None
-        told = f"has a quaternion of length {length[off[0]]:.6g} in row {off[0]}"
+        message = f"has a quaternion of length {length[off[0]]:.6g} in row {off[0]}"
         columns = ("x, y, z, then " if self.places else "") + "the quaternion w, x, y, z"
-        return Problem("BAD_QUATERNION", where, told, measured[off[0]], "1 within 1e-3", f"Columns: {columns}.")
+        return Problem("BAD_QUATERNION", where, message, measured[off[0]], "1 within 1e-3", f"Columns: {columns}.")
 
 
 class BodyPose(Attitude):
     """Pose of a body or support: position of its origin [m] and unit quaternion w, x, y, z, seven numbers.
 
     The residual has six: position, and rotation vector from the measured to the read orientation, world axes. Noise is one number for
-    both, or two: meters on the position, radians on the orientation. `bias` (six numbers) and `delay` may be given.
+    both, or two: meters for the position, radians for the orientation. `bias` (six numbers) and `delay` may be given.
 
     >>> BodyPose("plate").shape, BodyPose("plate").noise_shape
     ((7,), (6,))
@@ -90,11 +91,11 @@ class BodyPose(Attitude):
 
 
 class Orientation(Attitude):
-    """Orientation of an instrument on a body or support: unit quaternion w, x, y, z, instrument to world, as of an attitude reference.
+    """Orientation of an instrument on a body or support, as read by an attitude reference: unit quaternion w, x, y, z, instrument to world.
 
-    `orientation`: of the instrument in its body, a quaternion or a rotation matrix. The residual is the rotation vector [rad] from the measured to
-    the read orientation, world axes; `bias` (three numbers) one by which the reading is turned; `delay` may be given. Errors: BAD_QUATERNION,
-    BAD_ROTATION, BAD_SHAPE, NON_FINITE, BAD_CHAIN.
+    `orientation`: of the instrument in its body, a quaternion or a rotation matrix. The residual is the rotation vector [rad] from the
+    measured to the read orientation, in world axes. `bias` (three numbers) is a rotation vector by which the reading is turned; `delay` may
+    be given too. Errors: BAD_QUATERNION, BAD_ROTATION, BAD_SHAPE, NON_FINITE, BAD_CHAIN.
 
     >>> Orientation("plate").shape, Orientation("plate").noise_shape
     ((4,), (3,))

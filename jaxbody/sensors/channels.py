@@ -1,4 +1,4 @@
-"""What is measured, channel by channel: how far a reading is from a measured one, which samples are missing, how noise is on it."""
+"""Measured channels: residuals between readings and measured values, missing samples, components of the noise."""
 
 from typing import Any, ClassVar
 
@@ -9,29 +9,30 @@ from jaxtyping import Array, Float
 
 
 class Channel(eqx.Module):
-    """The base of sensors and of the channels of other measurements.
+    """The base class of sensors and of the channels of other measurements.
 
-    `shape` of a reading and `noise_shape` of a residual; `unit` of either, where there are several by commas: noise has a number for each."""
+    `shape` is that of a reading, `noise_shape` that of a residual. `unit` is that of both; it may hold several, separated by commas, and
+    noise then has one number for each."""
 
     shape: eqx.AbstractClassVar[tuple[int, ...]]
     unit: eqx.AbstractClassVar[str]
-    series: ClassVar[bool] = True  # samples follow one another: neighbors may be correlated, and there are enough to tell their noise
-    parts: ClassVar[tuple[str, ...]] = ()  # what the components of each unit are called, where there are several units
+    series: ClassVar[bool] = True  # a time series: neighbors may be correlated, and there are enough samples to estimate the noise
+    parts: ClassVar[tuple[str, ...]] = ()  # names of the groups of components, where there are several units
 
     def residual(self, reading: Array, measured: Array) -> Float[Array, "*r"]:
-        """Reading less measured, zero where a sample is missing."""
+        """Reading minus measured, zero where a sample is missing."""
         return jnp.where(self.missing(measured), 0.0, reading - measured)
 
     def missing(self, measured: Any) -> Any:
-        """Which components of a residual lack their sample, being NaN."""
+        """True for components of a residual whose sample is missing (NaN)."""
         return np.isnan(measured) if isinstance(measured, np.ndarray) else jnp.isnan(measured)
 
     def spread(self, level: Any) -> Any:
-        """Noise levels, one number or one for each unit, as they belong to the components of a residual."""
+        """Noise levels of the components of a residual, from one number or one for each unit."""
         return level if self.units == 1 else jnp.repeat(jnp.broadcast_to(level, (self.units,)), self.noise_shape[-1] // self.units)
 
     def pooled(self, x: Any) -> Any:
-        """The sum of components of residuals of one unit, over all samples: one number, or one for each unit."""
+        """The sum of the components of residuals over all samples: one number for each unit."""
         return x.sum() if self.units == 1 else x.reshape(-1, self.units, self.noise_shape[-1] // self.units).sum((0, 2))
 
     @property
@@ -40,5 +41,5 @@ class Channel(eqx.Module):
 
     @property
     def units(self) -> int:
-        """How many units there are, each of as many components that follow one another."""
+        """The number of units, each of the same number of consecutive components."""
         return self.unit.count(",") + 1

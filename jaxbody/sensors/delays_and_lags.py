@@ -1,7 +1,7 @@
-"""What an instrument makes of what it measures, sample by sample: a delay and a lag of first order, for records on any increasing times.
+"""Delay and first-order lag of an instrument, for records at any increasing times.
 
-Between samples a record x is the polynomial through the twelve nearest ones. For a sine at a tenth of the sampling rate that is wrong by
-2e-7 of its amplitude, five samples from the ends; at a fifth by 1e-3.
+Between samples a record x is the polynomial through the twelve nearest ones. For a sine at a tenth of the sampling rate the error is 2e-7
+of its amplitude, five samples or more from the ends; at a fifth of the rate it is 1e-3.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 POINTS = 12  # of the polynomial
-NODES = (1 - np.cos(np.pi * np.arange(6) / 5)) / 2  # in a cell, where x is taken for the integral of the lag
+NODES = (1 - np.cos(np.pi * np.arange(6) / 5)) / 2  # in a cell: where the integral of the lag samples x
 SERIES, TERMS = 3.0, 28  # h/T below which moments come from their series, and its terms: 3^28/28! < 1e-16
 
 
@@ -29,7 +29,7 @@ def between(times: Float[Array, "n"], x: Float[Array, "n k"], cells: Int[Array, 
     apart = (nodes[:, :, None] - nodes[:, None]) / span[..., None]
     below = jnp.prod(jnp.where(np.eye(points, dtype=bool), 1.0, apart), -1)[:, None]
     away = (t[:, :, None] - nodes[:, None]) / span[..., None]
-    left, right = [jnp.ones_like(t)], [jnp.ones_like(t)]  # products of what stands before and after each node
+    left, right = [jnp.ones_like(t)], [jnp.ones_like(t)]  # products of the factors before and after each node
     for j in range(points - 1):
         left.append(left[-1] * away[..., j])
         right.append(right[-1] * away[..., points - 1 - j])
@@ -38,14 +38,14 @@ def between(times: Float[Array, "n"], x: Float[Array, "n k"], cells: Int[Array, 
 
 
 def delayed(times: Float[Array, "n"], x: Float[Array, "n *r"], tau: Float[Array, ""]) -> Float[Array, "n *r"]:
-    """x(t - tau), from the polynomials of the first and last cell at most one sample beyond the record."""
+    """x(t - tau); the polynomials of the first and last cell extrapolate by at most one sample."""
     t = jnp.clip(times - tau, 2 * times[0] - times[1], 2 * times[-1] - times[-2])
     cells = jnp.clip(jnp.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
     return between(times, x.reshape(len(times), -1), cells, t[:, None])[:, 0].reshape(x.shape)
 
 
 def known(times: Float[Array, "n"], tau: Float[Array, ""]) -> Float[Array, "n"]:
-    """1 where t - tau lies in the record, 0 where more than a sample outside, a straight line between: the weight of a delayed sample."""
+    """The weight of a delayed sample: 1 where t - tau lies in the record, 0 more than a sample outside, linear between."""
     t = times - tau
     before, after = (times[0] - t) / (times[1] - times[0]), (t - times[-1]) / (times[-1] - times[-2])
     return jnp.clip(1 - jnp.maximum(before, after), 0.0, 1.0)
@@ -60,20 +60,20 @@ def lagged(times: Float[Array, "n"], x: Float[Array, "n *r"], T: Float[Array, ""
     h = jnp.diff(times)
     inside = between(times, x.reshape(n, -1), jnp.arange(n - 1), times[:-1, None] + NODES * h[:, None])
     z = h / T
-    given = jnp.sum(_weights(z)[..., None] * inside, 1)
+    drive = jnp.sum(_weights(z)[..., None] * inside, 1)
 
     def step(y, cell):
         y = cell[0] * y + cell[1]
         return y, y
 
     y0 = jnp.broadcast_to(start, x.shape[1:]).reshape(-1)
-    _, rest = jax.lax.scan(step, y0, (jnp.exp(-z), given), unroll=8)
+    _, rest = jax.lax.scan(step, y0, (jnp.exp(-z), drive), unroll=8)
     return jnp.concatenate([y0[None], rest]).reshape(x.shape)
 
 
 def _weights(z: Float[Array, "m"]) -> Float[Array, "m q"]:
-    """W_q(z), which integrate powers of s as their moments m_k = z int_0^1 e^-z(1 - s) s^k ds do: m_k = z e^-z sum z^n/(n! (n + k + 1))
-    and m_k = 1 - k m_(k-1)/z, the one where the other loses digits."""
+    """W_q(z), exact for powers s^k, whose moments are m_k = z int_0^1 e^-z(1 - s) s^k ds. For small z these come from their series
+    m_k = z e^-z sum z^n/(n! (n + k + 1)), for larger z from the recursion m_k = 1 - k m_(k-1)/z, as the other would lose digits."""
     near, far = jnp.minimum(z, SERIES), jnp.maximum(z, SERIES)
     series, recursion = [], [-jnp.expm1(-far)]
     for k in range(len(NODES)):

@@ -1,4 +1,4 @@
-"""Instruments between two points, and laser beams from the world to a body: displacement, velocity, length of a wire, vibrometer."""
+"""Instruments between two points (displacement, velocity, length of a wire) and with laser beams from the world (velocity, distance)."""
 
 from typing import Any, Unpack
 
@@ -19,11 +19,11 @@ from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model, body_poses, support_poses
 from jaxbody.sensors.sensors import Chain, Sensor
 
-GRAZING = 1e-6  # cosine of beam and surface's normal below which there is no spot
+GRAZING = 1e-6  # smallest cosine between the beam and the normal of the surface at which they meet
 
 
 class Gauge(Sensor):
-    """The base of instruments between the point a of one body or support and the point b of another; `between` names the two."""
+    """The base class of instruments between point a of one body or support and point b of another; `between` names the two."""
 
     between: tuple[str, str] = field(static=True)
     a: Float[Array, "3"] = field("m")
@@ -51,7 +51,7 @@ class Gauge(Sensor):
 
 
 class Relative(Gauge):
-    """The base of what reads a point of A from B, in the axes of B."""
+    """The base class of instruments on B that read a point of A, in the axes of B."""
 
     def __init__(self, a, b=WORLD, *, axis=None, **chain: Unpack[Chain]):
         self.spanned(a, b, axis, chain)
@@ -61,17 +61,21 @@ class Relative(Gauge):
         return (3,) if self.axis is None else ()
 
     def seen(self, A: Pose, B: Pose) -> Float[Array, "*r"]:
-        """The displacement that B sees."""
+        """The displacement in the axes of B."""
         d = rotate_back(B.R, A.point(self.a) - B.p) - self.b
         return d if self.axis is None else dot(jnp.asarray(self.axis), d)
 
 
 class Displacement(Relative):
-    """Displacement [m] of a point against a body or support, in the axes of that one: R_B' (a - b), as an LVDT or a ruler on it reads.
+    """Displacement [m] of a point relative to a body or support, in the axes of the latter: R_B' (a - b), as read by an LVDT or a ruler.
 
-    `a`, `b`: (name, point), or a name for its origin; without b against the world. `axis`: the one direction in the axes of b that is
-    read, one number; without it three. The chain: see Sensor; its `bias` sets the zero. Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_AXIS,
-    BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+    Args:
+        a: (name, point), or a name for its origin
+        b: likewise, the reference; default: the world
+        axis: the sensitive direction in the axes of b, for one number; None: three numbers
+        chain: `gain`, `bias` (sets the zero), `delay`, `lag`, `start`: see Sensor
+
+    Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_AXIS, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
 
     >>> Displacement(("plate", [0.1, 0, 0]), "base", axis=[0, 0, 1]).shape
     ()
@@ -85,9 +89,9 @@ class Displacement(Relative):
 
 
 class Velocity(Relative):
-    """Velocity [m/s] of a point against a body or support, in the axes of that one: the rate of a Displacement with the same arguments, errors and chain.
+    """Velocity [m/s] of a point relative to a body or support, in the axes of the latter: the time derivative of a Displacement.
 
-    Against the world it is what a geophone's or velocity transducer's record is meant to be.
+    Its arguments and errors are those of Displacement. Relative to the world it is the ideal record of a geophone or velocity transducer.
 
     >>> Velocity(("plate", [0.1, 0, 0])).unit
     'm/s'
@@ -101,10 +105,10 @@ class Velocity(Relative):
 
 
 class StringPotentiometer(Gauge):
-    """Distance |AB| [m] of two points, as a wire between them reads; at zero length, where it has no direction, its derivatives are zero.
+    """Distance |AB| [m] between two points, as read by a wire from one to the other; at zero length its derivatives are zero.
 
-    `a`, `b`: (name, point). The chain: see Sensor. Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_LENGTH in the reference pose, BAD_SHAPE,
-    NON_FINITE, BAD_LAG.
+    `a` and `b` are each (name, point). `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
+    Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_LENGTH in the reference pose, BAD_SHAPE, NON_FINITE, BAD_LAG.
 
     >>> StringPotentiometer(("plate", [0.1, 0, 0]), ("base", [0, 0, 1])).between
     ('plate', 'base')
@@ -121,16 +125,16 @@ class StringPotentiometer(Gauge):
         return _length(B.point(self.b) - A.point(self.a))
 
     def problem(self, model, where):
-        if (found := super().problem(model, where)) is not None:
-            return found
+        if (problem := super().problem(model, where)) is not None:
+            return problem
         known = [concrete(x) for x in (*_at_reference(model, self.between[0], self.a), *_at_reference(model, self.between[1], self.b))]
         if any(x is None for x in known):
             return None
         p, _, other, _ = map(np.asarray, known)
         length, size = np.linalg.norm(p - other), np.abs(p).max()
-        told = f"has length {length:.3g} m in the reference pose, so no direction"
+        message = f"has length {length:.3g} m in the reference pose, which gives it no direction"
         hint = "Move one of its points."
-        return Problem("ZERO_LENGTH", where, told, length, "> 0", hint) if length <= 1e-12 * size else None
+        return Problem("ZERO_LENGTH", where, message, length, "> 0", hint) if length <= 1e-12 * size else None
 
 
 def _length(d: Float[Array, "3"]) -> Float[Array, ""]:
@@ -140,7 +144,7 @@ def _length(d: Float[Array, "3"]) -> Float[Array, ""]:
 
 
 def _at_reference(model: Model, name: str, point) -> tuple[Array, Array]:
-    """The place of a point and the orientation of its frame in the reference pose."""
+    """The position of a point and the orientation of its frame in the reference pose."""
     if name == WORLD:
         return jnp.asarray(point), jnp.eye(3)
     layout = model.layout
@@ -150,8 +154,9 @@ def _at_reference(model: Model, name: str, point) -> tuple[Array, Array]:
 
 
 class LaserLine(Sensor):
-    """The base of instruments with a beam that stays in the world: through `origin` along the unit vector `axis`, n. It meets a plane surface of
-    the body, through `point` with `normal` N, both in body axes, at the spot
+    """The base class of instruments with a beam fixed in the world, from `origin` along the unit vector `axis` n.
+
+    The beam meets a plane surface of the body, through `point` P with `normal` N, both in body axes, at the spot
 
         S = origin + d n,   d = (P - origin) . R N/(n . R N)
     """
@@ -168,34 +173,43 @@ class LaserLine(Sensor):
         self.on, self.point = on, vector(point, f"{kind}.point", problems)
         self.axis = unit_vector(axis, f"{kind}.axis", problems)
         if (origin is None) != (normal is None):
-            problems.add("NO_SURFACE", kind, "has an origin of its beam or a normal of its surface, not both", hint="Give both or none.")
+            problems.add("NO_SURFACE", kind, "has only one of `origin` and `normal`", hint="Give both or neither.")
         self.origin = None if origin is None else vector(origin, f"{kind}.origin", problems)
         self.normal = None if normal is None else unit_vector(normal, f"{kind}.normal", problems)
         self.chained(problems, **chain)
         problems.raise_if_any()
 
     def distance(self, frame: Pose) -> Float[Array, ""]:
-        """d, from the beam's origin to the spot."""
+        """The distance d from the beam's origin to the spot."""
         N = rotate(frame.R, jnp.asarray(self.normal))
         return dot(frame.point(self.point) - jnp.asarray(self.origin), N) / dot(jnp.asarray(self.axis), N)
 
     def problem(self, model, where):
-        if (found := super().problem(model, where)) is not None or self.normal is None:
-            return found
+        if (problem := super().problem(model, where)) is not None or self.normal is None:
+            return problem
         R = concrete(_at_reference(model, self.on, self.point)[1])
         axis, normal = concrete(self.axis), concrete(self.normal)
         if R is None or axis is None or normal is None or abs(cosine := axis @ R @ normal) > GRAZING:
             return None
-        told = "has a beam along the surface in the reference pose"
-        return Problem("GRAZING", where, told, cosine, f"|cosine to the normal| > {GRAZING:g}", "Turn the beam or the normal.")
+        message = "has a beam parallel to the surface in the reference pose"
+        return Problem("GRAZING", where, message, cosine, f"|cosine to the normal| > {GRAZING:g}", "Turn the beam or the normal.")
 
 
 class LaserVibrometer(LaserLine):
-    """Velocity [m/s] of a body along a beam that stays in the world, n . v, positive along `axis` n.
+    """Velocity [m/s] of a body along a beam fixed in the world, n . v, positive along `axis` n.
 
-    Without `origin` and `normal`, v is the velocity of `point`: right as long as the body moves little across the beam. With both, it is that of the spot
-    that the beam meets: `origin` of the beam [m], `normal` of the plane surface through `point`, body axes. The chain: see Sensor. Errors: ZERO_AXIS,
-    NO_SURFACE, GRAZING, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_LAG.
+    Without `origin` and `normal`, v is the velocity of `point`, which is accurate while the body moves little across the beam. With both, v
+    is the velocity of the body at the spot where the beam meets its surface.
+
+    Args:
+        on: name of the body or support
+        point: in body axes [m]
+        axis: direction of the beam, world axes
+        origin: a point of the beam, world axes [m]
+        normal: of the plane surface through `point`, body axes
+        chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
+
+    Errors: ZERO_AXIS, NO_SURFACE, GRAZING, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_LAG.
 
     >>> LaserVibrometer("plate", [0.1, 0, 0], axis=[0, 0, 1]).unit
     'm/s'
@@ -215,8 +229,8 @@ class LaserVibrometer(LaserLine):
 
 
 class LaserDistance(LaserLine):
-    """Distance d [m] along a beam that stays in the world, from its `origin` along `axis` to the plane surface of a body through `point`
-    with `normal`, body axes; as of a triangulation sensor. The chain: see Sensor. Errors: as of a LaserVibrometer.
+    """Distance d [m] from the `origin` of a beam fixed in the world, along `axis`, to a plane surface of a body, as read by a triangulation
+    sensor. Arguments and errors: see LaserVibrometer; `origin` and `normal` must be given.
 
     >>> LaserDistance("plate", [0, 0, 0.1], origin=[0, 0, 1], axis=[0, 0, -1], normal=[0, 0, 1]).unit
     'm'

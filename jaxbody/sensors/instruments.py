@@ -1,4 +1,4 @@
-"""Instruments that are carried along: accelerometer, gyro, inclinometer, and what reads forces and joints."""
+"""Instruments mounted on bodies: accelerometer, gyro, inclinometer; and sensors of forces and joints."""
 
 from typing import Any, Unpack
 
@@ -19,8 +19,8 @@ from jaxbody.sensors.sensors import Chain, Sensor
 
 
 class Mounted(Sensor):
-    """The base of instruments with axes of their own: `orientation`, quaternion or rotation matrix, of the instrument in its body, three components; or
-    `axis`, the one sensitive direction in body axes, one number."""
+    """The base class of instruments with their own axes: three components in the axes of `orientation`, a quaternion or rotation matrix of
+    the instrument in its body; or one number along `axis`, the sensitive direction in body axes."""
 
     on: str = eqx.field(static=True, converter=plain)
     point: Float[Array, "3"] = field("m")
@@ -43,7 +43,7 @@ class Mounted(Sensor):
         return (3,) if self.axis is None else ()
 
     def along(self, R: Float[Array, "3 3"], x: Float[Array, "3"]) -> Float[Array, "*r"]:
-        """A world vector in the axes of the instrument, or its component along the one that it has."""
+        """The components of a world vector in the axes of the instrument, or its component along the one axis."""
         x_B = rotate_back(R, x)
         if self.axis is not None:
             return dot(jnp.asarray(self.axis), x_B)
@@ -55,11 +55,19 @@ class Accelerometer(Mounted):
 
         f = R_S' R' (a_P - g),   a_P = a_O + alpha x r + w x (w x r),   r = R point
 
-    At rest it reads +9.81 upwards. `point` in body axes; `orientation` R_S of the instrument in its body (quaternion or matrix; without it, body axes), three
-    numbers, or `axis`, one number along that direction of the body. Accelerations are those of the equations of motion, loads included.
-    `gain`, `bias`, `delay`, `lag`, `start`: see Sensor. Errors: TWO_AXES, ZERO_AXIS, BAD_QUATERNION, BAD_ROTATION, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+    At rest it reads +9.81 upwards. Accelerations are those of the equations of motion, loads included.
 
-    >>> model = Model(bodies={"box": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"box": Hinge("world", axis=[0, 0, 1])}, gravity=[0, 0, -9.81])
+    Args:
+        on: name of the body or support
+        point: in body axes [m]
+        axis: the sensitive direction in body axes, for one number
+        orientation: R_S of the instrument in its body (quaternion or matrix), for three numbers; None: body axes
+        chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
+
+    Errors: TWO_AXES, ZERO_AXIS, BAD_QUATERNION, BAD_ROTATION, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> box, hinge = Body(mass=2.0, inertia=[1, 1, 1]), Hinge("world", axis=[0, 0, 1])
+    >>> model = Model(bodies={"box": box}, joints={"box": hinge}, gravity=[0, 0, -9.81])
     >>> measure(simulate(model, [0.0, 0.1]), {"acc": Accelerometer("box", [0.1, 0, 0])})["acc"][0].tolist()
     [0.0, 0.0, 9.81]
     """
@@ -78,7 +86,7 @@ class Accelerometer(Mounted):
 class Gyro(Mounted):
     """Angular velocity [rad/s] of a body or support in the axes of the instrument, w_S = R_S' R' w.
 
-    `axis`, `orientation` and the chain as of an Accelerometer, and the same errors.
+    Its arguments, but for `point`, and its errors are those of an Accelerometer.
 
     >>> Gyro("box", axis=[0, 0, 1]).shape, Gyro("box").shape
     ((), (3,))
@@ -99,8 +107,8 @@ class Tilt(Mounted):
 
         theta = atan2(e . u, |e x u|),   u = -g/|g|
 
-    Its axes as of an Accelerometer. It sees the direction of gravity alone: of one whose mass feels accelerations too, take the Accelerometer.
-    Errors: NO_GRAVITY where a model has none, and those of an Accelerometer.
+    It reads the direction of gravity only; for an instrument that also responds to accelerations use an Accelerometer. Its arguments, but
+    for `point`, and its errors are those of an Accelerometer, and NO_GRAVITY for a model without gravity.
 
     >>> Tilt("box").shape, Tilt("box", axis=[1, 0, 0]).shape
     ((2,), ())
@@ -125,18 +133,18 @@ class Tilt(Mounted):
     def problem(self, model, where):
         g = concrete(model.gravity)
         if g is not None and not g.any():
-            return Problem("NO_GRAVITY", where, "needs gravity for its direction", g, "not 0", "Give the model its gravity.")
+            return Problem("NO_GRAVITY", where, "needs the direction of gravity", g, "not 0", "Give the model its gravity.")
         return super().problem(model, where)
 
 
 def _elevation(e: Float[Array, "*n 3"], u: Float[Array, "3"]) -> Float[Array, "*n"]:
-    """The angle of e above the plane across u; its derivatives are finite upright, where they have no direction."""
+    """The angle of e above the plane normal to u; its derivatives are finite where e is parallel to u."""
     across = cross(e, jnp.broadcast_to(u, e.shape))
     return jnp.arctan2(dot(e, u), jnp.sqrt(jnp.maximum(dot(across, across), 1e-24)))
 
 
 class Components(Sensor):
-    """The base of sensors that read several numbers, or one `component` of them."""
+    """The base class of sensors that read several numbers, or one `component` of them."""
 
     on: str = eqx.field(static=True, converter=plain)
     component: int | None = field(static=True)
@@ -149,9 +157,9 @@ class Components(Sensor):
 
 
 class LoadCell(Components):
-    """The force in an element [N], tension positive, with its damper's part; of a bushing `component` 0 to 5: three forces [N], three
-    moments [N m] against its deformation, in the axes of its end a. The chain: see Sensor.
+    """The force in an element [N], tension positive, its damper included. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
 
+    A bushing needs a `component`: 0 to 2 for its forces [N], 3 to 5 for its moments [N m], in the axes of its end a.
     Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_LAG.
 
     >>> LoadCell("AB").unit, LoadCell("mount", component=5).unit
@@ -177,7 +185,7 @@ class LoadCell(Components):
 
 
 class WrenchSensor(Components):
-    """The base of sensors that read a force [N] and a moment [N m]: six numbers, or `component` 0 to 5 of them."""
+    """The base class of sensors of a force [N] and a moment [N m]: six numbers, or `component` 0 to 5 of them."""
 
     accelerations = reactions = True
 
@@ -194,7 +202,7 @@ class WrenchSensor(Components):
         return ("force", "moment") if self.component is None else ()
 
     def picked(self, R: Float[Array, "3 3"], F: Float[Array, "3"], M: Float[Array, "3"]) -> Float[Array, "*r"]:
-        """World vectors in the axes R, all six numbers or the one that is read."""
+        """Force and moment in the axes R: all six numbers, or the selected component."""
         both = jnp.concatenate([rotate_back(R, F), rotate_back(R, M)])
         return both if self.component is None else both[self.component]
 
@@ -203,10 +211,12 @@ class WrenchSensor(Components):
 
 
 class ForcePlate(WrenchSensor):
-    """Force [N] and moment [N m] about its origin that everything on a support exerts on it, in the support's axes: six numbers, or `component` 0 to 5 of them.
+    """Total force [N] on a support, or `world`, and moment [N m] about its origin, in its axes: six numbers, or `component` 0 to 5 of them.
 
-    What the base feels of bodies, springs and loads, as a force plate or a shaker's table does; `world` is one too. As an output of responses it needs a component.
-    Noise is one number for both, or two. The chain: see Sensor. Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+    It is the sum of all that bodies, springs and loads exert on the base, as read by a force plate or a shaker table. As an output of
+    responses it needs a component. Noise is one number, or two: for forces [N] and moments [N m]. `gain`, `bias`, `delay`, `lag`, `start`:
+    see Sensor.
+    Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
 
     >>> ForcePlate("base").shape, ForcePlate("base", component=2).unit
     ((6,), 'N')
@@ -222,17 +232,23 @@ class ForcePlate(WrenchSensor):
 
 
 class Reaction(WrenchSensor):
-    """Force [N] and moment [N m] that a joint exerts on the body that it carries, in the axes of its parent: six numbers, or `component` 0 to 5 of them.
+    """Force [N] and moment [N m] of a joint on the body that it carries, in the axes of its parent: six numbers, or `component` 0 to 5.
 
         F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;  M likewise, about the joint
 
-    `on`: the body, whose name its joint has. The moment is about the point `at` of a hinge or ball, for other joints about the body's reference point O; with
-    `point` (body axes) about that. Along what a joint leaves free it is zero. What a support or `world` carries in all, elements included: ForcePlate. As an output of
-    responses it needs a component. Noise is one number for both, or two. The chain: see Sensor.
+    It is zero along the joint's degrees of freedom. For the total load on a support or `world`, elements included, use ForcePlate. As an
+    output of responses it needs a component. Noise is one number, or two: for forces [N] and moments [N m].
 
-    Errors: UNKNOWN_NAME, NO_JOINT of a free body, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+    Args:
+        on: name of the body that the joint carries
+        point: about which the moment is taken, body axes [m]; None: the point `at` of a hinge or ball, or else the body's reference point O
+        component: 0 to 2 for one force, 3 to 5 for one moment; None: all six
+        chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
-    >>> model = Model(bodies={"box": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"box": Hinge("world", axis=[0, 1, 0])}, gravity=[0, 0, -9.81])
+    Errors: UNKNOWN_NAME, NO_JOINT for a free body, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> box, hinge = Body(mass=2.0, inertia=[1, 1, 1]), Hinge("world", axis=[0, 1, 0])
+    >>> model = Model(bodies={"box": box}, joints={"box": hinge}, gravity=[0, 0, -9.81])
     >>> measure(simulate(model, [0.0, 0.1]), {"up": Reaction("box", component=2)})["up"].tolist()
     [19.62, 19.62]
     """
@@ -258,15 +274,16 @@ class Reaction(WrenchSensor):
         if self.on not in layout.bodies:
             return unknown(self.on, where, layout.bodies)
         if layout.kinds[layout.bodies.index(self.on)] is Free:
-            return Problem("NO_JOINT", where, f"is of '{self.on}', which is free", self.on, "a body on a joint", "LoadCell reads elements.")
+            return Problem("NO_JOINT", where, f"is on '{self.on}', a free body", self.on, "a body on a joint", "LoadCell reads elements.")
         return super().problem(model, where)
 
 
 class JointAngle(Sensor):
-    """An encoder: the coordinate of the joint that carries a body, from its reference pose, whole turns counted: of a hinge its angle [rad]; of a
-    joint with several, `component`, counted from 0, which must be a turn. The chain: see Sensor.
+    """An encoder: the angle [rad] of the joint that carries a body, from its reference pose, whole turns included.
 
-    Errors: UNKNOWN_NAME, BAD_COMPONENT (a free body and a ball have no angle: take Orientation), BAD_SHAPE, NON_FINITE, BAD_LAG.
+    A joint with several coordinates needs a `component`, the number (from 0) of one that is a rotation. `gain`, `bias`, `delay`, `lag`,
+    `start`: see Sensor.
+    Errors: UNKNOWN_NAME, BAD_COMPONENT (a free body and a ball have no angle: use Orientation), BAD_SHAPE, NON_FINITE, BAD_LAG.
 
     >>> JointAngle("arm").unit
     'rad'
@@ -294,13 +311,14 @@ class JointAngle(Sensor):
         turns = [i for i in range(kind.nv) if kind.turns[i]] if kind.nq == kind.nv else []
         if (self.component is None and kind.nv == 1 and turns) or self.component in turns:
             return None
-        told = f"reads component {self.component} of the joint of '{self.on}', a {kind.__name__}"
-        return Problem("BAD_COMPONENT", where, told, self.component, f"one of {turns}" if turns else "a joint that turns", "Say which one.")
+        message = f"reads component {self.component} of the joint of '{self.on}', a {kind.__name__}"
+        limit = f"one of {turns}" if turns else "a joint that turns"
+        return Problem("BAD_COMPONENT", where, message, self.component, limit, "Give the number of a rotation.")
 
 
 def _component_problem(component: int | None, size: int | None, what: str, where: str) -> Problem | None:
-    """A component is said where there are several, and is one of them."""
+    """The problem of a missing, superfluous or nonexistent component; None where there is none."""
     if (component is None) == (size is None) and (component is None or component in range(size or 0)):
         return None
     limit = "no component" if size is None else f"0 to {size - 1}"
-    return Problem("BAD_COMPONENT", where, f"is component {component} of {what}", component, limit, "Say which one.")
+    return Problem("BAD_COMPONENT", where, f"reads component {component} of {what}", component, limit, "Change `component`.")

@@ -1,4 +1,4 @@
-"""What an instrument on a body reads, with what lies between that and its record: gain, bias, delay and lag."""
+"""The base class of sensors: the reading of an instrument on a body, and its chain of gain, bias, delay and lag."""
 
 from abc import abstractmethod
 from typing import Any, ClassVar, TypedDict, Unpack
@@ -24,7 +24,7 @@ Reading = Float[Array, "*r"]
 
 
 class Chain(TypedDict, total=False):
-    """What may stand between what an instrument measures and what it reads: see Sensor."""
+    """The chain from the measured quantity to the record: see Sensor."""
 
     gain: Any
     bias: Any
@@ -34,19 +34,25 @@ class Chain(TypedDict, total=False):
 
 
 class Sensor(Channel):
-    """The base of all sensors: `reading` of the frames at one time, `transduced` into a record, and `residual`, reading less measured.
+    """The base class of sensors: `reading` of the frames at one time, `transduced` into a record, and `residual`, reading minus measured.
 
         y(t) = gain x_lag(t) + bias,   lag x_lag' + x_lag = x(t - delay),   x_lag(t_0) = start
 
-    Each of these may be missing (None): `gain`, one number or one for each component; `bias` likewise, in the unit of the residual; `delay` [s],
-    of either sign; `lag` [s], a time constant; `start`, without it x(t_0 - delay), as of an instrument that had settled. Before the first sample and
-    after the last a reading goes on as it did at most one sample far; delayed samples further outside are not known: `measure`
-    has NaN there, and in a fit they count as missing, fading over one sample.
+    Args:
+        gain: one number, or one for each component
+        bias: likewise, in the unit of the residual
+        delay: of either sign [s]
+        lag: time constant [s]
+        start: initial value of the lag; None: x(t_0 - delay), as for an instrument that has settled
 
-    `shape` of a reading and `noise_shape` of a residual; `unit` of either, where there are several by commas: noise has a number for each.
-    `accelerations`, `reactions`: whether a reading needs those of the frames, and what they pass on to joints and supports.
+    All of them are None, for no effect, by default. A record is extrapolated by at most one sample. Delayed samples further outside are
+    unknown: `measure` returns NaN, and a fit treats them as missing, with a weight that decreases to zero over one sample.
 
-    A sensor of your own states `on`, `shape`, `unit` and `reading`; it has the chain too. The speed of a falling body, read 2 % too high:
+    Class attributes: `shape` of a reading; `noise_shape` of a residual; `unit` of both, or several separated by commas, and noise then has
+    one number for each; `accelerations` and `reactions`, True where a reading needs the accelerations of the frames or the loads on joints
+    and supports.
+
+    Your own sensor defines `on`, `shape`, `unit` and `reading`, and has this chain too. The speed of a falling body, read 2 % too high:
 
     >>> import equinox as eqx
     >>> class Speed(Sensor):
@@ -64,7 +70,7 @@ class Sensor(Channel):
     on: eqx.AbstractVar[str]
     accelerations: ClassVar[bool] = False
     reactions: ClassVar[bool] = False
-    stages: ClassVar[tuple[str, ...]] = ("gain", "bias", "delay", "lag", "start")  # of the chain, that it may have
+    stages: ClassVar[tuple[str, ...]] = ("gain", "bias", "delay", "lag", "start")  # the parts of the chain that the sensor may have
     gain: Float[Array, "*g"] | None = field(default=None, kw_only=True)
     bias: Float[Array, "*b"] | None = field("unit", default=None, kw_only=True)
     delay: Float[Array, ""] | None = field("s", default=None, kw_only=True)
@@ -80,7 +86,7 @@ class Sensor(Channel):
         problems.raise_if_any()
 
     def chained(self, problems: Problems, **chain: Unpack[Chain]) -> None:
-        """Takes gain, bias, delay, lag and start."""
+        """Check and set gain, bias, delay, lag and start."""
         kind = type(self).__name__
         self.gain = self.bias = self.delay = self.lag = self.start = None
         shapes = {"gain": self.shape, "bias": self.noise_shape, "start": self.shape}
@@ -91,7 +97,7 @@ class Sensor(Channel):
             if value is None:
                 continue
             if name not in self.stages:
-                problems.add("BAD_CHAIN", where, "has no meaning for an orientation", value=value, limit=", ".join(self.stages))
+                problems.add("BAD_CHAIN", where, "does not apply to an orientation", value=value, limit=", ".join(self.stages))
                 continue
             shape = shapes.get(name, ())
             several = shape if "gain" in self.stages else ()
@@ -100,15 +106,15 @@ class Sensor(Channel):
             check_domain(np.zeros(0) if array is None else array, kind_of(self, name), where, problems)
         if self.start is not None and self.lag is None:
             problems.add(
-                "BAD_CHAIN", f"{kind}.start", "is where the lag sets out, and there is none", value=self.start, hint="Give lag=..."
+                "BAD_CHAIN", f"{kind}.start", "is the initial value of a lag, which is not given", value=self.start, hint="Give lag=..."
             )
 
     @abstractmethod
     def reading(self, model: Model, frames: Instant) -> Reading:
-        """What it measures at one time, before its chain."""
+        """The measured quantity at one time, before the chain."""
 
     def transduced(self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
-        """The record that its chain makes of what it measures."""
+        """The record of a measured quantity x after the chain."""
         if self.delay is not None:
             x = self.delayed(times, x)
         if self.lag is not None:
@@ -122,11 +128,11 @@ class Sensor(Channel):
         return delays_and_lags.delayed(times, x, self.delay)
 
     def weight(self, times: Float[Array, "nt"]) -> Float[Array, "nt"]:
-        """How far each sample counts: 0 where delayed ones are not known."""
+        """The weight of each sample: 0 where a delayed one is unknown."""
         return jnp.ones_like(times) if self.delay is None else delays_and_lags.known(times, self.delay)
 
     def misfit(self, times: Float[Array, "nt"], reading: Float[Array, "nt *r"], measured: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
-        """Residuals of a record, each as far as it counts."""
+        """Weighted residuals of a record."""
         r = self.residual(reading, measured)
         if self.delay is None:
             return r
@@ -134,26 +140,26 @@ class Sensor(Channel):
         return jnp.where(weight > 0, weight * r, 0.0)
 
     def disturbed(self, reading: Reading, noise: Float[Array, "*r"]) -> Reading:
-        """A reading with noise on it."""
+        """A reading with noise added."""
         return reading + noise
 
     @property
     def plain(self) -> bool:
-        """True of one without a chain."""
+        """True for a sensor without a chain."""
         return all(getattr(self, stage) is None for stage in Chain.__annotations__)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The bodies and supports that it is on."""
+        """The bodies and supports to which it is attached."""
         return (self.on,)
 
     def problem(self, model: Model, where: str) -> Problem | None:
-        """What is wrong with it on this model."""
+        """The problem of this sensor on this model; None where there is none."""
         known = model.layout.frames
         return next((unknown(name, where, known) for name in self.names if name not in known), None)
 
     def misread(self, measured: np.ndarray, where: str) -> Problem | None:
-        """What is wrong with samples of the right shape."""
+        """The problem of samples of the right shape; None where there is none."""
         return None
 
 
@@ -207,7 +213,7 @@ class Elongation(Sensor):
 
 
 def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:
-    """Every sensor is one, and on something that the model has."""
+    """Check that all sensors are Sensors, on parts of the model."""
     problems = Problems()
     for name, sensor in checked_dict(sensors, where, "name: jb.Position(...)", problems).items():
         check_kind(sensor, Sensor, f"{where}['{name}']", "a sensor, as jb.Position(...)", problems)
@@ -217,20 +223,20 @@ def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:
 
 
 def noise_levels(sensors: dict[str, Sensor], noise: Any, where: str, problems: Problems, *, zero: bool) -> dict[str, Any]:
-    """{sensor: standard deviation} of one number for all sensors or a dict; what is wrong goes to `problems`. `zero` says if 0 is one."""
+    """{sensor: standard deviation} from one number for all sensors or a dict; adds to `problems`. `zero`: whether 0 is allowed."""
     levels = {}
     for name, value in (noise if isinstance(noise, dict) else dict.fromkeys(sensors, noise)).items():
-        there = f"{where}['{name}']"
+        place = f"{where}['{name}']"
         if name not in sensors:
-            found = unknown(name, there, tuple(sensors))
-            problems.add(found.code, there, found.message, value=name, hint=found.hint)
+            problem = unknown(name, place, tuple(sensors))
+            problems.add(problem.code, place, problem.message, value=name, hint=problem.hint)
             continue
         units = sensors[name].units
-        level = checked(value, ((),) if units == 1 else ((), (units,)), there, problems, f"One number [{sensors[name].unit}].")
+        level = checked(value, ((),) if units == 1 else ((), (units,)), place, problems, f"One number [{sensors[name].unit}].")
         known = None if level is None else concrete(level)
         if known is not None and ((known < 0).any() or not (zero or known.all())):
             hint = "" if zero else "Leave noise out to have it estimated."
-            problems.add("BAD_NOISE", there, f"is {known}", value=known, limit=">= 0" if zero else "> 0", hint=hint)
+            problems.add("BAD_NOISE", place, f"is {known}", value=known, limit=">= 0" if zero else "> 0", hint=hint)
         if level is not None:
             levels[name] = level
     return levels
