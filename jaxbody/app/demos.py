@@ -1,6 +1,6 @@
 """The command `jaxbody demo`: the plate of Stanescu and Mihalcea (2011), from its drawing to stiffnesses fitted to a noisy record.
 
-A second thread compiles the next computation while this one prints and draws.
+A second thread compiles the next computation while the main thread prints and draws.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ EPILOG = """in Python:
   help(jb.simulate)               # each public name has an example; all names: dir(jb)
 """
 
-# (77) of the paper, entries in k/4: row, column, as printed, as a function of kt/k and l; the others are zero
+# The nonzero entries of the paper's (77) in units of k/4: row, column, as printed, as a function of kt/k and l
 PRINTED = (
     (0, 0, "5", lambda r, l: 5.0),
     (0, 5, "-20 l", lambda r, l: -20 * l),
@@ -104,7 +104,7 @@ def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
 
     sensors: dict[str, Any] = {"corner": jb.Position("plate", [3 * l, l, 0])}
     report(
-        f"Measuring the corner C with {1000 * NOISE:g} mm of noise, then fitting the stiffnesses with optax, starting 30 % too stiff ..."
+        f"Measuring the corner C with {1000 * NOISE:g} mm of noise, then fitting the stiffnesses with optax from a start 30 % too stiff ..."
     )
     measured = jb.measure(trajectory, sensors, noise=NOISE, key=jax.random.key(seed))
     experiment = jb.Experiment(times, motion=motion, initial=eq.state, sensors=sensors, measured=measured)
@@ -125,7 +125,7 @@ def report(step: str) -> None:
 
 
 def model(l: float, m: float, g: float, k: float, kt: float) -> Any:
-    """The plate on its springs, lightly damped; O at the origin of the world, weight along -y."""
+    """The plate on its lightly damped springs; O at the origin of the world, gravity along -y."""
     import jaxbody as jb
 
     free = 1.5 * 2**0.5 * l  # L - s of AB and CD (67)
@@ -142,7 +142,7 @@ def model(l: float, m: float, g: float, k: float, kt: float) -> Any:
 
 
 def printed_K_tilde(k: float, kt: float, l: float) -> np.ndarray:
-    """K~ by (77)."""
+    """K~ as given by (77)."""
     K = np.zeros((6, 6))
     for i, j, _, entry in PRINTED:
         K[i, j] = k / 4 * entry(kt / k, l)
@@ -191,7 +191,7 @@ def compare_stiffnesses(fit: Any, truth: dict[str, float]) -> bool:
 
 
 def figure(width: float, height: float, rows: int, columns: int, **ratios: Any) -> tuple[Any, Any]:
-    """A figure without a window or global state, and its axes."""
+    """A figure, created without a window or global state, and its axes."""
     from matplotlib.figure import Figure
 
     new = Figure(figsize=(width, height), layout="constrained")

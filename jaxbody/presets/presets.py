@@ -1,6 +1,7 @@
-"""Ready models: functions that return a Model, each with its source; their arguments are the numbers of the source unless others are given.
+"""Ready models: each function returns a Model and names its source; the defaults are the numbers of the source.
 
-Cars: x forward, y to the left, z up, wheels and supports `front`, `rear`, or `fl`, `fr`, `rl`, `rr`; the reference pose is the equilibrium.
+Axes of the cars: x forward, y to the left, z up. Wheels and supports are `front` and `rear`, or `fl`, `fr`, `rl` and `rr`. The reference
+pose is the equilibrium.
 """
 
 from __future__ import annotations
@@ -16,11 +17,17 @@ from jaxbody.models.models import Model
 
 G = 9.81
 UP = (0, 0, 1)
-POINT = np.full(3, 1e-3)  # kg m2, of bodies that do not turn
+POINT = np.full(3, 1e-3)  # kg m2, inertia of bodies that do not rotate
 
 
 def quarter_car(*, sprung=375.0, unsprung=75.0, stiffness=35000.0, damping=0.0, tyre=193000.0, tyre_damping=0.0, gravity=G) -> Model:
-    """A quarter of a car: `body` on `wheel` on the support `road`, all on vertical guides. Masses [kg], stiffnesses [N/m], damping [N s/m].
+    """A quarter of a car: `body` on `wheel` on the support `road`; body and wheel move along vertical guides.
+
+    Args:
+        sprung, unsprung: masses of the body and of the wheel [kg].
+        stiffness, damping: of the suspension [N/m, N s/m].
+        tyre, tyre_damping: stiffness and damping of the tyre [N/m, N s/m].
+        gravity: [m/s2], downward.
 
     Source: R. N. Jazar, Vehicle Dynamics: 8.8671 and 55.2694 rad/s undamped.
 
@@ -53,11 +60,20 @@ def half_car(
     *, mass=1000.0, gyration=0.9, front=1.0, rear=1.5, front_stiffness=18000.0, rear_stiffness=22000.0, front_damping=0.0, rear_damping=0.0,
     height=None, gravity=G,
 ) -> Model:  # fmt: skip
-    """Half a car, or a car seen from the side: `body`, free to heave and pitch, on a spring at each axle from the supports `front` and `rear`.
+    """Half a car, that is a car seen from the side: `body` heaves and pitches on two springs from the supports `front` and `rear`.
 
-    `front`, `rear`: distances of the axles from the centre of mass [m], `gyration`: radius of gyration in pitch [m]. `height` of the centre of mass above the
-    road [m], on which the axis of pitch then lies, so that braking loads the front axle by m a height/(front + rear); without it the axis goes through the
-    centre of mass, as in the source, and braking does nothing. Source: S. S. Rao, Mechanical Vibrations, example 5.7: 5.8593 and 9.4341 rad/s.
+    Args:
+        mass: of the body [kg].
+        gyration: radius of gyration in pitch [m].
+        front, rear: distances of the axles from the center of mass [m].
+        front_stiffness, rear_stiffness: of the two springs [N/m].
+        front_damping, rear_damping: of the two springs [N s/m].
+        height: of the center of mass above the road [m]. The pitch axis then lies on the road, so that braking at the deceleration a
+            loads the front axle by m a height/(front + rear). None puts the pitch axis through the center of mass, as in the source;
+            braking then has no effect.
+        gravity: [m/s2], downward.
+
+    Source: S. S. Rao, Mechanical Vibrations, example 5.7: 5.8593 and 9.4341 rad/s.
 
     >>> half_car().layout.coordinates
     ('body move along z', 'body turn about y')
@@ -70,7 +86,7 @@ def half_car(
     return Model(
         bodies={"body": Body(mass=mass, inertia=mass * gyration**2 * np.array([0.5, 1, 1]), com=com, position=place)},
         supports={name: Support(position=[x, 0, 0]) for name, x in at.items()},
-        joints={"body": HeavePitch("world")},  # pyright: ignore[reportCallIssue]  # the class states the others
+        joints={"body": HeavePitch("world")},  # pyright: ignore[reportCallIssue]  # the class sets the other fields
         elements={
             f"{name} spring": _upright("body", name, k, c, length + shares[name] * mass * gravity / k, (at[name], 0, top))
             for name, (k, c) in springs.items()
@@ -80,8 +96,10 @@ def half_car(
 
 
 def _pivot(attached: float, height: float | None):
-    """Of a car whose springs are attached that far above the road: its O, its centre of mass and the springs' ends above O. Springs below end on the road
-    where O does, so that their forces have no moment about O but that of their verticals."""
+    """The position of O, the center of mass in body axes, and the height of the springs' upper ends above O.
+
+    `attached` is the height of these ends above the road. With a `height` O lies on the road, and so do the lower ends of the springs:
+    only the vertical parts of the spring forces then have a moment about O."""
     return ([0, 0, attached], [0, 0, 0], 0.0) if height is None else ([0, 0, 0], [0, 0, height], attached)
 
 
@@ -89,13 +107,26 @@ def full_car(
     *, mass=1100.0, inertia=(450.0, 1500.0, 1700.0), front=1.2, rear=1.4, track=1.5, unsprung=(40.0, 35.0), stiffness=(22000.0, 24000.0),
     damping=(1500.0, 1600.0), tyre=(190000.0, 190000.0), anti_roll=(12000.0, 6000.0), height=None, gravity=G,
 ) -> Model:  # fmt: skip
-    """A car of seven degrees of freedom: `car`, free to heave, pitch and roll, on four wheels that move vertically on four supports `road fl` ...
+    """A car with seven degrees of freedom: `car` heaves, pitches and rolls; its four wheels move vertically.
 
-    Of each pair the first is for a front, the second for a rear wheel: `unsprung` mass [kg], `stiffness` [N/m] and `damping` [N s/m] of the suspension,
-    `tyre` stiffness [N/m]; `anti_roll` [N/m at the wheels] for an axle. `front`, `rear`, `track` [m]. `height` of the car's centre of mass above the road
-    [m], on which the axes of pitch and roll then lie, so that braking and cornering load wheels by m a height/2(front + rear) and so on; without it these axes
-    go through the centre of mass, as in the source, and neither does anything. Source: the seven degree model of R. N. Jazar, Vehicle Dynamics,
-    chapter 14; the numbers are of a compact car, without a source.
+    The wheels are `fl`, `fr`, `rl` and `rr`; under them are the supports `road fl` and so on. In each pair the first number is for the
+    front axle, the second for the rear axle.
+
+    Args:
+        mass, inertia: of the car without its wheels [kg, kg m2].
+        front, rear: distances of the axles from the center of mass [m].
+        track: distance between the left and right wheels [m].
+        unsprung: masses of one wheel [kg].
+        stiffness, damping: of the suspension at one wheel [N/m, N s/m].
+        tyre: stiffnesses of one tyre [N/m].
+        anti_roll: stiffnesses of the anti-roll bars [N/m at the wheels].
+        height: of the car's center of mass above the road [m]. The pitch and roll axes then lie on the road, so that braking and
+            cornering transfer load between the wheels: braking at the deceleration a adds m a height/2(front + rear) to each front wheel.
+            None puts the axes through the center of mass, as in the source; braking and cornering then have no effect.
+        gravity: [m/s2], downward.
+
+    Source: the seven-degree-of-freedom model of R. N. Jazar, Vehicle Dynamics, chapter 14. The numbers are those of a compact car and
+    have no source.
 
     >>> full_car().layout.nv
     7
@@ -133,9 +164,16 @@ MOUNT_DAMPING = np.array([[910.0, 2000, 198], [1470, 610, 1400], [800, 1560, 150
 
 
 def engine_on_mounts(*, mass=139.5, inertia=ENGINE, points=MOUNTS, stiffness=MOUNT_STIFFNESS, damping=MOUNT_DAMPING, gravity=0.0) -> Model:
-    """An engine on n mounts from the support `frame`: bushings at `points` from the centre of mass (n, 3), `stiffness` [N/m] and `damping` [N s/m] along the axes (n, 3).
+    """An engine on n mounts, bushings between the body `engine` and the support `frame`.
 
-    Source: a powertrain on three mounts (github hojjatkarami/NVHteam, the hydraulic branch of mount 1 in its stiffness): 7.50256052 ... 26.4512989 Hz.
+    Args:
+        mass, inertia: of the engine [kg, kg m2], the inertia about its center of mass.
+        points: positions of the mounts relative to the center of mass (n, 3) [m].
+        stiffness, damping: of the mounts along x, y, z (n, 3) [N/m, N s/m].
+        gravity: [m/s2], downward; zero by default, as in the source.
+
+    Source: a powertrain on three mounts (github hojjatkarami/NVHteam; the stiffness of mount 1 includes its hydraulic branch):
+    7.50256052 ... 26.4512989 Hz.
 
     >>> engine_on_mounts().element_names
     ('mount 1', 'mount 2', 'mount 3')
@@ -149,10 +187,18 @@ def engine_on_mounts(*, mass=139.5, inertia=ENGINE, points=MOUNTS, stiffness=MOU
     )
 
 
-def isolated_table(*, mass=200.0, gyration=(0.35, 0.42, 0.5), stiffness=(3e4, 5e4, 8e4), damping=(0.0, 0.0, 0.0), at=(0.45, 0.3, 0.25), gravity=0.0) -> Model:  # fmt: skip
-    """A table with two planes of symmetry on four equal upright isolators at (+-ax, +-ay, -az) from its centre, on the support `floor`.
+def isolated_table(
+    *, mass=200.0, gyration=(0.35, 0.42, 0.5), stiffness=(3e4, 5e4, 8e4), damping=(0.0, 0.0, 0.0), at=(0.45, 0.3, 0.25), gravity=0.0
+) -> Model:
+    """A table with two planes of symmetry on four equal upright isolators at (+-ax, +-ay, -az) from its center, on the support `floor`.
 
-    `gyration`: radii about x, y, z [m]; `stiffness` [N/m] and `damping` [N s/m] of one isolator along x, y, z; `at`: ax, ay, az [m].
+    Args:
+        mass: of the table [kg].
+        gyration: radii of gyration about x, y, z [m].
+        stiffness, damping: of one isolator along x, y, z [N/m, N s/m].
+        at: ax, ay, az [m].
+        gravity: [m/s2], downward; zero by default.
+
     Source: Harris, Shock and Vibration Handbook, chapter 3: z 6.366198 Hz, yaw 5.097929 Hz.
 
     >>> isolated_table().element_names[0]
@@ -170,11 +216,22 @@ def isolated_table(*, mass=200.0, gyration=(0.35, 0.42, 0.5), stiffness=(3e4, 5e
     )
 
 
-def stewart_table(*, mass=50.0, inertia=(2.0, 2.0, 3.5), stiffness=1e4, damping=0.0, upper=0.4, lower=0.6, height=0.5, spread=15.0, gravity=G) -> Model:  # fmt: skip
-    """A table on six springs in three V's, a Stewart platform whose legs are springs, on the support `base`; relaxed legs would be those of the reference pose without weight.
+def stewart_table(
+    *, mass=50.0, inertia=(2.0, 2.0, 3.5), stiffness=1e4, damping=0.0, upper=0.4, lower=0.6, height=0.5, spread=15.0, gravity=G
+) -> Model:
+    """A Stewart platform whose six legs are springs: `table` on three V-shaped pairs of legs from the support `base`.
 
-    `upper`, `lower`: radii of the circles on which legs end [m], `height` between these [m], `spread`: half the angle between two neighbouring ends [degrees].
-    Source: D. Stewart, Proc. Inst. Mech. Eng. 180 (1965) 371, in the symmetric form with ends in pairs.
+    The free length of the legs is such that the reference pose is the equilibrium under the weight.
+
+    Args:
+        mass, inertia: of the table [kg, kg m2].
+        stiffness, damping: of one leg [N/m, N s/m].
+        upper, lower: radii of the circles on which the legs end [m].
+        height: of the upper circle above the lower one [m].
+        spread: half the angle between two neighboring leg ends [degrees].
+        gravity: [m/s2], downward.
+
+    Source: D. Stewart, Proc. Inst. Mech. Eng. 180 (1965) 371, in the symmetric form with leg ends in pairs.
 
     >>> stewart_table().layout.nv, len(stewart_table().element_names)
     (6, 6)
@@ -183,7 +240,7 @@ def stewart_table(*, mass=50.0, inertia=(2.0, 2.0, 3.5), stiffness=1e4, damping=
     ends = np.deg2rad(spread) * np.array([-1, 1])
     above = [(upper * np.cos(p + e), upper * np.sin(p + e), 0) for p in pairs for e in ends]
     below = [(lower * np.cos(p - e), lower * np.sin(p - e), 0) for p in pairs + np.pi / 3 for e in ends]
-    below = [below[-1], *below[:-1]]  # each leg leans to the neighbouring pair
+    below = [below[-1], *below[:-1]]  # each leg leans toward the neighboring pair
     length = np.linalg.norm(np.add(above[0], [0, 0, height]) - below[0])
     relaxed = length + mass * gravity * length / (6 * stiffness * height)
     legs = {
@@ -199,9 +256,14 @@ def stewart_table(*, mass=50.0, inertia=(2.0, 2.0, 3.5), stiffness=1e4, damping=
 
 
 def elastic_pendulum(*, mass=1.0, stiffness=4 * np.pi**2, free_length=0.75, damping=0.0, gravity=np.pi**2) -> Model:
-    """A bob on a spring from the world, free to swing, not to turn; at z = 0 in equilibrium, the pivot `length` above.
+    """A bob that hangs on a spring from the world, free to move but not to rotate; in equilibrium the bob is at z = 0, below the pivot.
 
-    Source: P. Lynch, the swinging spring: in 2:1 resonance, its swing plane turns with every pulsation.
+    Args:
+        mass: of the bob [kg].
+        stiffness, free_length, damping: of the spring [N/m, m, N s/m].
+        gravity: [m/s2], downward.
+
+    Source: P. Lynch, the swinging spring: in 2:1 resonance, the plane of its swing turns with every pulsation.
 
     >>> elastic_pendulum().layout.coordinates[2]
     'bob move along z'
@@ -217,9 +279,9 @@ def elastic_pendulum(*, mass=1.0, stiffness=4 * np.pi**2, free_length=0.75, damp
 
 
 def double_pendulum(*, masses=(1.0, 1.0), lengths=(1.0, 1.0), gravity=G) -> Model:
-    """Two uniform rods, `upper` and `lower`, hanging on hinges about y in the x-z plane.
+    """Two uniform rods, `upper` and `lower`, that swing in the x-z plane on hinges about y.
 
-    Source: for example L. D. Landau, E. M. Lifshitz, Mechanics, section 5, with rods for points.
+    Source: for example L. D. Landau, E. M. Lifshitz, Mechanics, section 5, with rods instead of point masses.
 
     >>> double_pendulum().layout.motions
     (('upper', 'turn about its hinge'), ('lower', 'turn about its hinge'))
@@ -237,10 +299,17 @@ def double_pendulum(*, masses=(1.0, 1.0), lengths=(1.0, 1.0), gravity=G) -> Mode
 
 
 def coupled_gliders(*, masses=(0.3, 0.3), stiffness=(3.0, 3.0, 3.0), damping=(0.0, 0.0, 0.0), span=1.5, length=0.3) -> Model:
-    """Two gliders on an air track along x, between the ends of the track and each other on three springs `left`, `middle`, `right`, stretched from
-    `length` to a third of `span` [m].
+    """Two gliders, `one` and `two`, on an air track along x, coupled to each other and to the ends of the track by springs.
 
-    Source: M. Schmidt, H. Lipson, Science 324 (2009) 81, whose record examples/gliders.py fits.
+    The springs are `left`, `middle` and `right`.
+
+    Args:
+        masses: of the two gliders [kg].
+        stiffness, damping: of the three springs [N/m, N s/m].
+        span: length of the track [m]; in the reference pose each spring is a third of it long.
+        length: free length of each spring [m].
+
+    Source: M. Schmidt, H. Lipson, Science 324 (2009) 81; examples/gliders.py fits their record.
 
     >>> coupled_gliders().element_names
     ('left', 'middle', 'right')
