@@ -1,4 +1,5 @@
-"""Pictures with matplotlib: each function takes data, draws into `ax` (or a new figure) and returns the axes; it shows and sets nothing."""
+"""Plots with matplotlib: each function draws into `ax`, or a new figure, and returns the axes; it shows no window and changes no
+settings."""
 
 from jaxbody.plots.design_plots import plot_front, plot_tolerances, plot_tornado, plot_tuning
 from jaxbody.plots.fit_plots import plot_autocorrelation, plot_correlations, plot_history, plot_profile

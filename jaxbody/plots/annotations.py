@@ -1,4 +1,4 @@
-"""Names in pictures of models, each near what it names, spread so that they overprint neither each other nor the drawing."""
+"""Labels in plots of models, each placed near its object so that it overlaps neither other labels nor the drawing."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 
 from jaxbody.plots.canvases import GRAY
 
-WIDTH, HEIGHT = 0.62, 1.3  # of a letter, in sizes of the font
-RINGS = (4.0, 8.0, 13.0, 20.0, 30.0, 42.0, 56.0)  # points from what is named to the edge of its name
+WIDTH, HEIGHT = 0.62, 1.3  # of a letter, relative to the font size
+RINGS = (4.0, 8.0, 13.0, 20.0, 30.0, 42.0, 56.0)  # points, trial distances from an object to the edge of its label
 ANGLES = np.deg2rad(np.arange(0, 360, 22.5))
-STEP = 2.5  # points along the lines that names had better not cover
-CLEAR = 3.0  # points between a name and a line
-FAR = 16.0  # points from which on a thin line leads to the name
+STEP = 2.5  # points, distance of the sample points along drawn lines
+CLEAR = 3.0  # points, clearance between a label and a line
+FAR = 16.0  # points, distance beyond which a thin line leads to the label
 
 
 class Label(NamedTuple):
-    """A name, the place that it belongs to and the direction in which it stands if there is room, both in the drawing; size [points] and color."""
+    """A name, the position of its object and the preferred direction from there, both in data coordinates; font size [points] and color."""
 
     name: str
     at: np.ndarray
@@ -27,7 +27,7 @@ class Label(NamedTuple):
 
 
 def annotate(ax: Any, labels: list[Label]) -> None:
-    """Writes the names beside what has been drawn."""
+    """Write the labels beside what has been drawn."""
     from matplotlib.patheffects import withStroke
 
     if not labels:
@@ -59,16 +59,18 @@ def _drawn(ax: Any) -> list[np.ndarray]:
 
 
 def _points_along(line: np.ndarray) -> np.ndarray:
-    """Points of a line at equal distances."""
+    """Points at equal distances along a line."""
     s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     at = np.arange(0.0, s[-1] + STEP, STEP)
     return np.stack([np.interp(at, s, x) for x in line.T], -1)
 
 
 def _places(toward: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Offsets of the middle of a name of half this size, their distances [points], and what they cost: distance, and turning away from `toward`."""
+    """Trial offsets of the center of a label of half size `half`, their distances [points], and their costs.
+
+    The cost grows with the distance and with the angle from the direction `toward`."""
     reach, turn = (x.ravel() for x in np.meshgrid(RINGS, ANGLES + np.arctan2(toward[1], toward[0]), indexing="ij"))
     direction = np.stack([np.cos(turn), np.sin(turn)], -1)
     away = 1 - direction @ toward / (np.linalg.norm(toward) or 1.0)
-    edge = np.min(half / np.maximum(np.abs(direction), 1e-9), -1)  # from the middle to the edge of the name, in this direction
+    edge = np.min(half / np.maximum(np.abs(direction), 1e-9), -1)  # from the center to the edge of the label, in this direction
     return (reach + edge)[:, None] * direction, reach, 0.15 * reach + away

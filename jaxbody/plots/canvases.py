@@ -1,4 +1,4 @@
-"""What all pictures share: axes, colors, legends. matplotlib is imported when something is drawn."""
+"""Axes, colors and legends that all plots share. matplotlib is imported when something is drawn."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from jaxbody.core.errors import JaxbodyError, unknown
 
 COLORS = ("#1f6fb4", "#d9661f", "#2f8f4e", "#8a4fbf", "#b8344a", "#7a6a4f", "#1c9a9a", "#c79a1a")
 GRAY, LIGHT, INK = "#8a8f98", "#dfe4ea", "#2b2f36"
-DASHES = ("-", (0, (6, 1.5)), (0, (3, 1, 1, 1)), (0, (1, 1)))  # of lines beyond eight, whose colors come again
-NAME = 0.165  # in, height of a name in a legend
+DASHES = ("-", (0, (6, 1.5)), (0, (3, 1, 1, 1)), (0, (1, 1)))  # each eight lines repeat the colors with the next dash pattern
+NAME = 0.165  # in, height of a line of a legend
 
 
 def axes_or_new(ax: Any, width: float, height: float) -> Any:
-    """The axes given, or those of a new figure of this size [in], tidied."""
+    """The given axes, or those of a new figure of this size [in], in the common style."""
     if ax is None:
         import matplotlib.pyplot as plt
 
@@ -23,14 +23,14 @@ def axes_or_new(ax: Any, width: float, height: float) -> Any:
 
 
 def tidy(ax: Any) -> None:
-    """No frame above and to the right, a pale grid."""
+    """Hide the upper and right frame lines and draw a pale grid."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.grid(True, color="#e8e8e8", lw=0.6)
     ax.set_axisbelow(True)
 
 
 def axes_below(ax: Any, *heights: float) -> list[Any]:
-    """Axes below others, one over another, in the room that those had; `heights` are relative to what remains of them."""
+    """Split the area of `ax` and add axes below it, one under another; `heights` are relative to the remaining height of `ax`."""
     spec, shares = ax.get_subplotspec(), (1.0, *heights)
     if spec is None:
         box, room = ax.get_position(), sum(shares) + 0.15 * len(heights)
@@ -52,17 +52,17 @@ def axes_below(ax: Any, *heights: float) -> list[Any]:
 
 
 def pale(color: str) -> str:
-    """The color, half way to white: of points under a line, opaque, so that many of them don't darken to it."""
+    """The color, halfway to white and opaque, for points under a line: overlapping points do not get darker."""
     return "#" + "".join(f"{(int(color[i : i + 2], 16) + 255) // 2:02x}" for i in (1, 3, 5))
 
 
 def style(i: int) -> dict[str, Any]:
-    """Color and dash of the i-th line: no two of 32 are alike."""
+    """Color and dash pattern of the i-th line; the first 32 all differ."""
     return {"color": COLORS[i % len(COLORS)], "ls": DASHES[i // len(COLORS) % len(DASHES)]}
 
 
 def legend(ax: Any, count: int, **options: Any) -> None:
-    """Names beside the axes, in as many columns as they need to stay within the height of the axes."""
+    """A legend to the right of the axes, with enough columns to stay within their height."""
     if count:
         rows = max(int(ax.get_position().height * ax.figure.get_figheight() / NAME), 4)
         options |= {"ncols": -(-count // rows), "frameon": False, "fontsize": 8, "handlelength": 2.4, "columnspacing": 1.0}
@@ -70,7 +70,7 @@ def legend(ax: Any, count: int, **options: Any) -> None:
 
 
 def check_known(names: tuple[str, ...], known: tuple[str, ...], where: str) -> None:
-    """UNKNOWN_NAME for each name that is not known, all at once."""
+    """Raise one error that lists UNKNOWN_NAME for each unknown name."""
     problems = [unknown(name, where, known) for name in names if name not in known]
     if problems:
         raise JaxbodyError(*problems)

@@ -1,4 +1,4 @@
-"""Pictures of designs: the course of a search, a front, sensitivities as a tornado, tolerances as a histogram, each into `ax`."""
+"""Plots of designs: the history of a search, a Pareto front, sensitivities as a tornado chart, tolerances as a histogram."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BINS = 40
 
 
 def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
-    """The objective at every trial of the best start that gave numbers: full circles within all limits, open ones outside."""
+    """The objective at every finite trial of the best start: filled circles where all limits are met, open circles elsewhere."""
     ax = axes_or_new(ax, 5.0, 3.0)
     objective, violation = tuning.history.T
     kept = violation <= 1e-6
@@ -33,13 +33,15 @@ def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
 
 
 def plot_front(front: Front, *, ax: Any = None) -> Any:
-    """The front of two objectives as a line with its designs, of three as points with the third as color.
+    """A Pareto front: two objectives as a line through the designs, three as points whose color shows the third objective.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):
     ...     c = model["suspension"].damping / 1500.0
     ...     return {"shake": c + 1 / c, "travel": 1 / c}
-    >>> ax = plot_front(pareto(car, trade, minimize=["shake", "travel"], free=["suspension.damping"], bounds={"*.damping": (500.0, 5000.0)}, points=4))
+    >>> bounds = {"*.damping": (500.0, 5000.0)}
+    >>> front = pareto(car, trade, minimize=["shake", "travel"], free=["suspension.damping"], bounds=bounds, points=4)
+    >>> ax = plot_front(front)
     >>> ax.get_xlabel(), ax.get_ylabel()
     ('travel', 'shake')
     """
@@ -55,19 +57,21 @@ def plot_front(front: Front, *, ax: Any = None) -> Any:
     return ax
 
 
-def plot_tornado(found: Sensitivities, quantity: str | None = None, *, ax: Any = None) -> Any:
-    """What each parameter, changed to either side, makes of a quantity (the first, if none is named), the strongest 15 from above. Error: UNKNOWN_NAME."""
-    quantity = quantity or found.quantities[0]
-    row, every = found.row(quantity), found.order(quantity)
+def plot_tornado(sensitivities: Sensitivities, quantity: str | None = None, *, ax: Any = None) -> Any:
+    """A tornado chart: the change of a quantity when each parameter decreases or increases, the 15 strongest parameters from the top.
+
+    quantity: its name; None takes the first one. Error: UNKNOWN_NAME."""
+    quantity = quantity or sensitivities.quantities[0]
+    row, every = sensitivities.row(quantity), sensitivities.order(quantity)
     order = every[:MOST_BARS]
     ax = axes_or_new(ax, 6.0, 0.8 + 0.3 * len(order))
-    nominal = found.nominal[row]
+    nominal = sensitivities.nominal[row]
     place = np.arange(len(order))
-    for ends, sign, color in ((found.low, "less", COLORS[0]), (found.high, "more", COLORS[1])):
+    for ends, sign, color in ((sensitivities.low, "less", COLORS[0]), (sensitivities.high, "more", COLORS[1])):
         change = ends[row, order] - nominal
-        ax.barh(place, change, left=nominal, color=color, height=0.65, label=f"{100 * found.change:g} % {sign}")
+        ax.barh(place, change, left=nominal, color=color, height=0.65, label=f"{100 * sensitivities.change:g} % {sign}")
     ax.axvline(nominal, color=INK, lw=0.8)
-    ax.set_yticks(place, [found.parameters[i] for i in order], fontsize=8)
+    ax.set_yticks(place, [sensitivities.parameters[i] for i in order], fontsize=8)
     ax.invert_yaxis()
     if len(every) > len(order):
         ax.set_title(f"the strongest {len(order)} of {len(every)} parameters", fontsize=9)
@@ -76,22 +80,24 @@ def plot_tornado(found: Sensitivities, quantity: str | None = None, *, ax: Any =
     return ax
 
 
-def plot_tolerances(found: Tolerances, quantity: str | None = None, *, ax: Any = None) -> Any:
-    """The samples of a quantity (the first, if none is named), and the normal densities to first and second order. Error: UNKNOWN_NAME."""
-    quantity = quantity or found.quantities[0]
-    row = found.row(quantity)
+def plot_tolerances(tolerances: Tolerances, quantity: str | None = None, *, ax: Any = None) -> Any:
+    """A histogram of the samples of a quantity, with the normal densities predicted to first and second order.
+
+    quantity: its name; None takes the first one. Error: UNKNOWN_NAME."""
+    quantity = quantity or tolerances.quantities[0]
+    row = tolerances.row(quantity)
     ax = axes_or_new(ax, 5.0, 3.2)
-    samples = np.asarray(found.samples)[:, row]
+    samples = np.asarray(tolerances.samples)[:, row]
     samples = samples[np.isfinite(samples)]
     ax.hist(samples, BINS, density=True, color=LIGHT, edgecolor=GRAY, lw=0.4, label=f"{len(samples)} samples")
     x = np.linspace(samples.min(), samples.max(), 200)
     for i, (name, mean, deviation) in enumerate(
-        (("first order", found.nominal, found.first), ("second order", found.mean, found.deviation))
+        (("first order", tolerances.nominal, tolerances.first), ("second order", tolerances.mean, tolerances.deviation))
     ):
         m, s = float(mean[row]), float(deviation[row])
         if s > 0:
             ax.plot(x, np.exp(-0.5 * ((x - m) / s) ** 2) / (s * np.sqrt(2 * np.pi)), color=COLORS[i], lw=1.4, label=name)
-    ax.axvline(float(found.nominal[row]), color=INK, lw=0.8, label="nominal")
+    ax.axvline(float(tolerances.nominal[row]), color=INK, lw=0.8, label="nominal")
     ax.set(xlabel=quantity, ylabel="density")
     legend(ax, 4)
     return ax

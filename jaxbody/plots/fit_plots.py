@@ -1,4 +1,4 @@
-"""Pictures of fits: the way there, correlations of estimates, whiteness of residuals, a profile."""
+"""Plots of fits: the history of the cost, correlations of the estimates, autocorrelations of the residuals, a likelihood profile."""
 
 from __future__ import annotations
 
@@ -17,36 +17,37 @@ from jaxbody.statistics.autocorrelations import FEWEST, most_lags, products
 from jaxbody.statistics.noises import ResidualSeries
 
 COMPLEX = ("real", "imaginary")
-DARK = 0.6  # correlations above which numbers are white
+DARK = 0.6  # correlation above which the number is printed in white
 
 
 def plot_history(fit: Fit, *, ax: Any = None) -> Any:
-    """The cost of a fit at every evaluation, on a logarithmic scale; crosses are trials that could not be simulated. Where the noise has been estimated
-    anew (dotted), costs are in another measure: only those between two such lines compare."""
+    """The cost of a fit at every evaluation, on a logarithmic scale; crosses mark trials that could not be simulated.
+
+    A dotted line marks each new estimate of the noise, which changes the weights in the cost: compare costs only between two such lines."""
     ax = axes_or_new(ax, 5.0, 3.0)
-    cost, anew = np.asarray(fit.history, float).ravel(), [i for i in fit.rounds if i < len(fit.history)]
+    cost, estimated = np.asarray(fit.history, float).ravel(), [i for i in fit.rounds if i < len(fit.history)]
     good = np.isfinite(cost)
-    for start, stop in pairwise([0, *anew, len(cost)]):
+    for start, stop in pairwise([0, *estimated, len(cost)]):
         at = np.flatnonzero(good[start:stop]) + start
         ax.plot(at, cost[at], ".-", color=COLORS[0], lw=1.2, ms=4)
-    for k, start in enumerate(anew):
-        ax.axvline(start - 0.5, color=GRAY, lw=0.9, ls=":", label="noise estimated anew" if k == 0 else None)
+    for k, start in enumerate(estimated):
+        ax.axvline(start - 0.5, color=GRAY, lw=0.9, ls=":", label="noise estimated again" if k == 0 else None)
     if not good.all():
-        lost = np.flatnonzero(~good)
-        ax.plot(
-            lost, np.full(len(lost), 0.96), "x", color=COLORS[4], ms=6, transform=ax.get_xaxis_transform(), label="could not be simulated"
-        )
+        failed, style = np.flatnonzero(~good), {"color": COLORS[4], "ms": 6, "transform": ax.get_xaxis_transform()}
+        ax.plot(failed, np.full(len(failed), 0.96), "x", label="could not be simulated", **style)
     if (cost[good] > 0).any():
         ax.set_yscale("log")
     ax.set(xlabel="evaluation", ylabel="cost [-]")
     ax.xaxis.get_major_locator().set_params(integer=True)
-    if anew or not good.all():
+    if estimated or not good.all():
         ax.legend(frameon=False, fontsize=8)
     return ax
 
 
 def plot_correlations(fit: Fit, *, ax: Any = None) -> Any:
-    """Correlations of the estimates as a heat map: near 1 or -1 the data tell a combination of two better than each. What is not determined is left out."""
+    """Correlations of the estimates as a heat map; parameters that the data do not determine are left out.
+
+    Near 1 or -1 the data determine a combination of the two parameters better than each of them."""
     names, C = fit.task.labels, fit.covariance
     known = np.flatnonzero((np.diag(C) > 0) & np.isfinite(fit._assessed().spread(np.eye(len(C)))[0]))
     deviation = np.sqrt(np.diag(C))[known]
@@ -65,18 +66,24 @@ def plot_correlations(fit: Fit, *, ax: Any = None) -> Any:
 
 
 def plot_autocorrelation(fit: Fit, *, run: str | None = None, sensor: str | None = None, ax: Any = None) -> Any:
-    """Correlations of residuals of one sensor with themselves some samples later (of a frequency response some lines higher), and the band that holds
-    95 % of those of white noise.
+    """The autocorrelation of the residuals of one sensor, with the band that contains 95 % of the values for white noise.
 
-    Errors: UNKNOWN_NAME; NO_DATA of a record of too few samples, or of numbers that do not follow one another, as those of modes.
+    The lag is in samples, for a frequency response in spectral lines. Errors: UNKNOWN_NAME; NO_DATA if the record has too few samples or
+    is no sequence, as modes are not.
+
+    Args:
+        fit: the fit.
+        run: name of the run; None takes the first one.
+        sensor: name of the sensor; None takes the first one.
+        ax: axes to draw into; None makes a new figure.
     """
     run, sensor, part = chosen(fit, run, sensor, "plot_autocorrelation")
     r, _ = linearized(fit)
     records = [x for x in records_about(fit, run, sensor) if part is None or x.group.endswith(f" {part}")]
     records = [x for x in records if x.series and r[x.rows].any() and most_lags(len(x.rows))]
     if not records:
-        told, hint = f"'{sensor}' has no record to look at", f"Of {FEWEST} samples or more that follow one another."
-        raise JaxbodyError(Problem("NO_DATA", "plot_autocorrelation.sensor", told, sensor, hint=hint))
+        message, hint = f"'{sensor}' has no autocorrelation", f"Choose a sensor with a sequence of {FEWEST} samples or more."
+        raise JaxbodyError(Problem("NO_DATA", "plot_autocorrelation.sensor", message, sensor, hint=hint))
     ax = axes_or_new(ax, 5.5, 3.0)
     for i, record in enumerate(records):
         color = COLORS[i % len(COLORS)]
@@ -96,27 +103,29 @@ def plot_autocorrelation(fit: Fit, *, run: str | None = None, sensor: str | None
     return ax
 
 
-def plot_profile(found: Profile, *, ax: Any = None) -> Any:
-    """tau over a parameter: straight where the likelihood is that of a normal distribution; the interval is where it lies between the dashed lines."""
+def plot_profile(profile: Profile, *, ax: Any = None) -> Any:
+    """The signed root tau of a likelihood profile over its parameter, with the confidence interval, where tau is between the dashed lines.
+
+    tau is a straight line where the likelihood is that of a normal distribution."""
     ax = axes_or_new(ax, 4.6, 3.2)
-    ax.plot(found.values, found.tau, "o-", color=COLORS[0], ms=3.5, lw=1.4)
+    ax.plot(profile.values, profile.tau, "o-", color=COLORS[0], ms=3.5, lw=1.4)
     for sign in (-1, 1):
-        ax.axhline(sign * found.limit, color=GRAY, lw=0.9, ls="--")
-    low, high = (x if np.isfinite(x) else None for x in found.interval)
+        ax.axhline(sign * profile.limit, color=GRAY, lw=0.9, ls="--")
+    low, high = (x if np.isfinite(x) else None for x in profile.interval)
     if low is not None and high is not None:
         ax.axvspan(low, high, color=LIGHT, alpha=0.5, lw=0, zorder=0)
-    ax.axvline(found.estimate, color=INK, lw=0.8)
+    ax.axvline(profile.estimate, color=INK, lw=0.8)
     ax.set(
-        xlabel=found.path,
+        xlabel=profile.path,
         ylabel=r"$\tau$ [standard errors]",
-        title=f"{100 * found.level:g} % interval {found.interval[0]:.5g} to {found.interval[1]:.5g}",
+        title=f"{100 * profile.level:g} % interval {profile.interval[0]:.5g} to {profile.interval[1]:.5g}",
     )
     ax.title.set_fontsize(9)
     return ax
 
 
 def chosen(fit: Fit, run: str | None, sensor: str | None, where: str) -> tuple[str, str, int | None]:
-    """The run, the sensor and the part of it that are named ("plate moment": of ForcePlate "plate" the second), or the first by name."""
+    """The named run, sensor and part of a sensor, or the first ones; "plate moment" names the second part of the ForcePlate "plate"."""
     run = run or next(iter(fit.experiments))
     if run not in fit.experiments:
         raise JaxbodyError(unknown(run, f"{where}.run", tuple(fit.experiments)))
@@ -130,11 +139,11 @@ def chosen(fit: Fit, run: str | None, sensor: str | None, where: str) -> tuple[s
 
 
 def records_about(fit: Fit, run: str, sensor: str) -> list[ResidualSeries]:
-    """Of each component of the residuals of a sensor its record."""
+    """The residual series of each component of a sensor."""
     return [x for x in records_of(fit.experiments) if x.run == run and x.name.split("[")[0] == f"{run}.{sensor}"]
 
 
 def linearized(fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals over noise, and their Jacobian."""
+    """The residuals divided by the noise, and their Jacobian."""
     _, J, runs = residual_and_jacobian(fit.task, fit.u)
     return fit.task.linearized(runs, np.asarray(J))

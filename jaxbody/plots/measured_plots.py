@@ -1,4 +1,4 @@
-"""Pictures of what was measured and of the fitted line through it: records over residuals, responses over phases, modes."""
+"""Plots of measured data with the fitted model: records with residuals, frequency responses with phases, modes."""
 
 from __future__ import annotations
 
@@ -14,20 +14,27 @@ from jaxbody.sensors.channels import Channel
 from jaxbody.statistics.quantiles import quantile
 
 BAND = 0.95  # level of the bands
-FEW = 400  # samples up to which points are large
+FEW = 400  # samples up to which markers are large
 LETTERS = {"force": "F", "moment": "M"}
-WIDE = 10.0  # ratio of frequencies from which on they are drawn on a logarithmic scale
-KEYS = 3  # colors of a handle that stands for several
+WIDE = 10.0  # ratio of the largest to the smallest frequency from which on the axis is logarithmic
+KEYS = 3  # colors shown in a legend entry that stands for several lines
 
 
 def plot_fit(fit: Fit, *, run: str | None = None, sensor: str | None = None, ax: Any = None) -> Any:
-    """One sensor of one run (the first by name, if none are named): measured points and the fitted model's line through them.
+    """The measured points of one sensor and the fitted model's line through them.
 
-    Of a record, below them the residuals, with bands that hold 95 % of the noise (pale) and the uncertainty of the fitted line (dark); of a sensor of two
-    units the part that is named, "plate moment", or the first. Of modes the same, with a mark for each (and `sensor` "frequency", if none is named). Of a
-    frequency response magnitudes and, below them, phases, without bands. Error: UNKNOWN_NAME.
+    Records and modes have their residuals below, with bands for 95 % of the noise (pale) and for the uncertainty of the fitted line (dark).
+    Frequency responses have their magnitudes above and their phases below, without bands. Error: UNKNOWN_NAME.
 
-    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
+    Args:
+        fit: the fit.
+        run: name of the run; None takes the first one.
+        sensor: name of the sensor, or of one part of a sensor with two units, such as "plate moment"; None takes the first one
+            ("frequency" for modes).
+        ax: axes to draw into; None makes a new figure.
+
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])},
+    ...               joints={"mass": Guide("world", axis=[1, 0, 0])},
     ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
     >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times) + noise})
@@ -85,7 +92,7 @@ def _draw_band(below: Any, x: np.ndarray, band: tuple[np.ndarray, np.ndarray, np
 
 
 def _draw_response(fit: Fit, run: str, sensor: str, ax: Any) -> Any:
-    """Magnitudes, and phases that go on where they pass half a turn, those measured within half a turn of those fitted."""
+    """Magnitudes and unwrapped phases; each measured phase is within half a turn of the fitted one."""
     experiment = fit.experiments[run]
     f = np.asarray(experiment.axis(sensor)[1])
     measured, predicted = np.asarray(experiment.measured[sensor]), np.asarray(fit.predicted[run][sensor])
@@ -112,7 +119,7 @@ def _draw_response(fit: Fit, run: str, sensor: str, ax: Any) -> Any:
 
 
 def _explain(ax: Any, points: list[Any]) -> None:
-    """A legend of the lines by name where there are several, and of what points and lines are, in the colors that they have."""
+    """A legend that names the lines, where there are several, and says which markers are measured and which lines are fitted."""
     from matplotlib.legend_handler import HandlerTuple
 
     lines = [line for line in ax.lines if line not in points]
@@ -123,7 +130,8 @@ def _explain(ax: Any, points: list[Any]) -> None:
 
 
 def _compared(channel: Channel, measured: np.ndarray, predicted: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measured, predicted and their difference, a column for each number; measured quaternions with the sign of those predicted."""
+    """Measured values, predicted values and their difference, one column per number; measured quaternions take the sign of the predicted
+    ones."""
     n = len(measured)
     apart = np.where(channel.missing(measured), np.nan, -np.asarray(channel.residual(predicted, measured)))
     if channel.shape != channel.noise_shape:
@@ -134,7 +142,7 @@ def _compared(channel: Channel, measured: np.ndarray, predicted: np.ndarray) -> 
 
 
 def _columns(channel: Channel, part: int, readings: int, residuals: int) -> tuple[list[int], list[int]]:
-    """Which numbers of a reading and of a residual are of one unit."""
+    """The columns of a reading and of a residual that belong to one part, that is to one unit."""
     each = residuals // channel.units
     last = readings if part == channel.units - 1 else (part + 1) * each
     return list(range(part * each, last)), list(range(part * each, (part + 1) * each))
@@ -149,7 +157,7 @@ def _name(channel: Channel, sensor: str, part: int, i: int, count: int) -> str:
 
 
 def _unit(channel: Channel, part: int, columns: list[int], rows: list[int]) -> str:
-    """Of numbers; those of a quaternion, of which there are more than of a turn, have none."""
+    """The unit of the columns; a quaternion has four columns for three residuals, and no unit."""
     return channel.unit.split(",")[part].strip() if len(columns) == len(rows) else ""
 
 
@@ -158,15 +166,15 @@ def _with_unit(what: str, unit: str) -> str:
 
 
 def _bands(fit: Fit, run: str, sensor: str, shape: tuple[int, ...]) -> dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Of each component of the residuals: sample numbers, the half width of the noise and that of the fitted line."""
-    worth, channel = fit._assessed(), fit.experiments[run].channels[sensor]
+    """For each component of the residuals: sample numbers and half widths of the bands of the noise and of the fitted line."""
+    uncertainty, channel = fit._assessed(), fit.experiments[run].channels[sensor]
     r, J = linearized(fit)
     level = np.asarray(channel.spread(np.asarray(fit.task.noise[run][sensor])))
     levels = np.broadcast_to(level.reshape(-1, 1) if level.shape == shape[:1] and shape[1] == 1 else level, shape)
-    found = {}
+    bands = {}
     for i, record in enumerate(records_about(fit, run, sensor)):
         if len(record.rows):
-            error, freedom = worth.spread(J[record.rows])
+            error, freedom = uncertainty.spread(J[record.rows])
             width, size = levels[record.times, i], float(np.sqrt(np.mean(r[record.rows] ** 2)))
-            found[i] = (record.times, 1.96 * size * width, np.where(np.isfinite(error), quantile(BAND, freedom) * error, np.nan) * width)
-    return found
+            bands[i] = (record.times, 1.96 * size * width, np.where(np.isfinite(error), quantile(BAND, freedom) * error, np.nan) * width)
+    return bands

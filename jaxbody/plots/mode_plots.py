@@ -1,4 +1,4 @@
-"""Pictures of modes: where their energy is, as a heat map, and their frequencies along a parameter. `plots` holds them too."""
+"""Plots of modes: the distribution of their energy as a heat map, and their frequencies along a parameter."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from jaxbody.vibrations.modal_energies import ModeEnergies
 from jaxbody.vibrations.mode_branches import LEAST_MAC, Branches
 
 KINDS = {"kinetic": "kinetic energy", "strain": "strain energy", "dissipation": "dissipation"}
-LEAST_SHOWN = 0.05  # percent: rows of which no mode has that much, and which would print as zeros, are left out
-DARK = 55.0  # percent above which numbers are white
+LEAST_SHOWN = 0.05  # percent; rows in which all modes have less would print as zeros and are left out
+DARK = 55.0  # percent above which numbers are printed in white
 
 
 def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any = None) -> Any:
-    """Shares of each mode's energy [%] as a heat map, a column for each mode: "kinetic" by body and direction, "strain" by element, "dissipation" by damper.
-    Rows of which no mode has 0.05 % are left out, and counted in the title.
+    """Shares of each mode's energy [%] as a heat map with one column per mode.
 
-    Error: UNKNOWN_NAME of the kind.
+    kind: "kinetic" by body and direction, "strain" by element, or "dissipation" by damper. Rows in which all modes have less than 0.05 %
+    are left out; the title says how many. Error: UNKNOWN_NAME for another kind.
 
     >>> car = jb.presets.half_car()
     >>> ax = plot_mode_energies(mode_energies(linearize(car, equilibrium(car)), forward="x"))
@@ -60,8 +60,9 @@ def _rows(energies: ModeEnergies, kind: str) -> dict[str, np.ndarray]:
 
 
 def plot_branches(branches: Branches, *, parameter: str = "parameter", ax: Any = None) -> Any:
-    """The frequency of each mode [Hz] along the parameter, modes followed by shape and named as at the first value; a gap and a cross where one
-    was lost.
+    """The frequency of each mode [Hz] along a parameter; a gap and a cross mark where a mode could not be tracked.
+
+    The modes are tracked by shape and named as at the first value.
 
     >>> car = jb.presets.half_car()
     >>> found = track(lambda k: linearize(replace(car, {"front spring.stiffness": k}), car.reference), jnp.linspace(1.5e4, 4e4, 6))
@@ -69,12 +70,12 @@ def plot_branches(branches: Branches, *, parameter: str = "parameter", ax: Any =
     ['1: body bounce 86 %', '2: body about y 86 %']
     """
     ax = axes_or_new(ax, 6.0, 4.0)
-    values, lost = np.asarray(branches.values), np.asarray(branches.status) == Status.LOST_BRANCH
+    values, ended = np.asarray(branches.values), np.asarray(branches.status) == Status.LOST_BRANCH
     for i, (name, frequency) in enumerate(zip(branches.names, np.asarray(branches.frequency).T, strict=True)):
-        gone = np.flatnonzero(lost & (np.asarray(branches.mac)[:, i] < LEAST_MAC))
-        ax.plot(np.insert(values, gone, np.nan), np.insert(frequency, gone, np.nan), lw=1.6, label=f"{i + 1}: {name}", **style(i))
-        if gone.size:
-            ax.plot(values[gone], frequency[gone], "x", color=style(i)["color"], ms=6)
+        gaps = np.flatnonzero(ended & (np.asarray(branches.mac)[:, i] < LEAST_MAC))
+        ax.plot(np.insert(values, gaps, np.nan), np.insert(frequency, gaps, np.nan), lw=1.6, label=f"{i + 1}: {name}", **style(i))
+        if gaps.size:
+            ax.plot(values[gaps], frequency[gaps], "x", color=style(i)["color"], ms=6)
     ax.set(xlabel=parameter, ylabel="frequency [Hz]")
     legend(ax, branches.frequency.shape[-1])
     return ax

@@ -1,4 +1,4 @@
-"""Pictures of models: bodies as outlines through their attachment points, springs as zigzags, supports hatched; and their modes."""
+"""Plots of models and their modes: bodies as outlines around their attachment points, springs as zigzags, supports hatched."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from jaxbody.vibrations.natural_modes import Modes
 from jaxbody.vibrations.spins import SpinLinearization
 
 AXES = "xyz"
-RIM = 8.0  # points: width of the rounded rim of an outline
-MARGIN = 0.06  # around what is drawn, in its longer side
-SLIM = 0.35  # least ratio of the sides of the frame
-SWING = 1 / 8  # largest displacement of a drawn mode, in sizes of the model
+RIM = 8.0  # points, width of the rounded rim of an outline
+MARGIN = 0.06  # around the drawing, relative to its longer side
+SLIM = 0.35  # smallest ratio of the sides of the frame
+SWING = 1 / 8  # largest displacement of a drawn mode, relative to the size of the model
 
 
 def draw_model(
@@ -42,10 +42,15 @@ def draw_model(
     names: bool = True,
     ax: Any = None,
 ) -> Any:
-    """The model in a state (without one, the reference pose), supports displaced by {name: Xi}.
+    """A drawing of the model; tyres are circles with their radius.
 
-    view: two of x, y, z, right and up ("xy"), with meters at the axes, or "oblique", with the three axes and a length; if none is given, gravity
-    points down, and the view is oblique unless the model is flat. Tyres are circles of their radius.
+    Args:
+        model, state: the model and its state; None draws the reference pose.
+        displaced: {support: Xi}, displacements of supports.
+        view: two of x, y, z, right and up ("xy"), with axes in meters, or "oblique", with the three axes and their length. None points
+            gravity down and is oblique unless the model is flat.
+        names: whether to write the names of bodies and elements.
+        ax: axes to draw into; None makes a new figure.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, -9.81, 0],
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9)})
@@ -70,9 +75,17 @@ def draw_model(
 def draw_mode(
     lin: Linearization | SpinLinearization, modes: Modes | ComplexModes, number: int = 1, *, view: str | None = None, ax: Any = None
 ) -> Any:
-    """Mode `number` (from 1, ascending) in both extremes over the state at rest, with its name; the amplitude is an eighth of the model's size.
+    """One mode in both extreme positions over the state at rest, with its name; the amplitude is an eighth of the model's size.
 
-    A complex mode is drawn where its largest component is extreme."""
+    A complex mode is drawn at the instant at which its largest component is extreme.
+
+    Args:
+        lin, modes: the linear system and its modes.
+        number: of the mode, from 1, by ascending frequency.
+        view: as in `draw_model`.
+        ax: axes to draw into; None makes a new figure.
+
+    Error: UNKNOWN_MODE."""
     model, count = lin.model, modes.frequency.shape[0]
     if not 1 <= number <= count:
         raise JaxbodyError(
@@ -102,12 +115,12 @@ def draw_mode(
 
 @dataclass
 class Scene:
-    """A posed model: for each frame the world positions of what is attached to it."""
+    """A model in one pose: the world positions of the points attached to each frame."""
 
     model: Model
     frames: tuple[np.ndarray, np.ndarray]  # origins and orientations
     points: dict[str, np.ndarray] = field(init=False)
-    pivots: dict[str, tuple[np.ndarray, str]] = field(init=False)  # of each jointed body where, and on what
+    pivots: dict[str, tuple[np.ndarray, str]] = field(init=False)  # position and parent of each body's joint
     ends: dict[str, tuple[np.ndarray, np.ndarray]] = field(init=False)
     centers: dict[str, np.ndarray] = field(init=False)  # of mass
 
@@ -143,7 +156,7 @@ class Scene:
 
 
 def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarray:
-    """(2, 3): what is drawn to the right and up of a displacement along the world axes."""
+    """The matrix (2, 3) that maps world coordinates to the drawing's right and up."""
     if view is not None and view != "oblique" and not (len(view) == 2 and view[0] != view[1] and set(view) <= set(AXES)):
         raise JaxbodyError(
             Problem("BAD_VIEW", "view", f"is {view!r}", view, "two of x, y, z", "Give two axes, right and up, as 'xy', or 'oblique'.")
@@ -164,7 +177,7 @@ def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarra
 
 
 def _axes(ax: Any, scenes: list[Scene], look: np.ndarray) -> Any:
-    """The axes given, or those of a new figure of the shape of what will be drawn."""
+    """The given axes, or those of a new figure with the proportions of the drawing."""
     width, height = np.ptp(np.concatenate([scene.all_points() for scene in scenes]) @ look.T, axis=0) + 1e-9
     ratio = np.clip((height + 0.1 * width) / (width + 0.1 * height), 0.25, 2.0)
     return axes_or_new(ax, *((6.4, 1.0 + 5.2 * ratio) if ratio < 1 else (1.4 + 5.0 / ratio, 5.8)))
@@ -204,7 +217,7 @@ def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, al
 
 
 def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
-    """Circles of their radius about the hubs, and the ground below where the road's normal is seen."""
+    """Tyres as circles about the hubs, with the ground below if the view shows the road's normal."""
     from matplotlib.patches import Circle
 
     rows = zip(table.names, table.links, np.asarray(table.rows.radius), np.asarray(table.rows.axis), strict=True)
@@ -218,7 +231,7 @@ def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
 
 
 def _names(scene: Scene, look) -> list[Label]:
-    """The names of bodies and elements where they belong."""
+    """Labels of bodies at their centers of mass and of elements at their middles."""
     labels = [Label(name, at @ look.T, np.array([1.0, 1.0]), 9, INK) for name, at in scene.centers.items()]
     for name, ends in scene.ends.items():
         A, B = (end @ look.T for end in ends)
@@ -269,7 +282,7 @@ def _area(a, b, c) -> float:
 
 
 def _zigzag(A, B, width: float, coils: int = 7) -> np.ndarray:
-    """A spring from A to B: straight ends of an eighth of the length, teeth between."""
+    """The path of a spring from A to B: straight ends, an eighth of the length each, and a zigzag between them."""
     along = B - A
     length = np.linalg.norm(along)
     if length == 0:
@@ -292,7 +305,8 @@ def _ground(ax, at, outward, half: float) -> None:
 
 
 def _frame(ax, look, size: float) -> None:
-    """Around what is drawn; with meters at the axes, or, as those of an oblique view would be true of one plane alone, with the three axes."""
+    """Set the limits of the axes and label them in meters; an oblique view shows the three world axes instead, because its scale depends
+    on the direction."""
     if np.count_nonzero(look) > 2:
         _triad(ax, look, size)
         ax.set_axis_off()
@@ -309,7 +323,7 @@ def _frame(ax, look, size: float) -> None:
 
 
 def _triad(ax, look, size: float) -> None:
-    """The world's axes as they are seen, each as long as is written below them, at the lower left."""
+    """The projected world axes at the lower left, with their length written below."""
     length = 10.0 ** np.floor(np.log10(size / 7))
     length *= max(k for k in (1, 2, 5) if k * length <= size / 7)
     low = ax.dataLim.get_points()[0]

@@ -1,4 +1,4 @@
-"""Pictures of motions: where bodies go over time, the forces of the elements, the path of loads up to an equilibrium."""
+"""Plots of motions: displacements of the bodies, forces of the elements, and the load path to an equilibrium."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ AXES = "xyz"
 
 
 def plot_trajectory(trajectory: Trajectory, *, bodies: tuple[str, ...] | None = None, ax: Any = None) -> Any:
-    """Displacements of bodies and supports from the reference pose [m] and, below, their turns [rad], over time; supports dashed.
+    """Displacements of bodies and supports from the reference pose [m] over time, with their rotations [rad] below; supports are dashed.
 
-    What stays still is left out. bodies: names of bodies and supports, all of them if none are given.
+    Lines without motion are left out. bodies: names of bodies and supports; None takes all.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=0.9)})
@@ -51,8 +51,9 @@ def plot_trajectory(trajectory: Trajectory, *, bodies: tuple[str, ...] | None = 
 
 
 def plot_forces(trajectory: Trajectory, *, elements: tuple[str, ...] | None = None, ax: Any = None) -> Any:
-    """The tension of every spring [N] over time, its damper's part included, of a bushing its three forces; below them moments [N m],
-    of torsion springs and of bushings that have any.
+    """Forces of the elements [N] over time, dampers included: the tension of each spring, the three forces of each bushing.
+
+    The moments [N m] of torsion springs and bushings are below. elements: names; None takes all. Error: UNKNOWN_NAME.
     """
     forces = trajectory.forces
     names = elements or tuple(forces)
@@ -77,15 +78,15 @@ def plot_forces(trajectory: Trajectory, *, elements: tuple[str, ...] | None = No
 
 
 def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
-    """The smallest eigenvalue of K, relative to the largest without loads, over the load factor: at a limit point it goes to zero.
+    """The smallest eigenvalue of K, relative to the largest without loads, over the load factor; it is zero at a limit point.
 
-    eq: an equilibrium under loads. Error: NO_PATH where it has none.
+    eq: an equilibrium under loads. Error: NO_PATH if it has no load path.
     """
     if eq.path is None or np.all(eq.descended):
         how, hint = (
-            ("without loads", "Give an equilibrium(model, loads=...).") if eq.path is None else ("by descent", "Its path could not begin.")
+            ("without loads", "Give an equilibrium(model, loads=...).") if eq.path is None else ("by descent", "Its path could not start.")
         )
-        raise JaxbodyError(Problem("NO_PATH", "load_path.eq", f"was found {how}", eq.path, "a load path", hint))
+        raise JaxbodyError(Problem("NO_PATH", "load_path.eq", f"was computed {how}", eq.path, "a load path", hint))
     ax = axes_or_new(ax, 5.0, 3.4)
     factor, smallest = (np.asarray(x) for x in (eq.path.factor, eq.path.smallest))
     ax.plot(factor, smallest, "o-", ms=4, color=COLORS[0])
@@ -102,13 +103,13 @@ def _lines(ax, t, lines: dict[str, np.ndarray], dashed: tuple[str, ...] = ()) ->
 
 
 def _moving(lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Without what stays still, to a millionth of what moves most."""
+    """The lines that vary by more than a millionth of the one that varies most."""
     widths = {name: np.ptp(values[np.isfinite(values)]) if np.isfinite(values).any() else 0.0 for name, values in lines.items()}
     return {name: values for name, values in lines.items() if widths[name] > 1e-6 * max(widths.values()) and widths[name] > 1e-12}
 
 
 def _turns(R: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Rotation vectors from an orientation (quaternion w, x, y, z), world axes, continued through whole turns."""
+    """Rotation vectors relative to an orientation (quaternion w, x, y, z), in world axes, unwrapped through full turns."""
     from scipy.spatial.transform import Rotation
 
     good = np.isfinite(R).all((1, 2))

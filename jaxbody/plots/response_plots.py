@@ -1,4 +1,4 @@
-"""Pictures of responses: frequency response, transmissibility and power spectral density; each draws into `ax` and returns the axes."""
+"""Plots of responses: frequency response, transmissibility and power spectral density."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from jaxbody.plots.canvases import COLORS, DASHES, GRAY, LIGHT, axes_below, axes
 from jaxbody.responses.frequency_responses import FrequencyResponse
 from jaxbody.responses.random_responses import RandomResponse
 
-MANY = 16  # lines whose names need a wider picture
+MANY = 16  # lines up to which the legend fits beside a plot of normal width
 
 
 def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> Any:
-    """Magnitudes over frequency, both on logarithmic scales, in one panel for each unit, and below them the phases; returns the uppermost axes.
+    """Magnitudes over frequency, both on logarithmic scales, one panel per unit, with the phases below; returns the top axes.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> found = frequency_response(linearize(model, equilibrium(model)), jnp.geomspace(0.1, 50, 100), {"road": BaseMotion("road", "z")}, {"body": PointMotion("body")})
-    >>> ax = plot_frequency_response(found)
+    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"body": PointMotion("body")}
+    >>> response = frequency_response(linearize(model, equilibrium(model)), jnp.geomspace(0.1, 50, 100), inputs, outputs)
+    >>> ax = plot_frequency_response(response)
     >>> ax.get_ylabel()
     'magnitude'
     """
@@ -45,14 +46,14 @@ def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> A
 
 
 def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any:
-    """Magnitudes that are ratios, of a motion over a like motion or of a force over a force, over frequency; what is above 1 is shaded.
+    """Dimensionless magnitudes over frequency, of motion over motion or force over force; the region above 1 is shaded.
 
-    Error: BAD_UNIT where the response has no ratios.
+    Error: BAD_UNIT if no output has the unit of an input.
     """
     ratios = [(i, j, name) for i, j, name in _pairs(response) if not response.unit(response.outputs[i], response.inputs[j])]
     if not ratios:
-        told, hint = "has no output in the unit of an input", "Ask for displacements of displacements, or forces of forces."
-        raise JaxbodyError(Problem("BAD_UNIT", "plot_transmissibility.response", told, response, "a ratio", hint))
+        message, hint = "has no output in the unit of an input", "Ask for displacements of displacements, or forces of forces."
+        raise JaxbodyError(Problem("BAD_UNIT", "plot_transmissibility.response", message, response, "a ratio", hint))
     ax = axes_or_new(ax, 7.0 if len(ratios) <= MANY else 9.0, 3.4)
     f, size, _ = _above_0_hz(response)
     for i, j, name in ratios:
@@ -67,16 +68,17 @@ def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any
 
 
 def plot_psd(response: RandomResponse, *, outputs: tuple[str, ...] | None = None, ax: Any = None) -> Any:
-    """Power spectral densities of outputs of one unit (those of the first, if none are named) on logarithmic scales, with their rms.
+    """Power spectral densities of outputs on logarithmic scales, with their rms values.
 
-    Errors: UNKNOWN_NAME; BAD_UNIT where the outputs are in several units.
+    outputs: names of outputs with one unit; None takes all with the unit of the first. Errors: UNKNOWN_NAME; BAD_UNIT if they have
+    several units.
     """
     names = outputs or tuple(name for name, unit in zip(response.outputs, response.units, strict=True) if unit == response.units[0])
     values = {name: float(response[name]) for name in names}
     units = {response.units[response.outputs.index(name)] for name in names}
     if len(units) > 1:
-        told, hint = f"are in {', '.join(sorted(units))}", "Draw those of one unit together."
-        raise JaxbodyError(Problem("BAD_UNIT", "plot_psd.outputs", told, units, "one unit", hint))
+        message, hint = f"are in {', '.join(sorted(units))}", "Draw those of one unit together."
+        raise JaxbodyError(Problem("BAD_UNIT", "plot_psd.outputs", message, units, "one unit", hint))
     ax = axes_or_new(ax, 7.0, 3.4)
     (unit,) = units
     f, psd = np.asarray(response.frequencies), np.asarray(response.psd)
@@ -93,14 +95,14 @@ def plot_psd(response: RandomResponse, *, outputs: tuple[str, ...] | None = None
 
 
 def _above_0_hz(response: FrequencyResponse) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Frequencies that a logarithmic scale has, magnitudes and phases."""
+    """The frequencies above 0 Hz, for the logarithmic scale, with magnitudes and unwrapped phases."""
     f = np.asarray(response.frequencies)
     values = np.asarray(response.values)[..., f > 0]
     return f[f > 0], np.abs(values), np.unwrap(np.angle(values))
 
 
 def _pairs(response: FrequencyResponse) -> list[tuple[int, int, str]]:
-    """Places of outputs and inputs that have to do with each other, and what to call the pair."""
+    """Indices of each output and input with a nonzero response between them, and the label of the pair."""
     size = np.asarray(response.magnitude).max(-1)
     several = len(response.inputs) > 1
     pairs = [(i, j, f"{y} of {u}" if several else y) for i, y in enumerate(response.outputs) for j, u in enumerate(response.inputs)]
@@ -108,14 +110,14 @@ def _pairs(response: FrequencyResponse) -> list[tuple[int, int, str]]:
 
 
 def look(response: FrequencyResponse, i: int, j: int) -> dict[str, Any]:
-    """A color for each output and a dash for each input, where there are enough of both."""
+    """One color per output and one dash pattern per input, if there are enough of both; else `style` by number."""
     if len(response.outputs) <= len(COLORS) and len(response.inputs) <= len(DASHES):
         return {"color": COLORS[i], "ls": DASHES[j]}
     return style(i * len(response.inputs) + j)
 
 
 def hertz(ax: Any, f: np.ndarray) -> None:
-    """Frequencies below, as plain numbers: all of 1, 2, 5 where there are few decades."""
+    """A logarithmic frequency axis with plain numbers: 1, 2, 5 of each decade, or 1 only where there are many decades."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     subs = (1.0, 2.0, 5.0) if f[-1] / f[0] < 3000 else (1.0,)

@@ -183,7 +183,7 @@ def test_a_history_shows_where_noise_was_estimated_anew_and_what_failed(ax):
     plots.plot_history(SimpleNamespace(history=[10.0, np.nan, 0.03, 300.0, 250.0], rounds=(3,)), ax=ax)
     first, second, *_ = ax.lines
     assert list(first.get_xdata()) == [0, 2] and list(second.get_ydata()) == [300.0, 250.0]
-    assert list(lines(ax)["noise estimated anew"].get_xdata()) == [2.5, 2.5] and list(lines(ax)["could not be simulated"].get_xdata()) == [
+    assert list(lines(ax)["noise estimated again"].get_xdata()) == [2.5, 2.5] and list(lines(ax)["could not be simulated"].get_xdata()) == [
         1
     ]
 
