@@ -1,1 +1,1 @@
-"""Design: tune, pareto, sweep, tolerances, objectives."""
+"""Design optimization, Pareto fronts, sweeps, tolerances, sensitivities, and objectives for them."""

@@ -33,7 +33,8 @@ SAME, NOTABLE = 1e-6, 1e-3  # differences relative to the range of an objective
 
 class Front(Result):
     """`objectives` {name: (n,)} along the front, `values` {path: (n, ...)} and all `quantities` {name: (n, ...)} of its designs, `slopes`
-    (n, k - 1), the derivatives of the first objective with respect to the others, `status` of each point, and `designs`, the results of `tune`.
+    (n, k - 1), the derivatives of the first objective with respect to the others, `status` of each point, and `designs`, the results of
+    `tune`.
 
     >>> import inspect
     >>> inspect.signature(pareto).return_annotation  # pareto returns one
@@ -83,15 +84,16 @@ def pareto(
         points: number of designs on the front.
         options: the other options of `tune`.
 
-    Two objectives: from the design with the least second objective to that with the least first one, about equally spaced relative to their
-    ranges. Three objectives: such fronts of the first and third for several bounds on the second, about `points` in all, without dominated or
-    repeated designs. Warns of the worst status of a design. Errors: BAD_FRONT, those of `tune`.
+    Two objectives: from the design with the least second objective to that with the least first one, about equally spaced relative to
+    their ranges. Three objectives: such fronts of the first and third for several bounds on the second, about `points` in all, without
+    dominated or repeated designs. Warns of the worst status of a design. Errors: BAD_FRONT, those of `tune`.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):
     ...     c = model["suspension"].damping / 1500.0
     ...     return {"shake": c + 1 / c, "travel": 1 / c}
-    >>> front = pareto(car, trade, minimize=["shake", "travel"], free=["suspension.damping"], bounds={"*.damping": (500.0, 5000.0)}, points=4)
+    >>> bounds = {"*.damping": (500.0, 5000.0)}
+    >>> front = pareto(car, trade, minimize=["shake", "travel"], free=["suspension.damping"], bounds=bounds, points=4)
     >>> [round(float(x), 3) for x in front.objectives["travel"][[0, -1]]]
     [0.3, 1.0]
     """
@@ -113,7 +115,7 @@ def pareto(
             both[other] = (lower, bound if upper is None else min(bound, upper))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the front has the status of each
-            return tune(start, evaluate, minimize=name, free=free, limits=both, **(options if start is model else {**options, "starts": 1}))
+            return tune(start, evaluate, minimize=name, free=free, limits=both, **(options if start is model else options | {"starts": 1}))
 
     with working("pareto", options.get("progress")) as line:
         ends = [least(model, name, {}) for name in names]

@@ -13,8 +13,17 @@ At = Callable[[np.ndarray], tuple[float, np.ndarray, np.ndarray, np.ndarray]]  #
 def minimize_by_ipopt(
     at: At, u: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], limits: tuple[np.ndarray, np.ndarray], iterations: int, tolerance: float
 ) -> int:
-    """Minimize; returns the number of iterations, while `at` keeps the best point. Source: A. Waechter, L. Biegler, Mathematical
-    Programming 106 (2006) 25; second derivatives by limited-memory updates."""
+    """Minimize f(u) within bounds on u and limits on c(u), with second derivatives by limited-memory updates.
+
+    Args:
+        at: u -> f, its gradient, c and its Jacobian; it also keeps the best point.
+        u: the start.
+        bounds: least and largest u.
+        limits: least and largest c.
+        iterations: at most.
+        tolerance: IPOPT's convergence tolerance.
+
+    Returns the number of iterations. Source: A. Waechter, L. Biegler, Mathematical Programming 106 (2006) 25."""
     import casadi  # pyright: ignore
 
     n, m = len(u), len(limits[0])

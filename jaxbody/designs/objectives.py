@@ -58,7 +58,7 @@ def smooth_max(x: Any, width: Any) -> Float[Array, ""]:
 
 
 def smooth_min(x: Any, width: Any) -> Float[Array, ""]:
-    """The smallest of numbers without kinks, -smooth_max(-x): below it by at most width log(n). Errors: BAD_WIDTH, NOT_A_NUMBER.
+    """A smooth minimum, -smooth_max(-x): below the smallest number by at most width log(n). Errors: BAD_WIDTH, NOT_A_NUMBER, NO_DATA.
 
     >>> round(float(smooth_min([1.0, 2.0, 3.0], 0.1)), 4)
     1.0
@@ -67,11 +67,11 @@ def smooth_min(x: Any, width: Any) -> Float[Array, ""]:
 
 
 def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
-    """The largest absolute value without kinks, for example of a force in an earthquake.
+    """A smooth maximum of absolute values, for example of a force in an earthquake.
 
         (sum of |x|^power)^(1/power),   above the largest by at most the factor n^(1/power), n the number of values near it
 
-    NaN if one of them is not finite. Errors: NOT_A_NUMBER, NO_DATA, BAD_NUMBER of a power below 1.
+    NaN if one of them is not finite. Errors: NOT_A_NUMBER, NO_DATA, BAD_NUMBER if the power is below 1.
 
     >>> round(float(peak([-3.0, 1.0, 2.0])), 6)
     3.0
@@ -87,7 +87,9 @@ def peak(x: Any, *, power: float = 50.0) -> Float[Array, ""]:
 
 
 def dominant_shares(lin: Linearization) -> Float[Array, "n"]:
-    """The largest share of kinetic energy in one body and direction for each mode [%]; 100 for an uncoupled mode. It has kinks: not an objective.
+    """The largest share of kinetic energy in one body and direction for each mode [%]; 100 for an uncoupled mode.
+
+    Its derivatives jump where another share becomes the largest: minimize `coupling_of_modes` instead.
 
     >>> model = jb.presets.engine_on_mounts()
     >>> [round(float(x), 2) for x in dominant_shares(linearize(model, model.reference))]
@@ -101,11 +103,11 @@ def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
 
         sum over modes j of sum over i != k of |e_ij| |e_kj|,   e_ij = v_i (M v)_i/(v' M v), shares of kinetic energy as in `mode_energies`
 
-    It is 0 if each mode has one share only, and 5/6 per mode for six equal shares. Shares may be negative with products of inertia, so their
-    absolute values count, sqrt(e^2 + 1e-12). Modes with equal frequencies are aligned with the directions, so that equal frequencies alone cause
-    no coupling. Source: kinetic energy decoupling, T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
+    It is 0 if each mode has one share only, and 5/6 per mode for six equal shares. Products of inertia can make shares negative, so their
+    absolute values count, sqrt(e^2 + 1e-12). Modes with equal frequencies are aligned with the directions, so that equal frequencies alone
+    cause no coupling. Source: kinetic energy decoupling, T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
 
-    >>> model = jb.presets.isolated_table(at=(0.45, 0.3, 0.0))  # in the plane of its centre of mass
+    >>> model = jb.presets.isolated_table(at=(0.45, 0.3, 0.0))  # in the plane of its center of mass
     >>> round(float(coupling_of_modes(linearize(model, model.reference))), 4)
     0.0
     """
@@ -117,7 +119,7 @@ def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
 def torque_roll_coupling(lin: Linearization, body: str, torque: Any) -> Float[Array, ""]:
     """The deviation of a rotation about the torque roll axis from a mode, squared to be smooth at 0.
 
-        |K r - w^2 M r|^2/(w^2 |M r|)^2 in the norm of M^-1,   r the turn about the torque roll axis, w^2 = r' K r/(r' M r)
+        |K r - w^2 M r|^2/(w^2 |M r|)^2 in the norm of M^-1,   r the rotation about the torque roll axis, w^2 = r' K r/(r' M r)
 
     Errors and source: `torque_roll_axis`.
 
@@ -133,8 +135,8 @@ def band_intrusion(frequencies: Any, band: tuple[float, float]) -> Float[Array, 
 
         sum of max(0, 1 - ((f - m)/h)^2)^2,   m the middle of the band, h half its width
 
-    It is 0 if all are outside and 1 for one in the middle; as a sum over all, it is smooth where frequencies cross. To keep frequencies inside a
-    band, limit them: limits={"frequency": (6, 18)}. Errors: BAD_BAND, NOT_A_NUMBER.
+    It is 0 if all frequencies are outside and 1 for one in the middle; as a sum over all, it is smooth where frequencies cross. To keep
+    frequencies inside a band, limit them: limits={"frequency": (6, 18)}. Errors: BAD_BAND, NOT_A_NUMBER.
 
     >>> [round(float(band_intrusion([f, 40.0], (20.0, 30.0))), 4) for f in (25.0, 29.0, 31.0)]
     [1.0, 0.1296, 0.0]
@@ -150,33 +152,35 @@ def band_intrusion(frequencies: Any, band: tuple[float, float]) -> Float[Array, 
 def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Array, ""]:
     """The root mean square of a frequency response over the logarithm of frequency, in units of output per input.
 
-        sqrt(int |H|^2 d ln f/int d ln f);   the largest is peak(response[output, name])
+        sqrt(int |H|^2 d ln f/int d ln f)
 
-    Errors: UNKNOWN_NAME, BAD_FREQUENCY of 0 Hz.
+    For the largest magnitude instead take peak(response[output, name]). Errors: UNKNOWN_NAME, BAD_FREQUENCY if a frequency is 0 Hz.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> found = frequency_response(linearize(model, model.reference), jnp.geomspace(5, 50, 100), {"road": BaseMotion("road", "z")}, {"body": PointMotion("body")})
-    >>> round(float(transmitted(found, "body", "road")), 3)
+    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"body": PointMotion("body")}
+    >>> response = frequency_response(linearize(model, model.reference), jnp.geomspace(5, 50, 100), inputs, outputs)
+    >>> round(float(transmitted(response, "body", "road")), 3)
     0.106
     """
     known = concrete(response.frequencies)
     if known is not None and not known.all():
-        hint = "Its logarithm is infinite: leave it out."
+        hint = "The average is over log(f): leave 0 Hz out."
         raise JaxbodyError(Problem("BAD_FREQUENCY", "transmitted.response", "has a frequency of 0 Hz", 0.0, "> 0", hint))
     H, x = response[output, name], jnp.log(response.frequencies)
     return jnp.sqrt(jnp.trapezoid(H.real**2 + H.imag**2, x) / (x[-1] - x[0]))
 
 
 def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
-    """The vibration total value [m/s2] of accelerations in a random response, {output: "Wk" (z) or "Wd" (x, y)}; small is comfortable.
+    """The vibration total value [m/s2] of accelerations in a random response; a small value means good comfort.
 
         sqrt(sum of a_w^2),   a_w^2 = int |W|^2 S_a df
 
-    Errors: those of `weighted`. Source: ISO 2631-1:1997, 6.5.
+    weights: {output: "Wk" for z or "Wd" for x and y}. Errors: those of `weighted`. Source: ISO 2631-1:1997, 6.5.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
-    ...                        {"body": PointMotion("body", kind="acceleration"), "travel": ElementDeformation("suspension"), "tyre": ElementForce("tyre")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    >>> outputs = {"body": PointMotion("body", kind="acceleration")}
+    >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
+    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")}, outputs, road)
     >>> round(float(comfort(ride, {"body": "Wk"})), 2)
     1.19
     """
@@ -184,15 +188,16 @@ def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
 
 
 def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, ""]:
-    """The rms variation of tyre forces relative to the static loads, {output: static load [N]}; small means good road holding.
+    """The rms variation of tyre forces relative to their static loads; a small value means good road holding.
 
-        sqrt(mean of (rms of F/load)^2);   a tyre may lift off where three times that reaches 1
+        sqrt(mean of (rms of F/load)^2);   a tyre may lift off if three times this value reaches 1
 
-    Errors: UNKNOWN_NAME, BAD_UNIT if an output is not a force.
+    forces: {output: static load [N]}. Errors: UNKNOWN_NAME, BAD_UNIT if an output is not a force.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
-    ...                        {"body": PointMotion("body", kind="acceleration"), "travel": ElementDeformation("suspension"), "tyre": ElementForce("tyre")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
+    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"tyre": ElementForce("tyre")}
+    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), inputs, outputs, road)
     >>> round(float(road_holding(ride, {"tyre": 450 * 9.81})), 2)
     0.23
     """
@@ -207,13 +212,14 @@ def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, "
 
 
 def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Array, ""]:
-    """The stroke [m] of an element, whose deformation is an output of a random response: |static| + 3 rms, not exceeded for 99.7 % of the time.
+    """The stroke [m] of an element, |static| + 3 rms, which is exceeded for 0.3 % of the time only.
 
-    Error: UNKNOWN_NAME.
+    output: the deformation of the element in a random response; static: its static deformation [m]. Error: UNKNOWN_NAME.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
-    ...                        {"body": PointMotion("body", kind="acceleration"), "travel": ElementDeformation("suspension"), "tyre": ElementForce("tyre")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
+    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"travel": ElementDeformation("suspension")}
+    >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), inputs, outputs, road)
     >>> round(float(stroke(ride, "travel")), 3)
     0.037
     """

@@ -95,12 +95,12 @@ class Program:
 
     def quantities(self, values: np.ndarray) -> Quantities:
         parts = np.split(values, np.cumsum([int(np.prod(shape)) for _, shape in self.shapes])[:-1], axis=-1)
-        return {name: part.reshape((*values.shape[:-1], *shape)) for (name, shape), part in zip(self.shapes, parts, strict=True)}  # pyright: ignore[reportReturnType]  NumPy's
+        return {name: part.reshape((*values.shape[:-1], *shape)) for (name, shape), part in zip(self.shapes, parts, strict=True)}  # pyright: ignore[reportReturnType]
 
 
 @jit_optimized
 def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any):
-    """Values, derivatives and shapes; they do not depend on what is minimized or limited, so one program serves all choices."""
+    """Values, derivatives and shapes of all quantities; the choice of the objective and the limits needs no new compilation."""
     shapes: list[tuple[str, tuple[int, ...]]] = []
 
     def flat(u):
@@ -120,7 +120,8 @@ def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u:
 
 
 def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array, "n"]) -> tuple[Float[Array, "m"], Float[Array, "m n"]]:
-    """The value and the Jacobian: linearized once, or by directions if the function has loops of unknown length, such as simulations."""
+    """The value and the Jacobian by one linearization, or direction by direction if the function has loops of unknown length, such as
+    simulations."""
     function = needed(function, u)
     try:
         values, tangent = jax.linearize(function, u)
@@ -136,14 +137,15 @@ def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array,
 
 
 def needed(function: Callable[[Array], Array], u: Float[Array, "n"]) -> Callable[[Array], Array]:
-    """The function without computations that its result does not need; differentiating them would take as long as compiling the rest."""
+    """The function without computations that its result does not need, because differentiating these would take as long as compiling the
+    rest."""
     kept = only_what_is_needed(jax.make_jaxpr(function)(u))
     return lambda u: jaxpr_as_fun(kept)(u)[0]
 
 
 def evaluated(evaluate: Evaluate, *given: Any) -> Quantities:
     """{name: array} of evaluate(model) during tracing. Error: BAD_OBJECTIVE."""
-    hint = "Return {name: number or array}, or one number, computed by JAX functions of the model, without float(), numpy or if on its numbers."
+    hint = "Return {name: number or array}, or one number, by JAX functions of the model, without float(), numpy or if on its numbers."
     if not callable(evaluate):
         raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", f"is {evaluate!r:.60}", evaluate, "a function of the model", hint))
     try:

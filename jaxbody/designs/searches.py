@@ -57,7 +57,8 @@ class Stopped(Exception):
 
 @dataclass
 class Search:
-    """One start between bounds, the best `u` reached from it with its `values` and `slopes`, and the `history` of objective and violation."""
+    """One start between bounds, the best `u` reached from it with its `values` and `slopes`, and the `history` of objective and
+    violation."""
 
     start: DesignVector
     low: DesignVector
@@ -158,14 +159,13 @@ class Scaled:
         """Values and derivatives; where derivatives do not exist, those of a point nearby."""
         values, slopes = self.search.ask(u)
         if self._finite(values) and not self._finite(slopes):
-            step = OFFSET * np.cos(1.0 + np.arange(len(u)))
-            slopes = self.search.ask(np.clip(np.where(u + step > self.search.high, u - step, u + step), self.search.low, self.search.high))[
-                1
-            ]
+            search, step = self.search, OFFSET * np.cos(1.0 + np.arange(len(u)))
+            slopes = search.ask(np.clip(np.where(u + step > search.high, u - step, u + step), search.low, search.high))[1]
         return values, slopes
 
     def at(self, u: DesignVector) -> tuple[float, DesignVector, np.ndarray, np.ndarray]:
-        """f, its gradient, the limited c and their Jacobian, scaled. A trial that is not finite gets the last finite values plus a penalty."""
+        """f, its gradient, the limited c and their Jacobian, scaled. A trial that is not finite gets the last finite values plus a
+        penalty."""
         key = u.tobytes()
         if self.last[0] != key:
             inside = np.clip(u, self.search.low, self.search.high)
@@ -184,7 +184,8 @@ class Scaled:
         return self.last[1]
 
     def _keep(self, u: DesignVector, values: DesignVector, slopes: np.ndarray) -> None:
-        """Add to the history, and keep u if it is better than the best so far: smaller violation or, if both are feasible, lower objective."""
+        """Add to the history, and keep u if it is better than the best so far: smaller violation or, if both are feasible, lower
+        objective."""
         search, f = self.search, self.rows.objective
         violation, before = (float(self.rows.violation(x, self.scale)) for x in (values, search.values))
         search.history.append((float(values[f]), violation))
@@ -201,7 +202,8 @@ def scales(rows: Rows, values: np.ndarray) -> np.ndarray:
 
 
 def search_with(method: str, rows: Rows, iterations: int, tolerance: float) -> Callable[[Search], None]:
-    """The function that runs a search: the method, restarted while it improves; if limits are violated, the violation is minimized first."""
+    """The function that runs a search: the method, restarted while it improves; if limits are violated, the violation is minimized
+    first."""
 
     def run(search: Search) -> None:
         problem = Scaled(search, rows)

@@ -1,4 +1,4 @@
-"""Which parameter moves a quantity most: exact slopes, and what a change of each parameter to either side makes of it."""
+"""Sensitivities of quantities to parameters: exact slopes, and the values after a decrease or an increase of each parameter."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from jaxbody.models.preconditions import check_precision
 from jaxbody.parameters.design_spaces import space_of
 from jaxbody.parameters.transforms import Positive
 
-SHOWN = 5  # of each quantity
+SHOWN = 5  # parameters printed for each quantity
 
 
 class Sensitivities(Result):
-    """`nominal` values of `quantities`, `slopes` (quantities, parameters) d q/d x, and what each is with each of the `parameters` lower and higher by the `change`: `low`, `high`.
-    `ranked(quantity)`: the parameters, the strongest first."""
+    """Result of `sensitivities`: `nominal` values of the `quantities`, their `slopes` d q/d x (quantities, parameters), and their values
+    `low` and `high` with each of the `parameters` lower and higher by the relative `change`. `ranked(quantity)` lists the parameters, the
+    strongest first."""
 
     nominal: Float[np.ndarray, "m"]
     slopes: Float[np.ndarray, "m n"]
@@ -59,17 +60,21 @@ class Sensitivities(Result):
 def sensitivities(
     model: Model, evaluate: Evaluate, *, free: str | Iterable[str], change: float = 0.1, progress: bool | None = None
 ) -> Sensitivities:
-    """How quantities depend on parameters, one at a time, about the model as it is.
+    """How quantities depend on parameters, changed one at a time from their values in the model.
 
         d q/d x exactly;   q(x (1 - change)),   q(x (1 + change))
 
-    evaluate, free: as of `tune`. What has no size of its own, such as a coordinate that is 0, changes by that share of the model's size, orientations by `change` radians. progress: as of `tune`. Errors: those of `tune`
-    about these, BAD_CHANGE; warns NONFINITE.
+    Args:
+        model, evaluate, free, progress: as in `tune`.
+        change: relative change of each parameter. Parameters without a scale, such as a coordinate that is 0, change by this fraction of
+            the model's size, orientations by `change` radians.
+
+    Errors: those of `tune` about these arguments, BAD_CHANGE. Warns NONFINITE.
 
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
-    >>> found = sensitivities(jb.presets.quarter_car(), sag, free=["suspension.stiffness", "body.mass", "tyre.stiffness"])
-    >>> found.ranked("sag")
+    >>> result = sensitivities(jb.presets.quarter_car(), sag, free=["suspension.stiffness", "body.mass", "tyre.stiffness"])
+    >>> result.ranked("sag")
     ('suspension.stiffness', 'body.mass', 'tyre.stiffness')
     """
     check_precision("sensitivities", model)

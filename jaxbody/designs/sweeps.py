@@ -1,4 +1,4 @@
-"""Sweeps: quantities of many models, on a grid of named parameters or at samples, as labelled arrays, by one program in chunks."""
+"""Sweeps: quantities of many models on a grid of parameters or at samples, as labeled arrays, computed in chunks by one program."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 
 LARGEST_CHUNK = 1024
-MEMORY = 2**30  # bytes that a chunk may take besides its results
+MEMORY = 2**30  # bytes of temporary memory that a chunk may take
 SAMPLERS = {"sobol": "Sobol", "latin": "LatinHypercube"}  # in scipy.stats.qmc
 
 compiled: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
@@ -40,20 +40,26 @@ def sweep(
     chunk: int | None = None,
     progress: bool | None = None,
 ) -> Any:
-    """An xarray.Dataset of quantities of the model with other values of parameters.
+    """Quantities of a model for many values of its parameters, as an xarray.Dataset.
 
-    evaluate: model -> {name: number or array} or one number, then called "objective", in JAX. over: {path or pattern: values}, the grid of all their combinations, an axis
-    for each; or, with `samples`, {path or pattern: (low, high)}, so many points between these, spread evenly by scipy.stats.qmc: sampler "sobol" (best with a power of two) or "latin"
-    (hypercube), scrambled by `key`. A value that a pattern means serves all its matches. chunk: how many models at a time; without it as many, up to 1024, as
-    take less than 1 GiB. The same `evaluate` is compiled once. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True tells on stderr at once.
+    Args:
+        model: the model.
+        evaluate: model -> {name: number or array} by JAX functions, or one number, then called "objective". It is compiled once.
+        over: {path or pattern: values}, a grid of all combinations with one axis each; or, with `samples`, {path or pattern: (low,
+            high)}. All matches of a pattern get the same value.
+        samples: number of points between low and high; None computes the grid.
+        sampler: how scipy.stats.qmc spreads the samples: "sobol" (best with a power of two) or "latin" (hypercube).
+        key: scrambles the samples; None takes jax.random.key(0).
+        chunk: number of models evaluated at a time; None takes up to 1024 that fit in 1 GiB.
+        progress: None shows progress after five seconds on a terminal or in a notebook, False is silent, True prints to stderr at once.
 
     Errors: those of `replace`, NON_FINITE, WRONG_KIND of a key, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, MISSING_EXTRA.
 
     >>> car = jb.presets.quarter_car()
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
-    >>> found = sweep(car, sag, {"suspension.stiffness": [2e4, 4e4], "body.mass": [300.0, 350.0, 400.0]})
-    >>> round(float(found["sag"].sel({"suspension.stiffness": 4e4, "body.mass": 400.0})), 4)
+    >>> quantities = sweep(car, sag, {"suspension.stiffness": [2e4, 4e4], "body.mass": [300.0, 350.0, 400.0]})
+    >>> round(float(quantities["sag"].sel({"suspension.stiffness": 4e4, "body.mass": 400.0})), 4)
     0.0981
     """
     check_precision("sweep", model)
@@ -80,15 +86,15 @@ def sweep(
         shape = tuple(len(values) for values in columns.values())
         index = np.indices(shape).reshape(len(shape), -1)
         points = {path: values[i] for (path, values), i in zip(columns.items(), index, strict=True)}
-    for ends in (np.argmin, np.argmax):  # what any number is checked for, the least or the largest shows
+    for ends in (np.argmin, np.argmax):  # if the smallest and the largest values are valid, so are those between
         replace(model, {path: _end(values, ends) for path, values in points.items()})
     with working("sweep", progress) as line:
-        found = _evaluated(model, evaluate, points, chunk, line, progress)
-    return sweep_dataset(columns, found, on_grid=samples is None)
+        quantities = _evaluated(model, evaluate, points, chunk, line, progress)
+    return sweep_dataset(columns, quantities, on_grid=samples is None)
 
 
 def _end(values: np.ndarray, which: Any) -> np.ndarray:
-    """The value that holds the least or the largest number."""
+    """The value that contains the smallest or the largest number."""
     return values[np.unravel_index(which(values), values.shape)[0]]
 
 
@@ -116,15 +122,15 @@ def _sampled(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> di
 def _evaluated(
     model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], chunk: int | None, line: Line, progress: bool | None
 ) -> dict[str, np.ndarray]:
-    """Of all points, chunk by chunk."""
+    """The quantities at all points, computed chunk by chunk."""
     count = len(next(iter(points.values())))
     program, width = _program(model, evaluate, points, min(count, chunk or LARGEST_CHUNK), chunk is None)
     numbers = eqx.filter(model, eqx.is_array)
     parts = []
     for first in range(0, count, width):
-        rows = np.minimum(np.arange(first, first + width), count - 1)  # the last chunk is filled with its last point
-        found = program(numbers, {path: jnp.asarray(values[rows]) for path, values in points.items()})
-        parts.append(jax.tree.map(lambda x, first=first: np.asarray(x)[: count - first], found))
+        rows = np.minimum(np.arange(first, first + width), count - 1)  # the last chunk is padded with its last point
+        quantities = program(numbers, {path: jnp.asarray(values[rows]) for path, values in points.items()})
+        parts.append(jax.tree.map(lambda x, first=first: np.asarray(x)[: count - first], quantities))
         done = min(first + width, count)
         line(f"{done} of {count} models")
         if progress:
@@ -133,7 +139,7 @@ def _evaluated(
 
 
 def _program(model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], width: int, may_shrink: bool):
-    """The compiled program for chunks of `width` models, of fewer where these would take too much memory, and that width."""
+    """The compiled program for chunks of `width` models and its width, which is smaller if the chunk would take too much memory."""
     numbers, rest = eqx.partition(model, eqx.is_array)
     shapes = tuple((path, values.shape[1:]) for path, values in points.items())
     known = compiled.setdefault(evaluate, {})
@@ -156,12 +162,12 @@ def _program(model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], wi
     return known[place]
 
 
-def sweep_dataset(columns: dict[str, Any], found: dict[str, Any], *, on_grid: bool) -> Any:
-    """Of a sweep: each quantity over the axes of the grid, or over `sample`."""
+def sweep_dataset(columns: dict[str, Any], quantities: dict[str, Any], *, on_grid: bool) -> Any:
+    """The dataset of a sweep: each quantity over the axes of the grid, or over `sample`."""
     axes = tuple(columns) if on_grid else ("sample",)
     lengths = tuple(len(values) for values in columns.values()) if on_grid else (len(next(iter(columns.values()))),)
     variables = {}
-    for name, values in found.items():
+    for name, values in quantities.items():
         own = values.shape[1:]
         variables[name] = ((*axes, *(f"{name}_{i}" for i in range(len(own)))), values.reshape(*lengths, *own), "")
     coordinates = {}

@@ -1,4 +1,4 @@
-"""Tolerances: how far quantities of a design scatter when its parameters do, to first and second order and by sampling.
+"""Tolerances: the scatter of a design's quantities due to scatter of its parameters, to first and second order and by sampling.
 
 x + s xi, xi normal and independent:   first order    mean f,             variance sum (f_i s_i)^2
                                        second order   mean f + sum f_ii s_i^2/2,   variance the same + sum (f_ij s_i s_j)^2/2
@@ -26,15 +26,16 @@ from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 
-CHUNK = 256  # samples side by side
-SHOWN = 3
+CHUNK = 256  # samples per batch
+SHOWN = 3  # parameters printed for each quantity
 
 Scatter = dict[str, Any]
 
 
 class Tolerances(Result):
-    """By quantity, each (m,) over `quantities`: `nominal`; standard deviations to `first` order; `mean` and `deviation` to second; `sampled_mean`, `sampled_deviation`
-    and all `samples` (n, m); `shares` (m, k) of each of the `parameters` in the first variance."""
+    """Result of `tolerances`, for each of m `quantities`: `nominal` values; standard deviations to `first` order; `mean` and standard
+    `deviation` to second order; `sampled_mean` and `sampled_deviation` of all `samples` (n, m); `shares` (m, k) of the `parameters` in the
+    variance to first order."""
 
     nominal: Float[Array, "m"]
     first: Float[Array, "m"]
@@ -60,16 +61,16 @@ class Tolerances(Result):
         return self.quantities.index(quantity)
 
     def explain(self) -> str:
-        return f"{int(np.sum(~np.isfinite(self.samples).all(-1)))} of {len(self.samples)} samples have no numbers"
+        return f"{int(np.sum(~np.isfinite(self.samples).all(-1)))} of {len(self.samples)} samples are not finite"
 
     def _tables(self) -> list[tables.PrintedTable]:
         columns = (self.nominal, self.first, self.mean, self.deviation, self.sampled_mean, self.sampled_deviation)
         most = [np.argsort(-np.asarray(share))[:SHOWN] for share in self.shares]
-        told = [
+        strongest = [
             ", ".join(f"{self.parameters[i]} {100 * float(share[i]):.0f} %" for i in order if share[i] > 0.005)
             for order, share in zip(most, self.shares, strict=True)
         ]
-        rows = [(name, *numbers, words) for name, *numbers, words in zip(self.quantities, *columns, told, strict=True)]
+        rows = [(name, *numbers, words) for name, *numbers, words in zip(self.quantities, *columns, strongest, strict=True)]
         heads = (
             "quantity",
             "nominal",
@@ -86,15 +87,21 @@ class Tolerances(Result):
 def tolerances(
     model: Model, evaluate: Evaluate, scatter: Scatter, *, samples: int = 1000, key: Any = None, progress: bool | None = None
 ) -> Tolerances:
-    """The spread of quantities when parameters scatter.
+    """The scatter of quantities due to independent, normal scatter of parameters.
 
-    evaluate: as of `tune`. scatter: {path or pattern: standard deviation, in the parameter's unit, one number or one for each of the leaf's}, each number of each parameter by itself, normal. samples:
-    of the Monte Carlo method, drawn with `key`. progress: a line after five seconds on a terminal or in a notebook; False is silent. Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER, WRONG_KIND of a key; warns NONFINITE where samples have no numbers.
+    Args:
+        model, evaluate: as in `tune`.
+        scatter: {path or pattern: standard deviation}, in the parameter's unit, one number or an array of the parameter's shape.
+        samples: number of Monte Carlo samples.
+        key: for these samples; None takes jax.random.key(0).
+        progress: None shows a line after five seconds on a terminal or in a notebook, False is silent.
+
+    Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER, WRONG_KIND of a key. Warns NONFINITE if samples are not finite.
 
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
-    >>> found = tolerances(jb.presets.quarter_car(), sag, {"suspension.stiffness": 1750.0})  # 5 %
-    >>> round(float(found.first[0] / found.nominal[0]), 4), round(float(found.mean[0] / found.nominal[0]), 4)
+    >>> result = tolerances(jb.presets.quarter_car(), sag, {"suspension.stiffness": 1750.0})  # 5 %
+    >>> round(float(result.first[0] / result.nominal[0]), 4), round(float(result.mean[0] / result.nominal[0]), 4)
     (0.05, 1.0025)
     """
     check_precision("tolerances", model)
@@ -106,28 +113,28 @@ def tolerances(
     key = jax.random.key(0) if key is None else key
     with working("tolerances", progress) as line:
         line(f"derivatives and {samples} samples, as one program")
-        found, labels = jax.block_until_ready(_tolerances(model, evaluate, leaves, deviations, samples, key))
+        numbers, labels = jax.block_until_ready(_tolerances(model, evaluate, leaves, deviations, samples, key))
     parameters = [
         leaf.path + (str(list(i)).replace(" ", "") if s.ndim else "")
         for leaf, s in zip(leaves, deviations, strict=True)
         for i in np.ndindex(s.shape)
     ]
-    result = Tolerances(*found, quantities=labels, parameters=tuple(parameters))
+    result = Tolerances(*numbers, quantities=labels, parameters=tuple(parameters))
     warn_if_failed(result)
     return result
 
 
 def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Evaluate:
-    """Quantities for a design that is to be good when made: `tune` it with evaluate = robust(evaluate, scatter).
+    """Quantities for a design that allows for tolerances: tune(model, robust(evaluate, scatter), ...).
 
-        "name high", "name low" = mean + k sigma, mean - k sigma, both to second order, k = `sigmas`;   "name" as it was
+        "name high", "name low" = mean + k sigma, mean - k sigma, both to second order, k = `sigmas`;   "name" unchanged
 
-    scatter: as of `tolerances`. Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER, when it is evaluated.
+    evaluate, scatter: as in `tolerances`. Errors, raised when it is evaluated: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER.
 
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
-    >>> found = robust(sag, {"suspension.stiffness": 1750.0})(jb.presets.quarter_car())
-    >>> [round(float(found[name]), 4) for name in ("sag", "sag high", "sag low")]
+    >>> quantities = robust(sag, {"suspension.stiffness": 1750.0})(jb.presets.quarter_car())
+    >>> [round(float(quantities[name]), 4) for name in ("sag", "sag high", "sag low")]
     [0.1051, 0.1212, 0.0896]
     """
 
@@ -140,9 +147,9 @@ def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Eval
         moved = Moved(model, evaluate, leaves, deviations)
         f, J, H = _expanded(moved.flat, moved.size)
         mean, deviation = _moments(f, J, H)
-        told = dict(moved.parts(f))
+        nominal = dict(moved.parts(f))
         high, low = moved.parts(mean + sigmas * deviation), moved.parts(mean - sigmas * deviation)
-        return told | {f"{name} high": x for name, x in high.items()} | {f"{name} low": x for name, x in low.items()}
+        return nominal | {f"{name} high": x for name, x in high.items()} | {f"{name} low": x for name, x in low.items()}
 
     return with_scatter
 
@@ -153,11 +160,11 @@ def scattering(model: Model, scatter: Scatter, where: str) -> tuple[tuple[Leaf, 
     scatter = checked_dict(scatter, where, "path: standard deviation", problems)
     problems.raise_if_any()
     arrays = jax.tree.leaves(model)
-    for pattern, found in matching(leaves_of(model), scatter, where).items():
+    for pattern, matches in matching(leaves_of(model), scatter, where).items():
         given = problems.gather(lambda pattern=pattern: float_array(scatter[pattern], f"{where}[{pattern!r}]"))
         if given is None:
             continue
-        for leaf in found:
+        for leaf in matches:
             shape = leaf.shape(arrays)
             known = concrete(given)
             if given.shape not in ((), shape) or (known is not None and not ((known >= 0).all() and np.isfinite(known).all())):
@@ -169,13 +176,13 @@ def scattering(model: Model, scatter: Scatter, where: str) -> tuple[tuple[Leaf, 
             leaves.append(leaf)
             deviations.append(jnp.broadcast_to(jnp.asarray(given), shape))
     if not leaves and not problems.collected:
-        problems.add("BAD_SCATTER", where, "is empty", limit="at least one path", hint="Say what scatters.")
+        problems.add("BAD_SCATTER", where, "is empty", limit="at least one path", hint="Give {path: standard deviation}.")
     problems.raise_if_any()
     return tuple(leaves), tuple(deviations)
 
 
 class Moved:
-    """All quantities as one vector of xi."""
+    """All quantities as one vector, a function of the standardized deviations xi."""
 
     def __init__(self, model: Model, evaluate: Evaluate, leaves: tuple[Leaf, ...], deviations: tuple[Array, ...]):
         self.model, self.evaluate, self.leaves, self.deviations = model, evaluate, leaves, deviations
@@ -186,9 +193,9 @@ class Moved:
         arrays = jax.tree.leaves(self.model)
         parts = jnp.split(xi, np.cumsum([s.size for s in self.deviations])[:-1])
         values = {leaf: leaf.read(arrays) + s * x.reshape(s.shape) for leaf, s, x in zip(self.leaves, self.deviations, parts, strict=True)}
-        found = evaluated(self.evaluate, write(self.model, values))
-        self.shapes = {name: x.shape for name, x in found.items()}
-        return jnp.concatenate([x.ravel() for x in found.values()])
+        quantities = evaluated(self.evaluate, write(self.model, values))
+        self.shapes = {name: x.shape for name, x in quantities.items()}
+        return jnp.concatenate([x.ravel() for x in quantities.values()])
 
     def parts(self, values: Float[Array, "m"]) -> Quantities:
         ends = np.cumsum([int(np.prod(shape)) for shape in self.shapes.values()])[:-1]

@@ -1,4 +1,4 @@
-"""Design optimization: free parameters of a model minimize one quantity within limits on others, by exact gradients.
+"""Design optimization: choose the free parameters of a model to minimize one quantity within limits on others, by exact gradients.
 
     minimize f(x),   lower <= c(x) <= upper,   x between bounds,   f and c any JAX functions of the model
 
@@ -30,7 +30,7 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.parameters.design_spaces import Space, at_value, drawn, space_of
 
-MOST_NEIGHBORS = 6  # parameters from catalogues, at most, for which all combinations of neighbors are tried
+MOST_NEIGHBORS = 6  # largest number of catalogue parameters for which all combinations of neighbors are tried
 
 
 def tune(
@@ -50,19 +50,19 @@ def tune(
     reverse: bool | None = None,
     progress: bool | None = None,
 ) -> Tuning:
-    """The design with the least objective within limits, by exact gradients.
+    """The design with the smallest objective within limits, by exact gradients.
 
     Args:
         model: the initial design.
         evaluate: model -> {name: number or array} by JAX functions, or one number, then called "objective".
-        free: paths or patterns, each parameter by itself; "spring fl.stiffness = spring fr.stiffness" ties parameters,
+        free: paths or patterns of independent parameters; "spring fl.stiffness = spring fr.stiffness" ties parameters,
             "left.a = right.a * [1, -1, 1]" with factors.
         minimize: name of the objective.
-        limits: {name: (lower, upper)}, either may be None; one number for equality; for each element of an array.
+        limits: {name: (lower, upper)}, either may be None, or {name: number} for equality; each element of an array has them.
         bounds: {path or pattern: (lower, upper)}, in the units of the parameter, never violated.
         catalogues: {path or pattern: available values}; all neighbors of the optimum are tried, with the other parameters tuned again.
         starts: number of initial designs: the model, and others drawn between the bounds; all are evaluated in batches.
-        key: for the drawn designs and for stochastic objectives.
+        key: for the drawn designs and for stochastic objectives; None takes jax.random.key(0).
         method: "slsqp" or "trust-constr" (SciPy), "ipopt" (needs jaxbody[ipopt]), restarted while they improve, or an optax optimizer
             for large or stochastic objectives without limits, where `evaluate` may take a key as its second argument.
         max_iterations: most iterations of each start; the number of steps with optax.
@@ -70,9 +70,9 @@ def tune(
         reverse: derivatives by reverse mode; None uses forward mode for up to thirty free numbers.
         progress: None shows progress after five seconds, False is silent, True prints every evaluation to stderr.
 
-    Stiffness, damping and mass vary by factors, orientations by rotations. If limits are violated, the violation is minimized first. A trial that
-    is not finite is a rejected step. Where derivatives do not exist, as with equal natural frequencies, those of a point nearby are used;
-    smooth quantities (`objectives`) avoid this.
+    Stiffness, damping and mass vary by factors, orientations by rotations. If limits are violated, the violation is minimized first. A
+    trial that is not finite is a rejected step. Where derivatives do not exist, as with equal natural frequencies, those of a nearby
+    point are used; smooth quantities (`objectives`) avoid this.
 
     Errors: UNKNOWN_PATH, UNKNOWN_NAME, WRONG_KIND of a key, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE,
     BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE, NONFINITE_START, MISSING_EXTRA, TRACED, FLOAT32. Warns
@@ -81,8 +81,8 @@ def tune(
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness, "stiffness": model["suspension"].stiffness}
-    >>> found = tune(car, sag, free=["suspension.stiffness"], minimize="stiffness", limits={"sag": (None, 0.1)})
-    >>> round(float(found.values["suspension.stiffness"]), 1), found.active
+    >>> design = tune(car, sag, free=["suspension.stiffness"], minimize="stiffness", limits={"sag": (None, 0.1)})
+    >>> round(float(design.values["suspension.stiffness"]), 1), design.active
     (36787.5, ('sag <= 0.1',))
     """
     check_precision("tune", model, allow_float32=None)

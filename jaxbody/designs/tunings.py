@@ -29,7 +29,8 @@ BOUND, CHOSEN, UNBOUNDED = "at its bound", "from its catalogue", "unbounded"
 
 
 class Runs(eqx.Module):
-    """Results of all starts: `objective`, `violation` (the largest, relative to its limit), `status`, `values` {path: (n, ...)} and `quantities` {name: (n, ...)}."""
+    """Results of all starts: `objective`, `violation` (the largest, relative to its limit), `status`, `values` {path: (n, ...)} and
+    `quantities` {name: (n, ...)}."""
 
     objective: Float[np.ndarray, "n"]
     violation: Float[np.ndarray, "n"]
@@ -40,9 +41,9 @@ class Runs(eqx.Module):
 
 class Tuning(Result):
     """A tuned design: `model`, `values` {path: value}, quantities `before` and `after` {name: value}, `active` constraints as text,
-    `multipliers` {limited quantity or parameter at its bound: shadow price, d objective/d limit}, `words`, the effect of one percent more of each
-    limit, `history` (evaluations, 2) of the objective and the violation of limits, `evaluations`, all starts in `runs`, `places` {parameter:
-    "at its bound", "from its catalogue" or "unbounded"}. `status` INFEASIBLE if limits are violated, listed in `unmet`, or
+    `multipliers` {limited quantity or parameter at its bound: shadow price, d objective/d limit}, `words`, the effect of one percent more
+    of each limit, `history` (evaluations, 2) of the objective and the violation of limits, `evaluations`, all starts in `runs`, `places`
+    {parameter: "at its bound", "from its catalogue" or "unbounded"}. `status` INFEASIBLE if limits are violated, listed in `unmet`, or
     NOT_CONVERGED, with a `remedy`.
 
     >>> import inspect
@@ -74,7 +75,8 @@ class Tuning(Result):
         if int(self.status) == Status.NOT_CONVERGED:
             unbounded = [name for name, where in self.places.items() if where == UNBOUNDED]
             if unbounded:
-                return f"{', '.join(unbounded)} changed by more than a factor of {np.exp(FAR):.0f} without reaching a limit; add bounds or limits"
+                change = f"changed by more than a factor of {np.exp(FAR):.0f} without reaching a limit"
+                return f"{', '.join(unbounded)} {change}; add bounds or limits"
             return f"after {self.evaluations} evaluations; the best iterate is kept; {self.remedy}"
         return ""
 
@@ -174,12 +176,25 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
     status, prices = _status_and_multipliers(best, rows, space)
     constraints = [] if prices is None or status == Status.INFEASIBLE else _active_constraints(program, best, prices)
     model, values_of = _placed(space, jnp.asarray(best.u))
-    remedy = _remedy(program, best, iterations) if status == Status.NOT_CONVERGED else ""
     return Tuning(
-        model, values_of, quantities(program.origin), quantities(best.values), {constraint.name: constraint.price for constraint in constraints},
-        tuple(map(str, constraints)), tuple(constraint.effect(program.minimize, best.values[rows.objective]) for constraint in constraints), _places(space, best), _unmet(program, best.values),
-        np.array(best.history).reshape(-1, 2), program.count, runs, np.asarray(status), space, program.minimize, program.limits, remedy,
-    )  # fmt: skip
+        model=model,
+        values=values_of,
+        before=quantities(program.origin),
+        after=quantities(best.values),
+        multipliers={constraint.name: constraint.price for constraint in constraints},
+        active=tuple(map(str, constraints)),
+        words=tuple(constraint.effect(program.minimize, best.values[rows.objective]) for constraint in constraints),
+        places=_places(space, best),
+        unmet=_unmet(program, best.values),
+        history=np.array(best.history).reshape(-1, 2),
+        evaluations=program.count,
+        runs=runs,
+        status=np.asarray(status),
+        space=space,
+        minimize=program.minimize,
+        limits=program.limits,
+        remedy=_remedy(program, best, iterations) if status == Status.NOT_CONVERGED else "",
+    )
 
 
 @jit_optimized

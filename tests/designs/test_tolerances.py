@@ -84,7 +84,7 @@ def test_a_curved_quantity_has_exact_second_derivatives(weight):
 
 
 def test_samples_without_numbers_are_told(weight):
-    with pytest.warns(jb.JaxbodyWarning, match=r"NONFINITE: .*; \d+ of 200 samples have no numbers"):
+    with pytest.warns(jb.JaxbodyWarning, match=r"NONFINITE: .*; \d+ of 200 samples are not finite"):
         found = jb.tolerances(weight, lambda model: jnp.sqrt(model["spring"].damping - 0.9), {"spring.damping": 0.1}, samples=200)
     assert np.isfinite(found.sampled_mean).all() and np.isfinite(found.first).all()
 
