@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -46,6 +47,12 @@ class FreeParameter(eqx.Module):
     def spread(self, value: Array, run: str) -> dict[Leaf, Array]:
         """What its leaves in a run are at a value of the first."""
         return {leaf: times(value, factor) for (owner, leaf), factor in zip(self.places, self.factors, strict=True) if owner == run}
+
+
+def parts_of(free: tuple[FreeParameter, ...]) -> list[slice]:
+    """Which numbers of u each free parameter has."""
+    ends = np.cumsum([0, *(f.form.size for f in free)]).tolist()
+    return [slice(i, j) for i, j in pairwise(ends)]
 
 
 def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str]) -> tuple[FreeParameter, ...]:

@@ -13,6 +13,7 @@ from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.core.results import Result
 from jaxbody.experiments.measurements import Measurement
+from jaxbody.identification.fit_parameters import parts_of
 from jaxbody.identification.intervals import FEW, Interval, freedoms_of, intervals_of, widening
 from jaxbody.identification.residuals import Task
 from jaxbody.models.models import Model
@@ -81,10 +82,8 @@ class Fit(Result):
         a first derivative of zero along z."""
         u = self._assessed()
         error, _ = u.spread(np.eye(self.u.size))
-        found, first = {}, 0
-        for f, slopes in zip(self.task.free, u.slopes, strict=True):
-            mine = slice(first, first + f.form.size)
-            first = mine.stop
+        found = {}
+        for f, slopes, mine in zip(self.task.free, u.slopes, parts_of(self.task.free), strict=True):
             found[f.path] = np.zeros(f.form.start.shape, bool)
             if isinstance(f.form, Direction | Rotation) and not np.isfinite(error[mine]).all():
                 size = np.linalg.norm(slopes[..., mine], axis=-1)
@@ -129,7 +128,7 @@ class Fit(Result):
             u = self._assessed()
             return f"rank {u.rank} of {len(u.singular_values)}: " + "; ".join(u.words)
         if status == Status.AT_BOUND:
-            given = not all(label.endswith("(zero)") for label in self.at_bound)
+            given = any(label.endswith(("(lower)", "(upper)")) for label in self.at_bound)
             return ", ".join(self.at_bound) + ("; its interval has one side, the others are estimated with it there" if given else "")
         after = f"after {tables.counted(int(self.evaluations), 'evaluation')}; the best so far is kept"
         if status == Status.INTERRUPTED:
@@ -177,7 +176,8 @@ class Fit(Result):
             for label, unit, x, e, freedom, low, high in zip(_labels(f.name, value), units, *columns, strict=True):
                 bounded = bool(np.isfinite(high - low))
                 few.append(float(freedom) if bounded else np.inf)
-                known = "not determined" if not bounded else "at its bound" if not np.isfinite(e) else float(e)
+                ended = f"{label} (zero)" in self.at_bound or (not np.isfinite(e) and bounded)
+                known = "at its bound" if ended else float(e) if bounded else "not determined"
                 relative = tables.percent(e / abs(x)) if x else ""
                 rows.append((label, float(x), unit, known, relative, f"{low:.6g} to {high:.6g}" if bounded else ""))
         fits = [row for run, sensors in self.noise.items() for name, levels in sensors.items() for row in self._met(run, name, levels)]

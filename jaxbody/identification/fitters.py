@@ -28,7 +28,7 @@ from jaxbody.experiments.plausibilities import first_frequency
 from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.checkpoints import resumed, save
 from jaxbody.identification.colorings import PRIORS
-from jaxbody.identification.fit_parameters import choose, limits_of, priors_of
+from jaxbody.identification.fit_parameters import choose, limits_of, parts_of, priors_of
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.least_squares import AT_BOUND, Bounds, Evaluations, by_optax, by_scipy
 from jaxbody.identification.residuals import Task, first_noise, noise_found, renoised, residual_and_jacobian
@@ -36,12 +36,11 @@ from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import size_of
-from jaxbody.parameters.transforms import Positive
 from jaxbody.simulations.simulations import check_steps
 from jaxbody.statistics.losses import check_loss
-from jaxbody.statistics.uncertainties import assess
+from jaxbody.statistics.uncertainties import RANK, assess, decomposed
 
-GONE = 1e-6  # of its start, or of the residuals, that counts as nothing
+SMALL, GONE = 1e-3, 2 * RANK  # effects on the readings, relative to residuals or the largest effect: all of it; what others cannot have
 EXACT = 100  # times the tolerance of the integration: residuals that are no noise
 SHORT = 0.25  # of the first natural period, that a record must last at least
 ROUNDS = 5  # of estimating the noise of each channel and fitting with it
@@ -211,18 +210,20 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds
     G = [np.asarray(g) for g in jax.jacfwd(task.values)(jnp.asarray(u))]
     inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
     paths, exact = [f.path for f in task.free], EXACT * _floor(task)
-    uncertainty = assess(*task.linearized(runs, J), G, paths, task.labels, records_of(task.experiments), inside=inside, exact=exact)
+    ends = _ends(task, np.asarray(u), r, J)
+    uncertainty = assess(
+        *task.linearized(runs, J), G, paths, task.labels, records_of(task.experiments), inside=inside, ended=ends != "", exact=exact
+    )
     at_bound = [
         f"{label} ({side})"
         for side, limit in zip(("lower", "upper"), limits, strict=True)
         for label, near in zip(task.labels, np.abs(np.asarray(u) - limit) < AT_BOUND, strict=True)
         if near
     ]
-    gone = _gone(task, np.asarray(u), r, J)
-    at_bound += [f"{label} (zero)" for label in gone]
+    at_bound += [f"{label} ({end})" for label, end in zip(task.labels, ends, strict=True) if end]
     if status == Status.OK:
-        still, known = set(uncertainty.still) - set(gone), uncertainty.rank + len(gone)
-        conditions = ((still, Status.NEVER_MOVED), (known < task.size, Status.NOT_IDENTIFIABLE), (at_bound, Status.AT_BOUND))
+        known = uncertainty.rank + np.count_nonzero(ends != "")
+        conditions = ((uncertainty.still, Status.NEVER_MOVED), (known < task.size, Status.NOT_IDENTIFIABLE), (at_bound, Status.AT_BOUND))
         status = next((found for true, found in conditions if true), Status.OK)
     remarks = () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
     model, experiments = task.scatter(jnp.asarray(u))
@@ -232,11 +233,13 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds
     return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds), remarks)  # fmt: skip
 
 
-def _gone(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> list[str]:
-    """Parameters that went to zero, where their domain ends: far below their start, and what is left of them moves nothing."""
-    logarithms = np.concatenate([np.full(f.form.size, isinstance(f.form, Positive)) for f in task.free])
-    unmoved = np.linalg.norm(J, axis=0) <= GONE * np.linalg.norm(r)
-    return [label for label, gone in zip(task.labels, logarithms & (u < np.log(GONE)) & unmoved, strict=True) if gone]
+def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray:
+    """The end of its domain that each u went to, in a word, if the rest of the way has no effect on the readings; "" for the others."""
+    ends = np.concatenate([f.form.ended(u[part]) for f, part in zip(task.free, parts_of(task.free), strict=True)])
+    _, S, Vt, _ = decomposed(J)
+    size = max(np.linalg.norm(r), S.max()) or 1.0
+    alone = 1 / np.linalg.norm(Vt.T / np.maximum(S, 0.1 * GONE * size), axis=1)
+    return np.where((alone <= GONE * size) & (np.linalg.norm(J, axis=0) <= SMALL * size), ends, "")
 
 
 def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.identification.fit_parameters import FreeParameter
+from jaxbody.identification.fit_parameters import FreeParameter, parts_of
 from jaxbody.parameters.transforms import Positive, Shifted
 from jaxbody.statistics.quantiles import quantile
 from jaxbody.statistics.uncertainties import Uncertainty
@@ -38,10 +38,9 @@ def intervals_of(
 ) -> dict[str, Interval]:
     """{path: (lower, upper)}, arrays like the leaf; of a matrix or a direction by its elements' standard errors, which are all it has."""
     low, high = interval_of_u(u, uncertainty, level)
-    found, first = {}, 0
-    for f, G in zip(free, uncertainty.slopes, strict=True):
-        form, mine = f.form, slice(first, first + f.form.size)
-        first = mine.stop
+    found = {}
+    for f, G, mine in zip(free, uncertainty.slopes, parts_of(free), strict=True):
+        form = f.form
         if isinstance(form, Positive | Shifted):
             with np.errstate(over="ignore"):
                 found[f.path] = tuple(form.value(end[mine]) for end in (low, high))
@@ -54,15 +53,12 @@ def intervals_of(
 
 def freedoms_of(free: tuple[FreeParameter, ...], uncertainty: Uncertainty) -> dict[str, np.ndarray]:
     """{path: degrees of freedom}, arrays like the leaf, of the t in these intervals."""
-    freedoms, first = {}, 0
-    for f, G in zip(free, uncertainty.slopes, strict=True):
+    freedoms = {}
+    for f, G, mine in zip(free, uncertainty.slopes, parts_of(free), strict=True):
         _, freedom = uncertainty.spread(G.reshape(-1, G.shape[-1]))
         if isinstance(f.form, Positive | Shifted):
-            freedom = np.array(
-                [uncertainty.pressed[first + i][3] if first + i in uncertainty.pressed else x for i, x in enumerate(freedom)]
-            )
+            freedom = np.array([uncertainty.pressed[i][3] if i in uncertainty.pressed else x for i, x in enumerate(freedom, mine.start)])
         freedoms[f.path] = freedom.reshape(G.shape[:-1])
-        first += f.form.size
     return freedoms
 
 

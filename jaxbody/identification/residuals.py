@@ -17,7 +17,7 @@ from jaxbody.core.compile_options import jit_optimized
 from jaxbody.experiments.experiments import Integration
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.colorings import PRIORS, colors_of, moved_rows
-from jaxbody.identification.fit_parameters import FreeParameter
+from jaxbody.identification.fit_parameters import FreeParameter, parts_of
 from jaxbody.models.leaf_paths import write
 from jaxbody.models.models import Model
 from jaxbody.sensors.channels import Channel
@@ -56,8 +56,7 @@ class Task(eqx.Module):
 
     def values(self, u: Float[Array, "n"]) -> list[Array]:
         """The leaf of each free parameter."""
-        ends = np.cumsum([0] + [f.form.size for f in self.free])
-        return [f.form.value(u[i:j]) for f, i, j in zip(self.free, ends[:-1], ends[1:], strict=True)]
+        return [f.form.value(u[part]) for f, part in zip(self.free, parts_of(self.free), strict=True)]
 
     def scatter(self, u: Float[Array, "n"]) -> tuple[Model, dict[str, Measurement]]:
         values = list(zip(self.free, self.values(u), strict=True))

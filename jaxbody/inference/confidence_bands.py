@@ -104,7 +104,7 @@ def _drawn(fit: Fit, f: Callable, level: float, samples: int, key: PRNGKeyArray 
     """Standard deviation and quantiles over draws of u from the normal distribution of its covariance."""
     worth = fit._assessed()
     if worth.rank < len(fit.u):
-        told = "are not determined: " + "; ".join(worth.words)
+        told = "are not determined: " + "; ".join([*worth.words, *fit.at_bound])
         raise JaxbodyError(
             Problem("UNDETERMINED", "fit", told, hint="Fix some, or leave samples out: what the data determine has its band.")
         )

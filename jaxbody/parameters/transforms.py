@@ -29,6 +29,8 @@ from jaxbody.mechanics.kinematics import Chart
 from jaxbody.models.leaf_paths import Leaf
 from jaxbody.models.models import Model
 
+FAR = 5.0  # in u: less than a hundredth of the start, which counts as zero where it has no effect
+
 
 class Parametrization(eqx.Module):
     """A leaf as a function of u."""
@@ -47,9 +49,16 @@ class Parametrization(eqx.Module):
         """The suffix of each u: "", or its index."""
         return [""] if self.start.ndim == 0 else [str(list(i)).replace(" ", "") for i in np.ndindex(self.start.shape)]
 
+    def ended(self, u: np.ndarray) -> np.ndarray:
+        """The end of the domain that each u is near, in a word: "zero" for a logarithm far below that of the start."""
+        return np.full(u.shape, "")
+
 
 class Positive(Parametrization):
     """x = x0 exp(u)."""
+
+    def ended(self, u):
+        return np.where(u < -FAR, "zero", "")
 
     def value(self, u):
         return self.start * module_of(u).exp(u.reshape(self.start.shape))
@@ -79,6 +88,9 @@ class Fraction(Parametrization):
     def value(self, u):
         return 1 / (1 + (1 / self.start - 1) * jnp.exp(-u.reshape(self.start.shape)))
 
+    def ended(self, u):
+        return np.select([u < -FAR, u > FAR], ["zero", "one"], "")
+
 
 class Definite(Parametrization):
     """X = L(u) L(u)'."""
@@ -102,6 +114,9 @@ class Definite(Parametrization):
         rows, columns = np.tril_indices(n, -1)
         return [f"[{i},{i}]" for i in range(n)] + [f"[{i},{j}]" for i, j in zip(rows, columns, strict=True)]
 
+    def ended(self, u):
+        return np.where((2 * u < -FAR) & (np.arange(len(u)) < len(self.start)), "zero", "")
+
 
 class Inertia(Parametrization):
     """About the center of mass I = tr(S) 1 - S, with S = sum of m x x' the second moment of mass.
@@ -119,6 +134,8 @@ class Inertia(Parametrization):
 
     def labels(self):
         return [f"[second moment {label[1:]}" for label in Definite(self.start).labels()]
+
+    ended = Definite.ended
 
 
 class Rotation(Parametrization):

@@ -126,22 +126,32 @@ def decomposed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.nd
 
 
 def assess(
-    r, J, slopes: list[np.ndarray], paths: list[str], labels: list[str], records: list[ResidualSeries], *, inside=None, exact=0.0
+    r,
+    J,
+    slopes: list[np.ndarray],
+    paths: list[str],
+    labels: list[str],
+    records: list[ResidualSeries],
+    *,
+    inside=None,
+    ended=False,
+    exact=0.0,
 ) -> Uncertainty:
     """From residuals r and Jacobian J in u, the slopes of each leaf in u and the records that r is made of, what is known how well.
 
-    inside: which u are at no bound; exact: a norm of r that is no noise."""
+    inside: which u are at no bound; ended: which went to the end of their domain, where nothing moves them; exact: a norm of r that is no noise."""
+    J = np.where(ended, 0.0, J)
     inside = np.ones(J.shape[1], bool) if inside is None else np.asarray(inside)
     U, S, Vt, known = decomposed(J)
     null = np.concatenate([Vt[~known].T, np.eye(J.shape[1])[:, ~inside]], axis=1)
     noise, back = _carried(r, inside, records, (U, S, Vt, known) if inside.all() else decomposed(J[:, inside]))
     covariance, white, *parts = (back @ M @ back.T for M in (noise.M, noise.white, *noise.parts))
-    still = [label for label, silent in zip(labels, ~J.any(0), strict=True) if silent]
+    still = [label for label, silent in zip(labels, ~J.any(0) & ~np.asarray(ended), strict=True) if silent]
     tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in records}
     correlation, significant = lag_one(r, U[:, known], records)
     found = Uncertainty(
         covariance, white, np.reshape(parts, (len(parts), *covariance.shape)), null, slopes, {}, S, int(known.sum()),
-        in_words(Vt[~known].T, labels, still), still, correlation, significant and bool(r @ r > exact**2), tests,
+        in_words(np.where(ended, 0.0, Vt[~known]).T, labels, still), still, correlation, significant and bool(r @ r > exact**2), tests,
         noise.orders, noise.pairs, _pressed(r, J, inside, records), _beyond_stated(r, U[:, known], records), sum(len(c.rows) for c in records),
     )  # fmt: skip
     errors = {path: found.spread(G.reshape(-1, len(S)))[0].reshape(G.shape[:-1]) for path, G in zip(paths, slopes, strict=True)}

@@ -1,26 +1,12 @@
 """What numbers are stands with their field: unit and domain of all fields of the package, and of a user's own."""
 
 import dataclasses
-import importlib
-import pkgutil
 
 import pytest
+from fields import owners
 
-import jaxbody
 import jaxbody as jb
 from jaxbody.geometry.fields import Kind, resolved, units_of
-from jaxbody.inputs.signals import Signal
-
-OWNERS = (jb.Element, jb.laws.Law, jb.Joint, jb.Body, jb.Support, jb.Load, jb.Motion, jb.Sensor, Signal)
-
-
-def owners():
-    """Every class of the package that is one of these, or derives from one."""
-    for module in pkgutil.walk_packages(jaxbody.__path__, "jaxbody."):
-        if ".app" not in module.name and ".plots" not in module.name:
-            for kind in vars(importlib.import_module(module.name)).values():
-                if isinstance(kind, type) and issubclass(kind, OWNERS) and kind.__module__ == module.name:
-                    yield kind
 
 
 def test_every_field_of_the_package_says_its_unit_and_domain():

@@ -1,5 +1,6 @@
 """Parameters stay in the domain that their field states, wherever the data pull them."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import equinox as eqx
@@ -7,70 +8,157 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from fields import ending
 
 import jaxbody as jb
+from jaxbody.elements.contacts import Touching
+from jaxbody.elements.elements import LineElement
 from jaxbody.experiments.measurements import Measurement
-from jaxbody.laws import Digressive, Friction, Linear, Polynomial, Stop, TensionOnly
+from jaxbody.geometry import rotations
+from jaxbody.geometry.frames import Frame
+from jaxbody.laws import Digressive, Friction, Law, Linear, Polynomial, Stop, TensionOnly
 
 AT = jnp.array([-0.4, -0.25, 0.05, 0.2, 0.3])
 ENDS = ("mass", [0, 0, 0]), ("world", [0, 0, 0])
 
 
-def holding(law, damper=False):
-    body = {"mass": jb.Body(mass=1.0, position=[1, 0, 0])}
-    laws = {"damper" if damper else "spring": law}
-    return jb.Model(bodies=body, joints={"mass": jb.Guide("world", axis=[1, 0, 0])}, elements={"s": jb.SpringDamper(*ENDS, **laws)})
+def holding(part):
+    """A model with a law of a spring, an element or a body."""
+    body = part if isinstance(part, jb.Body) else jb.Body(mass=1.0, position=[1, 0, 0])
+    element = part if isinstance(part, jb.Element) else jb.SpringDamper(*ENDS, spring=part if isinstance(part, Law) else 1.0)
+    return jb.Model(bodies={"mass": body}, joints={"mass": jb.Guide("world", axis=[1, 0, 0])}, elements={"s": element})
 
 
-class Force(Measurement):
-    """The force of the law of s at five places, without a simulation."""
+class Given(Measurement):
+    """Numbers that a function makes of a model and of a part of its own, a sensor or a motion, without a simulation."""
 
+    function: Callable = eqx.field(static=True)
     measured: dict = eqx.field(default_factory=dict)
-    noise: dict | None = None
-    channels: ClassVar = {"force": jb.Position("mass", axis=[1, 0, 0])}  # pyright: ignore[reportIncompatibleMethodOverride]
+    own: object = None
+    noise: dict | None = eqx.field(default_factory=lambda: {"numbers": jnp.asarray(1e-3)})
+    channels: ClassVar = {"numbers": jb.Position("mass", axis=[1, 0, 0])}  # pyright: ignore[reportIncompatibleMethodOverride]
+
+    def named(self):
+        return {"own": self.own}
 
     def readings(self, model, integration):
-        law = model["s"].spring or model["s"].damper
-        return {"force": jax.vmap(law.force)(AT)}
+        return {"numbers": self.function(model, self.own)}
 
     def axis(self, channel):
-        return "x", AT, "m"
+        return "x", np.arange(len(self.measured["numbers"])), ""
 
     def place(self, row):
-        return "x", float(AT[row])
+        return "x", float(row)
 
 
-PULLED = {  # a law, its coefficient, and forces that a negative one would give
-    "linear": (Linear(2.0), "spring.coefficient", lambda x: -3 * x),
-    "damper": (Linear(0.5), "damper.coefficient", lambda x: -0.6 * x),
-    "rope": (TensionOnly(2.0), "spring.stiffness", lambda x: -3 * x * (x > 0)),
-    "stop": (Stop(gap=0.1, stiffness=5.0), "spring.stiffness", lambda x: 7 * (-x - 0.1) * (x < -0.1)),
-    "slow": (Digressive(slow=2.0, fast=0.0, knee=0.1), "damper.slow", lambda x: -x / jnp.sqrt(1 + (x / 0.1) ** 2)),
-    "fast": (Digressive(slow=2.0, fast=1.0, knee=0.1), "damper.fast", lambda x: -x),
-    "level": (Friction(level=2.0, velocity=0.1), "damper.level", lambda x: -x / jnp.sqrt(x**2 + 0.01)),
+def force(at=AT):
+    return lambda model, _: jax.vmap(model["s"].spring.force)(at)
+
+
+def wrenches(model, _):
+    """What an element exerts on the first of its frames, which moves past the other one."""
+
+    def on_first(x, away):
+        turned = rotations.exp(jnp.stack([x, 0.3 - x, 2 * x * x]))
+        first = Frame(away * jnp.stack([x, 0.1, 1.0]), turned, jnp.stack([x, x * x, -1 - x]), jnp.stack([x, 0.2 - x, x * x]))
+        other = Frame(jnp.zeros(3), jnp.eye(3), jnp.zeros(3), jnp.zeros(3))
+        return jnp.concatenate(model["s"].wrenches(first, other)[0])
+
+    return jax.vmap(on_first)(jnp.linspace(-0.8, 0.3, 12), jnp.geomspace(1e-9, 1.0, 12)).ravel()
+
+
+def of_body(model, _):
+    """Weight, and angular momentum of turns about three axes and one between them."""
+    body = model["mass"]
+    return jnp.concatenate([9.81 * body.mass[None], (body.inertia @ jnp.concatenate([jnp.eye(3), jnp.ones((3, 1))], 1)).ravel()])
+
+
+def of_sensor(model, sensor):
+    times = jnp.linspace(0, 1, 21)
+    return sensor.transduced(times, jnp.sin(3 * times))
+
+
+def of_road(model, road):
+    return jax.vmap(road)(jnp.linspace(0, 2, 21))[:, 2]
+
+
+K = np.diag([3.0, 2.0, 4.0, 1.0, 1.5, 2.0]) + 0.2
+HERE = "mass", [0, 0, 0]
+SPRING = jb.Spring(HERE, ("world", [0, 0, 0.1]), stiffness=2.0, damping=0.5, free_length=0.3)
+TYRE = jb.Tyre(HERE, ("world", [0, 0, 0]), stiffness=2.0, damping=0.5, radius=1.0, engagement=0.1)
+FITTED = {  # of each class that states a field with a domain that ends: what is fitted, and what is measured of it
+    Linear: (Linear(2.0), force()),
+    Digressive: (Digressive(slow=2.0, fast=1.0, knee=0.1), force()),
+    Friction: (Friction(level=2.0, velocity=0.1), force()),
+    Stop: (Stop(gap=0.1, stiffness=5.0, engagement=0.05), force()),
+    TensionOnly: (TensionOnly(2.0), force()),
+    jb.laws.AirSpring: (jb.laws.AirSpring(pressure=3.0, area=0.5, height=0.5, exponent=1.4, ambient=1.0), force(AT + 0.4)),
+    jb.Spring: (SPRING, wrenches),
+    LineElement: (SPRING, wrenches),
+    jb.Bushing: (jb.Bushing(HERE, ("world", [0, 0, 0.1]), stiffness=K, damping=0.5 * K), wrenches),
+    Touching: (TYRE, wrenches),
+    jb.Tyre: (TYRE, wrenches),
+    jb.Contact: (jb.Contact(HERE, ("world", [0, 0, 0]), distance=1.0, stiffness=2.0, damping=0.5, engagement=0.1), wrenches),
+    jb.Body: (jb.Body(mass=2.0, inertia=[1.0, 1.2, 1.5]), of_body),
+    jb.Sensor: (jb.Position("mass", axis=[1, 0, 0], lag=0.05), of_sensor),
+    jb.Road: (jb.Road([0.0, 1.0, 1.5, 3.0], [0.0, 0.0, 0.2, 0.2], speed=1.0, footprint=0.5), of_road),
 }
 
 
-@pytest.mark.parametrize("name", PULLED)
+def end_of(domain, start):
+    """Numbers at the end of their domain, or a millionth of a millionth inside it."""
+    if start.ndim == 0:
+        return 1e-12 * start
+    values, axes = np.linalg.eigh(start)
+    values[0 if domain == "definite" else -1] = {"definite": 0.0, "inertia": values[0] + values[1]}[domain]
+    return axes @ np.diag(values) @ axes.T
+
+
+@pytest.mark.parametrize(("kind", "name"), ending(), ids=lambda x: getattr(x, "__name__", x))
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
-def test_a_coefficient_that_the_data_pull_below_zero_stays_above_it(name):
-    law, path, force = PULLED[name]
-    run = Force({"force": force(AT)}, noise={"force": jnp.asarray(1e-3)})
-    found = jb.fit(holding(law, "damper" in path), {"run": run}, free=[f"s.{path}"])
-    value = float(found.estimates[f"s.{path}"])
-    assert value > 0
-    if name not in ("fast",):
-        assert value < 1e-5 and found.status == jb.Status.AT_BOUND and f"s.{path} (zero)" in str(found)
+def test_data_that_pull_a_number_across_the_end_of_its_domain_leave_it_inside(kind, name):
+    """Measured is as much beyond what the number at its end gives as the start is before that."""
+    assert kind in FITTED, f"{kind.__name__}.{name} has a domain that ends: say in FITTED what is measured of it"
+    part, function = FITTED[kind]
+    model, run = holding(part), Given(function, own=part)
+    in_run = isinstance(part, jb.Sensor | jb.Motion)
+    path = f"own.{name}" if in_run else f"{'mass' if isinstance(part, jb.Body) else 's.spring' if isinstance(part, Law) else 's'}.{name}"
+    start = np.asarray(getattr(part, name))
+    end = end_of(part.__dataclass_fields__[name].metadata["kind"].domain.partition(" ")[0], start)
+    moved = (model, jb.replace(run, {path: end}).own) if in_run else (jb.replace(model, {path: end}), part)
+    first, last = np.asarray(jax.jit(function)(model, part)), np.asarray(jax.jit(function)(*moved))
+    assert np.abs(last - first).max() > 1e-3
+    run = Given(function, {"numbers": jnp.asarray(2 * last - first)}, own=part)
+    found = jb.fit(model, {"run": run}, free=[f"run.{path}" if in_run else path])
+    (value,) = (np.asarray(value) for value in found.estimates.values())
+    left = value / start if start.ndim == 0 else np.linalg.eigvalsh(value) @ ([1, 1, -1] if kind is jb.Body else [1, 0, 0, 0, 0, 0])
+    assert 0 < left < 1e-4
+    assert found.status == jb.Status.AT_BOUND
+
+
+def test_a_fit_that_ends_at_zero_says_so_once_and_assesses_the_others():
+    """F = slow x/s + fast x (1 - 1/s) with s = sqrt(1 + (x/knee)^2) and fast < 0: at fast = 0, slow is the least squares of one column."""
+    law, column = Digressive(slow=2.0, fast=1.0, knee=0.1), AT / np.sqrt(1 + (AT / 0.1) ** 2)
+    numbers = 3 * column - 0.5 * (AT - column)
+    with pytest.warns(jb.JaxbodyWarning, match=r"s.spring.fast \(zero\) \[AT_BOUND"):
+        run = Given(force(), {"numbers": numbers}, noise={"numbers": jnp.asarray(1e-6)})
+        found = jb.fit(holding(law), {"run": run}, free=["s.spring.slow", "s.spring.fast"])
+    np.testing.assert_allclose(found.estimates["s.spring.slow"], column @ numbers / (column @ column), rtol=1e-5)
+    assert found.status == jb.Status.AT_BOUND and found.at_bound == ["s.spring.fast (zero)"] and found.unidentified == []
+    assert np.isfinite(found.standard_errors["s.spring.slow"]) and np.isinf(found.standard_errors["s.spring.fast"])
+    assert "no effect" not in str(found) and "not determined" not in str(found) and "at its bound" in str(found)
+    with pytest.raises(jb.JaxbodyError, match=r"not determined: s.spring.fast \(zero\)"):
+        jb.bands(found, lambda model: model["s"].spring.slow, samples=10, key=jax.random.key(1))
 
 
 def test_a_coefficient_of_either_sign_crosses_zero():
-    run = Force({"force": -3 * AT}, noise={"force": jnp.asarray(1e-3)})
+    run = Given(force(), {"numbers": -3 * AT})
     found = jb.fit(holding(Polynomial([2.0])), {"run": run}, free=["s.spring.coefficients"])
     np.testing.assert_allclose(found.estimates["s.spring.coefficients"], [-3.0], rtol=1e-9)
 
 
 def test_from_zero_a_fit_says_what_to_do():
-    run = Force({"force": AT}, noise={"force": jnp.asarray(1e-3)})
+    run = Given(force(), {"numbers": AT})
     with pytest.raises(jb.JaxbodyError, match=r"s.spring.coefficient.*Start at a small positive number.*START_ON_BOUND"):
         jb.fit(holding(Linear(0.0)), {"run": run}, free=["s.spring.coefficient"])
 
