@@ -21,7 +21,7 @@ from jaxbody.designs.programs import NamedLimits, Program, Quantities
 from jaxbody.designs.searches import ACTIVE, CONVERGED, MET, Multipliers, Rows, Search, multipliers, scales
 from jaxbody.models.models import Model
 from jaxbody.parameters.design_spaces import Space
-from jaxbody.parameters.transforms import Positive
+from jaxbody.parameters.transforms import Fraction, Positive
 
 DUST = 1e-12  # values below this, relative to the value before, print as zero
 FAR = 12.0  # distance in u, a factor of 160 000, that shows a parameter to be unbounded
@@ -133,9 +133,10 @@ def _limit(limit: tuple[float, float] | None) -> str:
 def _places(space: Space, search: Search) -> dict[str, str]:
     """Parameters at a bound, from a catalogue, or unbounded."""
     at = np.minimum(np.abs(search.u - search.low), np.abs(search.u - search.high)) <= ACTIVE
-    factors = np.concatenate([np.full(group.form.size, isinstance(group.form, Positive)) for group in space.groups])
-    unbounded = factors & (np.abs(search.u) > FAR) & np.isinf(np.where(search.u < 0, search.low, search.high))
-    words = np.select([search.low == search.high, at, unbounded], [CHOSEN, BOUND, UNBOUNDED], "")
+    forms = np.concatenate([np.full(group.form.size, type(group.form).__name__) for group in space.groups])
+    far = (np.abs(search.u) > FAR) & np.isinf(np.where(search.u < 0, search.low, search.high))
+    at_end, unbounded = ((forms == kind.__name__) & far for kind in (Fraction, Positive))
+    words = np.select([search.low == search.high, at | at_end, unbounded], [CHOSEN, BOUND, UNBOUNDED], "")
     return {name: str(word) for name, word in zip(space.labels(), words, strict=True) if word}
 
 

@@ -18,7 +18,7 @@ from jaxbody.models.leaf_paths import Leaf, leaves_of, matching
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of
 from jaxbody.parameters.ties import Factor, bounds_of_first, check_alike, equation, ties, times
-from jaxbody.parameters.transforms import Parametrization, Positive, Shifted, pair_of, parametrize, sound_bounds
+from jaxbody.parameters.transforms import Elementwise, Parametrization, Shifted, pair_of, parametrize, sound_bounds
 
 
 class FreeParameter(eqx.Module):
@@ -123,7 +123,7 @@ def priors_of(free: tuple[FreeParameter, ...], priors: dict[str, tuple[Any, Any]
             (parameter, factor), form = forms[leaf], forms[leaf][0].form
             pair = pair_of(priors[pattern], form.start.shape)
             where = f"fit.priors['{leaf.path}']"
-            if not isinstance(form, Positive | Shifted):
+            if not isinstance(form, Elementwise):
                 problems.add("BAD_PRIOR", where, "has no prior of its own", hint="Priors are for scalars and vectors.")
             elif pair is None or not np.isfinite(pair).all() or not (pair[1] > 0).all():
                 told = f"is {priors[pattern]!r:.60}"

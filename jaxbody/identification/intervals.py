@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxbody.identification.fit_parameters import FreeParameter, parts_of
-from jaxbody.parameters.transforms import Positive, Shifted
+from jaxbody.parameters.transforms import Elementwise
 from jaxbody.statistics.quantiles import quantile
 from jaxbody.statistics.uncertainties import Uncertainty
 
@@ -41,7 +41,7 @@ def intervals_of(
     found = {}
     for f, G, mine in zip(free, uncertainty.slopes, parts_of(free), strict=True):
         form = f.form
-        if isinstance(form, Positive | Shifted):
+        if isinstance(form, Elementwise):
             with np.errstate(over="ignore"):
                 found[f.path] = tuple(form.value(end[mine]) for end in (low, high))
             continue
@@ -56,7 +56,7 @@ def freedoms_of(free: tuple[FreeParameter, ...], uncertainty: Uncertainty) -> di
     freedoms = {}
     for f, G, mine in zip(free, uncertainty.slopes, parts_of(free), strict=True):
         _, freedom = uncertainty.spread(G.reshape(-1, G.shape[-1]))
-        if isinstance(f.form, Positive | Shifted):
+        if isinstance(f.form, Elementwise):
             freedom = np.array([uncertainty.pressed[i][3] if i in uncertainty.pressed else x for i, x in enumerate(freedom, mine.start)])
         freedoms[f.path] = freedom.reshape(G.shape[:-1])
     return freedoms

@@ -11,6 +11,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxbody.core import tables
@@ -21,7 +22,7 @@ from jaxbody.identification.fits import Fit
 from jaxbody.identification.intervals import widening
 from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_scipy
 from jaxbody.identification.residuals import residual_and_jacobian
-from jaxbody.parameters.transforms import Positive, Shifted
+from jaxbody.parameters.transforms import Elementwise
 from jaxbody.statistics.quantiles import check_level, quantile
 
 STEPS = 4  # to the end of the interval, on each side
@@ -99,7 +100,7 @@ def _place(fit: Fit, path: str) -> tuple[int, Any]:
     first = 0
     for f in fit.task.free:
         labels = [f.path + label for label in f.form.labels()]
-        if path in labels and not isinstance(f.form, Positive | Shifted):
+        if path in labels and not isinstance(f.form, Elementwise):
             told, hint = "moves with others, not along a scale of its own", "Stiffness, damping, mass and vectors have profiles."
             raise JaxbodyError(Problem("WRONG_KIND", "profile.path", f"'{path}' {told}", path, hint=hint))
         if path in labels:
@@ -110,9 +111,9 @@ def _place(fit: Fit, path: str) -> tuple[int, Any]:
     raise JaxbodyError(Problem("UNKNOWN_PATH", "profile.path", found.message, path, hint=found.hint))
 
 
-def _value(form: Positive | Shifted, k: int, u: float) -> float:
-    start = float(np.ravel(form.start)[k])
-    return start * float(np.exp(u)) if isinstance(form, Positive) else start + float(form.scale) * float(u)
+def _value(form: Elementwise, k: int, u: float) -> float:
+    """The number k of a leaf, without a compiled program."""
+    return float(jax.tree.map(np.asarray, form).value(np.full(form.size, u)).ravel()[k])
 
 
 class _Walk:

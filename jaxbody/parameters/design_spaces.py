@@ -17,7 +17,17 @@ from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of
 from jaxbody.parameters.ties import ALIKE, Factor, Tie, bounds_of_first, check_alike, equation, ties, times
-from jaxbody.parameters.transforms import Parametrization, Positive, Rotation, Shifted, pair_of, parametrize, sound_bounds
+from jaxbody.parameters.transforms import (
+    Elementwise,
+    Fraction,
+    Parametrization,
+    Positive,
+    Rotation,
+    Shifted,
+    pair_of,
+    parametrize,
+    sound_bounds,
+)
 
 SPREAD = 0.3  # of random starts of what has no bounds of its own: directions, matrices
 
@@ -71,9 +81,9 @@ class Space(eqx.Module):
         """What each u stands for, and its derivative in u: the parameter's number; where it has none, an orientation's or a matrix's, u itself."""
         x, slopes = np.array(u), np.ones(len(u))
         for group, at in zip(self.groups, self.ends, strict=True):
-            if isinstance(group.form, Positive | Shifted):
+            if isinstance(group.form, Elementwise):
                 x[at] = np.asarray(group.form.value(jnp.asarray(u[at]))).ravel()
-                slopes[at] = x[at] if isinstance(group.form, Positive) else float(group.form.scale)
+                slopes[at] = group.form.slope(x[at])
                 x[at] = np.where(np.abs(x[at]) < 1e-12 * np.abs(slopes[at]), 0.0, x[at])
         return x, slopes
 
@@ -149,7 +159,8 @@ def at_value(space: Space, group: int, x: Any) -> np.ndarray:
 
 
 def drawn(space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any, where: str) -> np.ndarray:
-    """Starts (count, n): the model as it is, and others at random, evenly between the bounds of u; orientations anywhere."""
+    """Starts (count, n): the model as it is, and others at random, evenly between the bounds of u; orientations anywhere, and fractions evenly in their
+    domain or between their bounds."""
     problems = Problems()
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
     u = np.zeros((count, space.size))
@@ -161,7 +172,10 @@ def drawn(space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any,
             u[:, at] = (
                 q[:, 1:] / np.linalg.norm(q[:, 1:], axis=1, keepdims=True) * np.where(angle > np.pi, angle - 2 * np.pi, angle)[:, None]
             )
-        elif not isinstance(group.form, Positive | Shifted):
+        elif isinstance(group.form, Fraction):  # bounded by its domain
+            ends = [np.asarray(group.form.value(end)) for end in (low[at], high[at])]
+            u[:, at] = [group.form.inverse(rng.uniform(*ends)) for _ in range(count)]
+        elif not isinstance(group.form, Elementwise):
             u[:, at] = SPREAD * rng.normal(size=(count, group.form.size))
         elif count > 1 and not np.isfinite(high[at] - low[at]).all():
             limit, hint = "finite, both", "Random starts lie between bounds."

@@ -54,7 +54,19 @@ class Parametrization(eqx.Module):
         return np.full(u.shape, "")
 
 
-class Positive(Parametrization):
+class Elementwise(Parametrization):
+    """Each number rises with a u of its own, so that bounds and priors of the number are also bounds and priors of u."""
+
+    @abstractmethod
+    def inverse(self, x: Any) -> np.ndarray:
+        """u of a value, infinite at the end of the domain and beyond."""
+
+    @abstractmethod
+    def slope(self, x: np.ndarray) -> np.ndarray:
+        """dx/du."""
+
+
+class Positive(Elementwise):
     """x = x0 exp(u)."""
 
     def ended(self, u):
@@ -63,13 +75,15 @@ class Positive(Parametrization):
     def value(self, u):
         return self.start * module_of(u).exp(u.reshape(self.start.shape))
 
-    def inverse(self, x: Any) -> np.ndarray:
-        """u of a value, -inf at zero and below."""
+    def inverse(self, x):
         with np.errstate(divide="ignore"):
             return np.log(np.maximum(np.asarray(x, float), 0.0) / np.asarray(self.start)).ravel()
 
+    def slope(self, x):
+        return x
 
-class Shifted(Parametrization):
+
+class Shifted(Elementwise):
     """x = x0 + s u."""
 
     scale: Float[Array, ""]
@@ -77,16 +91,26 @@ class Shifted(Parametrization):
     def value(self, u):
         return self.start + self.scale * u.reshape(self.start.shape)
 
-    def inverse(self, x: Any) -> np.ndarray:
-        """u of a value."""
+    def inverse(self, x):
         return ((np.asarray(x, float) - np.asarray(self.start)) / float(self.scale)).ravel()
 
+    def slope(self, x):
+        return np.full_like(x, self.scale)
 
-class Fraction(Parametrization):
+
+class Fraction(Elementwise):
     """x = x0 e^u/(1 + x0 (e^u - 1))."""
 
     def value(self, u):
-        return 1 / (1 + (1 / self.start - 1) * jnp.exp(-u.reshape(self.start.shape)))
+        return 1 / (1 + (1 / self.start - 1) * module_of(u).exp(-u.reshape(self.start.shape)))
+
+    def inverse(self, x):
+        x, start = np.clip(np.asarray(x, float), 0.0, 1.0), np.asarray(self.start)
+        with np.errstate(divide="ignore"):
+            return np.log(x * (1 - start) / start / (1 - x)).ravel()
+
+    def slope(self, x):
+        return x * (1 - x)
 
     def ended(self, u):
         return np.select([u < -FAR, u > FAR], ["zero", "one"], "")
@@ -262,7 +286,7 @@ def sound_bounds(
 ) -> bool:
     """Whether bounds, as given and as a pair of arrays, are some and hold the start; what is wrong goes to `problems`."""
     start = np.asarray(form.start)
-    if not isinstance(form, Positive | Shifted):
+    if not isinstance(form, Elementwise):
         problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
     elif ends is None:
         problems.add("BAD_BOUNDS", where, f"is {given!r:.60}", value=given, limit="(lower, upper)")

@@ -157,6 +157,48 @@ def test_a_coefficient_of_either_sign_crosses_zero():
     np.testing.assert_allclose(found.estimates["s.spring.coefficients"], [-3.0], rtol=1e-9)
 
 
+class Mixed(Law):
+    """A share of a stiff spring, the rest of a soft one."""
+
+    share: jax.Array = jb.field("", "fraction")
+
+    def force(self, x):
+        return (self.share * 10 + (1 - self.share) * 2) * x
+
+
+@pytest.mark.parametrize(("share", "end"), [(1.3, "one"), (-0.2, "zero")])
+def test_a_fraction_stays_between_zero_and_one(share, end):
+    run = Given(force(), {"numbers": (10 * share + 2 * (1 - share)) * AT})
+    with pytest.warns(jb.JaxbodyWarning, match=rf"s.spring.share \({end}\) \[AT_BOUND"):
+        found = jb.fit(holding(Mixed(jnp.array(0.4))), {"run": run}, free=["s.spring.share"])
+    assert abs(float(found.estimates["s.spring.share"]) - {"one": 1, "zero": 0}[end]) < 1e-3 and 0 < found.estimates["s.spring.share"] < 1
+    with pytest.raises(jb.JaxbodyError, match=r"is 1.2 \(allowed: 0 to 1\).*NOT_A_FRACTION"):
+        jb.replace(found.model, {"s.spring.share": 1.2})
+
+
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_a_fraction_has_an_interval_a_profile_bounds_and_random_starts_between_zero_and_one():
+    """Forces (2 + 8 share) x + e: the share is linear in them, and its standard error that of one column, 0.05/|8 x|."""
+    e = 0.05 * np.array([1.0, -1.2, 0.4, 0.9, -0.7])
+    run = Given(force(), {"numbers": 9.6 * AT + e}, noise={"numbers": jnp.asarray(0.05)})
+    model = holding(Mixed(jnp.array(0.4)))
+    found = jb.fit(model, {"run": run}, free=["s.spring.share"])
+    best = 0.95 + float(AT @ e / (8 * AT @ AT))
+    np.testing.assert_allclose(found.estimates["s.spring.share"], best, rtol=1e-6)
+    low, high = found.intervals(0.99)["s.spring.share"]
+    assert 0 < low < best < high < 1
+    profile = jb.profile(found, "s.spring.share", level=0.99)
+    assert 0 < profile.interval[0] < best < profile.interval[1] <= 1
+    bounded = jb.fit(
+        model, {"run": run}, free=["s.spring.share"], bounds={"s.spring.share": (0.1, 0.6)}, priors={"s.spring.share": (0.5, 0.1)}
+    )
+    np.testing.assert_allclose(bounded.estimates["s.spring.share"], 0.6, rtol=1e-6)
+    tuned = jb.tune(model, lambda model: (model["s"].spring.share - 0.7) ** 2, free="s.spring.share", starts=4, key=jax.random.key(1))
+    np.testing.assert_allclose(tuned.model["s"].spring.share, 0.7, rtol=1e-4)
+    pulled = jb.tune(model, lambda model: -model["s"].spring.share, free="s.spring.share")
+    assert tuned.ok and pulled.model["s"].spring.share > 0.999 and "at its bound" in str(pulled)
+
+
 def test_from_zero_a_fit_says_what_to_do():
     run = Given(force(), {"numbers": AT})
     with pytest.raises(jb.JaxbodyError, match=r"s.spring.coefficient.*Start at a small positive number.*START_ON_BOUND"):
