@@ -1,7 +1,8 @@
-"""MATLAB files of version 5 to 7: the tags of every element are checked before SciPy reads them, whose C code trusts them.
+"""MATLAB files of versions 5 to 7: the tags of all elements are checked before SciPy reads the file, as its C code trusts them.
 
-An element is a tag (type, bytes) and its data, padded to 8 bytes; up to 4 bytes stand in the tag itself. A matrix holds elements: flags,
-dimensions, name, then its numbers, or for a struct the names of its fields and a matrix for each. Source: MAT-File Format, MathWorks.
+An element is a tag (type, bytes) and its data, padded to 8 bytes; data of up to 4 bytes are in the tag itself. A matrix holds elements:
+flags, dimensions, name, then its numbers, or for a struct the names of its fields and a matrix for each.
+Source: MAT-File Format, MathWorks.
 """
 
 from __future__ import annotations
@@ -21,31 +22,31 @@ TEXT = {16: 1, 17: 2, 18: 4}
 MATRIX, COMPRESSED = 14, 15
 KNOWN = {*NUMBERS, *TEXT, MATRIX, COMPRESSED}
 CELL, STRUCT, OBJECT, CHARS, SPARSE, DEEPEST = 1, 2, 3, 4, 5, 20
-ELEMENT = 16  # numbers that would take the room that an element does by itself, name and shape
+ELEMENT = 16  # memory of an element without its data (object, name, shape), in numbers of 8 bytes
 
 
 def read_matlab(path: Path, largest: float) -> dict[str, np.ndarray]:
-    """Numeric arrays by name, of structs "run.acc". Raises ValueError of a broken file. Error: TOO_LARGE."""
+    """Numeric arrays by name, those of structs as "run.acc". Raises ValueError for a broken file. Error: TOO_LARGE."""
     from scipy.io import loadmat
 
     check(path.read_bytes(), path.name, largest)
-    found: dict[str, np.ndarray] = {}
+    arrays: dict[str, np.ndarray] = {}
 
     def walk(name: str, value: Any) -> None:
         if hasattr(value, "_fieldnames"):
             for field in value._fieldnames:
                 walk(f"{name}.{field}", getattr(value, field))
         elif isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim in (1, 2):
-            found[name] = value
+            arrays[name] = value
 
     for name, value in loadmat(path, squeeze_me=True, struct_as_record=False).items():
         if not name.startswith("__"):
             walk(name, value)
-    return found
+    return arrays
 
 
 def check(data: bytes, name: str, largest: float) -> None:
-    """Raise ValueError unless every element of the file is complete and of the right type. Error: TOO_LARGE, of all numbers together."""
+    """Raise ValueError unless all elements of the file are complete and of the right type. Error: TOO_LARGE, for all numbers together."""
     if len(data) < 136 or data[126:128] not in (b"IM", b"MI"):
         raise ValueError("no header of a MATLAB file of version 5 to 7")
     order = "<" if data[126:128] == b"IM" else ">"
@@ -56,35 +57,35 @@ def check(data: bytes, name: str, largest: float) -> None:
             content = unpacked.decompress(content, int(min(largest, 2**40)) + 1)
             check_size(name, len(content), largest, "bytes or more in a compressed array")
             if unpacked.unconsumed_tail or not unpacked.eof:
-                raise ValueError("a compressed array that is not whole")
+                raise ValueError("a compressed array is incomplete")
             ((kind, content),) = _elements(content, order, name, largest)
         if kind != MATRIX:
-            raise ValueError(f"an element of type {kind} where an array should be")
+            raise ValueError(f"an element is of type {kind} instead of an array")
         count += _check_matrix(content, order, 0, name, largest)
         check_numbers(name, count, largest)
 
 
 def _elements(data: bytes, order: str, name: str, largest: float) -> list[tuple[int, bytes]]:
     """(type, content) of the elements that fill the data."""
-    found, at = [], 0
+    elements, at = [], 0
     while at < len(data):
-        check_numbers(name, ELEMENT * len(found), largest)
+        check_numbers(name, ELEMENT * len(elements), largest)
         if at + 8 > len(data):
             raise ValueError("the file ends within a tag")
         kind, size = struct.unpack_from(order + "II", data, at)
-        if kind >> 16:  # a small one: its size in the upper half, its data in the tag
+        if kind >> 16:  # a small element: its size in the upper half, its data in the tag
             kind, size, start, step = kind & 0xFFFF, kind >> 16, at + 4, 8
             if size > 4:
-                raise ValueError(f"a small element of {size} bytes")
+                raise ValueError(f"a small element has {size} bytes, more than 4")
         else:
             start, step = at + 8, 8 + (size if kind == COMPRESSED else -(-size // 8) * 8)
         if kind not in KNOWN:
-            raise ValueError(f"an element of the unknown type {kind}")
+            raise ValueError(f"an element is of the unknown type {kind}")
         if start + size > len(data):
             raise ValueError("the file ends within an element")
-        found.append((kind, data[start : start + size]))
+        elements.append((kind, data[start : start + size]))
         at += step
-    return found
+    return elements
 
 
 def _check_matrix(content: bytes, order: str, depth: int, name: str, largest: float) -> int:
@@ -92,11 +93,11 @@ def _check_matrix(content: bytes, order: str, depth: int, name: str, largest: fl
     if not content:
         return ELEMENT  # an empty cell
     if depth > DEEPEST:
-        raise ValueError("arrays nested too deep")
+        raise ValueError("arrays are nested too deeply")
     parts = _elements(content, order, name, largest)
     kinds = [kind for kind, _ in parts]
     if len(parts) < 3 or kinds[:3] != [6, 5, 1] or len(parts[0][1]) != 8:
-        raise ValueError("an array without flags, dimensions and name")
+        raise ValueError("an array lacks flags, dimensions or name")
     flags = struct.unpack(order + "I", parts[0][1][:4])[0]
     kind, is_complex = flags & 0xFF, bool(flags & 0x800)
     count = math.prod(np.frombuffer(parts[1][1], order + "i4").tolist())
@@ -108,12 +109,12 @@ def _check_matrix(content: bytes, order: str, depth: int, name: str, largest: fl
             width = struct.unpack(order + "i", parts[2 + names - 1][1].ljust(4, b"\0")[:4])[0]
             fields = len(parts[2 + names][1]) // width if width > 0 else 0
         if len(inner) != count * fields or {k for k, _ in inner} - {MATRIX}:
-            raise ValueError("a struct or cell that does not hold its parts")
+            raise ValueError("a struct or cell lacks some of its parts")
         return ELEMENT + sum(_check_matrix(matrix, order, depth + 1, name, largest) for _, matrix in inner)
     elif kind in (CHARS, *range(6, 16)):
         allowed = NUMBERS | TEXT if kind == CHARS else NUMBERS
         if len(parts) != 4 + is_complex or not set(kinds[3:]) <= set(allowed):
-            raise ValueError("an array without its numbers")
+            raise ValueError("an array lacks its numbers")
         return ELEMENT + sum(len(part) // allowed[kind] for kind, part in parts[3:])
     else:
-        raise ValueError(f"an array of class {kind}, which is not read; save the numbers alone")
+        raise ValueError(f"an array is of class {kind}, which is not supported; save the numbers alone")

@@ -31,7 +31,7 @@ from jaxbody.records.sources import Asked, Pick, check_numbers, check_size, find
 from jaxbody.records.text_tables import Column, Contents, read_text, split_unit
 from jaxbody.records.universal_files import read_uff
 
-MOST_INFLATED = 1032  # times its size is what zlib can make of a text
+MOST_INFLATED = 1032  # zlib's largest ratio of decompressed to compressed size
 DEFLATE, SHUFFLE, FLETCHER = 1, 2, 3  # HDF5's numbers of its filters
 
 
@@ -46,22 +46,22 @@ def read_columns(path: Any, wanted: list[Asked], *, format: str | None = None, l
 
     def pick(names: list[str], aliases: list[str] | None = None) -> dict[Asked, str]:
         problems = Problems()
-        found = {name: problems.gather(partial(find_name, name, names, path.name, aliases)) for name in wanted}
+        chosen = {name: problems.gather(partial(find_name, name, names, path.name, aliases)) for name in wanted}
         problems.raise_if_any()
-        return found
+        return chosen
 
     with reader_errors(path, kind):
         return READERS[kind](path, pick, largest, **(text if kind == "text" else {}))
 
 
-def _text(path: Path, pick: Pick, largest: float, **how: Any) -> Contents:
+def _text(path: Path, pick: Pick, largest: float, **options: Any) -> Contents:
     data = path.read_bytes()
     if data[:2] == b"\x1f\x8b":
         with gzip.open(path) as file:
             data = file.read(int(largest) + 1)
         check_size(path.name, len(data), largest)
-    found = read_text(data, path.name, **how)
-    return Contents({asked: found.columns[name] for asked, name in pick(list(found.columns)).items()}, found.notes)
+    table = read_text(data, path.name, **options)
+    return Contents({asked: table.columns[name] for asked, name in pick(list(table.columns)).items()}, table.notes)
 
 
 def _parquet(path: Path, pick: Pick, largest: float) -> Contents:
@@ -89,8 +89,8 @@ def _mat(path: Path, pick: Pick, largest: float) -> Contents:
         start = file.read(1024)
     if b"\x89HDF" in start:
         return _hdf5(path, pick, largest, transposed=True)
-    found = read_matlab(path, largest)
-    return Contents({asked: Column(numeric(found[name], name, path.name)) for asked, name in pick(list(found)).items()})
+    arrays = read_matlab(path, largest)
+    return Contents({asked: Column(numeric(arrays[name], name, path.name)) for asked, name in pick(list(arrays)).items()})
 
 
 def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> Contents:
@@ -106,18 +106,18 @@ def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> C
     with h5py.File(path, "r") as file:
         file.visititems(note)
         file.visititems_links(lambda name, link: elsewhere.append(name) if isinstance(link, h5py.ExternalLink) else None)
-        found = pick([*names, *elsewhere])
+        chosen = pick([*names, *elsewhere])
         for name in elsewhere:
-            if name in found.values():
-                hint = "Read that file, or copy the numbers into one: h5repack does."
+            if name in chosen.values():
+                hint = "Read that file, or copy all data into one with h5repack."
                 raise JaxbodyError(
                     Problem("EXTERNAL_DATA", path.name, f"has '{name}' in another file", name, "data in the file itself", hint)
                 )
-        sizes = [(file[name].size, np.prod(file[name].chunks or (0,), dtype=float)) for name in set(found.values())]
+        sizes = [(file[name].size, np.prod(file[name].chunks or (0,), dtype=float)) for name in set(chosen.values())]
         check_numbers(path.name, sum(size for size, _ in sizes) + max((chunk for _, chunk in sizes), default=0.0), largest)
-        for name in set(found.values()):
+        for name in set(chosen.values()):
             _check_chunks(path.name, file[name], largest)
-        for asked, name in found.items():
+        for asked, name in chosen.items():
             data = file[name]
             unit = next((data.attrs[key] for key in ("unit", "units", "Unit", "Units") if key in data.attrs), None)
             values = numeric(data[()], name, path.name)
@@ -129,11 +129,11 @@ def _hdf5(path: Path, pick: Pick, largest: float, transposed: bool = False) -> C
 
 
 def _check_chunks(where: str, data: Any, largest: float) -> None:
-    """Check that no chunk inflates beyond its stated size, which HDF5 checks only afterwards; only chunks that could pass the limit."""
+    """Check that no chunk that could exceed the limit inflates beyond its stated size, which HDF5 notices too late."""
     plan = data.id.get_create_plist()
     filters = [plan.get_filter(i)[0] for i in range(plan.get_nfilters())]
     most = MOST_INFLATED ** filters.count(DEFLATE)
-    stated = np.prod(data.chunks or (0,), dtype=float) * data.dtype.itemsize + 4 * len(filters)  # with sums of Fletcher
+    stated = np.prod(data.chunks or (0,), dtype=float) * data.dtype.itemsize + 4 * len(filters)  # with Fletcher checksums
     suspects: list[Any] = []
     if data.chunks and most > 1:
         data.id.chunk_iter(lambda chunk: suspects.append(chunk.chunk_offset) if most * chunk.size > largest else None)
@@ -143,26 +143,26 @@ def _check_chunks(where: str, data: Any, largest: float) -> None:
             if filters[i] == DEFLATE:
                 packed = zlib.decompressobj().decompress(packed, int(stated) + 1)
                 if len(packed) > stated:
-                    told = f"has a chunk of '{data.name}' that inflates to more than the {stated:.4g} bytes that the file states for it"
+                    message = f"has a chunk of '{data.name}' that inflates to more than the {stated:.4g} bytes stated for it"
                     raise JaxbodyError(
-                        Problem("TOO_LARGE", where, told, at, f"{stated:.4g} bytes", "It is damaged, or made to fill the memory.")
+                        Problem("TOO_LARGE", where, message, at, f"{stated:.4g} bytes", "It is damaged, or meant to exhaust the memory.")
                     )
             elif filters[i] == FLETCHER:
                 packed = packed[:-4]
             elif filters[i] != SHUFFLE:
-                break  # of another kind: h5py's own grow a hundredfold at most
+                break  # other filters of h5py inflate a hundredfold at most
 
 
 def _tdms(path: Path, pick: Pick, largest: float) -> Contents:
     nptdms = import_extra("nptdms", path.name)
     with nptdms.TdmsFile.open(path) as file:
         channels = {f"{group.name}/{channel.name}": channel for group in file.groups() for channel in group.channels()}
-        columns, found = {}, pick(list(channels))
-        for name in set(found.values()):
+        columns, chosen = {}, pick(list(channels))
+        for name in set(chosen.values()):
             if channels[name].dtype.kind not in "biuf":
                 raise _no_number(path, name, channels[name].dtype)
-        check_numbers(path.name, sum(len(channels[name]) for name in set(found.values())), largest)
-        for asked, name in found.items():
+        check_numbers(path.name, sum(len(channels[name]) for name in set(chosen.values())), largest)
+        for asked, name in chosen.items():
             channel = channels[name]
             unit = channel.properties.get("unit_string") or channel.properties.get("NI_UnitDescription")
             times = np.asarray(channel.time_track(), float) if "wf_increment" in channel.properties else None
@@ -174,9 +174,9 @@ def _mdf(path: Path, pick: Pick, largest: float) -> Contents:
     asammdf = import_extra("asammdf", path.name)
     with asammdf.MDF(path) as file:
         places = {}
-        for name, found in file.channels_db.items():
-            found = [place for place in found if file.masters_db.get(place[0]) != place[1]]
-            places |= {name if len(found) == 1 else f"{name}#{place[0]}": place for place in found}
+        for name, entries in file.channels_db.items():
+            entries = [place for place in entries if file.masters_db.get(place[0]) != place[1]]
+            places |= {name if len(entries) == 1 else f"{name}#{place[0]}": place for place in entries}
         columns, wanted = {}, pick(list(places))
         groups = [file.groups[places[name][0]].channel_group for name in set(wanted.values())]
         check_numbers(path.name, sum(2 * group.cycles_nr for group in groups), largest)
@@ -191,7 +191,7 @@ def _mdf(path: Path, pick: Pick, largest: float) -> Contents:
 
 
 def _peer(path: Path, pick: Pick, largest: float) -> Contents:
-    """Four lines of heading, of which the third states the unit and the fourth number and step; then the samples, row by row."""
+    """A heading of four lines, with the unit in the third, number of samples and time step in the fourth; then the samples, row by row."""
     lines = path.read_text(encoding="latin-1").splitlines()
     heading = " ".join(lines[2:4]).upper()
     unit = re.search(r"UNITS OF\s+([A-Z/0-9]+)", heading)
@@ -202,18 +202,18 @@ def _peer(path: Path, pick: Pick, largest: float) -> Contents:
         r"^\s*\d+\s+([\d.E+-]+)\s+NPTS", lines[3].upper() if len(lines) > 3 else ""
     )
     if unit is None or number is None or step is None:
-        told = "lacks its heading: 'UNITS OF G' in line 3, 'NPTS= 4000, DT= .005 SEC' in line 4"
-        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, told, heading[:60], hint='If it is another table, say format="text".'))
+        message = "lacks its heading: 'UNITS OF G' in line 3, 'NPTS= 4000, DT= .005 SEC' in line 4"
+        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, heading[:60], hint='If it is another table, give format="text".'))
     values, count = [], int(number[1])
     for i, line in enumerate(lines[4:], 5):
         try:
             values += [float(cell) for cell in line.split()]
         except ValueError:
             raise JaxbodyError(
-                Problem("BAD_LINE", f"{path.name}:{i}", f"is {line!r:.60}", i, "numbers", "Cut what is no sample.")
+                Problem("BAD_LINE", f"{path.name}:{i}", f"is {line!r:.60}", i, "numbers", "Delete what is not a sample.")
             ) from None
     if len(values) != count:
-        code, hint = ("TRUNCATED", "Copy it again.") if len(values) < count else ("RAGGED_LINE", "Is the heading that of this record?")
+        code, hint = ("TRUNCATED", "Copy it again.") if len(values) < count else ("RAGGED_LINE", "Is this the heading of another record?")
         raise JaxbodyError(Problem(code, path.name, f"has {len(values)} samples", len(values), f"{count}, as its heading says", hint))
     times = float(step[1]) * np.arange(count)
     column = Column(np.array(values), unit[1].lower(), times)

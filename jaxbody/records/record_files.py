@@ -1,4 +1,4 @@
-"""Records from measurement files: which columns, in which units, at which times."""
+"""Reading records from measurement files: columns, units and times."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ def read_record(
 
     Args:
         path: of the file
-        channels: {name: columns} or {name: (columns, unit)}, with the name or number (from 0) of a column, or a list of them; "X[2]" is a
-            column of an array; "1+Z" in a UFF file is node 1 along Z, which its id line may name too where that is unique
+        channels: {name: columns} or {name: (columns, unit)}, with the name or number (from 0) of a column, or a list of them; "X[2]" is
+            column 2 (from 0) of an array X; "1+Z" in a UFF file is node 1 along Z; a unique id line is a name too
         time: a column or (column, unit); None: the times that UFF, TDMS, MDF and AT2 files state, or those of `rate=`
-        format: None: by the ending of the file
+        format: text, parquet, mat, hdf5, uff, tdms, mdf or peer; None: according to the ending of the file
         largest: size of a file, and of the numbers read from it, 8 bytes each [bytes]
         encoding: of text
         separator: between columns of text; None: that of the first line of numbers
-        decimal: "," for decimal commas
+        decimal: decimal mark of text, "." or ","
         skip: number of lines to leave out at the start of text
         footer: number of lines to leave out at its end
-        options: of `Record`
+        options: those of `Record`
 
     Units come from the file, "acc [g]" or its own fields, or from you; where both state one they must agree. The channel of an AT2 file is
     called "motion".
@@ -60,31 +60,33 @@ def read_record(
     """
     problems, name = Problems(), str(getattr(path, "name", path))[-100:]
     if not isinstance(channels, dict):
-        told, hint = f"is {channels!r:.60}", 'Write {"acc": ("ax", "m/s2")}: your name, then column and unit.'
-        raise JaxbodyError(Problem("WRONG_KIND", "channels", told, channels, "a dict {name: column}", hint))
+        message, hint = f"is {channels!r:.60}", 'Write {"acc": ("ax", "m/s2")}: your own name, then column and unit.'
+        raise JaxbodyError(Problem("WRONG_KIND", "channels", message, channels, "a dict {name: column}", hint))
     wanted = {key: _wanted(spec, f"channels['{key}']", problems) for key, spec in channels.items()}
     clock = None if time is None else _wanted(time, "time", problems)
     if not channels:
-        problems.add("NO_DATA", "channels", "is empty", limit="at least one", hint='Say channels={"acc": ("ax", "m/s2")}.')
+        problems.add("NO_DATA", "channels", "is empty", limit="at least one", hint='Give channels={"acc": ("ax", "m/s2")}.')
     problems.raise_if_any()
     stated = {f"{name}['{key}']": unit for key, (_, unit) in wanted.items()} | ({} if clock is None else {f"{name}.times": clock[1]})
     for where, unit in stated.items():
         problems.gather(lambda unit=unit, where=where: None if unit is None else units.parse(unit, where))
     asked = [column for columns, _ in (*wanted.values(), *([clock] if clock else [])) for column in columns]
     text = {"encoding": encoding, "separator": separator, "decimal": decimal, "skip": skip, "footer": footer}
-    found = problems.gather(lambda: readers.read_columns(path, list(dict.fromkeys(asked)), format=format, largest=largest, **text))
+    contents = problems.gather(lambda: readers.read_columns(path, list(dict.fromkeys(asked)), format=format, largest=largest, **text))
     problems.raise_if_any()
-    notes = list(found.notes)
-    times, time_unit = _clock(found.columns, clock, options.get("rate"), name, problems, notes)
+    notes = list(contents.notes)
+    times, time_unit = _clock(contents.columns, clock, options.get("rate"), name, problems, notes)
     given = {}
     for key, (columns, unit) in wanted.items():
-        parts = [_part(found.columns[column], column) for column in columns]
+        parts = [_part(contents.columns[column], column) for column in columns]
         if len({len(part) for part in parts}) > 1 or (len(parts) > 1 and any(part.ndim > 1 for part in parts)):
-            told = f"joins columns of shapes {[part.shape for part in parts]}"
-            problems.add("BAD_SHAPE", f"{name}['{key}']", told, limit="columns of one length", hint="Read them as channels of their own.")
+            message = f"joins columns of shapes {[part.shape for part in parts]}"
+            problems.add(
+                "BAD_SHAPE", f"{name}['{key}']", message, limit="columns of one length", hint="Read them as channels of their own."
+            )
             continue
-        said = {found.columns[column].unit for column in columns}
-        agreed = _unit(unit, said, f"{name}['{key}']", problems, notes)
+        in_file = {contents.columns[column].unit for column in columns}
+        agreed = _unit(unit, in_file, f"{name}['{key}']", problems, notes)
         given[key] = (parts[0] if len(parts) == 1 else np.stack(parts, 1), agreed)
     problems.raise_if_any()
     record = Record(times, given, time_unit=time_unit, name=name, **options)
@@ -93,7 +95,7 @@ def read_record(
 
 
 def _wanted(spec: Any, where: str, problems: Problems) -> tuple[list[Asked], str | None]:
-    """Columns and, where it is stated, unit."""
+    """Columns, and their unit where it is stated."""
     columns, unit = spec if isinstance(spec, tuple) and len(spec) == 2 else (spec, None)
     names = columns if isinstance(columns, list) else [columns]
     if not names or not all(isinstance(name, str | int) for name in names) or not isinstance(unit, str | None):
@@ -103,43 +105,43 @@ def _wanted(spec: Any, where: str, problems: Problems) -> tuple[list[Asked], str
 
 
 def _part(column: Column, asked: Asked) -> np.ndarray:
-    """The values; of an array, the column that "X[2]" means."""
+    """The values of a column, or of the column of an array for a name such as "X[2]"."""
     index = re.search(r"\[(\d+)\]$", str(asked))
     if index is None or column.values.ndim == 1:
         return column.values
     if int(index[1]) >= column.values.shape[1]:
-        told = f"has {column.values.shape[1]} columns"
+        message = f"has {column.values.shape[1]} columns"
         raise JaxbodyError(
-            Problem("UNKNOWN_CHANNEL", str(asked), told, asked, f"[0] to [{column.values.shape[1] - 1}]", "They count from 0.")
+            Problem("UNKNOWN_CHANNEL", str(asked), message, asked, f"[0] to [{column.values.shape[1] - 1}]", "Columns count from 0.")
         )
     return column.values[:, int(index[1])]
 
 
-def _unit(stated: str | None, said: set[str | None], where: str, problems: Problems, notes: list[str]) -> str:
+def _unit(stated: str | None, in_file: set[str | None], where: str, problems: Problems, notes: list[str]) -> str:
     """The unit stated by the user, by the file, or by both in agreement."""
-    told = said - {None}
-    if stated is None and (len(said) != 1 or not told):
-        what = "no unit" if not told else f"different units {sorted(map(str, said))}"
-        hint = 'State it: ("column", "m/s2"); "1" is a number without one.'
+    known = in_file - {None}
+    if stated is None and (len(in_file) != 1 or not known):
+        what = "no unit" if not known else f"different units {sorted(map(str, in_file))}"
+        hint = 'State it: ("column", "m/s2"), or "1" for numbers without a unit.'
         problems.add("NO_UNIT", where, f"has {what} in the file", limit="one unit", hint=hint)
         return "1"
     if stated is None:
-        return str(told.pop())
-    for word in told:
+        return str(known.pop())
+    for word in known:
         try:
             theirs = units.parse(str(word), where)
         except JaxbodyError:
-            notes.append(f"{where}: the file says '{word}', taken as {stated}")
+            notes.append(f"{where}: '{word}' in the file, read as {stated}")
             continue
         ours = units.parse(stated, where)
         if (theirs.dimension, round(theirs.factor / ours.factor, 9)) != (ours.dimension, 1.0):
-            hint = "Believe the file by stating none, or give the numbers to Record with the unit that is right."
+            hint = "Leave the unit out to use that of the file, or give the numbers to Record with the correct unit."
             problems.add("UNIT_CONFLICT", where, f"is in '{word}' in the file, not in '{stated}'", value=stated, limit=str(word), hint=hint)
     return stated
 
 
 def _clock(columns: dict[Any, Column], clock: Any, rate: Any, name: str, problems: Problems, notes: list[str]) -> tuple[Any, str]:
-    """Times and their unit: of a column, of the file itself, or none where a rate is given."""
+    """Times and their unit: from a column, from the file, or None where a rate is given."""
     if clock is not None:
         column = columns[clock[0][0]]
         return _part(column, clock[0][0]), _unit(clock[1], {column.unit}, f"{name}.times", problems, notes)
@@ -148,9 +150,9 @@ def _clock(columns: dict[Any, Column], clock: Any, rate: Any, name: str, problem
         if any(
             len(other) != len(own[0]) or np.abs(other - own[0]).max(initial=0.0) > 1e-9 * np.abs(np.diff(own[0])).sum() for other in own[1:]
         ):
-            hint = "Read them as records of their own, an experiment for each."
-            problems.add("DIFFERENT_TIMES", name, "samples its channels at different times", limit="one clock", hint=hint)
+            hint = "Read them as records of their own, one experiment for each."
+            problems.add("DIFFERENT_TIMES", name, "has channels sampled at different times", limit="the same times", hint=hint)
         return own[0], "s"
     if rate is None:
-        problems.add("NO_TIME", name, "has no times of its own", limit="time= or rate=", hint='Say time=("t", "s"), or rate= [Hz].')
+        problems.add("NO_TIME", name, "states no times", limit="time= or rate=", hint='Give time=("t", "s"), or rate= [Hz].')
     return None, "s"

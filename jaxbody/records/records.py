@@ -14,9 +14,10 @@ from jaxbody.records.samplings import Sampling, check_sampling, check_values, sa
 
 
 class Record(tables.Printed):
-    """A measured record: `times` [s] (n,), `channels` {name: (n,) or (n, k)} in SI units, NaN where a sample is missing;
-    `units` {name: SI unit}, `stated` {name: unit given}, `sampling` (step, jitter, missing), `notes` on what was done. `record["acc"]` is a
-    channel, `record.part(0, 2)` the samples from 0 to 2 s. Prints as a table.
+    """A measured record in SI units; it prints as a table.
+
+    `times` [s] (n,); `channels` {name: (n,) or (n, k)}, NaN where a sample is missing; `units` {name: SI unit}; `stated` {name: given
+    unit}; `sampling` (step, jitter, missing); `notes` on repairs. `record["acc"]` is a channel, `record.part(0, 2)` the part from 0 to 2 s.
 
     Args:
         times: in `time_unit`; None: from `rate`, the first sample at 0
@@ -33,9 +34,9 @@ class Record(tables.Printed):
 
     Repairs are made on request only, and are listed in the notes.
 
-    Errors, all at once: NO_DATA, NAN_TIME, UNSORTED_TIME, DUPLICATE_TIME, RATE_MISMATCH, JITTER, GAPS, NO_TIME, NO_UNIT, UNKNOWN_UNIT,
-    WRONG_DIMENSION, BAD_SHAPE, NON_FINITE, ALL_NAN, BAD_OPTION. Warns MISSING, DEAD, SATURATED, UNIT (g for m/s2, degrees for radians),
-    TIME_UNIT, LOW_RATE.
+    Errors, reported together: NO_DATA, NAN_TIME, UNSORTED_TIME, DUPLICATE_TIME, RATE_MISMATCH, JITTER, GAPS, NO_TIME, NO_UNIT,
+    UNKNOWN_UNIT, WRONG_DIMENSION, BAD_SHAPE, NON_FINITE, ALL_NAN, BAD_OPTION. Warns MISSING, DEAD, SATURATED,
+    UNIT (g for m/s2, degrees for radians), TIME_UNIT, LOW_RATE.
 
     >>> Record([0, 10, 20, 30], {"acc": ([0.1, 0.2, 0.0, -0.1], "g")}, time_unit="ms")["acc"].round(3).tolist()
     [0.981, 1.961, 0.0, -0.981]
@@ -69,9 +70,9 @@ class Record(tables.Printed):
         t = _times(times, time_unit, rate, given, name, problems)
         problems.raise_if_any()
         for key in [key for key, (x, _) in given.items() if len(x) != len(t)]:
-            told, limit = f"has {len(given[key][0])} samples", f"{len(t)}, as the times have"
+            message, limit = f"has {len(given[key][0])} samples", f"{len(t)}, as many as times"
             hint = "It looks transposed: give values.T." if given[key][0].shape[-1] == len(t) else "One row per time."
-            problems.add("BAD_SHAPE", f"{name}['{key}']", told, value=given[key][0].shape, limit=limit, hint=hint)
+            problems.add("BAD_SHAPE", f"{name}['{key}']", message, value=given[key][0].shape, limit=limit, hint=hint)
         problems.raise_if_any()
         if drop_duplicates:
             t, given = without_duplicates(t, given, name, notes)
@@ -92,16 +93,19 @@ class Record(tables.Printed):
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.channels:
-            told = f"has no channel '{name}'"
-            raise JaxbodyError(Problem("UNKNOWN_CHANNEL", "Record", told, name, hint=f"It has: {', '.join(self.channels)}."))
+            message = f"has no channel '{name}'"
+            raise JaxbodyError(Problem("UNKNOWN_CHANNEL", "Record", message, name, hint=f"It has: {', '.join(self.channels)}."))
         return self.channels[name]
 
     def part(self, start: float, stop: float) -> Record:
-        """The samples from start to stop [s], both counted. Error: NO_DATA of fewer than two."""
+        """The samples from start to stop [s], both included. Error: NO_DATA for fewer than two."""
         inside = (self.times >= start) & (self.times <= stop)
         if inside.sum() < 2:
-            told, limit = f"has {inside.sum()} samples from {start:.6g} to {stop:.6g} s", f"{self.times[0]:.6g} to {self.times[-1]:.6g} s"
-            raise JaxbodyError(Problem("NO_DATA", "Record.part", told, (start, stop), limit, "Give a longer part."))
+            message, limit = (
+                f"has {inside.sum()} samples from {start:.6g} to {stop:.6g} s",
+                f"{self.times[0]:.6g} to {self.times[-1]:.6g} s",
+            )
+            raise JaxbodyError(Problem("NO_DATA", "Record.part", message, (start, stop), limit, "Give a longer part."))
         new = object.__new__(Record)
         new.times, new.sampling = self.times[inside], sampling_of(self.times[inside])
         new.channels = {name: x[inside] for name, x in self.channels.items()}
@@ -116,7 +120,10 @@ class Record(tables.Printed):
                 gone = int(np.isnan(column).sum())
                 rows.append((label, self.units[name], self.stated[name], len(x) - gone, gone, np.nanmin(column), np.nanmax(column)))
         jitter = tables.percent(s.jitter / s.step)
-        note = f"{len(self.times)} times, {self.times[0]:.6g} to {self.times[-1]:.6g} s: {s.rate:.6g} Hz, {f'jitter {jitter}, ' if jitter else ''}{s.missing} missing"
+        note = (
+            f"{len(self.times)} times, {self.times[0]:.6g} to {self.times[-1]:.6g} s: {s.rate:.6g} Hz, "
+            f"{f'jitter {jitter}, ' if jitter else ''}{s.missing} missing"
+        )
         heads = ("channel", "unit", "stated in", "samples", "gaps", "least", "largest")
         return [tables.PrintedTable("Record", heads, rows, "\n".join([note, *self.notes]))]
 
@@ -130,7 +137,7 @@ def _check_options(rate: Any, fill: Any, max_gap: Any, drop: Any, problems: Prob
     ):
         if not good:
             problems.add(
-                "BAD_OPTION", f"Record.{option}", f"is {value!r:.40}", value=value, limit=limit, hint="Give such, or leave it out."
+                "BAD_OPTION", f"Record.{option}", f"is {value!r:.40}", value=value, limit=limit, hint="Give such a value, or leave it out."
             )
 
 
@@ -138,12 +145,12 @@ def _channels(channels: Any, name: str, problems: Problems) -> dict[str, tuple[n
     given = {}
     if not isinstance(channels, dict) or not channels:
         hint = 'Give channels={"acc": (values, "m/s2")}.'
-        problems.add("NO_DATA", f"{name}.channels", "is empty or no dict", value=channels, limit="at least one channel", hint=hint)
+        problems.add("NO_DATA", f"{name}.channels", "is empty or not a dict", value=channels, limit="at least one channel", hint=hint)
         return given
     for key, pair in channels.items():
         where = f"{name}['{key}']"
         if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], str):
-            problems.add("NO_UNIT", where, "has no unit", limit='(values, "m/s2")', hint='State it; "1" is a number without one.')
+            problems.add("NO_UNIT", where, "has no unit", limit='(values, "m/s2")', hint='State it, or "1" for numbers without a unit.')
             continue
         try:
             x, unit = np.asarray(float_array(pair[0], where)), units.parse(pair[1], where)
@@ -162,7 +169,7 @@ def _times(times: Any, time_unit: str, rate: Any, given: dict[str, Any], name: s
     where = f"{name}.times"
     if times is None:
         if rate is None:
-            problems.add("NO_TIME", where, "are not there", limit="times or rate=", hint="Give one of them.")
+            problems.add("NO_TIME", where, "are missing", limit="times or rate=", hint="Give one of them.")
         n = len(next(iter(given.values()))[0]) if given else 0
         return np.arange(n) / (rate or 1.0)
     try:

@@ -14,30 +14,28 @@ FILLS = ("linear", "spline")
 
 
 def without_duplicates(t: np.ndarray, given: dict[str, Any], name: str, notes: list[str]) -> tuple[np.ndarray, dict[str, Any]]:
-    """Without rows that repeat the one before in time and values; a repeated time with other values is left for the check."""
+    """Times and channels without rows that repeat the one before in time and values; the check reports repeated times with other values."""
     same = np.diff(t) == 0
     for x, _ in given.values():
         rows = x.reshape(len(x), -1)
         same &= ((rows[1:] == rows[:-1]) | (np.isnan(rows[1:]) & np.isnan(rows[:-1]))).all(1)
     keep = np.concatenate([[True], ~same])
     if same.any():
-        notes.append(
-            f"dropped {counted(int(same.sum()), 'row')} that {'repeats' if same.sum() == 1 else 'repeat'} the one before, the first at {t[1:][same][0]:.9g} s"
-        )
+        notes.append(f"dropped {counted(int(same.sum()), 'row')} equal to the one before, the first at {t[1:][same][0]:.9g} s")
     return t[keep], {key: (x[keep], unit) for key, (x, unit) in given.items()}
 
 
 def without_empty(given: dict[str, Any], notes: list[str], name: str) -> dict[str, Any]:
-    """Without channels that lack every sample. Error: NO_DATA where none is left."""
+    """The channels that have samples. Error: NO_DATA where none has."""
     empty = [key for key, (x, _) in given.items() if np.isnan(x.reshape(len(x), -1)).all(0).any()]
     if len(empty) == len(given):
-        raise JaxbodyError(Problem("NO_DATA", name, "has no channel with samples", empty, "at least one", "Was anything connected?"))
+        raise JaxbodyError(Problem("NO_DATA", name, "has no channel with samples", empty, "at least one", "Was an instrument connected?"))
     notes += [f"dropped channel '{key}', which has no sample" for key in empty]
     return {key: pair for key, pair in given.items() if key not in empty}
 
 
 def filled(t: np.ndarray, given: dict[str, Any], fill: str, max_gap: int, notes: list[str]) -> tuple[np.ndarray, dict[str, Any]]:
-    """With gaps of up to `max_gap` rows, or samples of one channel, filled; longer gaps remain."""
+    """Times and channels with gaps of up to `max_gap` rows, or samples of one channel, filled; longer gaps remain."""
     from scipy.interpolate import CubicSpline
 
     counts = counts_of(t).astype(int)

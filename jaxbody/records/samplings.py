@@ -11,17 +11,17 @@ from jaxbody.core import units
 from jaxbody.core.arrays import check_times
 from jaxbody.core.errors import Problems, warn
 
-MISMATCH = 1e-3  # of a stated rate against the times
-IRREGULAR = 0.05  # largest share of jitter in a step, and of missing samples
+MISMATCH = 1e-3  # largest relative difference between a stated rate and that of the times
+IRREGULAR = 0.05  # largest ratio of jitter to step, and of missing to all samples
 MANY_MISSING = 0.2
-AT_THE_RAILS = 0.01  # share of samples
+AT_THE_RAILS = 0.01  # ratio of samples at the largest or smallest number to all
 RUN = 4  # equal samples in a row that count as at a rail
 USUAL_RATES = (2.0, 1e7)  # Hz
 
 
 @dataclass(frozen=True)
 class Sampling:
-    """Mean step between neighbors [s], rms of the steps about whole numbers of it, and how many samples are missing."""
+    """Mean step between neighbors [s], rms deviation of the steps from whole multiples of it [s], and number of missing samples."""
 
     step: float
     jitter: float
@@ -49,37 +49,41 @@ def sampling_of(times: np.ndarray) -> Sampling:
 def check_sampling(
     times: Any, problems: Problems, where: str, *, rate: float | None, irregular: bool, highest: float | None, dropped: bool
 ) -> Sampling | None:
-    """Errors: those of times, RATE_MISMATCH, JITTER, GAPS; warns TIME_UNIT, LOW_RATE."""
+    """Check times and their sampling. Errors: those of times, RATE_MISMATCH, JITTER, GAPS; warns TIME_UNIT, LOW_RATE."""
     known = check_times(times, problems, where, minimum=2)
     if known is None:
         if problems.collected[-1].code == "DUPLICATE_TIME":
-            hint = "Rows of one time differ in their values: which of them is right?" if dropped else "Say drop_duplicates=True to leave out rows that repeat the one before."  # fmt: skip
+            hint = (
+                "Rows with the same time differ in their values: keep the correct one."
+                if dropped
+                else "Give drop_duplicates=True to leave out rows that repeat the one before."
+            )
             problems.collected[-1] = replace(problems.collected[-1], hint=hint)
         return None
     s = sampling_of(np.asarray(known))
-    told = f"jitters by {100 * s.jitter / s.step:.2g} % of a step (rms), {s.missing} of {len(known) + s.missing} samples missing"
+    message = f"jitters by {100 * s.jitter / s.step:.2g} % of a step (rms), {s.missing} of {len(known) + s.missing} samples missing"
     if rate is not None and abs(rate * s.step - 1) > MISMATCH:
-        hint = "Leave rate= out to take the times as they are, or time= to take the rate."
-        problems.add("RATE_MISMATCH", where, f"says {s.rate:.6g} Hz, not the {rate:.6g} Hz stated", value=s.rate, limit="0.1 %", hint=hint)
-    hint = "Say irregular=True if the times are true as they are."
+        hint = "Leave rate= out to use the times, or the times to use the rate."
+        problems.add("RATE_MISMATCH", where, f"has {s.rate:.6g} Hz, not the stated {rate:.6g} Hz", value=s.rate, limit="0.1 %", hint=hint)
+    hint = "Give irregular=True if the times are correct."
     if not irregular and s.jitter > IRREGULAR * s.step:
-        problems.add("JITTER", where, told, value=s.jitter / s.step, limit="5 %", hint=hint)
+        problems.add("JITTER", where, message, value=s.jitter / s.step, limit="5 %", hint=hint)
     elif not irregular and s.missing > IRREGULAR * len(known):
-        problems.add("GAPS", where, told, value=s.missing, limit="5 %", hint=hint)
+        problems.add("GAPS", where, message, value=s.missing, limit="5 %", hint=hint)
     if not USUAL_RATES[0] <= s.rate <= USUAL_RATES[1]:
         unit = "milliseconds or microseconds" if s.rate < 1 else "milliseconds"
         unit = unit if s.rate < USUAL_RATES[0] else "seconds"
         warn(
-            "TIME_UNIT", f"{where}: {len(known)} samples from {known[0]:.6g} to {known[-1]:.6g} s are {s.rate:.4g} Hz; are they in {unit}?"
+            "TIME_UNIT", f"{where}: {len(known)} samples from {known[0]:.6g} to {known[-1]:.6g} s give {s.rate:.4g} Hz; are they in {unit}?"
         )
     if highest is not None and s.rate < 10 * highest:
-        bad = "too few for any spectrum" if s.rate < 2.5 * highest else "few for a spline and its derivatives (10 per period)"
-        warn("LOW_RATE", f"{where}: {s.rate:.4g} Hz for frequencies up to {highest:.4g} Hz is {bad}")
+        bad = "too few samples for a spectrum" if s.rate < 2.5 * highest else "few samples for a spline and its derivatives (10 per period)"
+        warn("LOW_RATE", f"{where}: {s.rate:.4g} Hz for frequencies up to {highest:.4g} Hz gives {bad}")
     return s
 
 
 def check_values(values: np.ndarray, unit: units.Unit, times: np.ndarray, problems: Problems, where: str, *, may_lack: bool) -> None:
-    """Check the values of one channel (n,) or (n, k), before conversion. Errors: NON_FINITE, ALL_NAN; warns MISSING, DEAD, SATURATED, UNIT."""
+    """Check the values (n,) or (n, k) of one channel in its own unit. Errors: NON_FINITE, ALL_NAN; warns MISSING, DEAD, SATURATED, UNIT."""
     if np.isinf(values).any():
         i = int(np.argwhere(np.isinf(values))[0][0])
         problems.add("NON_FINITE", where, f"is {values[i]} at index {i}", value=i, limit="finite, or NaN where a sample is missing")
@@ -90,7 +94,7 @@ def check_values(values: np.ndarray, unit: units.Unit, times: np.ndarray, proble
         here = x[~np.isnan(x)]
         if not len(here):
             if not may_lack:
-                problems.add("ALL_NAN", name, "has no sample at all", value=k, hint='Leave it out; drop="all_nan" leaves out all such.')
+                problems.add("ALL_NAN", name, "has no samples", value=k, hint='Leave it out; drop="all_nan" leaves out all such channels.')
             continue
         if len(here) < (1 - MANY_MISSING) * len(x):
             warn("MISSING", f"{name} lacks {100 * (1 - len(here) / len(x)):.0f} % of its samples")
@@ -119,7 +123,8 @@ def _warn_of_rails(x: np.ndarray, unit: str, times: np.ndarray, where: str) -> N
 
 
 def _turns(x: np.ndarray, i: int, j: int) -> bool:
-    """Whether equal samples x[i:j] are the peak of a rounded motion: a parabola through two samples on either side stays within rounding."""
+    """Whether equal samples x[i:j] are the peak of a motion with rounded values: a parabola through two samples on either side exceeds them
+    by no more than rounding."""
     beside = [k for k in (i - 2, i - 1, j, j + 1) if 0 <= k < len(x) and np.isfinite(x[k])]
     if len(beside) < 4:
         return False

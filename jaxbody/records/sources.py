@@ -15,9 +15,12 @@ import numpy as np
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.records.text_tables import split_unit
 
-Asked = str | int  # a name, or the number of one
-Pick = Callable[..., dict[Asked, str]]  # {name as asked for: name in the file}, of all names in the file, and of other names that they have
-MAGIC = {b"\x89HDF": "hdf5", b"PAR1": "parquet", b"TDSm": "tdms", b"MDF ": "mdf", b"MATLAB": "mat", b"PK\x03\x04": "zip or xlsx", b"\x1f\x8b": "gzip"}  # fmt: skip
+Asked = str | int  # a name or its number
+Pick = Callable[..., dict[Asked, str]]  # from all names in the file and their aliases: {requested name: name in the file}
+MAGIC = {
+    b"\x89HDF": "hdf5", b"PAR1": "parquet", b"TDSm": "tdms", b"MDF ": "mdf", b"MATLAB": "mat",
+    b"PK\x03\x04": "zip or xlsx", b"\x1f\x8b": "gzip",
+}  # fmt: skip
 SUFFIXES = {
     "text": ".csv .txt .tsv .dat .asc", "parquet": ".parquet .pq", "mat": ".mat", "hdf5": ".h5 .hdf5 .hdf", "uff": ".uff .unv .uf",
     "tdms": ".tdms", "mdf": ".mf4 .mdf", "peer": ".at2 .vt2 .dt2",
@@ -35,13 +38,15 @@ def kind_of(path: Path, format: str | None, largest: float) -> str:
     suffix = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) > 1 else suffixes[-1] if suffixes else ""
     kind = format or next((kind for kind, known in SUFFIXES.items() if suffix in known.split()), None)
     if kind is None:
-        hint = f'If you know what it is, say format="text", or another of {" ".join(SUFFIXES)}.'
+        hint = f'If you know the format, give format="text", or another of {" ".join(SUFFIXES)}.'
         raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the ending '{suffix}'", suffix, " ".join(SUFFIXES.values()), hint))
-    found = next((word for magic, word in MAGIC.items() if start.startswith(magic)), None)
-    expected = {"text": {None, "gzip"} if suffixes[-1:] == [".gz"] else {None}, "uff": {None}, "peer": {None}, "mat": {"mat", "hdf5", None}}.get(kind, {kind})  # fmt: skip
-    if found not in expected:
-        told = f"is taken for {kind}, but begins like {found or 'something else'}"
-        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, told, start, hint='Is the ending right? If it is not, say format="...".'))
+    content = next((word for magic, word in MAGIC.items() if start.startswith(magic)), None)
+    expected = {
+        "text": {None, "gzip"} if suffixes[-1:] == [".gz"] else {None}, "uff": {None}, "peer": {None}, "mat": {"mat", "hdf5", None},
+    }.get(kind, {kind})  # fmt: skip
+    if content not in expected:
+        message = f"is read as {kind}, but begins like {content or 'something else'}"
+        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, start, hint='Check the ending, or give format="...".'))
     return kind
 
 
@@ -49,26 +54,26 @@ def check_file(path: Path, largest: float = np.inf) -> None:
     """Check that a path is a regular file, not empty, of at most `largest` bytes, and readable. A pipe or a device is refused before it is
     opened, as it might block or never end. Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
     try:
-        found = path.stat()
-        if stat.S_ISREG(found.st_mode):
+        status = path.stat()
+        if stat.S_ISREG(status.st_mode):
             path.open("rb").close()
     except (OSError, ValueError) as error:
         message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
         raise JaxbodyError(Problem("NO_FILE", str(path)[-200:], message, path, hint="Give the path of a file.")) from None
-    if stat.S_ISDIR(found.st_mode):
+    if stat.S_ISDIR(status.st_mode):
         raise JaxbodyError(Problem("IS_DIRECTORY", str(path), "is a directory", path, "a file", "Give the path of one file in it."))
-    if not stat.S_ISREG(found.st_mode):
-        hint = "Write what comes out of it into a file first."
+    if not stat.S_ISREG(status.st_mode):
+        hint = "Write its output to a file first."
         raise JaxbodyError(Problem("NOT_A_FILE", str(path), "is a pipe, a socket or a device", path, "a regular file", hint))
-    if found.st_size == 0:
-        raise JaxbodyError(Problem("EMPTY_FILE", path.name, "has no bytes", 0, "> 0", "Was it copied before it was written?"))
-    check_size(path.name, found.st_size, largest)
+    if status.st_size == 0:
+        raise JaxbodyError(Problem("EMPTY_FILE", path.name, "has no bytes", 0, "> 0", "Was it copied before it was fully written?"))
+    check_size(path.name, status.st_size, largest)
 
 
 def check_size(name: str, size: float, largest: float, what: str = "bytes") -> None:
     """Check that a file, or its numbers at 8 bytes each, take at most `largest` bytes. Error: TOO_LARGE."""
     if size > largest:
-        hint = f"Say largest={max(1, round(size * 1.1 / 1e9))}e9 if there is memory for about five times that, or cut the file."
+        hint = f"Set largest={max(1, round(size * 1.1 / 1e9))}e9 if memory for about five times that is free, or split the file."
         raise JaxbodyError(Problem("TOO_LARGE", name, f"has {size:.4g} {what}", size, f"{largest:.4g} bytes", hint))
 
 
@@ -78,13 +83,13 @@ def check_numbers(name: str, count: float, largest: float) -> None:
 
 
 def find_name(asked: str | int, names: list[str], where: str, aliases: list[str] | None = None) -> str:
-    """The name of a channel in the file, or its alias, for a name as it is, without its unit or without an index such as [2]; a number
-    counts the names from 0."""
+    """The name of the requested channel in the file, or its alias. A name matches as it is, without its unit, or without an index such as
+    [2]; a number counts the names from 0. Error: UNKNOWN_CHANNEL."""
     if isinstance(asked, int):
         if 0 <= asked < len(names):
             return names[asked]
-        told = f"has no channel of number {asked}: it has {len(names)}, counted from 0"
-        raise JaxbodyError(Problem("UNKNOWN_CHANNEL", where, told, asked, f"0 to {len(names) - 1}", _shown(names)))
+        message = f"has no channel of number {asked}: it has {len(names)}, counted from 0"
+        raise JaxbodyError(Problem("UNKNOWN_CHANNEL", where, message, asked, f"0 to {len(names) - 1}", _shown(names)))
     names = [*names, *(aliases or ())]
     for name in (str(asked), re.sub(r"\[\d+\]$", "", str(asked))):
         matches = [known for known in names if known == name] or [known for known in names if split_unit(known)[0] == split_unit(name)[0]]
@@ -108,12 +113,12 @@ def reader_errors(path: Path, kind: str) -> Iterator[None]:
         raise
     except MemoryError:
         raise JaxbodyError(
-            Problem("TOO_LARGE", path.name, "does not fit into memory", hint="Read fewer channels, or cut the file.")
+            Problem("TOO_LARGE", path.name, "does not fit into memory", hint="Read fewer channels, or split the file.")
         ) from None
     except Exception as error:
-        told = f"cannot be read as {kind}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"[:200]
+        message = f"cannot be read as {kind}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"[:200]
         raise JaxbodyError(
-            Problem("UNREADABLE", path.name, told, path, hint="Is it whole? Was it closed by the program that wrote it?")
+            Problem("UNREADABLE", path.name, message, path, hint="Is it whole, and was it closed by the program that wrote it?")
         ) from None
 
 
@@ -121,6 +126,6 @@ def numeric(values: Any, name: str, where: str) -> np.ndarray:
     """Float64 numbers (n,) or (n, k). Error: NOT_A_NUMBER."""
     array = np.asarray(values)
     if array.dtype.kind not in "biuf" or array.ndim not in (1, 2):
-        told = f"'{name}' holds {array.dtype} of shape {array.shape}"
-        raise JaxbodyError(Problem("NOT_A_NUMBER", where, told, array.dtype, "numbers, (n,) or (n, k)", "Read another channel."))
+        message = f"'{name}' holds {array.dtype} of shape {array.shape}"
+        raise JaxbodyError(Problem("NOT_A_NUMBER", where, message, array.dtype, "numbers, (n,) or (n, k)", "Read another channel."))
     return array.astype(np.float64)

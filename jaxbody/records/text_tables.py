@@ -18,7 +18,7 @@ from jaxbody.core.errors import MOST_PROBLEMS, JaxbodyError, Problem, Problems
 from jaxbody.core.tables import counted
 from jaxbody.core.units import is_unit
 
-NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?|nan|NaN|NAN|NA|")  # nothing, or no number, is a missing sample
+NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eEdD][+-]?\d+)?|nan|NaN|NAN|NA|")  # an empty cell or NaN is a missing sample
 COMMA_NUMBER = re.compile(r"[+-]?\d+,\d+(?:[eE][+-]?\d+)?")
 THOUSANDS = re.compile(r"[+-]?\d{1,3}([,' ]\d{3})+(\.\d*)?|[+-]?\d{1,3}(\.\d{3})+(,\d*)?")
 COMMENTS = ("#", "%", "!")
@@ -44,28 +44,37 @@ class Contents:
 
 
 def decoded(data: bytes, name: str, encoding: str) -> str:
-    """Text of bytes; a byte order mark of UTF-8 is taken off. Error: ENCODING, with byte and offset."""
-    hint = 'Say encoding="latin-1", or whichever it was written in.'
+    """Text of bytes, without a byte order mark of UTF-8. Errors: ENCODING, with byte and offset; WRONG_FORMAT."""
+    hint = 'Give encoding="latin-1", or the encoding in which it was written.'
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") and encoding == "utf-8":
-        raise JaxbodyError(Problem("ENCODING", name, "is UTF-16", data[:2], encoding, 'Say encoding="utf-16".'))
+        raise JaxbodyError(Problem("ENCODING", name, "is UTF-16", data[:2], encoding, 'Give encoding="utf-16".'))
     try:
         text = data.decode("utf-8-sig" if encoding == "utf-8" else encoding)
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        told = f"has byte 0x{data[error.start]:02x} at offset {error.start} (line {line})"
-        raise JaxbodyError(Problem("ENCODING", name, told + f", which is no {encoding}", error.start, encoding, hint)) from None
+        message = f"has byte 0x{data[error.start]:02x} at offset {error.start} (line {line})"
+        raise JaxbodyError(Problem("ENCODING", name, message + f", which is not {encoding}", error.start, encoding, hint)) from None
     except (LookupError, UnicodeError):
         raise JaxbodyError(Problem("ENCODING", name, f"cannot be read as {encoding!r}", encoding, "an encoding", hint)) from None
     if "\0" in text:
-        told, hint = f"has a zero byte at offset {text.index(chr(0))}", "Is it a text file? Name its format, or its encoding."
-        raise JaxbodyError(Problem("WRONG_FORMAT", name, told, limit="text", hint=hint))
+        message, hint = f"has a zero byte at offset {text.index(chr(0))}", "Is it a text file? If so, give its encoding, else its format."
+        raise JaxbodyError(Problem("WRONG_FORMAT", name, message, limit="text", hint=hint))
     return text
 
 
 def read_text(
     data: bytes, name: str, *, encoding="utf-8", separator: str | None = None, decimal: str = ".", skip: int = 0, footer: int = 0
 ) -> Contents:
-    """The columns of a text table. `separator` as the first line of numbers has it, unless stated; `skip` and `footer` lines are left out.
+    """The columns of a text table.
+
+    Args:
+        data: content of the file
+        name: of the file, in messages
+        encoding: of the text
+        separator: between columns; None: that of the first line of numbers
+        decimal: decimal mark
+        skip: number of lines to leave out at the start
+        footer: number of lines to leave out at the end
 
     Errors, each with its line: ENCODING, NO_NUMBERS, BAD_LINE, RAGGED_LINE, DECIMAL_COMMA, TRUNCATED, NON_FINITE.
     """
@@ -81,21 +90,21 @@ def read_text(
     values = _numbers(rows, name, separator, decimal, complete=text.endswith(("\n", "\r")))
     if first and not _fits_head(lines[first - 1][1], separator, values.shape[1]):
         (i, head), width = lines[first - 1], values.shape[1]
-        told, limit = f"names {len(_cells(head, separator))} columns: {head!r:.50}", f"{width}, as line {lines[first][0]} has"
+        message, limit = f"names {len(_cells(head, separator))} columns: {head!r:.50}", f"{width}, as line {lines[first][0]} has"
         raise JaxbodyError(
-            Problem("RAGGED_LINE", f"{name}:{i}", told, head, limit, _ragged_hint(width, len(_cells(head, separator)), separator))
+            Problem("RAGGED_LINE", f"{name}:{i}", message, head, limit, _ragged_hint(width, len(_cells(head, separator)), separator))
         )
     names, units, used = _heads([line for _, line in lines[:first]], separator, values.shape[1])
     if any(NUMBER.fullmatch(cell) and cell for cell in names) and used:
         i, line = lines[first - used]
-        hint = _thousands(_cells(line, separator)) or f"If it is neither names nor numbers, say skip={i}."
+        hint = _thousands(_cells(line, separator)) or f"If it is neither names nor numbers, give skip={i}."
         raise JaxbodyError(Problem("BAD_LINE", f"{name}:{i}", f"is {line!r:.60}", line, "names or numbers", hint))
     often = Counter(names)
     names = [head if head and often[head] == 1 else f"{head}#{k}" if head else str(k) for k, head in enumerate(names)]
     columns = {head: Column(values[:, k], unit) for k, (head, unit) in enumerate(zip(names, units, strict=True))}
     notes = [f"left out {counted(count, 'line')} {where}" for count, where in ((skip, "at the start"), (footer, "at the end")) if count]
     if first - used > 0:
-        notes.append(f"passed over {counted(first - used, 'line')} before the table")
+        notes.append(f"ignored {counted(first - used, 'line')} before the table")
     return Contents(columns, notes, lines[first - used][0])
 
 
@@ -133,21 +142,23 @@ def _pointed(cell: str, decimal: str) -> str:
 def _thousands(cells: list[str]) -> str:
     """The hint for a number with separators of thousands; "" where there is none."""
     cell = next((cell for cell in cells if THOUSANDS.fullmatch(cell) and not NUMBER.fullmatch(cell)), None)
-    return "" if cell is None else f"{cell!r} has separators of thousands, or quotes around them: write numbers without."
+    return "" if cell is None else f"{cell!r} has separators of thousands, or quotes around them: write numbers without them."
 
 
 def _no_numbers(lines: list[tuple[int, str]], name: str, separator: str | None, decimal: str) -> JaxbodyError:
     i, line = lines[0] if lines else (1, "")
-    hint = f"Numbers, separated by {separator or 'commas, semicolons, tabs or blanks'}, with '{decimal}' in them, below one line of names."
+    hint = (
+        f"Give numbers separated by {separator or 'commas, semicolons, tabs or blanks'}, with decimal '{decimal}', below a line of names."
+    )
     grouped = (_thousands(_cells(row, separator or _separator(row))) for _, row in lines[:LONGEST_PREAMBLE])
-    hint = next((told for told in grouped if told), hint)
-    told = f"has no line of numbers alone; line {i} is {line!r:.60}" if lines else "has no line that is not blank"
-    return JaxbodyError(Problem("NO_NUMBERS", name, told, i, "a table of numbers", hint))
+    hint = next((message for message in grouped if message), hint)
+    message = f"has no line with numbers only; line {i} is {line!r:.60}" if lines else "has only blank lines"
+    return JaxbodyError(Problem("NO_NUMBERS", name, message, i, "a table of numbers", hint))
 
 
 def _numbers(rows: list[tuple[int, str]], name: str, separator: str, decimal: str, *, complete: bool) -> np.ndarray:
     """(n, k) numbers; NaN where a cell is empty."""
-    try:  # nearly all files are read by this
+    try:  # fast, and enough for nearly all files
         if decimal != "." or any('"' in line for _, line in rows[:1]):
             raise ValueError
         values = np.loadtxt([line for _, line in rows], delimiter=None if separator == " " else separator, comments=None, ndmin=2)
@@ -161,33 +172,29 @@ def _numbers(rows: list[tuple[int, str]], name: str, separator: str, decimal: st
     no_numbers = [[cell for cell in row if not NUMBER.fullmatch(_pointed(cell, decimal))] for row in cells]
     last_good = max((k for k, row in enumerate(cells) if len(row) == width and not no_numbers[k]), default=0)
     for k, ((i, line), row) in enumerate(zip(rows, cells, strict=True)):
-        where = f"{name}:{i}"
-        wrong = no_numbers[k]
+        where, wrong = f"{name}:{i}", no_numbers[k]
         comma = next((cell for cell in wrong if COMMA_NUMBER.fullmatch(cell)), None)
         if len(row) != width:
             last = k == len(rows) - 1 and not complete and len(row) < width
-            hint = "The file ends within a line: copy it again, or footer=1." if last else _ragged_hint(len(row), width, separator)
-            told, limit = f"has {len(row)} cells: {line!r:.50}", f"{width}, as line {rows[0][0]} has"
-            problems.add("TRUNCATED" if last else "RAGGED_LINE", where, told, value=len(row), limit=limit, hint=hint)
+            hint = "The file ends within a line: copy it again, or give footer=1." if last else _ragged_hint(len(row), width, separator)
+            message, limit = f"has {len(row)} cells: {line!r:.50}", f"{width}, as line {rows[0][0]} has"
+            problems.add("TRUNCATED" if last else "RAGGED_LINE", where, message, value=len(row), limit=limit, hint=hint)
         elif comma is not None:
-            hint = f'It may be a decimal comma: say decimal=",", separator="{separator}".'
-            hint += " If it separates thousands, write numbers without." if THOUSANDS.fullmatch(comma) else ""
+            hint = f'It may be a decimal comma: give decimal=",", separator="{separator}".'
+            hint += " If it separates thousands, write numbers without it." if THOUSANDS.fullmatch(comma) else ""
             problems.add("DECIMAL_COMMA", where, f"has {comma!r}", value=comma, limit="a decimal point", hint=hint)
         elif wrong and wrong[0].lower().lstrip("+-") in ("inf", "infinity", "1.#inf"):
             problems.add(
-                "NON_FINITE", where, f"has {wrong[0]!r}", value=wrong[0], limit="finite", hint="Leave the cell empty for no sample."
+                "NON_FINITE", where, f"has {wrong[0]!r}", value=wrong[0], limit="finite", hint="Leave the cell empty for a missing sample."
             )
         elif wrong:
             at_end = k > last_good
             if at_end and k > last_good + 1:
-                continue  # told with the first line of the footer
-            hint = _thousands(wrong) or (
-                f"If the table ends before it, say footer={len(rows) - k}; where it stands for a missing sample, leave the cell empty or write nan."
-                if at_end
-                else "Numbers follow: where it stands for a missing sample, leave the cell empty or write nan."
-            )
-            told = f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}"
-            problems.add("BAD_LINE", where, told, value=wrong[0], limit="numbers", hint=hint)
+                continue  # reported with the first line of the footer
+            hint = f"If the table ends before it, give footer={len(rows) - k}. If" if at_end else "Numbers follow: if"
+            hint = _thousands(wrong) or f"{hint} it means a missing sample, leave the cell empty or write nan."
+            message = f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}"
+            problems.add("BAD_LINE", where, message, value=wrong[0], limit="numbers", hint=hint)
         if len(problems.collected) >= MOST_PROBLEMS:
             break
     problems.raise_if_any()
@@ -197,7 +204,7 @@ def _numbers(rows: list[tuple[int, str]], name: str, separator: str, decimal: st
     huge = np.argwhere(np.isinf(values))
     if len(huge):
         i = rows[huge[0][0]][0]
-        raise JaxbodyError(Problem("NON_FINITE", f"{name}:{i}", "has a number beyond all bounds", i, "finite", "Leave the cell empty."))
+        raise JaxbodyError(Problem("NON_FINITE", f"{name}:{i}", "has a number too large for float64", i, "finite", "Leave the cell empty."))
     return values
 
 
@@ -205,10 +212,10 @@ def _number(cell: str) -> float:
     return float(cell.replace("d", "e").replace("D", "e")) if cell[-1:].isdigit() or cell[-1:] == "." else np.nan
 
 
-def _ragged_hint(found: int, width: int, separator: str) -> str:
-    if separator == "," and found % 2 == 0 and 2 * width in (found, 2 * found):
+def _ragged_hint(cells: int, width: int, separator: str) -> str:
+    if separator == "," and cells % 2 == 0 and 2 * width in (cells, 2 * cells):
         return 'Are there decimal commas? A file with them needs another separator: decimal=",", separator=";".'
-    return "Every line of the table needs as many cells; footer= leaves lines at the end out."
+    return "All lines of the table need the same number of cells; footer= leaves out lines at the end."
 
 
 def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], list[str | None], int]:
@@ -236,7 +243,7 @@ def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], lis
 
 
 def _opening(head: str) -> int:
-    """Where the bracket opens that closes at the end; -1 where none does."""
+    """The position of the bracket that is closed at the end; -1 where there is none."""
     opens = {"]": "[", ")": "("}.get(head[-1:])
     depth = 0
     for at in range(len(head) - 1, -1, -1) if opens else ():
@@ -247,7 +254,7 @@ def _opening(head: str) -> int:
 
 
 def split_unit(head: str) -> tuple[str, str | None]:
-    """ "acc [g]" as name and unit; parentheses count where they hold a unit.
+    """Name and unit from a heading such as "acc [g]"; parentheses count only where they hold a unit.
 
     >>> split_unit("acc [g]"), split_unit("speed (m/s)"), split_unit("x (left)")
     (('acc', 'g'), ('speed', 'm/s'), ('x (left)', None))

@@ -22,13 +22,13 @@ def sets_of(path: Path) -> list[dict[str, Any]]:
     file = pyuff.UFF(str(path))
     kinds = [int(kind) for kind in file.get_set_types()]
     if 58 not in kinds:
-        told = (
+        message = (
             f"has no function of time or response (set 58), only sets {sorted(set(kinds))}"
             if kinds
             else "is no universal file: it has no sets"
         )
-        hint = "Export responses as functions (set 58)." if kinds else 'Is the ending right? If it is not, say format="...".'
-        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, told, kinds, "sets 58", hint))
+        hint = "Export responses as functions (set 58)." if kinds else 'Check the ending, or give format="...".'
+        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, kinds, "sets 58", hint))
     return [file.read_sets(i) for i, kind in enumerate(kinds) if kind == 58]
 
 
@@ -48,7 +48,7 @@ def _distinct(names: list[str]) -> list[str]:
 
 
 def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
-    """Functions of time, by node and direction or by an id line that no other has. Errors: WRONG_FORMAT, UNKNOWN_CHANNEL, NOT_A_RECORD."""
+    """Functions of time, by node and direction or by a unique id line. Errors: WRONG_FORMAT, UNKNOWN_CHANNEL, NOT_A_RECORD."""
     sets = sets_of(path)
     names = _distinct([_uff_place(s, "rsp") for s in sets])
     lines = [str(s.get("id1") or "").strip() for s in sets]
@@ -58,16 +58,16 @@ def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
     for asked, name in pick(names, list(places)).items():
         s = sets[names.index(name) if name in names else places[name]]
         if int(s["func_type"]) not in (0, 1) or np.iscomplexobj(s["data"]):
-            told = f"'{name}' is no function of time (function type {int(s['func_type'])})"
+            message = f"'{name}' is no function of time (function type {int(s['func_type'])})"
             hint = "Read a time response; read_responses reads frequency responses."
-            raise JaxbodyError(Problem("NOT_A_RECORD", path.name, told, s["func_type"], "0 or 1", hint))
+            raise JaxbodyError(Problem("NOT_A_RECORD", path.name, message, s["func_type"], "0 or 1", hint))
         columns[asked] = Column(numeric(s["data"], name, path.name), _uff_unit(s, "ordinate"), np.asarray(s["x"], float))
     return Contents(columns)
 
 
 @dataclass
 class Response:
-    """A frequency response as a file has it: frequencies [Hz], complex values, units of numerator and denominator."""
+    """A frequency response in a file: frequencies [Hz], complex values, units of numerator and denominator."""
 
     frequencies: np.ndarray
     values: np.ndarray
@@ -82,12 +82,12 @@ def read_uff_responses(path: Any, wanted: list[str], largest: float) -> dict[str
     with reader_errors(path, "uff"):
         sets = [s for s in sets_of(path) if int(s["func_type"]) == 4]
         names = _distinct([f"{_uff_place(s, 'rsp')}/{_uff_place(s, 'ref')}" for s in sets])
-        found = {}
+        responses = {}
         for asked in wanted:
             s = sets[names.index(find_name(asked, names, path.name))]
             x, y = np.asarray(s["x"], float), np.asarray(s["data"], complex)
             if not (np.isfinite(x).all() and np.isfinite(y).all() and len(x) == len(y) > 0):
-                told = f"'{asked}' has {len(y)} values at {len(x)} frequencies, or infinite ones"
-                raise JaxbodyError(Problem("NOT_A_RESPONSE", path.name, told, len(y), "finite, one each", "Was it exported whole?"))
-            found[asked] = Response(x, y, _uff_unit(s, "ordinate"), _uff_unit(s, "orddenom"))
-    return found
+                message = f"'{asked}' has {len(y)} values at {len(x)} frequencies, or values that are not finite"
+                raise JaxbodyError(Problem("NOT_A_RESPONSE", path.name, message, len(y), "one finite value each", "Export it again."))
+            responses[asked] = Response(x, y, _uff_unit(s, "ordinate"), _uff_unit(s, "orddenom"))
+    return responses

@@ -133,8 +133,7 @@ class StringPotentiometer(Gauge):
         p, _, other, _ = map(np.asarray, known)
         length, size = np.linalg.norm(p - other), np.abs(p).max()
         message = f"has length {length:.3g} m in the reference pose, which gives it no direction"
-        hint = "Move one of its points."
-        return Problem("ZERO_LENGTH", where, message, length, "> 0", hint) if length <= 1e-12 * size else None
+        return None if length > 1e-12 * size else Problem("ZERO_LENGTH", where, message, length, "> 0", "Move one of its points.")
 
 
 def _length(d: Float[Array, "3"]) -> Float[Array, ""]:

@@ -376,10 +376,10 @@ def test_the_whole_message_reads_so(tmp_path):
     path = written(tmp_path, "t;a\n0;1,5\n")
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.read_record(path, time=("t", "s"), channels={"a": ("a", "g")})
-    assert str(refused.value) == 'run.csv:2: has \'1,5\' (allowed: a decimal point). It may be a decimal comma: say decimal=",", separator=";". [DECIMAL_COMMA]'  # fmt: skip
+    assert str(refused.value) == 'run.csv:2: has \'1,5\' (allowed: a decimal point). It may be a decimal comma: give decimal=",", separator=";". [DECIMAL_COMMA]'  # fmt: skip
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.Record(TIMES, {"a": (X, "m/s2")}, rate=198.0)
-    assert str(refused.value) == "Record.times: says 200 Hz, not the 198 Hz stated (allowed: 0.1 %). Leave rate= out to take the times as they are, or time= to take the rate. [RATE_MISMATCH]"  # fmt: skip
+    assert str(refused.value) == "Record.times: has 200 Hz, not the stated 198 Hz (allowed: 0.1 %). Leave rate= out to use the times, or the times to use the rate. [RATE_MISMATCH]"  # fmt: skip
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.Record(TIMES, {"a": (X, "m/s9"), "b": (X[:0], "m")}, fill="magic")
     assert [problem.code for problem in refused.value.problems] == ["BAD_OPTION", "UNKNOWN_UNIT", "NO_DATA"]
