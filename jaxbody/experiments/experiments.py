@@ -37,13 +37,19 @@ NEUTRAL = {
 
 
 class Integration(eqx.Module):
-    """How runs are simulated: options of `simulate`."""
+    """Options of `simulate` for the runs of a fit."""
 
     rtol: Float[Array, ""] = eqx.field(default=1e-8, converter=jnp.asarray)
     solver: diffrax.AbstractSolver | None = None
     stepsize_controller: diffrax.AbstractStepSizeController | None = None
     dt0: Float[Array, ""] | None = eqx.field(default=None, converter=lambda dt: None if dt is None else jnp.asarray(dt, float))
     max_steps: int = eqx.field(default=10_000, static=True)
+
+    def trajectory(self, model: Model, times: Array, motions: Motions, loads: tuple[Load, ...], initial: State | None) -> Trajectory:
+        return integrate(
+            model, times, motions, loads, initial, self.rtol, self.solver, self.stepsize_controller, diffrax.ForwardMode(),
+            self.dt0, self.max_steps, diffrax.NoProgressMeter(),
+        )  # fmt: skip
 
 
 class Experiment(Measurement):
@@ -134,9 +140,9 @@ class Experiment(Measurement):
         return rest_state(model, motions, self.times[0])[0] if isinstance(self.initial, Rest) else self.initial
 
     def trajectory(self, model: Model, integration: Integration) -> Trajectory:
-        """The run, simulated."""
-        how, motions = integration, motions_of(model, self.motion)
-        return integrate(model, self.times, motions, tuple(self.loads.values()), self.start(model, motions), how.rtol, how.solver, how.stepsize_controller, diffrax.ForwardMode(), how.dt0, how.max_steps, diffrax.NoProgressMeter())  # fmt: skip
+        """The simulated motion of the run."""
+        motions = motions_of(model, self.motion)
+        return integration.trajectory(model, self.times, motions, tuple(self.loads.values()), self.start(model, motions))
 
     def readings(self, model, integration):
         return readings(self.trajectory(model, integration), self.sensors)

@@ -1,6 +1,6 @@
-"""Columns of a Jacobian that touch different residuals, worked out together: those of u with one color share a tangent.
+"""Columns of a Jacobian with nonzeros in different rows are evaluated together: all u of one color share a tangent.
 
-Parameters of different measurements move different residuals, and so do every other one of the states that segments of a record start from.
+Parameters of different measurements change different residuals, and so do the initial states of every other segment of a record.
 Source: A. Curtis, M. Powell, J. Reid, On the estimation of sparse Jacobian matrices, J. Inst. Math. Appl. 13 (1974) 117.
 """
 
@@ -11,11 +11,11 @@ from jaxtyping import Array, Bool, Int
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.fit_parameters import FreeParameter
 
-PRIORS = "priors"  # what stands for a measurement's name where they are told with them
+PRIORS = "priors"  # in place of a measurement's name for residuals of priors
 
 
 def colors_of(free: tuple[FreeParameter, ...], experiments: dict[str, Measurement]) -> Int[np.ndarray, "n"]:
-    """The color of each u: first those of the measurements' own parameters, the same numbers in each of them, then those of shared ones."""
+    """The color of each u: parameters of one measurement reuse the colors of the others, shared parameters have colors of their own."""
     used = dict.fromkeys(experiments, 0)
     colors: dict[str, np.ndarray] = {}
     for f in (f for f in free if f.run):
@@ -33,9 +33,9 @@ def colors_of(free: tuple[FreeParameter, ...], experiments: dict[str, Measuremen
 def moved_rows(
     free: tuple[FreeParameter, ...], experiments: dict[str, Measurement], run: str, channel: str, size: int
 ) -> Bool[Array, "{size} n"]:
-    """Which of the residuals of a channel each u may move."""
+    """Which residuals of a channel depend on each u."""
 
-    def by(f: FreeParameter) -> Array:
+    def rows_of(f: FreeParameter) -> Array:
         n = f.form.size
         if run == PRIORS:
             return jnp.full((size, n), channel == f.path)
@@ -44,10 +44,11 @@ def moved_rows(
             return jnp.full((size, n), f.run in ("", run))
         return jnp.repeat(jnp.repeat(rows, size // rows.shape[0], 0), n // rows.shape[1], 1)
 
-    return jnp.concatenate([by(f) for f in free], 1)
+    return jnp.concatenate([rows_of(f) for f in free], 1)
 
 
 def _parts(f: FreeParameter, experiments: dict[str, Measurement]) -> int:
+    """The number of parts of a parameter that change different rows, such as the initial states of segments."""
     experiment = experiments[f.run]
-    moved = [experiment.moved_rows(f.path, channel) for channel in experiment.channels]
-    return max(1 if rows is None else rows.shape[1] for rows in moved)
+    masks = [experiment.moved_rows(f.path, channel) for channel in experiment.channels]
+    return max(1 if rows is None else rows.shape[1] for rows in masks)

@@ -1,4 +1,4 @@
-"""The free parameters of a fit: which leaves paths and patterns mean, one or several tied; their bounds and priors."""
+"""The free parameters of a fit: the leaves that paths and patterns select, alone or tied; their bounds and priors."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from jaxbody.parameters.transforms import Elementwise, Parametrization, Shifted,
 
 
 class FreeParameter(eqx.Module):
-    """A free parameter: where it is, once or, tied by factors, several times, each in a run ("" for the model); and how it moves."""
+    """A free parameter: the leaves it sets, several if tied, each in a measurement or the model (""), and its parametrization."""
 
     places: tuple[tuple[str, Leaf], ...] = eqx.field(static=True)
     factors: tuple[Factor, ...] = eqx.field(static=True)
@@ -30,22 +30,22 @@ class FreeParameter(eqx.Module):
 
     @property
     def path(self) -> str:
-        """Its first place."""
+        """The path of its first leaf."""
         return self.places[0][1].path
 
     @property
     def name(self) -> str:
-        """All its places: "left.stiffness = right.stiffness"."""
+        """The paths of all its leaves: "left.stiffness = right.stiffness"."""
         return equation([leaf.path for _, leaf in self.places], self.factors)
 
     @property
     def run(self) -> str:
-        """The one measurement whose readings alone it moves, or ""."""
+        """The measurement, if it affects the readings of only one; else ""."""
         owners = {owner for owner, _ in self.places}
         return owners.pop() if len(owners) == 1 else ""
 
     def spread(self, value: Array, run: str) -> dict[Leaf, Array]:
-        """What its leaves in a run are at a value of the first."""
+        """The values of its leaves in a run, from the value of the first leaf."""
         return {leaf: times(value, factor) for (owner, leaf), factor in zip(self.places, self.factors, strict=True) if owner == run}
 
 
@@ -56,17 +56,17 @@ def parts_of(free: tuple[FreeParameter, ...]) -> list[slice]:
 
 
 def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str]) -> tuple[FreeParameter, ...]:
-    """The free parameters that the patterns mean, each with its parametrization; what "a = b" means is one parameter."""
+    """The free parameters selected by the patterns, with their parametrizations; "a = b" is one parameter."""
     problems = Problems()
     roots = {"": model, **experiments}
     leaves = [(run, leaf) for run, tree in roots.items() for leaf in leaves_of(tree, f"{run}." if run else "")]
     owner = {leaf: run for run, leaf in leaves}
     arrays = {run: jax.tree.leaves(tree) for run, tree in roots.items()}
     absent = {f"{run}.{path}": hint for run, experiment in experiments.items() for path, hint in experiment.absent().items()}
-    found = ties(list(owner), patterns, "fit.free", problems, absent)
+    selected = ties(list(owner), patterns, "fit.free", problems, absent)
     size = size_of(model)
     free = []
-    for tie in found:
+    for tie in selected:
         group, starts = list(tie), [leaf.read(arrays[owner[leaf]]) for leaf in tie]
         run, leaf = owner[group[0]], group[0]
         experiment, name = experiments.get(run), leaf.path.removeprefix(f"{run}.").removesuffix(f".{leaf.field}")
@@ -84,11 +84,11 @@ def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str
 
 
 def limits_of(free: tuple[FreeParameter, ...], bounds: dict[str, tuple[Any, Any]], method: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds of u, from bounds of values."""
+    """Bounds of u from bounds of the values."""
     problems = Problems()
     low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
     if bounds and not (isinstance(method, str) and method == "least_squares"):
-        problems.add("BAD_BOUNDS", "fit.bounds", 'are kept by method="least_squares" only', value=method)
+        problems.add("BAD_BOUNDS", "fit.bounds", 'are supported by method="least_squares" only', value=method)
     if not _is_dict(bounds, "fit.bounds", "BAD_BOUNDS", "(lower, upper)", problems):
         bounds = {}
     place = {leaf: (i, factor) for i, f in enumerate(free) for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
@@ -106,8 +106,8 @@ def limits_of(free: tuple[FreeParameter, ...], bounds: dict[str, tuple[Any, Any]
 
 def _is_dict(given: Any, where: str, code: str, pair: str, problems: Problems) -> bool:
     if not isinstance(given, dict):
-        told, hint = f"is {given!r:.60}", f'Write {{"s.stiffness": {pair}}}; a pattern such as "*.stiffness" will do too.'
-        problems.add(code, where, told, value=given, limit="a dict of pairs by path", hint=hint)
+        message, hint = f"is {given!r:.60}", f'Write {{"s.stiffness": {pair}}} or a pattern such as "*.stiffness".'
+        problems.add(code, where, message, value=given, limit="a dict of pairs by path", hint=hint)
     return isinstance(given, dict)
 
 
@@ -117,31 +117,31 @@ def priors_of(free: tuple[FreeParameter, ...], priors: dict[str, tuple[Any, Any]
     if not _is_dict(priors, "fit.priors", "BAD_PRIOR", "(mean, standard deviation)", problems):
         priors = {}
     forms = {leaf: (f, np.asarray(factor)) for f in free for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
-    found = {}
+    values = {}
     for pattern, leaves in matching(list(forms), priors, "fit.priors", problems).items():
         for leaf in leaves:
             (parameter, factor), form = forms[leaf], forms[leaf][0].form
             pair = pair_of(priors[pattern], form.start.shape)
             where = f"fit.priors['{leaf.path}']"
             if not isinstance(form, Elementwise):
-                problems.add("BAD_PRIOR", where, "has no prior of its own", hint="Priors are for scalars and vectors.")
+                problems.add("BAD_PRIOR", where, "cannot have a prior", hint="Give priors for scalars and vectors only.")
             elif pair is None or not np.isfinite(pair).all() or not (pair[1] > 0).all():
-                told = f"is {priors[pattern]!r:.60}"
-                problems.add("BAD_PRIOR", where, told, value=priors[pattern], limit="(mean, standard deviation > 0), finite")
+                message, given = f"is {priors[pattern]!r:.60}", priors[pattern]
+                problems.add("BAD_PRIOR", where, message, value=given, limit="(mean, standard deviation > 0), finite")
             else:
-                found[parameter.path] = (jnp.asarray(pair[0] / factor), jnp.asarray(pair[1] / np.abs(factor)))
+                values[parameter.path] = (jnp.asarray(pair[0] / factor), jnp.asarray(pair[1] / np.abs(factor)))
     problems.raise_if_any()
-    return found
+    return values
 
 
 def of_instrument(unit: str, start: Array, experiment: Experiment, sensor: str) -> Parametrization:
-    """The parametrization of what an instrument makes of its readings, by its unit: a gain has none (either sign: an instrument may be turned
-    round), a delay has seconds, bias and start those of the reading."""
+    """The parametrization of a gain, delay, bias or start of a sensor, x0 + s u, with a scale s that suits its unit: 1 for a gain, which
+    may have either sign; the sampling interval for a delay; the rms of the record for a bias or start."""
     measured = experiment.measured[sensor]
     if unit == "":
-        least = jnp.ones(())
+        scale = jnp.ones(())
     elif unit == "s":
-        least = (experiment.times[-1] - experiment.times[0]) / (len(experiment.times) - 1)
+        scale = (experiment.times[-1] - experiment.times[0]) / (len(experiment.times) - 1)
     else:
-        least = jnp.sqrt(jnp.nanmean(measured**2))
-    return Shifted(start, jnp.maximum(jnp.max(jnp.abs(start)), jnp.where(least > 0, least, 1.0)))
+        scale = jnp.sqrt(jnp.nanmean(measured**2))
+    return Shifted(start, jnp.maximum(jnp.max(jnp.abs(start)), jnp.where(scale > 0, scale, 1.0)))

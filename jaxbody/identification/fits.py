@@ -22,20 +22,25 @@ from jaxbody.parameters.transforms import Direction, Rotation
 from jaxbody.statistics.quantiles import check_level
 from jaxbody.statistics.uncertainties import Uncertainty
 
-LEVEL = 0.95  # of the intervals that print
-STILL = 1e-9  # slope of a number, relative to the largest of its leaf, that is none
+LEVEL = 0.95  # of the printed intervals
+FLAT = 1e-9  # slope of a number, relative to the largest of its leaf, that counts as zero
 
 
 class Fit(Result):
-    """A fit: `model` and `experiments` with the estimates in them, `estimates` and `standard_errors` by path (infinite where the data cannot tell), `intervals(level)` with `degrees_of_freedom` by path,
-    `covariance` of u, `singular_values` of the Jacobian with relative columns, `unidentified` in words, `predicted` {run: {sensor: array}},
-    `noise` {run: {sensor: rms residual}} (of a pose two, in meters and radians), `correlation` (lag one) of the residuals, `cost` 1/2 r'r,
-    `history` of costs, `rounds`, where in it the noise was estimated anew, `failed` trials that could not be simulated, `at_bound` in words,
-    `limits` of u, `remarks` on what would help it. `status` NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED
-    or AT_BOUND where it is not good. Leading axes of a batch stay; standard errors are not there inside jit or vmap.
+    """Result of a fit: estimates, their uncertainty, residuals.
+
+    `model` and `experiments` hold the estimates. By path: `estimates`, `standard_errors` (infinite for what the data do not determine),
+    `intervals(level)` and their `degrees_of_freedom`. `unidentified` lists combinations of parameters that the data do not determine,
+    `at_bound` the parameters at a bound. `covariance` and `limits` are those of u, `singular_values` those of the Jacobian with scaled
+    columns. `predicted` {run: {sensor: array}}; `noise` {run: {sensor: rms residual}}, for a pose two numbers, in meters and radians;
+    `correlation`, the lag-one correlation of the residuals; `cost` 1/2 r'r; `history`, the cost of every evaluation; `rounds`, the
+    evaluations after which the noise was estimated again; `failed`, the number of trials that could not be simulated; `remarks`, remedies.
+
+    `status`: OK, NOT_CONVERGED, NOT_IDENTIFIABLE, NEVER_MOVED, AT_BOUND or INTERRUPTED. A batch keeps its leading axes; a fit inside jit or
+    vmap has no standard errors.
 
     >>> import inspect
-    >>> inspect.signature(fit).return_annotation  # fit returns one
+    >>> inspect.signature(fit).return_annotation  # the result of fit
     'Fit'
     """
 
@@ -68,38 +73,42 @@ class Fit(Result):
 
     def _assessed(self) -> Uncertainty:
         if self.uncertainty is None:
-            raise JaxbodyError(Problem("TRACED", "fit", "has no standard errors inside jit or vmap", hint="Fit outside of it for them."))
+            raise JaxbodyError(
+                Problem("TRACED", "fit", "has no standard errors inside jit or vmap", hint="Fit outside of jit and vmap to get them.")
+            )
         return self.uncertainty
 
     @property
     def standard_errors(self) -> dict[str, np.ndarray]:
-        """{path: standard error}, infinite where the data cannot tell."""
-        found = self._assessed().standard_errors
-        return {path: np.where(lost, np.inf, found[path]) for path, lost in self._lost().items()}
+        """{path: standard error}, infinite where the data do not determine it."""
+        errors = self._assessed().standard_errors
+        return {path: np.where(unknown, np.inf, errors[path]) for path, unknown in self._unknown_to_second_order().items()}
 
-    def _lost(self) -> dict[str, np.ndarray]:
-        """Which numbers of a direction or an orientation move only to second order, in what the data cannot tell: a tilted axis z has
-        a first derivative of zero along z."""
+    def _unknown_to_second_order(self) -> dict[str, np.ndarray]:
+        """Which numbers of an undetermined direction or orientation have a first derivative of zero, as the z component of an axis along z:
+        their standard errors to first order would be zero."""
         u = self._assessed()
         error, _ = u.spread(np.eye(self.u.size))
-        found = {}
-        for f, slopes, mine in zip(self.task.free, u.slopes, parts_of(self.task.free), strict=True):
-            found[f.path] = np.zeros(f.form.start.shape, bool)
-            if isinstance(f.form, Direction | Rotation) and not np.isfinite(error[mine]).all():
-                size = np.linalg.norm(slopes[..., mine], axis=-1)
-                found[f.path] = size <= STILL * size.max()
-        return found
+        unknown = {}
+        for f, slopes, own in zip(self.task.free, u.slopes, parts_of(self.task.free), strict=True):
+            unknown[f.path] = np.zeros(f.form.start.shape, bool)
+            if isinstance(f.form, Direction | Rotation) and not np.isfinite(error[own]).all():
+                size = np.linalg.norm(slopes[..., own], axis=-1)
+                unknown[f.path] = size <= FLAT * size.max()
+        return unknown
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
-        """{path: (lower, upper)}, confidence intervals of this level: of what is positive by its logarithm, at a bound with one side. Error: BAD_LEVEL."""
+        """Confidence intervals {path: (lower, upper)}: by logarithms for positive parameters, one-sided at a bound. Error: BAD_LEVEL."""
         check_level(level, "fit.intervals.level")
-        found = intervals_of(self.task.free, np.asarray(self.u), self.estimates, self._assessed(), level)
-        lost = self._lost()
-        return {path: (np.where(lost[path], -np.inf, low), np.where(lost[path], np.inf, high)) for path, (low, high) in found.items()}
+        intervals = intervals_of(self.task.free, np.asarray(self.u), self.estimates, self._assessed(), level)
+        unknown = self._unknown_to_second_order()
+        return {
+            path: (np.where(unknown[path], -np.inf, low), np.where(unknown[path], np.inf, high)) for path, (low, high) in intervals.items()
+        }
 
     @property
     def degrees_of_freedom(self) -> dict[str, np.ndarray]:
-        """{path: degrees of freedom} of Student's t in its interval: few where samples are few, or noise is correlated for long."""
+        """{path: degrees of freedom} of Student's t in the intervals: few if samples are few or noise is correlated over many samples."""
         return freedoms_of(self.task.free, self._assessed())
 
     @property
@@ -112,7 +121,7 @@ class Fit(Result):
 
     @property
     def unidentified(self) -> list[str]:
-        """Directions that leave the readings as they are, in words."""
+        """Combinations of parameters that do not change the readings: "AB.stiffness up with CD.stiffness down"."""
         return self._assessed().words
 
     @property
@@ -120,19 +129,20 @@ class Fit(Result):
         return self._assessed().correlation
 
     def explain(self) -> str:
-        return "; ".join([*filter(None, [self._how_it_ended()]), *self.remarks])
+        return "; ".join([*filter(None, [self._status_details()]), *self.remarks])
 
-    def _how_it_ended(self) -> str:
+    def _status_details(self) -> str:
         status = Status(int(self.status))
         if status in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED):
             u = self._assessed()
             return f"rank {u.rank} of {len(u.singular_values)}: " + "; ".join(u.words)
         if status == Status.AT_BOUND:
             given = any(label.endswith(("(lower)", "(upper)")) for label in self.at_bound)
-            return ", ".join(self.at_bound) + ("; its interval has one side, the others are estimated with it there" if given else "")
+            note = "; its interval is one-sided, the other parameters are estimated with it there"
+            return ", ".join(self.at_bound) + (note if given else "")
         after = f"after {tables.counted(int(self.evaluations), 'evaluation')}; the best so far is kept"
         if status == Status.INTERRUPTED:
-            return f"{after}; go on with fit(..., resume=this)"
+            return f"{after}; continue with fit(..., resume=this)"
         return after if status == Status.NOT_CONVERGED else ""
 
     def to_xarray(self) -> Any:
@@ -167,7 +177,7 @@ class Fit(Result):
     def _tables(self) -> list[tables.PrintedTable]:
         if self.uncertainty is None or not is_concrete(self.u):
             return [tables.PrintedTable("Fit", ("", ""), [(path, value) for path, value in self.estimates.items()])]
-        rows, few = [], []
+        rows, printed_freedoms = [], []
         ends, errors, freedoms = self.intervals(LEVEL), self.standard_errors, self.degrees_of_freedom
         for f, (path, value) in zip(self.task.free, self.estimates.items(), strict=True):
             value = np.asarray(value)
@@ -175,30 +185,32 @@ class Fit(Result):
             columns = (np.asarray(x).ravel() for x in (value, errors[path], freedoms[path], *ends[path]))
             for label, unit, x, e, freedom, low, high in zip(_labels(f.name, value), units, *columns, strict=True):
                 bounded = bool(np.isfinite(high - low))
-                few.append(float(freedom) if bounded else np.inf)
+                printed_freedoms.append(float(freedom) if bounded else np.inf)
                 ended = f"{label} (zero)" in self.at_bound or (not np.isfinite(e) and bounded)
-                known = "at its bound" if ended else float(e) if bounded else "not determined"
+                error = "at its bound" if ended else float(e) if bounded else "not determined"
                 relative = tables.percent(e / abs(x)) if x else ""
-                rows.append((label, float(x), unit, known, relative, f"{low:.6g} to {high:.6g}" if bounded else ""))
-        fits = [row for run, sensors in self.noise.items() for name, levels in sensors.items() for row in self._met(run, name, levels)]
+                rows.append((label, float(x), unit, error, relative, f"{low:.6g} to {high:.6g}" if bounded else ""))
+        residuals = [
+            row for run, sensors in self.noise.items() for name, levels in sensors.items() for row in self._rms_rows(run, name, levels)
+        ]
         u = self.uncertainty
         counts = tables.counted(u.samples, "sample"), tables.counted(int(self.evaluations), "evaluation")
         notes = [f"{', '.join(counts)}, {u.noise}; {self.report()}"]
         notes += u.about_noise() + (list(self.remarks) if self.ok else [])
         heads = ("parameter", "estimate", "unit", "standard error", "relative", f"{100 * LEVEL:g} % interval")
-        if told := widening(few, LEVEL):
-            notes.append(told)
+        if note := widening(printed_freedoms, LEVEL):
+            notes.append(note)
             heads = (*heads, "degrees of freedom")
-            rows = [(*row, f"{freedom:.3g}" if freedom < FEW else "") for row, freedom in zip(rows, few, strict=True)]
-        if status_words := ([] if int(self.status) in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED) else u.words):
-            notes += status_words
+            rows = [(*row, f"{freedom:.3g}" if freedom < FEW else "") for row, freedom in zip(rows, printed_freedoms, strict=True)]
+        if int(self.status) not in (Status.NOT_IDENTIFIABLE, Status.NEVER_MOVED):
+            notes += u.words
         return [
             tables.PrintedTable("Fit", heads, rows),
-            tables.PrintedTable("", ("sensor", "rms residual", "unit"), fits, "\n".join(notes)),
+            tables.PrintedTable("", ("sensor", "rms residual", "unit"), residuals, "\n".join(notes)),
         ]
 
-    def _met(self, run: str, name: str, levels: Array) -> list[tuple[str, float, str]]:
-        """How a sensor was met, in each of its units."""
+    def _rms_rows(self, run: str, name: str, levels: Array) -> list[tuple[str, float, str]]:
+        """Table rows with the rms residuals of a sensor, one for each of its units."""
         channel = self.experiments[run].channels[name]
         parts = [f" {part}" for part in channel.parts] or [""] * channel.units
         return [

@@ -1,4 +1,4 @@
-"""From measurements to parameters: least squares with exact derivatives, by three families of methods; uncertainty of the estimates.
+"""Fits of parameters to measurements: least squares with exact derivatives, by SciPy, optax or optimistix.
 
 r = (reading(u) - measured)/noise,    minimize 1/2 r'r over u
 """
@@ -31,7 +31,7 @@ from jaxbody.identification.colorings import PRIORS
 from jaxbody.identification.fit_parameters import choose, limits_of, parts_of, priors_of
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.least_squares import AT_BOUND, Bounds, Evaluations, by_optax, by_scipy
-from jaxbody.identification.residuals import Task, first_noise, noise_found, renoised, residual_and_jacobian
+from jaxbody.identification.residuals import Task, first_noise, residual_and_jacobian, rms_residuals, with_estimated_noise
 from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
@@ -40,10 +40,11 @@ from jaxbody.simulations.simulations import check_steps
 from jaxbody.statistics.losses import check_loss
 from jaxbody.statistics.uncertainties import RANK, assess, decomposed
 
-SMALL, GONE = 1e-3, 2 * RANK  # effects on the readings, relative to residuals or the largest effect: all of it; what others cannot have
-EXACT = 100  # times the tolerance of the integration: residuals that are no noise
-SHORT = 0.25  # of the first natural period, that a record must last at least
-ROUNDS = 5  # of estimating the noise of each channel and fitting with it
+SMALL = 1e-3  # largest effect of a parameter that ended at the limit of its domain, relative to the residuals or the largest effect
+ZERO = 2 * RANK  # such an effect that other parameters cannot have, which counts as zero
+EXACT = 100  # residuals up to this many times the integration tolerance are integration error, not noise
+SHORT = 0.25  # shortest record, relative to the first natural period
+ROUNDS = 5  # largest number of times that the noise of each channel is estimated and the fit repeated
 
 
 def fit(
@@ -66,30 +67,42 @@ def fit(
     checkpoint: str | os.PathLike | None = None,
     allow_float32: bool = False,
 ) -> Fit:
-    """Least-squares estimates of free parameters from measured motions.
+    """Least-squares estimates of free parameters from measurements.
 
-    free: paths or patterns, of the model ("*.stiffness", "plate.mass", "AB.a") or of an experiment ("run1.initial.v", "run1.base.frequency");
-    "left.stiffness = right.stiffness" ties what it names to one number, "left.a = right.a * [1, -1, 1]" by factors, "run1.acc.gain = run2.acc.gain" shares one between experiments.
-    method: any optax optimizer, restarted in whitened coordinates until it has arrived; "least_squares", SciPy's trust-region
-    reflective method, which takes `bounds` {path: (lower, upper)}; or an optimistix least-squares solver, which may also run inside
-    jit and vmap and be differentiated in forward mode.
-    priors: {path: (mean, standard deviation)}, normal, of scalars and vectors; each counts as one more measurement.
-    loss: None for least squares; "soft_l1" or "cauchy" where some samples are outliers (`losses`).
+    Args:
+        model: the initial guess.
+        experiments: {name: Experiment, MeasuredResponse or MeasuredModes}.
+        free: paths or patterns, of the model ("*.stiffness", "plate.mass", "AB.a") or of an experiment ("run1.initial.v",
+            "run1.base.frequency"). "left.stiffness = right.stiffness" ties parameters, "left.a = right.a * [1, -1, 1]" with factors;
+            "run1.acc.gain = run2.acc.gain" shares one parameter between experiments.
+        method: "least_squares", SciPy's trust-region reflective method; any optax optimizer, restarted in whitened coordinates until it
+            converges; or an optimistix least-squares solver, which also runs inside jit and vmap, differentiable in forward mode.
+        bounds: {path or pattern: (lower, upper)} in the unit of the parameter, for "least_squares" only; by default none.
+        priors: {path or pattern: (mean, standard deviation)}, normal, of scalars and vectors; each counts as one more measurement.
+        loss: None for least squares; "soft_l1" or "cauchy" for data with outliers (`losses`).
+        rtol, solver, stepsize_controller, dt0, max_steps: as in `simulate`.
+        max_evaluations: largest number of evaluations of residuals and Jacobian.
+        progress: None shows progress on a terminal or in a notebook after five seconds, False is silent, True prints every evaluation.
+        resume: an interrupted fit, or the path of its checkpoint, from which to continue.
+        checkpoint: path of a file to which every improved trial is saved; by default none.
+        allow_float32: accept single precision, which loses half of the digits.
 
-    Stiffness, damping and mass stay positive, orientations unit, inertia that of positive masses. What the data cannot tell is said in words
-    instead of numbers. Noise that an experiment does not state is estimated for each channel from the residuals, and the fit repeated with it. A trial that
-    cannot be simulated is a step rejected. Ctrl-C ends a fit with the best so far and status INTERRUPTED; resume= goes on from such a fit, or
-    from the file that checkpoint= names, which is written at every better trial. progress: how far it is, on a terminal or in a notebook after five seconds; False is silent, True prints every evaluation.
+    Stiffness, damping and mass stay positive, quaternions stay unit, and an inertia stays that of positive masses. Parameters that the data
+    do not determine are listed in words, without numbers. Noise that an experiment does not state is estimated for each channel from the
+    residuals, and the fit is repeated with it. A trial that cannot be simulated is a rejected step. Ctrl-C ends the fit with the best
+    estimates so far and status INTERRUPTED.
 
-    rtol, solver, stepsize_controller, dt0: as in `simulate`. Constant steps are several times faster where many experiments run side by side or where
-    an input has kinks at samples on which the steps lie; that they are short enough is then yours to see to.
+    Constant steps are several times faster for many experiments in one batch, or for an input with kinks at samples that coincide with
+    steps; they do not control the error, so compare with a shorter dt0.
 
-    Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, BAD_BOUNDS, BAD_PRIOR, UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, BAD_DELAY, NONFINITE_START,
-    NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of `simulate`; inside jit and vmap NO_NOISE, where noise would have to be estimated. Warns by
-    status, of CORRELATED_RESIDUALS, of FAILED_TRIALS, and FAR_OFF of runs that begin far off their own first samples.
+    Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, BAD_BOUNDS, BAD_PRIOR,
+    UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, BAD_DELAY, NONFINITE_START, NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of
+    `simulate`; inside jit and vmap also NO_NOISE, as noise is not estimated there. Warns of any status but OK, CORRELATED_RESIDUALS,
+    FAILED_TRIALS, and FAR_OFF where the prediction of a run begins far from its first samples.
 
-    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
+    ...               joints={"mass": Guide("world", axis=[1, 0, 0])})
     >>> times = jnp.linspace(0, 1, 6)
     >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times)})
     >>> round(float(fit(model, {"track": track}, free=["spring.stiffness"]).estimates["spring.stiffness"]), 5)  # (2 pi)^2
@@ -105,15 +118,15 @@ def fit(
     parameters = choose(model, experiments, _patterns(free))
     limits = limits_of(parameters, {} if bounds is None else bounds, method)
     search = _search(method, limits)
-    known = priors_of(parameters, {} if priors is None else priors)
-    noise, estimated = first_noise(experiments, absolute=bool(known) or loss is not None)
+    prior_values = priors_of(parameters, {} if priors is None else priors)
+    noise, estimated = first_noise(experiments, absolute=bool(prior_values) or loss is not None)
     task = Task(
         model,
         dict(experiments),
         parameters,
         noise,
         Integration(rtol, solver, stepsize_controller, dt0, max_steps),
-        known,
+        prior_values,
         loss,
     )
     u = np.zeros(task.size)
@@ -122,27 +135,32 @@ def fit(
         task = eqx.tree_at(lambda t: t.noise, task, levels)
     if not is_concrete(model, experiments):
         return _fit_traced(task, u, method, max_evaluations, estimated)
-    keep = (lambda u: None) if checkpoint is None else lambda u: save(checkpoint, task, u)
-    ended = Status.NOT_CONVERGED
+    save_improved = (lambda u: None) if checkpoint is None else lambda u: save(checkpoint, task, u)
+    status = Status.NOT_CONVERGED
     with working("fit", progress) as line:
-        line("the first evaluation, which compiles")
+        line("first evaluation, compiling")
         evaluate = Evaluations(
-            partial(residual_and_jacobian, task), max_evaluations, floor=_floor(task), progress=progress, better=keep, line=line
+            partial(residual_and_jacobian, task),
+            max_evaluations,
+            floor=_floor(task),
+            progress=progress,
+            improved=save_improved,
+            line=line,
         )
         try:
             _check_start(task, *evaluate(u))
             for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
-                u, arrived = search(evaluate, task, u)
-                ended = Status.OK if arrived else Status.NOT_CONVERGED
+                u, converged = search(evaluate, task, u)
+                status = Status.OK if converged else Status.NOT_CONVERGED
                 if not estimated:
                     break
-                task, changed = renoised(task, evaluate.more(u))
+                task, changed = with_estimated_noise(task, evaluate.auxiliary(u))
                 if not changed:
                     break
-                evaluate.renew(partial(residual_and_jacobian, task), _floor(task))
+                evaluate.replace_function(partial(residual_and_jacobian, task), _floor(task))
         except KeyboardInterrupt:
-            u, ended = u if evaluate.best is None else evaluate.best, Status.INTERRUPTED
-        result = _finish(evaluate, task, u, ended, limits)
+            u, status = u if evaluate.best is None else evaluate.best, Status.INTERRUPTED
+        result = _finish(evaluate, task, u, status, limits)
     warn_if_failed(result)
     if result.ok and result.uncertainty is not None and result.uncertainty.correlated:
         warn("CORRELATED_RESIDUALS", result.uncertainty.about_noise()[0])
@@ -158,20 +176,20 @@ def _patterns(free: Any) -> list[str]:
     if isinstance(free, str):
         return [free]
     if not isinstance(free, Iterable):
-        limit, hint = "paths or patterns", 'Say free=["*.stiffness", "mass.mass"], what is to be found.'
+        limit, hint = "paths or patterns", 'Name the unknowns: free=["*.stiffness", "mass.mass"].'
         raise JaxbodyError(Problem("WRONG_KIND", "fit.free", f"is {free!r:.60}", free, limit, hint))
     return list(free)
 
 
 def _floor(task: Task) -> float:
-    """The norm of a column of the Jacobian that the tolerance of the integration makes: rtol times the size of the model, in every residual."""
+    """The norm of a column of the Jacobian that is integration error: an error of rtol times the size of the model in every residual."""
     weights = [(e.measured[name].size, task.noise[run][name]) for run, e in task.experiments.items() for name in e.channels]
     weight = np.sqrt(sum(n * np.mean(1 / np.asarray(level) ** 2) for n, level in weights))
     return float(task.integration.rtol * size_of(task.model) * weight)
 
 
 def _search(method: Any, limits: Bounds) -> Callable:
-    """A method as a function of Evaluations, the task and a start, which returns the best u and whether it has arrived."""
+    """The method as a function of Evaluations, the task and the start, which returns the best u and whether it converged."""
     if isinstance(method, str) and method == "least_squares":
         return lambda evaluate, task, u: by_scipy(evaluate, u, limits)
     if isinstance(method, optimistix.AbstractLeastSquaresSolver):
@@ -183,22 +201,20 @@ def _search(method: Any, limits: Bounds) -> Callable:
 
 
 def _by_optimistix(evaluate: Evaluations, task: Task, u, method) -> tuple[np.ndarray, bool]:
-    u, status, steps = solve(task, u, method, max(evaluate.most - evaluate.count, 1))
+    u, status, steps = solve(task, u, method, max(evaluate.max_evaluations - evaluate.count, 1))
     evaluate.count += int(steps)
     return np.asarray(u), int(status) == Status.OK
 
 
-def _fit_traced(task: Task, u, method, most: int, estimated: bool) -> Fit:
-    """Inside jit, vmap and derivatives, where nothing can be looked at."""
+def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
+    """A fit inside jit, vmap and derivatives, where values are unknown."""
     if not isinstance(method, optimistix.AbstractLeastSquaresSolver):
-        hint = "Use optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8) there."
-        raise JaxbodyError(Problem("TRACED", "fit.method", "works on numbers, not inside jit, vmap or grad", method, hint=hint))
+        hint = "Inside them use optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8)."
+        raise JaxbodyError(Problem("TRACED", "fit.method", "does not run inside jit, vmap or grad", method, hint=hint))
     if estimated:
-        hint = (
-            "Give every measurement its noise: how the channels weigh against each other is estimated outside of jit, vmap and grad only."
-        )
+        hint = "Give the noise of every measurement: it is estimated outside of jit, vmap and grad only."
         raise JaxbodyError(Problem("NO_NOISE", "fit.experiments", "do not state the noise of all channels", hint=hint))
-    u, status, steps = solve(task, u, method, most)
+    u, status, steps = solve(task, u, method, max_steps)
     model, experiments = task.scatter(u)
     r = task.residual(u)
     return Fit(model, experiments, u, 0.5 * r @ r, status, steps, task, None, {}, {}, [], 0, [])
@@ -206,7 +222,7 @@ def _fit_traced(task: Task, u, method, most: int, estimated: bool) -> Fit:
 
 def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds) -> Fit:
     r, J = evaluate(u)
-    runs = evaluate.more(u)
+    runs = evaluate.auxiliary(u)
     G = [np.asarray(g) for g in jax.jacfwd(task.values)(jnp.asarray(u))]
     inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
     paths, exact = [f.path for f in task.free], EXACT * _floor(task)
@@ -222,54 +238,56 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds
     ]
     at_bound += [f"{label} ({end})" for label, end in zip(task.labels, ends, strict=True) if end]
     if status == Status.OK:
-        known = uncertainty.rank + np.count_nonzero(ends != "")
-        conditions = ((uncertainty.still, Status.NEVER_MOVED), (known < task.size, Status.NOT_IDENTIFIABLE), (at_bound, Status.AT_BOUND))
-        status = next((found for true, found in conditions if true), Status.OK)
+        rank = uncertainty.rank + np.count_nonzero(ends != "")
+        conditions = ((uncertainty.still, Status.NEVER_MOVED), (rank < task.size, Status.NOT_IDENTIFIABLE), (at_bound, Status.AT_BOUND))
+        status = next((code for condition, code in conditions if condition), Status.OK)
     remarks = () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
     model, experiments = task.scatter(jnp.asarray(u))
     predicted = {run: runs[run][0] for run in task.experiments}
     if np.linalg.norm(r) > exact:
         remarks += tuple(far_off(model, experiments, predicted, task.noise, task.integration))
-    return Fit(model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty, predicted, noise_found(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds), remarks)  # fmt: skip
+    return Fit(
+        model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty,
+        predicted, rms_residuals(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds), remarks,
+    )  # fmt: skip
 
 
 def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray:
-    """The end of its domain that each u went to, in a word, if the rest of the way has no effect on the readings; "" for the others."""
+    """The limit of its domain that each u is near, as a word, if moving on to it has no effect on the readings; "" for the others."""
     ends = np.concatenate([f.form.ended(u[part]) for f, part in zip(task.free, parts_of(task.free), strict=True)])
     _, S, Vt, _ = decomposed(J)
     size = max(np.linalg.norm(r), S.max()) or 1.0
-    alone = 1 / np.linalg.norm(Vt.T / np.maximum(S, 0.1 * GONE * size), axis=1)
-    return np.where((alone <= GONE * size) & (np.linalg.norm(J, axis=0) <= SMALL * size), ends, "")
+    alone = 1 / np.linalg.norm(Vt.T / np.maximum(S, 0.1 * ZERO * size), axis=1)
+    return np.where((alone <= ZERO * size) & (np.linalg.norm(J, axis=0) <= SMALL * size), ends, "")
 
 
 def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, ...]:
-    """Records too short for anything else, or what else may help a search that has not arrived."""
+    """Remedies for records that are too short, or else for a search that did not converge."""
     runs = {name: run for name, run in task.experiments.items() if isinstance(run, Experiment)}
     period = 1 / first_frequency(task.model) if runs else np.nan
-    lasts = {name: float(np.ptp(run.times)) for name, run in runs.items()}
-    short = [f"'{name}' lasts {time:.3g} s" for name, time in lasts.items() if time < SHORT * period]
+    durations = {name: float(np.ptp(run.times)) for name, run in runs.items()}
+    short = [f"'{name}' lasts {duration:.3g} s" for name, duration in durations.items() if duration < SHORT * period]
     if short:
-        return (
-            f"{', '.join(short)}, a small part of the first natural period of {period:.3g} s: record longer, or leave fewer parameters free",
-        )
+        remedy = "record longer, or free fewer parameters"
+        return (f"{', '.join(short)}, a small part of the first natural period of {period:.3g} s: {remedy}",)
     if status != Status.NOT_CONVERGED:
         return ()
-    return ("start nearer, or give more max_evaluations" if evaluate.spent else "start nearer, or try another method",)
+    return (f"give a better initial guess, or {'more max_evaluations' if evaluate.exhausted else 'another method'}",)
 
 
 def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
     problems = check_measurements(experiments, "fit.experiments")
     for name in experiments:
         taken = {"a body": model.layout.bodies, "a support": model.layout.supports, "an element": model.element_names}
-        what = next((kind for kind, names in taken.items() if name in names), None)
+        owner = next((kind for kind, names in taken.items() if name in names), None)
         marks = "".join(mark for mark in ".*?[]" if isinstance(name, str) and mark in name)
-        told = (
-            "is no text" if not isinstance(name, str) else f"is the name of {what} of the model" if what
+        message = (
+            "is not a string" if not isinstance(name, str) else f"is the name of {owner} of the model" if owner
             else "is reserved" if name in ("world", "gravity", PRIORS) else f"has {' '.join(marks)} in it" if marks else ""
         )  # fmt: skip
-        if told:
-            hint = "Name the experiment otherwise: its name begins paths, none of . * ? [ ]."
-            problems.add("BAD_NAME", f"experiments[{name!r}]", told, value=name, hint=hint)
+        if message:
+            hint = "Choose another name, without . * ? [ ], as the paths of an experiment begin with its name."
+            problems.add("BAD_NAME", f"experiments[{name!r}]", message, value=name, hint=hint)
     problems.raise_if_any()
     for name, experiment in experiments.items():
         problems.gather(partial(experiment.check, model, name))
@@ -277,11 +295,11 @@ def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
 
 
 def _check_start(task: Task, r: np.ndarray, J: np.ndarray) -> None:
-    """The residual must be finite at the start; else say where it is not."""
+    """The residuals must be finite at the start. Error: NONFINITE_START, with the first residual that is not."""
     if np.isfinite(r).all():
         return
     runs = residual_and_jacobian(task, jnp.zeros(task.size))[2]
-    hint = "Start from parameters that can be simulated."
+    hint = "Start with parameters for which the model can be simulated."
     for run, (_, residuals) in runs.items():
         experiment = task.experiments[run]
         for name, values in residuals.items():
@@ -290,6 +308,6 @@ def _check_start(task: Task, r: np.ndarray, J: np.ndarray) -> None:
                 place, value = experiment.place(int(bad[0][0]))
                 component = f", component {bad[0][1]}" if bad.shape[1] > 1 else ""
                 why = experiment.explain(task.model, task.integration)
-                told = f"is not finite from {place} on{component}, at the start of the fit: {why}"
-                raise JaxbodyError(Problem("NONFINITE_START", f"{run}.{name}", told, value, "finite", hint))
+                message = f"is not finite from {place} on{component}, at the start of the fit: {why}"
+                raise JaxbodyError(Problem("NONFINITE_START", f"{run}.{name}", message, value, "finite", hint))
     raise JaxbodyError(Problem("NONFINITE_START", "fit", "has derivatives that are not finite at the start", hint=hint))

@@ -1,4 +1,4 @@
-"""Fits from many starts side by side, and the optima that they end in."""
+"""Fits from many initial guesses in batches, and the distinct optima that they reach."""
 
 from __future__ import annotations
 
@@ -28,17 +28,18 @@ from jaxbody.identification.residuals import Task
 from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
 
-TOGETHER = 1e-3  # distance in u, and of costs relative to 1 + cost, of what counts as one optimum
-CLOSE = 2.0  # difference of costs (logarithms of likelihood) up to which another optimum explains the data too
-AT_ONCE = 16  # starts in one program
+SAME = 1e-3  # largest distance in u, and of costs relative to 1 + cost, of results that count as one optimum
+CLOSE = 2.0  # largest difference of costs (negative log-likelihoods) at which another optimum explains the data about as well
+BATCH = 16  # starts in one program
 
 
 class Multistart(Result):
-    """The optima found, ascending in `cost` (n,): `estimates` {path: (n, ...)}, `found` how many starts ended in each; of `starts` in all
-    `lost` ended in none. `best`, the fit of the lowest.
+    """The distinct optima, by increasing `cost` (n,), with `estimates` {path: (n, ...)} and the number of starts `found` at each.
+
+    `best` is the fit with the lowest cost; `starts` the number of starts, of which `lost` did not converge.
 
     >>> import inspect
-    >>> inspect.signature(multistart).return_annotation  # multistart returns one
+    >>> inspect.signature(multistart).return_annotation  # the result of multistart
     'Multistart'
     """
 
@@ -56,8 +57,9 @@ class Multistart(Result):
     def _tables(self) -> list[tables.PrintedTable]:
         paths = {path: np.asarray(x).reshape(len(self.cost), -1) for path, x in self.estimates.items()}
         scalars = [path for path, x in paths.items() if x.shape[1] == 1]
-        rows = [(str(i + 1), cost, str(count), *(float(paths[path][i, 0]) for path in scalars)) for i, (cost, count) in enumerate(zip(self.cost, self.found, strict=True))]  # fmt: skip
-        note = f"{self.starts} starts, {self.lost} of them ended in no optimum; {self.report()}"
+        counts = enumerate(zip(self.cost, self.found, strict=True))
+        rows = [(str(i + 1), cost, str(count), *(float(paths[path][i, 0]) for path in scalars)) for i, (cost, count) in counts]
+        note = f"{self.starts} starts, {self.lost} of which did not converge; {self.report()}"
         return [tables.PrintedTable("Optima", ("", "cost", "starts", *scalars), rows, note)]
 
 
@@ -74,16 +76,29 @@ def multistart(
     progress: bool | None = None,
     **options: Any,
 ) -> Multistart:
-    """`fit` from the model's own values, then Levenberg-Marquardt from `starts` others side by side, with the noise that it found; then `fit` from the best.
+    """Fits from several initial guesses, to find the global optimum and any others.
 
-    Starts are Sobol points: between finite `bounds`, elsewhere within `spread` of the model's own values in the coordinates u that a fit moves (0.5: a
-    factor of 1.65 to both sides for what is positive). Only the fits at both ends keep the bounds. options: those of `fit`. Every AT_ONCE
-    starts are one program: Ctrl-C between them keeps what there is. progress: as of `fit`.
+    First `fit` from the values of the model, then the Levenberg-Marquardt method from `starts` Sobol points, with the noise estimated by
+    the first fit; last, `fit` again from the best result, if it is another optimum. Only the first and last fits enforce the bounds.
 
-    Errors: those of `fit`, BAD_NUMBER. Warns SEVERAL_OPTIMA where another optimum is within two units of the logarithm of likelihood.
+    Args:
+        model, experiments, free: as in `fit`.
+        starts: number of additional initial guesses.
+        spread: half the range of the initial guesses around the values of the model, in the coordinates u of the fit, for parameters
+            without finite bounds; for positive parameters 0.5 is a factor of 1.65 in both directions.
+        seed: of the Sobol points.
+        bounds: as in `fit`; where they are finite, the initial guesses lie between them.
+        max_evaluations: largest number of steps from each initial guess.
+        progress: as in `fit`.
+        options: other options of `fit`.
 
-    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
+    The starts are computed in batches of 16. Ctrl-C between batches returns the optima so far.
+
+    Errors: those of `fit`, BAD_NUMBER. Warns SEVERAL_OPTIMA if another optimum has a log-likelihood within 2 of the best.
+
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
+    ...               joints={"mass": Guide("world", axis=[1, 0, 0])})
     >>> times = jnp.linspace(0, 1, 6)
     >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times)}, noise=0.01)
     >>> several = multistart(model, {"track": track}, free=["spring.stiffness"], starts=4)
@@ -96,43 +111,44 @@ def multistart(
     positive_number(spread, "multistart.spread", problems)
     problems.raise_if_any()
     with working("multistart", progress) as line:
-        with warnings.catch_warnings(record=True) as told:  # of an optimum that may not be the best
+        with warnings.catch_warnings(record=True) as caught:  # about an optimum that may not be the best
             warnings.simplefilter("always")
             first = fit(model, experiments, free=free, bounds=bounds, progress=progress, **options)
         task = first.task
         points = _points(limits_of(task.free, bounds or {}, "least_squares"), starts, spread, seed)
         ends, costs = [np.asarray(first.u)], [float(first.cost)]
-        lost = 0
+        failures = 0
         try:
-            for i in range(0, starts, AT_ONCE):
-                u, status, cost = (np.asarray(x) for x in _searched(task, jnp.asarray(points[i : i + AT_ONCE]), max_evaluations))
-                good = (status == Status.OK) & np.isfinite(cost)
-                ends += list(u[good])
-                costs += list(cost[good])
-                lost += int((~good).sum())
-                line(words := f"starts {min(i + AT_ONCE, starts)} of {starts}: least cost {min(costs):.9g}")
+            for i in range(0, starts, BATCH):
+                u, status, cost = (np.asarray(x) for x in _search(task, jnp.asarray(points[i : i + BATCH]), max_evaluations))
+                converged = (status == Status.OK) & np.isfinite(cost)
+                ends += list(u[converged])
+                costs += list(cost[converged])
+                failures += int((~converged).sum())
+                line(message := f"starts {min(i + BATCH, starts)} of {starts}: least cost {min(costs):.9g}")
                 if progress:
-                    print(words, flush=True)
+                    print(message, flush=True)
         except KeyboardInterrupt:
             starts = i  # pyright: ignore[reportPossiblyUnboundVariable]
         groups = _grouped(np.array(ends), np.array(costs))
         lowest = groups[0][0]
         best = first
         if lowest == 0:
-            for each in told:
+            for each in caught:
                 warn_of(each.message)  # pyright: ignore
         else:
-            best = fit(model, experiments, free=free, bounds=bounds, progress=progress, resume=dataclasses.replace(first, u=jnp.asarray(ends[lowest])), **options)  # fmt: skip
+            start = dataclasses.replace(first, u=jnp.asarray(ends[lowest]))
+            best = fit(model, experiments, free=free, bounds=bounds, progress=progress, resume=start, **options)
     cost = np.array([costs[group[0]] for group in groups])
     if len(cost) > 1 and cost[1] - cost[0] < CLOSE:
         warn("SEVERAL_OPTIMA", f"another optimum explains the data about as well: costs {cost[0]:.6g} and {cost[1]:.6g}")
     values = eqx.filter_vmap(task.values)(jnp.asarray(np.array([ends[group[0]] for group in groups])))
     estimates = dict(zip((f.path for f in task.free), values, strict=True))
-    return Multistart(best, cost, np.array([len(group) for group in groups]), estimates, starts + 1, lost, best.status)
+    return Multistart(best, cost, np.array([len(group) for group in groups]), estimates, starts + 1, failures, best.status)
 
 
 def _points(limits, starts: int, spread: float, seed: int) -> np.ndarray:
-    """Points of a Sobol sequence in the box of u."""
+    """Points of a Sobol sequence between bounds of u: `limits`, or -spread to spread."""
     from scipy.stats import qmc
 
     low, high = (np.where(np.isfinite(limit), limit, sign * spread) for limit, sign in zip(limits, (-1, 1), strict=True))
@@ -141,11 +157,11 @@ def _points(limits, starts: int, spread: float, seed: int) -> np.ndarray:
 
 
 @jit_optimized
-def _searched(task: Task, points: Float[Array, "n m"], most: int):
-    """u, status and cost of the end of each search."""
+def _search(task: Task, points: Float[Array, "n m"], max_steps: int):
+    """u, status and cost at the end of the search from each point."""
 
     def search(start):
-        u, status, _ = solve(task, start, optimistix.LevenbergMarquardt(rtol=1e-9, atol=1e-9), most)
+        u, status, _ = solve(task, start, optimistix.LevenbergMarquardt(rtol=1e-9, atol=1e-9), max_steps)
         r = task.residual(u)
         return u, status, 0.5 * r @ r
 
@@ -153,12 +169,12 @@ def _searched(task: Task, points: Float[Array, "n m"], most: int):
 
 
 def _grouped(ends: np.ndarray, costs: np.ndarray) -> list[list[int]]:
-    """Which ends are one optimum, the best first in each group, groups by cost."""
+    """Indices of results grouped by optimum, in order of cost."""
     groups: list[list[int]] = []
     for i in np.argsort(costs, kind="stable"):
         for group in groups:
-            near = np.abs(ends[i] - ends[group[0]]).max() < TOGETHER
-            if near and abs(costs[i] - costs[group[0]]) < TOGETHER * (1 + costs[group[0]]):
+            near = np.abs(ends[i] - ends[group[0]]).max() < SAME
+            if near and abs(costs[i] - costs[group[0]]) < SAME * (1 + costs[group[0]]):
                 group.append(int(i))
                 break
         else:

@@ -1,4 +1,4 @@
-"""What a fit makes small: residuals of all measurements over their noise, as a function of u.
+"""Residuals of all measurements over their noise as a function of the free parameters u, and estimates of that noise.
 
 r(u) = (reading(u) - measured)/noise
 """
@@ -23,14 +23,14 @@ from jaxbody.models.models import Model
 from jaxbody.sensors.channels import Channel
 from jaxbody.statistics.losses import linearized, robust_level, root
 
-PROPORTION = 0.01  # change of the estimated noise of one channel against another's that is worth another round
+PROPORTION = 0.01  # relative change of the ratio of two noise levels above which the fit is repeated
 
-Levels = dict[str, dict[str, Array]]  # of each measurement the noise of each channel
-ReadingsAndResiduals = dict[str, tuple[dict[str, Array], dict[str, Array]]]  # of each measurement readings and residuals, by channel
+Levels = dict[str, dict[str, Array]]  # {measurement: {channel: noise}}
+ReadingsAndResiduals = dict[str, tuple[dict[str, Array], dict[str, Array]]]  # {measurement: (readings, residuals)}, both by channel
 
 
 class Task(eqx.Module):
-    """A least-squares problem: `runs(u)` and `residual(u)` over all measurements, `scatter(u)` the model and measurements with u in them."""
+    """A least-squares problem: `runs(u)` and `residual(u)` of all measurements; `scatter(u)`, the model and the measurements at u."""
 
     model: Model
     experiments: dict[str, Measurement]
@@ -46,16 +46,16 @@ class Task(eqx.Module):
 
     @property
     def absolute(self) -> bool:
-        """Whether the optimum depends on how large all noise is, not on its proportions alone."""
+        """Whether the optimum depends on the noise levels themselves and not only on their ratios."""
         return self.loss is not None or bool(self.priors)
 
     @property
     def labels(self) -> list[str]:
-        """What each u is called."""
+        """The name of each u."""
         return [f.name + label for f in self.free for label in f.form.labels()]
 
     def values(self, u: Float[Array, "n"]) -> list[Array]:
-        """The leaf of each free parameter."""
+        """The value of each free parameter."""
         return [f.form.value(u[part]) for f, part in zip(self.free, parts_of(self.free), strict=True)]
 
     def scatter(self, u: Float[Array, "n"]) -> tuple[Model, dict[str, Measurement]]:
@@ -63,8 +63,10 @@ class Task(eqx.Module):
         new = {run: {leaf: x for f, value in values for leaf, x in f.spread(value, run).items()} for run in ("", *self.experiments)}
         return write(self.model, new[""]), {name: write(measurement, new[name]) for name, measurement in self.experiments.items()}
 
-    def differences(self, model: Model, experiment: Measurement, noise: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
-        """Readings, and residuals over noise (zero where a sample is missing), of one measurement."""
+    def readings_and_residuals(
+        self, model: Model, experiment: Measurement, noise: dict[str, Array]
+    ) -> tuple[dict[str, Array], dict[str, Array]]:
+        """Readings of one measurement, and its residuals over noise, zero for missing samples."""
         readings = experiment.readings(model, self.integration)
         residuals = {
             name: experiment.residual(name, readings[name]) / channel.spread(noise[name]) for name, channel in experiment.channels.items()
@@ -72,41 +74,41 @@ class Task(eqx.Module):
         return readings, residuals
 
     def runs(self, u: Float[Array, "n"]) -> ReadingsAndResiduals:
-        """`differences` of every measurement, those of equal structure side by side."""
+        """Readings and residuals of every measurement; measurements of equal structure are evaluated in one batch."""
         model, runs = self.scatter(u)
-        found = {}
+        results = {}
         for names in shared_structure(runs):
             if len(names) == 1:
-                found[names[0]] = self.differences(model, runs[names[0]], self.noise[names[0]])
+                results[names[0]] = self.readings_and_residuals(model, runs[names[0]], self.noise[names[0]])
                 continue
             group, noise = (jax.tree.map(lambda *x: jnp.stack(x), *(tree[name] for name in names)) for tree in (runs, self.noise))
-            both = jax.vmap(self.differences, in_axes=(None, 0, 0))(model, group, noise)
-            found |= {name: jax.tree.map(lambda x, i=i: x[i], both) for i, name in enumerate(names)}
+            both = jax.vmap(self.readings_and_residuals, in_axes=(None, 0, 0))(model, group, noise)
+            results |= {name: jax.tree.map(lambda x, i=i: x[i], both) for i, name in enumerate(names)}
         if self.priors:
             values = dict(zip((f.path for f in self.free), self.values(u), strict=True))
-            found[PRIORS] = values, {path: (values[path] - mean) / deviation for path, (mean, deviation) in self.priors.items()}
-        return found
+            results[PRIORS] = values, {path: (values[path] - mean) / deviation for path, (mean, deviation) in self.priors.items()}
+        return results
 
     def residual(self, u: Float[Array, "n"]) -> Float[Array, "m"]:
         return self.losses(self.runs(u))
 
     def losses(self, runs: ReadingsAndResiduals) -> Float[Array, "m"]:
-        """All residuals in one row, as the loss has them: by name, as jit sorts dicts, those of priors last."""
+        """All residuals in one vector, with the loss applied: sorted by name as jit sorts dicts, those of priors last."""
         parts = _rows(runs)
         return jnp.concatenate([root(r, None if run == PRIORS else self.loss) for run, r in parts.items()])
 
     def linearized(self, runs: ReadingsAndResiduals, J) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals and Jacobian of the least-squares problem that has the optimum of the losses and its covariance."""
+        """Residuals and Jacobian of the least-squares problem with the same optimum and covariance as the robust one."""
         raw = {run: np.asarray(r) for run, r in _rows(runs).items()}
         prior = raw.pop(PRIORS, np.zeros(0))
         r, m = np.concatenate(list(raw.values())), len(J) - len(prior)
-        there = [self.experiments[run].present(name).ravel() for run in _order(self.experiments) for name in sorted(runs[run][1])]
-        r, data = linearized(r, J[:m], np.concatenate(there), self.loss)
+        present = [self.experiments[run].present(name).ravel() for run in _order(self.experiments) for name in sorted(runs[run][1])]
+        r, data = linearized(r, J[:m], np.concatenate(present), self.loss)
         return np.concatenate([r, prior]), np.concatenate([data, J[m:]])
 
 
 def _rows(runs: ReadingsAndResiduals) -> dict[str, Array]:
-    """The residuals of each measurement in one row."""
+    """The residuals of each measurement as one vector."""
     return {run: jnp.concatenate([runs[run][1][name].ravel() for name in sorted(runs[run][1])]) for run in _order(runs)}
 
 
@@ -116,7 +118,7 @@ def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
 
 @jit_optimized
 def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, ReadingsAndResiduals]:
-    """r, dr/du and what they come from, in one program: compiling costs more than running."""
+    """r, dr/du and the readings and residuals by channel, in one program, as compiling costs more than running."""
 
     def evaluate(u):
         runs = task.runs(u)
@@ -125,12 +127,13 @@ def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Arra
     colors = colors_of(task.free, task.experiments)
     seeds = jnp.asarray(colors[:, None] == np.arange(colors.max(initial=-1) + 1), float)
     r, sums, runs = jax.vmap(lambda seed: jax.jvp(evaluate, (u,), (seed,), has_aux=True), 1, (None, 1, None))(seeds)
-    blocks = [moved_rows(task.free, task.experiments, run, name, runs[run][1][name].size) for run in _order(runs) for name in sorted(runs[run][1])]  # fmt: skip
+    channels = [(run, name) for run in _order(runs) for name in sorted(runs[run][1])]
+    blocks = [moved_rows(task.free, task.experiments, run, name, runs[run][1][name].size) for run, name in channels]
     return r, jnp.where(jnp.concatenate(blocks), sums[:, colors], 0.0), runs
 
 
 def shared_structure(experiments: dict[str, Measurement]) -> list[list[str]]:
-    """Names of measurements of equal structure and shapes, which can run side by side."""
+    """Groups of names of measurements with equal structure and shapes, which can be evaluated in one batch."""
     groups: dict[Any, list[str]] = {}
     for name, experiment in experiments.items():
         leaves, treedef = jax.tree.flatten(experiment)
@@ -139,13 +142,13 @@ def shared_structure(experiments: dict[str, Measurement]) -> list[list[str]]:
 
 
 def rms(channel: Channel, residuals: list, present: list) -> Array:
-    """Root mean square over all records of a channel, one number or one for each of its units."""
+    """Root mean square over all records of a channel: one number for each of its units."""
     squares = sum(channel.pooled(jnp.asarray(r) ** 2) for r in residuals)
-    return jnp.sqrt(squares / sum(channel.pooled(jnp.asarray(there, float)) for there in present))
+    return jnp.sqrt(squares / sum(channel.pooled(jnp.asarray(mask, float)) for mask in present))
 
 
-def level(channel: Channel, residuals: list, present: list, loss: str | None) -> Array:
-    """The noise that residuals show: their rms, or with a robust loss what outliers do not raise."""
+def noise_level(channel: Channel, residuals: list, present: list, loss: str | None) -> Array:
+    """The noise estimated from residuals: their rms, or with a robust loss an estimate that outliers do not increase."""
     if loss is None:
         return rms(channel, residuals, present)
 
@@ -157,13 +160,13 @@ def level(channel: Channel, residuals: list, present: list, loss: str | None) ->
 
 
 def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Levels, bool]:
-    """Stated noise; without it the standard deviation of each channel's record, over all runs, and True where it is still to be estimated,
-    be it that its level matters (`absolute`) or the proportions of several."""
+    """The noise to start with, as stated, or else the standard deviation of the channel over all runs; and whether it must be estimated,
+    because its level matters (`absolute`) or the ratios of several levels do."""
     channels = {name: channel for e in experiments.values() for name, channel in e.channels.items()}
     spread = {}
     for name, channel in channels.items():
         runs = [e for e in experiments.values() if name in e.channels]
-        spread[name] = rms(channel, [away(e, name) for e in runs], [~channel.missing(e.measured[name]) for e in runs])
+        spread[name] = rms(channel, [residuals_of_mean(e, name) for e in runs], [~channel.missing(e.measured[name]) for e in runs])
         spread[name] = jnp.where(spread[name] > 0, spread[name], 1.0)
     noise = {run: {name: (e.noise or {}).get(name, spread[name]) for name in e.channels} for run, e in experiments.items()}
     stated = [name in (e.noise or {}) for e in experiments.values() for name in e.channels]
@@ -171,39 +174,39 @@ def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Le
     return noise, not all(stated) and (absolute or units > 1 or any(stated))  # pyright: ignore[reportReturnType]  `get` with a default gives no None
 
 
-def away(experiment: Measurement, name: str) -> Array:
-    """Residuals of what would read the mean of a record at all times."""
+def residuals_of_mean(experiment: Measurement, name: str) -> Array:
+    """Residuals of a prediction that is the mean of the record at all times."""
     measured = experiment.measured[name]
     return experiment.channels[name].residual(jnp.broadcast_to(jnp.nanmean(measured, axis=0), measured.shape), measured)
 
 
-def renoised(task: Task, runs: ReadingsAndResiduals) -> tuple[Task, bool]:
-    """The task with noise as the residuals have it, and whether that changed its proportions by more than PROPORTION."""
-    found: dict[str, tuple[Channel, list, list]] = {}
+def with_estimated_noise(task: Task, runs: ReadingsAndResiduals) -> tuple[Task, bool]:
+    """The task with the noise estimated from the residuals, and whether its ratios changed by more than PROPORTION."""
+    by_channel: dict[str, tuple[Channel, list, list]] = {}
     for run, experiment in task.experiments.items():
         for name, channel in experiment.channels.items():
-            _, residuals, present = found.setdefault(name, (channel, [], []))
+            _, residuals, present = by_channel.setdefault(name, (channel, [], []))
             residuals.append(runs[run][1][name] * channel.spread(task.noise[run][name]))
             present.append(experiment.present(name))
-    levels = {name: jnp.maximum(level(*parts, task.loss), 1e-12) for name, parts in found.items()}
+    levels = {name: jnp.maximum(noise_level(*parts, task.loss), 1e-12) for name, parts in by_channel.items()}
     new = {run: {name: (e.noise or {}).get(name, levels[name]) for name in e.channels} for run, e in task.experiments.items()}
     places = [(run, name) for run in new for name in new[run]]
     ratio, fitted = (
         np.concatenate([np.ravel(of(*place) / task.noise[place[0]][place[1]]) for place in places])
         for of in (lambda run, name: new[run][name], lambda _, name: levels[name])
     )
-    if fitted.max() < 1e-9:  # an exact fit has no noise to weigh by
+    if fitted.max() < 1e-9:  # an exact fit has no noise
         return task, False
     if task.absolute:
         ratio = np.append(ratio, 1.0)
     return eqx.tree_at(lambda t: t.noise, task, new), bool(ratio.max() / ratio.min() > 1 + PROPORTION)
 
 
-def noise_found(task: Task, runs: ReadingsAndResiduals) -> Levels:
-    """{measurement: {channel: rms residual}}, with a robust loss what outliers do not raise."""
+def rms_residuals(task: Task, runs: ReadingsAndResiduals) -> Levels:
+    """{measurement: {channel: rms residual}}; with a robust loss, an estimate that outliers do not increase."""
 
     def of(run: str, name: str, channel: Channel):
         residuals = runs[run][1][name] * channel.spread(task.noise[run][name])
-        return level(channel, [residuals], [task.experiments[run].present(name)], task.loss)
+        return noise_level(channel, [residuals], [task.experiments[run].present(name)], task.loss)
 
     return {run: {name: of(run, name, channel) for name, channel in e.channels.items()} for run, e in task.experiments.items()}

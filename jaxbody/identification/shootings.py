@@ -1,9 +1,10 @@
-"""Multiple shooting: a long or chaotic record is cut into segments that start from states of their own, which a fit draws together.
+"""Multiple shooting: a long or chaotic record is cut into segments with initial states of their own, which the fit makes continuous.
 
-    minimize 1/2 sum ((reading - measured)/noise)^2 + 1/2 sum ((end of segment k - start of segment k+1)/(slack scale))^2,    slack falling to SLACKS[-1]
+    minimize 1/2 sum ((reading - measured)/noise)^2 + 1/2 sum ((end of segment k - start of segment k+1)/(slack scale))^2
 
-Within a segment errors of parameters grow little, so that the cost has few minima; once the segments meet, the states between them are
-what one simulation gives. Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E., Progress in Scientific Computing 2 (1983) 95.
+The slack decreases to SLACKS[-1]. Within a segment the effect of a parameter error grows little, so the cost has few minima; once the
+segments are continuous, they are one simulation. Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
+Progress in Scientific Computing 2 (1983) 95.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import warnings
 from collections.abc import Iterable
 from typing import Any
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -30,19 +30,24 @@ from jaxbody.identification.residuals import first_noise
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.sensors.channels import Channel
-from jaxbody.simulations.integrations import integrate
 from jaxbody.simulations.readings import readings
 from jaxbody.simulations.simulations import motions_of
 from jaxbody.simulations.trajectories import Trajectory
 from jaxbody.statics.rest_states import Rest
 
-MOST = 50  # evaluations to find the state that a segment starts from
-SLACKS = (1.0, 0.1, 1e-2, 1e-4, 1e-6)  # of the states between segments, relative to how much they move in the record
-WORSE = 1.01  # cost of the whole record's fit over that of the segments, above which the segments are better
+MAX_EVALUATIONS = 50  # for the initial state of a segment
+SLACKS = (
+    1.0,
+    0.1,
+    1e-2,
+    1e-4,
+    1e-6,
+)  # standard deviations of gaps between segments, relative to the variation of the state over the record
+WORSE = 1.01  # ratio of the cost of the whole record to that of the segments above which the fit of the segments is returned
 
 
 class Continuity(Channel):
-    """How far segments are apart where they meet, over the scale of each component."""
+    """Gaps of the state between segments, over the scale of each component."""
 
     shape = ()
     unit = ""
@@ -50,7 +55,7 @@ class Continuity(Channel):
 
 
 class Segments(Measurement):
-    """A record in `count` segments with `nodes`, the states that the second and later ones start from."""
+    """A record in `count` segments, with `nodes`, the initial states of the second and later ones."""
 
     whole: Experiment
     nodes: State
@@ -60,8 +65,8 @@ class Segments(Measurement):
 
     @property
     def measured(self):  # pyright: ignore[reportIncompatibleVariableOverride]
-        there = jnp.zeros((self.count - 1, self.nodes.q.shape[1] + self.nodes.v.shape[1]))
-        return {**self.whole.measured, "continuity": there}
+        gaps = jnp.zeros((self.count - 1, self.nodes.q.shape[1] + self.nodes.v.shape[1]))
+        return {**self.whole.measured, "continuity": gaps}
 
     @property
     def noise(self):  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -69,7 +74,7 @@ class Segments(Measurement):
 
     @property
     def channels(self):
-        return {**self.whole.channels, "continuity": Continuity()}  # pyright: ignore[reportCallIssue]  # the class states them
+        return {**self.whole.channels, "continuity": Continuity()}  # pyright: ignore[reportCallIssue]  # the fields are class attributes
 
     def residual(self, name, reading):
         return reading if name == "continuity" else self.whole.residual(name, reading)
@@ -78,9 +83,9 @@ class Segments(Measurement):
         return {**self.whole.named(), "nodes": {"q": self.nodes.q, "v": self.nodes.v}}
 
     def moved_rows(self, path, channel):
-        """Of what is read in a segment the state that it starts from; of how far two are apart the starts of both."""
-        chained = any(sensor.delay is not None or sensor.lag is not None for sensor in self.whole.sensors.values())
-        if ".nodes." not in path or chained:
+        """Readings in a segment depend on its initial state; a gap depends on the initial states of both segments."""
+        depend_on_past = any(sensor.delay is not None or sensor.lag is not None for sensor in self.whole.sensors.values())
+        if ".nodes." not in path or depend_on_past:
             return None
         nodes, ends = jnp.arange(1, self.count), jnp.arange(self.count - 1)[:, None]
         if channel == "continuity":
@@ -102,27 +107,27 @@ class Segments(Measurement):
 
     def readings(self, model, integration: Integration):
         starts, rows = cuts(len(self.whole.times), self.count)
-        how, motions, loads = integration, motions_of(model, self.whole.motion), tuple(self.whole.loads.values())
+        motions, loads = motions_of(model, self.whole.motion), tuple(self.whole.loads.values())
         first = first_state(self.whole, model)
-        beginnings = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), State(first.q, first.v), State(self.nodes.q, self.nodes.v))
+        initial_states = jax.tree.map(
+            lambda x, y: jnp.concatenate([x[None], y]), State(first.q, first.v), State(self.nodes.q, self.nodes.v)
+        )
 
         def segment(times, initial):
-            return integrate(model, times, motions, loads, State(initial.q, initial.v), how.rtol, how.solver, how.stepsize_controller, diffrax.ForwardMode(), how.dt0, how.max_steps, diffrax.NoProgressMeter())  # fmt: skip
+            return integration.trajectory(model, times, motions, loads, State(initial.q, initial.v))
 
-        parts = jax.vmap(segment)(self.whole.times[starts[:, None] + np.arange(rows)], beginnings)
-        meet = jax.tree.map(lambda x: x[np.arange(self.count - 1), np.diff(starts)], parts.state)
-        apart = [
-            (ends - nodes) / scale for ends, nodes, scale in ((meet.q, self.nodes.q, self.scale.q), (meet.v, self.nodes.v, self.scale.v))
-        ]
+        parts = jax.vmap(segment)(self.whole.times[starts[:, None] + np.arange(rows)], initial_states)
+        ends = jax.tree.map(lambda x: x[np.arange(self.count - 1), np.diff(starts)], parts.state)
+        gaps = [(ends.q - self.nodes.q) / self.scale.q, (ends.v - self.nodes.v) / self.scale.v]
         owner = self._segment_of_samples()
         joined = jax.tree.map(lambda x: x[owner, np.arange(len(owner)) - starts[owner]], parts.state)
         end = jax.tree.map(lambda x: x[-1], parts.end)
         whole = Trajectory(self.whole.times, joined, jnp.max(parts.status), {}, end, model, motions, loads)
-        return {**readings(whole, self.whole.sensors), "continuity": jnp.concatenate(apart, 1)}
+        return {**readings(whole, self.whole.sensors), "continuity": jnp.concatenate(gaps, 1)}
 
 
 def cuts(samples: int, count: int) -> tuple[np.ndarray, int]:
-    """The first sample of each segment, and how many samples all have: each reaches the first of the next one."""
+    """The first sample of each segment and their number of samples; each segment reaches the first sample of the next one."""
     rows = -(-(samples - 1) // count) + 1
     return np.round(np.linspace(0, samples - rows, count)).astype(int), rows
 
@@ -135,65 +140,70 @@ def multiple_shooting(
     segments: int,
     **options: Any,
 ) -> Fit:
-    """`fit` of records that are long or chaotic: by `segments` pieces that are drawn together step by step, then as whole records from there.
+    """A fit of long or chaotic records by multiple shooting, and from its result a fit of the whole records.
 
-    The states where segments meet begin as the model has them at the start of the fit, and are fitted along: choose segments so short that a trial motion stays
-    near the measured one within one of them. If the fit of the whole records from there loses it again, as that of a chaotic one may, what
-    comes back is the fit of the segments, which then meet within SLACKS[-1] of how much their states move; its `experiments` are `Segments`.
-    options: those of `fit`.
+    Args:
+        model, experiments, free: as in `fit`; the experiments are records in time.
+        segments: number of segments of each record, so many that a simulated motion stays near the measured one within each.
+        options: other options of `fit`.
+
+    The initial states of the segments are fitted together with the parameters; the gaps between segments are reduced step by step. If the
+    cost of the whole records is then higher, as it may be for chaotic motion, the fit of the segments is returned. Its gaps are about
+    1e-6 of the variation of the state, and its `experiments` are `Segments`.
 
     Errors: those of `fit`, BAD_NUMBER.
 
-    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
+    ...               joints={"mass": Guide("world", axis=[1, 0, 0])})
     >>> times = jnp.linspace(0, 4, 41)
     >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times)}, noise=0.01)
     >>> round(float(multiple_shooting(model, {"track": track}, free="spring.stiffness", segments=4).estimates["spring.stiffness"]), 4)
     39.4784
     """
     check_measurements(experiments, "multiple_shooting.experiments").raise_if_any()  # pyright: ignore[reportArgumentType]
-    least = min((len(experiment.times) for experiment in experiments.values()), default=2)
-    if not 2 <= segments < least:
-        raise JaxbodyError(Problem("BAD_NUMBER", "multiple_shooting.segments", f"is {segments}", segments, f"2 to {least - 1}"))
+    shortest = min((len(experiment.times) for experiment in experiments.values()), default=2)
+    if not 2 <= segments < shortest:
+        raise JaxbodyError(Problem("BAD_NUMBER", "multiple_shooting.segments", f"is {segments}", segments, f"2 to {shortest - 1}"))
     patterns = [free] if isinstance(free, str) else list(free)
-    loose: Fit | None = None
+    joint: Fit | None = None
     with warnings.catch_warnings(), working("multiple shooting", options.get("progress")) as line:
-        warnings.simplefilter("ignore", JaxbodyWarning)  # of steps on the way
-        line("segments one by one")
+        warnings.simplefilter("ignore", JaxbodyWarning)  # of intermediate fits
+        line("initial states of the segments")
         cut = {name: _cut(model, name, experiment, segments, options) for name, experiment in experiments.items()}
         for slack in SLACKS:
-            if loose is not None:
-                model, cut = loose.model, loose.experiments  # pyright: ignore[reportAssignmentType]
+            if joint is not None:
+                model, cut = joint.model, joint.experiments  # pyright: ignore[reportAssignmentType]
             cut = {name: dataclasses.replace(each, slack=jnp.asarray(slack)) for name, each in cut.items()}
-            line(f"segments together, slack {slack:g}")
-            loose = fit(model, cut, free=[*patterns, *(f"{name}.nodes.*" for name in cut)], **options)  # pyright: ignore[reportArgumentType]
-    assert loose is not None
-    wholes = {name: each.whole for name, each in loose.experiments.items()}  # pyright: ignore[reportAttributeAccessIssue]
-    noise = {name: {channel: loose.task.noise[name][channel] for channel in each.channels} for name, each in wholes.items()}
-    whole = fit(loose.model, wholes, free=patterns, **options)
-    limit = WORSE * _cost(loose, noise)
-    return whole if np.isfinite(_cost(whole, noise)) and _cost(whole, noise) <= limit else loose
+            line(f"all segments, slack {slack:g}")
+            joint = fit(model, cut, free=[*patterns, *(f"{name}.nodes.*" for name in cut)], **options)  # pyright: ignore[reportArgumentType]
+    assert joint is not None
+    records = {name: each.whole for name, each in joint.experiments.items()}  # pyright: ignore[reportAttributeAccessIssue]
+    noise = {name: {channel: joint.task.noise[name][channel] for channel in each.channels} for name, each in records.items()}
+    whole = fit(joint.model, records, free=patterns, **options)
+    limit = WORSE * _cost(joint, noise)
+    return whole if np.isfinite(_cost(whole, noise)) and _cost(whole, noise) <= limit else joint
 
 
 def first_state(experiment: Experiment, model: Model) -> State:
-    """Where an experiment begins: its own state, rest, or the reference pose."""
+    """The initial state of an experiment: its own, rest, or the reference pose."""
     given = experiment.start(model, motions_of(model, experiment.motion))
     return model.reference if given is None else given
 
 
-def _cost(found: Fit, noise: dict[str, dict[str, Array]]) -> float:
+def _cost(result: Fit, noise: dict[str, dict[str, Array]]) -> float:
     """1/2 r'r of the measured channels, with this noise."""
     total = 0.0
     for name, channels in noise.items():
-        experiment = found.experiments[name]
+        experiment = result.experiments[name]
         for channel, level in channels.items():
-            r = experiment.residual(channel, found.predicted[name][channel]) / experiment.channels[channel].spread(level)
+            r = experiment.residual(channel, result.predicted[name][channel]) / experiment.channels[channel].spread(level)
             total += 0.5 * float(jnp.sum(r**2))
     return total
 
 
 def _cut(model: Model, name: str, experiment: Experiment, count: int, options: dict[str, Any]) -> Segments:
-    """An experiment in segments, each of which starts from where the one before ended, moved to what the record says of it."""
+    """An experiment in segments. Each starts from the end of the one before, with its initial state fitted to its part of the record."""
     starts, rows = cuts(len(experiment.times), count)
     how = {field.name: options[field.name] for field in dataclasses.fields(Integration) if field.name in options}
     state = first_state(experiment, model)
@@ -204,7 +214,7 @@ def _cut(model: Model, name: str, experiment: Experiment, count: int, options: d
         record = {channel: x[i : i + rows] for channel, x in whole.measured.items()}
         part = eqx.tree_at(lambda e: (e.times, e.measured, e.initial), whole, (whole.times[i : i + rows], record, state))
         if i:
-            part = fit(model, {name: part}, free=f"{name}.initial.*", max_evaluations=MOST, **how).experiments[name]
+            part = fit(model, {name: part}, free=f"{name}.initial.*", max_evaluations=MAX_EVALUATIONS, **how).experiments[name]
             assert isinstance(part, Experiment)
         motions.append(part.trajectory(model, Integration(**how)).state)
         state = State(*(x[following - i] for x in (motions[-1].q, motions[-1].v)))

@@ -60,8 +60,9 @@ def bands(
     Errors: WRONG_KIND of a function that gives no real array, BAD_LEVEL, NO_KEY, UNDETERMINED where draws are asked for of what the data do not
     determine, TRACED. Warns NONFINITE.
 
-    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
+    ...               joints={"mass": Guide("world", axis=[1, 0, 0])})
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
     >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times) + noise})
     >>> found = fit(model, {"track": track}, free=["spring.stiffness"])

@@ -67,8 +67,9 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
 
     At a bound it goes to the one side that there is. progress: a line after five seconds on a terminal or in a notebook; False is silent. Errors: UNKNOWN_PATH, WRONG_KIND of what has no scale of its own, BAD_LEVEL, TRACED. Warns by status.
 
-    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
+    ...               joints={"mass": Guide("world", axis=[1, 0, 0])})
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
     >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times) + noise})
     >>> found = profile(fit(model, {"track": track}, free=["spring.stiffness"]), "spring.stiffness")

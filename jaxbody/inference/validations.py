@@ -19,7 +19,7 @@ from jaxbody.experiments.experiments import check_measurements
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.fits import Fit
-from jaxbody.identification.residuals import Task
+from jaxbody.identification.residuals import Task, residuals_of_mean
 from jaxbody.statistics.autocorrelations import Whiteness, whiteness
 
 WHITE = 0.01  # p-value below which residuals are told not to be white
@@ -62,8 +62,9 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
 
     Errors: NO_DATA, WRONG_KIND, those of the experiments with this model. Warns NONFINITE, by `status`.
 
-    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)})
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
+    ...               joints={"mass": Guide("world", axis=[1, 0, 0])})
     >>> def run(times, noise):
     ...     x = jnp.cos(2 * jnp.pi * times) + noise * jnp.cos(300 * times**2)
     ...     return Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": x})
@@ -77,7 +78,7 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     noise = {run: {name: jnp.ones(np.shape(channel.spread(0.0))) for name, channel in e.channels.items()} for run, e in experiments.items()}
     task = Task(fit.model, dict(experiments), (), noise, fit.task.integration)
     runs = _runs(task)
-    means = {run: ({}, {name: _from_mean(e, name) for name in e.channels}) for run, e in experiments.items()}
+    means = {run: ({}, {name: residuals_of_mean(e, name) for name in e.channels}) for run, e in experiments.items()}
     r, signal = np.asarray(task.losses(runs)), np.asarray(task.losses(means))
     known = {name: level for levels in fit.noise.values() for name, level in levels.items()}
     nrmse, rms, excess, tests, units = {}, {}, {}, {}, {}
@@ -105,9 +106,3 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
 @jit_optimized
 def _runs(task: Task):
     return task.runs(jnp.zeros(0))
-
-
-def _from_mean(experiment: Measurement, name: str) -> Array:
-    """Residuals of what would read the mean of the record at all times."""
-    measured = experiment.measured[name]
-    return experiment.channels[name].residual(jnp.broadcast_to(jnp.nanmean(measured, axis=0), measured.shape), measured)

@@ -509,7 +509,7 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         ({"rtol": -1.0, "dt0": 0.0}, ["BAD_NUMBER"] * 2, ["fit.dt0: is 0.0", "fit.rtol: is -1.0"]),
         ({"method": "simplex"}, ["UNKNOWN_METHOD"], ["simplex"]),
         ({"max_evaluations": 0}, ["BAD_NUMBER"], ["fit.max_evaluations: is 0 (allowed: a whole number >= 1)"]),
-        ({"free": None}, ["WRONG_KIND"], ['fit.free: is None (allowed: paths or patterns). Say free=["*.stiffness"']),
+        ({"free": None}, ["WRONG_KIND"], ['fit.free: is None (allowed: paths or patterns). Name the unknowns: free=["*.stiffness"']),
         ({"free": ["run.x.bias"]}, ["UNKNOWN_PATH"], ["Sensor 'x' has no bias: give it bias=0.0 to have one."]),
         ({"free": ["run.*.lag", "run.x.start"]}, ["UNKNOWN_PATH"] * 2, ["give it lag=1e-3 to", "give it lag=1e-3, start=0.0 to"]),
         ({"free": ["s.stiffness =", "run.x.biass"]}, ["UNKNOWN_PATH"] * 2, ["'s.stiffness =' ties nothing on one side", "matches nothing. Did you"]),
@@ -541,7 +541,7 @@ def test_what_is_wrong_with_the_experiments_is_told_at_once(record):
     found = problems_of(cart(), {"cart": run, "a.b": run, "s": run, "base": run, "world": run, 1: run, "c": 3})
     assert [p.code for p in found] == ["WRONG_KIND", *["BAD_NAME"] * 6]
     for told, problem in zip(
-        ("name of a body", "has . in", "of an element", "of a support", "is reserved", "no text"), found[1:], strict=True
+        ("name of a body", "has . in", "of an element", "of a support", "is reserved", "not a string"), found[1:], strict=True
     ):
         assert told in problem.message
     other = jb.Experiment(TIMES, sensors={"x": jb.Position("card")}, measured={"x": np.arange(123.0).reshape(41, 3)})

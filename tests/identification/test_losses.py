@@ -245,18 +245,18 @@ def test_a_full_disk_leaves_the_old_checkpoint_and_a_wrong_one_is_told(record, t
 
 
 DAMAGED = {
-    "an array": (lambda path, good: np.save(path.open("wb"), good["u"]), "NO_CHECKPOINT", "it is damaged, or no checkpoint"),
+    "an array": (lambda path, good: np.save(path.open("wb"), good["u"]), "NO_CHECKPOINT", "it is damaged or not a checkpoint"),
     "pickled": (lambda path, good: np.savez(path, **good | {"u": np.array([{}], dtype=object)}), "NO_CHECKPOINT", "it is damaged"),
     "u of another length": (lambda path, good: np.savez(path, **good | {"u": np.zeros(3)}), "NO_CHECKPOINT", "shape (3,) of float64 (allowed: finite numbers of shape (2,))"),
     "u of text": (lambda path, good: np.savez(path, **good | {"u": np.array(["a", "b"])}), "NO_CHECKPOINT", "of str32"),
     "u not finite": (lambda path, good: np.savez(path, **good | {"u": np.array([0.0, np.nan])}), "NO_CHECKPOINT", "is [0.0, nan]"),
-    "no u": (lambda path, good: np.savez(path, names=good["names"]), "NO_CHECKPOINT", "it has no u"),
+    "no u": (lambda path, good: np.savez(path, names=good["names"]), "NO_CHECKPOINT", "it lacks u"),
     "no noise": (lambda path, good: np.savez(path, names=good["names"], u=good["u"]), "NO_CHECKPOINT", "noise of run.x: is missing"),
     "negative noise": (lambda path, good: np.savez(path, **good | {"noise0": np.array(-1.0)}), "NO_CHECKPOINT", "is -1.0 (allowed: positive numbers"),
     "noise of another shape": (lambda path, good: np.savez(path, **good | {"noise0": np.ones(2)}), "NO_CHECKPOINT", "shape (2,)"),
     "of another fit": (lambda path, good: np.savez(path, **good | {"names": good["names"][1:]}), "OTHER_FIT", "'left.stiffness'"),
     "empty": (lambda path, good: path.write_bytes(b""), "NO_CHECKPOINT", "it is damaged"),
-    "a pipe": (lambda path, good: os.mkfifo(path), "NO_CHECKPOINT", "is no file"),
+    "a pipe": (lambda path, good: os.mkfifo(path), "NO_CHECKPOINT", "is not a regular file"),
     "bytes turned": (lambda path, good: turned(path, good), "NO_CHECKPOINT", "it is damaged"),
 }  # fmt: skip
 
@@ -316,4 +316,4 @@ def test_a_record_much_shorter_than_the_first_period_is_said_to_be_short():
     assert said in found.report() and said in str(found) and said in str(told[0].message)
     with pytest.warns(jb.JaxbodyWarning, match="NOT_CONVERGED") as told:
         found = fit(oscillator(), brief, ("left.stiffness", "mass.mass"), max_evaluations=3)
-    assert said in found.report() and "start nearer" not in found.report()
+    assert said in found.report() and "better initial guess" not in found.report()

@@ -202,7 +202,7 @@ def test_few_degrees_of_freedom_are_printed_where_they_widen_intervals(found, re
     np.testing.assert_allclose(few.intervals()["spring.stiffness"], [k * np.exp(-far), k * np.exp(far)], rtol=1e-6)
     for freedom in few.degrees_of_freedom.values():
         np.testing.assert_allclose(freedom, 6, rtol=1e-9)
-    said = f"intervals are of Student's t: 6 degrees of freedom, which widen them {student.ppf(0.975, 6) / 1.959964:.2g} times"
+    said = f"intervals use Student's t with 6 degrees of freedom, which makes them {student.ppf(0.975, 6) / 1.959964:.2g} times wider"
     assert said in str(few) and "degrees of freedom" in repr(few).splitlines()[1]
     with np.errstate(all="ignore"):
         side = jb.profile(few, "spring.stiffness")
