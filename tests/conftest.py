@@ -22,8 +22,8 @@ MUCH, MUCH_BETWEEN_FILES = 1.2e9, 0.8e9  # bytes of memory that a worker has in 
 
 
 def pytest_configure(config):
-    """XLA compiles in less time, as compiling is most of what tests do: all programs as with `jaxbody.quick_options`, those of the quick tests
-    without optimization. The others, and those chosen for every Python, run what users run."""
+    """XLA compiles in less time, as compiling is most of what tests do: all programs as with `jaxbody.quick_options`, those of the quick
+    tests without optimization. The others, and those chosen for every Python, run what users run."""
     if jaxlib.version.__version__.startswith("0.10."):
         os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_use_fusion_emitters=false"
     if config.option.markexpr == "not long":

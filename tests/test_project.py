@@ -95,7 +95,10 @@ def test_imports_go_down_only(module):
 
 
 def test_an_import_that_is_misplaced_would_be_found_and_its_place_is_said():
-    source = "def f():\n    from jaxbody.simulations.simulations import simulate\n\nfrom jaxbody.core import units\nfrom jaxbody import statics\nfrom . import x\n"
+    source = (
+        "def f():\n    from jaxbody.simulations.simulations import simulate\n\n"
+        "from jaxbody.core import units\nfrom jaxbody import statics\nfrom . import x\n"
+    )
     imports = imported_modules(ast.parse(source))
     assert imports == {"simulations.simulations": 2, "core.units": 4, "statics": 5, "a relative import": 6}
     said = "\n".join(misplaced("models.models", imports))
@@ -207,7 +210,8 @@ print(*sorted({"matplotlib", "scipy.optimize", "xarray", "pandas"} & set(sys.mod
 
 @pytest.mark.everywhere
 def test_import_has_no_side_effects():
-    """Precision stays as it was, no array is made (JAX has not even looked for devices), nothing slow is imported that may not be needed."""
+    """Precision stays as it was, no array is made (JAX has not even looked for devices), nothing slow is imported that may not be
+    needed."""
     done = subprocess.run([sys.executable, "-c", IMPORT_ALONE], capture_output=True, text=True, timeout=300)
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == "False False\n\n"

@@ -11,7 +11,12 @@ import jaxbody as jb
 
 OF_TESTS = {"test", "judges"}
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-PACKAGES = [(wanted.partition(">=")[0].lower(), extra) for extra, all_ in PROJECT["optional-dependencies"].items() for wanted in all_ if extra not in OF_TESTS]  # fmt: skip
+PACKAGES = [
+    (wanted.partition(">=")[0].lower(), extra)
+    for extra, all_ in PROJECT["optional-dependencies"].items()
+    for wanted in all_
+    if extra not in OF_TESTS
+]
 
 
 def reading(start, suffix):

@@ -107,7 +107,8 @@ def test_programs_lose_what_their_results_do_not_need(monkeypatch):
 
 
 def test_a_linear_function_has_the_transpose_that_it_is_given():
-    """y = k x by a loop of unknown length, which JAX cannot transpose: forward, reverse, in batches of either argument, second derivatives."""
+    """y = k x by a loop of unknown length, which JAX cannot transpose: forward, reverse, in batches of either argument, second
+    derivatives."""
 
     def times(k, x):
         return jax.lax.while_loop(lambda c: c[0] < 3, lambda c: (c[0] + 1, c[1] + k * x / 3), (0, jnp.zeros_like(k * x)))[1]

@@ -73,16 +73,22 @@ def made():
     x, (strokes, forces) = jnp.ones((1, 2, 3)), 2 * [tuple(jnp.ones((1, *e.shape)) for e in eq.deformations)]
     o, i = jnp.ones(nv), jnp.zeros(nv, int)
     return [
-        jb.simulate(model, TIMES[:3]), eq, eqx.tree_at(lambda e: e.path, eq, path, is_leaf=lambda x: x is None), Equilibria(0, (still,), np.ones(1), np.ones(1), 4),
-        LoadCases(jnp.zeros(1, int), jnp.ones(1), eq.state, eq, x, x, strokes, forces, jnp.array([True]), jnp.array([True]), ("bump",)), jb.preload(one),
-        lin, lin.state_space(shaken, moved), modes, jb.complex_modes(lin), jb.mode_energies(lin), jb.elastic_axes(lin, "box"), jb.torque_roll_axis(lin, "box", [1, 0, 0]),
+        jb.simulate(model, TIMES[:3]), eq, eqx.tree_at(lambda e: e.path, eq, path, is_leaf=lambda x: x is None),
+        Equilibria(0, (still,), np.ones(1), np.ones(1), 4),
+        LoadCases(jnp.zeros(1, int), jnp.ones(1), eq.state, eq, x, x, strokes, forces, jnp.array([True]), jnp.array([True]), ("bump",)),
+        jb.preload(one),
+        lin, lin.state_space(shaken, moved), modes, jb.complex_modes(lin), jb.mode_energies(lin), jb.elastic_axes(lin, "box"),
+        jb.torque_roll_axis(lin, "box", [1, 0, 0]),
         Backbones(o, lin.K, 0 * i, o, lin.K, lin.K, o, o, o, i, model.layout),
         SpinLinearization(lin.M, lin.C, lin.C, lin.K, lin.K, lin.K[0], lin.status, lin.state, model),
         Branches(jnp.ones(2), *(jnp.ones((2, *shape)) for shape in [(nv,), (nv,), (nv, nv), (nv,), (nv,)]), jnp.zeros(2, int), modes),
-        jb.frequency_response(small, [1.0, 2.0], shaken, moved), jb.random_response(small, jb.Band(0.5, 5.0), shaken, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}),
+        jb.frequency_response(small, [1.0, 2.0], shaken, moved),
+        jb.random_response(small, jb.Band(0.5, 5.0), shaken, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}),
         jb.weighted_signal(np.arange(400) / 400, np.cos(np.arange(400)), "Wk"), jb.base_motion(acceleration, "acc", axis=[1, 0, 0]),
-        found, Multistart(found, np.ones(1), np.ones(1, int), found.estimates, 4, 3, found.status), jb.validate(found, {"later": measured(TIMES)}),
-        jb.profile(found, free[0]), jb.bands(found, lambda model: model["spring"].stiffness), jb.diagnose(one, {"run": measured(TIMES)}), jb.plausibility(one),
+        found, Multistart(found, np.ones(1), np.ones(1, int), found.estimates, 4, 3, found.status),
+        jb.validate(found, {"later": measured(TIMES)}),
+        jb.profile(found, free[0]), jb.bands(found, lambda model: model["spring"].stiffness), jb.diagnose(one, {"run": measured(TIMES)}),
+        jb.plausibility(one),
         jb.tune(one, quantities, free=free, minimize="shake", bounds=bounds, starts=1), jb.sensitivities(one, quantities, free=free),
         jb.tolerances(one, quantities, {"spring.stiffness": 1.0}, samples=100),
         jb.pareto(one, quantities, minimize=["shake", "travel"], free=free, bounds=bounds, points=3),
@@ -105,8 +111,8 @@ def classes(of=Result):
 
 
 def test_no_result_computes_when_it_is_looked_at(results):
-    """Neither what is compiled nor what is compiled already: inside make_jaxpr all that JAX is asked for becomes part of a program, which stays empty.
-    So for results that are good, and as if they had ended in any other way."""
+    """Neither what is compiled nor what is compiled already: inside make_jaxpr all that JAX is asked for becomes part of a program, which
+    stays empty. So for results that are good, and as if they had ended in any other way."""
     for module in pkgutil.walk_packages(jb.__path__, "jaxbody."):
         import_module(module.name)
     assert {type(result) for result in results} == classes()

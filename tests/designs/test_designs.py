@@ -191,7 +191,8 @@ def frequencies(model):
 
 @pytest.mark.parametrize("start", [(1.0, 1.0), (0.4, 1.9)])
 def test_frequencies_that_coincide_at_the_start_or_at_the_optimum(crossed, start):
-    """The stiffest softest direction for a budget x + 2 y = 3: both equal, from where they are equal already or not, by a smooth or a plain minimum."""
+    """The stiffest softest direction for a budget x + 2 y = 3: both equal, from where they are equal already or not, by a smooth or a
+    plain minimum."""
     model = jb.replace(crossed, {"one.stiffness": [start[0], 1e-9, 9.0], "two.stiffness": [1e-9, start[1], 1e-9]})
     bounds = {"one.stiffness": ([0.1, 5e-10, 8.9], [10.0, 2e-9, 9.1]), "two.stiffness": ([5e-10, 0.1, 5e-10], [2e-9, 10.0, 2e-9])}
     found = jb.tune(model, frequencies, free=list(bounds), bounds=bounds, minimize="lowest", limits={"cost": (None, 3.0)})
@@ -204,7 +205,8 @@ def test_frequencies_that_coincide_at_the_start_or_at_the_optimum(crossed, start
 
 
 def test_the_edge_of_stability_does_not_stop_the_search():
-    """An upright pendulum on a spring that holds it from k = m g h on; a slow swing lies just beyond, and steps past the edge find no frequency."""
+    """An upright pendulum on a spring that holds it from k = m g h on; a slow swing lies just beyond, and steps past the edge find no
+    frequency."""
     m, h = 1.0, 1.0
     model = jb.Model(
         bodies={"rod": jb.Body(mass=m, inertia=np.full(3, 1e-6), com=[0, 0, h])},
@@ -471,8 +473,10 @@ def test_a_search_says_to_go_on_only_where_it_was_cut_off(weight):
 
 
 def test_a_stop_that_just_touches_at_rest_is_named():
-    """f = sqrt(k/m)/2 pi falls with k until the sag m g/k is the gap; with less the stop is met, and f rises: the least is where it touches, k = m g/gap."""
-    struts = {"strut": jb.SpringDamper(("body", [0, 0, 0]), ("world", [0, 0, -0.5]), free_length=0.5, spring=jb.laws.Linear(3000.0) + jb.laws.Stop(gap=0.02, stiffness=2e4, engagement=5e-3))}  # fmt: skip
+    """f = sqrt(k/m)/2 pi falls with k until the sag m g/k is the gap; with less the stop is met, and f rises: the least is where it
+    touches, k = m g/gap."""
+    struts = {"strut": jb.SpringDamper(("body", [0, 0, 0]), ("world", [0, 0, -0.5]), free_length=0.5,
+                                       spring=jb.laws.Linear(3000.0) + jb.laws.Stop(gap=0.02, stiffness=2e4, engagement=5e-3))}  # fmt: skip
     model = jb.Model(
         bodies={"body": jb.Body(mass=2.0, inertia=[1, 1, 1])},
         joints={"body": jb.Guide("world", axis=[0, 0, 1])},
@@ -495,13 +499,15 @@ def test_a_stop_that_just_touches_at_rest_is_named():
 
 @pytest.mark.long
 def test_mounts_that_decouple_a_powertrain():
-    """Positions free within 0.15 m, orientations free, stiffnesses from half to twice, frequencies in 6 to 18 Hz: of 64 starts at least half bring the smallest over the modes
-    of the dominant share of kinetic energy from 37 % to 98 % or more (published: 95 %). How long that takes: benchmarks/powertrain.py."""
+    """Positions free within 0.15 m, orientations free, stiffnesses from half to twice, frequencies in 6 to 18 Hz: of 64 starts at least
+    half bring the smallest over the modes of the dominant share of kinetic energy from 37 % to 98 % or more (published: 95 %). How long
+    that takes: benchmarks/powertrain.py."""
     engine, found = rigs.decoupled_powertrain()
     before, each = float(found.before["dominant"].min()), found.runs.quantities["dominant"].min(-1)
     good = (each >= 98.0) & (found.runs.violation < 1e-6)
     print(
-        f"{before:.2f} % before; {good.sum()} of 64 starts reach 98 %, median {np.median(each):.2f} %, best {found.after['dominant'].min():.3f} %"
+        f"{before:.2f} % before; {good.sum()} of 64 starts reach 98 %,"
+        f" median {np.median(each):.2f} %, best {found.after['dominant'].min():.3f} %"
     )
     assert abs(before - 37.13) < 0.01 and good.sum() >= 32 and np.median(each) > 98.0
     for i in (1, 2, 3):  # what was asked for, looked at from outside

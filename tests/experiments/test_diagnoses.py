@@ -77,9 +77,11 @@ def test_sound_records_pass(swing):
 
 
 def test_gravity_that_was_taken_out_of_a_record_is_named(swing):
-    """An accelerometer at rest reads +9.81 upwards; a record without it is that of the motion alone. The other way round, a model in which nothing weighs anything."""
+    """An accelerometer at rest reads +9.81 upwards; a record without it is that of the motion alone. The other way round, a model in
+    which nothing weighs anything."""
     model, initial, _ = swing
-    sensors = {"acc": jb.Accelerometer("plate", [0.4, 0.3, 0.0]), "up": jb.Accelerometer("plate", axis=[0, 0, 1]), "along": jb.Accelerometer("plate", axis=[1, 0, 0])}  # fmt: skip
+    sensors = {"acc": jb.Accelerometer("plate", [0.4, 0.3, 0.0]), "up": jb.Accelerometer("plate", axis=[0, 0, 1]),
+               "along": jb.Accelerometer("plate", axis=[1, 0, 0])}  # fmt: skip
     whole = {name: np.asarray(x) for name, x in jb.measure(jb.simulate(model, TIMES, initial=initial), sensors).items()}
     bare = {"acc": whole["acc"] - [0, 0, 9.81], "up": whole["up"] - 9.81, "along": whole["along"]}
 

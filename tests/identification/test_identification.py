@@ -39,7 +39,8 @@ def cart(values=START, hold=HOLD, gravity=GRAVITY, lengths=LENGTHS):
         supports={"base": jb.Support()},
         joints={"cart": jb.Guide("base", axis=[1, 0, 0])},
         elements={
-            name: jb.Spring(("cart", [0, 0, 0]), ("base", end), stiffness=stiffness[name], free_length=lengths[name], damping=damping.get(name, 0.0))
+            name: jb.Spring(("cart", [0, 0, 0]), ("base", end), stiffness=stiffness[name], free_length=lengths[name],
+                            damping=damping.get(name, 0.0))
             for name, end in ENDS.items()
         },
         gravity=[gravity, 0, -9.81],
@@ -340,7 +341,8 @@ RIG_OF_ALL = jb.Model(
     supports={"base": jb.Support()},
     joints={"arm": jb.Hinge("base", axis=[0, 0, 1])},
     elements={
-        "strut": jb.SpringDamper(("plate", [0, 0, 0]), ("base", [0, 0, 1]), spring=jb.laws.Linear(1.0) + jb.laws.Stop(gap=0.1, stiffness=1.0), damper=2.0),
+        "strut": jb.SpringDamper(("plate", [0, 0, 0]), ("base", [0, 0, 1]),
+                                 spring=jb.laws.Linear(1.0) + jb.laws.Stop(gap=0.1, stiffness=1.0), damper=2.0),
         "torsion": jb.Torsion("arm", "base", axis=[0, 0, 1], spring=2.0, damper=jb.laws.Friction(level=1.0, velocity=1e-3)),
         "mount": jb.Bushing(("plate", [0, 0, 0]), ("base", [0, 0, 0]), stiffness=np.eye(6)),
     },
@@ -512,10 +514,12 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         ({"free": None}, ["WRONG_KIND"], ['fit.free: is None (allowed: paths or patterns). Name the unknowns: free=["*.stiffness"']),
         ({"free": ["run.x.bias"]}, ["UNKNOWN_PATH"], ["Sensor 'x' has no bias: give it bias=0.0 to have one."]),
         ({"free": ["run.*.lag", "run.x.start"]}, ["UNKNOWN_PATH"] * 2, ["give it lag=1e-3 to", "give it lag=1e-3, start=0.0 to"]),
-        ({"free": ["s.stiffness =", "run.x.biass"]}, ["UNKNOWN_PATH"] * 2, ["'s.stiffness =' ties nothing on one side", "matches nothing. Did you"]),
+        ({"free": ["s.stiffness =", "run.x.biass"]}, ["UNKNOWN_PATH"] * 2,
+         ["'s.stiffness =' ties nothing on one side", "matches nothing. Did you"]),
         ({"priors": {"s.stiffness": (400, -1), "s.x": (1, 1)}}, ["UNKNOWN_PATH", "BAD_PRIOR"], ["'s.x' matches", "(400, -1)"]),
         ({"bounds": {"s.stiffness": (2, 1), "s.x": (1, 1)}}, ["UNKNOWN_PATH", "BAD_BOUNDS"], ["'s.x' matches", "lower 2"]),
-        ({"bounds": [(300.0, 600.0)]}, ["BAD_BOUNDS"], ['is [(300.0, 600.0)] (allowed: a dict of pairs by path). Write {"s.stiffness": (lower']),
+        ({"bounds": [(300.0, 600.0)]}, ["BAD_BOUNDS"],
+         ['is [(300.0, 600.0)] (allowed: a dict of pairs by path). Write {"s.stiffness": (lower']),
         ({"priors": [(300.0, 6.0)]}, ["BAD_PRIOR"], ['Write {"s.stiffness": (mean, standard deviation)}']),
         ({"bounds": {"cart.mass": (1, 3)}, "method": optax.adam(0.1)}, ["BAD_BOUNDS"], ["least_squares"]),
         ({"bounds": {"cart.mass": (1, 3)}, "method": GAUSS_NEWTON}, ["BAD_BOUNDS"], ["least_squares"]),
@@ -527,7 +531,8 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
             ["lower 2 >= upper 2", "does not hold the start 104.0, by 102", "is (nan, 90), which has a NaN"],
         ),
     ],
-    ids=["unknown", "twice", "nothing", "start", "steps", "solver", "tolerance", "method", "evaluations", "none", "bias", "lag", "tie", "priors", "bounds", "list", "list of priors", "optax", "optimistix", "elsewhere", "shapes", "several"],
+    ids=["unknown", "twice", "nothing", "start", "steps", "solver", "tolerance", "method", "evaluations", "none", "bias", "lag", "tie",
+         "priors", "bounds", "list", "list of priors", "optax", "optimistix", "elsewhere", "shapes", "several"],
 )  # fmt: skip
 def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, told):
     found = problems_of(cart(), tracked(record), **options)
@@ -565,7 +570,8 @@ def test_what_is_wrong_with_the_experiments_is_told_at_once(record):
 def test_what_is_of_another_kind_is_told_and_no_traceback(record):
     (run,) = tracked(record).values()
     cases = [
-        (lambda: fit(cart(), run), "fit.experiments: is one Experiment without a name (allowed: a dict of experiments by name). Write {\"run\": experiment}"),
+        (lambda: fit(cart(), run),
+         'fit.experiments: is one Experiment without a name (allowed: a dict of experiments by name). Write {"run": experiment}'),
         (lambda: jb.validate(None, run), "validate.experiments: is one Experiment"),
         (lambda: jb.multiple_shooting(cart(), run, free=FREE, segments=2), "multiple_shooting.experiments: is one Experiment"),
         (lambda: fit("osc", {"run": run}), "fit.model: is a str (allowed: jb.Model)"),

@@ -1,7 +1,8 @@
-"""The search and the standard errors of `fit` on NIST's Statistical Reference Datasets for nonlinear regression, against the certified values.
+"""The search and the standard errors of `fit` on NIST's Statistical Reference Datasets for nonlinear regression, against the certified
+values.
 
-tests/nist holds the 27 files as NIST publishes them (National Institute of Standards and Technology, public domain): data, two starts, and values
-certified to eleven digits, computed in 128-bit arithmetic. Parameters move as most of a model's do, b = b0 + |b0| u.
+tests/nist holds the 27 files as NIST publishes them (National Institute of Standards and Technology, public domain): data, two starts,
+and values certified to eleven digits, computed in 128-bit arithmetic. Parameters move as most of a model's do, b = b0 + |b0| u.
 """
 
 import pathlib

@@ -194,7 +194,8 @@ def test_pictures_of_a_fit_show_its_numbers(found, record, profile):
 
 
 def test_few_degrees_of_freedom_are_printed_where_they_widen_intervals(found, record):
-    """Of white noise they are samples less parameters, 8 - 2: t is 25 % more than the normal distribution's 1.96; of 61 samples nothing is said."""
+    """Of white noise they are samples less parameters, 8 - 2: t is 25 % more than the normal distribution's 1.96; of 61 samples nothing
+    is said."""
     few = fit(run(record[::8], TIMES[::8]))
     assert len(TIMES[::8]) == 8 and not any(few.uncertainty.orders.values())
     k, error = float(few.estimates["spring.stiffness"]), float(few.standard_errors["spring.stiffness"])

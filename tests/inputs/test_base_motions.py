@@ -61,7 +61,8 @@ def without_slow(x, degree):
 @pytest.mark.long
 def test_a_moving_and_turning_base_is_recovered(record):
     """Up to the cubic in displacement and the line in angle that are removed, from the truth too. Lines between accelerations weaken a
-    harmonic by (w h)^2/12, 3e-4 at 4 Hz; the slow part of turns of 0.2 rad is not quite that of their rotation vectors, by a tenth of a percent."""
+    harmonic by (w h)^2/12, 3e-4 at 4 Hz; the slow part of turns of 0.2 rad is not quite that of their rotation vectors, by a tenth of a
+    percent."""
     xi = truth(TIMES)[0]
     result = jb.base_motion(record, "f", rates="w", axes=AXES, at=AT, gravity=G)
     values = np.asarray(jax.vmap(result.motion)(TIMES))
@@ -91,8 +92,8 @@ def test_without_gravity_stated_a_turning_base_is_refused(record):
 
 
 def test_a_cutoff_takes_slow_drift_away():
-    """A slow wander of the instrument (two cosines below 0.1 Hz) buries 20 mm in meters; all below 0.15 Hz removed, 20 mm at 2 Hz are there to
-    one percent, and what is left of the wander is small."""
+    """A slow wander of the instrument (two cosines below 0.1 Hz) buries 20 mm in meters; all below 0.15 Hz removed, 20 mm at 2 Hz are
+    there to one percent, and what is left of the wander is small."""
     t = np.arange(0, 40, 0.01)
     x, w = 0.02 * np.sin(2 * np.pi * 2 * t), 2 * np.pi * 2
     wander = 0.05 * np.cos(2 * np.pi * 0.03 * t + 1) + 0.02 * np.sin(2 * np.pi * 0.09 * t)

@@ -72,12 +72,18 @@ def engine(t, f=3.0):
 
 LOADS = {
     # a force at the reference point counts as well
-    "force of world": (lambda on: [jb.Force((on, P), force=F, moment=M), jb.Force(on, force=F)], lambda t, R: (2 * F, M + np.cross(R @ (P - COM), F) + np.cross(R @ -COM, F))),
+    "force of world": (lambda on: [jb.Force((on, P), force=F, moment=M), jb.Force(on, force=F)],
+                       lambda t, R: (2 * F, M + np.cross(R @ (P - COM), F) + np.cross(R @ -COM, F))),
     "force of body": (lambda on: [jb.Force((on, P), force=F, moment=M, axes="body")], lambda t, R: (R @ F, R @ (M + np.cross(P - COM, F)))),
-    "timed force": (lambda on: [jb.Force((on, P), force=Sine(amplitude=F, frequency=1.5, phase=0.2))], lambda t, R: (f := F * np.cos(3 * np.pi * t + 0.2), np.cross(R @ (P - COM), f))),
+    "timed force": (lambda on: [jb.Force((on, P), force=Sine(amplitude=F, frequency=1.5, phase=0.2))],
+                    lambda t, R: (f := F * np.cos(3 * np.pi * t + 0.2), np.cross(R @ (P - COM), f))),
     "function": (lambda on: [jb.Force(on, moment=lambda t: M * t**2)], lambda t, R: (np.zeros(3), M * t**2)),
-    "unbalance": (lambda on: [jb.Unbalance((on, P), axis=AXIS, unbalance=0.02, frequency=2.0, run_up=1.0, phase=0.4)], lambda t, R: (f := R @ unbalance(t), np.cross(R @ (P - COM), f))),
-    "engine torque": (lambda on: [jb.EngineTorque(on, axis=AXIS, frequency=3.0, mean=0.4, orders=[2, 4], amplitudes=[0.5, 0.2], phases=[0.3, 0.0])], lambda t, R: (np.zeros(3), R @ engine(t))),
+    "unbalance": (lambda on: [jb.Unbalance((on, P), axis=AXIS, unbalance=0.02, frequency=2.0, run_up=1.0, phase=0.4)],
+                  lambda t, R: (f := R @ unbalance(t), np.cross(R @ (P - COM), f))),
+    "engine torque": (
+        lambda on: [jb.EngineTorque(on, axis=AXIS, frequency=3.0, mean=0.4, orders=[2, 4], amplitudes=[0.5, 0.2], phases=[0.3, 0.0])],
+        lambda t, R: (np.zeros(3), R @ engine(t)),
+    ),
 }  # fmt: skip
 
 
@@ -133,7 +139,8 @@ def test_bad_loads_are_refused():
         (lambda: jb.Force("body", force=lambda t: t), ("BAD_SHAPE", "Force.force", "()")),
         (lambda: jb.Force("body", axes="wheel"), ("BAD_AXES", "wheel", "world or body")),
         (lambda: jb.Unbalance("body", axis=[0, 0, 0], unbalance=1, frequency=1), ("ZERO_AXIS", "Unbalance.axis")),
-        (lambda: jb.EngineTorque("body", axis=[1, 0, 0], frequency=1, orders=[2, 4], amplitudes=[1]), ("BAD_SHAPE", "EngineTorque.amplitudes")),
+        (lambda: jb.EngineTorque("body", axis=[1, 0, 0], frequency=1, orders=[2, 4], amplitudes=[1]),
+         ("BAD_SHAPE", "EngineTorque.amplitudes")),
         (lambda: Samples([0, 1], [1.0, 2.0], kind="quintic"), ("BAD_KIND", "quintic", "cubic")),
         (lambda: Samples([0, 1], [1.0, 2.0, 3.0], kind="hold"), ("BAD_SHAPE", "Samples.values", "(3,)")),
         (lambda: jb.load_cases(model, {}), ("UNATTACHED",)),
@@ -373,7 +380,8 @@ def test_preload_takes_the_least_of_many_and_leaves_the_others():
         name: jb.Spring(("m", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=k, free_length=1.0)
         for name, k in (("a", 100.0), ("b", 200.0), ("c", 400.0))
     }
-    model = jb.Model(bodies={"m": jb.Body(mass=2.0, inertia=[1, 1, 1])}, joints={"m": jb.Guide("world", axis=[0, 0, 1])}, elements=springs, gravity=[0, 0, -G])  # fmt: skip
+    model = jb.Model(bodies={"m": jb.Body(mass=2.0, inertia=[1, 1, 1])}, joints={"m": jb.Guide("world", axis=[0, 0, 1])}, elements=springs,
+                     gravity=[0, 0, -G])  # fmt: skip
     result = jb.preload(model, free=["a.free_length", "b.free_length"])
     np.testing.assert_allclose(result.change, -2 * G * np.array([100, 200]) / (100**2 + 200**2), rtol=1e-12)
     assert float(result.model["c"].free_length) == 1.0
@@ -419,7 +427,8 @@ def test_preload_states_what_is_impossible():
     )
     with pytest.warns(
         jb.JaxbodyWarning,
-        match=r"none of these free lengths balances .*N m on beam turn about y; free a length .*or let it move: moving=\['beam move along z', 'beam turn about y'\].*\[UNBALANCED\]",
+        match=r"none of these free lengths balances .*N m on beam turn about y; free a length .*or let it move: "
+        r"moving=\['beam move along z', 'beam turn about y'\].*\[UNBALANCED\]",
     ):
         assert int(jb.preload(beam).status) == Status.UNBALANCED
     with pytest.warns(jb.JaxbodyWarning, match=r"spring.free_length = -0\.\d+ m \[NEGATIVE_LENGTH\]"):
@@ -437,7 +446,8 @@ def test_equilibrium_of_a_nonlinear_rig_under_a_load_is_scipys():
         joints={name: jb.Guide("world", axis=[0, 0, 1]) for name in ("low", "high")},
         elements={
             "gas": jb.SpringDamper(("low", [0, 0, 0]), ("world", [0, 0, 0]), free_length=1.0, spring=gas),
-            "stop": jb.SpringDamper(("high", [0, 0, 0]), ("low", [0, 0, 0]), free_length=1.0, spring=laws.Linear(90.0) + laws.Stop(gap=0.1, stiffness=900.0, engagement=0.05)),
+            "stop": jb.SpringDamper(("high", [0, 0, 0]), ("low", [0, 0, 0]), free_length=1.0,
+                                    spring=laws.Linear(90.0) + laws.Stop(gap=0.1, stiffness=900.0, engagement=0.05)),
         },
         gravity=[0, 0, -G],
     )  # fmt: skip

@@ -85,7 +85,7 @@ def on_a_line(offset=0.0, element=jb.Spring, **law):
 TIMES = np.linspace(0, 0.5, 21)
 TOWARDS = jb.State(jnp.zeros(1), jnp.array([-8.0]))
 THROUGH = np.arcsin(np.sqrt(50) / 8) / np.sqrt(50)  # 8/w sin wt = 1 m, w^2 = 50
-# Where the acceleration jumps by a between samples h apart, the cubic through both is off by s^2 (1 - s)^2 (1 - 2 s)/2 a h^2 at most, 0 < s < 1
+# Where the acceleration jumps by a between samples h apart, the error of the cubic is s^2 (1 - s)^2 (1 - 2 s)/2 a h^2 at most, 0 < s < 1
 SLACK = 0.009 * 100 * 0.025**2 / np.sqrt(64 - 50)  # of the time, at the speed there
 
 

@@ -22,7 +22,8 @@ def everything():
     return jb.Model(
         bodies={name: jb.Body(mass=2.0, inertia=[1, 1, 1]) for name in ("car", "free", "arm", "fixed", "ball")},
         supports={"base": jb.Support()},
-        joints={"car": jb.HeavePitchRoll("base"), "arm": jb.Hinge("car", axis=[0, 0, 1]), "fixed": jb.Fixed("arm"), "ball": jb.Ball("base")},
+        joints={"car": jb.HeavePitchRoll("base"), "arm": jb.Hinge("car", axis=[0, 0, 1]), "fixed": jb.Fixed("arm"),
+                "ball": jb.Ball("base")},
         elements={
             "strut": jb.SpringDamper(*points, spring=law, damper=jb.laws.TwoSided(bump=900.0, rebound=2100.0), free_length=0.5),
             "table": jb.SpringDamper(*points, spring=jb.laws.Table([-1, 0, 1, 2], [-10, 0, 10, 40]), free_length=0.5),
@@ -49,7 +50,10 @@ def test_a_copied_or_pickled_model_has_the_same_tree_and_needs_no_compilation(co
 
 def test_a_model_pickled_in_another_process_has_the_same_tree(tmp_path):
     file = tmp_path / "model.pickle"
-    script = f"import pickle, jax, jaxbody as jb; jax.config.update('jax_enable_x64', True); pickle.dump(jb.presets.quarter_car(damping=1500.0), open({str(file)!r}, 'wb'))"
+    script = (
+        "import pickle, jax, jaxbody as jb; jax.config.update('jax_enable_x64', True); "
+        f"pickle.dump(jb.presets.quarter_car(damping=1500.0), open({str(file)!r}, 'wb'))"
+    )
     subprocess.run([sys.executable, "-c", script], check=True, timeout=300)
     model, other = jb.presets.quarter_car(damping=1500.0), pickle.loads(file.read_bytes())
     assert jax.tree.structure(other) == jax.tree.structure(model)
@@ -96,8 +100,11 @@ def slider(**laws):
         bodies={"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])},
         supports={"base": jb.Support()},
         joints={"mass": jb.Guide("base", axis=[1, 0, 0])},
-        elements={name: jb.SpringDamper(("mass", [0, 0, 0]), ("base", [-1, 0, 0]), spring=law, damper=5.0, free_length=1.0) for name, law in laws.items()},
-    )  # fmt: skip
+        elements={
+            name: jb.SpringDamper(("mass", [0, 0, 0]), ("base", [-1, 0, 0]), spring=law, damper=5.0, free_length=1.0)
+            for name, law in laws.items()
+        },
+    )
 
 
 TIMES = np.linspace(0.0, 0.6, 13)

@@ -25,7 +25,10 @@ MOTION = {"base": jb.Harmonic(frequency=0.8, translation=[0.01, 0, 0], rotation=
 def model():
     """A free body on three springs: little to compile."""
     ends = {"a": [0.3, 0.1, 0], "b": [-0.3, 0.1, 0], "c": [0, -0.1, 0.2]}
-    springs = {n: jb.Spring(("body", x), ("base", [2 * x[0], 0.6, 2 * x[2]]), stiffness=40.0, free_length=0.4, damping=0.5) for n, x in ends.items()}  # fmt: skip
+    springs = {
+        n: jb.Spring(("body", x), ("base", [2 * x[0], 0.6, 2 * x[2]]), stiffness=40.0, free_length=0.4, damping=0.5)
+        for n, x in ends.items()
+    }
     return jb.Model(bodies={"body": jb.Body(mass=1.0, inertia=[0.03, 0.09, 0.1])}, supports={"base": jb.Support()}, elements=springs)
 
 
@@ -189,7 +192,8 @@ def test_too_few_steps_keep_what_there_is(model):
 
 
 def test_steps_end_where_measured_accelerations_and_forces_have_their_samples(rng):
-    """White noise, held by straight lines, against the exact solution of each piece: x'' + c x' + k x = F - a, by exponentials of matrices."""
+    """White noise, held by straight lines, against the exact solution of each piece: x'' + c x' + k x = F - a, by exponentials of
+    matrices."""
     k, c, times = 400.0, 3.0, np.linspace(0, 2, 101)
     ground, force = rng.normal(size=len(times)), rng.normal(size=57)
     knots = np.sort(rng.uniform(0, 2, 55))

@@ -28,7 +28,8 @@ class Split(jb.laws.Law):
 def results():
     model = jb.Model(bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])}, joints={"mass": jb.Guide("base", axis=[1, 0, 0])},
                      supports={"base": jb.Support()}, gravity=[-9.81, 0, 0],
-                     elements={"s": jb.SpringDamper(("mass", [0, 0, 0]), ("base", [-1, 0, 0]), spring=Split(np.array(400.0)), free_length=1.0)})
+                     elements={"s": jb.SpringDamper(("mass", [0, 0, 0]), ("base", [-1, 0, 0]), spring=Split(np.array(400.0)),
+                                                    free_length=1.0)})
     eq = jb.equilibrium(model)
     lin = jb.linearize(model, eq)
     frequency = jb.modes(lin, allow_float32=True).frequency[0]
@@ -83,9 +84,10 @@ with warnings.catch_warnings(record=True) as warned:
         loaded = jb.equilibrium(model, loads={"f": jb.Force(body, force=[10.0 * (along == "x"), 0, 10.0 * (along == "z")])})
         lin = jb.linearize(model, eq)
         moved = jb.simulate(model, np.linspace(0, 1, 11), initial=jb.State(eq.state.q + 0.01, eq.state.v))
-        H = [jb.frequency_response(lin, [1.0, 5.0], {"u": jb.BaseMotion(base, along)}, {"y": jb.PointMotion(body, direction=along)}, method=method)
-             for method in ("direct", "modal")]
-        print(*(int(result.status) for result in (eq, loaded, moved, *H)), int(moved.statistics["num_accepted_steps"]) < 200, jb.preload(model).ok)
+        u, y = {"u": jb.BaseMotion(base, along)}, {"y": jb.PointMotion(body, direction=along)}
+        H = [jb.frequency_response(lin, [1.0, 5.0], u, y, method=method) for method in ("direct", "modal")]
+        few = int(moved.statistics["num_accepted_steps"]) < 200
+        print(*(int(result.status) for result in (eq, loaded, moved, *H)), few, jb.preload(model).ok)
         print(*np.ravel([eq.state.q, loaded.state.q, moved.state.q[-1]]), *np.abs(H[0].values).ravel(), *np.abs(H[1].values).ravel())
     cut = jb.simulate(slider, [0.0, 100.0], initial=jb.State(slider.reference.q, np.array([1.0])), max_steps=100)
 print(sorted({w.message.code for w in warned}))

@@ -15,8 +15,10 @@ def frequencies(model, **state):
     return eq, jb.linearize(model, eq)
 
 
-def full_car_matrices(mass=1100.0, inertia=(450.0, 1500.0), front=1.2, rear=1.4, track=1.5, mu=(40.0, 35.0), k=(22000.0, 24000.0), c=(1500.0, 1600.0), kt=190000.0, bar=(12000.0, 6000.0)):  # fmt: skip
-    """M, C, K and the excitation by the roads of the seven degree car, by hand: coordinates z, pitch (front down), roll (right down), the wheels."""
+def full_car_matrices(mass=1100.0, inertia=(450.0, 1500.0), front=1.2, rear=1.4, track=1.5, mu=(40.0, 35.0), k=(22000.0, 24000.0),
+                      c=(1500.0, 1600.0), kt=190000.0, bar=(12000.0, 6000.0)):  # fmt: skip
+    """M, C, K and the excitation by the roads of the seven degree car, by hand: coordinates z, pitch (front down), roll (right down), the
+    wheels."""
     corners = [(front, track / 2, 0), (front, -track / 2, 0), (-rear, track / 2, 1), (-rear, -track / 2, 1)]
     M = np.diag([mass, inertia[1], inertia[0], mu[0], mu[0], mu[1], mu[1]])
     K, C, T = np.zeros((7, 7)), np.zeros((7, 7)), np.zeros((7, 4))
@@ -96,7 +98,8 @@ def test_frequencies_are_those_that_the_sources_print(name):
 
 
 def test_the_stewart_table_stands_on_legs_of_equal_tension():
-    """Six legs, by symmetry each a sixth of the weight over its slope; z and yaw by hand: K = 6 k (h/L)^2 and so on, with tension T/L across."""
+    """Six legs, by symmetry each a sixth of the weight over its slope; z and yaw by hand: K = 6 k (h/L)^2 and so on, with tension T/L
+    across."""
     model = presets.stewart_table()
     eq, lin = frequencies(model)
     assert eq.ok
@@ -126,7 +129,8 @@ def test_the_double_pendulum_and_the_gliders():
     np.testing.assert_allclose(np.diag(lin.M), [0.3, 0.5])
 
 
-@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car", "engine_on_mounts", "isolated_table", "stewart_table", "elastic_pendulum", "double_pendulum", "coupled_gliders"])  # fmt: skip
+@pytest.mark.parametrize("name", ["quarter_car", "half_car", "full_car", "engine_on_mounts", "isolated_table", "stewart_table",
+                                  "elastic_pendulum", "double_pendulum", "coupled_gliders"])  # fmt: skip
 def test_every_ready_model_names_its_source(name):
     assert "Source:" in getattr(presets, name).__doc__
     assert bool(jnp.isfinite(getattr(presets, name)().reference.q).all())

@@ -1,4 +1,5 @@
-"""Files that hold more than they seem to, point elsewhere, never end or have headings without end: refused before anything is read, or read at once."""
+"""Files that hold more than they seem to, point elsewhere, never end or have headings without end: refused before anything is read, or
+read at once."""
 
 import os
 import threading

@@ -299,10 +299,13 @@ FILES = {  # content, file, options, code, place and words
     "no such encoding": (GOOD, "run.csv", {"encoding": "klingon"}, "ENCODING", "'klingon'"),
     "zero bytes": (b"t,a\n0,1\0\n", "run.csv", {}, "WRONG_FORMAT", "zero byte offset 7"),
     "decimal comma": ("t;a\n0;1,5\n1;2,5\n", "run.csv", {}, "DECIMAL_COMMA", 'run.csv:2 1,5 decimal="," separator=";"'),
-    "decimal comma, commas between": ("t,a\n0,00,1,50\n0,01,1,60\n", "run.csv", {}, "RAGGED_LINE", "run.csv:1 names 2 columns decimal commas"),
-    "text among numbers": ("t,a\n0,1\n1,n/a\n2,3\n3,4\n4,5\n5,6\n", "run.csv", {}, "BAD_LINE", "run.csv:3 'n/a' column 2 Numbers follow empty nan"),
+    "decimal comma, commas between": ("t,a\n0,00,1,50\n0,01,1,60\n", "run.csv", {}, "RAGGED_LINE",
+                                      "run.csv:1 names 2 columns decimal commas"),
+    "text among numbers": ("t,a\n0,1\n1,n/a\n2,3\n3,4\n4,5\n5,6\n", "run.csv", {}, "BAD_LINE",
+                           "run.csv:3 'n/a' column 2 Numbers follow empty nan"),
     "a footer of two lines": ("t,a\n0,1\n1,2\nmean,1.5\nworst,2\n", "run.csv", {}, "BAD_LINE", "run.csv:4 mean footer=2"),
-    "thousands in quotes": ('t,a\n0,1\n1,"1,000.5"\n2,3\n', "run.csv", {}, "BAD_LINE", "run.csv:3 '1,000.5' column 2 separators of thousands quotes"),
+    "thousands in quotes": ('t,a\n0,1\n1,"1,000.5"\n2,3\n', "run.csv", {}, "BAD_LINE",
+                            "run.csv:3 '1,000.5' column 2 separators of thousands quotes"),
     "thousands in the first line": ('t,a\n0,"1,000.5"\n1,2\n', "run.csv", {}, "BAD_LINE", "run.csv:2 '1,000.5' separators of thousands"),
     "thousands everywhere": ('t,a\n0,"1,000.5"\n1,"1,002.5"\n', "run.csv", {}, "NO_NUMBERS", "'1,000.5' separators of thousands"),
     "thousands or decimals": ("t;a\n0;1\n1;1,000\n", "run.csv", {}, "DECIMAL_COMMA", "run.csv:3 decimal= separates thousands"),
@@ -376,10 +379,15 @@ def test_the_whole_message_reads_so(tmp_path):
     path = written(tmp_path, "t;a\n0;1,5\n")
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.read_record(path, time=("t", "s"), channels={"a": ("a", "g")})
-    assert str(refused.value) == 'run.csv:2: has \'1,5\' (allowed: a decimal point). It may be a decimal comma: give decimal=",", separator=";". [DECIMAL_COMMA]'  # fmt: skip
+    assert str(refused.value) == (
+        'run.csv:2: has \'1,5\' (allowed: a decimal point). It may be a decimal comma: give decimal=",", separator=";". [DECIMAL_COMMA]'
+    )
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.Record(TIMES, {"a": (X, "m/s2")}, rate=198.0)
-    assert str(refused.value) == "Record.times: has 200 Hz, not the stated 198 Hz (allowed: 0.1 %). Leave rate= out to use the times, or the times to use the rate. [RATE_MISMATCH]"  # fmt: skip
+    assert str(refused.value) == (
+        "Record.times: has 200 Hz, not the stated 198 Hz (allowed: 0.1 %). "
+        "Leave rate= out to use the times, or the times to use the rate. [RATE_MISMATCH]"
+    )
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.Record(TIMES, {"a": (X, "m/s9"), "b": (X[:0], "m")}, fill="magic")
     assert [problem.code for problem in refused.value.problems] == ["BAD_OPTION", "UNKNOWN_UNIT", "NO_DATA"]
@@ -461,7 +469,8 @@ def test_sound_records_are_not_warned_of():
 
 
 def test_a_rounded_record_is_not_saturated_where_the_motion_turns():
-    """A sine of 2 Hz and amplitude 102, rounded to whole numbers, stays at its largest number for 2 acos(101.5/102)/(2 pi 2) = 16 ms, 8 samples of 500 Hz."""
+    """A sine of 2 Hz and amplitude 102, rounded to whole numbers, stays at its largest number for 2 acos(101.5/102)/(2 pi 2) = 16 ms, 8
+    samples of 500 Hz."""
     times = np.arange(500) / 500
     turning = np.round(102 * np.sin(4 * np.pi * times))
     assert (turning == 102).sum() == 16
@@ -520,7 +529,8 @@ def test_parts_of_a_record():
 # Any bytes at all: a record or an error
 
 
-CELLS = st.sampled_from(["0", "1.5", "-2e3", "", "nan", "NA", "inf", "1,5", "1e999", "abc", "0x1F", "1_000", '"2"', '"', "#3", "½", "1.2.3", "2024-01-01"])  # fmt: skip
+CELLS = st.sampled_from(["0", "1.5", "-2e3", "", "nan", "NA", "inf", "1,5", "1e999", "abc", "0x1F", "1_000", '"2"', '"', "#3", "½",
+                         "1.2.3", "2024-01-01"])  # fmt: skip
 LINES = st.lists(CELLS, min_size=1, max_size=4)
 TABLES = st.builds(
     lambda head, rows, mark, end: (end.join([head, *(mark.join(row) for row in rows)])).encode(),

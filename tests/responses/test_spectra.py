@@ -25,7 +25,8 @@ IN_SI = {  # unit -> how many of (m/s2)2/Hz, or of the quantity squared per hert
     **dict.fromkeys(["g2/Hz", "g^2/Hz", "g²/Hz", "(g)2/Hz", "g**2 / Hz"], G**2),
     "(mm/s2)^2/Hz": 1e-6, "Gal2/Hz": 1e-4, "(m/s2)2/(rad/s)": 2 * np.pi, "m2/s4/(rad/s)": 2 * np.pi, "g2/(rad/s)": 2 * np.pi * G**2,
     "m2/Hz": 1.0, "m^2 s": 1.0, "mm2/Hz": 1e-6, "in2/Hz": 0.0254**2, "(m/s)2/Hz": 1.0, "m2/s2/Hz": 1.0, "m2/s": 1.0,
-    "rad2/Hz": 1.0, "deg^2/Hz": (np.pi / 180) ** 2, "(deg/s)^2/Hz": (np.pi / 180) ** 2, "rad2/(rad/s)": 2 * np.pi, "N2/Hz": 1.0, "kN2/Hz": 1e6, "(N m)2/Hz": 1.0,
+    "rad2/Hz": 1.0, "deg^2/Hz": (np.pi / 180) ** 2, "(deg/s)^2/Hz": (np.pi / 180) ** 2, "rad2/(rad/s)": 2 * np.pi, "N2/Hz": 1.0,
+    "kN2/Hz": 1e6, "(N m)2/Hz": 1.0,
 }  # fmt: skip
 
 
@@ -39,7 +40,8 @@ def test_a_density_is_the_same_in_every_spelling_of_its_unit(unit):
 
 @pytest.mark.parametrize(
     ("unit", "waves", "quantity"),
-    [("m3", 1, "m"), ("m^3", 1, "m"), ("m2/(cycle/m)", 1, "m"), ("m^2/(cycles/m)", 1, "m"), ("m3/cycle", 1, "m"), ("mm2/(cycle/m)", 1e-6, "m"),
+    [("m3", 1, "m"), ("m^3", 1, "m"), ("m2/(cycle/m)", 1, "m"), ("m^2/(cycles/m)", 1, "m"), ("m3/cycle", 1, "m"),
+     ("mm2/(cycle/m)", 1e-6, "m"),
      ("m3/rad", 2 * np.pi, "m"), ("m2/(rad/m)", 2 * np.pi, "m")],
 )  # fmt: skip
 def test_a_density_over_distance_is_read_in_every_spelling(unit, waves, quantity):

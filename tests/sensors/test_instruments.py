@@ -57,7 +57,8 @@ def at(model, q, v, sensors=ON_ROD):
 
 @pytest.mark.parametrize(("q", "w"), [(0.0, 0.0), (0.7, 0.0), (0.7, 3.0), (-2.2, -5.0), (9.0, 1.0)])
 def test_instruments_on_a_pendulum_are_those_of_its_closed_form(pendulum, q, w):
-    """At the radius r below the hinge f = (g sin q - w' r ..., g cos q + w^2 r) along the arcs and the rod; w' = -m g l sin q/(J + m l^2)."""
+    """At the radius r below the hinge f = (g sin q - w' r ..., g cos q + w^2 r) along the arcs and the rod; w' = -m g l sin q/(J + m
+    l^2)."""
     result = at(pendulum, q, w)
     m, l, J = 2.0, 0.6, 0.4
     alpha = -m * G * l * np.sin(q) / (J + m * l**2)
@@ -354,7 +355,8 @@ def problems_of(function, *arguments, **options):
 @pytest.mark.parametrize(
     ("make", "codes"),
     [
-        (lambda: jb.Accelerometer("rod", [0, 0], axis=[0, 0, 0], gain=np.nan, lag=0.0), ["BAD_SHAPE", "ZERO_AXIS", "NON_FINITE", "BAD_LAG"]),
+        (lambda: jb.Accelerometer("rod", [0, 0], axis=[0, 0, 0], gain=np.nan, lag=0.0),
+         ["BAD_SHAPE", "ZERO_AXIS", "NON_FINITE", "BAD_LAG"]),
         (lambda: jb.Accelerometer("rod", axis=[1, 0, 0], orientation=[1, 0, 0, 0], gain=[1, 1, 1]), ["TWO_AXES", "BAD_SHAPE"]),
         (lambda: jb.Gyro("rod", orientation=[1, 0, 0, 1], bias=[0, 0]), ["BAD_QUATERNION", "BAD_SHAPE"]),
         (lambda: jb.Tilt("rod", orientation=2 * np.eye(3), delay=[0.1, 0.1]), ["BAD_ROTATION", "BAD_SHAPE"]),
@@ -397,7 +399,8 @@ def test_what_does_not_fit_a_model_is_reported_at_once(pendulum):
         "ZERO_LENGTH",
     ]
     assert [p.where for p in result] == [f"sensors['{name}']" for name in sensors] and all(p.hint for p in result)
-    free = jb.Model(bodies={"rod": jb.Body(mass=1.0, inertia=[1, 1, 1])}, elements={"m": jb.Bushing(("rod", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=[1, 1, 1])})  # fmt: skip
+    free = jb.Model(bodies={"rod": jb.Body(mass=1.0, inertia=[1, 1, 1])},
+                    elements={"m": jb.Bushing(("rod", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=[1, 1, 1])})  # fmt: skip
     result = problems_of(
         check_sensors, {"a": jb.JointAngle("rod"), "b": jb.LoadCell("m"), "c": jb.LoadCell("m", component=6)}, free, "sensors"
     )
@@ -484,8 +487,8 @@ def test_what_is_free_of_a_chain_moves_by_what_it_is_about_and_unknown_samples_d
 
 @pytest.mark.long
 def test_intervals_hold_where_delay_gain_and_bias_are_modelled_and_residuals_tell_where_they_are_not():
-    """A few of the replicates of tests/benchmarks/transducers.py; shares within four standard deviations of 95 %. That is no limit above, so there
-    errors are held to standard errors, whose ratio n replicates know to 1/sqrt(2 n): intervals twice too wide would halve it."""
+    """A few of the replicates of tests/benchmarks/transducers.py; shares within four standard deviations of 95 %. That is no limit above,
+    so there errors are held to standard errors, whose ratio n replicates know to 1/sqrt(2 n): intervals twice too wide would halve it."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
     import transducers as benchmark
 

@@ -1,4 +1,5 @@
-"""What joints transmit: closed forms of pendulum, chain, console and moving guide; rates of momentum, no work, and responses by another way."""
+"""What joints transmit: closed forms of pendulum, chain, console and moving guide; rates of momentum, no work, and responses by another
+way."""
 
 import warnings
 
@@ -26,7 +27,8 @@ def at(model, q, v, sensors, *more):
 
 @pytest.mark.parametrize(("q", "w"), [(0.0, 0.0), (0.7, 0.0), (0.7, 3.0), (-2.2, -5.0)])
 def test_a_pendulum_pulls_on_its_hinge(q, w):
-    """Along the rod m g cos q + m l w^2, across it m g sin q J/(J + m l^2), no moment at the hinge, and about the centre of mass that of the force."""
+    """Along the rod m g cos q + m l w^2, across it m g sin q J/(J + m l^2), no moment at the hinge, and about the centre of mass that of
+    the force."""
     m, l, J, pivot = 2.0, 0.6, 0.4, np.array([0.3, -0.1, 0.2])
     rod = jb.Body(mass=m, inertia=[0.3, J, 0.1], position=pivot - l * np.eye(3)[2])  # O is the centre of mass
     model = jb.Model(bodies={"rod": rod}, joints={"rod": jb.Hinge("world", axis=[0, 1, 0], at=pivot)}, gravity=[0, 0, -G])
@@ -40,7 +42,8 @@ def test_a_pendulum_pulls_on_its_hinge(q, w):
 
 
 def test_a_chain_of_two_links_pulls_on_both_hinges():
-    """Double pendulum, uniform rods of length 2 l: the equations of Lagrange, written out, then m a - m g of each; the axes of the lower hinge turn with the upper rod."""
+    """Double pendulum, uniform rods of length 2 l: the equations of Lagrange, written out, then m a - m g of each; the axes of the lower
+    hinge turn with the upper rod."""
     m, l, J = np.array([2.0, 1.5]), np.array([0.4, 0.3]), np.array([0.11, 0.05])
     links = {
         "upper": jb.Body(mass=m[0], inertia=[0.11, J[0], 0.02], position=[0, 0, -l[0]]),
@@ -157,8 +160,8 @@ def momenta(model, t, q, v):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_joints_and_all_else_exert_is_the_rate_of_momentum(kind):
-    """d(momentum)/dt of the box, and of box and arm together, against gravity, load, springs and the one joint that holds them, all about the world's origin; and the joint
-    does no work: the reaction about O has no part along its directions."""
+    """d(momentum)/dt of the box, and of box and arm together, against gravity, load, springs and the one joint that holds them, all about
+    the world's origin; and the joint does no work: the reaction about O has no part along its directions."""
     model = tree(KINDS[kind])
     layout = model.layout
     q0, v = model.reference.q, jnp.asarray(RANDOM.normal(size=layout.nv))
@@ -236,7 +239,8 @@ def test_derivatives_of_reactions_agree():
 
 @pytest.fixture(scope="module")
 def chain():
-    """Two links on hinges about y, the upper in the origin of a base; centres of mass off the hinges, so that they hang askew; a spring and a damper turn one against the other."""
+    """Two links on hinges about y, the upper in the origin of a base; centres of mass off the hinges, so that they hang askew; a spring
+    and a damper turn one against the other."""
     links = {
         "upper": jb.Body(mass=2.0, inertia=[0.1, 0.11, 0.02], com=[0.3, 0, -0.4]),
         "lower": jb.Body(mass=1.5, inertia=[0.05, 0.05, 0.02], com=[-0.05, 0, -0.3], position=[0, 0, -0.8]),
@@ -247,8 +251,9 @@ def chain():
 
 
 def test_responses_of_reactions_are_those_of_supports_and_of_accelerations(chain):
-    """The upper hinge, all that the base holds, against the reaction on the base, which comes from K, C and M of (Delta, Xi); the lower against Newton's law for its link, by
-    the acceleration of its centre of mass less the push on it. Axes of the base and of the upper link turn: what they carry at rest is then seen from another side."""
+    """The upper hinge, all that the base holds, against the reaction on the base, which comes from K, C and M of (Delta, Xi); the lower
+    against Newton's law for its link, by the acceleration of its centre of mass less the push on it. Axes of the base and of the upper
+    link turn: what they carry at rest is then seen from another side."""
     lin = jb.linearize(chain, jb.equilibrium(chain))
     inputs = {
         "push": jb.PointForce("lower", [0.1, 0, -0.5], "x"), "moment": jb.PointForce("upper", direction="ry"),
@@ -282,7 +287,8 @@ def test_responses_of_reactions_are_those_of_supports_and_of_accelerations(chain
 
 
 def test_all_that_the_world_carries_is_an_output_of_responses(chain):
-    """Of a chain that hangs on the world it is the reaction of its one hinge, from the other side: the push goes through to the world at 0+ Hz, the weight does not change."""
+    """Of a chain that hangs on the world it is the reaction of its one hinge, from the other side: the push goes through to the world at
+    0+ Hz, the weight does not change."""
     joints = {"upper": jb.Hinge("world", axis=[0, 1, 0], at=[0, 0, 0]), "lower": chain.joint("lower")}
     links = {name: chain[name] for name in joints}
     model = jb.Model(bodies=links, joints=joints, elements={"spring": chain["spring"]}, gravity=[0, 0, -G])
@@ -297,12 +303,14 @@ def test_all_that_the_world_carries_is_an_output_of_responses(chain):
 
 
 def test_an_accelerometer_is_an_output_of_responses(chain):
-    """To first order it reads the acceleration of its point along its axis, and g where it turns: -g phi across, in the plane of the motion."""
+    """To first order it reads the acceleration of its point along its axis, and g where it turns: -g phi across, in the plane of the
+    motion."""
     lin = jb.linearize(chain, jb.equilibrium(chain))
     x, z = np.eye(3)[[0, 2]]
     outputs = {
         "read": jb.Accelerometer("lower", [0, 0, -0.5], axis=x), "phi": jb.PointMotion("lower", direction="ry"),
-        "along x": jb.PointMotion("lower", [0, 0, -0.5], x, kind="acceleration"), "along z": jb.PointMotion("lower", [0, 0, -0.5], z, kind="acceleration"),
+        "along x": jb.PointMotion("lower", [0, 0, -0.5], x, kind="acceleration"),
+        "along z": jb.PointMotion("lower", [0, 0, -0.5], z, kind="acceleration"),
     }  # fmt: skip
     H = jb.frequency_response(lin, [0.3, 2.0], {"shake": jb.BaseMotion("base", "x")}, outputs)
     angle = float(lin.state.q.sum())

@@ -155,7 +155,8 @@ def test_the_same_key_gives_the_same_noise_and_another_key_another(trajectory):
 
 def test_a_batch_of_trajectories_is_measured_one_by_one(trajectory):
     two = [jax.tree.map(lambda x, s=s: x * s, trajectory.state) for s in (1.0, 1.1)]
-    runs = [type(trajectory)(trajectory.times, state, trajectory.status, trajectory.statistics, trajectory.end, trajectory.model, trajectory.motions) for state in two]  # fmt: skip
+    runs = [type(trajectory)(trajectory.times, state, trajectory.status, trajectory.statistics, trajectory.end, trajectory.model,
+                             trajectory.motions) for state in two]  # fmt: skip
     batch = jax.tree.map(lambda *x: jnp.stack(x), *runs)
     result = jb.measure(batch, SENSORS)
     for name in SENSORS:
@@ -300,7 +301,8 @@ def test_an_experiment_tells_all_that_is_wrong_at_once():
         noise={"base": 0.0, "b": 1.0},
     )
     codes = [problem.code for problem in result]
-    assert codes == ["DUPLICATE_TIME", "UNKNOWN_NAME", "UNKNOWN_NAME", "COMPLEX", "WRONG_KIND", "BAD_NOISE", "UNKNOWN_NAME", "DUPLICATE_NAME", "BAD_NAME"]  # fmt: skip
+    assert codes == ["DUPLICATE_TIME", "UNKNOWN_NAME", "UNKNOWN_NAME", "COMPLEX", "WRONG_KIND", "BAD_NOISE", "UNKNOWN_NAME",
+                     "DUPLICATE_NAME", "BAD_NAME"]  # fmt: skip
     assert result[-2].message == "is the name of a support too"
     result = problems_of(experiment, point=np.full((6, 3), np.inf), pose=pose)
     assert [problem.code for problem in result] == ["NON_FINITE", "BAD_QUATERNION"] and "row 3" in result[1].message

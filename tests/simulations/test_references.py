@@ -234,7 +234,8 @@ def test_half_cars_have_the_frequencies_of_thomson_and_rao():
 def test_quarter_car_has_jazars_frequencies():
     ms, mu, ks, kt = 375.0, 75.0, 35000.0, 193000.0
     car = jb.Model(
-        bodies={"sprung": jb.Body(mass=ms, inertia=[1, 1, 1], position=[0, 0, 1]), "wheel": jb.Body(mass=mu, inertia=[1, 1, 1], position=[0, 0, 0.5])},
+        bodies={"sprung": jb.Body(mass=ms, inertia=[1, 1, 1], position=[0, 0, 1]),
+                "wheel": jb.Body(mass=mu, inertia=[1, 1, 1], position=[0, 0, 0.5])},
         supports={"road": jb.Support()},
         joints={name: jb.Guide("world", axis=[0, 0, 1]) for name in ("sprung", "wheel")},
         elements={

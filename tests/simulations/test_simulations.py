@@ -169,7 +169,8 @@ def test_a_body_turning_a_hundred_times_follows_the_exponential():
     assert max_difference(rigs.turned(trajectory.state.q[:, 3:]), R) < 1e-8  # 628 rad at 1e-11
     assert max_difference(trajectory.poses["body"].R, rigs.turned(trajectory.state.q[:, 3:])) < 1e-14
     assert max_difference(np.linalg.norm(trajectory.state.q[:, 3:], axis=1), np.ones(501)) < 1e-15
-    assert max_difference(trajectory.poses["body"].quaternion * np.sign(trajectory.state.q[:, 3:4]), trajectory.state.q[:, 3:] * np.sign(trajectory.poses["body"].quaternion[:, :1])) < 1e-13  # fmt: skip
+    assert max_difference(trajectory.poses["body"].quaternion * np.sign(trajectory.state.q[:, 3:4]),
+                          trajectory.state.q[:, 3:] * np.sign(trajectory.poses["body"].quaternion[:, :1])) < 1e-13  # fmt: skip
 
 
 def test_the_motion_conserves_the_length_of_quaternions():

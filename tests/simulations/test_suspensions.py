@@ -36,14 +36,18 @@ def touching(e, v, k=2000.0, c=30.0, w=0.01):
 SPRING = {"free_length": 1.0}
 RIG = {
     "linear": (dict(spring=300.0, damper=2.0), lambda x, v: 300 * x + 2 * v),
-    "hardening": (dict(spring=laws.Polynomial([200.0, 100.0, 9000.0]), damper=laws.Polynomial([1.0, 0.0, 0.5])), lambda x, v: 200 * x + 100 * x**2 + 9000 * x**3 + v + 0.5 * v**3),
+    "hardening": (dict(spring=laws.Polynomial([200.0, 100.0, 9000.0]), damper=laws.Polynomial([1.0, 0.0, 0.5])), lambda x,
+                  v: 200 * x + 100 * x**2 + 9000 * x**3 + v + 0.5 * v**3),
     "table": (dict(spring=laws.Table(X, F), damper=laws.Table(V, D)), lambda x, v: PchipInterpolator(X, F)(x) + PchipInterpolator(V, D)(v)),
     "bilinear": (dict(spring=300.0, damper=laws.TwoSided(bump=2.0, rebound=6.0)), lambda x, v: 300 * x + np.where(v < 0, 2 * v, 6 * v)),
-    "digressive": (dict(spring=300.0, damper=laws.Digressive(slow=9.0, fast=1.0, knee=0.1)), lambda x, v: 300 * x + v + 8 * v / np.sqrt(1 + (v / 0.1) ** 2)),
-    "bump stop": (dict(spring=laws.Linear(200.0) + laws.Stop(gap=0.1, stiffness=5000.0, engagement=0.02), damper=1.0), lambda x, v: 200 * x - stop(-x - 0.1, 5000, 0.02) + v),
+    "digressive": (dict(spring=300.0, damper=laws.Digressive(slow=9.0, fast=1.0, knee=0.1)), lambda x,
+                   v: 300 * x + v + 8 * v / np.sqrt(1 + (v / 0.1) ** 2)),
+    "bump stop": (dict(spring=laws.Linear(200.0) + laws.Stop(gap=0.1, stiffness=5000.0, engagement=0.02), damper=1.0), lambda x,
+                  v: 200 * x - stop(-x - 0.1, 5000, 0.02) + v),
     "friction": (dict(spring=300.0, damper=laws.Friction(level=1.5, velocity=0.02)), lambda x, v: 300 * x + 1.5 * v / np.hypot(v, 0.02)),
     "gas": (dict(spring=laws.AirSpring.carrying(M * G, area=2e-3, height=0.4), damper=3.0), lambda x, v: gas(x) + 3 * v),
-    "user's own": (dict(spring=lambda x: 40 * jnp.sinh(x / 0.1), damper=lambda v: 3 * jnp.tanh(v)), lambda x, v: 40 * np.sinh(x / 0.1) + 3 * np.tanh(v)),
+    "user's own": (dict(spring=lambda x: 40 * jnp.sinh(x / 0.1), damper=lambda v: 3 * jnp.tanh(v)), lambda x,
+                   v: 40 * np.sinh(x / 0.1) + 3 * np.tanh(v)),
 }  # fmt: skip
 UP = {"axis": [0, 0, 1]}
 
@@ -55,7 +59,8 @@ def rig(names=(*RIG, "rope", "contact")):
         elements[f"{name} strut"] = jb.SpringDamper((name, [0, 0, 0]), ("base", [0, 0, -1]), **SPRING, **RIG[name][0])
     elements["rope strut"] = jb.SpringDamper(("rope", [0, 0, 0]), ("base", [0, 0, 1]), spring=laws.TensionOnly(400.0), damper=0.5, **SPRING)
     elements["tyre strut"] = jb.Tyre("tyre", ("base", [0, 0, -1]), stiffness=2000.0, damping=30.0, radius=1.0, engagement=0.01)
-    elements["contact strut"] = jb.Contact(("contact", [0, 0, 0]), ("base", [0, 0, -1]), stiffness=2000.0, damping=30.0, distance=1.0, engagement=0.01)  # fmt: skip
+    elements["contact strut"] = jb.Contact(("contact", [0, 0, 0]), ("base", [0, 0, -1]), stiffness=2000.0, damping=30.0, distance=1.0,
+                                           engagement=0.01)  # fmt: skip
     elements = {name: element for name, element in elements.items() if name.removesuffix(" strut") in (*names, "tyre")}
     for name in (*names, "tyre"):
         bodies[name] = jb.Body(mass=M, inertia=[1, 1, 1])

@@ -77,7 +77,8 @@ def test_an_equilibrium_started_from_itself_is_itself():
 STRING = [(f"n{i}", f"n{i + 1}", 50.0 + 20 * i) for i in range(2)]
 GRID = {f"{i}{j}": (i + 0.0, j + 0.0, 0.0) for i in (1, 2) for j in (1, 2)}
 FAMILY = {
-    "a string pushed sideways in its middle": ({"n0": (0, 0, 0)}, [("n0", (-1, 0, 0), 100.0), ("n0", (1, 0, 0), 100.0)], {"n0": (0, 3.0, -4.0)}),
+    "a string pushed sideways in its middle": ({"n0": (0, 0, 0)}, [("n0", (-1, 0, 0), 100.0), ("n0", (1, 0, 0), 100.0)],
+        {"n0": (0, 3.0, -4.0)}),
     "a string of three masses": (
         {f"n{i}": (i, 0, 0) for i in range(3)}, [*STRING, ("n0", (-1, 0, 0), 30.0), ("n2", (3, 0, 0), 80.0)],
         {"n0": (0, 2.0, 0.5), "n1": (1.0, 5.0, 0.0), "n2": (0, 3.0, 0.7)},

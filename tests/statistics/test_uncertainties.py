@@ -1,4 +1,5 @@
-"""What estimates are worth, on Jacobians of random structure: rank and null directions, coverage, chi-squared, units, more samples, gaps."""
+"""What estimates are worth, on Jacobians of random structure: rank and null directions, coverage, chi-squared, units, more samples,
+gaps."""
 
 import dataclasses
 
@@ -23,7 +24,8 @@ def jacobian(n=N):
     t, w, z = np.arange(n), 0.31, 0.015
     fade = np.exp(-z * w * t)
     c, s, f, d = fade * np.cos(w * t), fade * np.sin(w * t), w * t * fade * np.sin(w * t), 5 * z * w * t * fade * np.cos(w * t)
-    channels = [[a * c + b * s, a * s - b * c, a * f + b * d, a * d - b * f, 0.3 * o + 0 * t] for a, b, o in [(1, 0.2, 1), (0.3, 0.5, 0), (0.1, 1, 0.5)]]  # fmt: skip
+    channels = [[a * c + b * s, a * s - b * c, a * f + b * d, a * d - b * f, 0.3 * o + 0 * t] for a, b,
+                o in [(1, 0.2, 1), (0.3, 0.5, 0), (0.1, 1, 0.5)]]  # fmt: skip
     return np.moveaxis(np.array(channels), (0, 1, 2), (1, 2, 0)).reshape(n * CHANNELS, 5)
 
 
@@ -98,8 +100,9 @@ def test_of_known_correlation_the_covariance_is_that_of_its_matrix():
 
 
 def test_autocovariances_are_those_whose_residuals_have_the_products_that_are_there():
-    """By SciPy's root of E sum r_t r_(t+k) = trace_k[(I - QQ') Omega (I - QQ')], k = 0, 1, with all matrices written out: one record, of which
-    the fit takes so much that variances would be a third too small. Left out are products over the ends of the record, of the order of 1/n."""
+    """By SciPy's root of E sum r_t r_(t+k) = trace_k[(I - QQ') Omega (I - QQ')], k = 0, 1, with all matrices written out: one record, of
+    which the fit takes so much that variances would be a third too small. Left out are products over the ends of the record, of the order
+    of 1/n."""
     n = 80
     J, e = jacobian(n)[::CHANNELS], noise(0.8, n, seed=12)[0][::CHANNELS]
     A = np.linalg.pinv(J)
@@ -216,9 +219,12 @@ def test_whiteness_is_told_by_ljung_and_box():
     ("orders", "times", "noise", "said"),
     [
         ([0, 0], 1.0, "noise white", ", but no autoregression describes them better than white noise, which standard errors are of"),
-        ([1, 1], 1.04, "noise autoregressive of order 1", "; standard errors, which take autoregressions of order 1, are those of white noise"),
-        ([0, 3], 2.5, "noise autoregressive of order up to 3", ": standard errors for white noise would be up to 2.5 times too small; these take autoregressions of order up to 3"),
-        ([2, 3], 0.5, "noise autoregressive of order 2 to 3", ": standard errors for white noise would be up to 2 times too large; these take autoregressions of order 2 to 3"),
+        ([1, 1], 1.04, "noise autoregressive of order 1",
+         "; standard errors, which take autoregressions of order 1, are those of white noise"),
+        ([0, 3], 2.5, "noise autoregressive of order up to 3",
+         ": standard errors for white noise would be up to 2.5 times too small; these take autoregressions of order up to 3"),
+        ([2, 3], 0.5, "noise autoregressive of order 2 to 3",
+         ": standard errors for white noise would be up to 2 times too large; these take autoregressions of order 2 to 3"),
     ],
 )  # fmt: skip
 def test_correlated_residuals_are_said_without_empty_figures(orders, times, noise, said):

@@ -294,7 +294,8 @@ def test_the_coefficient_does_not_depend_on_the_coordinates(hanging):
     )
     names = hanging.model.elements[0].names
     elements = {
-        name: jb.Spring(("plate", Q.T @ (springs.a[i] - r)), ("base", springs.b[i]), stiffness=springs.stiffness[i], free_length=springs.free_length[i])
+        name: jb.Spring(("plate", Q.T @ (springs.a[i] - r)), ("base", springs.b[i]), stiffness=springs.stiffness[i],
+                        free_length=springs.free_length[i])
         for i, name in enumerate(names)
     }  # fmt: skip
     other = backbones(jb.Model(bodies={"plate": moved}, supports={"base": jb.Support()}, elements=elements, gravity=[0, 0, -9.81]))
