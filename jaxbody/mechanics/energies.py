@@ -5,11 +5,14 @@ Each takes the model, a state and, for supports away from their reference poses,
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
 from jaxbody.inputs.loads import Load
@@ -36,7 +39,7 @@ def kinetic_energy(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None)
     >>> float(kinetic_energy(model, state))
     9.0
     """
-    return kinetic(model, frames_of(model, state, xi, xi_dot))
+    return _energy(kinetic, model, state, xi, xi_dot)
 
 
 def potential_energy(model: Model, state: State, xi: Xi = None) -> Float[Array, ""]:
@@ -46,7 +49,7 @@ def potential_energy(model: Model, state: State, xi: Xi = None) -> Float[Array, 
     >>> float(potential_energy(model, model.reference))
     0.0
     """
-    return potential(model, frames_of(model, state, xi))
+    return _energy(potential, model, state, xi, None)
 
 
 def dissipation(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
@@ -57,7 +60,7 @@ def dissipation(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) ->
     >>> float(dissipation(model, state))
     0.0
     """
-    return rayleigh(model, frames_of(model, state, xi, xi_dot))
+    return _energy(rayleigh, model, state, xi, xi_dot)
 
 
 def lagrangian(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
@@ -68,7 +71,16 @@ def lagrangian(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> 
     >>> float(lagrangian(model, state))
     9.0
     """
-    frames = frames_of(model, state, xi, xi_dot)
+    return _energy(kinetic_less_potential, model, state, xi, xi_dot)
+
+
+@jit_unoptimized
+def _energy(energy: Callable[[Model, Frame], Array], model: Model, state: State, xi: Xi, xi_dot: Xi) -> Float[Array, ""]:
+    return energy(model, frames_of(model, state, xi, xi_dot))
+
+
+def kinetic_less_potential(model: Model, frames: Frame) -> Float[Array, ""]:
+    """L of a table of frames."""
     return kinetic(model, frames) - potential(model, frames)
 
 

@@ -20,7 +20,7 @@ from jaxtyping import Array
 
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import checked, concrete, device_array
-from jaxbody.core.errors import Problems
+from jaxbody.core.errors import Problems, is_concrete
 from jaxbody.geometry.fields import Kind, check_domain, kind_along, kind_of
 from jaxbody.models.bodies import check_inertia
 from jaxbody.models.models import Model
@@ -131,8 +131,13 @@ def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
     if first.row is None or rows == list(range(arrays[first.array].shape[first.axis(arrays)])):
         arrays[first.array] = block
     else:
-        where = (*[slice(None)] * first.axis(arrays), np.array(rows))
-        arrays[first.array] = arrays[first.array].at[where].set(block)
+        where, array = (*[slice(None)] * first.axis(arrays), np.array(rows)), arrays[first.array]
+        if is_concrete((array, block)):
+            changed = np.array(array)
+            changed[where] = block
+            arrays[first.array] = device_array(changed)
+        else:
+            arrays[first.array] = array.at[where].set(block)
 
 
 def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:

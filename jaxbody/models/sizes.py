@@ -6,22 +6,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxbody.core.errors import is_concrete
 from jaxbody.models.models import Model
 
 
 def size_of(model: Model) -> Float[Array, ""]:
     """A length of the model: the largest distance of a point of attachment or a centre of mass from the origin of its body; where that is
     zero, from the world's origin; else 1 m."""
-    on_bodies, anywhere = [jnp.zeros((1, 3), model.gravity.dtype), model.bodies.rows.com], [model.bodies.rows.position]
+    xp = np if is_concrete(model) else jnp  # outside of programs no operation runs by itself
+    on_bodies, anywhere = [np.zeros((1, 3), model.gravity.dtype), model.bodies.rows.com], [model.bodies.rows.position]
     for table in model.elements:
         for end, points in enumerate(table.rows.points):
             on_body = np.array([link[end] in model.layout.bodies for link in table.links])
-            on_bodies.append(jnp.where(on_body[:, None], points, 0.0))
+            on_bodies.append(xp.where(on_body[:, None], points, 0.0))
             anywhere.append(points)
-    near, far = (jnp.max(jnp.linalg.norm(jnp.concatenate(points), axis=-1)) for points in (on_bodies, anywhere))
-    return jnp.where(near > 0, near, jnp.where(far > 0, far, 1.0))
+    near, far = (xp.max(xp.linalg.norm(xp.concatenate(points), axis=-1)) for points in (on_bodies, anywhere))
+    return xp.where(near > 0, near, xp.where(far > 0, far, 1.0))
 
 
 def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
     """Delta per scaled increment: 1 for translations, 1/size for rotations, so that all increments are in meters."""
-    return jnp.where(model.layout.turns, 1 / size, 1.0)
+    return (np if isinstance(size, np.generic | np.ndarray) else jnp).where(model.layout.turns, 1 / size, 1.0)
