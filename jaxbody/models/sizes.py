@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -13,7 +15,7 @@ from jaxbody.models.models import Model
 def size_of(model: Model) -> Float[Array, ""]:
     """A length of the model: the largest distance of a point of attachment or a centre of mass from the origin of its body; where that is
     zero, from the world's origin; else 1 m."""
-    xp = np if is_concrete(model) else jnp  # outside of programs no operation runs by itself
+    xp: Any = np if is_concrete(model) else jnp  # outside of programs no operation runs by itself
     on_bodies, anywhere = [np.zeros((1, 3), model.gravity.dtype), model.bodies.rows.com], [model.bodies.rows.position]
     for table in model.elements:
         for end, points in enumerate(table.rows.points):
@@ -26,4 +28,5 @@ def size_of(model: Model) -> Float[Array, ""]:
 
 def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
     """Delta per scaled increment: 1 for translations, 1/size for rotations, so that all increments are in meters."""
-    return (np if isinstance(size, np.generic | np.ndarray) else jnp).where(model.layout.turns, 1 / size, 1.0)
+    xp: Any = np if is_concrete(size) else jnp
+    return xp.where(model.layout.turns, 1 / size, 1.0)
