@@ -1,1 +1,1 @@
-"""What residuals say of estimates: noise models, covariance, robust losses. No mechanics."""
+"""Statistics of estimates from residuals: noise models, covariance, robust losses. No mechanics."""

@@ -1,4 +1,4 @@
-"""Autocorrelation of one record: autocovariances, autoregressions of the order chosen by BIC, and tests for whiteness.
+"""Autocorrelation of one record: autocovariances, autoregressions with the order selected by BIC, and tests for whiteness.
 
     r_t = phi_1 r_(t-1) + ... + phi_q r_(t-q) + e_t,   e_t white,   gamma_k = E r_t r_(t+k)
 
@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 SHARPEST = 0.995  # largest partial autocorrelation; beyond it a finite record looks like a random walk
-FEWEST = 20  # samples that an analysis of autocorrelation needs
+FEWEST = 20  # smallest number of samples for an analysis of autocorrelation
 
 
 class Autoregression(NamedTuple):
-    """phi (q,), and the variance of the innovations e_t."""
+    """An autoregression: coefficients phi (q,) and the variance of the innovations e_t."""
 
     phi: np.ndarray
     variance: float
@@ -53,7 +53,7 @@ def chosen_order(r: np.ndarray) -> int:
 
 
 def autocovariances(process: Autoregression, n: int) -> np.ndarray:
-    """gamma_0 ... gamma_(n-1) of a stationary autoregression: the Yule-Walker equations, then the recursion itself."""
+    """gamma_0 ... gamma_(n-1) of a stationary autoregression, by the Yule-Walker equations and then the recursion."""
     from scipy.signal import lfilter, lfiltic
 
     phi, variance = process
@@ -77,7 +77,7 @@ def innovations(process: Autoregression, r: np.ndarray) -> np.ndarray:
 
 
 class Whiteness(NamedTuple):
-    """Lag-one correlation r1, Durbin and Watson's d, Ljung and Box's Q over `lags` and its p-value (the chance that white noise has a larger Q)."""
+    """Lag-one correlation r1, Durbin and Watson's d, Ljung and Box's Q over `lags`, and its p-value p (probability of a larger Q)."""
 
     r1: float
     d: float
@@ -87,7 +87,7 @@ class Whiteness(NamedTuple):
 
 
 def whiteness(r: np.ndarray) -> Whiteness | None:
-    """Tests of a record; None if it is too short or zero.
+    """Tests of a record for whiteness; None if it is too short or zero.
 
     Q = n (n + 2) sum_k rho_k^2/(n - k),   d = sum (r_t - r_(t-1))^2 / sum r_t^2
     """

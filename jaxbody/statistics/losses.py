@@ -1,4 +1,4 @@
-"""Robust losses, which penalize residuals of many standard deviations less than their squares would.
+"""Robust losses, which penalize residuals of many standard deviations less than least squares does.
 
     soft_l1   rho(r) = c^2 (sqrt(1 + (r/c)^2) - 1)      c = 1.345    like |r| for large r (pseudo-Huber)
     cauchy    rho(r) = c^2/2 log(1 + (r/c)^2)           c = 2.385    outliers have little influence
@@ -6,7 +6,8 @@
 r in units of the noise; with these c, estimates from Gaussian data have 95 % of the efficiency of least squares. Fits use root(r) =
 sign(r) sqrt(2 rho(r)), whose sum of squares is twice the loss, so that least-squares methods minimize the loss.
 
-Source: P. Huber, E. Ronchetti, Robust Statistics, 2nd ed. (2009), sections 6.4 (covariance) and 7.7 (scale); R. Holland, R. Welsch, Comm. Stat. A 6 (1977) 813 (c).
+Sources: P. Huber, E. Ronchetti, Robust Statistics, 2nd ed. (2009), sections 6.4 (covariance) and 7.7 (scale);
+R. Holland, R. Welsch, Comm. Stat. A 6 (1977) 813 (c).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ CLIPPED = 1.345  # standard deviations at which residuals are clipped in the est
 
 
 def check_loss(loss: str | None, where: str) -> None:
-    """Error: UNKNOWN_LOSS."""
+    """Check that a loss is known. Error: UNKNOWN_LOSS."""
     if loss is not None and loss not in LOSSES:
         raise JaxbodyError(Problem("UNKNOWN_LOSS", where, f"is {loss!r:.60}", loss, "None, " + ", ".join(LOSSES)))
 
@@ -43,9 +44,11 @@ def root(r: Float[Array, "m"], loss: str | None) -> Float[Array, "m"]:
 
 
 def linearized(r, J, present: np.ndarray, loss: str | None) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals and Jacobian of the least-squares problem with the optimum and covariance of the loss, from r and the Jacobian of root(r).
+    """Residuals r* and Jacobian J* of the least-squares problem that has the same optimum and covariance as the loss.
 
-    r* = rho'(r)/mean rho''(r),   J* = dr/du,   the mean over samples that are `present`
+        r* = rho'(r)/mean rho''(r),   J* = dr/du
+
+    `J` is the Jacobian of root(r); the mean is over samples that are `present`.
     """
     if loss is None:
         return np.asarray(r), np.asarray(J)
@@ -57,7 +60,8 @@ def linearized(r, J, present: np.ndarray, loss: str | None) -> tuple[np.ndarray,
 
 
 def robust_level(mean_of_clipped_squares, start: Array) -> Array:
-    """Noise level s by Huber's Proposal 2: mean min((r/s)^2, c^2), a given function of s and c, equals E min(z^2, c^2) of a standard normal z."""
+    """Noise level s by Huber's Proposal 2: the mean of min((r/s)^2, c^2), a given function of s and c, equals E min(z^2, c^2) for a
+    standard normal z."""
     c = CLIPPED
     tail, density = 0.5 * math.erfc(c / math.sqrt(2)), math.exp(-c * c / 2) / math.sqrt(2 * math.pi)
     expected = (1 - 2 * tail) - 2 * c * density + 2 * c * c * tail

@@ -1,10 +1,11 @@
-"""What an estimate is worth: covariance from the Jacobian and the noise that residuals show, and in words what the data cannot tell.
+"""Uncertainty of estimates: covariance from the Jacobian and the estimated noise, and in words what the data do not determine.
 
-    J = Q R,    covariance of u = R^-1 M R^-T,    M the covariance of Q'e (`noises`): s^2 I for one white noise, s^2 = r'r/(samples - parameters)
+    J = Q R,    covariance of u = R^-1 M R^-T
 
-A variance v that is known from few numbers has 2 v^2/var(v) degrees of freedom (F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110), those of
-Student's t in intervals. Directions of u whose singular value vanishes against the largest leave the readings as they are; no number is
-given for what they touch, nor for a parameter at its bound, which the others are estimated with.
+M is the covariance of Q'e (`noises`); for white noise of one level it is s^2 I with s^2 = r'r/(samples - parameters).
+A variance v that is estimated has 2 v^2/var(v) degrees of freedom (F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110); intervals use
+Student's t with as many. Directions of u with a negligible singular value do not change the readings. Parameters that have a part in them
+have no standard error; nor has a parameter at its bound, where the others are estimated with it fixed.
 """
 
 from __future__ import annotations
@@ -17,20 +18,22 @@ import numpy as np
 from jaxbody.statistics.autocorrelations import Whiteness, whiteness
 from jaxbody.statistics.noises import LEAST, Noise, ResidualSeries, noise_of
 
-CORRELATED = 0.1  # lag-one correlation of residuals that is told, if it is also significant
+CORRELATED = 0.1  # lag-one correlation of residuals that is reported, if it is also significant
 SIGNIFICANT = 3.0  # standard deviations of the pooled lag-one correlation of white noise
-TOGETHER = 0.3  # correlation of two records that is told
-TOUCHED = 1e-3  # share of a null direction that makes a parameter undetermined
-UNLIKELY = 1e-3  # chance of residuals beyond their stated noise that is told
+TOGETHER = 0.3  # correlation of two records that is reported
+TOUCHED = 1e-3  # component in a null direction, relative to the whole, that makes a parameter undetermined
+UNLIKELY = 1e-3  # probability of residuals this large, given the stated noise, below which they are reported
 RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, that count as zero
 
 
 class Uncertainty(eqx.Module):
-    """The worth of a fit: `covariance` of u and what it would be if noise were white; `parts`, by how much it changes with the standard errors of
-    the numbers that it is made of; singular values, rank, null directions in `words`, parameters that stand `still`; how residuals of
-    channels are correlated in time (`whiteness`, `orders` of autoregressions, pooled `correlation` at lag one) and with one another (`pairs`); of a u `pressed` to its bound the slope of the
-    cost, its curvature with all others following, and the standard error, with its degrees of freedom, that it would have without the bound;
-    of records whose stated noise is taken as known, and whose residuals are more, how many times more (`beyond_stated`)."""
+    """The uncertainty of a fit.
+
+    `covariance`, `white_covariance`: of u, and for white noise; `parts`: changes of the covariance for standard errors of the noise
+    estimates; `singular_values`, `rank`, `null` directions and these in `words`; `still`: parameters without effect on the data.
+    `whiteness`, `orders`, `correlation`: tests of residuals by record, orders of their autoregressions, pooled correlation at lag one;
+    `pairs`: correlations between records. `pressed` {index of a u at its bound: slope of the cost, its curvature with all others free,
+    standard error without the bound, degrees of freedom}. `beyond_stated`: ratio of residuals to the stated noise where they exceed it."""
 
     covariance: np.ndarray
     white_covariance: np.ndarray
@@ -52,7 +55,7 @@ class Uncertainty(eqx.Module):
     samples: int
 
     def spread(self, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Standard errors, infinite where the data cannot tell, and degrees of freedom of numbers whose slopes in u are the rows of G."""
+        """Standard errors, infinite where not determined, and degrees of freedom, of numbers whose gradients in u are the rows of G."""
         error, freedom = _spread(G, self.covariance, self.parts)
         size = np.linalg.norm(G, axis=1)
         touched = np.linalg.norm(G @ self.null, axis=1) > TOUCHED * np.where(size > 0, size, 1)
@@ -60,49 +63,49 @@ class Uncertainty(eqx.Module):
 
     @property
     def factor(self) -> float:
-        """Standard errors over those for white noise: of the parameter for which they differ most."""
-        ratio = np.sqrt(np.diag(self.covariance)[self._told] / np.diag(self.white_covariance)[self._told])
+        """Ratio of the standard error to that for white noise, for the parameter where they differ most."""
+        ratio = np.sqrt(np.diag(self.covariance)[self._positive] / np.diag(self.white_covariance)[self._positive])
         return float(ratio[np.argmax(np.abs(np.log(ratio)))]) if ratio.size else 1.0
 
     @property
-    def _told(self) -> np.ndarray:
+    def _positive(self) -> np.ndarray:
         return (np.diag(self.covariance) > 0) & (np.diag(self.white_covariance) > 0)
 
     @property
     def noise(self) -> str:
-        """What standard errors take the noise for."""
+        """The model of the noise in the standard errors."""
         if not self.orders:
             return "noise as stated"
         return f"noise autoregressive of order {self._order}" if any(self.orders.values()) else "noise white"
 
     @property
     def _order(self) -> str:
-        """Of the autoregressions of records that are not white."""
+        """The orders of the autoregressions, in words."""
         low, high = min(self.orders.values()), max(self.orders.values())
         return f"{low}" if low == high else f"{low} to {high}" if low else f"up to {high}"
 
-    def _what_of_it(self) -> str:
-        """What standard errors make of correlated residuals."""
+    def _effect_of_correlation(self) -> str:
+        """The effect of correlated residuals on standard errors, in words."""
         if not any(self.orders.values()):
-            return ", but no autoregression describes them better than white noise, which standard errors are of"
+            return ", but no autoregression describes them better than white noise, which standard errors assume"
         size = max(self.factor, 1 / self.factor)
         if f"{size:.2g}" == "1":
-            return f"; standard errors, which take autoregressions of order {self._order}, are those of white noise"
-        way = "small" if self.factor > 1 else "large"
-        return f": standard errors for white noise would be up to {size:.2g} times too {way}; these take autoregressions of order {self._order}"
+            return f"; standard errors, which assume autoregressions of order {self._order}, are those of white noise"
+        error = f"{size:.2g} times too {'small' if self.factor > 1 else 'large'}"
+        return f": standard errors for white noise would be up to {error}; these assume autoregressions of order {self._order}"
 
     def about_noise(self) -> list[str]:
-        """What residuals show that white noise would not, in words."""
-        said = []
+        """Remarks on residuals that differ from white noise of the stated level."""
+        remarks = []
         if self.correlated:
-            said.append(f"residuals are correlated (lag one {self.correlation:.2f}){self._what_of_it()}")
+            remarks.append(f"residuals are correlated (lag one {self.correlation:.2f}){self._effect_of_correlation()}")
         if max((abs(x) for x in self.pairs.values()), default=0.0) > TOGETHER:
             (one, other), most = max(self.pairs.items(), key=lambda pair: abs(pair[1]))
-            said.append(f"residuals of channels go together, most {one} with {other} ({most:.2f}); standard errors take it into account")
-        told = [f"{name} {ratio:.2g} times" for name, ratio in self.beyond_stated.items()]
-        if told:
-            said.append(f"residuals exceed the stated noise, which standard errors are of: {', '.join(told)}")
-        return said
+            remarks.append(f"residuals of channels are correlated, most {one} with {other} ({most:.2f}); standard errors include this")
+        excesses = [f"{name} {ratio:.2g} times" for name, ratio in self.beyond_stated.items()]
+        if excesses:
+            remarks.append(f"residuals exceed the stated noise, which standard errors assume: {', '.join(excesses)}")
+        return remarks
 
 
 def _spread(G: np.ndarray, covariance: np.ndarray, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -114,12 +117,12 @@ def _spread(G: np.ndarray, covariance: np.ndarray, parts: np.ndarray) -> tuple[n
 
 
 def known_directions(S: np.ndarray) -> np.ndarray:
-    """Which singular values of the Jacobian in u are more than none."""
+    """Which singular values of the Jacobian in u differ from zero."""
     return RANK * S.max(initial=0.0) < S
 
 
 def decomposed(J: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """J = U S V', a V' that is square, and which of S are known."""
+    """J = U S V' with a square V', and which of S differ from zero."""
     few = np.zeros((max(J.shape[1] - J.shape[0], 0), J.shape[1]))  # fewer residuals than parameters leave directions unknown too
     U, S, Vt = np.linalg.svd(np.concatenate([J, few]), full_matrices=False)
     return U[: len(J)], S, Vt, known_directions(S)
@@ -137,29 +140,40 @@ def assess(
     ended=False,
     exact=0.0,
 ) -> Uncertainty:
-    """From residuals r and Jacobian J in u, the slopes of each leaf in u and the records that r is made of, what is known how well.
+    """The uncertainty of estimates.
 
-    inside: which u are at no bound; ended: which went to the end of their domain, where nothing moves them; exact: a norm of r that is no noise."""
+    Args:
+        r: residuals, in units of their noise
+        J: Jacobian of r in the unknowns u
+        slopes: derivatives of the leaves by u
+        paths: names of the leaves
+        labels: names of the unknowns
+        records: series of residuals in r
+        inside: False for unknowns at a bound; None: all True
+        ended: True for unknowns that went to the end of their domain, where they have no effect
+        exact: norm of r up to which residuals are round-off
+    """
     J = np.where(ended, 0.0, J)
     inside = np.ones(J.shape[1], bool) if inside is None else np.asarray(inside)
     U, S, Vt, known = decomposed(J)
     null = np.concatenate([Vt[~known].T, np.eye(J.shape[1])[:, ~inside]], axis=1)
-    noise, back = _carried(r, inside, records, (U, S, Vt, known) if inside.all() else decomposed(J[:, inside]))
+    noise, back = _noise_and_map(r, inside, records, (U, S, Vt, known) if inside.all() else decomposed(J[:, inside]))
     covariance, white, *parts = (back @ M @ back.T for M in (noise.M, noise.white, *noise.parts))
     still = [label for label, silent in zip(labels, ~J.any(0) & ~np.asarray(ended), strict=True) if silent]
     tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in records}
     correlation, significant = lag_one(r, U[:, known], records)
-    found = Uncertainty(
+    uncertainty = Uncertainty(
         covariance, white, np.reshape(parts, (len(parts), *covariance.shape)), null, slopes, {}, S, int(known.sum()),
         in_words(np.where(ended, 0.0, Vt[~known]).T, labels, still), still, correlation, significant and bool(r @ r > exact**2), tests,
-        noise.orders, noise.pairs, _pressed(r, J, inside, records), _beyond_stated(r, U[:, known], records), sum(len(c.rows) for c in records),
+        noise.orders, noise.pairs, _pressed(r, J, inside, records), _beyond_stated(r, U[:, known], records),
+        sum(len(c.rows) for c in records),
     )  # fmt: skip
-    errors = {path: found.spread(G.reshape(-1, len(S)))[0].reshape(G.shape[:-1]) for path, G in zip(paths, slopes, strict=True)}
-    return replace(found, standard_errors=errors)
+    errors = {path: uncertainty.spread(G.reshape(-1, len(S)))[0].reshape(G.shape[:-1]) for path, G in zip(paths, slopes, strict=True)}
+    return replace(uncertainty, standard_errors=errors)
 
 
-def _carried(r, inside, records: list[ResidualSeries], parts) -> tuple[Noise, np.ndarray]:
-    """The noise in Q' r, of the columns of J inside with their `parts`, and what carries it to u."""
+def _noise_and_map(r, inside, records: list[ResidualSeries], parts) -> tuple[Noise, np.ndarray]:
+    """The noise in Q'e and its linear map to u, for the columns of J that are `inside`, with their decomposition `parts`."""
     U, S, Vt, known = parts
     back = np.zeros((len(inside), known.sum()))
     back[inside] = Vt[known].T / S[known]
@@ -169,29 +183,29 @@ def _carried(r, inside, records: list[ResidualSeries], parts) -> tuple[Noise, np
 def _beyond_stated(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> dict[str, float]:
     from scipy.stats import chi2
 
-    found = {}
+    ratios = {}
     for record in (record for record in records if record.known):
         square, freedom = float(r[record.rows] @ r[record.rows]), len(record.rows) - float(np.sum(Q[record.rows] ** 2))
         if freedom > LEAST and chi2.sf(square, freedom) < UNLIKELY:
-            found[record.name] = np.sqrt(square / freedom)
-    return found
+            ratios[record.name] = np.sqrt(square / freedom)
+    return ratios
 
 
 def _pressed(r, J, inside, records: list[ResidualSeries]) -> dict[int, tuple[float, float, float, float]]:
-    found = {}
+    pressed = {}
     for i in np.flatnonzero(~inside & J.any(0)):
         one = inside.copy()
         one[i] = True
-        noise, back = _carried(r, one, records, decomposed(J[:, one]))
+        noise, back = _noise_and_map(r, one, records, decomposed(J[:, one]))
         parts = np.reshape([back @ M @ back.T for M in noise.parts], (-1, J.shape[1], J.shape[1]))
         error, freedom = _spread(np.eye(J.shape[1])[[i]], back @ noise.M @ back.T, parts)
         curvature = 1 / float((back @ back.T)[i, i])
-        found[int(i)] = (float(J[:, i] @ r), curvature, float(error[0]), float(freedom[0]))
-    return found
+        pressed[int(i)] = (float(J[:, i] @ r), curvature, float(error[0]), float(freedom[0]))
+    return pressed
 
 
 def in_words(null: np.ndarray, labels: list[str], still: list[str]) -> list[str]:
-    """Null directions as "AB.stiffness up with CD.stiffness down", made as sparse as elimination makes them."""
+    """Null directions in words, "AB.stiffness up with CD.stiffness down", with few parameters in each, by elimination."""
     words = [f"{label} has no effect on the data" for label in still]
     moving = [i for i, label in enumerate(labels) if label not in still]
     for row in _echelon(null[moving].T):
@@ -205,7 +219,7 @@ def in_words(null: np.ndarray, labels: list[str], still: list[str]) -> list[str]
 
 
 def _echelon(rows: np.ndarray) -> np.ndarray:
-    """The reduced echelon form of the span of rows, by elimination with complete pivoting; rows of noise are dropped."""
+    """The reduced echelon form of the span of rows, by elimination with complete pivoting; negligible rows are dropped."""
     A = rows.copy()
     done: list[int] = []
     while A.size and len(done) < len(A):
@@ -223,12 +237,13 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
 
 
 def lag_one(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> tuple[float, bool]:
-    """The lag-one correlation of all records, pooled, and whether it is more than chance and CORRELATED beyond that of white noise without
-    what the fit has taken, (I - QQ')e: many parameters leave white noise correlated."""
+    """The pooled lag-one correlation of all records, and whether it is significant and above CORRELATED.
+
+    It is compared with that of white noise after a fit, (I - QQ')e, as a fit of many parameters leaves white noise correlated."""
     series = [(r[c.rows], Q[c.rows]) for c in records if c.series and r[c.rows].any()]
     n = sum(len(x) for x, _ in series)
     if n == 0:
         return 0.0, False
-    found = sum(float(x[1:] @ x[:-1]) / float(x @ x) * len(x) for x, _ in series) / n
-    taken = sum(float(np.sum(q[1:] * q[:-1])) / max(len(x) - float(np.sum(q**2)), LEAST) * len(x) for x, q in series) / n
-    return found, abs(found + taken) > max(CORRELATED, SIGNIFICANT / np.sqrt(n))
+    pooled = sum(float(x[1:] @ x[:-1]) / float(x @ x) * len(x) for x, _ in series) / n
+    by_fit = sum(float(np.sum(q[1:] * q[:-1])) / max(len(x) - float(np.sum(q**2)), LEAST) * len(x) for x, q in series) / n
+    return pooled, abs(pooled + by_fit) > max(CORRELATED, SIGNIFICANT / np.sqrt(n))

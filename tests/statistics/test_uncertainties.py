@@ -218,13 +218,13 @@ def test_whiteness_is_told_by_ljung_and_box():
 @pytest.mark.parametrize(
     ("orders", "times", "noise", "said"),
     [
-        ([0, 0], 1.0, "noise white", ", but no autoregression describes them better than white noise, which standard errors are of"),
+        ([0, 0], 1.0, "noise white", ", but no autoregression describes them better than white noise, which standard errors assume"),
         ([1, 1], 1.04, "noise autoregressive of order 1",
-         "; standard errors, which take autoregressions of order 1, are those of white noise"),
+         "; standard errors, which assume autoregressions of order 1, are those of white noise"),
         ([0, 3], 2.5, "noise autoregressive of order up to 3",
-         ": standard errors for white noise would be up to 2.5 times too small; these take autoregressions of order up to 3"),
+         ": standard errors for white noise would be up to 2.5 times too small; these assume autoregressions of order up to 3"),
         ([2, 3], 0.5, "noise autoregressive of order 2 to 3",
-         ": standard errors for white noise would be up to 2 times too large; these take autoregressions of order 2 to 3"),
+         ": standard errors for white noise would be up to 2 times too large; these assume autoregressions of order 2 to 3"),
     ],
 )  # fmt: skip
 def test_correlated_residuals_are_said_without_empty_figures(orders, times, noise, said):
