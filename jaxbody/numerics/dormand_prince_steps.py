@@ -1,13 +1,13 @@
-"""Steps of the Dormand-Prince method of order 8, adaptive or constant, in loops that carry little: what XLA compiles into fast code.
+"""Steps of the Dormand-Prince method of order 8, adaptive or constant, in loops that XLA compiles to fast code.
 
     k_i = h f(t + c_i h, y + sum_j a_ij k_j),   y(t + h) = y + sum_i b_i k_i,   error = sum_i e_i k_i
     y(t + theta h) = y + sum_i p_i(theta) k_i,  p_i of degree 6 without a constant
 
-Coefficients are diffrax's (Prince, Dormand, J. Comp. Appl. Math. 7 (1981) 67). Steps come in blocks: a block keeps the polynomials of its steps,
-and the samples that lie in it are worked out together after it. Reverse mode keeps where each block began and its step lengths, and repeats it,
-so memory grows with the number of blocks. Step lengths are constants to both modes. In a batch every member has steps of its own; constant steps
-are the same for all, and what depends on time alone is then worked out once. Adaptive steps end at the samples of measured accelerations and of
-forces held by straight lines, over whose kinks no polynomial of high degree leads.
+Coefficients are those of diffrax (Prince, Dormand, J. Comp. Appl. Math. 7 (1981) 67). Steps form blocks: a block keeps the polynomials of
+its steps, from which the samples in it are computed together at its end. Reverse mode keeps the start and the step lengths of each block,
+and repeats the block; its memory grows with the number of blocks. Both modes treat step lengths as constants. In a batch every member has
+its own steps; constant steps are the same for all, and functions of time alone are then computed once. Adaptive steps end at the samples of
+measured accelerations and of forces interpolated linearly, as a polynomial of high degree cannot cross their kinks.
 """
 
 from __future__ import annotations
@@ -33,24 +33,25 @@ TABLEAU = diffrax.Dopri8.tableau
 STAGES = len(TABLEAU.c) + 1
 A = np.array([np.pad(row, (0, STAGES - len(row))) for row in TABLEAU.a_lower])  # its last row is b: the last stage starts the next step
 C, E = np.asarray(TABLEAU.c), np.asarray(TABLEAU.b_error)
-EULER = A[1, 1]  # share of a trial step, which begins with f = 0: its first stage is at its start, its second one step of Euler's method on
+EULER = A[1, 1]  # fraction of a trial step, which begins with f = 0: its first stage is at its start, its second an Euler step later
 C_TRIAL = np.array([0.0, EULER, *C[2:]])
 P = np.asarray(diffrax.Dopri8.interpolation_cls.eval_coeffs)[:, ::-1].T  # (6, stages): of theta, theta^2 ...  # pyright: ignore
 BLOCK = 128  # steps, at most
 MOST_KEPT = 8e9  # bytes that a derivative may reserve
-WINDOW = 1024  # samples worked out together, at most
-LANES = 40  # members of a batch in step: loops over 32 or fewer are unrolled before they can become vector instructions
-NEAR = 1e-12  # of kinks to one another, relative to the whole time, that are one
-ROUNDED = 100.0  # errors, in eps of the state, that round-off may make: smaller ones say nothing of the next step,
-LEAST_ERROR = 1e-3  # nor does any below this where tolerances are near round-off
-SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # of one step's length to the next
-TRIAL = 1e-6  # of the whole time: the length of the trial step, which tells the first rate and the first step
+WINDOW = 1024  # samples computed together, at most
+LANES = 40  # members of a batch in a chunk: loops over 32 or fewer are unrolled before they can become vector instructions
+NEAR = 1e-12  # distance of kinks, relative to the whole time, below which they are one
+ROUNDED = 100.0  # errors by round-off, in eps of the state; smaller errors do not lengthen the next step further,
+LEAST_ERROR = 1e-3  # nor do errors below this where tolerances are near round-off
+SAFETY, SHRINK, GROW = 0.9, 0.2, 10.0  # safety factor, and limits of the ratio of successive step lengths
+TRIAL = 1e-6  # length of the trial step, relative to the whole time; it gives the first rate and the first step
 
 
 class InitialValueProblem(NamedTuple):
-    """y' = rate(arguments, u, y) with u = drive(arguments, t), what depends on time alone; tolerances of a step's error, its least
-    length, its first if given, how many there may be, times in order at which steps end since the rate has kinks there, and whether
-    all have the length of the first, whatever their errors."""
+    """y' = rate(arguments, u, y) with u = drive(arguments, t), the part that depends on time alone.
+
+    `rtol`, `atol`: tolerances of a step's error; `shortest`, `first`: smallest and first step length; `max_steps`: most steps; `kinks`:
+    ascending times of kinks of the rate, at which steps end; `constant`: True for steps that all have the length of the first."""
 
     drive: Callable[[Any, Array], Any]
     rate: Callable[[Any, Any, Array], Array]
@@ -64,7 +65,7 @@ class InitialValueProblem(NamedTuple):
 
 
 class Steps(NamedTuple):
-    """Steps by start, past t0, length, and polynomial c_0 + c_1 theta + ... + c_6 theta^6; without length where none was made."""
+    """Steps: start after t0, length, polynomial c_0 + c_1 theta + ... + c_6 theta^6; the length is zero in rows without a step."""
 
     start: Float[Array, "*n"]
     h: Float[Array, "*n"]
@@ -72,7 +73,7 @@ class Steps(NamedTuple):
 
 
 class Begun(NamedTuple):
-    """Where a block begins: tau past t0, the state and its rate, the step before, the window of samples and up to where it is filled."""
+    """The start of a block: time tau after t0, state and its rate, last step before, window of samples, time up to which it is filled."""
 
     tau: Float[Array, ""]
     y: Float[Array, "ny"]
@@ -83,7 +84,7 @@ class Begun(NamedTuple):
 
 
 class Course(NamedTuple):
-    """What control knows: the next step's length, steps accepted and rejected, the status."""
+    """The state of step control: next step length, numbers of accepted and rejected steps, status."""
 
     h: Float[Array, ""]
     accepted: Int[Array, ""]
@@ -92,7 +93,7 @@ class Course(NamedTuple):
 
 
 class Solution(NamedTuple):
-    """Samples, NaN after an early end; the last time past t0 and state; the course."""
+    """Samples, NaN after an early end; last time after t0, last state, and state of step control."""
 
     samples: Float[Array, "nt ny"]
     tau: Float[Array, ""]
@@ -101,14 +102,14 @@ class Solution(NamedTuple):
 
 
 def solve(problem: InitialValueProblem, arguments: Any, y0: Float[Array, "ny"], times: Float[Array, "nt"]) -> Solution:
-    """From y0 at times[0]; differentiable in forward mode, with least work."""
+    """The solution from y0 at times[0]; differentiable in forward mode only, at the least cost."""
     return _march(problem, arguments, y0, times, keep=False)[0]
 
 
 @filter_custom_jvp
 def solve_both_ways(given: tuple[Any, Float[Array, "ny"], Float[Array, "nt"]], *, problem: InitialValueProblem) -> Solution:
-    """`solve` of given = (arguments, y0, times); differentiable in forward mode, which then solves it twice, in reverse mode, and in forward
-    mode over either."""
+    """`solve` of given = (arguments, y0, times); differentiable in reverse mode, in forward mode, which solves twice, and in forward mode
+    over either."""
     return _march(problem, *given, keep=False)[0]
 
 
@@ -142,7 +143,7 @@ def _tangents(primals, tangents, *, problem):
 
 
 def _backward(kept, of_samples: Float[Array, "nt ny"], of_y: Float[Array, "ny"], given, problem: InitialValueProblem):
-    """The chain rule, block by block from the last to the first."""
+    """Cotangents of (arguments, y0, times) by the chain rule, block by block from the last to the first."""
     arguments, y0, times = given
     begun, lengths, n = kept
     varied, fixed = partition(arguments, is_inexact_array)
@@ -173,7 +174,7 @@ def _backward(kept, of_samples: Float[Array, "nt ny"], of_y: Float[Array, "ny"],
 
 
 def _march(problem: InitialValueProblem, arguments: Any, y0, times, keep: bool) -> tuple[Solution, Any]:
-    """Block after block; kept, where each began and its step lengths."""
+    """The solution, block after block; with `keep` also the starts and step lengths of the blocks."""
     numbers, rest = partition((problem, arguments), is_array)
 
     def march(numbers, y0, times):
@@ -184,11 +185,11 @@ def _march(problem: InitialValueProblem, arguments: Any, y0, times, keep: bool) 
 
 
 def _check_memory(max_steps: int, blocks: int, each: int) -> None:
-    """What a derivative keeps is reserved for as many steps as there may be."""
+    """Check the memory of a derivative, which is reserved for max_steps. Error: TOO_LARGE."""
     if blocks * each > MOST_KEPT:
-        words = f"reserves {blocks * each / 1e9:.3g} GB for the derivative: {each} bytes for every {BLOCK} of max_steps={max_steps}"
-        hint = f"Give fewer max_steps, {int(MOST_KEPT / each) * BLOCK:.1g} at most, or adjoint=diffrax.ForwardMode(), which keeps nothing."
-        raise JaxbodyError(Wrong("TOO_LARGE", "simulate.max_steps", words, max_steps, f"{MOST_KEPT / 1e9:g} GB", hint))
+        message = f"reserves {blocks * each / 1e9:.3g} GB for the derivative: {each} bytes for every {BLOCK} of max_steps={max_steps}"
+        hint = f"Give fewer max_steps, {int(MOST_KEPT / each) * BLOCK:.1g} at most, or adjoint=diffrax.ForwardMode(), which needs none."
+        raise JaxbodyError(Wrong("TOO_LARGE", "simulate.max_steps", message, max_steps, f"{MOST_KEPT / 1e9:g} GB", hint))
 
 
 def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: bool):
@@ -198,7 +199,7 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
     zero, none = jnp.zeros_like(past[0]), jnp.zeros((), int)
     begun = Begun(zero, y0, jnp.zeros_like(y0), Steps(zero, zero, jnp.zeros((7, len(y0)), y0.dtype).at[0].set(y0)), none, zero - 1)
     course = Course(TRIAL * end, none, none, jnp.full((), Status.OK.value))
-    size = BLOCK if keep else min(max(len(times) // 8, 16), BLOCK)  # few samples need few steps at hand
+    size = BLOCK if keep else min(max(len(times) // 8, 16), BLOCK)  # for few samples few steps are kept
     blocks = problem.max_steps // BLOCK + len(reach) + 1 if keep else 0
     of_block = (begun, jnp.zeros(BLOCK, y0.dtype))
     _check_memory(problem.max_steps, blocks, sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(of_block)))
@@ -226,14 +227,14 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
 
     carry = (begun, course, out, kept, none)
     begun, course, out, kept, n = lax.while_loop(lambda carry: any_of_batch(running(carry[0], carry[1])), block, carry)
-    if keep:  # the first block began with the rate that its trial step told
+    if keep:  # the trial step gave the rate at the start of the first block
         kept = kept[0]._replace(f=kept[0].f.at[0].set(_rate(problem, arguments, times[0], y0))), kept[1]
     samples = out.reshape(-1, len(y0))[: len(times)].at[0].set(y0)
     return Solution(samples, begun.tau, begun.y, course), (*kept, n)
 
 
 def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: Course, goal, end, size: int, starting: Bool[Array, ""]):
-    """Steps until goal, at most a block of them; when starting, a trial step before them."""
+    """Steps until `goal`, at most one block; `starting`: with a trial step before them."""
     rows = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), begun.last)._replace(h=jnp.full(size, jnp.inf, begun.y.dtype))
     steps = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, rows)
     ends = None if problem.kinks is None else jnp.append(problem.kinks - t0, jnp.inf)
@@ -248,12 +249,12 @@ def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: 
         return (course.code == Status.OK.value) & (tau < goal)
 
     def control(course, y, y1, k, h):
-        """Whether a step's error is small enough, the next step's length, and what is wrong with it."""
+        """Whether a step's error is small enough, the next step's length, and the status."""
         error = _error(problem, *lax.stop_gradient((y, y1, k)))
         good = error <= 1
         factor = SAFETY / _eighth_root(jnp.maximum(error, jnp.minimum(ROUNDED * jnp.finfo(y.dtype).eps / problem.rtol, LEAST_ERROR)))
         longer = h * jnp.where(jnp.isfinite(error), jnp.clip(factor, SHRINK, jnp.where(good, GROW, 1.0)), SHRINK)
-        if ends is not None:  # a step cut short says little of the next
+        if ends is not None:  # the step after one that was cut at a kink need not be as short
             longer = jnp.where(good & (h < course.h), jnp.maximum(longer, course.h), longer)
         small = jnp.where(jnp.isfinite(error), Status.DT_MIN.value, Status.NONFINITE.value)
         return good, longer, jnp.where(longer < problem.shortest, small, Status.OK.value)
@@ -271,7 +272,7 @@ def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: 
         tau1 = jnp.where(h == left, to, tau + h)
         code = jnp.where(good & (tau1 >= end), Status.OK.value, jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, code))
         after = Course(longer, course.accepted + good, course.rejected + ~good, code)
-        f0 = k[1] / h  # where it is a trial
+        f0 = k[1] / h  # the rate at the start, for a trial step
         begin = course._replace(h=_first(problem, *lax.stop_gradient((y, f0, f1)), EULER * h, end))
         after = jax.tree.map(lambda new, old: jnp.where(trial, new, old), begin, after)
         step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), _polynomial(y, k))
@@ -286,7 +287,7 @@ def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: 
 
 
 def _repeat(problem: InitialValueProblem, arguments, t0, begun: Begun, lengths: Float[Array, "n"]):
-    """The steps of a block by their lengths, and where they lead."""
+    """The steps of a block from their lengths, and the final state and rate."""
 
     def one(carry, h):
         tau, y, f = carry
@@ -302,8 +303,9 @@ def _rate(problem: InitialValueProblem, arguments, t, y):
 
 
 def _step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array, ""] | None = None):
-    """The state and its rate after a step, and the k_i; of a trial step two stages only, k_1 = h f(t, y) and the rate a little later. To work these out
-    by themselves would be a second copy of the rate to compile."""
+    """The state and its rate after a step, and the k_i.
+
+    A trial step has only two stages, k_1 = h f(t, y) and the rate a little later; a separate function would compile the rate twice."""
 
     def stage(carry, row):
         k, _, _ = carry
@@ -319,13 +321,13 @@ def _step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array
     if trial is None:
         (k, y, f), _ = lax.scan(stage, (k, y, f), rows)
     else:
-        stages = jnp.where(trial, np.uint32(2), np.uint32(STAGES - 1))  # unsigned: else each row asks whether i is negative
+        stages = jnp.where(trial, np.uint32(2), np.uint32(STAGES - 1))  # unsigned, as each row would check whether i is negative
         k, y, f = lax.fori_loop(np.uint32(0), stages, lambda i, carry: stage(carry, jax.tree.map(lambda x: _at(x, i), rows))[0], (k, y, f))
     return y, f, k
 
 
 def _error(problem: InitialValueProblem, y, y1, k) -> Float[Array, ""]:
-    """The largest error of a step, in units of what is allowed."""
+    """The largest ratio of a step's error to its tolerance."""
     return jnp.max(jnp.abs(_sum(E, k)) / (problem.atol + problem.rtol * jnp.maximum(jnp.abs(y), jnp.abs(y1))), initial=0.0)
 
 
@@ -340,7 +342,7 @@ def _polynomial(y, k) -> Float[Array, "7 ny"]:
 
 
 def _sampled(times, begun: Begun, steps: Steps, tau) -> tuple[Float[Array, "w ny"], Bool[Array, "w"]]:
-    """The window's samples by the steps' polynomials, and which of them lie in this block."""
+    """The samples of the window from the polynomials of the steps, and which of them lie in this block."""
     past = _at(_windows(times - times[0]), begun.window)
     row = jnp.searchsorted(lax.stop_gradient(steps.start + steps.h), past)
     start, h = steps.start[row], steps.h[row]
@@ -353,14 +355,14 @@ def _sampled(times, begun: Begun, steps: Steps, tau) -> tuple[Float[Array, "w ny
 
 
 def _last(steps: Steps) -> Steps:
-    """The last that was made."""
+    """The last step that was made."""
     made = (steps.h > 0) & jnp.isfinite(steps.h)
     i = jnp.max(jnp.where(made, jnp.arange(len(made)), 0))
     return jax.tree.map(lambda x: x[i], steps)
 
 
 def _first(problem: InitialValueProblem, y0, f0, f1, dt, end) -> Float[Array, ""]:
-    """The first step's length, by the rate at the beginning and dt after it: Hairer, Norsett, Wanner, Solving Ordinary Differential
+    """The first step's length, from the rates at the start and dt later. Source: Hairer, Norsett, Wanner, Solving Ordinary Differential
     Equations I, II.4."""
     if problem.first is not None:
         return problem.first
@@ -386,7 +388,7 @@ def _windows(x: Float[Array, "nt *k"], more: Array | None = None) -> Float[Array
 
 
 def _at(x: Array, i: Int[Array, ""]) -> Array:
-    """x[i]; without asking where there is but one, so that a batch needs no gather."""
+    """x[i]; for a single row without an index, so that a batch needs no gather."""
     return x[0] if len(x) == 1 else lax.dynamic_index_in_dim(x, i, 0, keepdims=False)
 
 

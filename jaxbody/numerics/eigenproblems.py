@@ -1,12 +1,14 @@
-"""Eigenvalues and vectors with derivatives that are right where eigenvalues coincide, and refused where they do not exist.
+"""Eigenvalues and eigenvectors with correct derivatives where eigenvalues coincide, and NaN where a derivative does not exist.
 
-    K phi = w^2 M phi:   d(w_i^2) = phi_i' (dK - w_i^2 dM) phi_i,    dphi_j = sum_i phi_i phi_i' (dK - w_j^2 dM) phi_j/(w_j^2 - w_i^2) - phi_j phi_j' dM phi_j/2
-    A x = s x:           ds_i = y_i' dA x_i, y' = X^-1,              dx_j = sum_i x_i y_i' dA x_j/(s_j - s_i)
+    K phi = w^2 M phi:   d(w_i^2) = phi_i' (dK - w_i^2 dM) phi_i
+                         dphi_j = sum_i phi_i phi_i' (dK - w_j^2 dM) phi_j/(w_j^2 - w_i^2) - phi_j phi_j' dM phi_j/2
+    A x = s x:           ds_i = y_i' dA x_i, y' = X^-1,   dx_j = sum_i x_i y_i' dA x_j/(s_j - s_i)
 
-The sums leave out what belongs to the same cluster. So what depends on the space of a cluster alone (sums of its eigenvalues, energies, responses) has the
-right derivatives. A single branch has one to each side: the eigenvalues of phi_i' (dK - w^2 dM) phi_j, i and j in the cluster, in order
-(degenerate perturbation theory). Forward mode gives this one, along the direction asked. Reverse mode, linear as it is, has no number for it: it gives NaN unless
-all branches of a cluster are asked for alike. Source: A. P. Seyranian, E. Lund, N. Olhoff, Structural Optimization 8 (1994) 207.
+The sums omit i in the same cluster (coincident eigenvalues) as j. Functions of the space of a cluster only (sums of its eigenvalues,
+energies, responses) thus have correct derivatives. A single branch has one derivative to each side: the eigenvalues of
+phi_i' (dK - w^2 dM) phi_j, i and j in the cluster, in order (degenerate perturbation theory). Forward mode gives the derivative along the
+requested direction. Reverse mode is linear and cannot give it: the result is NaN unless all branches of a cluster have equal cotangents.
+Source: A. P. Seyranian, E. Lund, N. Olhoff, Structural Optimization 8 (1994) 207.
 """
 
 from __future__ import annotations
@@ -19,24 +21,22 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from jaxbody.core.jax_internals import linear_one_way
 from jaxbody.numerics.lanes import in_lanes
 
-CLUSTERED = 1e-6  # relative distance of eigenvalues below which branches cannot be told apart
-ALIKE = (
-    1e-5  # relative difference of cotangents within a cluster that counts as none: functions of its frequencies alone differ by CLUSTERED
-)
+CLUSTERED = 1e-6  # relative distance of eigenvalues below which they belong to one cluster
+ALIKE = 1e-5  # relative difference of cotangents within a cluster that counts as none: that of its frequencies is up to CLUSTERED
 ZERO = 1e-10  # eigenvalues, relative to the largest, that count as zero
 MASSLESS = 1e-13  # pivots of M, relative to its diagonal, that count as zero
-SWEPT = 128  # lanes for eigenvalues, whose many short loops cost more to call than to run
+SWEPT = 128  # lanes for eigenvalues, whose many short loops take longer to call than to run
 
 
 def clusters(values: Float[Array, "*n"]) -> Int[Array, "*n"]:
-    """Equal numbers, from 0 ascending, for ascending values that coincide."""
+    """The number of the cluster, from 0 ascending, of each of the ascending values."""
     top = jnp.max(jnp.abs(values), initial=0.0)
     apart = jnp.diff(values) > CLUSTERED * jnp.abs(values[1:]) + ZERO * top
     return jnp.concatenate([jnp.zeros(min(1, len(values)), int), jnp.cumsum(apart)])
 
 
 def together(cluster: Int[Array, "*b n"]) -> Bool[Array, "*b n n"]:
-    """Whether two belong to one cluster."""
+    """Whether i and j belong to one cluster."""
     return cluster[..., :, None] == cluster[..., None, :]
 
 
@@ -54,7 +54,7 @@ def _alone(cluster: Array) -> Array:
 
 
 def _one_sided(W: Array, cluster: Array) -> Array:
-    """Of each cluster the eigenvalues of its block of W, ascending; clusters are kept apart by a shift."""
+    """The ascending eigenvalues of the block of W of each cluster; clusters are kept apart by a shift."""
     B = jnp.where(together(cluster), (W + jnp.swapaxes(W, -1, -2)) / 2, 0.0)
     shift = 4 * jnp.max(jnp.sum(jnp.abs(B), -1), -1, initial=0.0)[..., None] * cluster
     split = jnp.linalg.eigvalsh(B + shift[..., None] * np.eye(W.shape[-1], dtype=W.dtype)) - shift
@@ -62,7 +62,7 @@ def _one_sided(W: Array, cluster: Array) -> Array:
 
 
 def _if_alike(cotangent: Array, cluster: Array) -> Array:
-    """The cotangent, NaN where branches of a cluster are asked for unequally; on the diagonal."""
+    """A diagonal matrix of the cotangent, NaN where it differs between branches of a cluster."""
     same = together(cluster)
     middle = jnp.sum(same * cotangent[..., None, :], -1) / jnp.sum(same, -1)
     size = jnp.max(jnp.where(same, jnp.abs(cotangent)[..., None, :], 0.0), -1, initial=0.0)
@@ -79,7 +79,7 @@ def _nan_if_shared(x: Array, cluster: Array) -> Array:
 
 
 def _second(W: Array, cluster: Array) -> Array:
-    """How a slope changes: NaN in a cluster, unless nothing changes there."""
+    """The change of a slope: NaN in a cluster, unless nothing changes there."""
     still = jnp.sum(jnp.where(together(cluster), jnp.abs(W), 0.0), -1) == 0
     return jnp.where(_alone(cluster) | still, jnp.diagonal(W, axis1=-2, axis2=-1), jnp.nan)
 
@@ -91,7 +91,7 @@ slopes = linear_one_way("branch_slopes", _one_sided, _if_alike, again=second)
 
 @jax.custom_jvp
 def only_alone(cotangent: Array, cluster: Array) -> Array:
-    """The cotangent, whose own derivative is refused in a cluster."""
+    """The cotangent; its own derivative is NaN in a cluster."""
     return cotangent
 
 
@@ -100,7 +100,7 @@ def _only_alone_jvp(primals, tangents):
     return only_alone(*primals), second_cotangent(tangents[0], primals[1])
 
 
-# Vectors by themselves
+# Single eigenvectors
 
 
 def _unless_shared(change: Array, shapes: Array, cluster: Array) -> Array:
@@ -108,7 +108,7 @@ def _unless_shared(change: Array, shapes: Array, cluster: Array) -> Array:
 
 
 def _if_of_the_space(cotangent: Array, shapes: Array, cluster: Array) -> Array:
-    """The cotangent where turning the vectors of a cluster within their space changes nothing, else NaN."""
+    """The cotangent where rotating the vectors of a cluster within their space has no effect, else NaN."""
     X = jnp.where(together(cluster), jnp.swapaxes(shapes, -1, -2) @ cotangent, 0.0)
     turn = jnp.max(jnp.abs(X - jnp.swapaxes(X, -1, -2)), -2, initial=0.0)
     good = turn <= ALIKE * jnp.max(jnp.abs(X), -2, initial=0.0)
@@ -120,7 +120,7 @@ shape_changes = linear_one_way("shape_changes", _unless_shared, _if_of_the_space
 
 @jax.custom_jvp
 def refused_in_clusters(shapes: Float[Array, "n n"], cluster: Int[Array, "n"]) -> Float[Array, "n n"]:
-    """The shapes; what is asked of a single one of a cluster has no derivative (NaN)."""
+    """The shapes; a single shape of a cluster has no derivative (NaN)."""
     return shapes
 
 
@@ -132,10 +132,12 @@ def _refused_jvp(primals, tangents):
 
 @jax.custom_jvp
 def natural(K: Float[Array, "n n"], M: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
-    """w^2, ascending, and phi (columns) of K phi = w^2 M phi; phi' M phi = 1, the largest component positive. Of K and M the symmetric parts count."""
+    """w^2, ascending, and phi (columns) of K phi = w^2 M phi, with the symmetric parts of K and M.
+
+    Normalized to phi' M phi = 1, the largest component positive."""
     A, L = in_lanes(_standard)(K, M)
     values = in_lanes(lambda A: jnp.linalg.eigvalsh(A, symmetrize_input=False), lanes=SWEPT)(A)
-    # apart: in a batch LAPACK takes long, and for nothing where no shapes are asked for
+    # separate from the values: in a batch LAPACK is slow, and XLA drops it where no shapes are used
     _, vectors = jnp.linalg.eigh(A, symmetrize_input=False)
     shapes = jax.scipy.linalg.solve_triangular(L, vectors, lower=True, trans=1)
     largest = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=0)[None], 0)
@@ -143,14 +145,14 @@ def natural(K: Float[Array, "n n"], M: Float[Array, "n n"]) -> tuple[Float[Array
 
 
 def _standard(K, M):
-    """A and L of A y = w^2 y, y = L' phi, L L' = M."""
+    """A and L of the standard problem A y = w^2 y, with y = L' phi and L L' = M."""
     L = cholesky_of_mass(M)
     half = jax.scipy.linalg.solve_triangular(L, K, lower=True)
     return _symmetric(jax.scipy.linalg.solve_triangular(L, half.T, lower=True)), L
 
 
 def cholesky_of_mass(M: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """L of M = L L'; NaN where M is singular, which round-off hides."""
+    """L of M = L L'; NaN where M is singular to round-off."""
     L = jnp.linalg.cholesky(_symmetric(M), symmetrize_input=False)
     pivots = jnp.diagonal(L) ** 2
     return jnp.where(jnp.min(pivots - MASSLESS * jnp.diagonal(M), initial=jnp.inf) > 0, L, jnp.nan)
@@ -172,30 +174,30 @@ def _natural_jvp(primals, tangents):
     return (values, shapes), (slopes(W, cluster), shapes @ jnp.where(same, -N / 2, W / gap))
 
 
-# Poles: eigenvalues of a matrix without symmetry
+# Poles: eigenvalues of an unsymmetric matrix
 
-PARALLEL = 1e-9  # what 1 - |x' y| of unit vectors of one cluster must exceed: else its matrix cannot be diagonalized
+PARALLEL = 1e-9  # smallest 1 - |x' y| of unit vectors of one cluster; below it the matrix cannot be diagonalized
 
 
 def coincide(one: Complex[Array, "n"], other: Complex[Array, "n"]) -> Bool[Array, "n n"]:
-    """Whether two poles cannot be told apart; a double one that has but one vector splits by the root of rounding."""
+    """Whether two poles coincide; rounding splits a double pole with a single vector by the square root of its relative size."""
     top = jnp.max(jnp.abs(one), initial=0.0)
     size = jnp.maximum(jnp.abs(one)[:, None], jnp.abs(other))
     return jnp.abs(one[:, None] - other) <= CLUSTERED * size + CLUSTERED / 10 * top * (size <= CLUSTERED * top)
 
 
 def _one_sided_poles(W: Array, cluster: Array, order: Array) -> Array:
-    """Of each cluster the eigenvalues of its block of W, in order of their imaginary parts, given to its members in that order."""
+    """The eigenvalues of the block of W of each cluster, assigned to its members in the order of imaginary parts."""
 
     def one(W, cluster, order):
         B = jnp.where(together(cluster), W, 0.0)
         size = 8 * jnp.max(jnp.sum(jnp.abs(B), -1), initial=0.0)
         size = jnp.where(size > 0, size, 1.0)
-        found = jnp.linalg.eigvals(B + size * jnp.diag(cluster).astype(W.dtype))
-        label = jnp.round(found.real / size).astype(int)
-        found = (found - size * label)[jnp.lexsort((found.imag, label))]
+        values = jnp.linalg.eigvals(B + size * jnp.diag(cluster).astype(W.dtype))
+        label = jnp.round(values.real / size).astype(int)
+        values = (values - size * label)[jnp.lexsort((values.imag, label))]
         members = jnp.lexsort((order, cluster))
-        return jnp.where(_alone(cluster), jnp.diagonal(W), jnp.zeros_like(found).at[members].set(found))
+        return jnp.where(_alone(cluster), jnp.diagonal(W), jnp.zeros_like(values).at[members].set(values))
 
     for _ in range(W.ndim - 2):
         one = jax.vmap(one)
@@ -211,13 +213,13 @@ pole_slopes = linear_one_way("pole_slopes", _one_sided_poles, lambda x, cluster,
 
 @jax.custom_jvp
 def poles(A: Float[Array, "n n"]) -> tuple[Complex[Array, "n"], Array]:
-    """s and x (columns, unit length) of A x = s x, in the order in which LAPACK finds them; on the CPU."""
+    """s and x (columns, unit length) of A x = s x, in the order of LAPACK; on the CPU."""
     values, vectors = jnp.linalg.eig(A)
     return values, vectors
 
 
 def pole_clusters(values: Complex[Array, "n"]) -> Int[Array, "n"]:
-    """Equal numbers for poles that coincide."""
+    """A number for each pole, equal for poles that coincide."""
     return jnp.argmax(coincide(values, values), axis=0)
 
 
@@ -229,7 +231,7 @@ def _poles_jvp(primals, tangents):
     cluster = pole_clusters(s)
     same = together(cluster)
     overlap = jnp.abs(jnp.conj(X).T @ X) - 2 * np.eye(len(s), dtype=A.dtype)
-    defective = jnp.any(same & (overlap > 1 - PARALLEL), axis=0)  # its derivatives are infinite
+    defective = jnp.any(same & (overlap > 1 - PARALLEL), axis=0)  # where derivatives are infinite
     match = coincide(left, s)
     broken = jnp.any(match & defective, axis=1)
     stand_in = (jnp.cumsum(broken)[:, None] == jnp.cumsum(defective)) & broken[:, None] & defective
@@ -244,7 +246,7 @@ def _poles_jvp(primals, tangents):
 
 @jax.custom_jvp
 def refused_if_shared(vectors: Array, cluster: Int[Array, "n"]) -> Array:
-    """The vectors, those of a cluster without derivatives (NaN)."""
+    """The vectors; those of a cluster have no derivatives (NaN)."""
     return vectors
 
 

@@ -1,10 +1,10 @@
-"""Sine and cosine together, of arithmetic alone: many at once in lanes, where the C library is called for one after another.
+"""Sine and cosine by vector arithmetic: many values at once in lanes, where calls of the C library would compute one after another.
 
     x = n pi/2 + r, |r| <= pi/4:    sin r = r + r^3 S(r^2),    cos r = 1 - r^2/2 + r^4 C(r^2),    exchanged and signed by n mod 4
 
-n pi/2 is taken off in three parts; the first two have 33 bits, so that n times them is exact for |x| < 1.6e6, and what r then loses to rounding is
-carried along. Beyond that the error grows as the rounding of x does. Source of the reduction: W. J. Cody, W. Waite, Software Manual for the
-Elementary Functions (1980); the polynomials are minimax (Remez), within 4e-18.
+n pi/2 is subtracted in three parts. The first two have 33 bits, so that their products with n are exact for |x| < 1.6e6; the rounding error
+of r is kept as a correction. Beyond that the error grows as the rounding of x does. Source of the reduction: W. J. Cody, W. Waite, Software
+Manual for the Elementary Functions (1980); the polynomials are minimax (Remez), within 4e-18.
 """
 
 from __future__ import annotations
@@ -16,8 +16,14 @@ from jaxtyping import Array, Float
 from jaxbody.numerics.xla_workarounds import kept
 
 HALF_PI = (1.5707963267341256, 6.077100506303966e-11, 2.0222662487959506e-21)
-S = [-0.16666666666666632, 0.008333333333322401, -0.0001984126982979792, 2.7557313688378045e-06, -2.505075754440838e-08, 1.5896761631460063e-10]  # fmt: skip
-C = [0.0416666666666666, -0.001388888888887411, 2.480158728947261e-05, -2.755731434942852e-07, 2.0875722861280806e-09, -1.1359625646983016e-11]  # fmt: skip
+S = [
+    -0.16666666666666632, 0.008333333333322401, -0.0001984126982979792,
+    2.7557313688378045e-06, -2.505075754440838e-08, 1.5896761631460063e-10,
+]  # fmt: skip
+C = [
+    0.0416666666666666, -0.001388888888887411, 2.480158728947261e-05,
+    -2.755731434942852e-07, 2.0875722861280806e-09, -1.1359625646983016e-11,
+]  # fmt: skip
 
 
 def polynomial(coefficients: list[float], x: Array) -> Array:
@@ -30,7 +36,7 @@ def polynomial(coefficients: list[float], x: Array) -> Array:
 
 @jax.custom_jvp
 def sincos(x: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"]]:
-    """sin x and cos x, within 1 ulp; NaN of what is not finite. In single precision XLA's own.
+    """sin x and cos x, within 1 ulp; NaN where x is not finite. In float32 these are XLA's own functions.
 
     >>> s, c = sincos(jnp.array(1e5))
     >>> abs(float(s) - 0.035748797972016508) < 1e-17
@@ -44,7 +50,7 @@ def sincos(x: Float[Array, "*n"]) -> tuple[Float[Array, "*n"], Float[Array, "*n"
         part, before = n * part, r
         r = before - part
         lost = lost + ((before - r) - part)
-    r, lost = jnp.clip(r, -0.8, 0.8), jnp.clip(lost, -1e-15, 1e-15)  # they are, but where x is so large that nothing of it is left
+    r, lost = jnp.clip(r, -0.8, 0.8), jnp.clip(lost, -1e-15, 1e-15)  # only exceeded where x is too large for the reduction
     z = r * r
     s = r + (lost * (1 - z / 2) + z * r * polynomial(S, z))
     half = z / 2

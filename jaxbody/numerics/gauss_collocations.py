@@ -1,4 +1,4 @@
-"""Collocation at Gauss points: a symplectic integrator, which keeps energy without trend, for records of many periods."""
+"""Collocation at Gauss points: a symplectic integrator, whose energy error does not grow over many periods."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 from jaxbody.core.errors import JaxbodyError, Problem
 
 MOST_ITERATIONS = 100
-LOOKED_BACK = 5  # iterations, four apart, as a place follows a speed and a speed a force: in mixed units every other change is larger
-CONTRACTED = 1e-6  # of the first change, which the last one may be
+LOOKED_BACK = 5  # changes compared four iterations apart: positions and velocities alternate, in mixed units every other change is larger
+CONTRACTED = 1e-6  # largest ratio of the last change to the first
 SQRT3, SQRT15 = 3**0.5, 15**0.5
 GAUSS = {
     1: ([[1 / 2]], [1.0], [1 / 2]),
@@ -31,18 +31,22 @@ GAUSS = {
 
 
 class Gauss(AbstractSolver):
-    """A solver for `simulate` with constant steps whose energy error stays bounded: where nothing damps or drives, no trend over 1e5 periods.
+    """A solver for `simulate` with constant steps and a bounded energy error: without damping and excitation no trend over 1e5 periods.
 
-        k_i = f(t + c_i h, y + h sum_j A_ij k_j),   y_new = y + h sum_i b_i k_i,   order 2 stages; 1 stage is the implicit midpoint rule
+        k_i = f(t + c_i h, y + h sum_j A_ij k_j),   y_new = y + h sum_i b_i k_i,   order 2 * stages; 1 stage is the implicit midpoint rule
 
-    `simulate` gives it Hamilton's equations, y = (q, p) with quaternions and their momenta (`canonical_equations`). There it is symplectic and symmetric in
-    time, so energy keeps to a bound in chaotic motion too, turning over any number of times. To rounding it keeps quadratic invariants: the length of quaternions, the
-    energy of linear systems, momentum and moment of momentum where nothing acts on them. Stages are iterated until rounding stops them,
-    which takes steps of less than 2 over the fastest rate [rad/s]; NOT_CONVERGED where they do not settle. A tenth of its period for the
-    fastest mode and 3 stages is a good beginning for vibrations, a twentieth where bodies turn over; violent motion asks for more, as the bound holds
-    for steps that are short beside the time in which a spring's ends pass one another. It is not for stiff models: take diffrax.Kvaerno5() there. Forward and reverse derivatives pass.
+    `simulate` gives it Hamilton's equations, y = (q, p) with quaternions and their momenta (`canonical_equations`). For these it is
+    symplectic and symmetric in time, so that the energy error stays bounded in chaotic motion too, over any number of turns. Quadratic
+    invariants are kept to rounding: the length of quaternions, the energy of linear systems, momentum and angular momentum without
+    external loads.
 
-    Errors: BAD_VALUE unless stages is 1, 2 or 3. Source: Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.3, IV.2.1, VI.4, IX.8.
+    Stages are iterated until their changes are round-off, which requires steps of less than 2 over the fastest rate [rad/s]; the status is
+    NOT_CONVERGED where they do not converge. For vibrations start with 3 stages and steps of a tenth of the shortest period, or of a
+    twentieth for bodies that turn over. Violent motion needs steps that are short beside the time in which the ends of a spring pass one
+    another. For stiff models use diffrax.Kvaerno5() instead. Forward and reverse derivatives are supported.
+
+    Error: BAD_VALUE unless stages is 1, 2 or 3.
+    Source: Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.3, IV.2.1, VI.4, IX.8.
 
     >>> solver = Gauss(stages=3)
     >>> # simulate(model, times, solver=solver, stepsize_controller=diffrax.ConstantStepSize(), dt0=period / 10)
@@ -55,7 +59,7 @@ class Gauss(AbstractSolver):
 
     def __check_init__(self):
         if self.stages not in GAUSS:
-            raise JaxbodyError(Problem("BAD_VALUE", "Gauss.stages", "is not known", value=self.stages, limit="1, 2 or 3"))
+            raise JaxbodyError(Problem("BAD_VALUE", "Gauss.stages", f"is {self.stages!r:.60}", value=self.stages, limit="1, 2 or 3"))
 
     def order(self, terms) -> int:
         return 2 * self.stages
@@ -85,13 +89,13 @@ class Gauss(AbstractSolver):
 
 
 def weighted(A: np.ndarray, k: Float[Array, "stages ny"]) -> Array:
-    """A k as a sum."""
+    """A k, computed as a sum."""
     return jnp.sum(jnp.asarray(A, k.dtype)[..., None] * k, -2)
 
 
 def fixed_point(function, guess: Array) -> tuple[Array, Array]:
-    """x = function(x) by iteration until changes no longer shrink, and whether they have shrunk enough; its derivative by the theorem on
-    implicit functions."""
+    """x = function(x) by iteration until changes no longer decrease, and whether they have decreased enough; derivatives by the implicit
+    function theorem."""
 
     def change(x):
         return function(x) - x

@@ -1,8 +1,8 @@
-"""Batches on the last axis. `jax.vmap` puts a batch first; vectors of three then leave a processor's wide registers empty.
+"""Batches on the last axis. `jax.vmap` puts a batch first, so that vectors of three leave most of a processor's wide registers empty.
 
-A function that is `in_lanes` does what it did, but in a batch its operations are rewritten one by one so that arrays (3,) become (3, b), with
-at most so many members at a time. Operations without a rule here are left to jax.vmap; so is the whole function where a rule fails, as it may
-when JAX changes an operation, and on other devices than CPUs. `compile_times` shows both. Custom derivatives stay.
+A function that is `in_lanes` has the same results, but in a batch its operations are rewritten one by one so that arrays (3,) become
+(3, b), with at most `lanes` members at a time. Operations without a rule here are left to jax.vmap; so is the whole function on devices
+other than CPUs, and where a rule fails, as it may when JAX changes an operation. `compile_times` shows both. Custom derivatives are kept.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ from jaxbody.numerics.xla_workarounds import as_kept, plain_max, sum_p
 LANES = 32
 ELEMENTWISE = {
     "abs", "acos", "add", "and", "asin", "atan", "atan2", "cbrt", "ceil", "clamp", "convert_element_type", "copy", "cos", "cosh", "div",
-    "eq", "eq_to", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "le_to", "log", "log1p", "logistic", "lt", "lt_to", "max",
+    "eq", "eq_to", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "le_to", "log", "log1p",
+    "logistic", "lt", "lt_to", "max",
     "min", "mul", "ne", "neg", "nextafter", "not", "or", "pow", "rem", "round", "rsqrt", "select_n", "sign", "sin", "sinh", "sqrt",
     "square", "sub", "tan", "tanh", "xor",
 }  # fmt: skip
@@ -42,15 +43,15 @@ CALLS = {
     "closed_call": "call_jaxpr",
 }
 APART = {
-    "cholesky", "cond", "custom_linear_solve", "custom_vjp_call", "dot_general", "dynamic_slice", "dynamic_update_slice", "eigh", "gather", "householder_product",
-    "lu", "scatter", "scatter-add", "sort", "stop_gradient", "triangular_solve", "while",
-}  # fmt: skip  # left to jax.vmap as it does them well, or as they are rare
+    "cholesky", "cond", "custom_linear_solve", "custom_vjp_call", "dot_general", "dynamic_slice", "dynamic_update_slice", "eigh", "gather",
+    "householder_product", "lu", "scatter", "scatter-add", "sort", "stop_gradient", "triangular_solve", "while",
+}  # fmt: skip  # left to jax.vmap, which is fast for them, or as they are rare
 SWITCHED_OFF = ContextVar("lanes switched off", default=False)
 
 
 @contextmanager
 def switched_off() -> Iterator[None]:
-    """All batches by jax.vmap meanwhile, whose programs are compiled anew."""
+    """Within this context all batches are left to jax.vmap; programs are compiled again."""
     jax.clear_caches()
     token = SWITCHED_OFF.set(True)
     try:
@@ -61,14 +62,20 @@ def switched_off() -> Iterator[None]:
 
 
 def _no_lanes() -> str:
-    """Why there can be none, if so."""
+    """The reason why lanes cannot be used; "" where they can."""
     platform = jax.default_backend()
     return "lanes are switched off" if SWITCHED_OFF.get() else "" if platform == "cpu" else f"lanes are for a CPU, this is a {platform}"
 
 
 def in_lanes(function: Callable, *, reversible: bool = False, lanes: int = LANES, name: str = "") -> Callable[..., Any]:
-    """The function, arrays to arrays, in a batch rewritten for chunks of so many lanes. Its derivative in forward mode is in lanes too; where it
-    is to be `reversible`, derivatives are those of the function as it stands."""
+    """The function, rewritten in a batch for chunks on the last axis.
+
+    Args:
+        function: from arrays to arrays
+        reversible: keep the derivatives of the function itself, for reverse mode; False: the forward derivative is in lanes too
+        lanes: members of the batch in a chunk
+        name: in `compile_times`; "": module and name of the function
+    """
     name = name or f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
 
     def wrapped(*args):
@@ -83,7 +90,7 @@ def in_lanes(function: Callable, *, reversible: bool = False, lanes: int = LANES
 
 
 def vmap_last(function: Callable) -> Callable[[Array], Any]:
-    """The function of one array, over the last axis of that array; results have that axis last."""
+    """The function of one array, mapped over its last axis; results have that axis last."""
 
     def over(x: Array):
         if _no_lanes():
@@ -111,7 +118,7 @@ def _jvp(primals, tangents, *, jaxpr, reversible, lanes, name):
 
 
 def _pushed(function: Callable, moved: list[bool], smooth: list[bool]) -> Callable[[list, list], tuple[list, list]]:
-    """Results of arguments and the tangents of those that are smooth, of tangents of the arguments that are moved."""
+    """A function of (arguments, tangents of those that are `moved`) with (results, tangents of those that are `smooth`)."""
 
     def pushed(primals, tangents):
         def of_moved(*x):
@@ -126,12 +133,12 @@ def _pushed(function: Callable, moved: list[bool], smooth: list[bool]) -> Callab
 
 
 def _batch(args, axes, *, jaxpr, reversible, lanes, name):
-    """In lanes, else by jax.vmap, which keeps up with JAX."""
+    """The batch in lanes, or else by jax.vmap, which follows changes of JAX."""
     why = _no_lanes()
     try:
         if not why:
             return _in_chunks(args, axes, without_high_operations(jaxpr), lanes, name)
-    except Exception as error:  # of any kind: it depends on what JAX has changed
+    except Exception as error:  # of any kind, depending on the change in JAX
         why = f"{type(error).__name__}: {error}".partition("\n")[0]
     note_left_to_vmap(name, why)
     reached = _reach(without_high_operations(jaxpr), [axis is not None for axis in axes])
@@ -140,7 +147,7 @@ def _batch(args, axes, *, jaxpr, reversible, lanes, name):
 
 
 def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
-    """So that memory does not grow with the batch."""
+    """The batch in chunks, so that memory does not grow with it."""
     on = [axis is not None for axis in axes]
     args = [jnp.moveaxis(x, axis, -1) if o else x for x, axis, o in zip(args, axes, on, strict=True)]
     n = next(x.shape[-1] for x, o in zip(args, on, strict=True) if o)
@@ -150,7 +157,7 @@ def _in_chunks(args, axes, jaxpr: ClosedJaxpr, lanes: int, name: str):
         return out, [x.ndim - 1 if o else None for x, o in zip(out, reached, strict=True)]
 
     def chunk(i, joined):
-        """The last chunk begins where a whole one is left: some members are then worked out twice, and no array is padded."""
+        """One chunk; the last one is moved back to be complete: some members are then computed twice, and no array is padded."""
         begin = jnp.minimum(i * lanes, n - lanes)
         given = [lax.dynamic_slice_in_dim(x, begin, lanes, -1) if o else x for x, o in zip(args, on, strict=True)]
         out = Lanes(lanes, name).run(jaxpr, on, given)
@@ -193,14 +200,14 @@ def _reach_of(eqn, on: list[bool]) -> list[bool]:
 
 
 def _reach_of_while(p, on: list[bool]) -> tuple[bool, list[bool]]:
-    """Whether what the loop asks depends on the lane, and what it carries."""
+    """Whether the condition of a while loop depends on the lane, and which of its carried values do."""
     a, b = p["cond_nconsts"], p["cond_nconsts"] + p["body_nconsts"]
     carry = _fixpoint(p["body_jaxpr"], on[a:b], on[b:], [])
     return _reach(p["cond_jaxpr"], on[:a] + carry)[0], carry
 
 
 def _parts_of_scan(eqn) -> tuple[int, int]:
-    """Where the carry begins and ends among the arguments; what is carried has the shape that the body sees, what is mapped has not."""
+    """Where the carry begins and ends among the arguments of a scan; carried values have the same shape in the body, mapped ones do not."""
 
     def alike(outer, inner):
         return sum(a.aval.shape == b.aval.shape for a, b in zip(outer, inner, strict=True))
@@ -225,7 +232,14 @@ class Lanes:
         self.n, self.name = n, name
 
     def run(self, jaxpr: ClosedJaxpr, on: list[bool], args: list[Any], wanted: list[bool] | None = None) -> list[Any]:
-        """Results of arguments of which those `on` have a last axis of lanes; results that `_reach` says, or that are wanted, have it too."""
+        """Results of a jaxpr.
+
+        Args:
+            jaxpr: to be evaluated
+            on: True for arguments with a last axis of lanes
+            args: its arguments
+            wanted: True for results that must have that axis; None: only those have it that depend on the lane
+        """
         values: dict = dict(zip(jaxpr.jaxpr.constvars, jaxpr.consts, strict=True)) | dict(zip(jaxpr.jaxpr.invars, args, strict=True))
         lanes = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
 
@@ -238,12 +252,12 @@ class Lanes:
             out = self._apply(eqn, list(of_lanes), list(given)) if any(of_lanes) else _bind(eqn, given)
             values |= dict(zip(eqn.outvars, out, strict=True))
             lanes |= dict(zip(eqn.outvars, reached, strict=True))
-        found = [look(x) for x in jaxpr.jaxpr.outvars]
-        wanted = [o for _, o in found] if wanted is None else wanted
-        return [self._spread(x, o, v.aval.shape) if w else x for (x, o), v, w in zip(found, jaxpr.jaxpr.outvars, wanted, strict=True)]
+        results = [look(x) for x in jaxpr.jaxpr.outvars]
+        wanted = [o for _, o in results] if wanted is None else wanted
+        return [self._spread(x, o, v.aval.shape) if w else x for (x, o), v, w in zip(results, jaxpr.jaxpr.outvars, wanted, strict=True)]
 
     def _spread(self, x, on: bool, shape) -> Array:
-        """x with the given shape and lanes; a scalar, or one for each lane, is repeated."""
+        """x with the given shape and lanes; a scalar, or one scalar for each lane, is repeated."""
         x = jnp.asarray(x)
         axes = tuple(range(len(shape))) if x.ndim - on == len(shape) else ()
         return x if x.shape == (*shape, self.n) else lax.broadcast_in_dim(x, (*shape, self.n), (*axes, len(shape)) if on else axes)
@@ -286,7 +300,7 @@ class Lanes:
             axes = p["dimension_numbers"]
             axes = axes._replace(offset_dims=(*axes.offset_dims, eqn.outvars[0].aval.ndim))
             return [lax.gather_p.bind(*x, **p | {"dimension_numbers": axes, "slice_sizes": (*p["slice_sizes"], n)})]
-        if name == "eigh" and x[0].ndim == 3 and jnp.issubdtype(x[0].dtype, jnp.floating):  # vectors, where they are used, by LAPACK
+        if name == "eigh" and x[0].ndim == 3 and jnp.issubdtype(x[0].dtype, jnp.floating):  # vectors by LAPACK, where they are used
             traced = jax.make_jaxpr(eigenvalues)(jax.ShapeDtypeStruct(x[0].shape[:-1], x[0].dtype))
             return [self._by_vmap(eqn, on, x)[0], *self.run(traced, on, x)]
         if name == "any_of_batch":
@@ -298,7 +312,7 @@ class Lanes:
         if name == "scan":
             return self._scan(eqn, on, x)
         if name not in APART:
-            note_left_to_vmap(self.name, f"no rule for {name}, which alone is left")
+            note_left_to_vmap(self.name, f"no rule for {name}; only this operation is left")
         return self._by_vmap(eqn, on, x)
 
     def _by_vmap(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
@@ -307,7 +321,7 @@ class Lanes:
         return [a if r else a[..., 0] for a, r in zip(out, _reach_of(eqn, on), strict=True)]
 
     def _with_own_rule(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
-        """An operation with a derivative of its own, which keeps it, in lanes too, where the batch is differentiated."""
+        """An operation with a custom derivative, which is used, in lanes, where the batch is differentiated."""
         outs = [v.aval for v in eqn.outvars]
         moved, smooth = ([jnp.issubdtype(aval.dtype, jnp.inexact) for aval in avals] for avals in ([v.aval for v in eqn.invars], outs))
 
@@ -356,7 +370,7 @@ class Lanes:
 
 
 def _bind(eqn, x) -> list[Any]:
-    """The equation as it stands."""
+    """The unchanged equation."""
     params = eqn.primitive.get_bind_params(eqn.params)
     functions, params = params if isinstance(params, tuple) else ((), params)
     out = eqn.primitive.bind(*functions, *x, **params)

@@ -1,4 +1,4 @@
-"""Small symmetric systems, without a call into LAPACK, which would break a compiled loop."""
+"""Small symmetric systems of equations, solved without LAPACK, whose calls would split a compiled loop."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ def solve_spd(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]
 
 
 def is_definite(A: Float[Array, "n n"]) -> Bool[Array, ""]:
-    """Whether the symmetric A is positive definite: all pivots of the elimination are positive. In a loop, which compiles sooner than `solve_if_definite`."""
+    """Whether the symmetric A is positive definite: all pivots of an elimination are positive. As a loop it compiles faster than
+    `solve_if_definite`."""
 
     def clear(k, carry):
         A, definite = carry
@@ -31,14 +32,14 @@ def is_definite(A: Float[Array, "n n"]) -> Bool[Array, ""]:
 
 
 def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Float[Array, "n"], Bool[Array, ""]]:
-    """x with A x = b, and whether the symmetric A is positive definite, which is when all pivots of the elimination are positive."""
+    """x with A x = b, and whether the symmetric A is positive definite: all pivots of the elimination are positive."""
     n = A.shape[-1]
     if n > LARGEST_UNROLLED:
         factor = jnp.linalg.cholesky(A)
         return jax.scipy.linalg.cho_solve((factor, True), b), jnp.isfinite(factor).all()
     Ab = jnp.concatenate([A, b[:, None]], -1)
     pivots = []
-    for i in range(n):  # Gauss-Jordan: clear the first column from all rows but i, and let it go
+    for i in range(n):  # Gauss-Jordan: eliminate the first column from all rows but i, and drop it
         pivots.append(Ab[i, 0])
         row = Ab[i, 1:] / Ab[i, 0]
         Ab = jnp.where((np.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row)

@@ -1,9 +1,9 @@
-"""Eigenvalues of a symmetric matrix by operations that many matrices share, for batches in lanes; LAPACK takes one after another.
+"""Eigenvalues of many symmetric matrices at once, for batches in lanes; LAPACK would solve one after another.
 
 Householder's reflections   A <- H A H, H = 1 - beta v v', until A is tridiagonal with d on and sqrt(e) beside the diagonal
-QL without square roots     turns with Wilkinson's shift sigma, from the end of d upwards, until e vanishes
+QL without square roots     rotations with Wilkinson's shift sigma, from the end of d upwards, until e vanishes
 
-Source: B. N. Parlett, The Symmetric Eigenvalue Problem (1998), 7.4, 8.14 and 8.15; the second is due to Pal, Walker and Kahan.
+Source: B. N. Parlett, The Symmetric Eigenvalue Problem (1998), 7.4, 8.14 and 8.15; the second method is by Pal, Walker and Kahan.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from jaxtyping import Array, Float
 
 from jaxbody.numerics.xla_workarounds import any_of_batch, kept
 
-SWEEPS = 30  # for each eigenvalue; three are usual
+SWEEPS = 30  # most sweeps for each eigenvalue; three are usual
 
 
 def eigenvalues(A: Float[Array, "n n"]) -> Float[Array, "n"]:
-    """Ascending; NaN where A is not finite."""
+    """The eigenvalues in ascending order; NaN where A is not finite."""
     size = jnp.max(jnp.abs(A), initial=0.0)
     size = jnp.where(size > 0, size, 1.0)
     return size * _ascending(_diagonalized(*_tridiagonal(A / size)))
 
 
 def _tridiagonal(A: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:
-    """d, and e with a zero at its end."""
+    """d and e of the tridiagonal form; e ends with a zero."""
     row = np.arange(len(A))
 
     def reflect(k, A):
@@ -43,11 +43,11 @@ def _tridiagonal(A: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array
 
 
 def _diagonalized(d: Float[Array, "n"], e: Float[Array, "n"]) -> Float[Array, "n"]:
-    """d when e has vanished. All matrices of a batch are swept until the last of them is done."""
+    """d when e has vanished. All matrices of a batch are swept until the last of them has converged."""
     n = len(d)
 
     def settled(d, e):
-        """e without what is round-off, and where the first is left that is not."""
+        """e with zeros for round-off, and the index of its first nonzero."""
         next_d = jnp.concatenate([d[1:], jnp.zeros_like(d[:1])])
         e = jnp.where(e <= jnp.finfo(d.dtype).eps ** 2 * jnp.abs(d * next_d), 0.0, e)
         left = any_of_batch(e > 0)
@@ -82,7 +82,7 @@ def _diagonalized(d: Float[Array, "n"], e: Float[Array, "n"]) -> Float[Array, "n
 
 
 def _ascending(d: Float[Array, "n"]) -> Float[Array, "n"]:
-    """Each number goes where as many lie before it as are less; one that is NaN makes all so."""
+    """Sorted numbers, each placed by the number of smaller ones; NaN everywhere if one is NaN."""
     i = np.arange(len(d))
     before = (d[:, None] < d) | ((d[:, None] == d) & (i[:, None] < i))
     rank = jnp.sum(before.astype(d.dtype), 0)

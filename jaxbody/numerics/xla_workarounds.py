@@ -1,54 +1,54 @@
-"""Ways around what XLA does badly on a CPU: small functions, and a list of all such places with what each gained, so that it can go again.
+"""Workarounds for slow code of XLA on a CPU: small functions, and a list of all workarounds in the package with the gain of each.
 
-Gains are times, or ratios to a C program's where no unit stands, of tasks T1 (a motion), T2 (its gradient), T3 (1000 motions) and T4
-(10000 equilibria with modes) of one body on five springs, of three bodies where it says so, with jaxlib 0.10.2 where no other version stands;
-tests/benchmarks/README.md describes how they were measured. Brackets hold the plain form: to see whether a workaround is still needed, put that
-in its place, run tests/benchmarks/run.py, and leave it so where nothing is lost.
+Gains are times, or where no unit is given ratios to the time of a C program, for tasks T1 (a motion), T2 (its gradient), T3 (1000
+motions) and T4 (10000 equilibria with modes) of one body on five springs or, where stated, of three bodies, with jaxlib 0.10.2 unless
+another version is stated; tests/benchmarks/README.md describes the measurements. Brackets hold the plain form: to see whether a workaround
+is still needed, replace it by the plain form, run tests/benchmarks/run.py, and keep the plain form where nothing is lost.
 
 In this file
-    kept [x]                          cheap numbers are worked out again in each fusion that uses them: T3 11 to 6.6, T1 1.57 to 1.39
-    plain_sum, sum_p [reduce_sum]     large sums go to a library, whose calls keep a loop from being compiled whole: T3 18 to 11
-    plain_max [reduce_max]            the same of maxima: T4 of three bodies 3.6 to 2.5
+    kept [x]                          cheap numbers are computed again in each fusion that uses them: T3 11 to 6.6, T1 1.57 to 1.39
+    plain_sum, sum_p [reduce_sum]     large sums are library calls, which keep a loop from being compiled whole: T3 18 to 11
+    plain_max [reduce_max]            the same for maxima: T4 of three bodies 3.6 to 2.5
     any_of_batch [jnp.any]            a loop that ends by member is masked, and left to jax.vmap: T4 2.1 to 1.75
     sums [zeros.at[rows].add]         gather and scatter break a loop: T4 of three bodies 4.6 to 3.6, T1 of them 0.75 to 0.55
     take [x[rows]]                    the same: with two other changes, frequencies from 2853 to 2705 operations
-    inverse_root [lax.rsqrt]          is no vector instruction: with LANES = 40 T3 3.0 to 2.2, of three bodies 2.6 to 2.1
+    inverse_root [lax.rsqrt]          not a vector instruction: with LANES = 40 T3 3.0 to 2.2, of three bodies 2.6 to 2.1
 geometry/vectors.py
     dot, rotate, product [@]          a matrix product in a loop is not fused: see the table below
     cross [jnp.cross]                 no gain
 numerics/elementary_functions.py
-    sincos [jnp.sin, jnp.cos]         the C library is called for one number after another: T1 1.75 to 1.57, T3 28 to 18
+    sincos [jnp.sin, jnp.cos]         the C library computes one number after another: T1 1.75 to 1.57, T3 28 to 18
 numerics/small_systems.py
     solve_if_definite [cho_solve]     calls of LAPACK keep a loop from being compiled whole: T4 167 to 119 ms, with the next
     is_definite [cholesky]            the same
 numerics/symmetric_eigenvalues.py
-    eigenvalues [jnp.linalg.eigvalsh] LAPACK takes one matrix after another: T4 1.3 to 1.0, of three bodies 2.6 to 1.9
+    eigenvalues [jnp.linalg.eigvalsh] LAPACK solves one matrix after another: T4 1.3 to 1.0, of three bodies 2.6 to 1.9
 numerics/lanes.py
     in_lanes [jax.vmap]               members last, as vectors of three leave registers empty: K of 10000 designs 27 to 3.4 ms
     LANES = 32 [64]                   fusions beyond a cost are split between threads: T3 without fast_loops 15 to 10
 numerics/eigenproblems.py
-    SWEPT = 128 [32]                  short loops cost more to call than to run: eigenvalues of T4 63 to 40 ms without fast_loops
+    SWEPT = 128 [32]                  short loops take longer to call than to run: eigenvalues of T4 63 to 40 ms without fast_loops
 numerics/dormand_prince_steps.py
     LANES = 40 [32]                   loops over 32 or fewer are unrolled before they become vector instructions: see inverse_root
-    _sum [jnp.tensordot]              a sum over stages is no vector instruction: with drives of all stages at once T3 49 to 31
+    _sum [jnp.tensordot]              a sum over stages is not a vector instruction: with drives of all stages at once T3 49 to 31
 elements/second_derivatives.py
-    Block [6 x 6 matrices]            sums part by part, in which no blocks are joined: T4 1.6 to 1.4
+    Block [6 x 6 matrices]            sums of parts instead of joined blocks: T4 1.6 to 1.4
     whole [jnp.block]                 joined parts are copied one number after another: with kept solutions T4 0.75 to 0.50
 statics/descents.py
-    2 * LANES [LANES]                 for up to six coordinates calls of fusions cost more than memory: equilibria of T4 72 to 48 ms
+    2 * LANES [LANES]                 for up to six coordinates calls of fusions take longer than memory: equilibria of T4 72 to 48 ms
 vibrations/damped_modes.py
-    _complex_modes                    LAPACK may not end on NaN
+    _complex_modes                    LAPACK may run forever on NaN
 responses/frequency_responses.py
-    _eliminated [lu_solve]            LAPACK takes one frequency after another
+    _eliminated [lu_solve]            LAPACK solves one frequency after another
 inputs/motions.py
     Harmonic [a sine for each row]    one sine and cosine where frequencies are equal: T3 31 to 28
 core/compile_options.py
     fast_loops                        small loops as one function: T1 3.5 to 0.9 ms, jaxlib 0.10.2 and 0.12.0; wide vectors: T3 6.8 to 5.0
-    NO_FUSION_EMITTERS                compiling a motion 1.3 to 0.7 s; jaxlib 0.12 knows no such option
+    NO_FUSION_EMITTERS                compiling a motion 1.3 to 0.7 s; jaxlib 0.12 has no such option
     UNOPTIMIZED                       first frequencies 3.9 to 2.4 s
 
-One of them put back, the rest as it is: processor time in ms, 640 members of T3 and 2560 of T4, jaxlib 0.10.2, fast_loops, 2026-11-22, on a
-busy machine: differences below a fifth are scatter.
+One workaround replaced by the plain form, all others kept: processor time in ms, 640 members of T3 and 2560 of T4, jaxlib 0.10.2,
+fast_loops, 2026-11-22, on a busy machine; differences below a fifth are scatter.
 
                      T1     T3     T4                             T1     T3     T4
     nothing          0.31   4.2    6.0       @ for sums           0.67   17.8   10.6
@@ -71,16 +71,16 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbody.core.jax_internals import new_operation, same_numbers, shaped
 
-FEW_RUNS = 64  # slices that a sum may take; more would cost more to compile than a gather costs to run
+FEW_RUNS = 64  # most slices in a sum; compiling more would cost more than running a gather
 NOTHING = 1e-80  # below, the fifth power of 1/sqrt x in higher derivatives would overflow, and inf * 0 is NaN
 
 # Operations of batches in lanes
 
-# Whether it is so for any member of a batch, the same for all: a loop that asks this needs no masks over what it carries.
+# True for all members of a batch if it is for any; a loop with this as its condition needs no masks on its carried values.
 _any_p = same_numbers("any_of_batch", batch=lambda args, axes: (_any_p.bind(jnp.any(args[0], axes[0])), None))
 any_of_batch: Callable[[Bool[Array, "*n"]], Bool[Array, "*n"]] = _any_p.bind
 
-# The same numbers, which a batch in lanes works out once; else XLA works them out again in each fusion, and for each element, that uses them.
+# The same numbers, computed once by a batch in lanes; XLA would compute them again in each fusion, and for each element, that uses them.
 _kept_p = same_numbers(
     "kept_in_lanes", batch=lambda args, axes: (_kept_p.bind(args[0]), axes[0]), transpose=lambda cotangent, x: [cotangent]
 )
@@ -88,12 +88,12 @@ kept: Callable[[Array], Array] = _kept_p.bind
 
 
 def as_kept(x: Array) -> Array:
-    """x / 1, as XLA fuses no division into several users; it must not know that it is 1."""
+    """x / 1, as XLA fuses no division into several users; the 1 must not be known to XLA."""
     return x / jnp.where(x == x, 1.0, jnp.nan)
 
 
-# Reducers that XLA does not recognize: else it gives large reductions to a library, whose calls keep a loop from being compiled
-# whole. They must be sums and maxima all the same, as XLA merges sums of sums.
+# Reducers that XLA does not recognize: it passes large reductions to a library, whose calls keep a loop from being compiled whole.
+# They must still be sums and maxima, as XLA merges sums of sums.
 def plain_sum(x: Array, axes: tuple[int, ...]) -> Array:
     """The sum over axes, never by a library."""
     return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
@@ -134,7 +134,7 @@ def sums(x: Float[Array, "m k"], groups: list[list[int]]) -> Float[Array, "n k"]
 
 
 def take(x: Array, rows: np.ndarray) -> Array:
-    """x[rows] for rows known beforehand; slices where they follow one another or are all the same, which a compiled loop can fuse."""
+    """x[rows] for constant rows; a slice where they are consecutive or all the same, which a compiled loop can fuse."""
     if len(rows) and (np.diff(rows) == 1).all():
         if len(rows) == len(x):
             return x
@@ -146,7 +146,7 @@ def take(x: Array, rows: np.ndarray) -> Array:
 
 @jax.custom_jvp
 def inverse_root(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
-    """1/sqrt x as sqrt(x)/x, zero with all its derivatives where x is next to nothing; XLA's own is not of vector instructions on a CPU.
+    """1/sqrt x as sqrt(x)/x, zero with zero derivatives for x below 1e-80; XLA's own function has no vector instruction on a CPU.
 
     >>> float(inverse_root(jnp.array(4.0))), float(inverse_root(jnp.array(0.0)))
     (0.5, 0.0)
