@@ -154,7 +154,6 @@ DERIVED = {  # from these concrete classes others derive, which are all that the
     "Pose": "a frame is a pose with velocities",
     "Frame": "an instant is a table of frames with the state that it comes from",
     "Chart": "coordinates are a chart with the reference poses",
-    "InitialConfiguration": "several are one more row each",
     "Law": "states its force or its potential, either by the other; its constructor asks for one",
 }
 

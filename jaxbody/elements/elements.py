@@ -6,6 +6,7 @@ Forces and stiffness are derivatives of these. Points and orientations at an end
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import fields
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxbody.core.errors import Problems, warn
 from jaxbody.geometry import rotations
-from jaxbody.geometry.fields import check_domain, field, kind_of
+from jaxbody.geometry.fields import Kind, check_domain, field, kind_of
 from jaxbody.geometry.frames import Frame, Pose, Wrench
 from jaxbody.geometry.vectors import cross, dot, product, rotate
 from jaxbody.numerics.xla_workarounds import inverse_root, kept
@@ -187,7 +188,7 @@ def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[A
 def check_signs(element: Any, allow_negative: bool, problems: Problems) -> None:
     """Stiffness and damping are in their domains; what is negative is a problem or, where it is allowed, a warning."""
     element.allow_negative, found = False, Problems()
-    for name in ("stiffness", "damping"):
+    for name in (each.name for each in fields(element) if each.metadata.get("kind", Kind()).domain.endswith("unless allow_negative")):
         check_domain(getattr(element, name), kind_of(element, name), f"{type(element).__name__}.{name}", found)
     element.allow_negative = bool(allow_negative)
     for problem in found.collected:

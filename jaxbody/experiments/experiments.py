@@ -27,13 +27,6 @@ from jaxbody.simulations.trajectories import Trajectory
 from jaxbody.statics.rest_states import Rest, as_initial, initial_state_of, rest_state
 
 MANY_MISSING = 0.2
-NEUTRAL = {
-    "gain": "gain=1.0",
-    "bias": "bias=0.0",
-    "delay": "delay=0.0",
-    "lag": "lag=1e-3",
-    "start": "start=0.0",
-}  # of a chain, to set out from
 
 
 class Integration(eqx.Module):
@@ -167,7 +160,7 @@ class Experiment(Measurement):
     def named(self):
         """What of it has a name in paths: the initial state, the motions, the loads, the sensors."""
         return {
-            **({} if not isinstance(self.initial, State) else {"initial": {"q": self.initial.q, "v": self.initial.v}}),
+            **({} if not isinstance(self.initial, State) else {"initial": self.initial.named()}),
             **self.motion,
             **self.loads,
             **self.sensors,
@@ -179,10 +172,8 @@ class Experiment(Measurement):
             hint = "The experiment begins at rest, which follows from the model: give it initial=State(q, v) to have one that is free."
         missing = {} if isinstance(self.initial, State) else {"initial.q": hint, "initial.v": hint}
         for name, sensor in self.sensors.items():
-            for stage in sensor.stages:
-                if getattr(sensor, stage) is None:
-                    given = NEUTRAL[stage] if stage != "start" or sensor.lag is not None else f"{NEUTRAL['lag']}, {NEUTRAL[stage]}"
-                    missing[f"{name}.{stage}"] = f"Sensor '{name}' has no {stage}: give it {given} to have one."
+            for stage, given in sensor.absent().items():
+                missing[f"{name}.{stage}"] = f"Sensor '{name}' has no {stage}: give it {given} to have one."
         return missing
 
     def check(self, model: Model, where: str) -> None:

@@ -13,7 +13,7 @@ from jaxbody.core.arrays import concrete, scalar
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import KNOWN
 
-DOMAINS = ("any", "nonnegative", "positive", "fraction", "definite", "direction", "rotation", "inertia")
+DOMAINS = ("any", "nonnegative", "positive", "fraction", "definite", "direction", "rotation", "inertia", "configuration", "speeds")
 LIMITS = {  # in words, and the code of the error where the field has none; "symmetric" is what is definite where no sign is asked
     "nonnegative": (">= 0", "NEGATIVE"),
     "positive": ("> 0", "NOT_POSITIVE"),
@@ -44,6 +44,7 @@ def field(unit: str = "", domain: str = "any", *, code: str = "", hint: str = ""
         unit: "N/m", or a formula in the words of what holds the owner: "force/argument" of a law is N s/m in a damper, N m/rad about an angle.
         domain: any, nonnegative, positive (a fit moves both by their logarithm, and so keeps their sign), fraction (from 0 to 1), definite (a symmetric
             matrix without negative eigenvalues, or a row of such numbers), direction (a unit vector), rotation (a unit quaternion) or inertia;
+            of a state, configuration or speeds (the coordinates of the joints, and their rates);
             "nonnegative unless allow_negative" is any where the owner's `allow_negative` is true.
         code, hint: of the error where a number is not in its domain; NEGATIVE, NOT_POSITIVE or NOT_A_FRACTION without a code.
         words: of a field that holds laws or signals, what their formulas mean here: {"force": "N m", "argument": "rad"}.

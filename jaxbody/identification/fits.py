@@ -181,7 +181,7 @@ class Fit(Result):
         ends, errors, freedoms = self.intervals(LEVEL), self.standard_errors, self.degrees_of_freedom
         for f, (path, value) in zip(self.task.free, self.estimates.items(), strict=True):
             value = np.asarray(value)
-            units = units_of(f.places[0][1], f.places[0][0], self.model, value)
+            units = units_of(f.places[0][1], self.model, value)
             columns = (np.asarray(x).ravel() for x in (value, errors[path], freedoms[path], *ends[path]))
             for label, unit, x, e, freedom, low, high in zip(_labels(f.name, value), units, *columns, strict=True):
                 bounded = bool(np.isfinite(high - low))

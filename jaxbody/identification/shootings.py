@@ -80,7 +80,7 @@ class Segments(Measurement):
         return reading if name == "continuity" else self.whole.residual(name, reading)
 
     def named(self):
-        return {**self.whole.named(), "nodes": {"q": self.nodes.q, "v": self.nodes.v}}
+        return {**self.whole.named(), "nodes": self.nodes.named()}
 
     def moved_rows(self, path, channel):
         """Readings in a segment depend on its initial state; a gap depends on the initial states of both segments."""

@@ -6,7 +6,7 @@ of the body for a pose of the parent (`pose`) and the velocity of the body per u
 """
 
 from abc import abstractmethod
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -57,6 +57,7 @@ class Joint(eqx.Module):
     motions: eqx.AbstractClassVar[tuple[str, ...]]
     turns: eqx.AbstractClassVar[tuple[bool, ...]]
     in_series: ClassVar[bool] = False
+    at: ClassVar[Any] = None  # the point of its parent at which it is, where that is not the body's O in the reference pose
 
     def rest(self, rest: Pose) -> Float[Array, "nq"]:
         """Coordinates of the reference pose."""
@@ -175,7 +176,7 @@ class Hinge(Joint):
         problems = Problems()
         self.parent = parent
         self.axis = unit_vector(axis, "Hinge.axis", problems)
-        self.at = None if at is None else vector(at, "Hinge.at", problems)
+        self.at = None if at is None else vector(at, "Hinge.at", problems)  # pyright: ignore[reportIncompatibleVariableOverride]
         problems.raise_if_any()
 
     def pose(self, q, parent, rest):
@@ -202,7 +203,7 @@ class Ball(Joint):
     def __init__(self, parent: str, *, at=None):
         problems = Problems()
         self.parent = parent
-        self.at = None if at is None else vector(at, "Ball.at", problems)
+        self.at = None if at is None else vector(at, "Ball.at", problems)  # pyright: ignore[reportIncompatibleVariableOverride]
         problems.raise_if_any()
 
     def rest(self, rest: Pose):

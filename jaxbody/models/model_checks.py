@@ -145,7 +145,7 @@ def _check_turn(problems: Problems, where: str, element: Bushing | Torsion, A, B
 
 def warn_of_oddities(bodies, supports, elements) -> None:
     """Warnings about what is allowed but rarely meant."""
-    masses, inertias = ([concrete(getattr(body, name)) for body in bodies.values()] for name in ("mass", "inertia"))
+    masses, inertias = [concrete(body.mass) for body in bodies.values()], [concrete(body.inertia) for body in bodies.values()]
     if all(x is not None for x in masses + inertias):
         warn_of_tiny(tuple(bodies), np.array(masses))
         warn_of_tiny(tuple(bodies), np.trace(np.array(inertias), axis1=1, axis2=2), "inertia", "kg m2")

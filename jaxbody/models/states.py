@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, rotate
 
@@ -19,13 +20,17 @@ class State(eqx.Module):
     (0,)
     """
 
-    q: Float[Array, "*n nq"]
-    v: Float[Array, "*n nv"]
-    z: Float[Array, "*n nz"]
+    q: Float[Array, "*n nq"] = field("", "configuration")
+    v: Float[Array, "*n nv"] = field("", "speeds")
+    z: Float[Array, "*n nz"] = field()
 
     def __init__(self, q, v, z=None):
         self.q, self.v = q, v
         self.z = jnp.zeros((*jnp.shape(q)[:-1], 0), jnp.result_type(q)) if z is None else z
+
+    def named(self) -> State:
+        """The parts that have names in paths: q and v."""
+        return eqx.tree_at(lambda state: state.z, self, None)
 
 
 class Instant(Frame):

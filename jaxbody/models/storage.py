@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import equinox as eqx
@@ -38,10 +39,10 @@ class KindTable(eqx.Module):
     def _no_node(self, name: str) -> Problem:
         """The problem of a row of leaves that are not arrays, as when equinox.tree_at calls its function."""
         paths = [jax.tree_util.keystr(keys, simple=True, separator=".") for keys, _ in jax.tree_util.tree_leaves_with_path(self.rows)]
-        path = next((path for path in paths if path in ("stiffness", "mass")), paths[-1])
+        path = next((path for path in paths if path in inspect.get_annotations(type(self.rows))), paths[-1])
         message = "is a row of arrays and not a node of the tree, so equinox.tree_at cannot replace it"
         hint = f'Use jb.replace(model, {{"{name}.{path}": value}}); it has {", ".join(paths[:8])}{", ..." if len(paths) > 8 else ""}.'
-        return Problem("NO_NODE", f"model['{name}']", message, name, "whole arrays, as model.elements[0].rows.stiffness", hint)
+        return Problem("NO_NODE", f"model['{name}']", message, name, f"whole arrays, as model.elements[0].rows.{path}", hint)
 
 
 def tabulate(things: dict[str, Any], template: Any = None) -> KindTable:

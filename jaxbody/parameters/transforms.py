@@ -195,41 +195,27 @@ class Direction(Parametrization):
 
 
 class InitialConfiguration(Parametrization):
-    """The coordinates of an initial state, moved in the chart."""
+    """The coordinates of an initial state, or of several in rows, moved in the chart."""
 
     model: Model
 
     @property
     def size(self) -> int:
-        return self.model.layout.nv
+        return int(np.prod(self.start.shape[:-1])) * self.model.layout.nv
 
     def value(self, u):
-        return Chart(self.model).retract(self.start, u)
+        retract, lead = Chart(self.model).retract, self.start.shape[:-1]
+        return (jax.vmap(retract) if lead else retract)(self.start, u.reshape(*lead, -1))
 
     def labels(self):
-        return [f"[{name}]" for name in self.model.layout.coordinates]
-
-
-class Configurations(InitialConfiguration):
-    """Several of them, a row each."""
-
-    @property
-    def size(self) -> int:
-        return len(self.start) * self.model.layout.nv
-
-    def value(self, u):
-        return jax.vmap(Chart(self.model).retract)(self.start, u.reshape(len(self.start), -1))
-
-    def labels(self):
-        return [f"[{row}, {name}]" for row in range(len(self.start)) for name in self.model.layout.coordinates]
+        rows = np.ndindex(self.start.shape[:-1])
+        return [f"[{', '.join(map(str, (*row, name)))}]" for row in rows for name in self.model.layout.coordinates]
 
 
 def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametrization | Problem:
     """The parametrization that suits the domain of a leaf, or what is wrong with its start."""
     path, domain, known = leaf.path, leaf.kind.domain, concrete(start)
-    if path.endswith("nodes.q"):
-        return Configurations(start, model)
-    if path.endswith("initial.q"):
+    if domain == "configuration":
         return InitialConfiguration(start, model)
     if domain == "definite" and start.ndim < 2:
         domain = "nonnegative"

@@ -140,7 +140,7 @@ class Scene:
             self.centers[name] = p + R @ np.asarray(self.model[name].com)
             points[name].append(self.centers[name])
             if kind.nv < 6:
-                at = getattr(self.model.joint(name), "at", None)
+                at = self.model.joint(name).at
                 pivot = p if at is None else pose[parent][0] + pose[parent][1] @ np.asarray(at)
                 self.pivots[name] = (pivot, parent)
                 points[name].append(pivot)

@@ -26,7 +26,7 @@ class Attitude(Sensor):
     too, by which the reading is turned."""
 
     places: ClassVar[int] = 0
-    stages = ("bias", "delay")
+    stages = {"bias": "0.0", "delay": "0.0"}  # noqa: RUF012
 
     @property
     def shape(self):  # pyright: ignore[reportIncompatibleVariableOverride]

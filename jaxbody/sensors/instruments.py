@@ -263,7 +263,7 @@ class Reaction(WrenchSensor):
 
     def reading(self, model, frames):
         row, joint = model.layout.frame(self.on), model.joint(self.on)
-        parent, at, point = model.layout.frame(joint.parent), getattr(joint, "at", None), self.point
+        parent, at, point = model.layout.frame(joint.parent), joint.at, self.point
         body = frames[row]
         place = body.point(point) if point is not None else body.p if at is None else frames[parent].point(at)
         F, M = (-jnp.asarray(x)[row] for x in (frames.F, frames.M))

@@ -70,7 +70,8 @@ class Sensor(Channel):
     on: eqx.AbstractVar[str]
     accelerations: ClassVar[bool] = False
     reactions: ClassVar[bool] = False
-    stages: ClassVar[tuple[str, ...]] = ("gain", "bias", "delay", "lag", "start")  # the parts of the chain that the sensor may have
+    # The stages that its chain may have, each with a number to start a fit from
+    stages: ClassVar[dict[str, str]] = {"gain": "1.0", "bias": "0.0", "delay": "0.0", "lag": "1e-3", "start": "0.0"}
     gain: Float[Array, "*g"] | None = field(default=None, kw_only=True)
     bias: Float[Array, "*b"] | None = field("unit", default=None, kw_only=True)
     delay: Float[Array, ""] | None = field("s", default=None, kw_only=True)
@@ -142,6 +143,13 @@ class Sensor(Channel):
     def disturbed(self, reading: Reading, noise: Float[Array, "*r"]) -> Reading:
         """A reading with noise added."""
         return reading + noise
+
+    def absent(self) -> dict[str, str]:
+        """{stage: arguments that add it} for the stages that its chain does not have; `start` needs a `lag`."""
+        arguments = {stage: f"{stage}={start}" for stage, start in self.stages.items() if getattr(self, stage) is None}
+        if {"lag", "start"} <= arguments.keys():
+            arguments["start"] = f"{arguments['lag']}, {arguments['start']}"
+        return arguments
 
     @property
     def plain(self) -> bool:

@@ -428,7 +428,7 @@ def test_each_number_of_a_parameter_has_its_unit(path, units):
     run = "run" if path.startswith("run.") else ""
     leaf = next(leaf for leaf in leaves_of(trees[run], f"{run}." if run else "") if leaf.path == path)
     value = np.asarray(leaf.read(jax.tree.leaves(trees[run])))
-    assert units_of(leaf, run, RIG_OF_ALL, value) == units
+    assert units_of(leaf, RIG_OF_ALL, value) == units
 
 
 def test_correlated_residuals_are_told_and_white_ones_are_not(clean, found):
