@@ -1,7 +1,7 @@
-"""A cabinet on an air spring in the El Centro earthquake: vertical shaking, a gas that stiffens when pressed, and how small motions see it.
+"""A cabinet on an air spring in the El Centro earthquake, compared with a cabinet on a linear spring of the same stiffness at rest.
 
-The record is the north-south ground acceleration of 1940, here taken as the vertical one at two thirds, as codes do. It is read from the
-folder JAXBODY_DATA (or ../shared/data). `python examples/air_spring_cabinet.py cabinet.png` saves the picture as well.
+The vertical ground acceleration is taken as two thirds of the recorded north-south acceleration of 1940, as building codes do. The record
+is read from the folder JAXBODY_DATA (or ../shared/data). `python examples/air_spring_cabinet.py cabinet.png` also saves the figure.
 """
 
 import os
@@ -26,7 +26,7 @@ up = [0, 0, 1]
 
 
 def cabinet(gas):
-    """On a vertical guide, on one air spring and its damper, with stops."""
+    """The cabinet on a vertical guide, one air spring with a damper, and stops."""
     stops = laws.Stop(gap=0.075, stiffness=5e5, engagement=0.01) + laws.Stop(gap=0.09, stiffness=5e5, engagement=0.01, extension=True)
     return jb.Model(
         bodies={"cabinet": jb.Body(mass=mass, inertia=[30, 30, 15], position=[0, 0, 0.4])},
@@ -57,12 +57,12 @@ floor = jb.Sampled.from_accelerations(time, translation=ground[:, None] * [0, 0,
 times = time[time <= 20.0]
 run = jb.simulate(model, times, motion={"floor": floor}, initial=eq.state, rtol=1e-8)
 run.raise_if_failed()
-straight = cabinet(laws.Function(lambda x: k0 * x - mass * g))  # the same weight borne, the same stiffness at rest
+straight = cabinet(laws.Function(lambda x: k0 * x - mass * g))  # the same static load and stiffness at rest
 linear = jb.simulate(straight, times, motion={"floor": floor}, initial=jb.equilibrium(straight).state, rtol=1e-8)
 
 
 def peaks(run):
-    """Largest stroke both ways [mm] and, from Newton's law, acceleration [g]."""
+    """Largest strokes down and up [mm] and, from Newton's law, the largest acceleration [g]."""
     stroke = run.state.q[:, 0]
     force = -run.forces["air spring"] / mass - g
     return 1e3 * float(stroke.min()), 1e3 * float(stroke.max()), float(jnp.abs(force).max()) / g
@@ -83,7 +83,7 @@ x = np.linspace(-0.085, 0.085, 200)
 axes[1].plot(1e3 * x, -1e-3 * jax.vmap(model["air spring"].spring.force)(x), label="gas and stops")
 axes[1].plot(1e3 * x, 1e-3 * (mass * g - float(k0) * x), "--", lw=1, label="linear")
 axes[1].plot(
-    1e3 * run.elongations["air spring"], -1e-3 * run.forces["air spring"], lw=0.4, color="gray", label="with the damper, as it moved"
+    1e3 * run.elongations["air spring"], -1e-3 * run.forces["air spring"], lw=0.4, color="gray", label="simulated, with the damper"
 )
 axes[1].set_xlabel("stroke [mm]")
 axes[1].set_ylabel("force on the cabinet [kN]")

@@ -1,4 +1,4 @@
-"""Ride comfort on a class C road: a quarter car tuned between comfort, travel and grip, and half a car whose rear wheel follows the front one."""
+"""Ride comfort on a class C road: the best damping of a quarter car, and half a car whose rear wheel follows the front wheel."""
 
 import sys
 
@@ -20,7 +20,7 @@ band = jb.Band(0.1, 100.0, points=1001)
 ms, mu, ks, kt = 375.0, 75.0, 35000.0, 193000.0
 quarter = jb.presets.quarter_car(sprung=ms, unsprung=mu, stiffness=ks, tyre=kt)
 at_road = {"road": jb.BaseMotion("road", "z")}
-asked = {
+outputs = {
     "body": jb.PointMotion("body", kind="acceleration"),
     "travel": jb.ElementDeformation("suspension"),
     "tyre": jb.ElementDeformation("tyre"),
@@ -29,7 +29,7 @@ asked = {
 
 def ride(damping, band=band):
     car = jb.replace(quarter, {"suspension.damping": damping})
-    return jb.random_response(jb.linearize(car, car.reference), band, at_road, asked, {"road": road.at_speed(speed)})
+    return jb.random_response(jb.linearize(car, car.reference), band, at_road, outputs, {"road": road.at_speed(speed)})
 
 
 def comfort(damping):
@@ -37,58 +37,60 @@ def comfort(damping):
 
 
 dampings = jnp.linspace(400.0, 4000.0, 37)
-rides, felt = jax.jit(jax.vmap(lambda c: (ride(c), comfort(c))))(dampings)
-best = dampings[jnp.argmin(felt)]
+rides, weighted = jax.jit(jax.vmap(lambda c: (ride(c), comfort(c))))(dampings)
+best = dampings[jnp.argmin(weighted)]
 slope = jax.jit(jax.value_and_grad(comfort))
-for _ in range(20):  # Newton's method by secants on the slope, from the best of the sweep
+for _ in range(20):  # Newton's method, from the best of the sweep, with second derivatives by differences of the slope
     (_, here), (_, there) = slope(best), slope(best + 1.0)
     best = best - here / (there - here)
 print(f"least weighted acceleration {float(comfort(best)):.4f} m/s2 at a damping of {float(best):.1f} N s/m")
 
-# Without weighting, over all frequencies, the least acceleration is in closed form: c = ks sqrt((ms + mu)/kt)
+# Without weighting and over all frequencies, the smallest acceleration has a closed form: c = ks sqrt((ms + mu)/kt)
 exact = ks * np.sqrt((ms + mu) / kt)
 all_frequencies = jb.Band(1e-6, 1e7, points=2001)
 W = 2 * np.pi**2 * 0.1**2 * float(road.level) * speed
 least = np.sqrt(W / 2 * ((ms + mu) * ks**2 / (exact * ms**2) + kt * exact / ms**2))
-found, gradient = jax.jit(jax.value_and_grad(lambda c: ride(c, all_frequencies)["body"]))(exact)
-print(f"without weighting {found:.6f} m/s2 at {exact:.1f} N s/m, in closed form {least:.6f} m/s2")
-assert abs(found / least - 1) < 1e-6 and abs(gradient) * exact < 1e-5 * found
+minimum, gradient = jax.jit(jax.value_and_grad(lambda c: ride(c, all_frequencies)["body"]))(exact)
+print(f"without weighting {minimum:.6f} m/s2 at {exact:.1f} N s/m, in closed form {least:.6f} m/s2")
+assert abs(minimum / least - 1) < 1e-6 and abs(gradient) * exact < 1e-5 * minimum
 
-# 2. Half a car (Rao's numbers) with dampers: the rear axle feels the road a wheelbase later
+# 2. Half a car (Rao's numbers) with dampers: the road reaches the rear axle one wheelbase after the front axle
 half = jb.presets.half_car(front_damping=1200.0, rear_damping=1500.0)
 lin = jb.linearize(half, half.reference)
 w = 2 * np.pi * np.asarray(jb.modes(jb.linearize(jb.presets.half_car(), half.reference)).frequency)
-np.testing.assert_allclose(w, [5.8593, 9.4341], rtol=2e-5)  # as Rao prints them, undamped
+np.testing.assert_allclose(w, [5.8593, 9.4341], rtol=2e-5)  # undamped, as printed by Rao
 axles = {axle: jb.BaseMotion(axle, "z") for axle in ("front", "rear")}
-felt_road = jb.CrossPSD(dict.fromkeys(axles, road.at_speed(speed)), delays={"rear": 2.5 / speed}, coherence={("front", "rear"): 1.0})
-places = {"over the front axle": 1.0, "centre of mass": 0.0, "over the rear axle": -1.5}
+at_axles = jb.CrossPSD(dict.fromkeys(axles, road.at_speed(speed)), delays={"rear": 2.5 / speed}, coherence={("front", "rear"): 1.0})
+places = {"over the front axle": 1.0, "center of mass": 0.0, "over the rear axle": -1.5}
 seats = {name: jb.PointMotion("body", [x, 0, 0], kind="acceleration") for name, x in places.items()}
-shaken = jb.random_response(lin, jb.Band(0.1, 100.0, points=4001), axles, seats, felt_road)
+shaken = jb.random_response(lin, jb.Band(0.1, 100.0, points=4001), axles, seats, at_axles)
 passengers = jb.weighted(shaken, dict.fromkeys(seats, "Wk"))
 print(passengers)
 
-# 3. One stretch of such a road, driven: what a recorder on the body would show
+# 3. A drive over one such road: the signal of an accelerometer on the body
 distances, heights = jb.road_profile(road, length=400.0, spacing=0.05, key=jax.random.key(1))
 wheels = {
     "front": jb.Road(distances, heights - heights[0], speed=speed),
     "rear": jb.Road(distances, heights - heights[0], speed=speed, position=-2.5),
 }
 times = jnp.arange(0.0, 18.0, 0.005)
-steps = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.05 / speed)  # from point to point of the road
+steps = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.05 / speed)  # one step per point of the road
 run = jb.simulate(half, times, motion=wheels, initial=half.reference, max_steps=20_000, **steps)
 run.raise_if_failed()
 acceleration = jnp.gradient(run.state.v[:, 0], times[1] - times[0])
 recorded = jb.weighted_signal(times, acceleration, "Wk")
 print(recorded)
-expected = float(passengers["centre of mass"])
-print(f"weighted rms of the drive {float(recorded.rms):.3f} m/s2, expected of such roads {expected:.3f} m/s2")
+expected = float(passengers["center of mass"])
+print(f"weighted rms of the drive {float(recorded.rms):.3f} m/s2, expected value for such roads {expected:.3f} m/s2")
 assert abs(float(recorded.rms) / expected - 1) < 0.25  # one road of 360 m
 
 figure, axes = plt.subplots(3, 1, figsize=(9, 10), layout="constrained")
-for values, name in ((felt, "weighted acceleration"), (rides.rms[:, 1], "travel"), (rides.rms[:, 2], "tyre deflection")):
+for values, name in ((weighted, "weighted acceleration"), (rides.rms[:, 1], "travel"), (rides.rms[:, 2], "tyre deflection")):
     axes[0].plot(dampings, values / values.min(), label=name)
 axes[0].axvline(float(best), color="gray", lw=0.8)
-axes[0].set(xlabel="damping [N s/m]", ylabel="rms over its least", ylim=(0.95, 2.5), title="A quarter car on a class C road at 72 km/h")
+axes[0].set(
+    xlabel="damping [N s/m]", ylabel="rms relative to its minimum", ylim=(0.95, 2.5), title="A quarter car on a class C road at 72 km/h"
+)
 axes[0].legend(frameon=False, fontsize=8, loc="upper right")
 plots.plot_psd(passengers, ax=axes[1])
 axes[1].set(title="Half a car: weighted acceleration, by seat", ylim=(1e-7, None))

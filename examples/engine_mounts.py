@@ -1,6 +1,6 @@
-"""An engine on three mounts under ten load cases: how far it moves, what each mount carries, and what to stiffen.
+"""An engine on three mounts under ten load cases: its displacements, the mount forces, and which mount to stiffen.
 
-`python examples/engine_mounts.py mounts.png` saves the picture as well.
+`python examples/engine_mounts.py mounts.png` also saves the figure.
 """
 
 import sys
@@ -39,10 +39,10 @@ print(result)
 
 
 def farthest(stiffness):
-    """How far the top of the engine moves in every case [m], by the stiffnesses of the mounts along their axes."""
-    found = jb.load_cases(jb.replace(model, {"*.stiffness": stiffness}), cases)
+    """The displacement of the top of the engine in every case [m], as a function of the stiffnesses of the mounts along their axes."""
+    changed = jb.load_cases(jb.replace(model, {"*.stiffness": stiffness}), cases)
     top = jnp.array([0.0, 0.0, 0.3])
-    return jnp.linalg.norm(found.displacements["engine"] + jnp.cross(found.rotations["engine"], top), axis=-1)
+    return jnp.linalg.norm(changed.displacements["engine"] + jnp.cross(changed.rotations["engine"], top), axis=-1)
 
 
 k = jnp.stack([model[f"mount {i}"].stiffness for i in (1, 2, 3)])
@@ -50,7 +50,7 @@ moved, slopes = farthest(k), jax.jit(jax.jacfwd(farthest), compiler_options=jb.q
 worst = int(jnp.argmax(moved))
 effect = 1e3 * 0.1 * k * slopes[worst]
 print(f"\nThe top of the engine moves farthest, {1e3 * float(moved[worst]):.2f} mm, in '{list(cases)[worst]}'.")
-print("What 10 % more stiffness of each mount changes there [mm]:")
+print("Change of this displacement by 10 % more stiffness of each mount [mm]:")
 print("\n".join(f"  mount {i + 1}   x {dx:+.3f}   y {dy:+.3f}   z {dz:+.3f}" for i, (dx, dy, dz) in enumerate(np.asarray(effect))))
 
 names = list(cases)
@@ -62,7 +62,7 @@ for j, mount in enumerate(("mount 1", "mount 2", "mount 3")):
     axes[1].barh(rows + 0.25 * (j - 1), np.linalg.norm(result.forces[mount][:, :3], axis=1) / 1e3, 0.25, label=mount)
 axes[0].set_yticks(rows, names)
 axes[0].invert_yaxis()
-axes[0].set_xlabel("displacement of the centre of mass [mm]")
+axes[0].set_xlabel("displacement of the center of mass [mm]")
 axes[1].set_xlabel("force of the mount [kN]")
 for ax in axes:
     ax.grid(axis="x", alpha=0.3)

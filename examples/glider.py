@@ -1,13 +1,15 @@
-"""One glider on an air track between two springs: the stiffness and the friction of a free decay, fitted on the first half and foretold on the second.
+"""One glider on an air track between two springs: fit stiffness and friction to half of a free decay and predict the other half.
 
-Data: M. Schmidt and H. Lipson, Science 324 (2009) 81; positions in tracker units, whole numbers, every 33 or 34 ms. With the mass 1 (the record tells
-forces over mass only), k the stiffness of both springs together and x0 the place of rest,
+Data: M. Schmidt and H. Lipson, Science 324 (2009) 81; positions in tracker units, rounded to integers, every 33 or 34 ms. The record
+determines only the ratios of forces to mass, so the mass is set to 1. With the stiffness k of both springs together and the rest position
+x0,
 
     x'' + c x' + k (x - x0) = 0
 
-A free decay has the closed form x0 + A exp(-c t/2) cos(w t + p), w^2 = k - c^2/4: SciPy's fit of that to the same samples is the judge here.
+A free decay has the closed form x0 + A exp(-c t/2) cos(w t + p), w^2 = k - c^2/4. SciPy's fit of this formula to the same samples is the
+reference.
 
-With a name of a file the fit is drawn into it: python examples/glider.py glider.png
+To save the figure, give a file name: python examples/glider.py glider.png
 """
 
 import os
@@ -28,14 +30,14 @@ jax.config.update("jax_enable_x64", True)
 shared = pathlib.Path(os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).parents[2] / "shared" / "data"))
 record = jb.read_record(
     shared / "gliders" / "real_linear_h_1.txt", time=(1, "s"), channels={"x": (2, "1"), "v": (3, "1/s")}
-)  # velocities are the authors' numerical ones, good for a start
+)  # the velocities are numerical derivatives by the authors, used as initial guesses
 HALF, span = 14.5, 1000.0
 steps = {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 0.1}
 along = {"axis": [1, 0, 0]}
 
 
 def track() -> jb.Model:
-    """The glider on its guide; one spring does what both do."""
+    """The glider on its guide; one spring replaces both springs."""
     start = {"stiffness": 10.0, "free_length": span, "damping": 0.1}
     return jb.Model(
         bodies={"glider": jb.Body(mass=1.0, inertia=[1, 1, 1])},
@@ -53,8 +55,8 @@ def decay(t, x0, A, c, w, p):
     return x0 + A * np.exp(-c * t / 2) * np.cos(w * t + p)
 
 
-def judge(part: jb.Record) -> dict[str, np.ndarray]:
-    """Estimates and standard errors of the closed form, by SciPy; w from the spectrum to start with."""
+def closed_form(part: jb.Record) -> dict[str, np.ndarray]:
+    """Estimates and standard errors of the closed form by SciPy; the spectrum gives the initial guess of w."""
     t, x = part.times - part.times[0], part["x"]
     spectrum = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(x)), 16 * len(x)))
     w = 2 * np.pi * np.argmax(spectrum) / (16 * len(x)) * part.sampling.rate
@@ -64,7 +66,7 @@ def judge(part: jb.Record) -> dict[str, np.ndarray]:
 
 
 def share(error: np.ndarray, x: np.ndarray) -> float:
-    """In percent of the signal's standard deviation."""
+    """The rms error in percent of the signal's standard deviation."""
     return 100 * float(np.sqrt(np.mean(error**2)) / np.std(x))
 
 
@@ -73,7 +75,7 @@ def draw(x: np.ndarray, file: str) -> None:
 
     figure, (above, below) = plt.subplots(2, sharex=True, figsize=(8, 4.5), layout="constrained")
     above.plot(record.times, record["x"], ".", ms=3, color="0.4", label="measured")
-    above.plot(record.times, x, lw=1, label="fitted, then foretold")
+    above.plot(record.times, x, lw=1, label="fitted, then predicted")
     above.set_ylabel("position [tracker units]")
     above.legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2, frameon=False)
     below.plot(record.times, x - record["x"], lw=1, color="C3")
@@ -92,17 +94,17 @@ trajectory = jb.simulate(fit.model, record.times, initial=fit.experiments["run"]
 x, after = np.asarray(trajectory.state.q[:, 0]), record.times > HALF
 error = x - record["x"]
 shares = share(error[~after], record["x"][~after]), share(error[after], record["x"][after])
-rest = np.argmax(after)  # the second half, from the state to which the simulated first one has led
+rest = np.argmax(after)  # the second half starts from the simulated state at the end of the first half
 print(
     jb.validate(fit, {"rest": run_of(record.part(record.times[rest], 100), jb.State(trajectory.state.q[rest], trajectory.state.v[rest]))})
 )
-print(f"\nresidual {shares[0]:.2f} % of the signal where it was fitted, {shares[1]:.2f} % held out")
-found = {"stiffness": "spring.stiffness", "damping": "spring.damping", "rest": "spring.free_length"}
+print(f"\nresidual {shares[0]:.2f} % of the signal in the fitted half, {shares[1]:.2f} % in the half held out")
+paths = {"stiffness": "spring.stiffness", "damping": "spring.damping", "rest": "spring.free_length"}
 assert share(error, record["x"]) < 0.68  # a free decay fitted to the whole record leaves 0.62 %
-print("\nby the closed form and SciPy, on the same samples:")
-for name, (value, spread) in judge(half).items():
-    ours = float(fit.estimates[found[name]]) - (span if name == "rest" else 0)
-    print(f"  {name:10} {value:.6g} +- {spread:.2g}; here {ours:.6g}")
-    assert abs(ours - value) < 0.05 * spread
+print("\nclosed form fitted to the same samples by SciPy:")
+for name, (value, spread) in closed_form(half).items():
+    estimate = float(fit.estimates[paths[name]]) - (span if name == "rest" else 0)
+    print(f"  {name:10} {value:.6g} +- {spread:.2g}; jaxbody {estimate:.6g}")
+    assert abs(estimate - value) < 0.05 * spread
 if len(sys.argv) > 1:
     draw(x, sys.argv[1])

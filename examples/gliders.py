@@ -1,10 +1,10 @@
-"""Two coupled gliders on an air track: a measured record back to stiffnesses, a mass ratio, damping and rest positions.
+"""Two coupled gliders on an air track: stiffnesses, a mass ratio, damping and rest positions from a measured record.
 
-Data: M. Schmidt and H. Lipson, Science 324 (2009) 81. Each glider's position was tracked from its own zero, in tracker units, for
-16.5 s. What such a record cannot tell is the masses themselves: all of them and all forces may be multiplied by one number. A second fit sees
-the first 11 s only and predicts the rest.
+Data: M. Schmidt and H. Lipson, Science 324 (2009) 81. Each glider's position was tracked from its own zero, in tracker units, for 16.5 s.
+Such a record does not determine the masses themselves: multiplying all masses and all forces by the same number changes no motion. A
+second fit uses the first 11 s only and predicts the rest.
 
-With a name of a file that is drawn into it: python examples/gliders.py gliders.png
+To save the figure, give a file name: python examples/gliders.py gliders.png
 """
 
 import os
@@ -25,10 +25,10 @@ shared = pathlib.Path(os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).pare
 record = jb.read_record(
     shared / "gliders" / "real_double_linear_h_1.txt",
     time=(1, "s"),
-    channels={"x1": (2, "1"), "x2": (3, "1"), "v1": (4, "1/s"), "v2": (5, "1/s")},  # velocities are the authors' numerical ones
+    channels={"x1": (2, "1"), "x2": (3, "1"), "v1": (4, "1/s"), "v2": (5, "1/s")},  # velocities: the authors' numerical derivatives
 )
 time, x1, x2, v1, v2 = record.times, *record.channels.values()
-SEEN = 11.0
+FITTED = 11.0  # s
 
 
 def peak(x):
@@ -39,10 +39,10 @@ def peak(x):
 
 
 slow, fast = sorted((peak(x1 + x2), peak(x1 - x2)))
-outer = (2 * np.pi * slow) ** 2  # were both masses 1 and the outer springs alike, these would be the stiffnesses
+outer = (2 * np.pi * slow) ** 2  # initial guess of the stiffnesses, for two masses of 1 and equal outer springs
 inner = ((2 * np.pi * fast) ** 2 - outer) / 2
-span = 1000.0  # length of a relaxed spring, in tracker units; any number well above the motion does
-rest1, rest2 = x1.mean(), span + x2.mean()  # where the gliders rest, about: glider 2 has its own zero, one span to the right
+span = 1000.0  # free length of a spring, in tracker units; any value well above the motion gives the same fit
+rest1, rest2 = x1.mean(), span + x2.mean()  # approximate rest positions; glider 2 has its own zero, one span to the right
 along = {"axis": [1, 0, 0]}
 model = jb.Model(
     bodies={
@@ -76,20 +76,20 @@ def main() -> tuple[jb.Fit, jb.Fit]:
     print()
     print("and with the masses free as well:")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", jb.JaxbodyWarning)  # it says what it cannot tell; here we read it from the result
+        warnings.simplefilter("ignore", jb.JaxbodyWarning)  # the masses are not determined; the report says so
         loose = jb.fit(fit.model, {"track": fit.experiments["track"]}, free=[*shape, "glider1.mass"])
     print(loose.report())
     return fit, loose
 
 
 def share(error, x) -> float:
-    """In percent of the signal's standard deviation."""
+    """The rms error in percent of the signal's standard deviation."""
     return 100 * float(np.sqrt(np.mean(np.square(error))) / np.std(x))
 
 
-def foretold() -> tuple[jb.Fit, dict[str, np.ndarray]]:
-    """A fit to the first 11 s, and what it says of the whole record."""
-    fit = jb.fit(model, {"track": run_of(record.part(0, SEEN))}, free=shape)
+def predict() -> tuple[jb.Fit, dict[str, np.ndarray]]:
+    """A fit to the first 11 s and its prediction of the whole record."""
+    fit = jb.fit(model, {"track": run_of(record.part(0, FITTED))}, free=shape)
     trajectory = jb.simulate(fit.model, time, initial=fit.experiments["track"].initial, rtol=1e-8)
     return fit, {name: np.asarray(x) for name, x in jb.measure(trajectory, sensors).items()}
 
@@ -100,14 +100,14 @@ def draw(x: dict[str, np.ndarray], file: str) -> None:
     figure, axes = plt.subplots(3, sharex=True, figsize=(8, 5.5), layout="constrained")
     for ax, name in zip(axes, x, strict=False):
         ax.plot(time, record[name], ".", ms=3, color="0.4", label="measured")
-        ax.plot(time, x[name], lw=1, label="fitted, then foretold")
+        ax.plot(time, x[name], lw=1, label="fitted, then predicted")
         ax.set_ylabel(f"{name} [tracker units]")
         axes[2].plot(time, x[name] - record[name], lw=1, label=name)
     axes[2].set(xlabel="time [s]", ylabel="error")
     for ax, where in ((axes[0], {"loc": "lower center", "bbox_to_anchor": (0.5, 1)}), (axes[2], {"loc": "lower left"})):
         ax.legend(ncols=2, frameon=False, **where)
     for ax in axes:
-        ax.axvspan(SEEN, time[-1], color="0.93", zorder=-1)
+        ax.axvspan(FITTED, time[-1], color="0.93", zorder=-1)
         ax.grid(alpha=0.3)
     figure.savefig(file, dpi=110)
 
@@ -117,10 +117,10 @@ if __name__ == "__main__":
     fit, loose = main()
     modes = jb.modes(jb.linearize(fit.model, jb.equilibrium(fit.model)))
     print(modes)
-    part, x = foretold()
-    print(f"\nfitted up to {SEEN:g} s:", part, sep="\n")
+    part, x = predict()
+    print(f"\nfitted up to {FITTED:g} s:", part, sep="\n")
     print(f"\n{'residual [% of the signal]':28} whole  fitted  held out")
-    later = time > SEEN
+    later = time > FITTED
     for name in sensors:
         whole = share(fit.predicted["track"][name] - record[name], record[name])
         shares = [share((x[name] - record[name])[rows], record[name][rows]) for rows in (~later, later)]
@@ -128,5 +128,5 @@ if __name__ == "__main__":
         assert whole < 1.25 and shares[1] < 4
     if len(sys.argv) > 1:
         draw(x, sys.argv[1])
-    assert abs(float(fit.model["glider2"].mass) - 2.48) < 0.01  # and 0.3346, 1.7137 Hz, as other fits of this record find
+    assert abs(float(fit.model["glider2"].mass) - 2.48) < 0.01  # other fits of this record give this and 0.3346, 1.7137 Hz
     np.testing.assert_allclose(modes.frequency, [0.3346, 1.7137], rtol=2e-3)

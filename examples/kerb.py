@@ -1,6 +1,6 @@
-"""A car drives over a kerb with its left wheels: bump stops, dampers with laws of their own, anti-roll bars, tyres that may leave the ground.
+"""A car drives over a kerb with its left wheels: bump stops, nonlinear dampers, anti-roll bars, tyres that may leave the ground.
 
-`python examples/kerb.py kerb.png` saves the picture as well.
+`python examples/kerb.py kerb.png` also saves the figure.
 """
 
 import sys
@@ -16,15 +16,15 @@ from jaxbody import laws
 
 jax.config.update("jax_enable_x64", True)
 up, g = [0, 0, 1], 9.81
-wheels = {"fl": (1.2, 0.75), "fr": (1.2, -0.75), "rl": (-1.4, 0.75), "rr": (-1.4, -0.75)}  # from the centre of mass, x forward, y left
+wheels = {"fl": (1.2, 0.75), "fr": (1.2, -0.75), "rl": (-1.4, 0.75), "rr": (-1.4, -0.75)}  # from the center of mass, x forward, y left
 mass, unsprung, radius, height = 1100.0, 38.0, 0.3, 0.55
 k, travel, tyre, engagement = 23e3, 0.07, 2.1e5, 1e-3
-load = {name: mass * g * (1.4 if x > 0 else 1.2) / 2.6 / 2 for name, (x, _) in wheels.items()}  # on each strut, at rest
-pressed = {name: (load[name] + unsprung * g) / tyre + engagement / 2 for name in wheels}  # each tyre, at rest
+load = {name: mass * g * (1.4 if x > 0 else 1.2) / 2.6 / 2 for name, (x, _) in wheels.items()}  # static load of each strut
+pressed = {name: (load[name] + unsprung * g) / tyre + engagement / 2 for name in wheels}  # static deflection of each tyre
 
 
 def spring(name):
-    """A spring with a bump and a rebound stop, `travel` from where it stands under its load; gaps count from the free length."""
+    """A spring with a bump stop and a rebound stop, each `travel` away from the static position; gaps are measured from the free length."""
     stop = dict(stiffness=2.5e5, engagement=0.015)
     bump, rebound = load[name] / k + travel, max(travel - load[name] / k, 0.0)
     return laws.Linear(k) + laws.Stop(gap=bump, **stop) + laws.Stop(gap=rebound, extension=True, **stop)
@@ -73,12 +73,13 @@ for name in wheels:
     s, f, t = (
         np.asarray(x) for x in (strokes[f"strut {name}"] - strokes[f"strut {name}"][0], forces[f"strut {name}"], forces[f"tyre {name}"])
     )
-    ranges = (f"{1e3 * s.min():8.1f} .. {1e3 * s.max():6.1f}", f"{f.min() / 1e3:7.2f} .. {f.max() / 1e3:5.2f}", f"{t.min() / 1e3:7.2f} .. {t.max() / 1e3:5.2f}")  # fmt: skip
-    print(f"{name:14s}{ranges[0]:>22s}{ranges[1]:>20s}{ranges[2]:>20s}{1e3 * np.mean(t > -1e-9) * 1.5:18.0f}")
+    stroke = f"{1e3 * s.min():8.1f} .. {1e3 * s.max():6.1f}"
+    strut, contact = (f"{x.min() / 1e3:7.2f} .. {x.max() / 1e3:5.2f}" for x in (f, t))
+    print(f"{name:14s}{stroke:>22s}{strut:>20s}{contact:>20s}{1e3 * np.mean(t > -1e-9) * 1.5:18.0f}")
 
 
 def roughness(further):
-    """rms acceleration of the car's centre [m/s2], with the bump stops further away [m]."""
+    """The rms acceleration of the car's center [m/s2] with the bump stops `further` away [m]."""
     gaps = {path: gap + further for path, gap in jb.paths(model, "strut *.spring.terms.1.gap").items()}
     changed = jb.replace(model, gaps)
     v = jb.simulate(changed, times, motion=motion, initial=eq.state, rtol=1e-7, adjoint=diffrax.ForwardMode()).state.v[:, 0]
@@ -86,9 +87,8 @@ def roughness(further):
 
 
 value, slope = jax.jvp(jax.jit(roughness), (0.0,), (1.0,))
-print(
-    f"\nrms acceleration of the body {float(value):.3f} m/s2, {float(slope) / 1e3:+.4f} m/s2 for every mm that the bump stops are further away"
-)
+print(f"\nrms acceleration of the body {float(value):.3f} m/s2; each mm of additional gap to the bump stops changes it")
+print(f"by {float(slope) / 1e3:+.4f} m/s2")
 
 figure, axes = plt.subplots(3, 1, figsize=(8, 8), sharex=True, constrained_layout=True)
 for name in wheels:

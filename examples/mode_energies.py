@@ -1,6 +1,6 @@
-"""Which mode of an engine on its mounts is which: energies of its modes, its axes, and stiffnesses that decouple it about the torque roll axis.
+"""An engine on its mounts: energies that identify its modes, its axes, and stiffnesses that decouple it about the torque roll axis.
 
-`python examples/mode_energies.py modes.png` saves the picture as well.
+`python examples/mode_energies.py modes.png` also saves the figure.
 """
 
 import sys
@@ -21,10 +21,10 @@ energies = jb.mode_energies(lin, forward="x", up="z")
 print(energies, jb.complex_modes(lin), jb.elastic_axes(lin, "engine"), sep="\n\n")
 
 crankshaft = [1.0, 0.0, 0.0]
-print("\nas it is:", jb.torque_roll_axis(lin, "engine", crankshaft), sep="\n")
+print("\noriginal:", jb.torque_roll_axis(lin, "engine", crankshaft), sep="\n")
 
 
-# Stiffnesses of the mounts for which a torque of the crankshaft excites one mode alone
+# Stiffnesses of the mounts with which a torque of the crankshaft excites only one mode
 
 k = jnp.stack([engine[f"mount {i}"].stiffness for i in (1, 2, 3)])
 
@@ -37,25 +37,25 @@ def changed(factors):
 
 @jax.jit
 def cost(factors):
-    """The coupling of the turn about the torque roll axis with other motions, at little change of stiffness."""
+    """The coupling of the rotation about the torque roll axis with other motions, plus a small penalty on changes of stiffness."""
     return jb.torque_roll_axis(changed(factors), "engine", crankshaft).coupling ** 2 + 1e-3 * jnp.mean(factors**2)
 
 
-found = minimize(jax.jit(jax.value_and_grad(cost)), np.zeros(9), jac=True, bounds=[(-1.5, 1.5)] * 9)
-decoupled = changed(jnp.asarray(found.x))
+optimum = minimize(jax.jit(jax.value_and_grad(cost)), np.zeros(9), jac=True, bounds=[(-1.5, 1.5)] * 9)
+decoupled = changed(jnp.asarray(optimum.x))
 axis = jb.torque_roll_axis(decoupled, "engine", crankshaft)
 better = jb.mode_energies(decoupled, forward="x", up="z")
 print("\ndecoupled:", axis, better, sep="\n")
-print("mount stiffnesses [kN/m]", np.round(np.asarray(k * jnp.exp(found.x.reshape(3, 3))) / 1e3, 1), sep="\n")
+print("mount stiffnesses [kN/m]", np.round(np.asarray(k * jnp.exp(optimum.x.reshape(3, 3))) / 1e3, 1), sep="\n")
 
-# From the one to the other, modes followed by their shapes
+# Modes tracked by shape from the original to the decoupled engine
 
-branches = jb.track(lambda s: changed(s * found.x), jnp.linspace(0.0, 1.0, 21))
+branches = jb.track(lambda s: changed(s * optimum.x), jnp.linspace(0.0, 1.0, 21))
 
 figure, axes = plt.subplot_mosaic([["before", "after"], ["branches", "mode"]], figsize=(12, 8), layout="constrained")
-plots.plot_mode_energies(energies, ax=axes["before"]).set_title("kinetic energy [%], as it is", fontsize=9)
+plots.plot_mode_energies(energies, ax=axes["before"]).set_title("kinetic energy [%], original", fontsize=9)
 plots.plot_mode_energies(better, ax=axes["after"]).set_title("kinetic energy [%], decoupled", fontsize=9)
-plots.plot_branches(branches, parameter="from the mounts as they are (0) to decoupled ones (1)", ax=axes["branches"])
+plots.plot_branches(branches, parameter="from the original mounts (0) to the decoupled ones (1)", ax=axes["branches"])
 plots.draw_mode(lin, jb.modes(lin), 6, view="yz", ax=axes["mode"])
 if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], dpi=110)

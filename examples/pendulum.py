@@ -1,18 +1,20 @@
-"""A pendulum on a hinge with friction: a measured swing back to the law of its damper, fitted on the first half and foretold on the second.
+"""A pendulum on a hinge with friction: fit the law of its damper to half of a measured swing and predict the other half.
 
-Data: M. Schmidt and H. Lipson, Science 324 (2009) 81: the angle, tracked every sixth of a unit of time with some samples missing; what the unit
-is in seconds is not told, here it is taken for one. With the inertia about the hinge set to 1 (the record tells moments over inertia only)
+Data: M. Schmidt and H. Lipson, Science 324 (2009) 81: the angle, tracked every sixth of a time unit, with some samples missing. The
+source does not define the time unit; here it is taken as one second. The record determines only the ratios of moments to inertia, so the
+inertia about the hinge is set to 1:
 
     x'' + a sin(x) + M(x') = 0
 
-and two laws of friction M are compared: viscous and dry, c w + F w/sqrt(w^2 + w0^2) with w0 = 0.05 held; progressive, c w + d w|w|. What is left
-over is correlated, and with that counted the interval of F, and that of d, holds zero: the record is explained by viscous friction, and dry
-friction is at most half a percent of a. (Standard errors for white noise would be nearly four times smaller, and make F certain to be negative,
-which no hinge has.)
+Two friction laws M are compared: viscous and dry, c w + F w/sqrt(w^2 + w0^2) with w0 = 0.05 fixed, and progressive, c w + d w|w|. The
+residuals are correlated. With the correlation included, the intervals of F and of d contain zero: viscous friction explains the record,
+and dry friction is at most half a percent of a. (Standard errors for white noise would be nearly four times smaller and would make F
+significantly negative, which is physically impossible.)
 
-Independent of any fit, the period T between upward crossings and the amplitude A give a by the complete elliptic integral, T = 4 K(sin(A/2))/sqrt(a).
+Independently of any fit, the period T between upward crossings and the amplitude A give a by the complete elliptic integral,
+T = 4 K(sin(A/2))/sqrt(a).
 
-With a name of a file the fit is drawn into it: python examples/pendulum.py pendulum.png
+To save the figure, give a file name: python examples/pendulum.py pendulum.png
 """
 
 import os
@@ -53,7 +55,7 @@ class Weight(laws.Law):
 
 
 class Dry(laws.Law):
-    """F w/sqrt(w^2 + w0^2), as laws.Friction, but F may have either sign: whether its interval holds zero is the question."""
+    """F w/sqrt(w^2 + w0^2) as in laws.Friction, but F may have either sign, so that its interval can contain zero."""
 
     level: jax.Array
 
@@ -82,7 +84,7 @@ def pendulum(damper) -> jb.Model:
 
 
 def run_of(part: jb.Record, start: jb.State | None = None, bias=0.0) -> jb.Experiment:
-    """The encoder's zero, its bias, is not known."""
+    """One part of the record as an experiment; the bias is the unknown zero of the encoder."""
     start = start or jb.State(q=jnp.asarray(part["angle"][:1]), v=jnp.asarray(part["rate"][:1]))
     return jb.Experiment(part.times, initial=start, sensors={"angle": jb.JointAngle("rod", bias=bias)}, measured={"angle": part["angle"]})
 
@@ -95,8 +97,8 @@ def fitted(damper, free) -> jb.Fit:
         )
 
 
-def foretold(fit: jb.Fit) -> tuple[np.ndarray, jb.State]:
-    """The angle over the whole record, simulated from the fitted start, and the state with which the second half begins."""
+def predict(fit: jb.Fit) -> tuple[np.ndarray, jb.State]:
+    """The angle over the whole record, simulated from the fitted initial state, and the state at the start of the second half."""
     trajectory = jb.simulate(fit.model, record.times, initial=fit.experiments["swing"].initial, **steps)
     at = np.argmax(record.times > HALF)
     return np.asarray(trajectory.state.q[:, 0] + fit.estimates["swing.angle.bias"]), jb.State(
@@ -113,7 +115,7 @@ def draw(x: np.ndarray, file: str) -> None:
 
     figure, (above, below) = plt.subplots(2, sharex=True, figsize=(8, 4.5), layout="constrained")
     above.plot(record.times, record["angle"], ".", ms=3, color="0.4", label="measured")
-    above.plot(record.times, x, lw=1, label="fitted, then foretold")
+    above.plot(record.times, x, lw=1, label="fitted, then predicted")
     above.set_ylabel("angle [rad]")
     above.legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=2, frameon=False)
     below.plot(record.times, x - record["angle"], lw=1, color="C3")
@@ -124,17 +126,18 @@ def draw(x: np.ndarray, file: str) -> None:
     figure.savefig(file, dpi=110)
 
 
-def by_its_period() -> float:
-    """a from the crossings and the peaks of the second half, the mean over its swings; the peak by a parabola through three samples."""
+def a_from_periods() -> float:
+    """The mean of a over the swings of the second half, from their periods and amplitudes; a parabola through three samples gives each
+    peak."""
     t, x = (v[record.times > HALF] for v in (record.times, record["angle"] - np.median(record["angle"])))
     up = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
     crossings = t[up] - x[up] * (t[up + 1] - t[up]) / (x[up + 1] - x[up])
-    found = []
+    values = []
     for i, j, T in zip(up[:-1], up[1:], np.diff(crossings), strict=True):
         peaks = [k + i for k in (np.argmax(x[i:j]), np.argmin(x[i:j]))]
         heights = [abs(x[k]) + (x[k + 1] - x[k - 1]) ** 2 / (8 * abs(x[k - 1] - 2 * x[k] + x[k + 1])) for k in peaks]
-        found.append((4 * ellipk(np.sin(np.mean(heights) / 2) ** 2) / T) ** 2)
-    return float(np.mean(found))
+        values.append((4 * ellipk(np.sin(np.mean(heights) / 2) ** 2) / T) ** 2)
+    return float(np.mean(values))
 
 
 dampers = {
@@ -145,7 +148,7 @@ print(record)
 fits, errors, after = {}, {}, record.times > HALF
 for name, (damper, free) in dampers.items():
     fits[name] = fitted(damper, free)
-    x, state = foretold(fits[name])
+    x, state = predict(fits[name])
     errors[name] = x - record["angle"]
     rest = run_of(record.part(record.times[after][0], 100), state, fits[name].estimates["swing.angle.bias"])
     print(f"\n{name}:", fits[name], jb.validate(fits[name], {"rest": rest}), sep="\n")
@@ -153,7 +156,7 @@ print(f"\n{'residual [% of the signal]':28} fitted  held out")
 shares = {name: [nrmse(error[part], record["angle"][part]) for part in (~after, after)] for name, error in errors.items()}
 for name, (before, later) in shares.items():
     print(f"{name:28} {100 * before:6.2f}  {100 * later:8.2f}")
-best, period = fits["progressive"], by_its_period()
+best, period = fits["progressive"], a_from_periods()
 a = float(best.estimates["hinge.spring.moment"])
 print(f"\na = {a:.4f}; from periods and amplitudes of the second half {period:.4f}")
 if len(sys.argv) > 1:

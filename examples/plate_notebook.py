@@ -12,10 +12,10 @@
 # ---
 
 # %% [markdown]
-# # A plate on springs under a base that moves
+# # A plate on springs with a moving base
 #
 # The application of N.-D. Stanescu and S. Mihalcea (13th IFToMM World Congress, 2011, A14_316): a plate hangs from two springs at
-# 45 degrees and is held by a third. This file is a script; Jupyter opens it as a notebook with jupytext.
+# 45 degrees and is held by a third one. This file is a script; Jupyter opens it as a notebook with jupytext.
 
 # %%
 import jax
@@ -31,7 +31,7 @@ jax.config.update("jax_enable_x64", True)
 # %% [markdown]
 # ## The model
 #
-# Bodies have mass, supports have an imposed motion, elements go between any two of them. Points are in the frame of their own body.
+# Bodies have mass, supports have an imposed motion, and elements connect any two of them. Points are in the frame of their own body.
 
 # %%
 l, m, g = 0.7, 3.0, 9.81
@@ -66,14 +66,14 @@ eq
 # %% [markdown]
 # ## Small motions
 #
-# The matrices of small motions are second derivatives of these functions. K splits into what the springs' stiffness does, what their
-# tension does, and what gravity does; K~ gives the force on the plate per displacement of the base.
+# The matrices of small motions are second derivatives of these functions. K is the sum of three parts, due to the stiffness of the springs,
+# their tension and gravity; K~ gives the force on the plate per displacement of the base.
 
 # %%
 lin = jb.linearize(model, eq)
 assert np.allclose(lin.K, jax.hessian(potential)(jnp.zeros(6)), atol=1e-9)
 assert np.allclose(lin.K, lin.K_elastic + lin.K_geometric + lin.K_gravity, atol=1e-9)
-print("share of tension in the resistance to moving along z:", float(lin.K_geometric[2, 2] / lin.K[2, 2]))
+print("share of the tension in the stiffness along z:", float(lin.K_geometric[2, 2] / lin.K[2, 2]))
 print("K~ =", np.round(lin.K_tilde, 4) + 0.0, sep="\n")
 
 # %%
@@ -84,25 +84,25 @@ for number, ax in enumerate(axes.flat, start=1):
 modes
 
 # %% [markdown]
-# ## How far is linear linear?
+# ## The range of the linear model
 #
-# `excitation` is the exact force of a finite displacement Xi of the base. Its difference from K~ Xi falls with the square of Xi.
+# `excitation` is the exact force due to a finite displacement Xi of the base. Its difference from K~ Xi decreases with the square of Xi.
 
 # %%
 direction = jnp.array([0.01, 0, 0, 0, 0, 0.02])
 sizes = 2.0 ** -jnp.arange(6)
-off = jnp.array(
+difference = jnp.array(
     [jnp.linalg.norm(jb.excitation(model, eq, {"base": size * direction}) - lin.K_tilde @ (size * direction)) for size in sizes]
 )
 _, ax = plt.subplots(figsize=(5, 3), layout="constrained")
-ax.loglog(sizes, off, "o-")
-ax.set(xlabel="size of Xi", ylabel="exact force less K~ Xi [N]")
-assert np.allclose(np.diff(np.log2(off))[-2:], -2, atol=0.01)
+ax.loglog(sizes, difference, "o-")
+ax.set(xlabel="size of Xi", ylabel="exact force minus K~ Xi [N]")
+assert np.allclose(np.diff(np.log2(difference))[-2:], -2, atol=0.01)
 
 # %% [markdown]
 # ## The exact motion
 #
-# The base shakes. The dampers feel its velocity, which is the derivative of the same function of time.
+# The base vibrates. Its velocity, which acts on the dampers, is the derivative of the same function of time.
 
 # %%
 times = jnp.linspace(0.0, 5.0, 501)
@@ -113,9 +113,9 @@ plot_forces(trajectory)
 trajectory
 
 # %% [markdown]
-# ## Back from a measured motion to the stiffnesses
+# ## Stiffnesses from a measured motion
 #
-# A camera sees the corner C with 2 mm of noise. The fit starts 30 % too stiff.
+# A camera measures the position of the corner C with 2 mm of noise. The initial guess is 30 % too stiff.
 
 # %%
 sensors = {"corner": jb.Position("plate", [3 * l, l, 0])}

@@ -1,7 +1,8 @@
-"""A car tuned for its driver: twelve springs, dampers and bars for the least vibration on a class C road, at two speeds, alone and with four
-aboard, within the strokes that the wheels have and with all tyres on the road; and the same search with finite differences.
+"""A car suspension tuned for ride comfort: twelve parameters of springs, dampers, tyres and anti-roll bars on a class C road.
 
-`python examples/ride_design.py ride.png` saves the picture.
+The worst weighted vibration of the driver, at two speeds and with one or four persons aboard, is minimized within the available strokes
+and with all tyres on the road. The same search with finite differences follows. `python examples/ride_design.py ride.png` saves the
+figure.
 """
 
 import sys
@@ -23,7 +24,7 @@ car = jb.presets.full_car()
 wheels = ("fl", "fr", "rl", "rr")
 road, band = jb.Unevenness.iso("C"), jb.Band(0.2, 40.0, points=201)
 speeds = jnp.array([15.0, 30.0])
-loads = {  # alone, and with four aboard and luggage behind the centre
+loads = {  # the driver alone; four persons and luggage behind the center
     "car.mass": jnp.array([1175.0, 1480.0]),
     "car.com": jnp.array([[0.0, 0.02, 0.0], [-0.15, 0.0, 0.05]]),
     "car.inertia": jnp.stack([jnp.diag(jnp.array([465.0, 1530.0, 1750.0])), jnp.diag(jnp.array([540.0, 1900.0, 2150.0]))]),
@@ -35,11 +36,14 @@ tyres = {f"tyre {wheel}": jb.ElementForce(f"tyre {wheel}") for wheel in wheels}
 weights = {"seat x": "Wd", "seat y": "Wd", "seat z": "Wk"}
 tracks = {
     (a, b): (1.0 if a[1] == b[1] else 0.5) for i, a in enumerate(wheels) for b in wheels[i + 1 :]
-}  # left and right differ, the rear follows
+}  # the rear wheels follow the front wheels; left and right are partly correlated
 
 
 def rides(model):
-    """Of each load and speed what the driver feels [m/s2], the stroke of each wheel from where it stands alone [m], the share of its load that each tyre may lose."""
+    """For each load and speed: weighted vibration of the driver [m/s2], strokes of the wheels [m], and shares of the tyre loads that may
+    be lost.
+
+    The strokes are measured from the equilibrium with the driver alone."""
 
     def loaded(values):
         aboard = jb.replace(model, values)
@@ -53,27 +57,27 @@ def rides(model):
             felt = jb.CrossPSD(dict.fromkeys(wheels, road.at_speed(speed)), delays=delays, coherence=tracks)
             ride = jb.random_response(lin, band, at_wheels, driver | travel | tyres, felt)
             strokes = jnp.stack([jb.objectives.stroke(ride, name) for name in travel])
-            lost = jnp.stack([3 * jb.objectives.road_holding(ride, {name: load}) for name, load in static.items()])
-            return jb.objectives.comfort(ride, weights), strokes, lost
+            unloading = jnp.stack([3 * jb.objectives.road_holding(ride, {name: load}) for name, load in static.items()])
+            return jb.objectives.comfort(ride, weights), strokes, unloading
 
         return elongations, *jax.vmap(driven)(speeds)
 
-    elongations, felt, strokes, lost = jax.vmap(loaded)(loads)
-    sunk = jnp.abs(elongations - elongations[:1])[:, None]
-    return {"felt": felt, "stroke": sunk + strokes, "tyre": lost}
+    elongations, felt, strokes, unloading = jax.vmap(loaded)(loads)
+    static = jnp.abs(elongations - elongations[:1])[:, None]
+    return {"felt": felt, "stroke": static + strokes, "tyre": unloading}
 
 
-worst = jax.vmap(lambda cases, width: jb.objectives.smooth_max(cases, width), (1, None))  # of loads and speeds, for each wheel
+worst = jax.vmap(lambda cases, width: jb.objectives.smooth_max(cases, width), (1, None))  # over loads and speeds, for each wheel
 
 
 def evaluate(model):
-    found = rides(model)
+    ride = rides(model)
     return {
-        "worst": jb.objectives.smooth_max(found["felt"].ravel(), 0.01),
-        "felt": found["felt"],
-        "stroke": worst(found["stroke"].reshape(4, 4), 2e-4),
-        "longest": jb.objectives.smooth_max(found["stroke"].ravel(), 2e-3),
-        "tyre": worst(found["tyre"].reshape(4, 4), 2e-3),
+        "worst": jb.objectives.smooth_max(ride["felt"].ravel(), 0.01),
+        "felt": ride["felt"],
+        "stroke": worst(ride["stroke"].reshape(4, 4), 2e-4),
+        "longest": jb.objectives.smooth_max(ride["stroke"].ravel(), 2e-3),
+        "tyre": worst(ride["tyre"].reshape(4, 4), 2e-3),
     }
 
 
@@ -93,21 +97,21 @@ bounds = {
 limits = {"stroke": (None, 0.075), "tyre": (None, 0.75)}
 
 begin = time.perf_counter()
-found = jb.tune(car, evaluate, free=free, bounds=bounds, minimize="worst", limits=limits)
+design = jb.tune(car, evaluate, free=free, bounds=bounds, minimize="worst", limits=limits)
 first = time.perf_counter() - begin
 begin = time.perf_counter()
 jb.tune(car, evaluate, free=free, bounds=bounds, minimize="worst", limits=limits)
 exact = time.perf_counter() - begin
-print(found)
+print(design)
 
-# The same optimizer on the same numbers, with derivatives by differences
+# The same optimizer and the same function, with derivatives by finite differences
 
-start = jnp.array([jb.paths(car)[path] for path in found.values])
-ends = np.array([next(ends for pattern, ends in bounds.items() if fnmatch(path, pattern)) for path in found.values])
-factors = ends[:, 0] > 0  # of what moves by factors
+start = jnp.array([jb.paths(car)[path] for path in design.values])
+ends = np.array([next(ends for pattern, ends in bounds.items() if fnmatch(path, pattern)) for path in design.values])
+factors = ends[:, 0] > 0  # parameters that vary by factors
 size = np.where(factors, 1.0, np.diff(ends)[:, 0] / 2)
 scaled = np.where(factors[:, None], np.log(np.maximum(ends, 1.0) / start[:, None]), (ends - start[:, None]) / size[:, None])
-names = {path: [path, path.replace("l.", "r.")] if path.startswith("tyre") else [path] for path in found.values}
+names = {path: [path, path.replace("l.", "r.")] if path.startswith("tyre") else [path] for path in design.values}
 
 
 @partial(jax.jit, compiler_options=jb.quick_options())
@@ -115,7 +119,7 @@ def numbers(u):
     x = jnp.where(factors, start * jnp.exp(u), start + size * u)
     values = evaluate(jb.replace(car, {path: x[i] for i, paths in enumerate(names.values()) for path in paths}))
     limited = jnp.concatenate([1 - values["stroke"] / 0.075, 1 - values["tyre"] / 0.75])
-    return values["worst"] / found.before["worst"], limited
+    return values["worst"] / design.before["worst"], limited
 
 
 begin = time.perf_counter()
@@ -135,37 +139,38 @@ rough = scipy.optimize.minimize(
     objective, np.zeros(12), bounds=scaled, constraints=margins, method="SLSQP", options=dict(ftol=1e-10, maxiter=200)
 )
 differences = time.perf_counter() - begin
-least = float(found.after["worst"])
-print(f"exact derivatives: {least:.5f} m/s2 in {exact:.2f} s and {found.evaluations} evaluations, {first:.1f} s with compiling")
+least = float(design.after["worst"])
+print(f"exact derivatives: {least:.5f} m/s2 in {exact:.2f} s, {design.evaluations} evaluations; {first:.1f} s with compilation")
 print(
-    f"differences:       {rough.fun * found.before['worst']:.5f} m/s2 in {differences:.2f} s and {len(calls)} evaluations of the objective alone, {compiling + differences:.1f} s with compiling"
+    f"differences:       {rough.fun * design.before['worst']:.5f} m/s2 in {differences:.2f} s, {len(calls)} evaluations of the objective;",
+    f"{compiling + differences:.1f} s with compilation",
 )
-assert found.ok and abs(rough.fun * found.before["worst"] / least - 1) < 1e-4
+assert design.ok and abs(rough.fun * design.before["worst"] / least - 1) < 1e-4
 
-# What comfort costs in stroke, and which parameter matters most
+# The trade-off between comfort and stroke, and the parameter with the largest influence
 
 front = jb.pareto(car, evaluate, minimize=["worst", "longest"], free=free, bounds=bounds, limits={"tyre": (None, 0.75)}, points=9)
 print(front)
-strongest = jb.sensitivities(found.model, evaluate, free=free, change=0.1)
-print("what moves it most:", ", ".join(strongest.ranked("worst")[:3]))
+strongest = jb.sensitivities(design.model, evaluate, free=free, change=0.1)
+print("largest influence on it:", ", ".join(strongest.ranked("worst")[:3]))
 
 figure, axes = plt.subplot_mosaic([["felt", "front"], ["stroke", "tornado"], ["search", "search"]], figsize=(12, 10), layout="constrained")
 cases = [f"{who}\n{3.6 * speed:.0f} km/h" for who in ("alone", "four aboard") for speed in np.asarray(speeds)]
-for i, (when, quantities) in enumerate({"before": found.before, "tuned": found.after}.items()):
+for i, (when, quantities) in enumerate({"before": design.before, "tuned": design.after}.items()):
     axes["felt"].bar(np.arange(4) + 0.4 * i - 0.2, np.ravel(quantities["felt"]), 0.38, color=f"C{i}", label=when)
     shares = np.concatenate([np.asarray(quantities["stroke"]) / 0.075, np.asarray(quantities["tyre"]) / 0.75])
     axes["stroke"].bar(np.arange(8) + 0.4 * i - 0.2, shares, 0.38, color=f"C{i}", label=when)
 axes["felt"].set_xticks(range(4), cases, fontsize=8)
-axes["felt"].set(ylabel="weighted acceleration [m/s2]", title="What the driver feels")
+axes["felt"].set(ylabel="weighted acceleration [m/s2]", title="Vibration at the driver's seat")
 axes["stroke"].axhline(1.0, color="black", lw=0.8)
 axes["stroke"].set_xticks(range(8), [f"{what}\n{wheel}" for what in ("stroke", "tyre") for wheel in wheels], fontsize=8)
-axes["stroke"].set(ylabel="share of the limit", ylim=(0, 1.6), title="Strokes to 75 mm, a quarter of each tyre's load kept")
+axes["stroke"].set(ylabel="share of the limit", ylim=(0, 1.6), title="Limits: stroke 75 mm, at least a quarter of each tyre load")
 plots.plot_front(front, ax=axes["front"]).set(
-    xlabel="longest stroke [m]", ylabel="worst vibration [m/s2]", title="What comfort costs in stroke"
+    xlabel="longest stroke [m]", ylabel="worst vibration [m/s2]", title="Trade-off between comfort and stroke"
 )
-axes["front"].plot(float(found.after["longest"]), float(found.after["worst"]), "*", ms=13, color="C1", label="the design")
-plots.plot_tornado(strongest, "worst", ax=axes["tornado"]).set(xlabel="worst vibration [m/s2]", title="What moves it most")
-plots.plot_tuning(found, ax=axes["search"]).set(ylabel="worst vibration [m/s2]", title=f"The search, {found.evaluations} evaluations")
+axes["front"].plot(float(design.after["longest"]), float(design.after["worst"]), "*", ms=13, color="C1", label="the design")
+plots.plot_tornado(strongest, "worst", ax=axes["tornado"]).set(xlabel="worst vibration [m/s2]", title="Largest influences on it")
+plots.plot_tuning(design, ax=axes["search"]).set(ylabel="worst vibration [m/s2]", title=f"The search, {design.evaluations} evaluations")
 for name in ("felt", "stroke", "front"):
     axes[name].legend(frameon=False, fontsize=8, loc="upper right")
 if len(sys.argv) == 2 and sys.argv[1].endswith(".png"):

@@ -1,18 +1,19 @@
-"""The Silverbox: an electrical mass on a hardening spring, fitted on 86300 measured samples and tested on 40576 others that grow louder.
+"""The Silverbox, an electronic oscillator with a hardening spring: fitted to 86300 measured samples, tested on 40576 others of rising
+amplitude.
 
 Data: T. Wigren and J. Schoukens, Three free data sets for development and benchmarking in nonlinear system identification, ECC 2013. The
-input V1 is taken for a force in newtons, the output V2 for a displacement in meters. Then everything to be found is in the model, and nothing
-in the run: the mass is that of one volt, and the free length says where the spring is relaxed, which takes up the offsets of V1 and V2.
+input V1 is taken as a force in newtons, the output V2 as a displacement in meters. All unknowns are then parameters of the model, none of
+the run: the mass and the stiffnesses are in these units, and the free length of the spring absorbs the offsets of V1 and V2.
 
     m x'' + F_d(x') + k1 e + k2 e^2 + k3 e^3 = V1,   e = x + 1 - l0
 
-Between samples the input is a C2 cubic spline. Its spectrum is flat up to 200 Hz, two thirds of what the samples can carry, and the
-resonance near 68 Hz turns by 0.7 rad from one sample to the next: straight lines weaken it the more the higher its frequency (rms errors of 0.9 mV),
-a held input is half a sample late besides (13 mV), while the spline nearly is the one signal without anything above half the sampling
-rate ("band-limited": upsampled by FFT, then the spline).
+Between samples the input is a C2 cubic spline. Its spectrum is flat up to 200 Hz, two thirds of the Nyquist frequency, and at the
+resonance near 68 Hz the phase advances by 0.7 rad per sample. Linear interpolation attenuates the input increasingly with frequency (rms
+errors of 0.9 mV), and a zero-order hold also delays it by half a sample (13 mV). The spline is close to the signal without content above
+the Nyquist frequency, which "band-limited" computes by upsampling with the FFT before the spline.
 
-With a name of a file the test is drawn into it: python examples/silverbox.py silverbox.png; with the word "compare" after it, other laws and inputs
-are fitted too, which takes some minutes.
+To save the figure of the test, give a file name: python examples/silverbox.py silverbox.png. With the word "compare" after it, other laws
+and inputs are fitted too, which takes some minutes.
 """
 
 import os
@@ -36,20 +37,20 @@ shared = pathlib.Path(os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).pare
 rate = 1e7 / 2**14  # Hz
 signals = jb.read_record(shared / "silverbox" / "SNLS80mV.csv.gz", rate=rate, channels={"V1": ("V1", "V"), "V2": ("V2", "V")})
 times, V1, V2 = signals.times, signals["V1"], signals["V2"]
-velocity = CubicSpline(times, V2).derivative()  # the box is in motion where either part begins
+velocity = CubicSpline(times, V2).derivative()  # the oscillator moves at the start of each part
 ESTIMATION, ARROW_HEAD = slice(40700, 127000), slice(0, 40576)
 along = {"axis": [1, 0, 0]}
 steps = {
     "stepsize_controller": diffrax.ConstantStepSize(),
     "dt0": 1 / rate,
-}  # no kink of the input within a step
+}  # one step per sample, so that no step contains a knot of the spline
 free = ["mass.mass", "strut.spring.*", "strut.damper.*", "strut.free_length"]
 cubic = jb.laws.Polynomial([1.0, 0.0, 4.0])
-rising = jb.laws.Digressive(slow=2e-4, fast=2.4e-4, knee=15.0)  # a damper that resists a little more when it is fast
+rising = jb.laws.Digressive(slow=2e-4, fast=2.4e-4, knee=15.0)  # damping that increases slightly with speed
 
 
 def model(spring, damper) -> jb.Model:
-    """A mass on a guide, the strut along it, a meter long."""
+    """A mass on a guide, with a strut of 1 m along the guide."""
     return jb.Model(
         bodies={"mass": jb.Body(mass=5.4e-6, inertia=[1, 1, 1])},
         joints={"mass": jb.Guide("world", **along)},
@@ -58,14 +59,14 @@ def model(spring, damper) -> jb.Model:
 
 
 def upsampled(x: np.ndarray, factor: int) -> np.ndarray:
-    """The samples between samples of the signal that has nothing above half the sampling rate."""
+    """The signal without content above the Nyquist frequency, at `factor` times the sampling rate."""
     spectrum = np.fft.rfft(x)
     spectrum[-1] /= 2
     return factor * np.fft.irfft(spectrum, factor * len(x))
 
 
 def record(part: slice, between: str = "cubic") -> jb.Experiment:
-    """A part of the record, started from the measured place with the velocity of the spline through V2."""
+    """A part of the record; it starts at the measured position with the velocity of the spline through V2."""
     fine = 4 if between == "band-limited" else 1
     V = upsampled(V1, fine)[part.start * fine : (part.stop - 1) * fine + 1]
     t = np.linspace(times[part.start], times[part.stop - 1], len(V))
@@ -81,12 +82,12 @@ def record(part: slice, between: str = "cubic") -> jb.Experiment:
 
 
 def fitted(start: jb.Model, between: str = "cubic") -> jb.Fit:
-    """On all samples of the estimation records, as one run."""
+    """The fit to all samples of the estimation records, as one run."""
     return jb.fit(start, {"records": record(ESTIMATION, between)}, free=free, max_steps=100_000, progress=True, **steps)
 
 
 def tested(fit: jb.Fit, between: str = "cubic") -> np.ndarray:
-    """Simulated less measured over the whole arrow-head [V], simulated once."""
+    """Simulated minus measured output over the whole arrow-head test [V], from one simulation."""
     run = record(ARROW_HEAD, between)
     trajectory = jb.simulate(fit.model, run.times, loads=run.loads, initial=run.initial, **steps)
     return np.asarray(trajectory.state.q[:, 0]) - V2[ARROW_HEAD]
@@ -101,13 +102,14 @@ def main() -> tuple[jb.Fit, np.ndarray]:
     return fit, tested(fit)
 
 
-def compare(found: jb.Model) -> list[tuple[str, jb.Fit, float]]:
-    """Other laws, and other inputs between samples: what it is, its fit and its rms error in the test."""
-    k, damper = found["strut"].spring.coefficients, found["strut"].damper
+def compare(fitted_model: jb.Model) -> list[tuple[str, jb.Fit, float]]:
+    """Other laws and another interpolation of the input: description, fit and rms error in the test."""
+    k, damper = fitted_model["strut"].spring.coefficients, fitted_model["strut"].damper
+    fifth_order = jb.replace(model(jb.laws.Polynomial([*k, 0.0, 0.0]), damper), scalars(fitted_model))
     cases = [
         ("cubic spring, linear damper", model(cubic, 2.2e-4), "cubic"),
-        ("fifth-order spring, rising damper", jb.replace(model(jb.laws.Polynomial([*k, 0.0, 0.0]), damper), scalars(found)), "cubic"),
-        ("the first, input band-limited", found, "band-limited"),
+        ("fifth-order spring, rising damper", fifth_order, "cubic"),
+        ("the first, input band-limited", fitted_model, "band-limited"),
     ]
     rows = []
     for name, start, between in cases:
@@ -117,8 +119,8 @@ def compare(found: jb.Model) -> list[tuple[str, jb.Fit, float]]:
     return rows
 
 
-def scalars(found: jb.Model) -> dict:
-    return {path: jb.paths(found, path)[path] for path in ("mass.mass", "strut.free_length")}
+def scalars(fitted_model: jb.Model) -> dict:
+    return {path: jb.paths(fitted_model, path)[path] for path in ("mass.mass", "strut.free_length")}
 
 
 def draw(error: np.ndarray, file: str) -> None:
@@ -132,7 +134,7 @@ def draw(error: np.ndarray, file: str) -> None:
     loud = 1e3 * np.abs(V2[ESTIMATION]).max()
     for level in (-loud, loud):
         above.axhline(level, color="0.5", lw=0.8, ls="--")
-    above.set_title("Silverbox, arrow-head test; dashed: as far as the estimation records go", fontsize=10)
+    above.set_title("Silverbox, arrow-head test; dashed: largest amplitude of the estimation records", fontsize=10)
     figure.savefig(file, dpi=110)
 
 

@@ -1,4 +1,5 @@
-"""The contract script's like in general position: a leaning block with its centre of mass off its origin, an arm on a hinge of the moving base."""
+"""The first example for bodies in general position: a tilted block, its center of mass off its origin, and an arm on a hinge of the
+base."""
 
 import jax
 import jax.numpy as jnp
@@ -7,7 +8,7 @@ import optax
 import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
-lean = jnp.array([0.966, 0.069, 0.138, 0.207])  # a turn by 30 degrees about (1, 2, 3)
+lean = jnp.array([0.966, 0.069, 0.138, 0.207])  # a rotation by 30 degrees about (1, 2, 3)
 eyes = {"rope1": [0.30, 0.20, 0.10], "rope2": [-0.30, 0.22, 0.12], "rope3": [-0.28, -0.20, 0.10], "rope4": [0.32, -0.22, 0.08]}
 hooks = {"rope1": [0.35, 0.45, 1.1], "rope2": [-0.50, 0.25, 1.1], "rope3": [-0.25, -0.50, 1.1], "rope4": [0.60, -0.20, 1.1]}
 k = {"rope1": 500.0, "rope2": 560.0, "rope3": 520.0, "rope4": 600.0}
@@ -16,7 +17,7 @@ model = jb.Model(
     bodies={
         "block": jb.Body(
             mass=12.0,
-            inertia=[0.50, 0.80, 1.10, 0.05, -0.02, 0.03],  # Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass, body axes
+            inertia=[0.50, 0.80, 1.10, 0.05, -0.02, 0.03],  # Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the center of mass, body axes
             com=[0.05, 0.02, -0.03],
             position=[0.0, 0.0, 0.5],
             orientation=lean / jnp.linalg.norm(lean),
@@ -30,7 +31,7 @@ model = jb.Model(
         "link": jb.Spring(("block", [0.3, 0.0, -0.1]), ("arm", [0.5, 0.0, 0.0]), stiffness=300.0, free_length=0.9, damping=2.0),
         "stay": jb.Spring(("arm", [0.8, 0.0, 0.0]), ("base", [1.6, 0.2, 1.1]), stiffness=400.0, free_length=0.5, damping=2.0),
     },
-    joints={"arm": jb.Hinge("base", axis=[0, 1, 0])},  # through the arm's own origin, turning with the base
+    joints={"arm": jb.Hinge("base", axis=[0, 1, 0])},  # through the arm's origin; the axis moves with the base
     gravity=[0, 0, -9.81],
 )
 
@@ -39,7 +40,7 @@ lin = jb.linearize(model, eq)
 modes = jb.modes(lin)
 xi = jnp.array([0.002, -0.001, 0.003, 0.002, 0.001, -0.002])
 print(model, eq, modes, sep="\n\n")
-print("force to first order", lin.K_tilde @ xi, "exact", jb.excitation(model, eq, {"base": xi}), sep="\n")
+print("force to first order:", lin.K_tilde @ xi, "exact", jb.excitation(model, eq, {"base": xi}), sep="\n")
 
 times = jnp.linspace(0.0, 3.0, 301)
 shaking = jb.Harmonic(frequency=3.0, translation=[0.004, 0.003, 0.005], rotation=[0.004, 0.006, 0.003], translation_phase=[0.0, 1.0, 2.0])

@@ -146,7 +146,7 @@ def decoupled_powertrain():
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", jb.JaxbodyWarning)  # forty iterations are enough for 98 %, not for the last digits
-        found = jb.tune(
+        result = jb.tune(
             engine, modal, free=free, bounds=bounds, minimize="coupling", limits={"frequency": (6.0, 18.0)}, starts=64, max_iterations=40
         )
-    return engine, found
+    return engine, result

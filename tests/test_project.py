@@ -44,7 +44,7 @@ def tree_of(module: str) -> ast.Module:
 
 def imported_modules(tree: ast.AST) -> dict[str, int]:
     """Modules of this package that a file imports, anywhere in it, and at which line; "" for the package itself."""
-    found: dict[str, int] = {}
+    result: dict[str, int] = {}
     for node in ast.walk(tree):
         names: list[str] = []
         if isinstance(node, ast.ImportFrom):
@@ -58,31 +58,31 @@ def imported_modules(tree: ast.AST) -> dict[str, int]:
             inside = name.removeprefix("jaxbody").removeprefix(".")
             if inside and inside != "a relative import" and inside not in MODULES and f"{inside}.__init__" not in MODULES:
                 inside = inside.rpartition(".")[0]
-            found.setdefault(inside, node.lineno)
-    return found
+            result.setdefault(inside, node.lineno)
+    return result
 
 
 def misplaced(module: str, imports: dict[str, int]) -> list[str]:
     """What a file may not import, and where the thing belongs."""
-    home, said = module.split(".")[0], []
+    home, text = module.split(".")[0], []
     for other, line in imports.items():
         package, place = other.split(".")[0], f"jaxbody/{module.replace('.', '/')}.py:{line} imports"
         if other == "a relative import":
-            said.append(f"{place} relatively: write the full name")
+            text.append(f"{place} relatively: write the full name")
             continue
         place += f" jaxbody.{other}"
         if package not in ORDER:
             if home not in ("__init__", "app"):
-                said.append(f"{place}: import the module that defines it, not the public name")
+                text.append(f"{place}: import the module that defines it, not the public name")
         elif home in ORDER and ORDER.index(package) > ORDER.index(home):
-            said.append(
+            text.append(
                 f"{place}: {package} comes after {home}. What both need belongs into a package before {package}; what needs both, after it"
             )
         elif home in NO_MECHANICS and package not in NO_MECHANICS[home] | {home}:
-            said.append(f"{place}: {home} knows no mechanics. Give it numbers, or put this file into {package} or after it")
+            text.append(f"{place}: {home} knows no mechanics. Give it numbers, or put this file into {package} or after it")
         elif {home, package} == APART:
-            said.append(f"{place}: what tuning and fitting share belongs into parameters or numerics")
-    return said
+            text.append(f"{place}: what tuning and fitting share belongs into parameters or numerics")
+    return text
 
 
 def test_every_package_has_its_place_in_the_order():
@@ -101,10 +101,10 @@ def test_an_import_that_is_misplaced_would_be_found_and_its_place_is_said():
     )
     imports = imported_modules(ast.parse(source))
     assert imports == {"simulations.simulations": 2, "core.units": 4, "statics": 5, "a relative import": 6}
-    said = "\n".join(misplaced("models.models", imports))
-    assert "jaxbody/models/models.py:2 imports jaxbody.simulations.simulations: simulations comes after models." in said
-    assert "models.py:5 imports jaxbody.statics: statics comes after models" in said and "models.py:6 imports relatively" in said
-    assert "core.units" not in said
+    text = "\n".join(misplaced("models.models", imports))
+    assert "jaxbody/models/models.py:2 imports jaxbody.simulations.simulations: simulations comes after models." in text
+    assert "models.py:5 imports jaxbody.statics: statics comes after models" in text and "models.py:6 imports relatively" in text
+    assert "core.units" not in text
     assert "knows no mechanics" in misplaced("statistics.noises", {"core.errors": 1, "geometry.frames": 2})[0]
     assert "parameters" in misplaced("designs.fronts", {"identification.fits": 3})[0]
 
@@ -329,10 +329,10 @@ def test_examples_in_docstrings_run(module):
     imported = importlib.import_module(f"jaxbody.{module}")
     names = {name: getattr(jb, name) for name in EXPORTED} | {"jb": jb, "jax": jax, "jnp": jnp}
     runner = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS)
-    told: list[str] = []
+    message: list[str] = []
     for test in doctest.DocTestFinder(exclude_empty=True).find(imported, module, extraglobs=names):
-        runner.run(test, out=told.append)
-    assert runner.summarize(verbose=False).failed == 0, "".join(told)
+        runner.run(test, out=message.append)
+    assert runner.summarize(verbose=False).failed == 0, "".join(message)
 
 
 def test_the_suite_ends_without_stray_tracebacks():

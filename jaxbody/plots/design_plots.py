@@ -25,7 +25,7 @@ def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
     ax.plot(count, objective, color=COLORS[0], lw=1.0, alpha=0.5)
     ax.plot(count[kept], objective[kept], "o", ms=4, color=COLORS[0], label="within the limits")
     if not kept.all():
-        ax.plot(count[~kept], objective[~kept], "o", ms=4, mfc="white", color=COLORS[1], label="not within them")
+        ax.plot(count[~kept], objective[~kept], "o", ms=4, mfc="white", color=COLORS[1], label="outside the limits")
     ax.set(xlabel="trial", ylabel=tuning.minimize)
     ax.xaxis.get_major_locator().set_params(integer=True)
     ax.legend(frameon=False, fontsize=8)

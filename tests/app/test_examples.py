@@ -31,7 +31,7 @@ def blocks(kind):
 
 
 def run(name):
-    """What a script defines and prints."""
+    """The names that a script defines and the text that it prints."""
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), mock.patch.object(sys, "argv", [name]):
         names = runpy.run_path(str(ROOT / "examples" / name))
@@ -194,7 +194,8 @@ def test_the_notebook_as_a_script(monkeypatch):
 
 @pytest.mark.long
 def test_the_car_over_the_kerb(monkeypatch):
-    """It stands level, hits its bump stops and lifts off the ground; the derivative with respect to the stops' gap agrees with differences."""
+    """The car stands level, hits its bump stops and lifts off the ground; the derivative with respect to their gap agrees with
+    differences."""
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names, _ = run("kerb.py")
     assert names["run"].ok and np.abs(names["eq"].state.q).max() < 1e-12
@@ -255,7 +256,7 @@ def test_an_instrument_on_an_isolator(monkeypatch):
     names, _ = run("isolator.py")
     vertical, k, h = names["vertical"], names["stiffness"], 1e-3
     ends = [float(vertical(k * np.array([1, 1, 1 + sign * h]))) for sign in (1, -1)]
-    np.testing.assert_allclose((ends[0] - ends[1]) / (2 * h), names["share"][2] * names["found"]["z felt"], rtol=1e-5)
+    np.testing.assert_allclose((ends[0] - ends[1]) / (2 * h), names["share"][2] * names["vibration"]["acceleration z"], rtol=1e-5)
 
 
 @pytest.mark.long
@@ -269,18 +270,18 @@ def test_comfort_on_a_class_c_road(monkeypatch):
 
 @pytest.mark.long
 def test_one_glider():
-    """The script compares its estimates with SciPy's fit of the closed form; here: the published residual of a free decay, and the held-out half."""
+    """The script compares its estimates with SciPy's fit of the closed form; here: the published residual and the held-out half."""
     data("gliders", "real_linear_h_1.txt")
     with pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):
         names, printed = run("glider.py")
     assert names["fit"].ok and names["shares"][1] < 0.8 and "held out" in printed
-    whole = names["judge"](names["record"])
+    whole = names["closed_form"](names["record"])
     assert abs(whole["stiffness"][0] / float(names["fit"].estimates["spring.stiffness"]) - 1) < 1e-3  # halves agree with the whole
 
 
 @pytest.mark.long
 def test_a_pendulum_with_friction():
-    """The script asserts a and the residuals; here: the interval of the dry friction contains zero and ends below 0.5 % of the weight's moment."""
+    """The script asserts a and the residuals; here: the interval of the dry friction contains 0 and ends below 0.5 % of the moment a."""
     data("gliders", "real_pend_h_1.txt")
     names, printed = run("pendulum.py")
     dry = names["fits"]["viscous and dry"]
@@ -290,13 +291,13 @@ def test_a_pendulum_with_friction():
 
 @pytest.mark.long
 def test_a_car_tuned_for_its_driver(monkeypatch):
-    """The script asserts that differences give the same optimum; here: the design meets its limits when reevaluated, and the front is sound."""
+    """The script asserts that differences give the same optimum; here: a new evaluation meets the limits, and the front is monotonic."""
     monkeypatch.setenv("MPLBACKEND", "Agg")
     names, printed = run("ride_design.py")
-    found, front = names["found"], names["front"]
-    again = names["rides"](found.model)
-    assert float(again["felt"].max()) < 0.9 * float(found.before["worst"])
+    design, front = names["design"], names["front"]
+    again = names["rides"](design.model)
+    assert float(again["felt"].max()) < 0.9 * float(design.before["worst"])
     assert float(again["stroke"].max()) < 0.0751 and float(again["tyre"].max()) < 0.751
-    assert "1 % more" in printed and len(found.values) == 12
+    assert "1 % more" in printed and len(design.values) == 12
     worst, longest = front.objectives["worst"], front.objectives["longest"]
     assert np.all(np.diff(longest) > 0) and np.all(np.diff(worst) < 1e-6)

@@ -1,9 +1,9 @@
-"""How often 95 % intervals hold the truth: white noise and AR(1) noise, by instruments; `--write` puts the table into coverage.md.
+"""How often 95 % intervals contain the true value, for white and AR(1) noise, by instrument; `--write` puts the table into coverage.md.
 
-A plate on five springs shakes with its base; stiffnesses, a damping and a free length are fitted to readings of one kind of instrument.
-Most fits are linearized steps, not `jaxbody.fit`: Gauss-Newton steps from the truth, many side by side, with Jacobians to second order in what they move;
-noise levels are estimated, and uncertainties come from the functions that `jaxbody.fit` calls. Rows "by jb.fit" are whole fits, from a start 10 % off.
-The naive interval takes residuals for white noise.
+A plate on five springs vibrates with its base; stiffnesses, a damping and a free length are fitted to readings of one kind of instrument.
+Most fits are linearized steps, not `jaxbody.fit`: Gauss-Newton steps from the truth, computed in batches, with Jacobians to second order
+in the changes. Noise levels are estimated, and uncertainties come from the functions that `jaxbody.fit` calls. Rows "by jb.fit" are whole
+fits, from a start 2 to 10 % off. The naive interval assumes white noise.
 """
 
 import argparse
@@ -82,12 +82,12 @@ class Study:
 
     def noises(self, rho: float, count: int, rng) -> dict:
         """AR(1) of variance one in every component."""
-        found = {}
+        result = {}
         for name, (n, *rest) in self.shapes.items():
             e = rng.normal(size=(count, n, *rest)) * np.sqrt(1 - rho**2)
             e[:, 0] /= np.sqrt(1 - rho**2)
-            found[name] = lfilter([1.0], [1.0, -rho], e, axis=1)
-        return found
+            result[name] = lfilter([1.0], [1.0, -rho], e, axis=1)
+        return result
 
     def _rng(self, rho: float, seed: int):
         return np.random.default_rng([seed, len(self.records), int(100 * rho), self.shapes[next(iter(self.shapes))][0]])
@@ -103,7 +103,7 @@ class Study:
             replicate = jb.Experiment(run.times, motion=run.motion, initial=run.initial, sensors=run.sensors, measured=new)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", jb.JaxbodyWarning)  # of correlated residuals
-                found = jb.fit(
+                result = jb.fit(
                     start,
                     {"run": replicate},
                     free=FREE,
@@ -111,14 +111,14 @@ class Study:
                     dt0=STEP,
                     max_steps=10 * len(run.times),
                 )
-            assert found.ok, found.report()
-            ends, worth = found.intervals(), found.uncertainty
+            assert result.ok, result.report()
+            ends, uncertainty = result.intervals(), result.uncertainty
             held.append([ends[path][0] <= x <= ends[path][1] for path, x in truth.items()])
-            error = np.array([np.log(float(found.estimates[path]) / x) for path, x in truth.items()])
-            far = quantile(0.95, worth.samples - len(error)) * np.sqrt(np.diag(worth.white_covariance))
+            error = np.array([np.log(float(result.estimates[path]) / x) for path, x in truth.items()])
+            far = quantile(0.95, uncertainty.samples - len(error)) * np.sqrt(np.diag(uncertainty.white_covariance))
             naive.append(np.abs(error) <= far)
-            flagged.append(worth.correlated)
-            distances.append(error @ np.linalg.solve(worth.covariance, error))
+            flagged.append(uncertainty.correlated)
+            distances.append(error @ np.linalg.solve(uncertainty.covariance, error))
         return shares(held, naive, flagged, distances)
 
     def run(self, rho: float, replicates: int, seed: int) -> dict:
@@ -126,13 +126,13 @@ class Study:
         held, naive, flagged, distances = [], [], [], []
         while len(held) < replicates:
             for u, r, J in zip(*map(np.asarray, self.fits(self.noises(rho, TOGETHER, rng))), strict=True):
-                u, worth = assessed(u, r, J, self.task.labels, self.records)
-                low, high = interval_of_u(u, worth, 0.95)
+                u, uncertainty = assessed(u, r, J, self.task.labels, self.records)
+                low, high = interval_of_u(u, uncertainty, 0.95)
                 held.append((low <= 0) & (high >= 0))
-                far = quantile(0.95, len(r) - len(u)) * np.sqrt(np.diag(worth.white_covariance))
+                far = quantile(0.95, len(r) - len(u)) * np.sqrt(np.diag(uncertainty.white_covariance))
                 naive.append(np.abs(u) <= far)
-                flagged.append(worth.correlated)
-                distances.append(u @ np.linalg.solve(worth.covariance, u))
+                flagged.append(uncertainty.correlated)
+                distances.append(u @ np.linalg.solve(uncertainty.covariance, u))
         return shares(*(each[:replicates] for each in (held, naive, flagged, distances)))
 
 
@@ -144,7 +144,7 @@ def shares(held: list, naive: list, flagged: list, distances: list) -> dict:
 
 
 def assessed(u, r, J, labels, records):
-    """With each unit of each sensor weighted by the noise that it shows, as `fit` does, one more step, and its worth."""
+    """One more step with each unit of each sensor weighted by its estimated noise, as in `fit`, and the uncertainty of its result."""
     weights = np.ones(len(r))
     for group in {one.group for one in records}:
         rows = np.concatenate([one.rows for one in records if one.group == group])
@@ -154,10 +154,10 @@ def assessed(u, r, J, labels, records):
     return u + step, assess(r + J @ step, J, [], [], labels, records)
 
 
-def row(name: str, n: int, rho: float, found: dict) -> str:
-    shares = [100 * np.array([found[key].min(), found[key].max()]) for key in ("held", "naive")]
+def row(name: str, n: int, rho: float, result: dict) -> str:
+    shares = [100 * np.array([result[key].min(), result[key].max()]) for key in ("held", "naive")]
     cells = [f"{low:.1f} to {high:.1f}" for low, high in shares]
-    return f"| {name} | {n} | {rho} | {cells[0]} | {cells[1]} | {100 * found['flagged']:.1f} | {found['p']:.3f} |"
+    return f"| {name} | {n} | {rho} | {cells[0]} | {cells[1]} | {100 * result['flagged']:.1f} | {result['p']:.3f} |"
 
 
 def main():
@@ -172,15 +172,19 @@ def main():
     lines = [
         "# Coverage of 95 % intervals",
         "",
-        f"`tests/benchmarks/coverage.py`, {options.replicates} replicates a row, seed {SEED}, {datetime.date.today()}. Percent of replicates, least and most",
-        f"over seven parameters, {' '.join(FREE)}; 2000 replicates know a share of 95 % to 0.5 (one standard deviation). `p` is that of Kolmogorov and",
-        "Smirnov's test of the normalized squares of the errors against chi-squared, which holds for white noise; of much correlated noise the covariance",
-        "itself is known from so few independent numbers that squares are larger, which the t-quantiles of the intervals account for.",
+        f"`tests/benchmarks/coverage.py`, {options.replicates} replicates a row, seed {SEED}, {datetime.date.today()}. Percent of"
+        " replicates whose intervals",
+        f"contain the true value, smallest and largest over seven parameters, {' '.join(FREE)}. With 2000",
+        "replicates the standard deviation of a share of 95 % is 0.5. `p` belongs to the Kolmogorov-Smirnov test of the",
+        "normalized squared errors against chi-squared, which is valid for white noise. With strongly correlated noise the",
+        "covariance itself is estimated from few independent numbers, so squares are larger; the t-quantiles of the intervals",
+        "account for that.",
         "",
-        "These fits are linearized steps, not `jb.fit`: one Gauss-Newton step from the truth, with a Jacobian to second order, then the functions that `jb.fit` calls",
-        f'for its uncertainties. Rows "by jb.fit" are {options.fits} whole fits each, from a start 2 to 10 % off; so many know a share of 95 % to {100 * np.sqrt(0.95 * 0.05 / options.fits):.1f}.',
+        "These fits are linearized steps, not `jb.fit`: one Gauss-Newton step from the truth, with a Jacobian to second order,",
+        f'then the functions that `jb.fit` calls for its uncertainties. Rows "by jb.fit" are {options.fits} whole fits each, from a start',
+        f"2 to 10 % off; the standard deviation of a share of 95 % is then {100 * np.sqrt(0.95 * 0.05 / options.fits):.1f}.",
         "",
-        "| instrument | samples a channel | rho | held, % | held by naive intervals, % | flagged, % | p |",
+        "| instrument | samples a channel | rho | contained, % | contained, naive intervals, % | flagged, % | p |",
         "|---|---|---|---|---|---|---|",
     ]
     for name, (sensors, level) in SENSORS.items():

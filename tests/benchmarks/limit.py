@@ -1,4 +1,4 @@
-"""What one core of this machine can do on a job: a hand-written C++ program, built with g++ for the tables of the job when it is asked for."""
+"""The speed of a hand-written C++ program for a job on one core, built with g++ from the tables of the job when it is needed."""
 
 import ctypes
 import subprocess
@@ -61,12 +61,12 @@ def tasks(job: Job) -> dict[str, Callable[[], np.ndarray]]:
     span, second = real(TIMES[-1]), real(1)
     library.simdense(at(k_true), span, saves, job.saves_per_long_step // 2, at(target))
     path_found = lambda: np.vstack([job.places(job.start), job.places(path)])  # noqa: E731
-    found = lambda: np.sort(frequencies)  # noqa: E731
+    result = lambda: np.sort(frequencies)  # noqa: E731
     return {
         "T1 C RK4": task(path_found, "sim", at(k), span, saves, job.steps, at(path)),
         "T1 C DOP853": task(path_found, "simdense", at(k), span, saves, job.saves_per_long_step, at(path)),
         "T2 C dual numbers": task(lambda: gradient[1:], "grad", at(k), span, saves, job.steps, at(target), at(gradient)),
         "T3 C SIMD RK4": task(lambda: job.places(ends), "batch", at(k_1000), 1000, second, job.steps_per_second, at(ends)),
-        "T4 C scalar": task(found, "modes", 0, at(k_10000), 10000, at(frequencies)),
-        "T4 C SIMD": task(found, "modes", 1, at(k_10000), 10000, at(frequencies)),
+        "T4 C scalar": task(result, "modes", 0, at(k_10000), 10000, at(frequencies)),
+        "T4 C SIMD": task(result, "modes", 1, at(k_10000), 10000, at(frequencies)),
     }

@@ -1,7 +1,8 @@
-"""Many bodies with many elements: time to compile and time per step, which must be linear in the number of elements: `python tests/benchmarks/many.py`.
+"""Many bodies with many elements: compile time, and time per step, which must be linear in the number of elements.
 
-A chain of 5 to 50 bodies with four elements each, springs and struts with laws, shaken from below; constant steps, so that a step is a step.
-Prints one table; ratios of the time per step over that of the smallest, beside the ratios of the numbers of elements.
+`python tests/benchmarks/many.py` simulates chains of 5 to 50 bodies with four elements each, springs and struts with laws, on a moving
+base with constant steps. The table compares the ratio of the time per step to that of the smallest chain with the ratio of the numbers of
+elements.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""What one process measures: T1 to T4 of a job through jaxbody's public functions, beside C and the peers; a first result; compile times."""
+"""The measurements of one process: T1 to T4 of a job with jaxbody's public functions, C and the peers; a first result; compile times."""
 
 import time
 from collections.abc import Callable
@@ -46,8 +46,8 @@ def user_functions(job: Job, copies: int = 1, **options) -> dict[str, Callable]:
     def modes(k):
         changed = stiffened(k)
         eq = jb.equilibrium(changed)
-        found = jb.modes(jb.linearize(changed, eq))
-        return found.frequency, found.status, eq.status, eq.stable
+        result = jb.modes(jb.linearize(changed, eq))
+        return result.frequency, result.status, eq.status, eq.stable
 
     jit = functools.partial(jax.jit, **options)
     return {
@@ -87,18 +87,18 @@ def truth(job: Job, task: str) -> np.ndarray:
     return references.frequencies(job, job.several_stiffnesses(10000)[::FEW])
 
 
-def error(job: Job, task: str, found, truth: np.ndarray) -> float:
+def error(job: Job, task: str, result, truth: np.ndarray) -> float:
     """In the measure of the task."""
-    if task == "T4" and isinstance(found, tuple):
-        found, *statuses, stable = found
+    if task == "T4" and isinstance(result, tuple):
+        result, *statuses, stable = result
         assert np.asarray(stable).all() and not any(np.asarray(status).any() for status in statuses)
-    found = np.asarray(found)
+    result = np.asarray(result)
     if task == "T2":
-        return float(np.abs(found - truth).max() / np.abs(truth).max())
+        return float(np.abs(result - truth).max() / np.abs(truth).max())
     if task in ("T3", "T4"):  # both hold evenly spaced sets
-        n = min(len(found), len(truth))
-        found, truth = found[:: len(found) // n], truth[:: len(truth) // n]
-    return float(np.abs(found / truth - 1).max()) if task == "T4" else job.error(found, truth)
+        n = min(len(result), len(truth))
+        result, truth = result[:: len(result) // n], truth[:: len(truth) // n]
+    return float(np.abs(result / truth - 1).max()) if task == "T4" else job.error(result, truth)
 
 
 def measure(job: Job, rounds: int, only: str, with_peers: bool) -> dict:
@@ -120,9 +120,9 @@ def measure(job: Job, rounds: int, only: str, with_peers: bool) -> dict:
         if task not in truths:
             truths[task] = truth(job, task)
         begun = time.perf_counter()
-        found = jax.block_until_ready(functions[name]())
+        result = jax.block_until_ready(functions[name]())
         first[name] = time.perf_counter() - begun
-        errors[name] = error(job, task, found, truths[task])
+        errors[name] = error(job, task, result, truths[task])
     times = medians({name: functions[name] for name in chosen}, rounds)
     times = {name: ms * shares.get(name, 1.0) for name, ms in times.items()}
     return {"first": {name: first[name] for name in LIMITS if name in first}, "errors": errors, "times": times, "skipped": skipped}

@@ -19,13 +19,13 @@ FEW = 5  # sets of the thousand in T3
 
 def tasks(job: Job) -> tuple[Peers, list[str]]:
     """What is installed, and a word on what is not."""
-    found, skipped = by_scipy(job), []
+    result, skipped = by_scipy(job), []
     for name, build in (("MuJoCo", by_mujoco), ("Exudyn", by_exudyn)):
         try:
-            found |= build(job)
+            result |= build(job)
         except ImportError as error:
             skipped.append(f"{name}: {error}")
-    return found, skipped
+    return result, skipped
 
 
 def by_scipy(job: Job) -> Peers:

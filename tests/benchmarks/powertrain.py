@@ -1,4 +1,4 @@
-"""Processor time of a tuning, compiling included: the mounts that decouple a powertrain, from 64 starts. `python powertrain.py`; under 20 s is expected."""
+"""Processor time of a tuning with compilation: mounts that decouple a powertrain, from 64 starts; under 20 s is expected."""
 
 import pathlib
 import sys
@@ -13,7 +13,7 @@ import rigs
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     begin = time.process_time(), time.perf_counter()
-    _, found = rigs.decoupled_powertrain()
+    _, result = rigs.decoupled_powertrain()
     spent = time.process_time() - begin[0], time.perf_counter() - begin[1]
-    shares = found.runs.quantities["dominant"].min(-1)
+    shares = result.runs.quantities["dominant"].min(-1)
     print(f"{spent[0]:.1f} s of the processor, {spent[1]:.1f} s in all; median of the least dominant share {np.median(shares):.2f} %")

@@ -1,10 +1,11 @@
-"""Noise-free recovery: random bodies on random springs, fitted from thirty per cent off, and what is said where the data cannot tell.
+"""Noise-free recovery: random bodies on random springs, fitted from starts thirty percent off, and the reports of undetermined parameters.
 
     python tests/benchmarks/recovery.py [--problems 200] [--seed 0]
 
-Every problem is a body on four spring-dampers under a base that shakes and turns; four stiffnesses, four dampings and the mass are unknown, known is how a point
-of it moved. In every fourth two springs are one beside the other, so that only their sums can be told. Which problems can be solved is judged by
-the singular values of a Jacobian by central differences of `simulate` at the truth; recovered means every parameter to 1e-8.
+Every problem is a body on four spring-dampers under a base that translates and rotates. Four stiffnesses, four dampings and the mass are
+unknown; the data are the motion of one point. In every fourth problem two springs are parallel, so that the data determine only their
+sums. The singular values of a Jacobian by central differences of `simulate` at the truth show which problems can be solved; recovered
+means every parameter to 1e-8.
 """
 
 import argparse
@@ -73,8 +74,8 @@ def solve(rng, beside: bool):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", jb.JaxbodyWarning)
         fit = jb.fit(jb.replace(model, values_of(start)), {"run": run}, free=PATHS, rtol=RTOL)
-    found = np.array([float(fit.estimates[path]) for path in PATHS])
-    return singular_values(model, truth, motion, sensors)[-1], np.abs(found / truth - 1).max(), fit
+    result = np.array([float(fit.estimates[path]) for path in PATHS])
+    return singular_values(model, truth, motion, sensors)[-1], np.abs(result / truth - 1).max(), fit
 
 
 def main(problems: int, seed: int):
@@ -92,7 +93,8 @@ def main(problems: int, seed: int):
     print(f"seed {seed}: {full.sum()} of full rank, {recovered.sum()} recovered to 1e-8 ({100 * recovered.sum() / full.sum():.1f} %)")
     print(f"{null.sum()} with a null direction, {flagged.sum()} flagged; {(~full & ~null).sum()} between")
     print(
-        f"of full rank: median error {np.median(error[full]):.1e}, largest {error[full].max():.1e}; flagged wrongly {(status[full] == 7).sum()}"
+        f"of full rank: median error {np.median(error[full]):.1e}, largest {error[full].max():.1e}; wrongly flagged",
+        (status[full] == 7).sum(),
     )
     for i in np.flatnonzero(full & ~recovered | null & ~flagged):
         print(f"  problem {i}: least singular value {least[i]:.1e}, error {error[i]:.1e}, {jb.Status(status[i]).name}")

@@ -1,4 +1,4 @@
-"""What T2 and T4 ought to give, from SciPy: the gradient by complex steps, frequencies by Newton's method and a general eigenvalue solver."""
+"""Reference results of T2 and T4 from SciPy: the gradient by complex steps, frequencies by Newton's method and an eigenvalue solver."""
 
 from dataclasses import replace
 
@@ -9,12 +9,12 @@ from job import Job
 
 def gradient(job: Job) -> np.ndarray:
     """Of the sum of squares to the target's path, for all stiffnesses; complex numbers pass through the equations of motion."""
-    target, found = job.solution(job.true_stiffness, rtol=1e-10), []
+    target, result = job.solution(job.true_stiffness, rtol=1e-10), []
     for i in range(len(job.stiffness)):
         step = 1e-30j * np.eye(len(job.stiffness))[i]
         path = job.solution(job.stiffness + step, rtol=1e-10)
-        found.append(np.sum((path - target) ** 2).imag / 1e-30)
-    return np.array(found)
+        result.append(np.sum((path - target) ** 2).imag / 1e-30)
+    return np.array(result)
 
 
 def frequencies(job: Job, stiffnesses: np.ndarray) -> np.ndarray:
@@ -39,7 +39,7 @@ def frequencies(job: Job, stiffnesses: np.ndarray) -> np.ndarray:
         steps = 1e-30j * np.eye(inertia.size)
         return -np.stack([force(k, moved(y, step)).imag / 1e-30 for step in steps], 1)
 
-    found = []
+    result = []
     for k in stiffnesses:
         y = job.start
         for _ in range(12):
@@ -48,5 +48,5 @@ def frequencies(job: Job, stiffnesses: np.ndarray) -> np.ndarray:
             y = y.ravel()
         assert np.abs(force(k, y)).max() < 1e-9
         K = stiffness(k, y)
-        found.append(np.sqrt(scipy.linalg.eigh((K + K.T) / 2, np.diag(inertia.ravel()), eigvals_only=True)) / (2 * np.pi))
-    return np.array(found)
+        result.append(np.sqrt(scipy.linalg.eigh((K + K.T) / 2, np.diag(inertia.ravel()), eigvals_only=True)) / (2 * np.pi))
+    return np.array(result)

@@ -1,13 +1,13 @@
-"""The speed of jaxbody beside a hand-written C++ program and other programs, on two jobs: `python tests/benchmarks/run.py`.
+"""The speed of jaxbody compared with a hand-written C++ program and other programs, on two jobs: `python tests/benchmarks/run.py`.
 
-Prints one table for each job (plate.py, three.py): medians, ratios to C of medians measured in turn in one process, errors reached,
-without and with XLA's option for small loops; then the time to a first result in a fresh process and the time to compile. Needs g++.
-MuJoCo, Exudyn and SciPy stand beside where they are installed.
+Prints one table for each job (plate.py, three.py): medians, ratios to C of medians measured in turn in one process, and errors,
+without and with XLA's option for small loops; then the time to a first result in a new process and the compile time. Needs g++.
+Includes MuJoCo, Exudyn and SciPy if they are installed.
 
-    --rounds N           how often each function is timed (default 13; what takes long, 3 times)
-    --job NAME           only the plate, only three
-    --only TEXT          only tasks whose name begins with TEXT, "T4"
-    --without, --with    only without, only with the option
+    --rounds N           how often each function is timed (default 13; slow functions 3 times)
+    --job NAME           only this job: plate or three
+    --only TEXT          only tasks whose name begins with TEXT, such as "T4"
+    --without, --with    only without, or only with the option
     --no-peers           C only
     --write              put the table into README.md, between its two marks
 
@@ -44,13 +44,13 @@ def child(*arguments: str, option: bool) -> dict:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def show(option: bool, found: dict) -> None:
+def show(option: bool, result: dict) -> None:
     print(f"{'with' if option else 'without'} the option")
-    for name, ms in found["times"].items():
-        ratio, target = ms / found["times"][MEASURED_AGAINST[name[:2]]], TARGETS.get((name, option), "")
-        first = f"{found['first'][name]:13.2f}" if name in found["first"] else ""
-        print(f"  {name:22s} {ms:9.3f} {ratio:11.2f} {target:>7} {found['errors'][name]:9.1e} {LIMITS[name[:2]]:8.0e} {first}")
-    for word in found["skipped"]:
+    for name, ms in result["times"].items():
+        ratio, target = ms / result["times"][MEASURED_AGAINST[name[:2]]], TARGETS.get((name, option), "")
+        first = f"{result['first'][name]:13.2f}" if name in result["first"] else ""
+        print(f"  {name:22s} {ms:9.3f} {ratio:11.2f} {target:>7} {result['errors'][name]:9.1e} {LIMITS[name[:2]]:8.0e} {first}")
+    for word in result["skipped"]:
         print(f"  skipped: {word}")
 
 
@@ -65,8 +65,8 @@ def main(chosen: argparse.Namespace) -> None:
         arguments = ["--measure", "--job", job, "--rounds", str(chosen.rounds), "--only", chosen.only]
         for option in options:
             no_peers = ["--no-peers"] if chosen.no_peers or option != options[0] else []
-            results.setdefault(job, {})[option] = found = child(*arguments, *no_peers, option=option)
-            show(option, found)
+            results.setdefault(job, {})[option] = result = child(*arguments, *no_peers, option=option)
+            show(option, result)
     if chosen.only:
         return
     starts = {job: starts_of(job) for job in results}
@@ -82,9 +82,9 @@ def starts_of(job: str, rounds: int = 3) -> dict[str, float]:
     spent: dict[str, list[float]] = {}
     for _ in range(rounds):
         for what, arguments in asked.items():
-            found = child("--start", *arguments, "--job", job, option=False)
-            spent.setdefault(what, []).append(found["seconds"])
-            spent.setdefault(IMPORTS, []).append(found["imports"])
+            result = child("--start", *arguments, "--job", job, option=False)
+            spent.setdefault(what, []).append(result["seconds"])
+            spent.setdefault(IMPORTS, []).append(result["imports"])
     starts = {what: statistics.median(seconds) for what, seconds in spent.items()}
     for what, seconds in starts.items():
         print(f"  {what:22s} {seconds:9.2f}   " + (f"target {STARTS[what.split(',')[0]]}" if what != IMPORTS else "before them"))
@@ -103,22 +103,30 @@ def markdown(results: dict[str, dict[bool, dict]], starts: dict[str, dict[str, f
     for job, by_option in results.items():
         plain, fast = by_option[False], by_option[True]
         rows = {"C": (plain, lambda task: MEASURED_AGAINST[task]), "jaxbody": (plain, str), "jaxbody, `fast_loops`": (fast, str)}
-        rows |= {peer: (plain, lambda task, peer=peer: f"{task} {peer}") for peer in dict.fromkeys(n[3:] for n in plain["times"]) if peer[:2] not in ("", "C ")}  # fmt: skip
+        peers = [peer for peer in dict.fromkeys(n[3:] for n in plain["times"]) if peer[:2] not in ("", "C ")]
+        rows |= {peer: (plain, lambda task, peer=peer: f"{task} {peer}") for peer in peers}
         lines += [f"| {JOBS[job]} | " + " | ".join(WORDS.values()) + " |", "|---|" + "---|" * len(WORDS)]
-        for label, (found, name_of) in rows.items():
+        for label, (result, name_of) in rows.items():
             cells = []
             for task in WORDS:
                 name = name_of(task)
-                if name not in found["times"]:
+                if name not in result["times"]:
                     cells.append("-")
                     continue
-                ms = found["times"][name]
-                ratio = ms / found["times"][MEASURED_AGAINST[task]]
-                cells.append(f"{ms:.3g} ({ratio:.2g}; {found['errors'][name]:.0e})")
+                ms = result["times"][name]
+                ratio = ms / result["times"][MEASURED_AGAINST[task]]
+                cells.append(f"{ms:.3g} ({ratio:.2g}; {result['errors'][name]:.0e})")
             lines.append(f"| {label} | " + " | ".join(cells) + " |")
         first = starts[job]
         quick = f"{first['motion in jit, quick']:.1f} and {first['gradient in jit, quick']:.1f} s"
-        lines += ["", f"First result of a fresh process, after the imports of jax and diffrax ({first[IMPORTS]:.1f} s): motion {first['motion']:.1f} s, frequencies {first['frequencies']:.1f} s; in a `jit` of your own motion {first['motion in jit']:.1f} s, gradient {first['gradient in jit']:.1f} s, with `quick_options` {quick}.", ""]  # fmt: skip
+        lines += [
+            "",
+            f"First result of a new process, after the imports of jax and diffrax ({first[IMPORTS]:.1f} s): motion "
+            f"{first['motion']:.1f} s, frequencies {first['frequencies']:.1f} s; "
+            f"inside your own `jit` motion {first['motion in jit']:.1f} s, "
+            f"gradient {first['gradient in jit']:.1f} s, with `quick_options` {quick}.",
+            "",
+        ]
     return "\n".join(lines).rstrip()
 
 

@@ -1,4 +1,4 @@
-"""Float32 beside float64, task by task: what is gained in time, what is lost in accuracy. `python single.py`, each precision in a process of its own."""
+"""Float32 compared with float64 in time and accuracy for each task; `python single.py` runs each precision in its own process."""
 
 import argparse
 import functools
@@ -39,14 +39,14 @@ def measure(precision: int, folder: Path) -> None:
         "T3": lambda rtol: jax.jit(jax.vmap(lambda k: path(k, np.array([0.0, 1.0]), rtol)[-1])),
         "T4": lambda _: jax.jit(jax.vmap(frequencies)),
     }
-    found, functions = {}, {}
+    result, functions = {}, {}
     for task, tolerances in TOLERANCES.items():
         for rtol in tolerances if precision == 32 else tolerances[-1:]:
             k = jnp.asarray(JOB.several_stiffnesses(SETS[task]) if task in SETS else JOB.stiffness, number)
             function = tasks[task](rtol if precision == 32 else 1e-10)
-            found[f"{task} {rtol:g}"] = np.asarray(jax.block_until_ready(function(k)), float)
+            result[f"{task} {rtol:g}"] = np.asarray(jax.block_until_ready(function(k)), float)
             functions[f"{task} {rtol:g}"] = functools.partial(function, k)
-    np.savez(folder / f"{precision}.npz", **found)
+    np.savez(folder / f"{precision}.npz", **result)
     print(json.dumps(medians(functions, 7)))
 
 

@@ -1,4 +1,4 @@
-"""Error and time of a simulation and of its gradient by rtol: plate and three boxes, 10 s. `python tolerances.py`; the table is simulate's docstring's."""
+"""Error and time of a simulation and of its gradient for several rtol: plate and three boxes, 10 s; the table in simulate's docstring."""
 
 import time
 
@@ -39,7 +39,8 @@ def main() -> None:
                     jax.block_until_ready(function(k, rtol))
                     spent.setdefault((kind, rtol), []).append(time.process_time() - begin)
         print(
-            f"\n{job.name}\n| rtol | steps | error [m, rad] | relative time | error of the gradient | relative time |\n|---|---|---|---|---|---|"
+            f"\n{job.name}\n| rtol | steps | error [m, rad] | relative time | error of the gradient | relative time |\n"
+            "|---|---|---|---|---|---|"
         )
         median = {key: float(np.median(times)) for key, times in spent.items()}
         for rtol in TOLERANCES:

@@ -1,7 +1,9 @@
-"""An accelerometer that reads half a sample late, 0.2 % too much and from a wrong zero: intervals where that is modelled, the residual test where not.
+"""An accelerometer with a delay of half a sample, a gain error of 0.2 % and a bias: coverage if these are modeled, the residual test if
+not.
 
-`python tests/benchmarks/transducers.py` fits a cart on a spring, shaken by its base, to an accelerometer and an LVDT at 40 dB: every replicate is
-a whole `jaxbody.fit` from a start 10 % off, of a simulated record with noise of its own. `--write` puts the table into transducers.md.
+`python tests/benchmarks/transducers.py` fits a cart on a spring, shaken by its base, to an accelerometer and an LVDT at 40 dB. Every
+replicate is a whole `jaxbody.fit` from a start 10 % off, to a simulated record with its own noise. `--write` puts the table into
+transducers.md.
 """
 
 import argparse
@@ -65,25 +67,31 @@ class Study:
         """Errors over true values, whether intervals hold them, and the residual test of each replicate."""
         errors, stated, held, flagged, least, factor = [], [], [], [], [], []
         for seed in range(count):
-            found = self.fit(seed, modelled)
-            ends = found.intervals()
-            errors.append([float(x) - TRUTH[path] for path, x in found.estimates.items()])
-            stated.append([float(found.standard_errors[path]) for path in found.estimates])
-            held.append([float(ends[path][0]) <= TRUTH[path] <= float(ends[path][1]) for path in found.estimates])
-            tests = [test.p for test in found.uncertainty.whiteness.values() if test is not None]
-            flagged.append(found.uncertainty.correlated)
+            result = self.fit(seed, modelled)
+            ends = result.intervals()
+            errors.append([float(x) - TRUTH[path] for path, x in result.estimates.items()])
+            stated.append([float(result.standard_errors[path]) for path in result.estimates])
+            held.append([float(ends[path][0]) <= TRUTH[path] <= float(ends[path][1]) for path in result.estimates])
+            tests = [test.p for test in result.uncertainty.whiteness.values() if test is not None]
+            flagged.append(result.uncertainty.correlated)
             least.append(min(1.0, len(tests) * min(tests)))
-            factor.append(max(float(rms) / self.noise[name] for name, rms in found.noise["run"].items()))
+            factor.append(max(float(rms) / self.noise[name] for name, rms in result.noise["run"].items()))
         return {
-            "paths": list(found.estimates), "errors": np.array(errors), "stated": np.array(stated), "held": np.array(held), "flagged": np.array(flagged),
-            "white": np.array(least), "rms": np.array(factor),
-        }  # fmt: skip
+            "paths": list(result.estimates),
+            "errors": np.array(errors),
+            "stated": np.array(stated),
+            "held": np.array(held),
+            "flagged": np.array(flagged),
+            "white": np.array(least),
+            "rms": np.array(factor),
+        }
 
 
 def report(modelled: dict, bare: dict) -> list[str]:
     delay = modelled["errors"][:, modelled["paths"].index("run.acc.delay")] / STEP
     lines = [
-        "| parameter | true | held, modelled, % | standard deviation of the estimate | held, not modelled, % | mean error, not modelled |",
+        "| parameter | true | coverage, modeled, % | standard deviation of the estimate | coverage, not modeled, %"
+        " | mean error, not modeled |",
         "|---|---|---|---|---|---|",
     ]
     for i, path in enumerate(modelled["paths"]):
@@ -97,10 +105,10 @@ def report(modelled: dict, bare: dict) -> list[str]:
         "",
         f"Error of the delay: standard deviation {delay.std():.4f} samples, largest {np.abs(delay).max():.4f}, mean {delay.mean():.5f}.",
     ]
-    for name, found in (("modelled", modelled), ("not modelled", bare)):
+    for name, result in (("Modeled", modelled), ("Not modeled", bare)):
         lines.append(
-            f"Residuals {name}: told to be correlated in {100 * found['flagged'].mean():.1f} %, Ljung and Box's p below 0.01 in "
-            f"{100 * (found['white'] < 0.01).mean():.1f} % of replicates; largest rms over stated noise {found['rms'].mean():.3f}."
+            f"{name}: residuals reported as correlated in {100 * result['flagged'].mean():.1f} %, p of the Ljung-Box test below 0.01 in "
+            f"{100 * (result['white'] < 0.01).mean():.1f} % of replicates; largest rms over stated noise {result['rms'].mean():.3f}."
         )
     return lines
 
@@ -115,18 +123,21 @@ def main():
     begin = time.perf_counter()
     study = Study()
     modelled, bare = study.replicates(options.replicates, True), study.replicates(max(options.replicates // 4, 10), False)
-    told = [
+    page = [
         "# A transducer with a delay, a gain error and a bias",
         "",
-        f"`tests/benchmarks/transducers.py`, {options.replicates} replicates modelled and {len(bare['errors'])} not, seed {SEED}, {datetime.date.today()}; "
-        f"{SAMPLES} samples at {1 / STEP:g} Hz of an accelerometer (delay half a sample, gain 1.002, bias {CHAIN['bias']} m/s2) and an LVDT, 40 dB.",
+        f"`tests/benchmarks/transducers.py`, seed {SEED}, {datetime.date.today()}; {options.replicates} replicates with the errors in"
+        f" the fitted model and {len(bare['errors'])} without them;",
+        f"{SAMPLES} samples at {1 / STEP:g} Hz of an accelerometer (delay half a sample, gain 1.002, bias {CHAIN['bias']} m/s2) and an"
+        ' LVDT, 40 dB. "Coverage": percent of',
+        "replicates whose 95 % interval contains the true value.",
         "",
         *report(modelled, bare),
     ]
-    print("\n".join(told))
+    print("\n".join(page))
     print(f"{time.perf_counter() - begin:.0f} s")
     if options.write:
-        (Path(__file__).parent / "transducers.md").write_text("\n".join(told) + "\n")
+        (Path(__file__).parent / "transducers.md").write_text("\n".join(page) + "\n")
 
 
 if __name__ == "__main__":

@@ -98,10 +98,10 @@ with warnings.catch_warnings(record=True) as told:
 def test_fast_loops_are_set_once_beside_what_is_there():
     held = "--xla_backend_extra_options="
     flags = f"--xla_cpu_prefer_vector_width=128 {held}xla_cpu_disable_new_fusion_emitters=false"
-    told = run(FAST)
+    message = run(FAST)
     width = "--xla_cpu_prefer_vector_width=512"
-    assert told == [f"True True {width} {held}xla_cpu_small_while_loop_byte_threshold=100000000", "True True"]
-    assert told[0].split()[2:] == run(FAST, XLA_FLAGS="--xla_cpu_multi_thread_eigen=true")[0].split()[3:]
+    assert message == [f"True True {width} {held}xla_cpu_small_while_loop_byte_threshold=100000000", "True True"]
+    assert message[0].split()[2:] == run(FAST, XLA_FLAGS="--xla_cpu_multi_thread_eigen=true")[0].split()[3:]
     kept = run(FAST.split("import jax.numpy")[0], XLA_FLAGS=flags)[0]
     assert kept.endswith(flags + ",xla_cpu_small_while_loop_byte_threshold=100000000")
 

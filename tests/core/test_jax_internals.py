@@ -118,8 +118,8 @@ def test_a_linear_function_has_the_transpose_that_it_is_given():
 
     k, x = jnp.array([2.0, 3.0]), jnp.array([5.0, 7.0])
     both = lambda k, x: (scaled(k, x), jax.jacfwd(scaled, 1)(k, x), jax.grad(scaled, 1)(k, x), jax.jacfwd(scaled)(k, x))  # noqa: E731
-    for found in (jax.jit(jax.vmap(both))(k, x), jax.tree.map(lambda *p: jnp.stack(p), *(both(*p) for p in zip(k, x, strict=True)))):
-        assert jnp.allclose(jnp.stack(found), jnp.stack([k * x, k, k, x]), rtol=1e-15)
+    for result in (jax.jit(jax.vmap(both))(k, x), jax.tree.map(lambda *p: jnp.stack(p), *(both(*p) for p in zip(k, x, strict=True)))):
+        assert jnp.allclose(jnp.stack(result), jnp.stack([k * x, k, k, x]), rtol=1e-15)
     assert jnp.allclose(jax.grad(lambda x: jnp.sum(jax.vmap(scaled, (0, None))(k, x)))(5.0), 5.0, rtol=1e-15)  # 2 + 3
     mixed = jax.jacfwd(jax.grad(lambda x, k: scaled(k, x) * x), 1)  # d/dk of d(k x2)/dx = 2 x
     assert jnp.allclose(mixed(5.0, 2.0), 10.0, rtol=1e-15)

@@ -67,7 +67,7 @@ def made():
         {"mass": jb.PointMotion("mass", direction="x")},
         {"*.stiffness": (3.0, 300.0)},
     )
-    found, modes = jb.fit(one, {"run": measured(TIMES)}, free=free), jb.modes(lin)
+    result, modes = jb.fit(one, {"run": measured(TIMES)}, free=free), jb.modes(lin)
     acceleration = jb.Record(np.arange(400) / 20, {"acc": (np.cos(np.arange(400) / 20 * 6), "m/s2")})
     path = Path(jnp.linspace(0, 1, 3), jnp.array([1.0, 0.5, jnp.nan]))
     x, (strokes, forces) = jnp.ones((1, 2, 3)), 2 * [tuple(jnp.ones((1, *e.shape)) for e in eq.deformations)]
@@ -85,9 +85,9 @@ def made():
         jb.frequency_response(small, [1.0, 2.0], shaken, moved),
         jb.random_response(small, jb.Band(0.5, 5.0), shaken, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}),
         jb.weighted_signal(np.arange(400) / 400, np.cos(np.arange(400)), "Wk"), jb.base_motion(acceleration, "acc", axis=[1, 0, 0]),
-        found, Multistart(found, np.ones(1), np.ones(1, int), found.estimates, 4, 3, found.status),
-        jb.validate(found, {"later": measured(TIMES)}),
-        jb.profile(found, free[0]), jb.bands(found, lambda model: model["spring"].stiffness), jb.diagnose(one, {"run": measured(TIMES)}),
+        result, Multistart(result, np.ones(1), np.ones(1, int), result.estimates, 4, 3, result.status),
+        jb.validate(result, {"later": measured(TIMES)}),
+        jb.profile(result, free[0]), jb.bands(result, lambda model: model["spring"].stiffness), jb.diagnose(one, {"run": measured(TIMES)}),
         jb.plausibility(one),
         jb.tune(one, quantities, free=free, minimize="shake", bounds=bounds, starts=1), jb.sensitivities(one, quantities, free=free),
         jb.tolerances(one, quantities, {"spring.stiffness": 1.0}, samples=100),

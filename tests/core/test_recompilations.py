@@ -94,7 +94,7 @@ SECONDS = {
 @pytest.mark.parametrize("case", SECONDS)
 def test_a_compilation_of_more_than_a_minute_is_mentioned(case):
     """JAX says how long it took to whoever listens; here it says so once more, with other numbers."""
-    events, said = SECONDS[case]
+    events, text = SECONDS[case]
 
     def doubled_slowly(x):
         for event, name, seconds in events:
@@ -105,8 +105,8 @@ def test_a_compilation_of_more_than_a_minute_is_mentioned(case):
     seen = warned(once, [(jnp.ones(3),), (jnp.zeros(3),)])
     assert [
         message.endswith("[SLOW_COMPILATION]") and f"doubled_slowly took {time} to compile" in message
-        for message, time in zip(seen, said, strict=True)
-    ] == [True] * len(said)
+        for message, time in zip(seen, text, strict=True)
+    ] == [True] * len(text)
 
 
 def test_the_seconds_of_a_compilation_are_those_that_jax_reports(monkeypatch):

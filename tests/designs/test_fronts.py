@@ -19,8 +19,8 @@ def car():
 
 
 def ride(model):
-    found = jb.random_response(jb.linearize(model, model.reference), BAND, {"road": jb.BaseMotion("road", "z")}, ASKED, {"road": ROAD})
-    return {name: found[name] for name in ASKED}
+    result = jb.random_response(jb.linearize(model, model.reference), BAND, {"road": jb.BaseMotion("road", "z")}, ASKED, {"road": ROAD})
+    return {name: result[name] for name in ASKED}
 
 
 @pytest.mark.long
@@ -83,6 +83,6 @@ def test_objectives_that_agree_have_one_design(car):
 
 @pytest.mark.parametrize("options", [dict(minimize=["one"]), dict(minimize=["one", "two"], points=2)])
 def test_bad_input_is_told(car, options):
-    with pytest.raises(jb.JaxbodyError, match=r"two or three different names|a whole number >= 3") as told:
+    with pytest.raises(jb.JaxbodyError, match=r"two or three different names|a whole number >= 3") as caught:
         jb.pareto(car, distances, **options, **PLANE)
-    assert told.value.code == "BAD_FRONT"
+    assert caught.value.code == "BAD_FRONT"

@@ -164,7 +164,7 @@ def test_the_least_peak_force_in_an_earthquake():
         }
 
     bounds = {"mount.damping": ([20.0, 0.5, 0.5], [1500.0, 2.0, 2.0])}
-    found = jb.tune(model, shaken, free="mount.damping", bounds=bounds, minimize="force", limits={"travel": (None, most)})
+    result = jb.tune(model, shaken, free="mount.damping", bounds=bounds, minimize="force", limits={"travel": (None, most)})
     grid = np.linspace(20.0, 1500.0, 741)
     peaks = []
     for c in grid:
@@ -173,6 +173,6 @@ def test_the_least_peak_force_in_an_earthquake():
         peaks.append(np.abs(y).max(0))
     force, travel = np.array(peaks).T
     least = force[travel <= most].min()
-    assert abs(found.after["force"] / least - 1) < 0.01 and found.after["travel"] < most * (1 + 1e-6)
-    nearest = np.argmin(abs(grid - float(found.after["c"])))
-    np.testing.assert_allclose([found.after["force"], found.after["travel"]], peaks[nearest], rtol=0.01)
+    assert abs(result.after["force"] / least - 1) < 0.01 and result.after["travel"] < most * (1 + 1e-6)
+    nearest = np.argmin(abs(grid - float(result.after["c"])))
+    np.testing.assert_allclose([result.after["force"], result.after["travel"]], peaks[nearest], rtol=0.01)

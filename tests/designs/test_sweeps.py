@@ -58,24 +58,24 @@ def test_chunks_shrink_to_the_memory_there_is(car, monkeypatch):
         return jnp.linalg.norm(jnp.sort(jnp.sin(jnp.arange(2.0**17) * model["body"].mass)))
 
     masses = {"body.mass": np.linspace(1.0, 2.0, 64)}
-    found = jb.sweep(car, large, masses)
+    result = jb.sweep(car, large, masses)
     (program, width), *_ = sweeps.compiled[large].values()
     assert width < 64 and program.memory_analysis().temp_size_in_bytes <= 2**24
     expected = [np.linalg.norm(np.sin(np.arange(2.0**17) * m)) for m in (1.0, 2.0)]
-    np.testing.assert_allclose(found["objective"][[0, -1]], expected, rtol=1e-12)
+    np.testing.assert_allclose(result["objective"][[0, -1]], expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("sampler", ["sobol", "latin"])
 def test_samples_are_spread_between_their_ranges(car, sampler):
     over = {"suspension.stiffness": (2e4, 6e4), "body.mass": (300.0, 450.0)}
-    found = jb.sweep(car, quantities, over, samples=32, sampler=sampler, key=jax.random.key(3))
-    ks, ms = found["suspension.stiffness"].values, found["body.mass"].values
-    assert found["frequency"].dims == ("sample", "frequency_0")
-    np.testing.assert_allclose(found["frequency"], frequencies(ks, ms), rtol=1e-10)
+    result = jb.sweep(car, quantities, over, samples=32, sampler=sampler, key=jax.random.key(3))
+    ks, ms = result["suspension.stiffness"].values, result["body.mass"].values
+    assert result["frequency"].dims == ("sample", "frequency_0")
+    np.testing.assert_allclose(result["frequency"], frequencies(ks, ms), rtol=1e-10)
     for values, (low, high) in ((ks, over["suspension.stiffness"]), (ms, over["body.mass"])):
         assert sorted(np.floor(32 * (values - low) / (high - low)).astype(int)) == list(range(32))  # one in each of 32 slices
     again = jb.sweep(car, quantities, over, samples=32, sampler=sampler, key=jax.random.key(3))
-    assert (again["body.mass"] == found["body.mass"]).all()
+    assert (again["body.mass"] == result["body.mass"]).all()
 
 
 BAD = {
@@ -92,6 +92,6 @@ BAD = {
 @pytest.mark.parametrize("code", BAD)
 def test_bad_input_is_told(car, code):
     options, words = BAD[code]
-    with pytest.raises(jb.JaxbodyError, match=words) as told:
+    with pytest.raises(jb.JaxbodyError, match=words) as caught:
         jb.sweep(car, quantities, **options)
-    assert told.value.code == code
+    assert caught.value.code == code

@@ -25,25 +25,25 @@ def quadratic(model):
 
 
 @pytest.fixture(scope="module")
-def found(weight):
+def result(weight):
     return jb.tolerances(weight, quadratic, {"spring.stiffness": SK, "spring.damping": SC}, samples=20_000, key=jax.random.key(1))
 
 
-def test_the_moments_of_a_quadratic_are_exact_and_those_of_its_samples(found):
+def test_the_moments_of_a_quadratic_are_exact_and_those_of_its_samples(result):
     """Second order is exact for it; samples are within four standard errors."""
     mean = 3 + 0.5 * SK**2 - 6 * SC**2
     first = np.hypot(2 * SK, 5 * SC)
     second = np.sqrt(first**2 + (1.0 * SK**2) ** 2 / 2 + (4 * SK * SC) ** 2 + (12 * SC**2) ** 2 / 2)
-    assert found.ok and found.quantities == ("f", "pair[0]", "pair[1]") and found.parameters == ("spring.stiffness", "spring.damping")
+    assert result.ok and result.quantities == ("f", "pair[0]", "pair[1]") and result.parameters == ("spring.stiffness", "spring.damping")
     np.testing.assert_allclose(
-        [found.nominal[0], found.first[0], found.mean[0], found.deviation[0]], [3.0, first, mean, second], rtol=1e-12
+        [result.nominal[0], result.first[0], result.mean[0], result.deviation[0]], [3.0, first, mean, second], rtol=1e-12
     )
-    np.testing.assert_allclose(found.first[1:], [SK, 10 * SC], rtol=1e-12)
-    n = len(found.samples)
-    assert abs(found.sampled_mean[0] - mean) < 4 * second / n**0.5
-    assert abs(found.sampled_deviation[0] / second - 1) < 4 * np.sqrt(0.5 / n) * 2
-    np.testing.assert_allclose(found.shares[0], [(2 * SK) ** 2 / first**2, (5 * SC) ** 2 / first**2], rtol=1e-12)
-    assert "spring.stiffness 98 %" in str(found) and "20000 samples; ok" in str(found)
+    np.testing.assert_allclose(result.first[1:], [SK, 10 * SC], rtol=1e-12)
+    n = len(result.samples)
+    assert abs(result.sampled_mean[0] - mean) < 4 * second / n**0.5
+    assert abs(result.sampled_deviation[0] / second - 1) < 4 * np.sqrt(0.5 / n) * 2
+    np.testing.assert_allclose(result.shares[0], [(2 * SK) ** 2 / first**2, (5 * SC) ** 2 / first**2], rtol=1e-12)
+    assert "spring.stiffness 98 %" in str(result) and "20000 samples; ok" in str(result)
 
 
 @pytest.mark.long
@@ -59,13 +59,13 @@ def test_the_second_order_of_a_frequency_is_that_of_its_closed_form():
     def frequency(model):
         return jb.modes(jb.linearize(model, model.reference)).frequency[0]
 
-    found = jb.tolerances(model, frequency, scatter, samples=4000)
+    result = jb.tolerances(model, frequency, scatter, samples=4000)
     f, n = np.sqrt(k / m) / (2 * np.pi), 4000
     mean = f * (1 - a**2 / 8 + 3 * b**2 / 8)
     deviation = f * np.sqrt(a**2 / 4 + b**2 / 4 + a**4 / 32 + 9 * b**4 / 32 + a**2 * b**2 / 16)
-    np.testing.assert_allclose([found.mean[0], found.deviation[0]], [mean, deviation], rtol=1e-12)
-    assert abs(found.sampled_mean[0] - mean) < 4 * deviation / n**0.5
-    assert abs(found.sampled_deviation[0] / deviation - 1) < 4 * np.sqrt(0.5 / n)
+    np.testing.assert_allclose([result.mean[0], result.deviation[0]], [mean, deviation], rtol=1e-12)
+    assert abs(result.sampled_mean[0] - mean) < 4 * deviation / n**0.5
+    assert abs(result.sampled_deviation[0] / deviation - 1) < 4 * np.sqrt(0.5 / n)
     high = jb.robust(frequency, scatter)(model)["objective high"]
     np.testing.assert_allclose(high, mean + 3 * deviation, rtol=1e-12)
 
@@ -77,16 +77,16 @@ def test_a_curved_quantity_has_exact_second_derivatives(weight):
     def curved(model):
         return jnp.exp(r * (model["spring"].stiffness - K0)) * model["spring"].damping
 
-    found = jb.tolerances(weight, curved, {"spring.stiffness": SK, "spring.damping": SC}, samples=2)
-    np.testing.assert_allclose(found.mean[0], C0 * (1 + (r * SK) ** 2 / 2), rtol=1e-13)
+    result = jb.tolerances(weight, curved, {"spring.stiffness": SK, "spring.damping": SC}, samples=2)
+    np.testing.assert_allclose(result.mean[0], C0 * (1 + (r * SK) ** 2 / 2), rtol=1e-13)
     variance = (C0 * r * SK) ** 2 + SC**2 + (C0 * (r * SK) ** 2) ** 2 / 2 + (r * SK * SC) ** 2
-    np.testing.assert_allclose(found.deviation[0], np.sqrt(variance), rtol=1e-13)
+    np.testing.assert_allclose(result.deviation[0], np.sqrt(variance), rtol=1e-13)
 
 
 def test_samples_without_numbers_are_told(weight):
     with pytest.warns(jb.JaxbodyWarning, match=r"NONFINITE: .*; \d+ of 200 samples are not finite"):
-        found = jb.tolerances(weight, lambda model: jnp.sqrt(model["spring"].damping - 0.9), {"spring.damping": 0.1}, samples=200)
-    assert np.isfinite(found.sampled_mean).all() and np.isfinite(found.first).all()
+        result = jb.tolerances(weight, lambda model: jnp.sqrt(model["spring"].damping - 0.9), {"spring.damping": 0.1}, samples=200)
+    assert np.isfinite(result.sampled_mean).all() and np.isfinite(result.first).all()
 
 
 def test_a_design_for_the_mean_plus_three_sigma(weight):
@@ -99,9 +99,9 @@ def test_a_design_for_the_mean_plus_three_sigma(weight):
 
     made = jb.robust(cost, {"spring.damping": s})
     free = dict(free="spring.stiffness", bounds={"spring.stiffness": (10.0, 200.0)})
-    found = jb.tune(weight, made, minimize="cost high", **free)
-    np.testing.assert_allclose(found.values["spring.stiffness"], K0 / (1 + 3 * s), rtol=1e-5)
-    np.testing.assert_allclose(found.after["cost high"], 3 * s / (1 + 3 * s), rtol=1e-9)
+    result = jb.tune(weight, made, minimize="cost high", **free)
+    np.testing.assert_allclose(result.values["spring.stiffness"], K0 / (1 + 3 * s), rtol=1e-5)
+    np.testing.assert_allclose(result.after["cost high"], 3 * s / (1 + 3 * s), rtol=1e-9)
     softer = jb.replace(weight, {"spring.stiffness": 40.0})
     plain = jb.tune(softer, made, minimize="cost", limits={"cost high": (None, 0.25)}, **free)
     x = plain.after["cost high"]  # the limit lies between the two designs
@@ -119,9 +119,9 @@ BAD = {
 def test_bad_scatter_is_told(weight, code):
     scatter, words = BAD[code]
     for call in (lambda: jb.tolerances(weight, quadratic, scatter), lambda: jb.robust(quadratic, scatter)(weight)):
-        with pytest.raises(jb.JaxbodyError, match=words) as told:
+        with pytest.raises(jb.JaxbodyError, match=words) as caught:
             call()
-        assert told.value.code == code
+        assert caught.value.code == code
 
 
 def modal(model):
@@ -137,24 +137,24 @@ def ranked():
 
 def test_sensitivities_are_differences_and_ranked(ranked):
     """Slopes to differences; both ends exactly; the body's mode follows its spring and mass, the wheel's its own."""
-    car, found = ranked
+    car, result = ranked
     frequency = jax.jit(lambda model: modal(model)["frequency"])
-    for i, path in enumerate(found.parameters):
+    for i, path in enumerate(result.parameters):
         value = float(jb.paths(car)[path])
         at = lambda x, path=path: np.asarray(frequency(jb.replace(car, {path: x})))  # noqa: E731
-        np.testing.assert_allclose(found.slopes[:, i], (at(value * 1.0001) - at(value * 0.9999)) / (2e-4 * value), rtol=1e-6)
-        np.testing.assert_allclose(found.low[:, i], at(0.8 * value), rtol=1e-12)
-        np.testing.assert_allclose(found.high[:, i], at(1.2 * value), rtol=1e-12)
-    assert found.ranked("frequency[0]")[:2] == ("body.mass", "suspension.stiffness")
-    assert found.ranked("frequency[1]")[:2] == ("wheel.mass", "tyre.stiffness")
-    assert "20 % less" in str(found)
+        np.testing.assert_allclose(result.slopes[:, i], (at(value * 1.0001) - at(value * 0.9999)) / (2e-4 * value), rtol=1e-6)
+        np.testing.assert_allclose(result.low[:, i], at(0.8 * value), rtol=1e-12)
+        np.testing.assert_allclose(result.high[:, i], at(1.2 * value), rtol=1e-12)
+    assert result.ranked("frequency[0]")[:2] == ("body.mass", "suspension.stiffness")
+    assert result.ranked("frequency[1]")[:2] == ("wheel.mass", "tyre.stiffness")
+    assert "20 % less" in str(result)
     with pytest.raises(jb.JaxbodyError, match="Did you mean"):
-        found.ranked("frequency")
+        result.ranked("frequency")
     with pytest.raises(jb.JaxbodyError, match="BAD_CHANGE"):
         jb.sensitivities(car, modal, free="*.mass", change=1.5)
 
 
-def test_a_tornado_and_a_histogram_show_what_was_found(ranked, found, weight):
+def test_a_tornado_and_a_histogram_show_what_was_found(ranked, result, weight):
     _, sensitive = ranked
     ax = plots.plot_tornado(sensitive, "frequency[1]")
     names = [label.get_text() for label in ax.get_yticklabels()]
@@ -165,10 +165,10 @@ def test_a_tornado_and_a_histogram_show_what_was_found(ranked, found, weight):
         [min(sensitive.low[1].min(), sensitive.high[1].min()), max(sensitive.low[1].max(), sensitive.high[1].max())],
         rtol=1e-12,
     )
-    below = plots.plot_tolerances(found)
+    below = plots.plot_tolerances(result)
     heights = np.array([[bar.get_height(), bar.get_width()] for bar in below.patches])
     np.testing.assert_allclose(np.sum(heights.prod(1)), 1.0, rtol=1e-12)
-    for line, mean, deviation in zip(below.lines[:2], (found.nominal, found.mean), (found.first, found.deviation), strict=True):
+    for line, mean, deviation in zip(below.lines[:2], (result.nominal, result.mean), (result.first, result.deviation), strict=True):
         x = line.get_xdata()
         shown = scipy.stats.norm(float(mean[0]), float(deviation[0])).cdf(x[[-1, 0]])
         np.testing.assert_allclose(np.trapezoid(line.get_ydata(), x), shown[0] - shown[1], rtol=1e-3)

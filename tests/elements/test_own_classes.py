@@ -92,9 +92,9 @@ def test_a_field_of_ones_own_is_fitted_tuned_and_printed_with_its_unit():
         measured={"z": 0.5 + 1e-6 * np.array([0, 1, -1, 1])},
         noise=1e-5,
     )
-    found = jb.fit(model, {"run": run}, free=["pair.strength"])
-    np.testing.assert_allclose(found.estimates["pair.strength"], 0.5, rtol=1e-3)
-    assert " N m2 " in str(found)
+    result = jb.fit(model, {"run": run}, free=["pair.strength"])
+    np.testing.assert_allclose(result.estimates["pair.strength"], 0.5, rtol=1e-3)
+    assert " N m2 " in str(result)
     tuned = jb.tune(model, lambda model: (model["pair"].strength - 0.7) ** 2, free="pair.strength")
     np.testing.assert_allclose(tuned.model["pair"].strength, 0.7, rtol=1e-3)
     with pytest.raises(jb.JaxbodyError, match=r"-1 N m2.*NOT_POSITIVE"):

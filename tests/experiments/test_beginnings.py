@@ -53,8 +53,8 @@ def run(x, **options):
     return {"run": jb.Experiment(TIMES, motion=MOTION, sensors=SENSORS, measured={"x": x}, **options)}
 
 
-def values_of(found):
-    return np.array([float(found.estimates[path]) for path in FREE])
+def values_of(result):
+    return np.array([float(result.estimates[path]) for path in FREE])
 
 
 def noisy(x, seed=0):
@@ -62,15 +62,15 @@ def noisy(x, seed=0):
 
 
 def optimum(residual):
-    found = scipy.optimize.least_squares(lambda u: residual(np.exp(u)), np.log(TRUTH), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    return np.exp(found.x)
+    result = scipy.optimize.least_squares(lambda u: residual(np.exp(u)), np.log(TRUTH), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    return np.exp(result.x)
 
 
 def test_a_simulation_at_rest_begins_in_the_sag_on_the_displaced_base_with_its_speed():
-    found = jb.simulate(box(), TIMES, motion=MOTION, initial="rest")
+    result = jb.simulate(box(), TIMES, motion=MOTION, initial="rest")
     z, speed = base(0.0)
-    np.testing.assert_allclose([found.state.q[0, 0], found.state.v[0, 0]], [z - MASS * G / TRUTH[0], speed], rtol=1e-12)
-    np.testing.assert_allclose(found.poses["box"].p[:, 2], independent(TRUTH), atol=1e-8)
+    np.testing.assert_allclose([result.state.q[0, 0], result.state.v[0, 0]], [z - MASS * G / TRUTH[0], speed], rtol=1e-12)
+    np.testing.assert_allclose(result.poses["box"].p[:, 2], independent(TRUTH), atol=1e-8)
 
 
 def test_rest_on_a_base_that_is_turned_and_moves_is_carried_along_rigidly():
@@ -78,13 +78,13 @@ def test_rest_on_a_base_that_is_turned_and_moves_is_carried_along_rigidly():
     model = plate(damping=1.0)
     shaking = {"base": jb.Harmonic(frequency=0.5, translation=[0.3, 0.1, -0.2], rotation=[0, 0, 0.6], translation_phase=[0.2, 0.1, 0.4],
                                    rotation_phase=0.3)}  # fmt: skip
-    found, eq = jb.simulate(model, [0.0, 1e-3], motion=shaking, initial="rest"), jb.equilibrium(model)
+    result, eq = jb.simulate(model, [0.0, 1e-3], motion=shaking, initial="rest"), jb.equilibrium(model)
     for name, e in eq.elongations.items():
-        np.testing.assert_allclose(found.elongations[name][0], e, atol=1e-9)
+        np.testing.assert_allclose(result.elongations[name][0], e, atol=1e-9)
     xi, rate = jax.jvp(shaking["base"], (jnp.array(0.0),), (jnp.array(1.0),))
-    np.testing.assert_allclose(found.state.v[0, 3:], rate[3:], atol=1e-9)
-    arm = np.asarray(found.state.q[0, :3]) - np.asarray(xi[:3])  # from the origin of the base, which was at zero
-    np.testing.assert_allclose(found.state.v[0, :3], rate[:3] + np.cross(rate[3:], arm), atol=1e-9)
+    np.testing.assert_allclose(result.state.v[0, 3:], rate[3:], atol=1e-9)
+    arm = np.asarray(result.state.q[0, :3]) - np.asarray(xi[:3])  # from the origin of the base, which was at zero
+    np.testing.assert_allclose(result.state.v[0, :3], rate[:3] + np.cross(rate[3:], arm), atol=1e-9)
 
 
 def test_derivatives_at_rest_are_those_of_the_closed_form_in_both_modes():
@@ -107,18 +107,18 @@ def test_the_gradient_of_a_motion_that_begins_at_rest_is_that_of_differences():
         return jnp.sum(jb.simulate(jb.replace(box(), {"s.stiffness": k}), TIMES[:6], motion=MOTION, initial="rest").state.q ** 2)
 
     low, high = (np.sum(independent((TRUTH[0] + h, TRUTH[1]))[:6] ** 2) for h in (-0.01, 0.01))
-    found = jax.jit(jax.grad(squares), compiler_options=jb.quick_options())(jnp.asarray(TRUTH[0]))
-    np.testing.assert_allclose(found, (high - low) / 0.02, rtol=1e-6)
+    result = jax.jit(jax.grad(squares), compiler_options=jb.quick_options())(jnp.asarray(TRUTH[0]))
+    np.testing.assert_allclose(result, (high - low) / 0.02, rtol=1e-6)
 
 
 def test_a_fit_at_rest_moves_the_rest_state_with_its_parameters():
     """SciPy's optimum with the sag m g/k following k; a state that stays at the sag of the start leads elsewhere."""
     record = noisy(independent(TRUTH))
     start = box(TRUTH * [1.2, 0.7])
-    found = jb.fit(start, run(record, initial="rest"), free=FREE, rtol=1e-11)
+    result = jb.fit(start, run(record, initial="rest"), free=FREE, rtol=1e-11)
     expected = optimum(lambda p: (independent(p) - record) / NOISE)
-    np.testing.assert_allclose(values_of(found), expected, rtol=1e-7)
-    assert found.ok and not found.remarks
+    np.testing.assert_allclose(values_of(result), expected, rtol=1e-7)
+    assert result.ok and not result.remarks
 
 
 def test_what_is_left_out_of_the_beginning_does_not_count():
@@ -126,11 +126,11 @@ def test_what_is_left_out_of_the_beginning_does_not_count():
     knock = np.where(TIMES < 0.5, 0.02 * np.sin(20 * TIMES), 0.0)
     record = noisy(independent(TRUTH)) + knock
     late = run(record, initial="rest", leave_out=0.5)
-    found = jb.fit(box(TRUTH * [1.1, 0.8]), late, free=FREE, rtol=1e-11)
+    result = jb.fit(box(TRUTH * [1.1, 0.8]), late, free=FREE, rtol=1e-11)
     kept = TIMES >= 0.5
     expected = optimum(lambda p: ((independent(p) - record) / NOISE)[kept])
-    np.testing.assert_allclose(values_of(found), expected, rtol=1e-7)
-    assert found.uncertainty.samples == kept.sum() and np.isnan(late["run"].measured["x"][:25]).all()
+    np.testing.assert_allclose(values_of(result), expected, rtol=1e-7)
+    assert result.uncertainty.samples == kept.sum() and np.isnan(late["run"].measured["x"][:25]).all()
 
 
 @pytest.mark.parametrize("leave_out", [-1.0, 3.0, "0.5", np.nan, True])
@@ -144,10 +144,10 @@ def test_a_fit_that_begins_far_off_says_that_rest_would_do_better():
     """From the reference pose, 5 cm and a sag away from where the box stood."""
     record = noisy(independent(TRUTH))
     with pytest.warns(jb.JaxbodyWarning) as caught:
-        found = jb.fit(box(), run(record), free=FREE)
+        result = jb.fit(box(), run(record), free=FREE)
     (far,) = [w.message for w in caught if w.message.code == "FAR_OFF"]
     assert "'run' begins" in str(far) and 'initial="rest", in equilibrium on its base, would be' in str(far)
-    assert found.remarks[0] in str(found)
+    assert result.remarks[0] in str(result)
 
 
 def test_a_fit_to_a_recorded_base_motion_says_that_rest_would_do_better():
@@ -166,10 +166,10 @@ def test_a_fit_to_a_recorded_base_motion_says_that_rest_would_do_better():
     with pytest.warns(jb.JaxbodyWarning) as caught:
         jb.fit(relaxed, {"run": jb.Experiment(times, motion=motion, sensors=sensors, measured=read)}, free=FREE)
     assert any(w.message.code == "FAR_OFF" and 'initial="rest"' in str(w.message) for w in caught)
-    found = jb.fit(relaxed, {"run": jb.Experiment(times, motion=motion, sensors=sensors, measured=read, initial="rest")}, free=FREE)
-    assert not found.remarks and not any(found.uncertainty.orders.values())
+    result = jb.fit(relaxed, {"run": jb.Experiment(times, motion=motion, sensors=sensors, measured=read, initial="rest")}, free=FREE)
+    assert not result.remarks and not any(result.uncertainty.orders.values())
     for path, value in zip(FREE, (80.0, 1.0), strict=True):
-        assert abs(float(found.estimates[path]) - value) < 4 * float(found.standard_errors[path])
+        assert abs(float(result.estimates[path]) - value) < 4 * float(result.standard_errors[path])
 
 
 def test_a_fit_that_begins_far_off_at_rest_says_what_to_leave_out():

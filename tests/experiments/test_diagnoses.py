@@ -32,10 +32,10 @@ def diagnosed(swing, change, key=0):
     levels = jax.random.split(jax.random.key(key), 3)
     noisy = {name: np.asarray(x + 2e-4 * jax.random.normal(k, x.shape)) for (name, x), k in zip(readings.items(), levels, strict=True)}
     run = jb.Experiment(TIMES, initial=initial, sensors=SENSORS, measured=noisy | change(noisy))
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", jb.JaxbodyWarning)
         result = jb.diagnose(model, {"run": run})
-    return result, sorted({w.message.code for w in told if isinstance(w.message, jb.JaxbodyWarning)})
+    return result, sorted({w.message.code for w in caught if isinstance(w.message, jb.JaxbodyWarning)})
 
 
 def later(x, delay):
@@ -86,10 +86,10 @@ def test_gravity_that_was_taken_out_of_a_record_is_named(swing):
     bare = {"acc": whole["acc"] - [0, 0, 9.81], "up": whole["up"] - 9.81, "along": whole["along"]}
 
     def codes_and_words(model, measured):
-        with warnings.catch_warnings(record=True) as told:
+        with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always", jb.JaxbodyWarning)
-            found = jb.diagnose(model, {"run": jb.Experiment(TIMES, initial=initial, sensors=sensors, measured=measured)})
-        return [w.message.code for w in told], found.words
+            result = jb.diagnose(model, {"run": jb.Experiment(TIMES, initial=initial, sensors=sensors, measured=measured)})
+        return [w.message.code for w in caught], result.words
 
     assert codes_and_words(model, whole) == ([], ())
     codes, words = codes_and_words(model, bare)
@@ -139,9 +139,9 @@ def table():
 @pytest.mark.parametrize("case", UNITS)
 def test_a_unit_that_moves_a_size_far_away_is_named(table, case):
     change, code = UNITS[case]
-    with pytest.warns(jb.JaxbodyWarning) as told:
+    with pytest.warns(jb.JaxbodyWarning) as caught:
         result = jb.plausibility(change(table))
-    codes = {w.message.code for w in told}
+    codes = {w.message.code for w in caught}
     assert code in codes and result.words and all(word in str(result) for word in result.words)
 
 

@@ -77,14 +77,14 @@ def fit(measurements, **options):
     return jb.fit(model_of(START), measurements, free=list(TRUTH), **options)
 
 
-def values(found):
-    return np.array([float(found.estimates[path]) for path in TRUTH])
+def values(result):
+    return np.array([float(result.estimates[path]) for path in TRUTH])
 
 
 def optimum(residual):
     options = dict(jac="3-point", x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    found = scipy.optimize.least_squares(lambda u: residual(np.exp(u)), np.log(list(TRUTH.values())), **options)
-    return np.exp(found.x), found.jac
+    result = scipy.optimize.least_squares(lambda u: residual(np.exp(u)), np.log(list(TRUTH.values())), **options)
+    return np.exp(result.x), result.jac
 
 
 def parts(measured, p):
@@ -101,28 +101,28 @@ def measured():
 
 
 @pytest.fixture(scope="module")
-def found(measured):
+def result(measured):
     return fit({"hammer": hammer(measured, SIGMA)})
 
 
-def test_a_fit_to_responses_is_scipys_with_its_standard_errors(found, measured):
+def test_a_fit_to_responses_is_scipys_with_its_standard_errors(result, measured):
     expected, J = optimum(lambda p: parts(measured, p))
-    np.testing.assert_allclose(values(found), expected, rtol=1e-7)
+    np.testing.assert_allclose(values(result), expected, rtol=1e-7)
     r = parts(measured, expected)
     Q, R = np.linalg.qr(J)  # each channel has its own variance: (J'J)^-1 J' diag(s2) J (J'J)^-1
     ends = np.cumsum([0] + [2 * (~np.isnan(measured[pair])).sum() for pair in PAIRS])
     M = sum(Q[i:j].T @ Q[i:j] * (r[i:j] @ r[i:j]) / (j - i - np.sum(Q[i:j] ** 2)) for i, j in itertools.pairwise(ends))
-    made = found.to_xarray()
+    made = result.to_xarray()
     np.testing.assert_array_equal(made["hammer_x1/force_measured"].sel(hammer_frequency=F), measured["x1", "force"])
     errors = np.sqrt(np.diag(np.linalg.solve(R, np.linalg.solve(R, M).T))) * expected
-    mine = np.array([float(found.standard_errors[path]) for path in TRUTH])
+    mine = np.array([float(result.standard_errors[path]) for path in TRUTH])
     print(mine / errors)
     np.testing.assert_allclose(mine, errors, rtol=1e-5)
-    np.testing.assert_allclose(found.cost, 0.5 * r @ r, rtol=1e-8)
-    assert found.uncertainty.samples == len(r) == 2 * (3 * len(F) - 2)
-    np.testing.assert_allclose([found.noise["hammer"][f"{y}/{u}"] / SIGMA[y, u] for y, u in PAIRS], 1, atol=0.15)
-    assert re.search(r"\n  hammer.x1/force +\S+ +m/N\n", str(found))
-    drawn = plots.plot_autocorrelation(found, sensor="x1/force", ax=Figure().subplots())
+    np.testing.assert_allclose(result.cost, 0.5 * r @ r, rtol=1e-8)
+    assert result.uncertainty.samples == len(r) == 2 * (3 * len(F) - 2)
+    np.testing.assert_allclose([result.noise["hammer"][f"{y}/{u}"] / SIGMA[y, u] for y, u in PAIRS], 1, atol=0.15)
+    assert re.search(r"\n  hammer.x1/force +\S+ +m/N\n", str(result))
+    drawn = plots.plot_autocorrelation(result, sensor="x1/force", ax=Figure().subplots())
     assert drawn.get_xlabel() == "lag [lines]" and drawn.get_legend().get_texts()[1].get_text() == "hammer.x1/force imaginary"
 
 
@@ -138,9 +138,9 @@ def test_a_noise_for_every_frequency_weighs_every_frequency(measured):
         return np.concatenate([np.stack([d.real, d.imag], -1)[~np.isnan(d)].ravel() for d in differences])
 
     expected, _ = optimum(residual)
-    found = fit({"hammer": hammer(measured, every)})
-    np.testing.assert_allclose(values(found), expected, rtol=1e-7)
-    assert weight[-1] == 3 and "hammer.x2/base" in str(found)
+    result = fit({"hammer": hammer(measured, every)})
+    np.testing.assert_allclose(values(result), expected, rtol=1e-7)
+    assert weight[-1] == 3 and "hammer.x2/base" in str(result)
 
 
 @pytest.mark.long
@@ -206,8 +206,8 @@ def test_pairing_by_shape_survives_another_order():
     free = ["lower.stiffness", "upper.stiffness"]
     start = jb.replace(model_of(TRUTH), {"lower.stiffness": 4800.0, "upper.stiffness": 800.0})
     for options in (dict(pairing="mac"), dict(number=[1, 0])):
-        found = jb.fit(start, {"test": jb.MeasuredModes(shapes=shapes, **common, **options)}, free=free)
-        np.testing.assert_allclose([float(x) for x in found.estimates.values()], [4000.0, 900.0], rtol=1e-8)
+        result = jb.fit(start, {"test": jb.MeasuredModes(shapes=shapes, **common, **options)}, free=free)
+        np.testing.assert_allclose([float(x) for x in result.estimates.values()], [4000.0, 900.0], rtol=1e-8)
 
 
 @pytest.mark.long
@@ -218,8 +218,8 @@ def test_a_loss_factor_and_the_place_of_a_sensor_can_be_free():
     inputs, outputs = {"force": jb.PointForce("m1", direction="x")}, {"x1": port("m1")}
     H = jb.frequency_response(lin, F, inputs, outputs, loss_factor=eta)["x1", "force"]
     given = jb.MeasuredResponse(F, inputs=inputs, outputs=outputs, measured={("x1", "force"): H}, noise=1e-6, loss_factor={"lower": 0.03})
-    found = jb.fit(model, {"hammer": given}, free=["hammer.loss_factor.lower", "lower.stiffness"])
-    np.testing.assert_allclose([float(x) for x in found.estimates.values()], [0.08, 4000.0], rtol=1e-7)
+    result = jb.fit(model, {"hammer": given}, free=["hammer.loss_factor.lower", "lower.stiffness"])
+    np.testing.assert_allclose([float(x) for x in result.estimates.values()], [0.08, 4000.0], rtol=1e-7)
 
 
 def codes_of(function):
@@ -237,8 +237,8 @@ def test_what_is_wrong_with_them_is_told_at_once(measured):
         ("BAD_NOISE", "MeasuredResponse.noise[('x1', 'force')]"),
         ("UNKNOWN_NAME", "MeasuredResponse.noise[('x1', 'base')]"),
     ]
-    found = codes_of(lambda: jb.MeasuredModes(frequency=[1.0, 2.0], damping_ratio=[0.1], pairing="mac", noise={"shapes": 1.0}))
-    assert [code for code, _ in found] == ["BAD_SHAPE", "BAD_PAIRING", "UNKNOWN_NAME"]
+    result = codes_of(lambda: jb.MeasuredModes(frequency=[1.0, 2.0], damping_ratio=[0.1], pairing="mac", noise={"shapes": 1.0}))
+    assert [code for code, _ in result] == ["BAD_SHAPE", "BAD_PAIRING", "UNKNOWN_NAME"]
     assert codes_of(lambda: jb.MeasuredModes(frequency=[-1.0, 2.0])) == [("BAD_FREQUENCY", "MeasuredModes.frequency")]
     ports = {"inputs": hammer(measured).inputs, "outputs": hammer(measured).outputs}
     assert codes_of(lambda: jb.MeasuredResponse([3, 2, -1], measured={("x1", "g"): [1j, 2]}, **ports)) == [

@@ -10,11 +10,11 @@ from jaxbody.geometry.fields import Kind, resolved, units_of
 
 
 def test_every_field_of_the_package_says_its_unit_and_domain():
-    found = list(owners())
-    assert len(found) > 50
+    result = list(owners())
+    assert len(result) > 50
     without = [
         f"{kind.__name__}.{field.name}"
-        for kind in found
+        for kind in result
         for field in dataclasses.fields(kind)
         if not field.metadata.get("static") and "kind" not in field.metadata
     ]

@@ -129,11 +129,11 @@ def test_data_that_pull_a_number_across_the_end_of_its_domain_leave_it_inside(ki
     first, last = np.asarray(jax.jit(function)(model, part)), np.asarray(jax.jit(function)(*moved))
     assert np.abs(last - first).max() > 1e-3
     run = Given(function, {"numbers": jnp.asarray(2 * last - first)}, own=part)
-    found = jb.fit(model, {"run": run}, free=[f"run.{path}" if in_run else path])
-    (value,) = (np.asarray(value) for value in found.estimates.values())
+    result = jb.fit(model, {"run": run}, free=[f"run.{path}" if in_run else path])
+    (value,) = (np.asarray(value) for value in result.estimates.values())
     left = value / start if start.ndim == 0 else np.linalg.eigvalsh(value) @ ([1, 1, -1] if kind is jb.Body else [1, 0, 0, 0, 0, 0])
     assert 0 < left < 1e-4
-    assert found.status == jb.Status.AT_BOUND
+    assert result.status == jb.Status.AT_BOUND
 
 
 def test_a_fit_that_ends_at_zero_says_so_once_and_assesses_the_others():
@@ -142,19 +142,19 @@ def test_a_fit_that_ends_at_zero_says_so_once_and_assesses_the_others():
     numbers = 3 * column - 0.5 * (AT - column)
     with pytest.warns(jb.JaxbodyWarning, match=r"s.spring.fast \(zero\) \[AT_BOUND"):
         run = Given(force(), {"numbers": numbers}, noise={"numbers": jnp.asarray(1e-6)})
-        found = jb.fit(holding(law), {"run": run}, free=["s.spring.slow", "s.spring.fast"])
-    np.testing.assert_allclose(found.estimates["s.spring.slow"], column @ numbers / (column @ column), rtol=1e-5)
-    assert found.status == jb.Status.AT_BOUND and found.at_bound == ["s.spring.fast (zero)"] and found.unidentified == []
-    assert np.isfinite(found.standard_errors["s.spring.slow"]) and np.isinf(found.standard_errors["s.spring.fast"])
-    assert "no effect" not in str(found) and "not determined" not in str(found) and "at its bound" in str(found)
+        result = jb.fit(holding(law), {"run": run}, free=["s.spring.slow", "s.spring.fast"])
+    np.testing.assert_allclose(result.estimates["s.spring.slow"], column @ numbers / (column @ column), rtol=1e-5)
+    assert result.status == jb.Status.AT_BOUND and result.at_bound == ["s.spring.fast (zero)"] and result.unidentified == []
+    assert np.isfinite(result.standard_errors["s.spring.slow"]) and np.isinf(result.standard_errors["s.spring.fast"])
+    assert "no effect" not in str(result) and "not determined" not in str(result) and "at its bound" in str(result)
     with pytest.raises(jb.JaxbodyError, match=r"not determined: s.spring.fast \(zero\)"):
-        jb.bands(found, lambda model: model["s"].spring.slow, samples=10, key=jax.random.key(1))
+        jb.bands(result, lambda model: model["s"].spring.slow, samples=10, key=jax.random.key(1))
 
 
 def test_a_coefficient_of_either_sign_crosses_zero():
     run = Given(force(), {"numbers": -3 * AT})
-    found = jb.fit(holding(Polynomial([2.0])), {"run": run}, free=["s.spring.coefficients"])
-    np.testing.assert_allclose(found.estimates["s.spring.coefficients"], [-3.0], rtol=1e-9)
+    result = jb.fit(holding(Polynomial([2.0])), {"run": run}, free=["s.spring.coefficients"])
+    np.testing.assert_allclose(result.estimates["s.spring.coefficients"], [-3.0], rtol=1e-9)
 
 
 class Mixed(Law):
@@ -170,10 +170,10 @@ class Mixed(Law):
 def test_a_fraction_stays_between_zero_and_one(share, end):
     run = Given(force(), {"numbers": (10 * share + 2 * (1 - share)) * AT})
     with pytest.warns(jb.JaxbodyWarning, match=rf"s.spring.share \({end}\) \[AT_BOUND"):
-        found = jb.fit(holding(Mixed(jnp.array(0.4))), {"run": run}, free=["s.spring.share"])
-    assert abs(float(found.estimates["s.spring.share"]) - {"one": 1, "zero": 0}[end]) < 1e-3 and 0 < found.estimates["s.spring.share"] < 1
+        result = jb.fit(holding(Mixed(jnp.array(0.4))), {"run": run}, free=["s.spring.share"])
+    assert abs(float(result.estimates["s.spring.share"]) - {"one": 1, "zero": 0}[end]) < 1e-3 and 0 < result.estimates["s.spring.share"] < 1
     with pytest.raises(jb.JaxbodyError, match=r"is 1.2 \(allowed: 0 to 1\).*NOT_A_FRACTION"):
-        jb.replace(found.model, {"s.spring.share": 1.2})
+        jb.replace(result.model, {"s.spring.share": 1.2})
 
 
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
@@ -182,12 +182,12 @@ def test_a_fraction_has_an_interval_a_profile_bounds_and_random_starts_between_z
     e = 0.05 * np.array([1.0, -1.2, 0.4, 0.9, -0.7])
     run = Given(force(), {"numbers": 9.6 * AT + e}, noise={"numbers": jnp.asarray(0.05)})
     model = holding(Mixed(jnp.array(0.4)))
-    found = jb.fit(model, {"run": run}, free=["s.spring.share"])
+    result = jb.fit(model, {"run": run}, free=["s.spring.share"])
     best = 0.95 + float(AT @ e / (8 * AT @ AT))
-    np.testing.assert_allclose(found.estimates["s.spring.share"], best, rtol=1e-6)
-    low, high = found.intervals(0.99)["s.spring.share"]
+    np.testing.assert_allclose(result.estimates["s.spring.share"], best, rtol=1e-6)
+    low, high = result.intervals(0.99)["s.spring.share"]
     assert 0 < low < best < high < 1
-    profile = jb.profile(found, "s.spring.share", level=0.99)
+    profile = jb.profile(result, "s.spring.share", level=0.99)
     assert 0 < profile.interval[0] < best < profile.interval[1] <= 1
     bounded = jb.fit(
         model, {"run": run}, free=["s.spring.share"], bounds={"s.spring.share": (0.1, 0.6)}, priors={"s.spring.share": (0.5, 0.1)}

@@ -89,8 +89,8 @@ def fit(model, experiments, *, free=FREE, **options):
     return jb.fit(model, experiments, free=free, max_steps=1000, **options)
 
 
-def values_of(found, paths=FREE):
-    return np.array([found.estimates[path] for path in paths])
+def values_of(result, paths=FREE):
+    return np.array([result.estimates[path] for path in paths])
 
 
 def minimum(residual, start):
@@ -133,53 +133,53 @@ QUICK = [pytest.param(name, marks=[pytest.mark.long] if name == "levenberg_marqu
 
 
 @pytest.fixture(scope="module")
-def found(record):
+def result(record):
     return fit(cart(), tracked(record), rtol=FINE)
 
 
-def test_the_fit_says_what_it_found(found, record, optimum):
+def test_the_fit_says_what_it_found(result, record, optimum):
     r = (independent(optimum)[0] - record) / NOISE
-    print(values_of(found) / optimum - 1, found.cost / (0.5 * r @ r) - 1)
-    np.testing.assert_allclose(values_of(found), optimum, rtol=1e-8)
-    np.testing.assert_allclose(found.cost, 0.5 * r @ r, rtol=1e-7)
-    np.testing.assert_allclose(found.predicted["run"]["x"], r * NOISE + record, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(found.noise["run"]["x"], NOISE * np.sqrt(np.mean(r**2)), rtol=1e-7)
-    np.testing.assert_allclose(found.correlation, r[1:] @ r[:-1] / (r @ r), rtol=1e-6)
-    assert found.cost in found.history and found.cost <= min(found.history) * (1 + 1e-8) and len(found.history) == found.evaluations
-    assert values_of(found).tolist() == [float(jb.paths(found.model)[path]) for path in FREE]
-    assert re.search(r"\n  s.stiffness +79.92\d* +N/m +0.\d+ ", str(found)) and re.search(r"\n  s.damping +\S+ +N s/m ", str(found))
-    assert "41 samples" in str(found) and str(found).rstrip().endswith("ok") and "not determined" not in str(found)
+    print(values_of(result) / optimum - 1, result.cost / (0.5 * r @ r) - 1)
+    np.testing.assert_allclose(values_of(result), optimum, rtol=1e-8)
+    np.testing.assert_allclose(result.cost, 0.5 * r @ r, rtol=1e-7)
+    np.testing.assert_allclose(result.predicted["run"]["x"], r * NOISE + record, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(result.noise["run"]["x"], NOISE * np.sqrt(np.mean(r**2)), rtol=1e-7)
+    np.testing.assert_allclose(result.correlation, r[1:] @ r[:-1] / (r @ r), rtol=1e-6)
+    assert result.cost in result.history and result.cost <= min(result.history) * (1 + 1e-8) and len(result.history) == result.evaluations
+    assert values_of(result).tolist() == [float(jb.paths(result.model)[path]) for path in FREE]
+    assert re.search(r"\n  s.stiffness +79.92\d* +N/m +0.\d+ ", str(result)) and re.search(r"\n  s.damping +\S+ +N s/m ", str(result))
+    assert "41 samples" in str(result) and str(result).rstrip().endswith("ok") and "not determined" not in str(result)
 
 
 @pytest.mark.parametrize("method", QUICK)
 def test_every_method_reaches_the_optimum_that_scipy_finds_by_itself(method, record, optimum):
-    found = fit(cart(), tracked(record), method=METHODS[method])
-    assert found.ok and found.paths == FREE
-    np.testing.assert_allclose(values_of(found), optimum, rtol=1e-6)
-    print(method, values_of(found) / optimum - 1, found.evaluations)
+    result = fit(cart(), tracked(record), method=METHODS[method])
+    assert result.ok and result.paths == FREE
+    np.testing.assert_allclose(values_of(result), optimum, rtol=1e-6)
+    print(method, values_of(result) / optimum - 1, result.evaluations)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("method", ["least_squares", "levenberg_marquardt"])
-def test_constant_steps_or_a_controller_of_ones_own_give_the_same_estimates(method, record, found):
+def test_constant_steps_or_a_controller_of_ones_own_give_the_same_estimates(method, record, result):
     for steps in (
         {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": TIMES[1] / 5},
         {"stepsize_controller": diffrax.PIDController(rtol=1e-11, atol=1e-11)},
     ):
         other = fit(cart(), tracked(record), method=METHODS[method], **steps)
         assert other.ok
-        np.testing.assert_allclose(values_of(other), values_of(found), rtol=1e-7)
+        np.testing.assert_allclose(values_of(other), values_of(result), rtol=1e-7)
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_data_without_noise_give_the_truth_back(method, clean):
-    found = fit(cart(), tracked(clean), method=METHODS[method], rtol=FINE)
-    print(method, values_of(found) / TRUTH - 1, found.evaluations)
-    np.testing.assert_allclose(values_of(found), TRUTH, rtol=1e-8)
+    result = fit(cart(), tracked(clean), method=METHODS[method], rtol=FINE)
+    print(method, values_of(result) / TRUTH - 1, result.evaluations)
+    np.testing.assert_allclose(values_of(result), TRUTH, rtol=1e-8)
 
 
-def test_standard_errors_are_those_of_a_jacobian_by_differences(found, record):
-    p = values_of(found)
+def test_standard_errors_are_those_of_a_jacobian_by_differences(result, record):
+    p = values_of(result)
 
     def x(u):
         return independent(np.exp(u))[0]
@@ -190,10 +190,10 @@ def test_standard_errors_are_those_of_a_jacobian_by_differences(found, record):
     r = x(np.log(p)) - record
     covariance = r @ r / (len(r) - 4) * np.linalg.inv(J.T @ J)
     expected = p * np.sqrt(np.diag(covariance))
-    print(np.array([found.standard_errors[path] for path in FREE]) / expected - 1)
-    np.testing.assert_allclose([found.standard_errors[path] for path in FREE], expected, rtol=1e-5)
-    np.testing.assert_allclose(found.covariance, covariance, rtol=1e-5 * np.linalg.cond(covariance) ** 0.5)
-    np.testing.assert_allclose(found.singular_values * NOISE, np.linalg.svd(J)[1], rtol=1e-6)
+    print(np.array([result.standard_errors[path] for path in FREE]) / expected - 1)
+    np.testing.assert_allclose([result.standard_errors[path] for path in FREE], expected, rtol=1e-5)
+    np.testing.assert_allclose(result.covariance, covariance, rtol=1e-5 * np.linalg.cond(covariance) ** 0.5)
+    np.testing.assert_allclose(result.singular_values * NOISE, np.linalg.svd(J)[1], rtol=1e-6)
 
 
 LEVENBERG_MARQUARDT = METHODS["levenberg_marquardt"]
@@ -207,8 +207,8 @@ def many():
     @jax.jit
     @jax.vmap
     def fits(record):
-        found = fit(cart(TRUTH), tracked(record), method=GAUSS_NEWTON)
-        return found.estimates, found.status
+        result = fit(cart(TRUTH), tracked(record), method=GAUSS_NEWTON)
+        return result.estimates, result.status
 
     return fits
 
@@ -225,25 +225,25 @@ def realizations(many, clean):
 
 
 @pytest.mark.long
-def test_two_hundred_realizations_of_the_noise_scatter_as_the_standard_errors_say(found, realizations):
+def test_two_hundred_realizations_of_the_noise_scatter_as_the_standard_errors_say(result, realizations):
     """The standard deviation of n normal numbers is itself known to 1/sqrt(2 n): 5 % here; limits are four of these."""
     _, estimates = realizations
     n = REALIZATIONS
-    covariance = found.covariance * (n_free(found) / (2 * float(found.cost)))  # of the noise that was made, not the one estimated
-    u = np.log(estimates / values_of(found))
+    covariance = result.covariance * (n_free(result) / (2 * float(result.cost)))  # of the noise that was made, not the one estimated
+    u = np.log(estimates / values_of(result))
     ratio = u.std(0, ddof=1) / np.sqrt(np.diag(covariance))
     print(ratio)
     np.testing.assert_allclose(ratio, 1, atol=4 / np.sqrt(2 * (n - 1)))
-    away = u - np.log(TRUTH / values_of(found))
+    away = u - np.log(TRUTH / values_of(result))
     assert (np.abs(away.mean(0)) < 4 * np.sqrt(np.diag(covariance) / n)).all()
     square = np.einsum("ni,ij,nj->n", away, np.linalg.inv(covariance), away).mean()  # of chi-squared, four degrees of freedom
     print(square)
     assert abs(square - 4) < 4 * np.sqrt(8 / n)
 
 
-def n_free(found):
+def n_free(result):
     """Samples less parameters."""
-    return len(TIMES) - len(found.paths)
+    return len(TIMES) - len(result.paths)
 
 
 @pytest.mark.long
@@ -268,11 +268,11 @@ def test_the_derivative_of_the_estimates_in_the_data_is_that_of_differences(reco
     def estimates(step):
         return values_of(fit(cart(), tracked(record + step * towards), rtol=FINE))
 
-    found = slope(record, towards)
+    result = slope(record, towards)
     near, far = ((estimates(h) - estimates(-h)) / (2 * h) for h in (1.0, 2.0))
     expected = (4 * near - far) / 3
-    print(np.array([found[path] for path in FREE]) / expected - 1)
-    np.testing.assert_allclose([found[path] for path in FREE], expected, rtol=1e-6)
+    print(np.array([result[path] for path in FREE]) / expected - 1)
+    np.testing.assert_allclose([result[path] for path in FREE], expected, rtol=1e-6)
 
 
 def test_inside_jit_only_optimistix_and_stated_noise(record):
@@ -299,37 +299,37 @@ def test_inside_jit_only_optimistix_and_stated_noise(record):
 
 def fit_with_warning(code, *arguments, **options):
     with pytest.warns(jb.JaxbodyWarning) as caught:
-        found = fit(*arguments, **options)
+        result = fit(*arguments, **options)
     assert [warning.message.code for warning in caught] == [code]
-    return found
+    return result
 
 
 @pytest.mark.parametrize("method", ["least_squares", "lbfgs"])
 def test_what_the_data_cannot_tell_is_said_in_words_and_has_no_number(method, clean):
     """Without the spring that is known, all stiffnesses, the damping and the mass may be multiplied by one number."""
     x = noisy(independent(TRUTH, hold=0.0)[0])
-    found = fit_with_warning("NOT_IDENTIFIABLE", cart(hold=0.0), tracked(x), method=METHODS[method])
-    assert not found.ok and found.status == jb.Status.NOT_IDENTIFIABLE and found.uncertainty.rank == 3
-    assert all(np.isinf(found.standard_errors[path]) for path in FREE)
-    (words,) = found.unidentified
+    result = fit_with_warning("NOT_IDENTIFIABLE", cart(hold=0.0), tracked(x), method=METHODS[method])
+    assert not result.ok and result.status == jb.Status.NOT_IDENTIFIABLE and result.uncertainty.rank == 3
+    assert all(np.isinf(result.standard_errors[path]) for path in FREE)
+    (words,) = result.unidentified
     assert sorted(words.split(" with ")) == sorted(f"{path} up" for path in FREE)
-    assert found.singular_values[-1] < 1e-6 * found.singular_values[0] < found.singular_values[-2]
-    assert "rank 3 of 4" in found.report() and words in str(found) and str(found).count("not determined") == 4
-    ratios, truth = values_of(found) / found.estimates["cart.mass"], TRUTH / TRUTH[3]
+    assert result.singular_values[-1] < 1e-6 * result.singular_values[0] < result.singular_values[-2]
+    assert "rank 3 of 4" in result.report() and words in str(result) and str(result).count("not determined") == 4
+    ratios, truth = values_of(result) / result.estimates["cart.mass"], TRUTH / TRUTH[3]
     np.testing.assert_allclose(ratios, truth, rtol=0.02)  # what can be told
     with pytest.raises(jb.JaxbodyError, match="NOT_IDENTIFIABLE"):
-        found.raise_if_failed()
+        result.raise_if_failed()
 
 
 def test_parameters_without_any_effect_are_named():
     """A cart at rest with nothing that moves it feels neither stiffness, damping nor mass."""
     still = cart(gravity=0.0, lengths={name: float(np.linalg.norm(end)) for name, end in ENDS.items()})
     run = tracked(noisy(np.zeros(41)), q=0.0, amplitude=0.0)
-    found = fit_with_warning("NEVER_MOVED", still, run)
-    assert found.status == jb.Status.NEVER_MOVED
-    assert [word.split()[0] for word in found.unidentified] == list(FREE) and "s.damping has no effect" in found.report()
-    assert all(np.isinf(found.standard_errors[path]) for path in FREE)
-    np.testing.assert_array_equal(values_of(found), START)
+    result = fit_with_warning("NEVER_MOVED", still, run)
+    assert result.status == jb.Status.NEVER_MOVED
+    assert [word.split()[0] for word in result.unidentified] == list(FREE) and "s.damping has no effect" in result.report()
+    assert all(np.isinf(result.standard_errors[path]) for path in FREE)
+    np.testing.assert_array_equal(values_of(result), START)
 
 
 class Mine(jb.Position):
@@ -383,11 +383,11 @@ def test_a_direction_that_the_data_cannot_tell_has_no_number_along_it_either():
     """The first derivative of a unit vector along itself is zero; what there is of it moves with what is not known."""
     along = np.multiply.outer(np.arange(1.0, 5.0), [120.0, 0, 0, 120.0, 0, 0])
     along[:, [1, 2, 4, 5]] = np.nan
-    found = fit_with_warning("NEVER_MOVED", cart(), {"run": Weighed({"force": jnp.asarray(along)})}, free=["s.stiffness", "cart.axis"])
-    np.testing.assert_array_equal(found.standard_errors["cart.axis"], np.inf)
-    np.testing.assert_array_equal(found.intervals()["cart.axis"], [[-np.inf] * 3, [np.inf] * 3])
-    assert float(found.standard_errors["s.stiffness"]) < 1e-6 and float(found.estimates["s.stiffness"]) == pytest.approx(120)
-    printed = str(found)
+    result = fit_with_warning("NEVER_MOVED", cart(), {"run": Weighed({"force": jnp.asarray(along)})}, free=["s.stiffness", "cart.axis"])
+    np.testing.assert_array_equal(result.standard_errors["cart.axis"], np.inf)
+    np.testing.assert_array_equal(result.intervals()["cart.axis"], [[-np.inf] * 3, [np.inf] * 3])
+    assert float(result.standard_errors["s.stiffness"]) < 1e-6 and float(result.estimates["s.stiffness"]) == pytest.approx(120)
+    printed = str(result)
     assert printed.count("not determined") == 3 and re.search(r"\n  cart.axis\[0\] +1 +not determined\n", printed)
     assert "\n  run.force force " in printed and "\n  run.force moment " in printed and "%" not in printed.split("interval")[1]
 
@@ -431,8 +431,8 @@ def test_each_number_of_a_parameter_has_its_unit(path, units):
     assert units_of(leaf, RIG_OF_ALL, value) == units
 
 
-def test_correlated_residuals_are_told_and_white_ones_are_not(clean, found):
-    assert not found.uncertainty.correlated and "correlated" not in str(found)
+def test_correlated_residuals_are_told_and_white_ones_are_not(clean, result):
+    assert not result.uncertainty.correlated and "correlated" not in str(result)
     shocks, colored = NOISE * np.random.default_rng(4).normal(size=1041), np.zeros(1041)
     for i in range(1, 1041):
         colored[i] = 0.8 * colored[i - 1] + shocks[i]
@@ -442,46 +442,48 @@ def test_correlated_residuals_are_told_and_white_ones_are_not(clean, found):
 
 
 def test_a_bound_that_is_met_is_named_and_the_rest_is_the_optimum_on_it(record):
-    found = fit_with_warning("AT_BOUND", cart(), tracked(record), bounds={"s.stiffness": (90, 110), "*.damping": (0, 5)})
-    assert found.at_bound == ["s.stiffness (lower)"] and "s.stiffness (lower)" in found.report()
-    np.testing.assert_allclose(found.estimates["s.stiffness"], 90, rtol=1e-6)
+    result = fit_with_warning("AT_BOUND", cart(), tracked(record), bounds={"s.stiffness": (90, 110), "*.damping": (0, 5)})
+    assert result.at_bound == ["s.stiffness (lower)"] and "s.stiffness (lower)" in result.report()
+    np.testing.assert_allclose(result.estimates["s.stiffness"], 90, rtol=1e-6)
     rest = minimum(lambda p: (independent([90.0, *p])[0] - record) / NOISE, TRUTH[1:])
-    print(values_of(found)[1:] / rest - 1)
-    np.testing.assert_allclose(values_of(found)[1:], rest, rtol=1e-5)
+    print(values_of(result)[1:] / rest - 1)
+    np.testing.assert_allclose(values_of(result)[1:], rest, rtol=1e-5)
 
 
 def test_bounds_that_are_not_met_change_nothing(record, optimum):
-    found = fit(cart(), tracked(record), bounds={"*.stiffness": (0.0, np.inf), "cart.mass": (1.5, 2.5)})
-    assert found.ok and found.at_bound == []
-    np.testing.assert_allclose(values_of(found), optimum, rtol=1e-6)
+    result = fit(cart(), tracked(record), bounds={"*.stiffness": (0.0, np.inf), "cart.mass": (1.5, 2.5)})
+    assert result.ok and result.at_bound == []
+    np.testing.assert_allclose(values_of(result), optimum, rtol=1e-6)
 
 
 def test_trials_that_cannot_be_simulated_are_steps_rejected_and_counted(record, optimum):
     """From far too soft a spring the first steps lead to stiffnesses that need more steps of integration than there are."""
     far = cart(START * [1e-4, 1, 1, 1])
-    found = fit(far, tracked(record))
-    print(found.failed, found.evaluations)
-    assert found.ok and found.failed >= 2 and np.isnan(found.history).sum() == found.failed
-    np.testing.assert_allclose(values_of(found), optimum, rtol=1e-6)
+    result = fit(far, tracked(record))
+    print(result.failed, result.evaluations)
+    assert result.ok and result.failed >= 2 and np.isnan(result.history).sum() == result.failed
+    np.testing.assert_allclose(values_of(result), optimum, rtol=1e-6)
     with pytest.warns(jb.JaxbodyWarning) as caught:
-        found = fit(far, tracked(record), max_evaluations=5)
+        result = fit(far, tracked(record), max_evaluations=5)
     assert [warning.message.code for warning in caught] == ["NOT_CONVERGED", "FAILED_TRIALS"]
-    np.testing.assert_array_equal(values_of(found), START * [1e-4, 1, 1, 1])
+    np.testing.assert_array_equal(values_of(result), START * [1e-4, 1, 1, 1])
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_at_the_largest_number_of_evaluations_the_best_is_kept_with_a_status(method, record):
-    found = fit_with_warning("NOT_CONVERGED", cart(), tracked(record), method=METHODS[method], max_evaluations=3)
+    result = fit_with_warning("NOT_CONVERGED", cart(), tracked(record), method=METHODS[method], max_evaluations=3)
     start = np.sum(((independent(START)[0] - record) / NOISE) ** 2) / 2
-    assert found.status == jb.Status.NOT_CONVERGED and found.evaluations <= 5 and found.cost < start
-    assert found.cost == min(found.history) and "evaluations" in found.report()
+    assert result.status == jb.Status.NOT_CONVERGED and result.evaluations <= 5 and result.cost < start
+    assert result.cost == min(result.history) and "evaluations" in result.report()
 
 
 def test_progress_is_told_by_evaluation(record, capsys):
-    found = fit(cart(), tracked(record), progress=True)
+    result = fit(cart(), tracked(record), progress=True)
     lines = capsys.readouterr().out.splitlines()
     assert (
-        len(lines) == found.evaluations and lines[0].startswith("evaluation 1: cost ") and lines[-1].startswith(f"evaluation {len(lines)}:")
+        len(lines) == result.evaluations
+        and lines[0].startswith("evaluation 1: cost ")
+        and lines[-1].startswith(f"evaluation {len(lines)}:")
     )
     fit(cart(), tracked(record))
     assert capsys.readouterr().out == ""
@@ -500,7 +502,7 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
 
 
 @pytest.mark.parametrize(
-    ("options", "codes", "told"),
+    ("options", "codes", "message"),
     [
         ({"free": ["s.stifness", "cart.mass", "run.bas.frequency"]}, ["UNKNOWN_PATH"] * 2, ["s.stiffness", "run.base.frequency"]),
         ({"free": ["s.stiffness", "*.stiffness", "s.*"]}, ["LISTED_TWICE"] * 2, ["names s.stiffness twice, by '*.stiffness'", "'s.*'"]),
@@ -534,21 +536,21 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
     ids=["unknown", "twice", "nothing", "start", "steps", "solver", "tolerance", "method", "evaluations", "none", "bias", "lag", "tie",
          "priors", "bounds", "list", "list of priors", "optax", "optimistix", "elsewhere", "shapes", "several"],
 )  # fmt: skip
-def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, told):
-    found = problems_of(cart(), tracked(record), **options)
-    assert [problem.code for problem in found] == codes
-    assert all(word in str(problem) for word, problem in zip(told, found, strict=True)), [str(problem) for problem in found]
+def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, message):
+    result = problems_of(cart(), tracked(record), **options)
+    assert [problem.code for problem in result] == codes
+    assert all(word in str(problem) for word, problem in zip(message, result, strict=True)), [str(problem) for problem in result]
 
 
 def test_what_is_wrong_with_the_experiments_is_told_at_once(record):
     (run,) = tracked(record).values()
     assert [p.code for p in problems_of(cart(), {})] == ["NO_DATA"]
-    found = problems_of(cart(), {"cart": run, "a.b": run, "s": run, "base": run, "world": run, 1: run, "c": 3})
-    assert [p.code for p in found] == ["WRONG_KIND", *["BAD_NAME"] * 6]
-    for told, problem in zip(
-        ("name of a body", "has . in", "of an element", "of a support", "is reserved", "not a string"), found[1:], strict=True
+    result = problems_of(cart(), {"cart": run, "a.b": run, "s": run, "base": run, "world": run, 1: run, "c": 3})
+    assert [p.code for p in result] == ["WRONG_KIND", *["BAD_NAME"] * 6]
+    for message, problem in zip(
+        ("name of a body", "has . in", "of an element", "of a support", "is reserved", "not a string"), result[1:], strict=True
     ):
-        assert told in problem.message
+        assert message in problem.message
     other = jb.Experiment(TIMES, sensors={"x": jb.Position("card")}, measured={"x": np.arange(123.0).reshape(41, 3)})
     (problem,) = problems_of(cart(), {"run": other})
     assert problem.code == "UNKNOWN_NAME" and problem.where == "run.sensors['x']" and "'cart'" in problem.hint
@@ -576,10 +578,10 @@ def test_what_is_of_another_kind_is_told_and_no_traceback(record):
         (lambda: jb.multiple_shooting(cart(), run, free=FREE, segments=2), "multiple_shooting.experiments: is one Experiment"),
         (lambda: fit("osc", {"run": run}), "fit.model: is a str (allowed: jb.Model)"),
     ]  # fmt: skip
-    for call, told in cases:
+    for call, message in cases:
         with pytest.raises(jb.JaxbodyError) as caught:
             call()
-        assert caught.value.code == "WRONG_KIND" and told in str(caught.value)
+        assert caught.value.code == "WRONG_KIND" and message in str(caught.value)
 
 
 def test_an_experiment_without_an_initial_state_says_so(record):

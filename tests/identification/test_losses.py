@@ -57,20 +57,20 @@ def record():
 
 def optimum(residual, start):
     """By SciPy, in logarithms, differences for derivatives."""
-    found = scipy.optimize.least_squares(lambda u: residual(np.exp(u)), np.log(start), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-    return np.exp(found.x)
+    result = scipy.optimize.least_squares(lambda u: residual(np.exp(u)), np.log(start), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    return np.exp(result.x)
 
 
-def values(found):
-    return np.array([float(x) for x in found.estimates.values()])
+def values(result):
+    return np.array([float(x) for x in result.estimates.values()])
 
 
 def test_tied_parameters_are_one(record):
-    found = fit(oscillator(left=24.0, right=24.0), run(record), ("left.stiffness = right.stiffness", "damper.damping"))
+    result = fit(oscillator(left=24.0, right=24.0), run(record), ("left.stiffness = right.stiffness", "damper.damping"))
     expected = optimum(lambda p: (motion(2 * p[0], p[1]) - record) / SIGMA, TRUTH)
-    np.testing.assert_allclose(values(found), expected, rtol=1e-7)
-    assert float(found.model["left"].stiffness) == float(found.model["right"].stiffness)
-    assert "left.stiffness = right.stiffness" in str(found) and found.paths == ("left.stiffness", "damper.damping")
+    np.testing.assert_allclose(values(result), expected, rtol=1e-7)
+    assert float(result.model["left"].stiffness) == float(result.model["right"].stiffness)
+    assert "left.stiffness = right.stiffness" in str(result) and result.paths == ("left.stiffness", "damper.damping")
 
 
 def test_what_is_tied_must_start_alike(record):
@@ -82,11 +82,11 @@ def test_what_is_tied_must_start_alike(record):
 
 def test_a_prior_is_one_more_measurement(record):
     mean, deviation = 30.05, 0.02
-    found = fit(oscillator(), run(record), priors={"left.stiffness": (mean, deviation)})
+    result = fit(oscillator(), run(record), priors={"left.stiffness": (mean, deviation)})
     expected = optimum(lambda p: np.append((motion(p[0] + 20, p[1]) - record) / SIGMA, (p[0] - mean) / deviation), TRUTH)
-    np.testing.assert_allclose(values(found), expected, rtol=1e-7)
+    np.testing.assert_allclose(values(result), expected, rtol=1e-7)
     alone = optimum(lambda p: (motion(p[0] + 20, p[1]) - record) / SIGMA, TRUTH)
-    assert abs(expected[0] - alone[0]) > 0.02 and float(found.standard_errors["left.stiffness"]) < deviation
+    assert abs(expected[0] - alone[0]) > 0.02 and float(result.standard_errors["left.stiffness"]) < deviation
 
 
 def test_bad_priors_and_losses_are_told(record):
@@ -114,12 +114,12 @@ def spoiled(record):
 
 @pytest.mark.parametrize("loss", LOSSES)
 def test_a_robust_fit_has_the_optimum_of_scipys_loss(loss, spoiled):
-    found = fit(oscillator(), run(spoiled), loss=loss)
+    result = fit(oscillator(), run(spoiled), loss=loss)
     options = dict(loss=loss, f_scale=LOSSES[loss], xtol=1e-15, ftol=1e-15, gtol=1e-15)
     expected = scipy.optimize.least_squares(lambda u: (motion(np.exp(u[0]) + 20, np.exp(u[1])) - spoiled) / SIGMA, np.log(TRUTH), **options)
-    print(values(found) / np.exp(expected.x) - 1)
-    np.testing.assert_allclose(values(found), np.exp(expected.x), rtol=2e-6)  # SciPy's search with a loss ends earlier than with none
-    np.testing.assert_allclose(found.cost, expected.cost, rtol=1e-9)
+    print(values(result) / np.exp(expected.x) - 1)
+    np.testing.assert_allclose(values(result), np.exp(expected.x), rtol=2e-6)  # SciPy's search with a loss ends earlier than with none
+    np.testing.assert_allclose(result.cost, expected.cost, rtol=1e-9)
 
 
 @pytest.mark.long
@@ -127,7 +127,7 @@ def test_outliers_hardly_move_a_robust_fit_and_its_noise_is_theirs_without_them(
     clean = fit(oscillator(), run(record, noise=None))
     errors = np.array([float(e) for e in clean.standard_errors.values()])
     fits = {loss: [fit(oscillator(), run(spoil(record, seed), noise=None), loss=loss) for seed in range(6)] for loss in (None, "cauchy")}
-    moved = {loss: np.array([values(found) - values(clean) for found in several]) / errors for loss, several in fits.items()}
+    moved = {loss: np.array([values(result) - values(clean) for result in several]) / errors for loss, several in fits.items()}
     print(moved)
     assert (np.abs(moved["cauchy"].mean(0)) < 0.3).all() and np.sqrt((moved["cauchy"] ** 2).mean()) < 0.5
     assert np.sqrt((moved[None] ** 2).mean()) > 2
@@ -162,8 +162,8 @@ def test_missing_samples_make_no_difference_to_what_a_robust_fit_is_worth(rng):
 
 def test_the_robust_level_of_normal_residuals_is_their_standard_deviation():
     z = 3.7 * scipy.stats.norm.ppf((np.arange(20000) + 0.5) / 20000)
-    found = robust_level(lambda s, c: jnp.mean(jnp.minimum((z / s) ** 2, c**2)), jnp.asarray(100.0))
-    assert float(found) == pytest.approx(3.7, rel=1e-4)
+    result = robust_level(lambda s, c: jnp.mean(jnp.minimum((z / s) ** 2, c**2)), jnp.asarray(100.0))
+    assert float(result) == pytest.approx(3.7, rel=1e-4)
 
 
 def test_any_u_is_an_inertia_of_positive_masses():
@@ -274,10 +274,10 @@ def turned(path, good):
 @pytest.mark.parametrize("case", DAMAGED)
 def test_a_damaged_checkpoint_is_one_message_without_advice_to_trust_it(case, tmp_path):
     good = {"names": np.array([*FREE, "noise of run.x"]), "u": np.zeros(2), "noise0": np.array(0.02)}
-    write, code, told = DAMAGED[case]
+    write, code, message = DAMAGED[case]
     write(tmp_path / "fit.npz", good)
     problem = problem_of(oscillator(), run(np.sin(TIMES)), resume=tmp_path / "fit.npz")
-    assert problem.code == code and told in str(problem) and "pickle" not in str(problem) and problem.hint
+    assert problem.code == code and message in str(problem) and "pickle" not in str(problem) and problem.hint
 
 
 @pytest.mark.parametrize("earlier", [{"u": [0.0]}, np.zeros(2), 3])
@@ -294,8 +294,8 @@ def test_many_starts_find_the_optima_that_scipy_finds():
     several = jb.multistart(start, run(record), free="left.stiffness", starts=12, spread=2.3, rtol=EXACT, max_steps=2000)
     ends = {}
     for u in np.linspace(-2.3, 2.3, 60) + np.log(250.0):
-        found = scipy.optimize.least_squares(lambda u: (motion(np.exp(u[0]) + 20, 0.1) - record) / SIGMA, [u], xtol=1e-13, ftol=1e-13)
-        ends[round(found.cost, 3)] = np.exp(found.x)
+        result = scipy.optimize.least_squares(lambda u: (motion(np.exp(u[0]) + 20, 0.1) - record) / SIGMA, [u], xtol=1e-13, ftol=1e-13)
+        ends[round(result.cost, 3)] = np.exp(result.x)
     print(several, ends)
     assert len(several.cost) >= 3 and several.found.sum() + several.lost == several.starts == 13
     np.testing.assert_allclose(several.cost[0], min(ends), atol=1e-3)
@@ -312,10 +312,10 @@ def test_a_record_much_shorter_than_the_first_period_is_said_to_be_short():
     x = X0 * np.cos(5 * short) + 1e-3 * np.random.default_rng(0).normal(size=16)
     initial = jb.State(jnp.array([X0]), jnp.array([0.0]))
     brief = {"brief": jb.Experiment(short, initial=initial, sensors={"x": jb.Position("mass", axis=[1, 0, 0])}, measured={"x": x})}
-    said = f"'brief' lasts 0.03 s, a small part of the first natural period of {2 * np.pi * np.sqrt(2.0 / k):.3g} s: record longer"
-    with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE") as told:
-        found = fit(oscillator(), brief, ("left.stiffness", "mass.mass"))
-    assert said in found.report() and said in str(found) and said in str(told[0].message)
-    with pytest.warns(jb.JaxbodyWarning, match="NOT_CONVERGED") as told:
-        found = fit(oscillator(), brief, ("left.stiffness", "mass.mass"), max_evaluations=3)
-    assert said in found.report() and "better initial guess" not in found.report()
+    text = f"'brief' lasts 0.03 s, a small part of the first natural period of {2 * np.pi * np.sqrt(2.0 / k):.3g} s: record longer"
+    with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE") as caught:
+        result = fit(oscillator(), brief, ("left.stiffness", "mass.mass"))
+    assert text in result.report() and text in str(result) and text in str(caught[0].message)
+    with pytest.warns(jb.JaxbodyWarning, match="NOT_CONVERGED") as caught:
+        result = fit(oscillator(), brief, ("left.stiffness", "mass.mass"), max_evaluations=3)
+    assert text in result.report() and "better initial guess" not in result.report()

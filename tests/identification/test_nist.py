@@ -86,9 +86,9 @@ def read(path):
     return rows[:, :2].T, rows[:, 2], rows[:, 3], np.log(y) if path.stem == "Nelson" else y, x
 
 
-def digits(found, certified):
+def digits(result, certified):
     """How many of the certified digits all numbers share."""
-    return float(-np.log10(np.max(np.abs(found - certified) / np.abs(certified)) + 1e-12))
+    return float(-np.log10(np.max(np.abs(result - certified) / np.abs(certified)) + 1e-12))
 
 
 def solved(path, start):
@@ -105,26 +105,26 @@ def solved(path, start):
     free = np.full(len(b0), np.inf)
     u, arrived = by_scipy(evaluate, np.zeros(len(b0)), (-free, free))
     r, J = evaluate(u)
-    worth = assess(
+    uncertainty = assess(
         r, J, [], [], [f"b{i}" for i in range(len(b0))], [ResidualSeries("y", "y", "", np.arange(len(y)), np.arange(len(y)), False)]
     )
-    error, freedom = worth.spread(np.diag(np.abs(b0)))
-    np.testing.assert_allclose(freedom[np.isfinite(error)], len(y) - worth.rank, rtol=1e-9)
+    error, freedom = uncertainty.spread(np.diag(np.abs(b0)))
+    np.testing.assert_allclose(freedom[np.isfinite(error)], len(y) - uncertainty.rank, rtol=1e-9)
     return np.asarray(b0 + np.abs(b0) * u), error, arrived, certified, deviations
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_certified_parameters_and_their_standard_deviations(path):
-    found, error, arrived, certified, deviations = solved(path, 1)
-    print(f"{path.stem}: {digits(found, certified):.1f} and {digits(error, deviations):.1f} digits")
+    result, error, arrived, certified, deviations = solved(path, 1)
+    print(f"{path.stem}: {digits(result, certified):.1f} and {digits(error, deviations):.1f} digits")
     known = 3 if path.stem == "Lanczos1" else 4  # its residuals, 1e-13 of y, have three digits in float64
-    assert arrived and digits(found, certified) >= 6 and digits(error, deviations) >= known
+    assert arrived and digits(result, certified) >= 6 and digits(error, deviations) >= known
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_from_the_far_start_too_or_the_data_are_told_not_to_determine_what_was_found(path):
     """Three end where an exponential has died out before the first point, on a plateau: parameters have no number there."""
-    found, error, arrived, certified, _ = solved(path, 0)
-    print(f"{path.stem}: {digits(found, certified):.1f} digits, {arrived}")
+    result, error, arrived, certified, _ = solved(path, 0)
+    print(f"{path.stem}: {digits(result, certified):.1f} digits, {arrived}")
     lost = path.stem in ("BoxBOD", "MGH10", "MGH17")
-    assert np.isinf(error).any() if lost else arrived and digits(found, certified) >= 6
+    assert np.isinf(error).any() if lost else arrived and digits(result, certified) >= 6

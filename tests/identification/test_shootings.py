@@ -104,8 +104,8 @@ def test_a_chaotic_record_is_fitted_where_one_shot_is_lost():
     options = dict(free=["spring.stiffness", "spring.free_length"], max_steps=10_000)
     with pytest.warns(jb.JaxbodyWarning):
         lost = jb.fit(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), **options)
-    found = jb.multiple_shooting(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), segments=48, **options)
-    assert float(lost.cost) > 100 * float(found.cost)
-    assert found.ok
-    for value, truth, error in zip(found.estimates.values(), TRUTH, found.standard_errors.values(), strict=True):
+    result = jb.multiple_shooting(model_of(TRUTH * [1.2, 0.9]), experiment(TIMES), segments=48, **options)
+    assert float(lost.cost) > 100 * float(result.cost)
+    assert result.ok
+    for value, truth, error in zip(result.estimates.values(), TRUTH, result.standard_errors.values(), strict=True):
         assert abs(float(value) - truth) < 4 * float(error) and float(error) < 1e-3 * truth

@@ -47,7 +47,7 @@ def record():
 
 
 @pytest.fixture(scope="module")
-def found(record):
+def result(record):
     return fit(run(record))
 
 
@@ -58,20 +58,20 @@ def least(record, fixed):
 
 
 @pytest.fixture(scope="module")
-def profile(found):
-    return jb.profile(found, "spring.damping")
+def profile(result):
+    return jb.profile(result, "spring.damping")
 
 
-def test_a_profile_ends_where_the_sum_of_squares_has_risen_enough(found, record, profile):
+def test_a_profile_ends_where_the_sum_of_squares_has_risen_enough(result, record, profile):
     """SciPy's root of S(c) = S (1 + t^2/(n - p)), on both sides; the damping is known badly and its interval skewed."""
-    S = np.sum((motion(*(float(x) for x in found.estimates.values())) - record) ** 2)
+    S = np.sum((motion(*(float(x) for x in result.estimates.values())) - record) ** 2)
     limit = S * (1 + student.ppf(0.975, len(TIMES) - 2) ** 2 / (len(TIMES) - 2))
-    best = float(found.estimates["spring.damping"])
+    best = float(result.estimates["spring.damping"])
     expected = [scipy.optimize.brentq(lambda c: least(record, c) - limit, *ends) for ends in ((1e-9, best), (best, 6.0))]
-    print(profile.interval, expected, found.intervals()["spring.damping"])
+    print(profile.interval, expected, result.intervals()["spring.damping"])
     np.testing.assert_allclose(profile.interval, expected, rtol=2e-3)  # of the cubic between points
     assert profile.ok and profile.tau[0] < 0 < profile.tau[-1] and (np.diff(profile.tau) > 0).all()
-    low, high = found.intervals()["spring.damping"]
+    low, high = result.intervals()["spring.damping"]
     assert 0 < low < best < high and abs(float(low) / expected[0] - 1) > 0.01
     assert f"interval {profile.interval[0]:.6g} to" in str(profile)
 
@@ -97,65 +97,67 @@ def test_of_a_robust_loss_the_profile_is_as_wide_as_the_standard_error(record):
         np.testing.assert_allclose(ends[1] - ends[0], high - low, rtol=0.1)
 
 
-def test_what_has_no_profile_is_told(found):
+def test_what_has_no_profile_is_told(result):
     for arguments, code in ((("spring.stifness",), "UNKNOWN_PATH"), (("spring.stiffness", 1.5), "BAD_LEVEL")):
         with pytest.raises(jb.JaxbodyError) as error:
-            jb.profile(found, arguments[0], **({"level": arguments[1]} if arguments[1:] else {}))
+            jb.profile(result, arguments[0], **({"level": arguments[1]} if arguments[1:] else {}))
         assert error.value.code == code
 
 
-def test_validation_on_a_run_held_out(found):
+def test_validation_on_a_run_held_out(result):
     times = np.linspace(0, 2.4, 61)  # as many: one program serves all
     noise = SIGMA * np.random.default_rng(8).normal(size=len(times))
     later, again = (run(x, t)["run"] for x, t in ((motion(*TRUTH, times) + noise, times), (motion(*TRUTH), TIMES)))
-    told = jb.validate(found, {"later": later, "again": again})  # not in the order of the alphabet
-    estimates = [float(x) for x in found.estimates.values()]
+    message = jb.validate(result, {"later": later, "again": again})  # not in the order of the alphabet
+    estimates = [float(x) for x in result.estimates.values()]
     measured = 1 + motion(*TRUTH, times) + noise
     expected = np.sqrt(np.mean((1 + motion(*estimates, times) - measured) ** 2)) / np.std(measured)
-    assert told.nrmse["later.x"] == pytest.approx(expected, rel=1e-6) and told.ok
-    assert told.nrmse["again.x"] < 0.1 and told.excess["later.x"] == pytest.approx(told.rms["later.x"] / float(found.noise["run"]["x"]))
-    assert told.whiteness["later.x"].lags > 5 and f"{100 * (1 - expected):.2f} %" in str(told)
+    assert message.nrmse["later.x"] == pytest.approx(expected, rel=1e-6) and message.ok
+    assert message.nrmse["again.x"] < 0.1 and message.excess["later.x"] == pytest.approx(
+        message.rms["later.x"] / float(result.noise["run"]["x"])
+    )
+    assert message.whiteness["later.x"].lags > 5 and f"{100 * (1 - expected):.2f} %" in str(message)
 
 
-def test_a_run_that_cannot_be_simulated_has_a_status(found):
+def test_a_run_that_cannot_be_simulated_has_a_status(result):
     """A run so long that it needs more steps than the fit was allowed."""
     with pytest.warns(jb.JaxbodyWarning, match="NONFINITE"):
-        told = jb.validate(found, {"long": run(motion(*TRUTH), np.linspace(0, 4000, len(TIMES)))["run"]})
-    assert told.status == jb.Status.NONFINITE and "long: MAX_STEPS" in told.report()
+        message = jb.validate(result, {"long": run(motion(*TRUTH), np.linspace(0, 4000, len(TIMES)))["run"]})
+    assert message.status == jb.Status.NONFINITE and "long: MAX_STEPS" in message.report()
     with pytest.raises(jb.JaxbodyError, match="NO_DATA"):
-        jb.validate(found, {})
+        jb.validate(result, {})
 
 
 def frequency(model):
     return jnp.sqrt(model["spring"].stiffness / MASS) / (2 * jnp.pi) * jnp.array([1.0, 2.0])
 
 
-def test_bands_are_the_delta_method_and_draws_agree(found):
-    k, error = (float(x["spring.stiffness"]) for x in (found.estimates, found.standard_errors))
-    told = jb.bands(found, frequency)
+def test_bands_are_the_delta_method_and_draws_agree(result):
+    k, error = (float(x["spring.stiffness"]) for x in (result.estimates, result.standard_errors))
+    message = jb.bands(result, frequency)
     f = np.sqrt(k / MASS) / (2 * np.pi) * np.array([1.0, 2.0])
-    np.testing.assert_allclose(told.value, f, rtol=1e-12)
-    np.testing.assert_allclose(told.standard_error, f * error / (2 * k), rtol=1e-9)
-    np.testing.assert_allclose(told.upper - f, student.ppf(0.975, len(TIMES) - 2) * told.standard_error, rtol=1e-6)
-    drawn = jb.bands(found, frequency, samples=2000, key=jax.random.key(1))
-    np.testing.assert_allclose(drawn.standard_error, told.standard_error, rtol=4 / np.sqrt(2 * 2000))
+    np.testing.assert_allclose(message.value, f, rtol=1e-12)
+    np.testing.assert_allclose(message.standard_error, f * error / (2 * k), rtol=1e-9)
+    np.testing.assert_allclose(message.upper - f, student.ppf(0.975, len(TIMES) - 2) * message.standard_error, rtol=1e-6)
+    drawn = jb.bands(result, frequency, samples=2000, key=jax.random.key(1))
+    np.testing.assert_allclose(drawn.standard_error, message.standard_error, rtol=4 / np.sqrt(2 * 2000))
 
 
-def test_bands_of_what_has_none_are_told(found):
+def test_bands_of_what_has_none_are_told(result):
     with pytest.raises(jb.JaxbodyError, match="WRONG_KIND"):
-        jb.bands(found, lambda model: 1j * frequency(model))
+        jb.bands(result, lambda model: 1j * frequency(model))
     with pytest.raises(jb.JaxbodyError, match="NO_KEY"):
-        jb.bands(found, frequency, samples=10)
+        jb.bands(result, frequency, samples=10)
     with pytest.warns(jb.JaxbodyWarning, match="NONFINITE"):
-        told = jb.bands(found, lambda model: jnp.sqrt(model["spring"].stiffness * 0.0))
-    assert np.isinf(told.standard_error)
+        message = jb.bands(result, lambda model: jnp.sqrt(model["spring"].stiffness * 0.0))
+    assert np.isinf(message.standard_error)
 
 
-def test_intervals_and_notes_print(found):
-    low, high = found.intervals()["spring.stiffness"]
-    assert f"{low:.6g} to {high:.6g}" in str(found) and "noise white" in str(found) and "95 % interval" in str(found)
+def test_intervals_and_notes_print(result):
+    low, high = result.intervals()["spring.stiffness"]
+    assert f"{low:.6g} to {high:.6g}" in str(result) and "noise white" in str(result) and "95 % interval" in str(result)
     with pytest.raises(jb.JaxbodyError, match="BAD_LEVEL"):
-        found.intervals(95)
+        result.intervals(95)
 
 
 @pytest.mark.long
@@ -169,31 +171,31 @@ def test_missing_samples_and_the_order_of_runs_change_nothing(record):
     loud = motion(*TRUTH) + 5 * SIGMA * np.random.default_rng(1).normal(size=len(TIMES))
     both = {"b": run(record)["run"], "a": run(loud)["run"]}
     one, other = fit(both), fit(dict(reversed(both.items())))
-    for found, expected in ((masked, alone), (one, other)):
+    for result, expected in ((masked, alone), (one, other)):
         for path in FREE:
-            np.testing.assert_allclose(found.estimates[path], expected.estimates[path], rtol=1e-6)
-            np.testing.assert_allclose(found.standard_errors[path], expected.standard_errors[path], rtol=1e-4)
+            np.testing.assert_allclose(result.estimates[path], expected.estimates[path], rtol=1e-6)
+            np.testing.assert_allclose(result.standard_errors[path], expected.standard_errors[path], rtol=1e-4)
     assert masked.uncertainty.samples == there.sum()
 
 
-def test_pictures_of_a_fit_show_its_numbers(found, record, profile):
-    axes = plots.plot_fit(found)
+def test_pictures_of_a_fit_show_its_numbers(result, record, profile):
+    axes = plots.plot_fit(result)
     below = axes.figure.axes[1]
     pale = below.patches[0].get_extents().transformed(below.transData.inverted())
-    np.testing.assert_allclose(pale.height, 2 * 1.96 * float(found.noise["run"]["x"]), rtol=1e-6)
-    heat = plots.plot_correlations(found)
-    rho = found.covariance[0, 1] / np.sqrt(found.covariance[0, 0] * found.covariance[1, 1])
+    np.testing.assert_allclose(pale.height, 2 * 1.96 * float(result.noise["run"]["x"]), rtol=1e-6)
+    heat = plots.plot_correlations(result)
+    rho = result.covariance[0, 1] / np.sqrt(result.covariance[0, 0] * result.covariance[1, 1])
     np.testing.assert_allclose(np.asarray(heat.images[0].get_array())[0, 1], rho)
-    r = np.asarray(found.predicted["run"]["x"]) - 1 - record
-    bars = plots.plot_autocorrelation(found)
+    r = np.asarray(result.predicted["run"]["x"]) - 1 - record
+    bars = plots.plot_autocorrelation(result)
     np.testing.assert_allclose(bars.lines[0].get_ydata()[0], r[1:] @ r[:-1] / (r @ r), rtol=1e-6)
     line = plots.plot_profile(profile).lines[0]
     np.testing.assert_array_equal(line.get_xdata(), profile.values)
     with pytest.raises(jb.JaxbodyError, match="UNKNOWN_NAME"):
-        plots.plot_autocorrelation(found, sensor="y")
+        plots.plot_autocorrelation(result, sensor="y")
 
 
-def test_few_degrees_of_freedom_are_printed_where_they_widen_intervals(found, record):
+def test_few_degrees_of_freedom_are_printed_where_they_widen_intervals(result, record):
     """Of white noise they are samples less parameters, 8 - 2: t is 25 % more than the normal distribution's 1.96; of 61 samples nothing
     is said."""
     few = fit(run(record[::8], TIMES[::8]))
@@ -203,12 +205,12 @@ def test_few_degrees_of_freedom_are_printed_where_they_widen_intervals(found, re
     np.testing.assert_allclose(few.intervals()["spring.stiffness"], [k * np.exp(-far), k * np.exp(far)], rtol=1e-6)
     for freedom in few.degrees_of_freedom.values():
         np.testing.assert_allclose(freedom, 6, rtol=1e-9)
-    said = f"intervals use Student's t with 6 degrees of freedom, which makes them {student.ppf(0.975, 6) / 1.959964:.2g} times wider"
-    assert said in str(few) and "degrees of freedom" in repr(few).splitlines()[1]
+    text = f"intervals use Student's t with 6 degrees of freedom, which makes them {student.ppf(0.975, 6) / 1.959964:.2g} times wider"
+    assert text in str(few) and "degrees of freedom" in repr(few).splitlines()[1]
     with np.errstate(all="ignore"):
         side = jb.profile(few, "spring.stiffness")
-    assert side.degrees_of_freedom == pytest.approx(6) and side.limit == pytest.approx(student.ppf(0.975, 6)) and said in str(side)
+    assert side.degrees_of_freedom == pytest.approx(6) and side.limit == pytest.approx(student.ppf(0.975, 6)) and text in str(side)
     band = jb.bands(few, lambda model: model["spring"].stiffness)
-    assert band.degrees_of_freedom == pytest.approx(6) and said in str(band)
-    np.testing.assert_allclose(found.degrees_of_freedom["spring.damping"], 59, rtol=1e-9)
-    assert "freedom" not in str(found) + str(jb.bands(found, lambda model: model["spring"].stiffness))
+    assert band.degrees_of_freedom == pytest.approx(6) and text in str(band)
+    np.testing.assert_allclose(result.degrees_of_freedom["spring.damping"], 59, rtol=1e-9)
+    assert "freedom" not in str(result) + str(jb.bands(result, lambda model: model["spring"].stiffness))

@@ -99,16 +99,16 @@ def test_rows_without_energy_are_left_out_and_counted(car):
 
 def test_a_tornado_counts_the_parameters_that_it_leaves_out():
     count = 22
-    found = SimpleNamespace(
+    result = SimpleNamespace(
         quantities=("y",), row=lambda _: 0, order=lambda _: np.arange(count), nominal=np.zeros(1), change=0.01,
         low=-np.ones((1, count)), high=np.ones((1, count)), parameters=[f"p{i}" for i in range(count)],
     )  # fmt: skip
-    ax = plots.plot_tornado(found, ax=Figure().subplots())
+    ax = plots.plot_tornado(result, ax=Figure().subplots())
     assert ax.get_title() == "the strongest 15 of 22 parameters" and len(ax.get_yticks()) == 15
 
 
 def test_branches_beyond_eight_look_different():
     frequency = jnp.arange(1.0, 13.0) * jnp.ones((3, 1))
     names = ["body bounce"] * 12  # the same name is no reason to take one curve for another
-    found = SimpleNamespace(values=jnp.arange(3.0), frequency=frequency, mac=jnp.ones((3, 12)), status=jnp.zeros(3), names=names)
-    assert_named_and_distinct(plots.plot_branches(found, ax=Figure().subplots()), 12)
+    result = SimpleNamespace(values=jnp.arange(3.0), frequency=frequency, mac=jnp.ones((3, 12)), status=jnp.zeros(3), names=names)
+    assert_named_and_distinct(plots.plot_branches(result, ax=Figure().subplots()), 12)

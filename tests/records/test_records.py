@@ -342,10 +342,10 @@ def test_bad_files_are_reported(case, tmp_path):
     options = {"time": ("t", "s"), "channels": {"a": ("a", "m/s2")}} | options
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.read_record(written(tmp_path, content, name), **options)
-    assert_told(refused.value, code, words)
+    assert_says(refused.value, code, words)
 
 
-def assert_told(error, code, words):
+def assert_says(error, code, words):
     message = str(error)
     assert error.code == code, message
     assert [word for word in words.split() if word not in message] == [], message
@@ -396,7 +396,7 @@ def test_the_whole_message_reads_so(tmp_path):
 # Bad records: entries 50-52, 56-58, 60, 61, 64, 69-72
 
 
-def gone(x, rows):
+def removed(x, rows):
     x = np.array(x, float)
     x[rows] = np.nan
     return x
@@ -413,7 +413,7 @@ RECORDS = {  # times, channel and unit, options, code, words
         "DUPLICATE_TIME",
         "index 1 differ in their values",
     ),
-    "NaN in times": (gone(TIMES, 12), (X[:, 0], "m"), {}, "NAN_TIME", "index 12"),
+    "NaN in times": (removed(TIMES, 12), (X[:, 0], "m"), {}, "NAN_TIME", "index 12"),
     "another rate": (TIMES, (X, "m"), {"rate": 200.3}, "RATE_MISMATCH", "200 Hz 200.3 0.1 %"),
     "jitter": (TIMES + 6e-4 * np.sin(np.arange(50)), (X, "m"), {}, "JITTER", "% of a step 5 % irregular=True"),
     "samples missing": (np.delete(TIMES, [5, 9, 10, 30]), (X[:46], "m"), {}, "GAPS", "4 of 50 irregular=True"),
@@ -436,7 +436,7 @@ def test_bad_records_are_reported(case):
     times, channel, options, code, words = RECORDS[case]
     with pytest.raises(jb.JaxbodyError) as refused:
         jb.Record(times, {"x": channel}, **options)
-    assert_told(refused.value, code, words)
+    assert_says(refused.value, code, words)
 
 
 STILL = 9.80665 + 0.01 * X[:, :1]
@@ -444,7 +444,7 @@ WARNED = {
     "milliseconds": (1e3 * TIMES, (X, "m"), {}, "TIME_UNIT", "0.2 Hz milliseconds"),
     "few samples for what matters": (TIMES, (X, "m"), {"highest": 30.0}, "LOW_RATE", "200 Hz 30 Hz spline"),
     "too few samples": (TIMES, (X, "m"), {"highest": 90.0}, "LOW_RATE", "too few 90 Hz"),
-    "a third missing": (TIMES, (gone(X[:, 0], slice(0, 50, 3)), "m"), {}, "MISSING", "34 %"),
+    "a third missing": (TIMES, (removed(X[:, 0], slice(0, 50, 3)), "m"), {}, "MISSING", "34 %"),
     "dead": (TIMES, (np.column_stack([X[:, 0], 0 * X[:, 0] + 2.5]), "V"), {}, "DEAD", "Record['x'][1] 2.5 V 0 to 0.245 s"),
     "saturated": (TIMES, (np.minimum(np.sin(20 * TIMES), 0.9), "V"), {}, "SATURATED", "0.9 V 0.06 to 0.1 s"),
     "degrees for radians": (TIMES, (40 * X, "rad"), {}, "UNIT", "degrees"),
@@ -491,7 +491,7 @@ def test_round_off_of_times_is_no_jitter_and_one_line_is_one_line(tmp_path):
 
 def test_repeated_rows_are_dropped_on_request_and_noted():
     rows = [0, 1, 1, 2, 3, 3, *range(4, 50)]
-    record = jb.Record(TIMES[rows], {"x": (gone(X, 7)[rows], "m")}, drop_duplicates=True)
+    record = jb.Record(TIMES[rows], {"x": (removed(X, 7)[rows], "m")}, drop_duplicates=True)
     assert record.times.tolist() == TIMES.tolist() and "dropped 2 rows" in str(record)
 
 
@@ -506,7 +506,7 @@ def test_channels_without_samples_are_dropped_on_request_and_noted():
 def test_short_gaps_are_filled_on_request_and_long_ones_stay(fill, limit):
     """A sine of 20 samples a period: a line across 4 steps misses by (2 h w)^2/2 at most, a spline by about its fourth power."""
     smooth = np.sin(2 * np.pi * 10 * TIMES)
-    x = gone(smooth, [10, 11, 30, 31, 32, 33])
+    x = removed(smooth, [10, 11, 30, 31, 32, 33])
     kept = np.delete(np.arange(50), [20, 21])
     plain = jb.Record(TIMES[kept], {"x": (x[kept], "m")})
     assert np.isnan(plain["x"]).sum() == 6 and plain.sampling.missing == 2 and not plain.notes

@@ -155,10 +155,10 @@ def test_a_weighted_signal_is_that_of_the_analog_filter():
                 [1 / (w * 3.35) ** 2, 1 / (0.91 * w * 3.35), 1],
             )
         top, bottom = (np.polymul(np.polymul(a_, b_), np.polymul(c_, d_)) for a_, b_, c_, d_ in zip(high, low, change, step, strict=True))
-        _, judge, _ = scipy.signal.lsim((top, bottom), a, t)
+        _, reference, _ = scipy.signal.lsim((top, bottom), a, t)
         computed = jb.weighted_signal(t, a, name)
-        assert np.abs(np.asarray(computed.values) - judge).max() < 3e-3 * np.abs(judge).max()
-        np.testing.assert_allclose(computed.rms, np.sqrt(np.mean(judge**2)), rtol=1e-3)
+        assert np.abs(np.asarray(computed.values) - reference).max() < 3e-3 * np.abs(reference).max()
+        np.testing.assert_allclose(computed.rms, np.sqrt(np.mean(reference**2)), rtol=1e-3)
         np.testing.assert_allclose(computed.crest_factor, np.abs(computed.values).max() / computed.rms, rtol=1e-12)
 
 

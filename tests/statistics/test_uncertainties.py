@@ -54,11 +54,11 @@ def test_intervals_hold_the_truth_and_the_naive_ones_are_flagged(rho, common):
     """400 replicates know 95 % to 1.1 %: limits are three of these; tests/benchmarks/coverage.py has 2000 of simulated motions."""
     J, count = jacobian(), 400
     held, flagged, naive = [], [], []
-    for u, worth in worths(J, noise(rho, seed=1, count=count, common=common)):
-        low, high = interval_of_u(u, worth, 0.95)
+    for u, uncertainty in worths(J, noise(rho, seed=1, count=count, common=common)):
+        low, high = interval_of_u(u, uncertainty, 0.95)
         held.append((low <= 0) & (high >= 0))
-        naive.append(np.abs(u) <= 1.96 * np.sqrt(np.diag(worth.white_covariance)))
-        flagged.append(worth.correlated)
+        naive.append(np.abs(u) <= 1.96 * np.sqrt(np.diag(uncertainty.white_covariance)))
+        flagged.append(uncertainty.correlated)
     print(rho, common, np.mean(held, 0), "naive", np.mean(naive, 0), "flagged", np.mean(flagged))
     assert (np.abs(np.mean(held, 0) - 0.95) < 0.033).all()
     assert np.mean(flagged) >= 0.99 if rho else np.mean(flagged) < 0.01
@@ -66,35 +66,37 @@ def test_intervals_hold_the_truth_and_the_naive_ones_are_flagged(rho, common):
 
 
 def test_normalized_errors_are_chi_squared():
-    squares = [u @ np.linalg.solve(worth.covariance, u) for u, worth in worths(jacobian(), noise(0.0, seed=2, count=1000))]
+    squares = [u @ np.linalg.solve(uncertainty.covariance, u) for u, uncertainty in worths(jacobian(), noise(0.0, seed=2, count=1000))]
     assert kstest(squares, chi2(5).cdf).pvalue > 1e-3
 
 
 def test_one_white_noise_is_the_textbooks():
     J, e = jacobian(), noise(0.0, seed=3)[0]
-    ((u, worth),) = worths(J, [e])
+    ((u, uncertainty),) = worths(J, [e])
     r = e - J @ u
-    assert not any(worth.orders.values()) and not worth.pairs
+    assert not any(uncertainty.orders.values()) and not uncertainty.pairs
     covariance = r @ r / (len(r) - 5) * np.linalg.inv(J.T @ J)
-    np.testing.assert_allclose(worth.covariance, covariance, rtol=1e-9)
-    _, freedom = worth.spread(np.eye(5))
+    np.testing.assert_allclose(uncertainty.covariance, covariance, rtol=1e-9)
+    _, freedom = uncertainty.spread(np.eye(5))
     np.testing.assert_allclose(freedom, len(r) - 5, rtol=1e-9)
-    np.testing.assert_allclose(interval_of_u(u, worth, 0.9)[1], u + quantile(0.9, len(r) - 5) * np.sqrt(np.diag(covariance)), rtol=1e-9)
+    np.testing.assert_allclose(
+        interval_of_u(u, uncertainty, 0.9)[1], u + quantile(0.9, len(r) - 5) * np.sqrt(np.diag(covariance)), rtol=1e-9
+    )
 
 
 def test_of_known_correlation_the_covariance_is_that_of_its_matrix():
     """(J'J)^-1 J' Omega J (J'J)^-1 with Omega written out from the autoregressions that were found."""
     J, e = jacobian(), noise(0.8, seed=4)[0]
-    ((u, worth),) = worths(J, [e])
+    ((u, uncertainty),) = worths(J, [e])
     r = (e - J @ u).reshape(N, CHANNELS)
-    assert set(worth.orders.values()) == {1} and not worth.pairs
+    assert set(uncertainty.orders.values()) == {1} and not uncertainty.pairs
     Omega = np.zeros((N, CHANNELS, N, CHANNELS))
     for i in range(CHANNELS):
         phi = (r[1:, i] @ r[:-1, i]) / (r[:, i] @ r[:, i])
         Omega[:, i, :, i] = np.var(r[:, i]) * toeplitz(phi ** np.arange(N))
     A = np.linalg.pinv(J)
     expected = A @ Omega.reshape(3 * N, 3 * N) @ A.T
-    ratio = np.diag(worth.covariance) / np.diag(expected)
+    ratio = np.diag(uncertainty.covariance) / np.diag(expected)
     print(ratio)  # above one: what the fit took is put back
     assert (ratio > 1).all() and (ratio < 1.35).all()
 
@@ -109,15 +111,15 @@ def test_autocovariances_are_those_whose_residuals_have_the_products_that_are_th
     P = np.eye(n) - J @ A
     r = P @ e
     products = np.array([r @ r, r[1:] @ r[:-1]])
-    worth = assess(r, J, [], [], LABELS, [ResidualSeries("y", "y", "run", np.arange(n), np.arange(n))])
-    assert worth.orders == {"y": 1}
+    uncertainty = assess(r, J, [], [], LABELS, [ResidualSeries("y", "y", "run", np.arange(n), np.arange(n))])
+    assert uncertainty.orders == {"y": 1}
 
     def omega(gamma):
         return gamma[0] * toeplitz((gamma[1] / gamma[0]) ** np.arange(n))
 
-    found = root(lambda gamma: [np.trace(P @ omega(gamma) @ P, k) / products[k] - 1 for k in (0, 1)], products / n)
-    assert found.success
-    ratio, plain = (np.diag(C) / np.diag(A @ omega(found.x) @ A.T) for C in (worth.covariance, A @ omega(products / n) @ A.T))
+    result = root(lambda gamma: [np.trace(P @ omega(gamma) @ P, k) / products[k] - 1 for k in (0, 1)], products / n)
+    assert result.success
+    ratio, plain = (np.diag(C) / np.diag(A @ omega(result.x) @ A.T) for C in (uncertainty.covariance, A @ omega(products / n) @ A.T))
     print(ratio, plain)
     np.testing.assert_allclose(ratio, 1, atol=2 / n)
     assert (plain < 0.75).all()
@@ -126,14 +128,14 @@ def test_autocovariances_are_those_whose_residuals_have_the_products_that_are_th
 def test_units_of_parameters_and_the_order_of_samples_do_not_matter():
     J, e = jacobian(), noise(0.6, seed=5)[0]
     scale = np.array([1e-2, 30.0, 1.0, 1e2, 1e-1])  # of u, which is of the order of one whatever the units of values
-    ((u, worth),) = worths(J, [e])
+    ((u, uncertainty),) = worths(J, [e])
     other = assess(e - J @ u, J * scale, [], [], LABELS, records())
-    np.testing.assert_allclose(other.covariance * np.outer(scale, scale), worth.covariance, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(other.covariance * np.outer(scale, scale), uncertainty.covariance, rtol=1e-9, atol=1e-12)
     order = np.random.default_rng(0).permutation(CHANNELS * N)
     place = np.argsort(order)
     moved = [one._replace(rows=place[one.rows]) for one in records()]
     again = assess((e - J @ u)[order], J[order], [], [], LABELS, moved)
-    np.testing.assert_allclose(again.covariance, worth.covariance, rtol=1e-9)
+    np.testing.assert_allclose(again.covariance, uncertainty.covariance, rtol=1e-9)
 
 
 def test_the_covariance_falls_like_one_over_the_samples():
@@ -158,9 +160,9 @@ def test_gaps_are_as_if_the_samples_had_not_been_there():
     for e in noise(0.6, 2 * N, seed=7, count=count):
         e[gone] = 0
         u = np.linalg.pinv(J) @ e
-        worth = assess(e - J @ u, J, [], [], LABELS, partial)
-        assert worth.samples == 4 * N and all(worth.orders.values())
-        low, high = interval_of_u(u, worth, 0.95)
+        uncertainty = assess(e - J @ u, J, [], [], LABELS, partial)
+        assert uncertainty.samples == 4 * N and all(uncertainty.orders.values())
+        low, high = interval_of_u(u, uncertainty, 0.95)
         held.append((low <= 0) & (high >= 0))
     assert np.mean(held) > 0.95 - 3 * np.sqrt(0.95 * 0.05 / count)
 
@@ -177,12 +179,12 @@ def test_planted_null_directions_are_found_and_no_others():
         planted[rng.integers(0, n), :] += 1.0
         planted = np.linalg.qr(planted)[0] if k else planted
         J = J - J @ planted @ planted.T + 1e-13 * rng.normal(size=(m, n))
-        worth = assess(rng.normal(size=m), J, [], [], [f"p{i}" for i in range(n)], [])
-        found = worth.null
-        missed += worth.rank > n - k
-        alarms += worth.rank < n - k
-        if worth.rank == n - k and k:
-            assert np.linalg.norm(planted - found @ (found.T @ planted), 2) < 1e-4  # the sine of the largest angle
+        uncertainty = assess(rng.normal(size=m), J, [], [], [f"p{i}" for i in range(n)], [])
+        result = uncertainty.null
+        missed += uncertainty.rank > n - k
+        alarms += uncertainty.rank < n - k
+        if uncertainty.rank == n - k and k:
+            assert np.linalg.norm(planted - result @ (result.T @ planted), 2) < 1e-4  # the sine of the largest angle
     print(f"missed {missed}, false alarms {alarms}")
     assert missed <= 5 and alarms <= 5
 
@@ -198,8 +200,8 @@ def test_autoregressions_are_those_of_yule_and_walker():
     gamma = autocovariances(process, 50)
     np.testing.assert_allclose(gamma[2:], 1.2 * gamma[1:-1] - 0.5 * gamma[:-2], rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(gamma[0] - 1.2 * gamma[1] + 0.5 * gamma[2], 2.0, rtol=1e-12)
-    found = autoregressions(gamma[:5])[-1]
-    np.testing.assert_allclose(found.phi, [1.2, -0.5, 0, 0], atol=1e-12)
+    result = autoregressions(gamma[:5])[-1]
+    np.testing.assert_allclose(result.phi, [1.2, -0.5, 0, 0], atol=1e-12)
     x = lfilter([1.0], [1, -1.2, 0.5], np.random.default_rng(0).normal(size=3000))[500:]
     assert chosen_order(x) == 2 and chosen_order(np.random.default_rng(1).normal(size=2000)) == 0
     assert np.allclose(products(x, 1), [x @ x, x[1:] @ x[:-1]])
@@ -216,7 +218,7 @@ def test_whiteness_is_told_by_ljung_and_box():
 
 
 @pytest.mark.parametrize(
-    ("orders", "times", "noise", "said"),
+    ("orders", "times", "noise", "text"),
     [
         ([0, 0], 1.0, "noise white", ", but no autoregression describes them better than white noise, which standard errors assume"),
         ([1, 1], 1.04, "noise autoregressive of order 1",
@@ -227,11 +229,13 @@ def test_whiteness_is_told_by_ljung_and_box():
          ": standard errors for white noise would be up to 2 times too large; these assume autoregressions of order 2 to 3"),
     ],
 )  # fmt: skip
-def test_correlated_residuals_are_said_without_empty_figures(orders, times, noise, said):
+def test_correlated_residuals_are_said_without_empty_figures(orders, times, noise, text):
     """No "up to 1 times too large", no "autoregressions of order 0"."""
     J = jacobian()
-    ((_, worth),) = worths(J, [np.random.default_rng(5).normal(size=len(J))])
-    worth = dataclasses.replace(
-        worth, covariance=times**2 * worth.white_covariance, orders=dict(zip("ab", orders, strict=True)), correlated=True
+    ((_, uncertainty),) = worths(J, [np.random.default_rng(5).normal(size=len(J))])
+    uncertainty = dataclasses.replace(
+        uncertainty, covariance=times**2 * uncertainty.white_covariance, orders=dict(zip("ab", orders, strict=True)), correlated=True
     )
-    assert worth.noise == noise and worth.about_noise() == [f"residuals are correlated (lag one {worth.correlation:.2f}){said}"]
+    assert uncertainty.noise == noise and uncertainty.about_noise() == [
+        f"residuals are correlated (lag one {uncertainty.correlation:.2f}){text}"
+    ]
