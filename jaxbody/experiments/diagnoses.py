@@ -1,8 +1,8 @@
-"""What may be wrong with a record beside what a model reads: a unit, a sign, a delay, channels swapped, axes of the other hand.
+"""Likely errors of measured records, by comparison with a model: units, signs, delays, swapped channels, left-handed axes.
 
     measured(t) ~ offset + gain reading(t - delay)
 
-for every channel, by least squares. It is meant for a model that is roughly right, before its fit takes a blunder up.
+for every channel, by least squares. It is meant for a model that is roughly right, before a fit to records with such an error.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ from jaxbody.simulations.readings import measure
 from jaxbody.simulations.simulations import simulate
 
 FACTORS = {
-    1000.0: "is it in thousandths of the unit that the sensor has (mm for m)?",
-    1e-3: "is it in thousands of the unit that the sensor has (m for mm, s for ms)?",
+    1000.0: "is it in thousandths of the sensor's unit (mm instead of m)?",
+    1e-3: "is it in thousands of the sensor's unit (m instead of mm, s instead of ms)?",
     180 / np.pi: "is it in degrees?",
-    np.pi / 180: "is it in radians, read as degrees?",
-    9.80665: "are these m/s2, taken for g?",
+    np.pi / 180: "is it in radians instead of degrees?",
+    9.80665: "is it in m/s2 instead of g?",
     1 / 9.80665: "is it in g?",
-    0.0254: "is it in inches, taken for meters?",
+    0.0254: "is it in meters instead of inches?",
     1 / 0.0254: "is it in inches?",
 }
-CLOSE = 0.05  # in the logarithm of a gain
-ALIKE = 0.8  # correlation from which on a gain means something
-LATE = 0.05  # samples
-SURE = 4.0  # standard errors
-HEAVY = 0.3  # part of gravity in the mean of an accelerometer, from which on it is looked for
-NONE = 0.2  # part of that mean which is none
+CLOSE = 0.05  # largest difference of the logarithms of a gain and a factor
+CORRELATED = 0.8  # smallest correlation for which gain and delay are considered
+LATE = 0.05  # smallest delay that is reported, in samples
+SIGNIFICANT = 4.0  # and in standard errors
+HEAVY = 0.3  # smallest predicted mean of an accelerometer, relative to gravity, for which gravity is checked
+LIGHT = 0.2  # measured mean, relative to the predicted one, below which gravity is missing
 EARTH = (9.7, 9.9)  # m/s2
-BETTER = 0.7  # of the cost, below which another arrangement is worth telling
+BETTER = 0.7  # relative cost below which another arrangement of channels or axes is reported
 
 
 @dataclass(frozen=True)
 class Compared:
-    """One number of a channel: measured against read."""
+    """Comparison of one component of a channel with the prediction."""
 
     name: str
     gain: float
@@ -59,8 +59,8 @@ class Compared:
 
 
 class Diagnosis(Result):
-    """What `diagnose` found: `channels`, for each number its gain, correlation, delay in samples with standard error, and residual over
-    signal; `words`, what that may mean."""
+    """Result of `diagnose`: `channels`, for each component gain, correlation, delay in samples with its standard error, and residual
+    relative to the signal; `words`, likely errors."""
 
     status: Int[Array, ""]
     channels: tuple[Compared, ...] = eqx.field(static=True)
@@ -69,20 +69,27 @@ class Diagnosis(Result):
     def _tables(self) -> list[tables.PrintedTable]:
         rows = [(c.name, c.gain, c.correlation, c.delay, c.delay_error, f"{100 * c.residual:.3g} %") for c in self.channels]
         heads = ("channel", "gain", "correlation", "delay [samples]", "+-", "residual")
-        return [tables.PrintedTable("Diagnosis", heads, rows, "\n".join(self.words) or "nothing to remark")]
+        return [tables.PrintedTable("Diagnosis", heads, rows, "\n".join(self.words) or "no remarks")]
 
 
 def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool | None = None, **options: Any) -> Diagnosis:
-    """What may be wrong with measured channels, from what the model reads with its parameters as they are; `options` go to `simulate`. progress: a line after
-    five seconds on a terminal or in a notebook; False is silent.
+    """Likely errors of measured channels, from a comparison with the predictions of the model without a fit.
 
-    Warns GAIN_FACTOR (a gain near 1000, 57.3, 9.81, 39.4 or their inverses, or negative), DELAY (above 0.05 samples and 4 standard errors of white noise),
-    SWAPPED (two channels that would fit 30 % better exchanged), LEFT_HANDED (three axes that only a reflection brings in line), GRAVITY (an accelerometer's record without
-    the gravity that it reads, or with one that the model lacks). Errors: those of `simulate`.
+    Args:
+        model: with parameters that are roughly right.
+        experiments: {name: Experiment}.
+        progress: None shows progress on a terminal or in a notebook after five seconds, False is silent.
+        options: those of `simulate`.
+
+    Warns GAIN_FACTOR of a gain near 1000, 57.3, 9.81, 39.4 or their inverses, or negative; DELAY of more than 0.05 samples and 4 standard
+    errors of white noise; SWAPPED of two channels whose cost is 30 % lower when exchanged; LEFT_HANDED of three axes that agree with the
+    model only after a reflection; GRAVITY of an accelerometer's record without gravity, or with gravity that the model does not have.
+    Errors: those of `simulate`.
 
     >>> times = jnp.linspace(0, 1, 50)
-    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, joints={"mass": Guide("world", axis=[1, 0, 0])},
-    ...               elements={"spring": Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=40.0)})
+    >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=40.0)
+    >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
+    ...               joints={"mass": Guide("world", axis=[1, 0, 0])})
     >>> run = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(40**0.5 * times)})
     >>> diagnose(model, {"run": run}).words
     ()
@@ -94,40 +101,40 @@ def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool
             initial = experiment.initial
             run = simulate(model, experiment.times, motion=experiment.motion, loads=experiment.loads, initial=initial, **options)
             readings = {key: np.asarray(x) for key, x in measure(run, experiment.sensors).items()}
-            channels = _numbers(name, experiment, readings)
+            channels = _components(name, experiment, readings)
             step = np.median(np.diff(experiment.times))
             for key, (y, p, _) in channels.items():
                 compared.append(_compared(key, np.asarray(experiment.times), y, p, step))
                 words += _remarks(compared[-1])
-            words += _swapped(channels) + _mirrored(name, experiment, readings) + _weighed(name, model, experiment, readings)
-    for code, told in words:
-        warn(code, told)
-    return Diagnosis(jnp.asarray(Status.OK), tuple(compared), tuple(told for _, told in words))
+            words += _swapped(channels) + _mirrored(name, experiment, readings) + _without_gravity(name, model, experiment, readings)
+    for code, message in words:
+        warn(code, message)
+    return Diagnosis(jnp.asarray(Status.OK), tuple(compared), tuple(message for _, message in words))
 
 
-def _numbers(run: str, experiment: Experiment, readings: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
-    """{name: (measured, read, unit)} of every number of channels that are plain numbers or vectors, no poses."""
-    found = {}
+def _components(run: str, experiment: Experiment, readings: dict[str, np.ndarray]) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
+    """{name: (measured, predicted, unit)} of every component of channels that are scalars or vectors, not of poses."""
+    components = {}
     for name, sensor in experiment.sensors.items():
         y, p = np.asarray(experiment.measured[name]), readings[name]
         if y.ndim == 1:
-            found[f"{run}.{name}"] = (y, p, sensor.unit)
+            components[f"{run}.{name}"] = (y, p, sensor.unit)
         elif y.shape[1] <= 3:
-            found |= {f"{run}.{name}[{k}]": (y[:, k], p[:, k], sensor.unit) for k in range(y.shape[1])}
-    return found
+            components |= {f"{run}.{name}[{k}]": (y[:, k], p[:, k], sensor.unit) for k in range(y.shape[1])}
+    return components
 
 
 def _fit(columns: list[np.ndarray], y: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Coefficients, their standard errors for white noise, and the rms of what is left."""
+    """Coefficients, their standard errors for white noise, and the rms residual."""
     A = np.stack(columns, 1)
     c = np.linalg.lstsq(A, y, rcond=None)[0]
-    left = y - A @ c
-    s2 = left @ left / max(len(y) - A.shape[1], 1)
-    return c, np.sqrt(s2 * np.diag(np.linalg.pinv(A.T @ A))), float(np.sqrt(np.mean(left**2)))
+    residual = y - A @ c
+    s2 = residual @ residual / max(len(y) - A.shape[1], 1)
+    return c, np.sqrt(s2 * np.diag(np.linalg.pinv(A.T @ A))), float(np.sqrt(np.mean(residual**2)))
 
 
 def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: float) -> Compared:
-    """Gain and delay of y against p: y ~ c0 + g (p - d p'), twice, the second time from where the first led."""
+    """Gain g and delay d of y relative to p, by iterated linear fits of y ~ c0 + g (p - d p')."""
     from scipy.interpolate import CubicSpline
 
     here = np.isfinite(y) & np.isfinite(p)
@@ -149,37 +156,37 @@ def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: 
 
 
 def _remarks(c: Compared) -> list[tuple[str, str]]:
-    found = []
-    if abs(c.correlation) > ALIKE:
+    remarks = []
+    if abs(c.correlation) > CORRELATED:
         near = next((f for f in FACTORS if abs(np.log(abs(c.gain) / f)) < CLOSE), None)
         if near is not None:
-            found.append(("GAIN_FACTOR", f"{c.name} is {c.gain:.4g} times what the model reads: {FACTORS[near]}"))
+            remarks.append(("GAIN_FACTOR", f"{c.name} is {c.gain:.4g} times the prediction: {FACTORS[near]}"))
         elif c.gain < 0:
-            found.append(("GAIN_FACTOR", f"{c.name} is {c.gain:.4g} times what the model reads: is its sign, or its axis, turned round?"))
-        if abs(c.delay) > max(LATE, SURE * c.delay_error):
+            remarks.append(("GAIN_FACTOR", f"{c.name} is {c.gain:.4g} times the prediction: is its sign or its axis reversed?"))
+        if abs(c.delay) > max(LATE, SIGNIFICANT * c.delay_error):
             late = "later" if c.delay > 0 else "earlier"
-            found.append(("DELAY", f"{c.name} comes {abs(c.delay):.3g} samples {late} than the model reads it: let its delay be free"))
-    return found
+            remarks.append(("DELAY", f"{c.name} is {abs(c.delay):.3g} samples {late} than the prediction: free its delay in the fit"))
+    return remarks
 
 
 def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, str]]) -> list[tuple[str, str]]:
-    """Pairs of one unit that fit better exchanged."""
-    found = []
+    """Remarks on pairs of channels of one unit that fit better when exchanged."""
+    remarks = []
     for (a, (y, p, unit)), (b, (z, q, other)) in itertools.combinations(channels.items(), 2):
         here = np.isfinite(y) & np.isfinite(z)
         if unit != other or not here.any():
             continue
         y, z, p, q = (x[here] - x[here].mean() for x in (y, z, p, q))
-        as_they_are, exchanged = np.sum((y - p) ** 2 + (z - q) ** 2), np.sum((y - q) ** 2 + (z - p) ** 2)
-        if exchanged < BETTER * as_they_are:
-            share = 100 * (1 - exchanged / as_they_are)
-            found.append(("SWAPPED", f"{a} and {b} would fit better exchanged, by {share:.0f} % of the cost: are their cables swapped?"))
-    return found
+        recorded, exchanged = np.sum((y - p) ** 2 + (z - q) ** 2), np.sum((y - q) ** 2 + (z - p) ** 2)
+        if exchanged < BETTER * recorded:
+            lower = 100 * (1 - exchanged / recorded)
+            remarks.append(("SWAPPED", f"{a} and {b} fit better when exchanged, at {lower:.0f} % lower cost: are their cables swapped?"))
+    return remarks
 
 
 def _mirrored(run: str, experiment: Experiment, readings: dict[str, np.ndarray]) -> list[tuple[str, str]]:
-    """Three axes that a reflection, and no rotation, brings in line with what the model reads (Kabsch's alignment)."""
-    found = []
+    """Remarks on vectors that a reflection aligns with the prediction much better than any rotation (Kabsch algorithm)."""
+    remarks = []
     for name, p in readings.items():
         y = np.asarray(experiment.measured[name])
         if y.ndim != 2 or y.shape[1] != 3:
@@ -188,25 +195,24 @@ def _mirrored(run: str, experiment: Experiment, readings: dict[str, np.ndarray])
         y, p = y[here] - y[here].mean(0), p[here] - p[here].mean(0)
         U, S, Vt = np.linalg.svd(y.T @ p)
         power = np.sum(y**2) + np.sum(p**2)
-        turned, mirrored = power - 2 * (S[0] + S[1] + S[2] * np.sign(np.linalg.det(U @ Vt))), power - 2 * S.sum()
-        if np.linalg.det(U @ Vt) < 0 and mirrored < BETTER * turned:
-            found.append(("LEFT_HANDED", f"{run}.{name} is in line with the model only when mirrored: are its axes left-handed?"))
-    return found
+        rotated, mirrored = power - 2 * (S[0] + S[1] + S[2] * np.sign(np.linalg.det(U @ Vt))), power - 2 * S.sum()
+        if np.linalg.det(U @ Vt) < 0 and mirrored < BETTER * rotated:
+            remarks.append(("LEFT_HANDED", f"{run}.{name} agrees with the model only when mirrored: are its axes left-handed?"))
+    return remarks
 
 
-def _weighed(run: str, model: Model, experiment: Experiment, readings: dict[str, np.ndarray]) -> list[tuple[str, str]]:
-    """Accelerometers whose mean is that of a reading without gravity, or with one where the model has none."""
+def _without_gravity(run: str, model: Model, experiment: Experiment, readings: dict[str, np.ndarray]) -> list[tuple[str, str]]:
+    """Remarks on accelerometers whose record lacks gravity, or has gravity that the model does not have."""
     remarks, g = [], float(np.linalg.norm(model.gravity))
     for name, sensor in experiment.sensors.items():
         if not isinstance(sensor, Accelerometer):
             continue
         y, p = np.asarray(experiment.measured[name]), readings[name]
         mean, expected = (float(np.linalg.norm(np.mean(x[np.isfinite(y) & np.isfinite(p)].reshape(-1, *y.shape[1:]), 0))) for x in (y, p))
-        if expected > HEAVY * g > 0 and mean < NONE * expected:
-            hint = "was gravity taken out already? Put it back, or leave gravity out of the model with the sag that it makes"
-            remarks.append(("GRAVITY", f"{run}.{name} is {mean:.3g} m/s2 on average, where an accelerometer reads {expected:.4g}: {hint}"))
+        if expected > HEAVY * g > 0 and mean < LIGHT * expected:
+            hint = "was gravity removed from the record? Add it again, or remove gravity and the sag that it causes from the model"
+            remarks.append(("GRAVITY", f"{run}.{name} is {mean:.3g} m/s2 on average, but an accelerometer reads {expected:.4g}: {hint}"))
         if not g and EARTH[0] <= mean <= EARTH[1]:
-            remarks.append(
-                ("GRAVITY", f"{run}.{name} is {mean:.4g} m/s2 on average: it reads gravity, which the model lacks; give it gravity=")
-            )
+            hint = "it reads gravity, but the model has none; give it gravity="
+            remarks.append(("GRAVITY", f"{run}.{name} is {mean:.4g} m/s2 on average: {hint}"))
     return remarks

@@ -1,4 +1,4 @@
-"""One run of a rig: when it was sampled, how its base moved, where it started, which sensors read what."""
+"""Experiments: the sample times, base motions, loads, initial state and sensor records of one run."""
 
 from typing import Any
 
@@ -46,18 +46,25 @@ class Integration(eqx.Module):
 
 
 class Experiment(Measurement):
-    """What was done and what was measured.
+    """One measured run.
 
-    times [s] (nt,); motion {support: motion}; loads {name: load}; initial, the state at times[0] (the reference pose at rest
-    without one), or "rest", in equilibrium on supports as they stand and move at times[0], which follows the model in a fit; leave_out [s], how much of the
-    beginning counts as missing (NaN in `measured`);
-    sensors {name: sensor}; measured {name: (nt, ...)}, NaN where a sample is missing; noise, standard deviations, one number or one for
-    each sensor (of a pose two, in meters and radians), estimated from the residuals where they are not given.
+    Args:
+        times: [s] (nt,).
+        sensors: {name: sensor}.
+        measured: {name: array (nt, ...)} for every sensor, NaN for missing samples.
+        motion: {support: motion}; a support without an entry is at rest.
+        loads: {name: load}; by default none.
+        initial: the state at times[0], or "rest", in equilibrium on the supports as they stand and move at times[0], which follows the
+            parameters of a fit; by default the reference pose at rest.
+        noise: standard deviations, one number or {sensor: one number}, for a pose two numbers, in meters and radians; by default
+            estimated from the residuals.
+        leave_out: duration of the initial transient [s], whose samples become NaN.
 
     Errors, all at once: times as in `simulate`, BAD_SHAPE, NO_DATA, ALL_NAN of a channel, NON_FINITE, BAD_QUATERNION, BAD_NOISE,
     UNKNOWN_NAME, BAD_NAME, DUPLICATE_NAME, WRONG_KIND; warns MISSING above 20 %, DEAD, SATURATED.
 
-    >>> Experiment([0.0, 0.1, 0.2], sensors={"height": Position("mass", axis=[0, 1, 0])}, measured={"height": [0, -0.049, -0.196]}).measured["height"].shape
+    >>> height = Position("mass", axis=[0, 1, 0])
+    >>> Experiment([0.0, 0.1, 0.2], sensors={"height": height}, measured={"height": [0, -0.049, -0.196]}).measured["height"].shape
     (3,)
     """
 
@@ -100,12 +107,12 @@ class Experiment(Measurement):
                 value=name,
                 hint="Every sensor needs its measured array, under the same name.",
             )
-        late = _begun(leave_out, checked, problems)
+        kept = _kept(leave_out, checked, problems)
         arrays = {
-            name: _samples(name, sensor, measured[name], checked, late, problems) for name, sensor in sensors.items() if name in measured
+            name: _samples(name, sensor, measured[name], checked, kept, problems) for name, sensor in sensors.items() if name in measured
         }
-        known = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
-        levels = None if noise is None else noise_levels(known, noise, "Experiment.noise", problems, zero=False)
+        valid = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
+        levels = None if noise is None else noise_levels(valid, noise, "Experiment.noise", problems, zero=False)
         taken = {"initial": "is reserved"} | dict.fromkeys(motion, "is the name of a support too")
         for kind, names in (("loads", loads), ("sensors", sensors)):
             for name in [name for name in names if name in taken]:
@@ -114,7 +121,13 @@ class Experiment(Measurement):
             taken |= dict.fromkeys(names, "is the name of a load too")
         for name in sensors:
             if not isinstance(name, str) or not name or set(name) & set(".*?[]"):
-                problems.add("BAD_NAME", f"Experiment.sensors[{name!r}]", "is no name", value=name, hint="None of . * ? [ ], for paths.")
+                problems.add(
+                    "BAD_NAME",
+                    f"Experiment.sensors[{name!r}]",
+                    "is not a valid name",
+                    value=name,
+                    hint="Give a text without . * ? [ ], as paths contain it.",
+                )
         problems.raise_if_any()
         self.times = device_array(checked)  # pyright: ignore[reportArgumentType]
         self.motion = motions
@@ -158,7 +171,7 @@ class Experiment(Measurement):
         return f"t = {float(self.times[row]):.6g} s", float(self.times[row])
 
     def named(self):
-        """What of it has a name in paths: the initial state, the motions, the loads, the sensors."""
+        """The parts with names in paths: the initial state, the motions, the loads, the sensors."""
         return {
             **({} if not isinstance(self.initial, State) else {"initial": self.initial.named()}),
             **self.motion,
@@ -167,49 +180,48 @@ class Experiment(Measurement):
         }
 
     def absent(self):
-        hint = "The experiment has no initial state: give it initial=State(q, v), or the .state of an equilibrium, to have one."
+        hint = "The experiment has no initial state: give it initial=State(q, v), or the .state of an equilibrium."
         if isinstance(self.initial, Rest):
-            hint = "The experiment begins at rest, which follows from the model: give it initial=State(q, v) to have one that is free."
+            hint = "The experiment begins at rest, which follows from the model: give it initial=State(q, v) for a free initial state."
         missing = {} if isinstance(self.initial, State) else {"initial.q": hint, "initial.v": hint}
         for name, sensor in self.sensors.items():
-            for stage, given in sensor.absent().items():
-                missing[f"{name}.{stage}"] = f"Sensor '{name}' has no {stage}: give it {given} to have one."
+            for stage, option in sensor.absent().items():
+                missing[f"{name}.{stage}"] = f"Sensor '{name}' has no {stage}: construct it with {option}."
         return missing
 
     def check(self, model: Model, where: str) -> None:
-        """It fits the model."""
         problems = Problems()
         problems.gather(lambda: loads_of(self.loads, model.layout.bodies))
         motions = problems.gather(lambda: motions_of(model, self.motion))
         if not problems.collected:
             problems.gather(lambda: check_run(model, self.times, motions, self.loads, self.initial))
         problems.gather(lambda: check_sensors(self.sensors, model, "sensors"))
-        problems.collected += [found for name in self.sensors if (found := self._too_late(name)) is not None]
+        problems.collected += [problem for name in self.sensors if (problem := self._delay_problem(name)) is not None]
         problems.collected = [_under(where, problem) for problem in problems.collected]
         problems.raise_if_any()
 
-    def _too_late(self, name: str) -> Problem | None:
-        """The delay of a sensor must leave samples that were measured."""
+    def _delay_problem(self, name: str) -> Problem | None:
+        """BAD_DELAY, if a sensor's delay leaves no measured sample to compare with."""
         sensor = self.sensors[name]
         if sensor.delay is None or not is_concrete(sensor.delay, self.times, self.measured[name]):
             return None
-        there = self.present(name).reshape(len(self.times), -1).any(1)
-        if (np.asarray(sensor.weight(self.times)) * there).any():
+        present = self.present(name).reshape(len(self.times), -1).any(1)
+        if (np.asarray(sensor.weight(self.times)) * present).any():
             return None
         length = float(self.times[-1] - self.times[0])
-        told = f"is {float(sensor.delay):.6g} s in a record of {length:.6g} s: no measured sample is left to compare with"
+        message = f"is {float(sensor.delay):.6g} s in a record of {length:.6g} s: no measured sample is left to compare with"
         hint = "Is it in milliseconds? Give seconds, a small part of the record."
-        return Problem("BAD_DELAY", f"sensors['{name}'].delay", told, float(sensor.delay), f"-{length:.6g} to {length:.6g} s", hint)
+        return Problem("BAD_DELAY", f"sensors['{name}'].delay", message, float(sensor.delay), f"-{length:.6g} to {length:.6g} s", hint)
 
 
 def check_measurements(experiments: dict[str, Measurement], where: str) -> Problems:
-    """They are there, by name, and each is one: what is wrong, for who has more to tell. Raises WRONG_KIND where they are no dict."""
+    """Problems of measurements by name, to which the caller may add others. Error: WRONG_KIND if they are not a dict."""
     problems = Problems()
     if not isinstance(experiments, dict):
         kind = type(experiments).__name__
-        told = f"is one {kind} without a name" if isinstance(experiments, Measurement) else f"is a {kind}"
-        hint = 'Write {"run": experiment}: its name stands in paths and tables.'
-        raise JaxbodyError(Problem("WRONG_KIND", where, told, experiments, "a dict of experiments by name", hint))
+        message = f"is one {kind} without a name" if isinstance(experiments, Measurement) else f"is a {kind}"
+        hint = 'Write {"run": experiment}: paths and tables contain the name.'
+        raise JaxbodyError(Problem("WRONG_KIND", where, message, experiments, "a dict of experiments by name", hint))
     if not experiments:
         problems.add("NO_DATA", where, "is empty", limit="at least one Experiment")
     for name, experiment in experiments.items():
@@ -222,25 +234,26 @@ def _under(where: str, problem):
     return type(problem)(problem.code, f"{where}.{problem.where}", problem.message, problem.value, problem.limit, problem.hint)
 
 
-def _begun(leave_out: Any, times, problems: Problems):
-    """Which samples are after the beginning that is left out; None for all."""
-    lasts = None if times is None or not is_concrete(times) else float(times[-1] - times[0])
-    good = isinstance(leave_out, int | float | np.number) and not isinstance(leave_out, bool) and leave_out >= 0
-    if not good or (lasts is not None and not leave_out < lasts):
-        limit = "0 s or more" + ("" if lasts is None else f", less than the {lasts:.6g} s of the record")
-        hint = "Give the seconds after which the beginning no longer matters."
+def _kept(leave_out: Any, times, problems: Problems):
+    """Which samples are after the part that is left out; None for all."""
+    duration = None if times is None or not is_concrete(times) else float(times[-1] - times[0])
+    valid = isinstance(leave_out, int | float | np.number) and not isinstance(leave_out, bool) and leave_out >= 0
+    if not valid or (duration is not None and not leave_out < duration):
+        limit = "0 s or more" + ("" if duration is None else f", less than the {duration:.6g} s of the record")
+        hint = "Give the duration of the initial transient in seconds."
         problems.add("BAD_NUMBER", "Experiment.leave_out", f"is {leave_out!r:.40}", value=leave_out, limit=limit, hint=hint)
         return None
     return None if times is None or not leave_out else times - times[0] >= leave_out * (1 - 1e-9)
 
 
 def _warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -> None:
-    """Single components may well stand still: of a plane motion, for one."""
-    still = (rows == rows[:1]).all(0)
-    warn_of_rails(rows if still.all() else rows[:, ~still], times, where, unit)
+    """Warn of dead or saturated channels; single components may be constant, as in plane motion."""
+    constant = (rows == rows[:1]).all(0)
+    warn_of_rails(rows if constant.all() else rows[:, ~constant], times, where, unit)
 
 
-def _samples(name: str, sensor: Sensor, value: Any, times, late, problems: Problems):
+def _samples(name: str, sensor: Sensor, value: Any, times, kept, problems: Problems):
+    """The measured array of a sensor, with NaN for samples that are left out; what is wrong with it goes to `problems`."""
     where = f"Experiment.measured['{name}']"
     if not isinstance(sensor, Sensor):
         problems.add(
@@ -259,32 +272,32 @@ def _samples(name: str, sensor: Sensor, value: Any, times, late, problems: Probl
         problems.add("NO_DATA", where, "is empty", value=array.shape, limit=str(shape))
     elif array.shape != shape:
         hint = (
-            "It looks transposed: give measured.T."
+            "It seems to be transposed: give measured.T."
             if array.T.shape == shape
-            else f"One row per time; a {type(sensor).__name__} has {sensor.shape or 'one number'}."
+            else f"Give one row for each time; a {type(sensor).__name__} has {sensor.shape or 'one number'}."
         )
         problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=str(shape), hint=hint)
     elif isinstance(array, np.ndarray):
         missing = np.isnan(array).reshape(len(times), -1)
         if np.isinf(array).any():
-            problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN where a sample is missing")
-        if (wrong := sensor.misread(array, where)) is not None:
-            problems.collected.append(wrong)
-        kept = missing | ~late[:, None] if isinstance(late, np.ndarray) else missing
-        for channel in np.flatnonzero(kept.all(0)):
+            problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN for a missing sample")
+        if (problem := sensor.misread(array, where)) is not None:
+            problems.collected.append(problem)
+        unused = missing | ~kept[:, None] if isinstance(kept, np.ndarray) else missing
+        for channel in np.flatnonzero(unused.all(0)):
             problems.add(
                 "ALL_NAN",
                 where,
-                "has no sample at all" + (f" in component {channel}" if sensor.shape else ""),
+                "has no samples" + (f" in component {channel}" if sensor.shape else ""),
                 value=int(channel),
-                hint="Leave the sensor out, or use one that reads what you have.",
+                hint="Leave out the sensor, or use one for the components that were measured.",
             )
         if (known := concrete(times)) is not None:
             _warn_of_rails(array.reshape(len(known), -1), known, where, sensor.unit)
-        share = missing.mean()
-        if MANY_MISSING < share < 1:
-            warn("MISSING", f"{where} lacks {100 * share:.0f} % of its samples")
-    if late is None or array.shape[:1] != late.shape:
+        fraction = missing.mean()
+        if MANY_MISSING < fraction < 1:
+            warn("MISSING", f"{where} lacks {100 * fraction:.0f} % of its samples")
+    if kept is None or array.shape[:1] != kept.shape:
         return array
-    xp = np if isinstance(array, np.ndarray) and isinstance(late, np.ndarray) else jnp
-    return xp.where(late.reshape(-1, *(1,) * (array.ndim - 1)), array, xp.nan)
+    xp = np if isinstance(array, np.ndarray) and isinstance(kept, np.ndarray) else jnp
+    return xp.where(kept.reshape(-1, *(1,) * (array.ndim - 1)), array, xp.nan)

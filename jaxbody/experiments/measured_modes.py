@@ -1,4 +1,4 @@
-"""Measured modes, to fit a model to: natural frequencies, damping ratios, shapes at the places of sensors."""
+"""Measured modes for fits: natural frequencies, damping ratios, and mode shapes at sensors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.core.arrays import concrete, device_array, float_array
 from jaxbody.core.errors import Problems
-from jaxbody.experiments.measured_responses import rested, told
+from jaxbody.experiments.measured_responses import equilibrium_status, linearized
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.sensors.channels import Channel
 from jaxbody.vibrations.mode_branches import mac
@@ -23,7 +23,7 @@ UNITS = {"frequency": "Hz", "damping_ratio": "", "shapes": ""}
 
 
 class ModalChannel(Channel):
-    """A number of each mode."""
+    """One number or shape for each mode."""
 
     series = False
     unit: str = field(static=True)  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -31,13 +31,19 @@ class ModalChannel(Channel):
 
 
 class MeasuredModes(Measurement):
-    """What a modal test found of `nm` modes: `frequency` [Hz] (nm,), `damping_ratio` (nm,), `shapes` (nm, ns), real, at the `sensors`,
-    {name: PointMotion of a displacement}, in their order; NaN where there is no number.
+    """Result of a modal test with `nm` natural modes, for a fit.
 
-    A measured mode is compared with the model's mode of the same number in ascending order, or with that of `number` (0 the lowest); with
-    pairing="mac", with the mode whose shape at the sensors is most like its own. Scale and sign of shapes are left open: compared are x/|x| of the
-    measured one and the multiple of the model's that is nearest to it. noise: {"frequency": [Hz], "damping_ratio": ..., "shapes": ...},
-    each one number or one for each number measured; estimated from the residuals where it is not given. Natural modes are meant, those of small damping.
+    Args:
+        frequency: [Hz] (nm,); NaN for a missing number here and below.
+        damping_ratio: (nm,); by default not measured.
+        shapes: real mode shapes (nm, ns) at the `sensors`, in their order; by default not measured.
+        sensors: {name: PointMotion of a displacement}.
+        number: the mode of the model that each measured mode is compared with, 0 for the lowest; by default 0 to nm - 1.
+        pairing: "order" for the modes of `number`; "mac" for the mode with the highest modal assurance criterion at the sensors.
+        noise: standard deviations {"frequency": [Hz], "damping_ratio": ..., "shapes": ...}, each one number or one for each measured
+            number; by default estimated from the residuals.
+
+    Scale and sign of shapes do not matter: a measured shape x/|x| is compared with the nearest multiple of the shape of the model.
 
     Errors, all at once: NO_DATA, BAD_SHAPE, BAD_FREQUENCY, NON_FINITE, ALL_NAN, BAD_NOISE, UNKNOWN_NAME, WRONG_KIND, BAD_PAIRING.
 
@@ -66,15 +72,15 @@ class MeasuredModes(Measurement):
                 hint = "A row for each mode, a column for each sensor." if name == "shapes" else "One number for each mode."
                 problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=str(expected[name]), hint=hint)
             elif known is not None and np.isinf(known).any():
-                problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN where there is none")
+                problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN for a missing number")
             elif name == "frequency" and known is not None and (known < 0).any():
                 least = float(np.nanmin(known))
-                problems.add("BAD_FREQUENCY", where, f"has {least:g} Hz", value=least, limit=">= 0", hint="NaN where there is none.")
+                problems.add("BAD_FREQUENCY", where, f"has {least:g} Hz", value=least, limit=">= 0", hint="Give NaN for a missing number.")
             elif known is not None and known.size and np.isnan(known).all():
-                problems.add("ALL_NAN", where, "has no number at all", hint="Leave it out.")
+                problems.add("ALL_NAN", where, "has only NaN", hint="Leave it out.")
         if pairing not in ("order", "mac") or (pairing == "mac" and shapes is None):
-            told = f"is {pairing!r}" + (", but there are no shapes" if pairing == "mac" else "")
-            problems.add("BAD_PAIRING", "MeasuredModes.pairing", told, value=pairing, limit='"order", or "mac" with shapes')
+            message = f"is {pairing!r}" + (", but there are no shapes" if pairing == "mac" else "")
+            problems.add("BAD_PAIRING", "MeasuredModes.pairing", message, value=pairing, limit='"order", or "mac" with shapes')
         numbers = tuple(range(count)) if number is None else tuple(int(n) for n in np.ravel(number))
         if len(numbers) != count or len(set(numbers)) < len(numbers) or any(n < 0 for n in numbers):
             problems.add("BAD_SHAPE", "MeasuredModes.number", f"is {number}", value=number, limit=f"{count} different numbers from 0 on")
@@ -82,11 +88,11 @@ class MeasuredModes(Measurement):
         for name, level in (noise or {}).items():
             where, known = f"MeasuredModes.noise['{name}']", np.asarray(level, float)
             if name not in arrays:
-                problems.add("UNKNOWN_NAME", where, "is of nothing measured", value=name, limit=", ".join(arrays))
+                problems.add("UNKNOWN_NAME", where, "is not measured", value=name, limit=", ".join(arrays))
             elif known.shape not in ((), arrays[name].shape):
                 problems.add("BAD_SHAPE", where, f"has shape {known.shape}", value=known, limit=f"() or {arrays[name].shape}")
             elif not (np.isfinite(known) & (known > 0)).all():
-                problems.add("BAD_NOISE", where, "is not positive", value=known, limit="> 0", hint="Leave noise out to have it estimated.")
+                problems.add("BAD_NOISE", where, "is not positive", value=known, limit="> 0", hint="Leave out noise= to estimate it.")
             else:
                 levels[name] = device_array(known)
         problems.raise_if_any()
@@ -98,7 +104,7 @@ class MeasuredModes(Measurement):
 
     @property
     def channels(self):
-        return {name: ModalChannel(unit) for name, unit in UNITS.items() if name in self.measured}  # pyright: ignore[reportCallIssue]  # the class states the shape
+        return {name: ModalChannel(unit) for name, unit in UNITS.items() if name in self.measured}  # pyright: ignore[reportCallIssue]  # its shape is a class attribute
 
     def named(self):
         return dict(self.sensors)
@@ -113,31 +119,31 @@ class MeasuredModes(Measurement):
                 problems.add("WRONG_KIND", f"{where}.sensors['{name}']", f"is a {type(port).__name__}", value=port, limit=limit)
         count = model.layout.nv
         if max(self.number or (len(self.measured["frequency"]) - 1,)) >= count:
-            told = f"has a mode that the model, with {count}, has not"
-            problems.add("BAD_SHAPE", f"{where}.frequency", told, value=self.number, limit=f"{count} modes")
+            message = "has more modes than the model" if self.number is None else "is compared with a mode that the model does not have"
+            problems.add("BAD_SHAPE", f"{where}.frequency", message, value=self.number, limit=f"{count} modes")
         problems.raise_if_any()
 
     def readings(self, model, integration):
-        lin = rested(model)
-        found = modes(lin)
+        lin = linearized(model)
+        predicted = modes(lin)
         at_sensors = None
         if self.sensors:
-            at_sensors = port_matrices(lin, (), tuple(self.sensors.values())).Y[0][:, : model.layout.nv] @ found.shapes
+            at_sensors = port_matrices(lin, (), tuple(self.sensors.values())).Y[0][:, : model.layout.nv] @ predicted.shapes
         if self.number is not None:
             which: Any = np.array(self.number)
         else:
             which = jnp.argmax(mac(*(jax.lax.stop_gradient(x) for x in (at_sensors, jnp.nan_to_num(self.measured["shapes"]).T))), axis=0)
-        readings = {"frequency": found.frequency[which], "damping_ratio": found.damping_ratio[which]}
+        readings = {"frequency": predicted.frequency[which], "damping_ratio": predicted.damping_ratio[which]}
         if "shapes" in self.measured:
             assert at_sensors is not None
             x, y = at_sensors[:, which].T, self.measured["shapes"]
-            there = ~jnp.isnan(y)
-            along = jnp.sum(jnp.where(there, x * y, 0), 1) / jnp.sum(jnp.where(there, x * x, 0), 1)
-            readings["shapes"] = along[:, None] * x
+            present = ~jnp.isnan(y)
+            scale = jnp.sum(jnp.where(present, x * y, 0), 1) / jnp.sum(jnp.where(present, x * x, 0), 1)
+            readings["shapes"] = scale[:, None] * x
         return {name: readings[name] for name in self.measured}
 
     def explain(self, model, integration):
-        return told(model)
+        return equilibrium_status(model)
 
     def axis(self, channel):
         return "mode", np.arange(1, 1 + len(self.measured[channel])), ""

@@ -1,4 +1,4 @@
-"""Measured frequency responses, to fit a model to: complex numbers by frequency, from named inputs to named outputs."""
+"""Measured frequency responses for fits: complex numbers by frequency, from named inputs to named outputs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from jaxbody.vibrations.ports import ports_of
 
 
 class ResponseChannel(Channel):
-    """One complex response; a residual has its real and its imaginary part, each with the noise level as standard deviation."""
+    """One complex response; its residuals are the real and imaginary parts, each with the noise level as standard deviation."""
 
     shape = ()
     unit: str = eqx.field(static=True, default="")  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -40,17 +40,22 @@ class ResponseChannel(Channel):
 
 
 class MeasuredResponse(Measurement):
-    """Frequency responses measured at `frequencies` [Hz] (nf,), from `inputs` to `outputs`, {name: port} as in `frequency_response`.
+    """Measured frequency responses for a fit.
 
-    measured: {(output, input): complex (nf,)}, any of the pairs, NaN where a line is to be left out. noise: the standard deviation of the real and of the
-    imaginary part, one number, or {(output, input): one number or one for each frequency}; estimated from the residuals where it is not given.
-    From a coherence g2 over n averages it is |H| sqrt((1 - g2)/(2 n g2)). loss_factor: as in `frequency_response`; named in paths
-    "hammer.loss_factor.AB", or ".all".
+    Args:
+        frequencies: [Hz] (nf,).
+        inputs, outputs: {name: port} as in `frequency_response`.
+        measured: {(output, input): complex (nf,)} for any pairs, NaN for lines to leave out.
+        noise: the standard deviation of the real part and of the imaginary part, one number or {(output, input): one number or one for
+            each frequency}. For a coherence g2 with n averages it is |H| sqrt((1 - g2)/(2 n g2)). By default it is estimated from the
+            residuals.
+        loss_factor: as in `frequency_response`; its paths are "hammer.loss_factor.AB" or "hammer.loss_factor.all". By default none.
 
     Errors, all at once: BAD_FREQUENCY, BAD_SHAPE, NO_DATA, NON_FINITE, ALL_NAN, BAD_NOISE, UNKNOWN_NAME, WRONG_KIND.
 
-    >>> hammer = MeasuredResponse([1.0, 2.0], inputs={"f": PointForce("mass", direction="y")}, outputs={"y": PointMotion("mass", direction="y")},
-    ...                           measured={("y", "f"): [0.02 + 0j, -0.01 - 0.001j]})
+    >>> force, motion = PointForce("mass", direction="y"), PointMotion("mass", direction="y")
+    >>> measured = {("y", "f"): [0.02 + 0j, -0.01 - 0.001j]}
+    >>> hammer = MeasuredResponse([1.0, 2.0], inputs={"f": force}, outputs={"y": motion}, measured=measured)
     >>> list(hammer.channels)
     ['y/f']
     """
@@ -80,11 +85,11 @@ class MeasuredResponse(Measurement):
             where = f"MeasuredResponse.noise[{pair!r}]"
             known: Any = np.asarray(value, float) if concrete(value) is not None else value
             if pair not in measured:
-                problems.add("UNKNOWN_NAME", where, "is of no measured pair", value=pair, limit=", ".join(map(str, measured)))
+                problems.add("UNKNOWN_NAME", where, "is not a measured pair", value=pair, limit=", ".join(map(str, measured)))
             elif np.shape(known) not in ((), shape):
                 problems.add("BAD_SHAPE", where, f"has shape {np.shape(known)}", value=known, limit=f"() or {shape}")
             elif isinstance(known, np.ndarray) and not (np.isfinite(known) & (known > 0)).all():
-                problems.add("BAD_NOISE", where, "is not positive", value=known, limit="> 0", hint="Leave noise out to have it estimated.")
+                problems.add("BAD_NOISE", where, "is not positive", value=known, limit="> 0", hint="Leave out noise= to estimate it.")
             else:
                 levels[_name(pair)] = device_array(known)
         problems.raise_if_any()
@@ -112,11 +117,11 @@ class MeasuredResponse(Measurement):
             check_without_force_sensors(self.loss_factor, f"{where}.loss_factor", tuple(self.outputs.values()))
 
     def readings(self, model, integration):
-        found = frequency_response(rested(model), self.frequencies, self.inputs, self.outputs, loss_factor=self._loss_factors())
-        return {_name(pair): found[pair] for pair in self.pairs}
+        responses = frequency_response(linearized(model), self.frequencies, self.inputs, self.outputs, loss_factor=self._loss_factors())
+        return {_name(pair): responses[pair] for pair in self.pairs}
 
     def explain(self, model, integration):
-        return told(model)
+        return equilibrium_status(model)
 
     def axis(self, channel):
         return "frequency", self.frequencies, "Hz"
@@ -128,14 +133,14 @@ class MeasuredResponse(Measurement):
         return self.loss_factor if self.loss_factor is None or "all" not in self.loss_factor else self.loss_factor["all"]
 
 
-def rested(model: Model) -> Linearization:
-    """Small motions about the equilibrium from the reference pose."""
+def linearized(model: Model) -> Linearization:
+    """Small motions about the equilibrium that a search from the reference pose reaches."""
     return linearize(model, equilibrium(model))
 
 
-def told(model: Model) -> str:
-    """How that ends."""
-    return Status(int(rested(model).status)).name + " at the equilibrium"
+def equilibrium_status(model: Model) -> str:
+    """The status of this linearization, for messages."""
+    return Status(int(linearized(model).status)).name + " at the equilibrium"
 
 
 def _name(pair: tuple[str, str]) -> str:
@@ -143,7 +148,7 @@ def _name(pair: tuple[str, str]) -> str:
 
 
 def _unit(output: Any, source: Any) -> str:
-    """Of a response, "m/N", where the ports say theirs; of a ratio none."""
+    """The unit of a response, "m/N", if both ports have units; "" for a ratio."""
     above, below = getattr(output, "unit", ""), getattr(source, "unit", "")
     if not above or not below or above == below:
         return ""
@@ -165,7 +170,7 @@ def _complex(value: Any, shape: tuple[int, ...], where: str, problems: Problems)
     if array.shape != shape:
         problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=str(shape), hint="One for each frequency.")
     elif np.isinf(array).any():
-        problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN where a line is left out")
+        problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN for lines to leave out")
     elif np.isnan(array).all():
-        problems.add("ALL_NAN", where, "has no line at all", hint="Leave the pair out.")
+        problems.add("ALL_NAN", where, "has no line that is not NaN", hint="Leave out this pair.")
     return array

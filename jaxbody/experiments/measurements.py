@@ -1,4 +1,4 @@
-"""What any measurement says of itself, be it in time, in frequency or of modes, so that fits treat all alike."""
+"""The interface of measurements to fits: records in time, frequency responses and modes are all residuals by channel."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -12,8 +12,8 @@ from jaxbody.sensors.channels import Channel
 
 
 class Measurement(eqx.Module):
-    """The base of what a model is fitted to: `measured` numbers by channel, `noise`, their standard deviations where stated, and `readings`,
-    what a model says in their place."""
+    """Base class of measurements: `measured` numbers by channel, `noise`, their standard deviations if stated, and `readings`, the
+    predictions of a model for them."""
 
     measured: eqx.AbstractVar[dict[str, Array]]
     noise: eqx.AbstractVar[dict[str, Array] | None]
@@ -24,39 +24,39 @@ class Measurement(eqx.Module):
 
     @abstractmethod
     def readings(self, model: Any, integration: Any) -> dict[str, Array]:
-        """{channel: array like `measured`}; NaN where the model cannot tell."""
+        """{channel: array like `measured`}, NaN where the model has no prediction."""
 
     def residual(self, name: str, reading: Array) -> Array:
-        """Reading less measured of a channel, zero where a sample is missing."""
+        """Reading minus measured value of a channel, zero for missing samples."""
         return self.channels[name].residual(reading, self.measured[name])
 
     def named(self) -> dict[str, Any]:
-        """What of it has a name in paths."""
+        """The parts that have names in paths."""
         return {}
 
     def absent(self) -> dict[str, str]:
-        """{path: how to have it} of what would have a name in paths if it were given."""
+        """{path: hint} of optional parts that are not given."""
         return {}
 
     def moved_rows(self, path: str, channel: str) -> Array | None:
-        """(rows, parts) of booleans: which rows of a channel's record each part of a leaf of this measurement moves, none of them more than two
-        parts that follow one another. None: any row."""
+        """(rows, parts) of booleans: which rows of a channel depend on each part of a leaf of this measurement, at most two consecutive
+        parts for a row. None: all rows depend on all parts."""
 
     def check(self, model: Any, where: str) -> None:
-        """It fits the model."""
+        """Raise errors if the measurement does not match the model."""
 
     def explain(self, model: Any, integration: Any) -> str:
-        """Why readings are not finite."""
-        return "the model has no finite number there"
+        """The reason why readings are not finite."""
+        return "the model has no finite prediction there"
 
     @abstractmethod
     def axis(self, channel: str) -> tuple[str, Array | np.ndarray, str]:
-        """What the rows of a channel's record are over: its name, values, unit."""
+        """The independent variable of a channel's record: name, values, unit."""
 
     @abstractmethod
     def place(self, row: int) -> tuple[str, float]:
-        """Where a row of `measured` is, in words and as a number."""
+        """The place of a row of `measured`, as text and as a number."""
 
     def present(self, name: str) -> np.ndarray:
-        """Which components of the residuals of a channel have their samples."""
+        """Which components of the residuals of a channel have samples."""
         return ~self.channels[name].missing(np.asarray(self.measured[name]))

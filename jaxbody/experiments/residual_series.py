@@ -1,4 +1,4 @@
-"""The residuals of each channel of each run as a row of records, whose noise is correlated within and independent between."""
+"""Residuals of each component of a channel as a record of its own, with noise correlated within it and independent of others."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from jaxbody.statistics.noises import ResidualSeries
 
 
 def records_of(experiments: dict[str, Measurement]) -> list[ResidualSeries]:
-    """The records that the residuals of all measurements are made of, by name as those are; one noise level for each unit of a channel, in all runs."""
+    """The records of the residuals of all measurements, in the same order; all runs share one noise level for each unit of a channel."""
     records, first = [], 0
     for run, experiment in sorted(experiments.items()):
         for name, channel in sorted(experiment.channels.items()):
-            there = experiment.present(name)
-            labels = [str(list(i)).replace(" ", "") if i else "" for i in np.ndindex(there.shape[1:])]
-            there = there.reshape(len(there), -1)
-            units = np.broadcast_to(channel.spread(np.arange(channel.units)), there.shape[1:])
+            present = experiment.present(name)
+            labels = [str(list(i)).replace(" ", "") if i else "" for i in np.ndindex(present.shape[1:])]
+            present = present.reshape(len(present), -1)
+            units = np.broadcast_to(channel.spread(np.arange(channel.units)), present.shape[1:])
             for i, (label, unit) in enumerate(zip(labels, units, strict=True)):
-                times = np.flatnonzero(there[:, i])
-                rows = first + times * there.shape[1] + i
+                times = np.flatnonzero(present[:, i])
+                rows = first + times * present.shape[1] + i
                 known = not channel.series and name in (experiment.noise or {})
                 records.append(ResidualSeries(f"{run}.{name}{label}", f"{name} {unit}", run, rows, times, channel.series, known))
-            first += there.size
+            first += present.size
     return records

@@ -1,8 +1,8 @@
-"""Bands: what the covariance of a fit makes of any number that the fitted model gives, a frequency or a whole response.
+"""Confidence bands: the uncertainty of a fit carried over to any result of the fitted model, such as a frequency or a response.
 
     v = G C G',    G = df/du
 
-to first order, with Student's t; or by draws of u.
+to first order, with the covariance C of u and Student's t; or by random draws of u.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ from jaxbody.statistics.quantiles import check_level, quantile
 
 
 class Bands(Result):
-    """`value` of a function of the fitted model, `standard_error`, `lower` and `upper` at `level` and the `degrees_of_freedom` of their Student's t (infinite of draws): arrays of one
-    shape, bounds infinite where the data cannot tell.
-    `status` NONFINITE where the value or its derivatives are not finite.
+    """The `value` of a function of the fitted model, its `standard_error`, and the bounds `lower` and `upper` at `level`.
+
+    All are arrays of one shape, as are the `degrees_of_freedom` of Student's t, infinite for draws. Bounds are infinite where the data do
+    not determine the value. `status` is NONFINITE if the value or its derivatives are not finite.
     """
 
     value: np.ndarray
@@ -44,21 +45,28 @@ class Bands(Result):
         columns = (np.ravel(x) for x in (self.value, self.standard_error, self.lower, self.upper))
         rows = [tuple(map(float, row)) for row in zip(*columns, strict=True)]
         heads = ("value", "standard error", "lower", "upper")
-        known = self.degrees_of_freedom[np.isfinite(self.standard_error)]
-        notes = [self.report(), *filter(None, [widening(known, self.level)])]
+        freedoms = self.degrees_of_freedom[np.isfinite(self.standard_error)]
+        notes = [self.report(), *filter(None, [widening(freedoms, self.level)])]
         return [tables.PrintedTable(f"Bands, {100 * self.level:g} %", heads, rows, "\n".join(notes))]
 
 
 def bands(
     fit: Fit, function: Callable[[Model], Any], *, level: float = 0.95, samples: int | None = None, key: PRNGKeyArray | None = None
 ) -> Bands:
-    """Value, standard error and interval of any JAX function of the fitted model, real numbers of any shape.
+    """Value, standard error and confidence interval of a JAX function of the fitted model.
 
-    samples, key: by that many draws of the parameters instead of derivatives, where the function bends within the interval; quantiles are then those
-    of the draws. Where natural frequencies coincide single ones have no derivative: give their sum or mean, a response, or draws.
+    Args:
+        fit: the result of `fit`.
+        function: model -> array of real numbers of any shape.
+        level: confidence level of the interval.
+        samples: number of random draws of the parameters, to be used instead of derivatives if the function is nonlinear within the
+            interval; the bounds are then quantiles of the draws. By default derivatives are used.
+        key: of the draws, jax.random.key(0) for instance.
 
-    Errors: WRONG_KIND of a function that gives no real array, BAD_LEVEL, NO_KEY, UNDETERMINED where draws are asked for of what the data do not
-    determine, TRACED. Warns NONFINITE.
+    Equal natural frequencies have no derivatives one by one: use their sum or mean, a response, or draws.
+
+    Errors: WRONG_KIND of a function that returns no array of real numbers, BAD_LEVEL, NO_KEY, UNDETERMINED for draws if the data do not
+    determine all parameters, TRACED. Warns NONFINITE.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
@@ -74,12 +82,12 @@ def bands(
     problems = Problems()
     check_key(key, "bands.key", problems, "" if samples is None else "Draws need")
     problems.raise_if_any()
-    worth = fit._assessed()
+    uncertainty = fit._assessed()
     f = eqx.filter_jit(lambda u: function(fit.task.scatter(u)[0]))
     value = f(fit.u)
     if not isinstance(value, jax.Array | np.ndarray) or jnp.iscomplexobj(value):
-        told, hint = f"gives {_kind(value)}", "Give one array; of complex numbers their magnitude and phase, or real and imaginary part."
-        raise JaxbodyError(Problem("WRONG_KIND", "bands.function", told, value, "an array of real numbers", hint))
+        hint = "Return one array; for complex numbers, magnitude and phase or real and imaginary parts."
+        raise JaxbodyError(Problem("WRONG_KIND", "bands.function", f"returns {_kind(value)}", value, "an array of real numbers", hint))
     value = np.asarray(value, float)
     if samples is not None:
         error, low, high, finite = _drawn(fit, f, level, samples, key)
@@ -87,14 +95,14 @@ def bands(
     else:
         G = np.asarray(jax.jacfwd(f)(fit.u)).reshape(value.size, len(fit.u))
         finite = np.isfinite(G).all(1).reshape(value.shape)
-        error, freedom = (x.reshape(value.shape) for x in worth.spread(np.nan_to_num(G)))
+        error, freedom = (x.reshape(value.shape) for x in uncertainty.spread(np.nan_to_num(G)))
         error = np.where(finite, error, np.inf)
-        far = quantile(level, freedom) * error
-        low, high = value - far, value + far
+        half_width = quantile(level, freedom) * error
+        low, high = value - half_width, value + half_width
     ok = finite.all() and np.isfinite(value).all()
-    found = Bands(value, error, low, high, freedom, level, np.asarray(Status.OK if ok else Status.NONFINITE))
-    warn_if_failed(found)
-    return found
+    result = Bands(value, error, low, high, freedom, level, np.asarray(Status.OK if ok else Status.NONFINITE))
+    warn_if_failed(result)
+    return result
 
 
 def _kind(value: Any) -> str:
@@ -102,14 +110,13 @@ def _kind(value: Any) -> str:
 
 
 def _drawn(fit: Fit, f: Callable, level: float, samples: int, key: PRNGKeyArray | None):
-    """Standard deviation and quantiles over draws of u from the normal distribution of its covariance."""
-    worth = fit._assessed()
-    if worth.rank < len(fit.u):
-        told = "are not determined: " + "; ".join([*worth.words, *fit.at_bound])
-        raise JaxbodyError(
-            Problem("UNDETERMINED", "fit", told, hint="Fix some, or leave samples out: what the data determine has its band.")
-        )
-    values, vectors = np.linalg.eigh(worth.covariance)
+    """Standard deviation and quantiles over draws of u from its normal distribution."""
+    uncertainty = fit._assessed()
+    if uncertainty.rank < len(fit.u):
+        message = "has parameters that are not determined: " + "; ".join([*uncertainty.words, *fit.at_bound])
+        hint = "Fix some of them, or leave out samples=: then determined results still have bands."
+        raise JaxbodyError(Problem("UNDETERMINED", "fit", message, hint=hint))
+    values, vectors = np.linalg.eigh(uncertainty.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     u: Float[Array, "samples n"] = fit.u + jax.random.normal(key, (samples, len(values))) @ root.T
     drawn = np.asarray(jax.lax.map(f, u, batch_size=min(samples, 64)))

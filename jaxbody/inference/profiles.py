@@ -1,9 +1,10 @@
-"""Profile likelihood: how the cost rises along one parameter while all others follow, and the interval that this gives where it is skewed.
+"""Profile likelihood: the least cost as a function of one parameter, and the confidence interval from it, which may be skewed.
 
     tau(u) = sign(u - u0) sqrt(2 (cost(u) - cost(u0))/kappa),    |tau| <= t
 
-cost(u) is the least with that u fixed, kappa = h s^2 (curvature h of the cost, standard error s) makes tau (u - u0)/s near the optimum whatever
-the noise; t is Student's. Source: D. Bates and D. Watts, Nonlinear Regression Analysis (1988), section 6.1.
+cost(u) is the least cost with this u fixed. With kappa = h s^2, where h is the curvature of the cost and s the standard error, tau is
+(u - u0)/s near the optimum for any noise model. t is the quantile of Student's t.
+Source: D. Bates and D. Watts, Nonlinear Regression Analysis (1988), section 6.1.
 """
 
 from __future__ import annotations
@@ -25,18 +26,21 @@ from jaxbody.identification.residuals import residual_and_jacobian
 from jaxbody.parameters.transforms import Elementwise
 from jaxbody.statistics.quantiles import check_level, quantile
 
-STEPS = 4  # to the end of the interval, on each side
-FARTHEST = 3.0  # times the step before that the next may be
-ROBUST_STEP = 0.1  # standard errors
-MOST_POINTS = 20  # on each side
-MOST_EVALUATIONS = 60  # for one point
-LOWER = 1e-6  # share of kappa by which a cost below that of the fit is more than rounding
+STEPS = 4  # from the optimum to each end of the interval
+GROWTH = 3.0  # largest ratio of a step to the one before
+ROBUST_STEP = 0.1  # of the differences for the curvature of a robust loss, in standard errors
+MAX_POINTS = 20  # on each side
+MAX_EVALUATIONS = 60  # for one point
+LOWER = 1e-6  # relative to kappa, decrease of the cost below that of the fit which is more than round-off
 
 
 class Profile(Result):
-    """A profile of `path`: at its `values` the signed root of the rise of the cost `tau`, the least `cost`, and `u`, all parameters; `interval` at `level`, where |tau| is `limit`,
-    Student's t of so many `degrees_of_freedom`, infinite on a side where the cost never rises enough, one-sided at a bound. `status` NOT_CONVERGED where a point was not found, or one better
-    than the fit was.
+    """The profile of the parameter `path`.
+
+    At each of the `values`: `tau`, the signed root of the increase of the cost; the least `cost`; and `u`, all parameters. The `interval`
+    at `level` ends where |tau| is `limit`, the quantile of Student's t for the `degrees_of_freedom`; it is infinite on a side where the
+    cost does not increase enough, and one-sided at a bound. `status` is NOT_CONVERGED if the search for a point did not converge, or found
+    a lower cost than that of the fit.
     """
 
     path: str
@@ -52,7 +56,11 @@ class Profile(Result):
     status: np.ndarray
 
     def explain(self) -> str:
-        return "a lower cost than that of the fit was found; start it from there" if self.cost.min() < self.cost[self.tau == 0][0] else ""
+        return (
+            "the cost is lower at a point of the profile than at the fit; fit again from there"
+            if self.cost.min() < self.cost[self.tau == 0][0]
+            else ""
+        )
 
     def _tables(self) -> list[tables.PrintedTable]:
         rows = [(float(x), float(t), float(c)) for x, t, c in zip(self.values, self.tau, self.cost, strict=True)]
@@ -63,9 +71,16 @@ class Profile(Result):
 
 
 def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None = None) -> Profile:
-    """The profile of one number among the free parameters, "AB.stiffness" or "AB.a[0]", from the optimum to both ends of its interval.
+    """The profile of one free parameter, from the optimum to both ends of its confidence interval.
 
-    At a bound it goes to the one side that there is. progress: a line after five seconds on a terminal or in a notebook; False is silent. Errors: UNKNOWN_PATH, WRONG_KIND of what has no scale of its own, BAD_LEVEL, TRACED. Warns by status.
+    Args:
+        fit: the result of `fit`.
+        path: of a scalar, "AB.stiffness", or of one number of a vector, "AB.a[0]".
+        level: confidence level of the interval.
+        progress: None shows progress on a terminal or in a notebook after five seconds, False is silent.
+
+    For a parameter at its bound the profile has one side. Errors: UNKNOWN_PATH, WRONG_KIND of a number that does not vary independently of
+    others, as in a matrix or a direction, BAD_LEVEL, TRACED. Warns NOT_CONVERGED.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
@@ -80,36 +95,36 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
     i, value = _place(fit, path)
     optimum = (np.asarray(fit.u), 0.0, float(fit.cost))
     with working("profile", progress) as line:
-        walk = _Walk(fit, i, level)
-        sides = [walk.to(sign, line) for sign in (-1, 1)]
+        search = _ProfileSearch(fit, i, level)
+        sides = [search.points(sign, line) for sign in (-1, 1)]
     points = [*sides[0][::-1], optimum, *sides[1]]
     u, tau, cost = (np.array(x) for x in zip(*points, strict=True))
-    ends = [walk.end(side, sign) for side, sign in zip(sides, (-1, 1), strict=True)]
-    lower = cost.min() < float(fit.cost) - LOWER * walk.kappa
-    status = np.asarray(Status.OK if walk.arrived and not lower else Status.NOT_CONVERGED)
+    ends = [search.end(side, sign) for side, sign in zip(sides, (-1, 1), strict=True)]
+    lower = cost.min() < float(fit.cost) - LOWER * search.kappa
+    status = np.asarray(Status.OK if search.converged and not lower else Status.NOT_CONVERGED)
     with np.errstate(over="ignore"):
         low, high = (value(end) for end in ends)
         values = np.array([value(x) for x in u[:, i]])
-    found = Profile(path, value(fit.u[i]), level, walk.t, walk.freedom, values, tau, cost, u, (low, high), status)
-    warn_if_failed(found)
-    return found
+    result = Profile(path, value(fit.u[i]), level, search.t, search.freedom, values, tau, cost, u, (low, high), status)
+    warn_if_failed(result)
+    return result
 
 
 def _place(fit: Fit, path: str) -> tuple[int, Any]:
-    """Which u it is, and its value as a function of u."""
+    """The index of the parameter in u, and its value as a function of that u."""
     fit._assessed()
     first = 0
     for f in fit.task.free:
         labels = [f.path + label for label in f.form.labels()]
         if path in labels and not isinstance(f.form, Elementwise):
-            told, hint = "moves with others, not along a scale of its own", "Stiffness, damping, mass and vectors have profiles."
-            raise JaxbodyError(Problem("WRONG_KIND", "profile.path", f"'{path}' {told}", path, hint=hint))
+            message, hint = f"'{path}' does not vary independently", "Give a scalar, such as a stiffness, or a number of a vector."
+            raise JaxbodyError(Problem("WRONG_KIND", "profile.path", message, path, hint=hint))
         if path in labels:
             return first + labels.index(path), partial(_value, f.form, labels.index(path))
         first += f.form.size
-    known = tuple(f.path + label for f in fit.task.free for label in f.form.labels())
-    found = unknown(path, "profile.path", known)
-    raise JaxbodyError(Problem("UNKNOWN_PATH", "profile.path", found.message, path, hint=found.hint))
+    paths = tuple(f.path + label for f in fit.task.free for label in f.form.labels())
+    problem = unknown(path, "profile.path", paths)
+    raise JaxbodyError(Problem("UNKNOWN_PATH", "profile.path", problem.message, path, hint=problem.hint))
 
 
 def _value(form: Elementwise, k: int, u: float) -> float:
@@ -117,27 +132,27 @@ def _value(form: Elementwise, k: int, u: float) -> float:
     return float(jax.tree.map(np.asarray, form).value(np.full(form.size, u)).ravel()[k])
 
 
-class _Walk:
-    """Along u_i from the optimum, the others re-optimized from where the points before lead."""
+class _ProfileSearch:
+    """Points along u_i from the optimum; the other parameters are optimized from an extrapolation of the last two points."""
 
     def __init__(self, fit: Fit, i: int, level: float):
-        self.fit, self.i, worth = fit, i, fit._assessed()
+        self.fit, self.i, uncertainty = fit, i, fit._assessed()
         self.evaluate = partial(residual_and_jacobian, fit.task)
         self.limits = fit.limits or (np.full(len(fit.u), -np.inf), np.full(len(fit.u), np.inf))
-        pressed = worth.pressed.get(i)
+        pressed = uncertainty.pressed.get(i)
         if pressed is None:
-            (self.error,), (freedom,) = worth.spread(np.eye(len(fit.u))[[i]])
+            (self.error,), (freedom,) = uncertainty.spread(np.eye(len(fit.u))[[i]])
             self.curvature = self._curvature()
         else:
             _, self.curvature, self.error, freedom = pressed
         self.freedom = float(freedom)
         self.t = float(quantile(level, freedom, sides=2 if pressed is None else 1))
         self.kappa = self.curvature * self.error**2 if np.isfinite(self.error) else 1.0
-        self.arrived = True
+        self.converged = True
 
     def _curvature(self) -> float:
-        """Of the cost, the others that are at no bound following: Gauss and Newton's; of a robust loss, which far outliers bend the other way, by
-        differences of its gradient."""
+        """The curvature of the cost along u_i, with the parameters inside their bounds adjusted: by Gauss-Newton; for a robust loss, whose
+        curvature outliers reduce, by differences of the gradient."""
         fit, i = self.fit, self.i
         _, J, runs = self.evaluate(fit.u)
         _, J = fit.task.linearized(runs, np.asarray(J))
@@ -150,28 +165,28 @@ class _Walk:
         slopes = [along @ (np.asarray(J).T @ np.asarray(r)) for r, J, _ in (self.evaluate(fit.u + step), self.evaluate(fit.u - step))]
         return float(slopes[0] - slopes[1]) / (2 * ROBUST_STEP * self.error)
 
-    def to(self, sign: int, line: Line) -> list[tuple[np.ndarray, float, float]]:
-        """Points on one side, outwards, to a little beyond the end of the interval or to a bound."""
+    def points(self, sign: int, line: Line) -> list[tuple[np.ndarray, float, float]]:
+        """(u, tau, cost) of points on one side, from the optimum to just beyond the end of the interval or to a bound."""
         points = [(np.asarray(self.fit.u), 0.0, float(self.fit.cost))]
         step = self.t / STEPS * (self.error if np.isfinite(self.error) else 1.0)
         bound = self.limits[0 if sign < 0 else 1][self.i]
-        while len(points) <= MOST_POINTS and abs(points[-1][1]) < self.t:
+        while len(points) <= MAX_POINTS and abs(points[-1][1]) < self.t:
             last = points[-1][0][self.i]
             if abs(last - bound) <= AT_BOUND:
                 break
             u, cost = self._at(sign * min(sign * (last + sign * step), sign * bound), points)
             if u is None:
-                self.arrived = False
+                self.converged = False
                 break
             tau = sign * np.sqrt(2 * max(cost - float(self.fit.cost), 0.0) / self.kappa)
             rise = abs(tau) - abs(points[-1][1])
-            step *= min(FARTHEST, self.t / STEPS / rise) if rise > 0 else FARTHEST
+            step *= min(GROWTH, self.t / STEPS / rise) if rise > 0 else GROWTH
             points.append((u, tau, cost))
             line(f"point {len(points) - 1} {'below' if sign < 0 else 'above'} the estimate, tau {tau:.3g} of {sign * self.t:.3g}")
         return points[1:]
 
     def _at(self, x: float, points) -> tuple[np.ndarray | None, float]:
-        """The optimum with u_i = x; none where no trial could be simulated."""
+        """u and cost of the optimum with u_i = x; None if the model cannot be simulated at the start."""
         rest = np.arange(len(points[-1][0])) != self.i
         start = points[-1][0].copy()
         if len(points) > 1:
@@ -187,25 +202,25 @@ class _Walk:
             r, J, _ = self.evaluate(u)
             return r, np.asarray(J)[:, rest], None
 
-        evaluate = Evaluations(function, MOST_EVALUATIONS)
+        evaluate = Evaluations(function, MAX_EVALUATIONS)
         r, _ = evaluate(start[rest])
         if not np.isfinite(r).all():
             return None, np.inf
         u = start.copy()
         if rest.any():
-            u[rest], arrived = by_scipy(evaluate, start[rest], (low, high))
-            self.arrived &= bool(arrived)
+            u[rest], converged = by_scipy(evaluate, start[rest], (low, high))
+            self.converged &= bool(converged)
         r, _ = evaluate(u[rest])
         return u, 0.5 * float(r @ r)
 
     def end(self, side: list, sign: int) -> float:
-        """u_i where |tau| reaches t, by a monotone cubic through the points; the bound, or infinite, where it never does."""
+        """u_i where |tau| is t, by monotone cubic interpolation; the bound, or infinity, if |tau| stays below t."""
         from scipy.interpolate import PchipInterpolator
 
-        here = float(self.fit.u[self.i])
-        x, tau = np.array([here, *(u[self.i] for u, _, _ in side)]), np.abs([0.0, *(t for _, t, _ in side)])
-        up = np.concatenate([[True], np.diff(np.maximum.accumulate(tau)) > 0])
+        optimum = float(self.fit.u[self.i])
+        x, tau = np.array([optimum, *(u[self.i] for u, _, _ in side)]), np.abs([0.0, *(t for _, t, _ in side)])
+        increasing = np.concatenate([[True], np.diff(np.maximum.accumulate(tau)) > 0])
         if tau[-1] >= self.t:
-            return float(PchipInterpolator(tau[up], x[up])(self.t))
+            return float(PchipInterpolator(tau[increasing], x[increasing])(self.t))
         bound = float(self.limits[0 if sign < 0 else 1][self.i])
         return bound if abs(x[-1] - bound) <= AT_BOUND else sign * np.inf

@@ -1,8 +1,8 @@
-"""Validation: what a fitted model predicts of runs that it was not fitted to, channel by channel.
+"""Validation: predictions of a fitted model compared with runs that were not used for the fit, channel by channel.
 
     NRMSE = rms(predicted - measured)/std(measured),    fit = 1 - NRMSE
 
-0 % is what the mean of the record would do, 100 % no residual at all; below 0 the mean is better.
+A fit of 100 % has no residual; 0 % is as good as the mean of the record, and below 0 % the mean is better.
 """
 
 from __future__ import annotations
@@ -22,13 +22,15 @@ from jaxbody.identification.fits import Fit
 from jaxbody.identification.residuals import Task, residuals_of_mean
 from jaxbody.statistics.autocorrelations import Whiteness, whiteness
 
-WHITE = 0.01  # p-value below which residuals are told not to be white
+WHITE = 0.01  # p-value from which residuals are reported as white
 
 
 class Validation(Result):
-    """By component of a channel, "run.channel[0]": `nrmse`, `rms` of the residuals in their unit, `excess`, that over the noise that the fit found,
-    and `whiteness` (None of what is short or no record in time); `predicted` and `residuals` {run: {channel: array}}. `status` NONFINITE where a run
-    could not be simulated with the fitted model.
+    """Residuals of a fitted model by component of each channel, as "run.channel[0]".
+
+    `nrmse`; `rms` of the residuals in the unit of the channel; `excess`, its ratio to the noise estimated by the fit; and `whiteness`, None
+    for short records and for measurements that are no time series. `predicted` and `residuals` are {run: {channel: array}}. `status` is
+    NONFINITE if a run cannot be simulated with the fitted model; `failed` gives the reasons.
     """
 
     nrmse: dict[str, float]
@@ -53,14 +55,16 @@ class Validation(Result):
                 (name, f"{100 * nrmse:.3g} %", f"{100 * (1 - nrmse):.2f} %", self.rms[name], self.units[name], self.excess[name], white)
             )
         heads = ("channel", "NRMSE", "fit", "rms residual", "unit", "over noise of the fit", "lag-one correlation")
-        note = f"NRMSE: rms of the residual over the standard deviation of what was measured; {self.report()}"
+        note = f"NRMSE: rms of the residual over the standard deviation of the measured record; {self.report()}"
         return [tables.PrintedTable("Validation", heads, rows, note)]
 
 
 def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
-    """The fitted model on runs held out. What belongs to an experiment, its initial state or the bias of a sensor, is taken as it stands in the experiment.
+    """Compare predictions of the fitted model with runs that were not used for the fit.
 
-    Errors: NO_DATA, WRONG_KIND, those of the experiments with this model. Warns NONFINITE, by `status`.
+    Initial states, biases of sensors and other parameters of an experiment are those given with it, not fitted.
+
+    Errors: NO_DATA, WRONG_KIND, and those of `fit` for experiments that do not match the model. Warns NONFINITE.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
@@ -80,14 +84,14 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     runs = _runs(task)
     means = {run: ({}, {name: residuals_of_mean(e, name) for name in e.channels}) for run, e in experiments.items()}
     r, signal = np.asarray(task.losses(runs)), np.asarray(task.losses(means))
-    known = {name: level for levels in fit.noise.values() for name, level in levels.items()}
+    fit_noise = {name: level for levels in fit.noise.values() for name, level in levels.items()}
     nrmse, rms, excess, tests, units = {}, {}, {}, {}, {}
     for record in records_of(task.experiments):
         residual, name, unit = r[record.rows], *record.group.rsplit(" ", 1)
         spread, size = np.sqrt(np.mean(signal[record.rows] ** 2)), np.sqrt(np.mean(residual**2))
         with np.errstate(divide="ignore", invalid="ignore"):
             nrmse[record.name], rms[record.name] = float(size / spread), float(size)
-        level = np.ravel(known[name])[int(unit)] if name in known else np.nan
+        level = np.ravel(fit_noise[name])[int(unit)] if name in fit_noise else np.nan
         excess[record.name] = float(size / level)
         tests[record.name] = whiteness(residual) if record.series and np.isfinite(residual).all() else None
         units[record.name] = experiments[record.run].channels[name].unit.split(",")[int(unit)].strip()
@@ -98,9 +102,9 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     }
     status = np.asarray(Status.NONFINITE if failed else Status.OK)
     predicted, residuals = ({run: both[k] for run, both in runs.items()} for k in (0, 1))
-    found = Validation(nrmse, rms, excess, tests, units, predicted, residuals, failed, status)
-    warn_if_failed(found)
-    return found
+    result = Validation(nrmse, rms, excess, tests, units, predicted, residuals, failed, status)
+    warn_if_failed(result)
+    return result
 
 
 @jit_optimized

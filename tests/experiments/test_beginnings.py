@@ -146,7 +146,7 @@ def test_a_fit_that_begins_far_off_says_that_rest_would_do_better():
     with pytest.warns(jb.JaxbodyWarning) as caught:
         result = jb.fit(box(), run(record), free=FREE)
     (far,) = [w.message for w in caught if w.message.code == "FAR_OFF"]
-    assert "'run' begins" in str(far) and 'initial="rest", in equilibrium on its base, would be' in str(far)
+    assert "'run' begins" in str(far) and 'with initial="rest" only' in str(far) and "start it in equilibrium on its base" in str(far)
     assert result.remarks[0] in str(result)
 
 

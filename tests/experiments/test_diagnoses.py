@@ -51,7 +51,7 @@ PLANTED = {
     "inches": (lambda m: {"side": m["side"] / 0.0254}, "GAIN_FACTOR", "run.side inches"),
     "g": (lambda m: {"edge": m["edge"] / 9.81}, "GAIN_FACTOR", "run.edge in g"),
     "degrees": (lambda m: {"edge": np.rad2deg(m["edge"])}, "GAIN_FACTOR", "run.edge degrees"),
-    "sign": (lambda m: {"edge": -m["edge"]}, "GAIN_FACTOR", "run.edge turned round"),
+    "sign": (lambda m: {"edge": -m["edge"]}, "GAIN_FACTOR", "run.edge reversed"),
     "late": (lambda m: {"edge": later(m["edge"], 0.012)}, "DELAY", "run.edge 0.6 samples later"),
     "early": (lambda m: {"edge": later(m["edge"], -0.02)}, "DELAY", "run.edge samples earlier"),
     "swapped": (lambda m: {"edge": m["side"], "side": m["edge"]}, "SWAPPED", "run.edge run.side exchanged"),
@@ -72,7 +72,7 @@ def test_sound_records_pass(swing):
     """20 realizations of noise: a delay is told at four standard errors, which white noise passes once in 16000."""
     for key in range(20):
         result, codes = diagnosed(swing, lambda m: {}, key)
-        assert codes == [] and result.words == () and "nothing to remark" in str(result)
+        assert codes == [] and result.words == () and "no remarks" in str(result)
     assert all(abs(c.gain - 1) < 0.05 and abs(c.delay) < 0.1 for c in result.channels)
 
 
@@ -94,9 +94,9 @@ def test_gravity_that_was_taken_out_of_a_record_is_named(swing):
     assert codes_and_words(model, whole) == ([], ())
     codes, words = codes_and_words(model, bare)
     assert codes == ["GRAVITY"] * 2 and words[0].startswith("run.acc is ") and words[1].startswith("run.up is ")
-    assert all("was gravity taken out already?" in word for word in words)
+    assert all("was gravity removed from the record?" in word for word in words)
     codes, words = codes_and_words(jb.replace(model, {"gravity": np.zeros(3)}), whole)
-    assert codes.count("GRAVITY") == 2 and any("it reads gravity, which the model lacks" in word for word in words)
+    assert codes.count("GRAVITY") == 2 and any("it reads gravity, but the model has none" in word for word in words)
 
 
 def test_gaps_are_left_out(swing):
