@@ -45,9 +45,9 @@ def kinetic_energy(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None)
 def potential_energy(model: Model, state: State, xi: Xi = None) -> Float[Array, ""]:
     """V = sum over the elements of their energies - sum of m g . C over the bodies [J]. Source: (22), (60) of the paper.
 
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1], position=[0, 0, 1.5])}, gravity=[0, 0, -10.0])
     >>> float(potential_energy(model, model.reference))
-    0.0
+    30.0
     """
     return _energy(potential, model, state, xi, None)
 
