@@ -1,4 +1,4 @@
-"""Checks of arguments other than arrays: dicts, names, whole and positive numbers, random keys, objects, functions of the user."""
+"""Checks of arguments other than arrays: dicts, names, whole and positive numbers, random keys, objects, functions from the user."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ USE_JNP = "Write it with jax.numpy: jnp.sin for np.sin and math.sin, jnp.where f
 
 
 def plain(name: Any) -> Any:
-    """A name, or a tuple of names, as Python strings: JAX would take NumPy's strings for arrays."""
+    """A name, or a tuple of names, as Python strings, as JAX treats strings of NumPy as arrays."""
     if isinstance(name, tuple):
         return tuple(map(plain, name))
     return str(name) if isinstance(name, str) else name
@@ -69,7 +69,7 @@ def positive_number(value: Any, where: str, problems: Problems, code: str = "BAD
 
 
 def check_key(key: Any, where: str, problems: Problems, needed: str = "") -> None:
-    """Check a random key of JAX, typed or of the old kind. None is a problem only where `needed` says what needs the key."""
+    """Check a random key of JAX, typed or of the old kind. `needed`: why a key is needed, as the start of a hint; "": it may be None."""
     if key is None:
         if needed:
             problems.add("NO_KEY", where, "is missing", hint=f"{needed} key=jax.random.key(...).")

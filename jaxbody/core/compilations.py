@@ -1,4 +1,4 @@
-"""What was compiled and how long it took, as JAX reports it; what is compiled again and again, or for over a minute, is named."""
+"""Compilations and their times as reported by JAX; warnings of functions that are compiled repeatedly or for over a minute."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from jax import monitoring
 from jaxbody.core import tables
 from jaxbody.core.errors import warn
 
-LONG = 60.0  # s to compile
-MANY = 6  # compilations in a row for one reason
-SHOWN = 4
+LONG = 60.0  # time to compile from which a warning is given [s]
+MANY = 6  # compilations in a row for one reason from which a warning is given
+SHOWN = 4  # values in a warning
 REMEDIES = {
     "shape": "arrays of one shape, or calls of one jitted function that holds the loop, are compiled once",
     "type": "numbers of one type are compiled once",
     "value": "one value for all calls is compiled once",
-    "function": "make it once, outside of the loop, or write a class with arrays in place of what it closes over",
+    "function": "make it once, outside of the loop, or write a class that holds its arrays as fields",
 }
 
 PHASES = {
@@ -33,14 +33,16 @@ PHASES = {
 }
 HIT = "/jax/compilation_cache/cache_hits"
 LEFT = "/jaxbody/lanes/left_to_vmap"
-MOST_ROWS = 10  # that print; the rest in one
+MOST_ROWS = 10  # printed; all others are summed in one row
 
 
 @dataclass
 class CompileTimes:
-    """`programs`: by function (seconds of tracing, of lowering, of compiling, how often it was compiled); `count` and `seconds` of all;
-    `cached`, how many came from JAX's persistent cache; `left_to_vmap`, by function of jaxbody why a batch of it was not rewritten for lanes:
-    its results are the same, it runs slower.
+    """Compilations and their times.
+
+    `programs` {function: (seconds of tracing, of lowering, of compiling, number of compilations)}; `count` and `seconds`: totals; `cached`:
+    number of programs from JAX's persistent cache; `left_to_vmap` {function of jaxbody: reason why its batch was not rewritten for lanes},
+    where results are the same but slower.
 
     >>> CompileTimes().count
     0
@@ -60,7 +62,7 @@ class CompileTimes:
         return sum(sum(times) for *times, _ in self.programs.values())
 
     def heard(self, event: str, seconds: float, **more: str) -> None:
-        """Keep what JAX tells. Traces of functions inside others are parts of theirs, so only those that become programs count."""
+        """Record an event of JAX. Only traces that become programs count; those of functions inside others are parts of theirs."""
         phase, name = PHASES.get(event), program(more)
         if phase == 0:
             self.traced[name] = self.traced.get(name, 0.0) + seconds
@@ -78,27 +80,27 @@ class CompileTimes:
         end = f"{tables.counted(self.count, 'compilation')}, {self.seconds:.3g} s" + (
             f", {self.cached} from the cache" if self.cached else ""
         )
-        found = [tables.PrintedTable("Compilations", ("function", "traced [s]", "lowered [s]", "compiled [s]", "count"), shown, end)]
+        printed = [tables.PrintedTable("Compilations", ("function", "traced [s]", "lowered [s]", "compiled [s]", "count"), shown, end)]
         if self.left_to_vmap:
-            found.append(tables.PrintedTable("Left to jax.vmap, slower", ("function", "why"), list(self.left_to_vmap.items())))
-        return tables.text(*found)
+            printed.append(tables.PrintedTable("Left to jax.vmap, slower", ("function", "why"), list(self.left_to_vmap.items())))
+        return tables.text(*printed)
 
 
 def program(more: dict[str, str]) -> str:
-    """The function that is traced, lowered or compiled, of what JAX says with an event."""
+    """The name of the function that is traced, lowered or compiled, from the data of an event."""
     return more.get("fun_name", "?").removeprefix("jit(").removesuffix(")")
 
 
 def note_left_to_vmap(function: str, why: str) -> None:
-    """For whoever listens."""
+    """Report to `compile_times` that a batch was left to jax.vmap, and why."""
     monitoring.record_event(LEFT, function=function, why=why)
 
 
 @contextmanager
 def compile_times() -> Iterator[CompileTimes]:
-    """Note what JAX compiles meanwhile, jaxbody's functions and all others, and print it as a table.
+    """Record all compilations by JAX inside a `with` block, of jaxbody's functions and all others; the record prints as a table.
 
-    A second run with new values must add nothing; where it does, a shape, a type or a Python function has changed.
+    A second run with new values should compile nothing; where it does, a shape, a type or a Python function has changed.
 
     >>> with compile_times() as times:
     ...     _ = jax.jit(lambda x: x + 1.5)(jnp.ones(3))
@@ -106,30 +108,30 @@ def compile_times() -> Iterator[CompileTimes]:
     True
     >>> print(times)  # doctest: +SKIP
     """
-    found, listening = CompileTimes(), True
+    record, listening = CompileTimes(), True
 
     def seconds(event: str, duration: float, **more) -> None:
         if listening:
-            found.heard(event, duration, **more)
+            record.heard(event, duration, **more)
 
     def event(name: str, **more) -> None:
-        found.cached += listening and name == HIT
+        record.cached += listening and name == HIT
         if listening and name == LEFT:
-            found.left_to_vmap[more["function"]] = more["why"]
+            record.left_to_vmap[more["function"]] = more["why"]
 
     monitoring.register_event_duration_secs_listener(seconds)
     monitoring.register_event_listener(event)
     try:
-        yield found
+        yield record
     finally:
         listening = False
-        if hasattr(monitoring, "unregister_event_listener"):  # older versions of JAX keep them, silent
+        if hasattr(monitoring, "unregister_event_listener"):  # older versions of JAX cannot remove them
             monitoring.unregister_event_duration_listener(seconds)
             monitoring.unregister_event_listener(event)
 
 
 class Compiled:
-    """For what arguments a function was compiled, one after the other."""
+    """The successive compilations of a function, with what changed in its arguments."""
 
     def __init__(self, function: Callable[..., Any]):
         self.name, self.program = f"{function.__module__}.{function.__qualname__}", function.__name__
@@ -141,16 +143,19 @@ class Compiled:
         self.begun = False
 
     def begin(self) -> None:
-        """It is about to be compiled."""
+        """Note the start of a compilation."""
         self.begun = True
         _under_way()[self.program] = 0.0
 
     def end(self, args: tuple[Any, ...]) -> None:
-        """It was compiled for these; warns SLOW_COMPILATION, and RECOMPILED once, where only one thing changed each time."""
+        """Note the end of a compilation for these arguments. Warns SLOW_COMPILATION, and once RECOMPILED where only one thing changes."""
         self.begun = False
         seconds = _under_way().pop(self.program, 0.0)
         if seconds > LONG:
-            remedy = "new numbers in the same shapes compile nothing, JAX keeps programs for later runs where JAX_COMPILATION_CACHE_DIR names a directory, and a Python loop in a law or a motion compiles faster as jax.lax.fori_loop"
+            remedy = (
+                "new numbers in the same shapes compile nothing, JAX keeps programs for later runs where JAX_COMPILATION_CACHE_DIR names a "
+                "directory, and a Python loop in a law or a motion compiles faster as jax.lax.fori_loop"
+            )
             warn(
                 "SLOW_COMPILATION",
                 f"{self.name} took {seconds:.0f} s to compile; {remedy}; jb.compile_times shows which function takes how long",
@@ -169,7 +174,7 @@ class Compiled:
             return
         self.warned = True
         kind, where = reason
-        what = "a Python function made anew in" if kind == "function" else f"the {kind} of"
+        what = "a new Python function in" if kind == "function" else f"the {kind} of"
         values = "" if kind == "function" else f": {', '.join(self.seen[:SHOWN])}, ..."
         places = ", ".join(where[:SHOWN]) + (", ..." if len(where) > SHOWN else "")
         warn("RECOMPILED", f"{self.name} was compiled {len(self.seen)} times in a row for {what} {places}{values}; {REMEDIES[kind]}")
@@ -177,7 +182,7 @@ class Compiled:
 
 @functools.cache
 def _under_way() -> dict[str, float]:
-    """By function that is being compiled the seconds that JAX has spent on it, as JAX itself says from the first call on."""
+    """{function that is being compiled: seconds that JAX has spent on it}, from events of JAX after the first call."""
     spent: dict[str, float] = {}
 
     def heard(event: str, seconds: float, **more: Any) -> None:
@@ -189,7 +194,7 @@ def _under_way() -> dict[str, float]:
 
 
 def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, Any]:
-    """By place: (shape, type) of arrays, other leaves as they are, and of every argument its structure."""
+    """{place: (shape, type) of an array, another leaf unchanged, or the structure of an argument}."""
     places: dict[str, Any] = {}
     for name, arg in zip(parameters, args, strict=True):
         leaves, structure = jax.tree_util.tree_flatten_with_path(arg)
@@ -199,7 +204,7 @@ def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, 
 
 
 def _difference(before: dict[str, Any], now: dict[str, Any]) -> tuple[str, tuple[str, ...]] | None:
-    """What kind of thing alone changed, and where; None where it is not one kind alone, or a program of its own."""
+    """The kind of change, and where; None where several kinds changed, or where the new arguments need another program anyway."""
     if before.keys() != now.keys():
         return None
     changed = [place for place in now if before[place] != now[place]]

@@ -1,4 +1,4 @@
-"""How XLA compiles: with optimization or without, both in less time than by default; and, if the user asks for it, fast loops on a CPU."""
+"""Options of XLA: faster compilation, with and without optimization, and on request fast loops on a CPU."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from jaxbody.core.compilations import Compiled
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import outermost, started, without_manual_axes
 
-TESTED = tuple((0, minor) for minor in range(7, 13))  # of jaxlib: XLA ends the process on an option that it does not know
+TESTED = tuple((0, minor) for minor in range(7, 13))  # versions of jaxlib; XLA ends the process on an unknown option
 HOLDER = "--xla_backend_extra_options="
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
-WIDTH = "--xla_cpu_prefer_vector_width="  # in bits: all that the processor has; XLA's own choice is half of 512
-NO_FUSION_EMITTERS = {"xla_cpu_use_fusion_emitters": False}  # two thirds of the time of compiling or less, and programs run as fast
-UNOPTIMIZED = {"xla_backend_optimization_level": 0}  # half of what then remains, and programs take up to three times as long
+WIDTH = "--xla_cpu_prefer_vector_width="  # in bits, 512 for all that the processor has; XLA's default is 256
+NO_FUSION_EMITTERS = {"xla_cpu_use_fusion_emitters": False}  # compiles in two thirds of the time or less; programs run as fast
+UNOPTIMIZED = {"xla_backend_optimization_level": 0}  # halves the remaining time to compile; programs take up to three times as long
 
 
 def fast_loops() -> bool:
-    """Have XLA compile every loop on a CPU into one function, whatever the size of the state that it carries (without this, below 1024
-    bytes), and use vector instructions as wide as there are: simulations of small models then take 2 to 5 times less. Whether that could
-    be done.
+    """Let XLA compile every loop on a CPU into one function; simulations of small models then run 2 to 5 times as fast.
 
-    It holds for the whole process and for everything that JAX compiles in it, so it is never done by itself. It must come before the first
-    computation; `XLA_FLAGS` keeps what it has, and child processes inherit it. Only loops are compiled otherwise, no result changes but by
-    rounding. A loop over long vectors loses, as it then runs on one core: 100 steps on a vector of 1e6 took twice the time on two cores, and would lose more on
-    more. Of other programs, timed with and without (float32, two cores, jaxlib 0.10), a thousand random steps of 32 numbers took a quarter of the time; matrix products of 256 x 512 x 512
-    in a loop, a loop over vectors of 1e3, a training step of a small network, a hundred in a loop, a recurrent network, sorting, a convolution
-    stayed within the scatter. A loop body that holds LAPACK calls, sorts or scatters gains nothing. To be sure of yours, time it both ways.
+    By default XLA does so only for loops that carry less than 1024 bytes. The widest vector instructions are enabled too. Returns whether
+    the options are set. They apply to all that JAX compiles in this process and its child processes, so jaxbody never sets them itself.
+    Call it before the first computation; other options in `XLA_FLAGS` are kept. Results change by rounding only.
+
+    Loops over long vectors become slower, as they then run on one core: 100 steps on a vector of 1e6 took twice the time on two cores. Of
+    other programs (float32, two cores, jaxlib 0.10) a thousand random steps of 32 numbers took a quarter of the time. No difference was
+    measured for matrix products of 256 x 512 x 512 in a loop, a loop over vectors of 1e3, training steps of a small network, a recurrent
+    network, sorting and a convolution. Loops with LAPACK calls, sorts or scatters gain nothing. Time your own program both ways.
 
     Errors: TOO_LATE where JAX has already looked for devices, unless the option is set. Warns UNTESTED_JAXLIB, and changes nothing, for a
-    version of jaxlib with which it was not tried: XLA ends the process on options that it does not know.
+    version of jaxlib that was not tested, as XLA ends the process on unknown options.
 
     >>> done = fast_loops()  # doctest: +SKIP
     """
@@ -46,27 +46,27 @@ def fast_loops() -> bool:
     version = tuple(int(part) for part in jaxlib.version.__version__.split(".")[:2])
     if version not in TESTED:
         known = ", ".join(f"{major}.{minor}" for major, minor in TESTED)
-        warn("UNTESTED_JAXLIB", f"fast_loops was tried with jaxlib {known}, not with {jaxlib.version.__version__}: nothing is changed")
+        warn("UNTESTED_JAXLIB", f"fast_loops was tested with jaxlib {known}, not with {jaxlib.version.__version__}: nothing is changed")
         return False
     if started():
-        hint = "Call jaxbody.fast_loops() first, before any array is made."
+        hint = "Call jaxbody.fast_loops() before any array is made."
         raise JaxbodyError(
             Problem("TOO_LATE", "fast_loops", "JAX has already started on its devices, so the option has no effect", hint=hint)
         )
     others = [flag for flag in flags if not flag.startswith(HOLDER)]
-    held = [flag.removeprefix(HOLDER) for flag in flags if flag.startswith(HOLDER)]  # XLA heeds the last of several only
+    held = [flag.removeprefix(HOLDER) for flag in flags if flag.startswith(HOLDER)]  # XLA uses only the last of several
     width = [] if any(flag.startswith(WIDTH) for flag in flags) else [WIDTH + "512"]
     os.environ["XLA_FLAGS"] = " ".join([*others, *width, HOLDER + ",".join([*held[-1:], f"{OPTION}=100000000"])])
     return True
 
 
 def jit_optimized(function: Callable[..., Any]) -> Callable[..., Any]:
-    """filter_jit for what runs long: optimized. Where it is not part of another program it compiles in two thirds of the time on a CPU."""
+    """filter_jit for functions that run long: optimized. Unless part of another program it compiles in two thirds of the time on a CPU."""
     return _jit_by_itself(function, {})
 
 
 def jit_unoptimized(function: Callable[..., Any]) -> Callable[..., Any]:
-    """filter_jit for what runs in milliseconds: not optimized. Where it is not part of another program it compiles in a third of the time."""
+    """filter_jit for functions that take milliseconds: not optimized. Unless part of another program it compiles in a third of the time."""
     return _jit_by_itself(function, UNOPTIMIZED)
 
 
@@ -97,11 +97,10 @@ def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Cal
 
 @functools.cache
 def quick_options() -> dict[str, Any]:
-    """Options for `jax.jit` with which a program of your own, a fit or a sweep, compiles in two thirds of the time or less on a CPU; what
-    jaxbody compiles by itself already does.
+    """Options for `jax.jit` with which your own programs compile in two thirds of the time or less on a CPU.
 
-    Simulations and frequencies run as fast; a training step of a neural network took 1.4 times as long. Nothing where XLA does not know
-    them: jaxlib 0.10 does, 0.12 does not.
+    jaxbody's own functions already use them. Simulations and frequencies run as fast; a training step of a neural network took 1.4 times as
+    long. The options are empty where XLA does not have them: jaxlib 0.10 does, 0.12 does not.
 
     >>> import jax
     >>> free_fall = jax.jit(lambda t: 9.81 * t**2 / 2, compiler_options=quick_options())

@@ -1,11 +1,11 @@
-"""What jaxbody takes from the inside of JAX, which no version promises, with a way back where it is gone; `lanes` knows operations by name.
+"""Internal functions of JAX that jaxbody uses, with an alternative where a version lacks them; `lanes` knows operations by name.
 
-Of what JAX has changed, this matters here:
-0.10  most names of jax.core go, `jax.extend.core` has them; the last version for Python 3.11
-0.11  `jax.experimental.hijax`: operations that carry their own rules and are replaced by others before a program is compiled ("high" ones)
-0.12  jnp.searchsorted is one, so jnp.interp too: `without_high_operations`. `ClosedJaxpr` is `Jaxpr`. XLA has no fusion emitters to switch off
-Coming: JAX's documents call such operations the way to rules of one's own; custom_jvp and custom_vjp are already written as such, not yet used.
-Programs then have `call_hi_primitive` where `lanes` knows `custom_jvp_call`; `without_high_operations` would take their rules away.
+Changes of JAX that matter here:
+0.10  most names of jax.core move to `jax.extend.core`; the last version for Python 3.11
+0.11  `jax.experimental.hijax`: "high" operations with their own rules, which are replaced by others before a program is compiled
+0.12  jnp.searchsorted is one, and so is jnp.interp: `without_high_operations`. `ClosedJaxpr` is `Jaxpr`. XLA has no fusion emitters
+Expected: JAX's documents recommend high operations for custom rules; custom_jvp and custom_vjp are already written so, but not yet used.
+Programs will then have `call_hi_primitive` where `lanes` knows `custom_jvp_call`, and `without_high_operations` would drop their rules.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from jax.interpreters import ad, batching, mlir, partial_eval
 from jax.interpreters.ad import Zero
 from jaxtyping import Array
 
-__all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "jaxpr_as_fun"]  # as they are
+__all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "jaxpr_as_fun"]  # used by other modules
 
 
-# What JAX is doing
+# State of JAX
 
 
 def outermost() -> bool:
-    """Whether nothing is being traced; no where JAX does not say, as what follows from it is then right, if slower."""
+    """Whether nothing is being traced. False where JAX cannot tell: callers are then slower, but correct."""
     try:
         from jax._src import core
 
@@ -39,7 +39,7 @@ def outermost() -> bool:
 
 
 def started() -> bool:
-    """Whether JAX has looked for devices; no where JAX does not say: what is then set too late has no effect."""
+    """Whether JAX has looked for devices. False where JAX cannot tell: options that are set too late then have no effect."""
     try:
         from jax._src import xla_bridge
 
@@ -52,7 +52,7 @@ def started() -> bool:
 
 
 def only_what_is_needed(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
-    """The program without what its results do not need, if JAX can tell."""
+    """The program without operations that its results do not need, where JAX can remove them."""
     if not hasattr(partial_eval, "dce_jaxpr"):
         return jaxpr
     kept, _ = partial_eval.dce_jaxpr(jaxpr.jaxpr, [True] * len(jaxpr.out_avals), instantiate=True)
@@ -60,16 +60,16 @@ def only_what_is_needed(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
 
 
 def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
-    """The same program in operations that batches and compilers know. Since version 0.12 a program may hold "high" ones, such as
+    """The same program in operations with batching and lowering rules. Since version 0.12 a program may have "high" operations, such as
     searchsorted, each of which JAX replaces by others just before it compiles."""
     if not getattr(jaxpr, "is_high", False):
         return jaxpr
     if hasattr(partial_eval, "lower_jaxpr2"):
         return partial_eval.lower_jaxpr2(jaxpr)  # pyright: ignore
-    return jax.jit(jaxpr_as_fun(jaxpr)).trace(*jaxpr.in_avals).lojax.jaxpr  # pyright: ignore  # the same by another door
+    return jax.jit(jaxpr_as_fun(jaxpr)).trace(*jaxpr.in_avals).lojax.jaxpr  # pyright: ignore  # the same, in other versions
 
 
-# Operations of our own
+# New operations
 
 
 def new_operation(
@@ -83,7 +83,18 @@ def new_operation(
     jvp: Callable[..., Any] | None = None,
     transpose: Callable[..., Any] | None = None,
 ) -> Primitive:
-    """An operation that computes compute(*arrays, **parameters), with rules as JAX wants them; without jvp it is linear, if it has a transpose."""
+    """A new operation of JAX with its rules; with a transpose but no jvp it is linear.
+
+    Args:
+        name: of the operation
+        compute: its function of (*arrays, **parameters)
+        batch: its batching rule
+        typed: types of the results; None: those of compute
+        several: whether it has several results
+        lowered: its lowering; None: that of compute
+        jvp: its forward derivative
+        transpose: its transpose
+    """
     primitive = Primitive(name)
     primitive.multiple_results = several
     primitive.def_impl(compute)
@@ -100,7 +111,7 @@ def new_operation(
 
 
 def same_numbers(name: str, **rules: Any) -> Primitive:
-    """An operation that gives what it is given."""
+    """An operation that returns its argument."""
     rules = {"typed": lambda x, **_: x} | rules
     return new_operation(name, lambda x, **_: x, lowered=lambda context, x, **_: [x], **rules)
 
@@ -127,7 +138,7 @@ def _type_of(compute: Callable[..., Any], *avals: Any, **parameters: Any) -> Sha
 
 
 def shaped(shape: tuple[int, ...], dtype: Any) -> ShapedArray:
-    """The type of an array, on the mesh of devices that there may be."""
+    """The type of an array, on the current mesh of devices."""
     mesh = jax.sharding.get_abstract_mesh()
     if mesh.empty:
         return ShapedArray(shape, dtype)
@@ -135,9 +146,16 @@ def shaped(shape: tuple[int, ...], dtype: Any) -> ShapedArray:
 
 
 def linear_one_way(name: str, forward: Callable[..., Array], backward: Callable[..., Array], again: Any = None) -> Callable[..., Array]:
-    """A function of a tangent and of what is known with its own transpose, and `again`, its derivative in the tangent; all take leading axes of batches.
+    """A function of a tangent and of known arrays, with its own transpose; all functions take leading axes of batches.
 
-    A custom rule of JAX would transpose `forward` itself, which here need not be linear, and cannot look at a cotangent."""
+    A custom rule of JAX would transpose `forward`, which here need not be linear, and cannot inspect a cotangent.
+
+    Args:
+        name: of the operation
+        forward: the function of (tangent, *known)
+        backward: its transpose, of (cotangent, *known)
+        again: its derivative in the tangent, of (tangent, *known); None: forward
+    """
 
     def jvp(primals, tangents):
         out = primitive.bind(*primals)
@@ -159,12 +177,12 @@ def linear_one_way(name: str, forward: Callable[..., Array], backward: Callable[
     return primitive.bind
 
 
-# Within `jax.shard_map` the type of an array says over which axes of the mesh its values vary, and a loop may not begin with a constant,
-# which does not vary, and go on with what does. A function that knows nothing of devices is therefore traced without these types.
+# Within `jax.shard_map` the type of an array says over which axes of the mesh its values vary, and a loop must not start with a constant,
+# which does not vary, and continue with values that do. Functions that are independent of devices are therefore traced without these types.
 
 
 def without_manual_axes(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function of arrays, which may lie within any trees; inside it, none varies over the axes of a mesh."""
+    """The function of trees of arrays; inside it, no array varies over the axes of a mesh."""
 
     @functools.wraps(function)
     def call(*args):
@@ -181,7 +199,7 @@ def _each_array(function: Callable[[Array], Array], tree: Any) -> Any:
 
 
 def _hidden(x: Array, axes: frozenset) -> Array:
-    """x, made to vary over all axes first: derivatives in what does not vary are then sums over devices, as they must be."""
+    """x without varying axes, after it is made to vary over all of them: derivatives by constants are then correct sums over devices."""
     missing = tuple(axes - _varying(jax.typeof(x)))
     if missing:
         x = jax.lax.pcast(x, missing, to="varying") if hasattr(jax.lax, "pcast") else jax.lax.pvary(x, missing)  # pyright: ignore
@@ -200,7 +218,7 @@ def _with_varying(aval: Any, axes: frozenset) -> Any:
 
 
 def _type_only(name: str, varying: Callable[[frozenset], frozenset], back: Callable[[], Primitive]) -> Primitive:
-    """The same numbers, of another type."""
+    """An operation that changes the type, not the numbers."""
     primitive = same_numbers(
         name,
         typed=lambda x, axes: _with_varying(x, varying(axes)),
@@ -214,15 +232,22 @@ _hidden_p = _type_only("manual_axes_hidden", lambda axes: frozenset(), lambda: _
 _shown_p = _type_only("manual_axes_shown", lambda axes: axes, lambda: _hidden_p)
 
 
-# A linear function with a transpose of its own. `jax.linear_transpose` takes no loop of unknown length; `jax.custom_vjp` allows no forward
-# mode; `jax.custom_derivatives.linear_call` has no derivative in what it is given.
+# A linear function with its own transpose. `jax.linear_transpose` accepts no loop of unknown length; `jax.custom_vjp` allows no forward
+# mode; `jax.custom_derivatives.linear_call` has no derivative with respect to known arrays.
 
 
 def linear_with_transpose(
     forward: Callable[[Any, Any], Any], transpose: Callable[[Any, Any], Any], known: Any, moved: Any, like: Any
 ) -> Any:
-    """forward(known, moved), linear in moved, arrays `like` these; its transpose by transpose(known, cotangents). The one of the two that is not
-    needed is not traced. Neither may hold arrays of its own. Both are differentiable in whatever way they are by themselves."""
+    """forward(known, moved), linear in moved, with its own transpose. Only the one that is needed is traced; both keep their derivatives.
+
+    Args:
+        forward: function of (known, moved); neither function may hold arrays
+        transpose: function of (known, cotangents)
+        known: arrays on which both depend
+        moved: arrays in which forward is linear
+        like: arrays of the shapes and types of the results
+    """
     given, tree = jax.tree.flatten((known, moved))
     n = len(jax.tree.leaves(known))
     known_tree = jax.tree.structure(known)

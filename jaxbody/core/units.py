@@ -60,13 +60,15 @@ PREFIXED = {  # with their usual prefixes
 }
 PLAIN = {
     "kg": (1.0, MASS), "t": (1e3, MASS), "in": (0.0254, LENGTH), "ft": (0.3048, LENGTH), "min": (60.0, TIME), "h": (3600.0, TIME),
-    "deg": (TURN / 360, ANGLE), "rev": (TURN, ANGLE), "rpm": (TURN / 60, ANGULAR_RATE), "g": (GRAVITY, ACCELERATION), "Gal": (0.01, ACCELERATION),
+    "deg": (TURN / 360, ANGLE), "rev": (TURN, ANGLE), "rpm": (TURN / 60, ANGULAR_RATE),
+    "g": (GRAVITY, ACCELERATION), "Gal": (0.01, ACCELERATION),
     "lbf": (POUND, FORCE), "kip": (1e3 * POUND, FORCE), "bar": (1e5, PRESSURE), "psi": (POUND / 0.0254**2, PRESSURE),
     "%": (0.01, NONE), "1": (1.0, NONE), "-": (1.0, NONE),
 }  # fmt: skip
 ALSO = {
     "volt": "V", "volts": "V", "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "degree": "deg", "degrees": "deg", "°": "deg",
-    "radian": "rad", "radians": "rad", "meter": "m", "meters": "m", "metre": "m", "metres": "m", "newton": "N", "newtons": "N", "g0": "g", "gn": "g",
+    "radian": "rad", "radians": "rad", "meter": "m", "meters": "m", "metre": "m", "metres": "m", "newton": "N", "newtons": "N",
+    "g0": "g", "gn": "g",
     "inch": "in", "inches": "in", "hertz": "Hz", "percent": "%",
 }  # fmt: skip
 KNOWN = {**PLAIN}

@@ -1,4 +1,4 @@
-"""What the numbers of a field are, said once, where it stands: unit and domain, in the words of its owner where they depend on it."""
+"""Fields with a unit and a domain of their numbers, stated once in the class; a unit may be a formula in words that the owner defines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import KNOWN
 
 DOMAINS = ("any", "nonnegative", "positive", "fraction", "definite", "direction", "rotation", "inertia", "configuration", "speeds")
-LIMITS = {  # in words, and the code of the error where the field has none; "symmetric" is what is definite where no sign is asked
+LIMITS = {  # in words, and the default code of the error; "symmetric" is "definite" without a condition on signs
     "nonnegative": (">= 0", "NEGATIVE"),
     "positive": ("> 0", "NOT_POSITIVE"),
     "fraction": ("0 to 1", "NOT_A_FRACTION"),
@@ -25,8 +25,9 @@ LIMITS = {  # in words, and the code of the error where the field has none; "sym
 
 @dataclass(frozen=True)
 class Kind:
-    """What numbers are: `unit` ("" where they have none; of parts of the last axis by commas, of the axis before it by semicolons), `domain`, and what is
-    said of numbers that are not in it, an error's code and a hint."""
+    """The kind of the numbers of a field: `unit`, `domain`, and `code` and `hint` of the error for numbers outside the domain.
+
+    The unit is "" where there is none; commas separate the units of parts of the last axis, semicolons those of the axis before it."""
 
     unit: str = ""
     domain: str = "any"
@@ -35,20 +36,21 @@ class Kind:
 
 
 def field(unit: str = "", domain: str = "any", *, code: str = "", hint: str = "", words: dict[str, str] | None = None, **options) -> Any:
-    """A field of an element, law, joint, load, motion or sensor that says what its numbers are.
+    """A field of an element, law, joint, load, motion or sensor, with the unit and domain of its numbers.
 
-    From it follow what `replace` refuses, how `fit` and `tune` move the number, what bounds it may have, and the unit in tables. A field without it has
-    no unit and may take any value.
+    These determine the values that `replace` refuses, the variable that `fit` and `tune` use for the number, its possible bounds, and its
+    unit in tables. A field without them has no unit and may have any value.
 
     Args:
-        unit: "N/m", or a formula in the words of what holds the owner: "force/argument" of a law is N s/m in a damper, N m/rad about an angle.
-        domain: any, nonnegative, positive (a fit moves both by their logarithm, and so keeps their sign), fraction (from 0 to 1), definite (a symmetric
-            matrix without negative eigenvalues, or a row of such numbers), direction (a unit vector), rotation (a unit quaternion) or inertia;
-            of a state, configuration or speeds (the coordinates of the joints, and their rates);
-            "nonnegative unless allow_negative" is any where the owner's `allow_negative` is true.
-        code, hint: of the error where a number is not in its domain; NEGATIVE, NOT_POSITIVE or NOT_A_FRACTION without a code.
-        words: of a field that holds laws or signals, what their formulas mean here: {"force": "N m", "argument": "rad"}.
-        options: of equinox.field: default, converter, static.
+        unit: such as "N/m", or a formula in words of the object that holds the owner: "force/argument" of a law is N s/m in a damper and
+            N m/rad in a spring about an angle
+        domain: any, nonnegative, positive (for both a fit uses the logarithm, which keeps the sign), fraction (from 0 to 1), definite (a
+            symmetric matrix without negative eigenvalues, or a row of such numbers), direction (a unit vector), rotation (a unit
+            quaternion) or inertia; for a state, configuration or speeds (the coordinates of the joints, and their rates);
+            "nonnegative unless allow_negative" is any where the owner's `allow_negative` is true
+        code, hint: of the error for a number outside its domain; default code: NEGATIVE, NOT_POSITIVE or NOT_A_FRACTION
+        words: for a field that holds laws or signals, the words of their formulas: {"force": "N m", "argument": "rad"}
+        options: of equinox.field: default, converter, static
 
     Error: UNKNOWN_DOMAIN.
 
@@ -68,8 +70,8 @@ def field(unit: str = "", domain: str = "any", *, code: str = "", hint: str = ""
 
 
 def kind_of(owner: Any, name: str, words: dict[str, str] | None = None) -> Kind:
-    """What the numbers of an owner's field are; words: those that what holds the owner gives to it."""
-    kind, _ = _said(owner, name)
+    """The kind of an owner's field, with the words from the object that holds the owner."""
+    kind, _ = _stated(owner, name)
     domain, _, flag = kind.domain.partition(" unless ")
     if flag and getattr(owner, flag):
         domain = "symmetric" if domain == "definite" else "any"
@@ -77,13 +79,13 @@ def kind_of(owner: Any, name: str, words: dict[str, str] | None = None) -> Kind:
 
 
 def kind_along(root: Any, keys: tuple[Any, ...]) -> Kind:
-    """What the numbers are to which keys of JAX lead from a root, words being passed on along the way."""
+    """The kind of the numbers at a path of JAX keys from a root, with the words from all objects on the path."""
     kind, words, owner = Kind(), {}, root
     for key in keys:
         name = getattr(key, "name", None)
         if isinstance(name, str):
             kind = kind_of(owner, name, words)
-            words = {**words, **{word: resolved(text, owner, words) for word, text in _said(owner, name)[1].items()}}
+            words = {**words, **{word: resolved(text, owner, words) for word, text in _stated(owner, name)[1].items()}}
             owner = getattr(owner, name, None)
         else:
             index: Any = getattr(key, "key", getattr(key, "idx", None))
@@ -91,21 +93,22 @@ def kind_along(root: Any, keys: tuple[Any, ...]) -> Kind:
     return kind
 
 
-def _said(owner: Any, name: str) -> tuple[Kind, dict[str, str]]:
-    found = getattr(type(owner), "__dataclass_fields__", {}).get(name)
-    metadata = found.metadata if found is not None else {}
+def _stated(owner: Any, name: str) -> tuple[Kind, dict[str, str]]:
+    stated = getattr(type(owner), "__dataclass_fields__", {}).get(name)
+    metadata = stated.metadata if stated is not None else {}
     return metadata.get("kind", Kind()), metadata.get("words", {})
 
 
 def resolved(unit: str, owner: Any, words: dict[str, str]) -> str:
-    """A unit without words: those given, those of the owner's class (`words`), or an attribute of the owner that is one itself; "" where one is missing."""
+    """A unit with its words replaced: by those given, by those of the owner's class (`words`), or by an attribute of the owner that is a
+    unit; "" where a word is missing."""
     own = getattr(owner, unit, unit) if unit.isidentifier() else unit
     text, words = own if isinstance(own, str) else unit, {**getattr(owner, "words", {}), **words}
     return "; ".join(", ".join(_reduced(part, words) for part in row.split(",")) for row in text.split(";"))
 
 
 def _reduced(unit: str, words: dict[str, str]) -> str:
-    """A product of units, each once: "N/m" where "force/argument" is "N" over "m"."""
+    """A product of units with each unit once: "N/m" for "force/argument" with force in N and argument in m."""
     powers = _powers(unit, words)
     if any(name not in KNOWN for name in powers):
         return ""
@@ -123,7 +126,9 @@ def _powers(unit: str, words: dict[str, str]) -> dict[str, int]:
 
 
 def units_of(kind: Kind, shape: tuple[int, ...]) -> list[str]:
-    """The unit of each number of an array; of a row where the unit is a matrix's, that of its first block; "" where there are not as many as parts."""
+    """The unit of each number of an array.
+
+    A row has the first unit where the units are those of a matrix; "" where the shape does not divide into as many parts as units."""
     blocks = np.array([[unit.strip() for unit in row.split(",")] for row in kind.unit.split(";")])
     blocks = blocks[:1, :1] if len(blocks) > 1 and len(shape) < 2 else blocks
     last, before = (1, 1, *shape)[-1], (1, 1, *shape)[-2]
@@ -134,7 +139,7 @@ def units_of(kind: Kind, shape: tuple[int, ...]) -> list[str]:
 
 
 def take(owner: Any, problems: Problems, **values) -> None:
-    """Sets fields of an owner that is being made to numbers, each in its domain."""
+    """Set fields of an owner under construction to numbers, each checked for its domain."""
     for name, value in values.items():
         where = f"{type(owner).__name__}.{name}"
         setattr(owner, name, scalar(value, where, problems))
@@ -143,7 +148,9 @@ def take(owner: Any, problems: Problems, **values) -> None:
 
 
 def check_domain(value: Any, kind: Kind, where: str, problems: Problems) -> None:
-    """Numbers are in their domain, as far as their signs go. Errors: the field's own, NEGATIVE, NOT_POSITIVE, NOT_A_FRACTION; NOT_SYMMETRIC of a matrix."""
+    """Check that numbers are in their domain, as far as it concerns signs and symmetry.
+
+    Errors: that of the field, or NEGATIVE, NOT_POSITIVE, NOT_A_FRACTION; NOT_SYMMETRIC of a matrix."""
     known = concrete(value)
     if known is None or kind.domain not in LIMITS:
         return

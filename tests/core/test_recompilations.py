@@ -29,7 +29,7 @@ CALLS = {
     "shape": (lambda i: (jnp.ones(i + 1), 3, (once,)), r"for the shape of x: \(1,\) float64, \(2,\) float64, .*arrays of one shape"),
     "type": (lambda i: (np.ones(2, f"{'iuf'[i % 3]}{(8, 4, 2)[i // 3]}"), 3, (once,)), r"for the type of x: .* numbers of one type"),
     "value": (lambda i: (jnp.ones(2), i, (once,)), r"for the value of steps: 0, 1, 2, 3, \.\.\.; one value"),
-    "function": (lambda i: (jnp.ones(2), 3, (doubled(),)), r"for a Python function made anew in functions\[0\]; make it once"),
+    "function": (lambda i: (jnp.ones(2), 3, (doubled(),)), r"for a new Python function in functions\[0\]; make it once"),
 }
 
 
@@ -75,7 +75,7 @@ def test_a_motion_that_is_made_anew_in_a_loop_is_named():
         return [((as_motion(lambda t: t * jnp.ones(6)),), jnp.array(0.5)) for _ in range(7)]
 
     (message,) = warned(jit_unoptimized(place), calls())
-    assert "for a Python function made anew in the structure of motions; make it once" in message
+    assert "for a new Python function in the structure of motions; make it once" in message
 
 
 COMPILING = "/jax/core/compile/"
