@@ -1,4 +1,4 @@
-"""Where a search for a design may go: parameters by path, equal ones together, between bounds, as numbers u of the order of one."""
+"""Design spaces: free parameters by path, some of them tied, between bounds, as numbers u of the order of one."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from jaxbody.parameters.transforms import (
     sound_bounds,
 )
 
-SPREAD = 0.3  # of random starts of what has no bounds of its own: directions, matrices
+SPREAD = 0.3  # standard deviation of u for random starts of directions and matrices, which have no bounds
 
 
 class Group(eqx.Module):
-    """Leaves tied to one value, that of the first, by factors, and how it moves."""
+    """Leaves tied by factors to the value of the first, and its parametrization."""
 
     leaves: tuple[Leaf, ...] = eqx.field(static=True)
     factors: tuple[Factor, ...] = eqx.field(static=True)
@@ -49,7 +49,7 @@ class Group(eqx.Module):
 
 
 class Space(eqx.Module):
-    """A model as a function of u, zero at the start: `place(u)`, between `low` and `high`."""
+    """A model as a function of u, which is zero at the start: `place(u)`."""
 
     model: Model
     groups: tuple[Group, ...]
@@ -60,7 +60,7 @@ class Space(eqx.Module):
 
     @property
     def ends(self) -> list[slice]:
-        """Which numbers of u each group has."""
+        """The part of u of each group."""
         at = np.cumsum([0] + [group.form.size for group in self.groups])
         return [slice(i, j) for i, j in itertools.pairwise(at)]
 
@@ -74,11 +74,11 @@ class Space(eqx.Module):
         return write(self.model, {leaf: times(values[group.path], factor) for group, leaf, factor in tied})
 
     def labels(self) -> list[str]:
-        """What each u belongs to: "AB.stiffness", "mount 1.a[0]"."""
+        """The name of each u: "AB.stiffness", "mount 1.a[0]"."""
         return [group.path + suffix for group in self.groups for suffix in group.form.labels()]
 
     def numbers(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """What each u stands for, and its derivative in u: the parameter's number; where it has none, an orientation's or a matrix's, u itself."""
+        """The value of the parameter at each u and its derivative with respect to u; for orientations and matrices, u itself and 1."""
         x, slopes = np.array(u), np.ones(len(u))
         for group, at in zip(self.groups, self.ends, strict=True):
             if isinstance(group.form, Elementwise):
@@ -97,16 +97,16 @@ def space_of(model: Model, free: str | Iterable[str], bounds: dict[str, Any], wh
 def _grouped(model: Model, free: list[str], bounds: dict[str, Any], where: str) -> tuple[Group, ...]:
     problems = Problems()
     arrays, size = jax.tree.leaves(model), size_of(model)
-    found = ties(leaves_of(model), free, f"{where}.free", problems)
-    by_pattern = matching([leaf for tie in found for leaf in tie], bounds, f"{where}.bounds")
+    selected = ties(leaves_of(model), free, f"{where}.free", problems)
+    by_pattern = matching([leaf for tie in selected for leaf in tie], bounds, f"{where}.bounds")
     given = {leaf: bounds[pattern] for pattern, leaves in by_pattern.items() for leaf in leaves}
-    groups = [_group(tie, arrays, model, size, given, problems) for tie in found]
+    groups = [_group(tie, arrays, model, size, given, problems) for tie in selected]
     problems.raise_if_any()
     return tuple(group for group in groups if group is not None)
 
 
 def _group(tie: Tie, arrays, model: Model, size, given: dict[Leaf, Any], problems: Problems) -> Group | None:
-    """Between bounds from zero on a number moves linearly, as a logarithm does not reach zero."""
+    """The group of a tie. With a lower bound of zero it varies linearly, as a logarithm does not reach zero."""
     starts, first = [leaf.read(arrays) for leaf in tie], next(iter(tie))
     form = parametrize(first, starts[0], model, size)
     ends = pair_of(next((given[leaf] for leaf in tie if leaf in given), None), starts[0].shape)
@@ -126,15 +126,15 @@ def _bounded(space: Space, bounds: dict[str, Any], where: str) -> tuple[Space, n
     owner = {leaf: (i, factor) for i, group in enumerate(space.groups) for leaf, factor in zip(group.leaves, group.factors, strict=True)}
     low, high = np.full(space.size, -np.inf), np.full(space.size, np.inf)
     forms = [group.form for group in space.groups]
-    asked: dict[int, list[tuple[str, Factor]]] = {}
+    bounded: dict[int, list[tuple[str, Factor]]] = {}
     for pattern, leaves in matching(list(owner), bounds, where).items():
         for i, factor in (owner[leaf] for leaf in leaves):
-            asked.setdefault(i, []).append((pattern, factor))
-    for i, named in asked.items():
-        path, form, at, given = space.groups[i].path, forms[i], space.ends[i], bounds[named[0][0]]
-        ends = _within([(pair_of(bounds[pattern], form.start.shape), factor) for pattern, factor in named])
+            bounded.setdefault(i, []).append((pattern, factor))
+    for i, patterns in bounded.items():
+        path, form, at, given = space.groups[i].path, forms[i], space.ends[i], bounds[patterns[0][0]]
+        ends = _within([(pair_of(bounds[pattern], form.start.shape), factor) for pattern, factor in patterns])
         largest = max(float(np.where(np.isfinite(end), np.abs(end), 0.0).max()) for end in ends or [np.asarray(form.start)])
-        slack = ALIKE * largest  # what a tuned model comes with
+        slack = ALIKE * largest  # a tuned model may lie outside by round-off
         if sound_bounds(form, ends, given, f"{where}['{path}']", problems, slack):
             lower, upper = ends  # pyright: ignore
             if isinstance(form, Shifted) and np.isfinite(upper - lower).all():
@@ -145,7 +145,7 @@ def _bounded(space: Space, bounds: dict[str, Any], where: str) -> tuple[Space, n
 
 
 def _within(pairs: list[tuple[list[np.ndarray] | None, Factor]]) -> list[np.ndarray] | None:
-    """All bounds of what is tied, as bounds of the first."""
+    """The bounds of tied leaves as bounds of the first."""
     if any(pair is None for pair, _ in pairs):
         return None
     lower, upper = zip(*(bounds_of_first(pair, factor) for pair, factor in pairs if pair is not None), strict=True)
@@ -153,14 +153,14 @@ def _within(pairs: list[tuple[list[np.ndarray] | None, Factor]]) -> list[np.ndar
 
 
 def at_value(space: Space, group: int, x: Any) -> np.ndarray:
-    """u of a group at a value."""
+    """The u of a group at a value."""
     form: Any = space.groups[group].form
     return form.inverse(np.broadcast_to(x, form.start.shape))
 
 
 def drawn(space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any, where: str) -> np.ndarray:
-    """Starts (count, n): the model as it is, and others at random, evenly between the bounds of u; orientations anywhere, and fractions evenly in their
-    domain or between their bounds."""
+    """Starts (count, n): the model, and random ones, uniform between the bounds of u. Orientations are uniform over all rotations,
+    fractions uniform between their bounds or in their domain."""
     problems = Problems()
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
     u = np.zeros((count, space.size))
@@ -178,7 +178,7 @@ def drawn(space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any,
         elif not isinstance(group.form, Elementwise):
             u[:, at] = SPREAD * rng.normal(size=(count, group.form.size))
         elif count > 1 and not np.isfinite(high[at] - low[at]).all():
-            limit, hint = "finite, both", "Random starts lie between bounds."
+            limit, hint = "both finite", "Random starts need bounds."
             problems.add("NO_BOUNDS", f"{where}['{group.path}']", "is missing", limit=limit, hint=hint)
         elif count > 1:
             u[:, at] = rng.uniform(low[at], high[at], (count, group.form.size))

@@ -1,4 +1,4 @@
-"""Units of parameters: what the field says that a path leads to, and of initial states the coordinates."""
+"""Units of parameters: those of the field at a path, and for initial states those of the coordinates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from jaxbody.models.models import Model
 
 
 def units_of(leaf: Leaf, model: Model, value: np.ndarray) -> list[str]:
-    """The unit of each number of a leaf; "" where there is none or it is not known."""
+    """The unit of each number of a leaf; "" for none, or if it is unknown."""
     if leaf.kind.domain not in ("configuration", "speeds"):
         return fields.units_of(leaf.kind, value.shape)
     row = _of_state(model, leaf.kind.domain == "speeds")
@@ -18,10 +18,10 @@ def units_of(leaf: Leaf, model: Model, value: np.ndarray) -> list[str]:
 
 
 def _of_state(model: Model, speeds: bool) -> list[str]:
-    """Of q or v: moves and turns; the numbers of a quaternion have none."""
+    """Units of q or v, by coordinate; the numbers of a quaternion have none."""
     units = []
     for kind in model.layout.kinds:
-        move, turn = ("m/s", "rad/s") if speeds else ("m", "rad")
-        own = [turn if turns else move for turns in kind.turns]
-        units += own if speeds or kind.nq == kind.nv else [unit for unit in own if unit == move] + [""] * 4
+        length, angle = ("m/s", "rad/s") if speeds else ("m", "rad")
+        own = [angle if turns else length for turns in kind.turns]
+        units += own if speeds or kind.nq == kind.nv else [unit for unit in own if unit == length] + [""] * 4
     return units

@@ -1,4 +1,4 @@
-"""What free paths mean: each leaf by itself or tied, "left.k = right.k", mirrored too, "left.a = right.a * [1, -1, 1]"."""
+"""Free paths and patterns: leaves alone or tied, "left.k = right.k", also with factors, "left.a = right.a * [1, -1, 1]"."""
 
 from __future__ import annotations
 
@@ -14,38 +14,46 @@ from jaxbody.core.errors import Problems
 from jaxbody.models.leaf_paths import Leaf, matching
 from jaxbody.parameters.transforms import Parametrization, Positive, Shifted
 
-ALIKE = 1e-9  # relative difference of starts that are to stay equal
+ALIKE = 1e-9  # largest relative difference of the starts of tied parameters
 
 Factor = float | tuple[float, ...]
-Tie = dict[Leaf, Factor]  # of each leaf, its value over that of the first one
+Tie = dict[Leaf, Factor]  # {leaf: ratio of its value to that of the first leaf}
 
 
 def ties(leaves: list[Leaf], free: Iterable[str], where: str, problems: Problems, absent: dict[str, str] | None = None) -> list[Tie]:
-    """The parameters that are free: of a path or pattern each leaf, of "a = b" all together, "a = b * factor" of them a number or a list of
-    numbers. absent: as of `matching`."""
+    """The free parameters: each leaf of a path or pattern is one, and all leaves of "a = b" or "a = b * factor" together, where the factor
+    is a number or a list of numbers.
+
+    Args:
+        leaves: all leaves that paths may name.
+        free: paths, patterns and ties.
+        where: the argument, for messages.
+        problems: to which errors are added.
+        absent: {path: hint} of leaves that do not exist but could, by default none.
+    """
     sides = {str(entry): [_side(side, where, problems) for side in str(entry).split("=")] for entry in free}
     for entry in [entry for entry, parts in sides.items() if len(parts) > 1 and not all(pattern for pattern, _ in parts)]:
-        limit, hint = "a path on both sides", 'Say "left.stiffness = right.stiffness".'
+        limit, hint = "a path on both sides", 'Write "left.stiffness = right.stiffness".'
         problems.add("UNKNOWN_PATH", where, f"'{entry}' ties nothing on one side", value=entry, limit=limit, hint=hint)
         sides[entry] = [part for part in sides[entry] if part[0]]
     named = dict.fromkeys(pattern for parts in sides.values() for pattern, _ in parts)
     matched = matching(leaves, named, where, problems, absent)
-    taken: set[Leaf] = set()
-    found: list[Tie] = []
+    listed: set[Leaf] = set()
+    free_ties: list[Tie] = []
     for entry, parts in sides.items():
-        meant = {leaf: factor for pattern, factor in parts for leaf in matched[pattern]}
-        for leaf in meant:
-            if leaf in taken:
-                told = f"names {leaf.path} twice, by '{entry}' too"
-                problems.add("LISTED_TWICE", where, told, value=entry, hint="Each parameter is free once.")
-        taken |= set(meant)
-        first = next(iter(meant.values()), 1.0)
-        ratios: Tie = {leaf: _ratio(first, factor) for leaf, factor in meant.items()}
-        apart: list[Tie] = [{leaf: 1.0} for leaf in meant]
-        found += [ratios] if len(parts) > 1 else apart
-    if not found and not problems.collected:
-        problems.add("NOTHING_FREE", where, "is empty", limit="at least one path", hint='Name what may change: free=["*.stiffness"].')
-    return found
+        selected = {leaf: factor for pattern, factor in parts for leaf in matched[pattern]}
+        for leaf in selected:
+            if leaf in listed:
+                message = f"lists {leaf.path} twice, also by '{entry}'"
+                problems.add("LISTED_TWICE", where, message, value=entry, hint="List each parameter once.")
+        listed |= set(selected)
+        first = next(iter(selected.values()), 1.0)
+        tied: Tie = {leaf: _ratio(first, factor) for leaf, factor in selected.items()}
+        single: list[Tie] = [{leaf: 1.0} for leaf in selected]
+        free_ties += [tied] if len(parts) > 1 else single
+    if not free_ties and not problems.collected:
+        problems.add("NOTHING_FREE", where, "is empty", limit="at least one path", hint='Name the unknowns: free=["*.stiffness"].')
+    return free_ties
 
 
 def _side(text: str, where: str, problems: Problems) -> tuple[str, Any]:
@@ -70,36 +78,36 @@ def _ratio(first: Any, own: Any) -> Factor:
 
 
 def times(x: Any, factor: Factor) -> Any:
-    """The value of a leaf from that of the first of its tie."""
+    """The value of a leaf from the value of the first leaf of its tie."""
     return x if factor == 1.0 else x * np.asarray(factor)
 
 
 def bounds_of_first(ends: list[np.ndarray], factor: Factor) -> list[np.ndarray]:
     """Bounds of the first leaf of a tie from those of another."""
-    (low, high), turned = (end / np.asarray(factor) for end in ends), np.asarray(factor) < 0
-    return [np.where(turned, high, low), np.where(turned, low, high)]
+    (low, high), negative = (end / np.asarray(factor) for end in ends), np.asarray(factor) < 0
+    return [np.where(negative, high, low), np.where(negative, low, high)]
 
 
 def check_alike(tie: Tie, starts: list[Any], form: Parametrization, problems: Problems) -> None:
-    """Those tied start as they are tied; only scalars and vectors have factors."""
+    """The starts of tied leaves must agree with the tie; only scalars and vectors may have factors. Errors: TIED_APART, BAD_TIE."""
     first, known = next(iter(tie)), [concrete(start) for start in starts]
     for (leaf, factor), start in zip(tie.items(), known, strict=True):
         if start is None or known[0] is None:
             continue
-        told = f"{equation([first.path, leaf.path], [1.0, factor])}"
+        tied = equation([first.path, leaf.path], [1.0, factor])
         if factor != 1.0 and (not isinstance(form, Positive | Shifted) or np.shape(factor) not in ((), start.shape)):
             limit = "scalars and vectors, by a number or one for each"
-            problems.add("BAD_TIE", leaf.path, f"of shape {start.shape} cannot be tied by {told}", value=factor, limit=limit)
+            problems.add("BAD_TIE", leaf.path, f"of shape {start.shape} cannot be tied by {tied}", value=factor, limit=limit)
         elif start.shape != known[0].shape or not np.allclose(start, times(known[0], factor), rtol=ALIKE, atol=0):
-            told = f"starts at {start}, but {told}, and {first.path} starts at {known[0]}"
-            problems.add("TIED_APART", leaf.path, told, value=start, hint="Set both alike with jb.replace.")
+            message = f"starts at {start}, but {tied}, and {first.path} starts at {known[0]}"
+            problems.add("TIED_APART", leaf.path, message, value=start, hint="Set matching values with jb.replace.")
 
 
 def equation(paths: Iterable[str], factors: Iterable[Factor]) -> str:
-    """A tie as it is written: "left.a = right.a * [1, -1, 1]"."""
+    """The text of a tie: "left.a = right.a * [1, -1, 1]"."""
 
     def side(path: str, factor: Factor) -> str:
-        back = 1 / np.asarray(factor)
-        return path if factor == 1.0 else f"{path} * " + np.array2string(back, separator=", ", formatter={"float": "{:g}".format})
+        inverse = 1 / np.asarray(factor)
+        return path if factor == 1.0 else f"{path} * " + np.array2string(inverse, separator=", ", formatter={"float": "{:g}".format})
 
     return " = ".join(map(side, paths, factors))

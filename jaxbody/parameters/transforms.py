@@ -1,13 +1,13 @@
-"""How a free parameter is moved in a fit: by numbers u that are zero at the start, unbounded and of the order of one.
+"""Transforms of free parameters to numbers u that are zero at the start, unbounded and of the order of one, by domain.
 
-nonnegative     x = x0 exp(u)                         stiffness, damping, lengths; what is positive alike: mass
-fraction        x = x0 e^u/(1 + x0 (e^u - 1))         between 0 and 1
-definite        X = L(u) L(u)'                        6 x 6 stiffness and damping; L lower, logarithms on its diagonal
-inertia         I = tr(S) 1 - S, S definite           so that masses of no sign but plus can have it (log-Cholesky of the pseudo-inertia)
-rotation        q = exp(u) q0                         orientations; coordinates of an initial state
-direction       n = (n0 + B u)/|n0 + B u|             axes of joints
-of instruments  x = x0 + s u                          gain (either sign) and bias, s of the order of the record where x0 is smaller; delay, of a sample
-anything else   x = x0 + s u                          s the largest of |x0|, or a size of the model where x0 is zero
+nonnegative, positive  x = x0 exp(u)                   stiffness, damping, lengths, mass
+fraction               x = x0 e^u/(1 + x0 (e^u - 1))   between 0 and 1
+definite               X = L(u) L(u)'                  6 x 6 stiffness and damping; L lower triangular, logarithms on its diagonal
+inertia                I = tr(S) 1 - S, S definite     inertia of positive masses (log-Cholesky of the pseudo-inertia)
+rotation               q = exp(u) q0                   orientations; coordinates of an initial state
+direction              n = (n0 + B u)/|n0 + B u|       axes of joints
+gains, biases, delays  x = x0 + s u                    s the larger of |x0| and 1, the rms of the record, or the sampling interval
+others                 x = x0 + s u                    s the largest of |x0|, or the size of the model if x0 is zero
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from jaxbody.mechanics.kinematics import Chart
 from jaxbody.models.leaf_paths import Leaf
 from jaxbody.models.models import Model
 
-FAR = 5.0  # in u: less than a hundredth of the start, which counts as zero where it has no effect
+FAR = 5.0  # in u: less than a hundredth of the start, which counts as zero if it has no effect
 
 
 class Parametrization(eqx.Module):
@@ -39,7 +39,7 @@ class Parametrization(eqx.Module):
 
     @property
     def size(self) -> int:
-        """How many numbers u has."""
+        """The number of numbers in u."""
         return self.start.size
 
     @abstractmethod
@@ -50,16 +50,16 @@ class Parametrization(eqx.Module):
         return [""] if self.start.ndim == 0 else [str(list(i)).replace(" ", "") for i in np.ndindex(self.start.shape)]
 
     def ended(self, u: np.ndarray) -> np.ndarray:
-        """The end of the domain that each u is near, in a word: "zero" for a logarithm far below that of the start."""
+        """The limit of the domain that each u is near, as a word: "zero" for a value far below the start; "" for the others."""
         return np.full(u.shape, "")
 
 
 class Elementwise(Parametrization):
-    """Each number rises with a u of its own, so that bounds and priors of the number are also bounds and priors of u."""
+    """Each number is an increasing function of one u, so that bounds of the number are bounds of u."""
 
     @abstractmethod
     def inverse(self, x: Any) -> np.ndarray:
-        """u of a value, infinite at the end of the domain and beyond."""
+        """The u of a value, infinite at the limits of the domain and beyond."""
 
     @abstractmethod
     def slope(self, x: np.ndarray) -> np.ndarray:
@@ -145,8 +145,8 @@ class Definite(Parametrization):
 class Inertia(Parametrization):
     """About the center of mass I = tr(S) 1 - S, with S = sum of m x x' the second moment of mass.
 
-    S is definite if and only if I is of masses that are positive everywhere (P. Wensing, S. Kim, J.-J. Slotine, IEEE Robotics and Automation
-    Letters 3 (2018) 60): then its principal moments hold the triangle inequality."""
+    S is definite if and only if I is the inertia of positive masses (P. Wensing, S. Kim, J.-J. Slotine, IEEE Robotics and Automation
+    Letters 3 (2018) 60); its principal moments then satisfy the triangle inequality."""
 
     @property
     def size(self) -> int:
@@ -184,8 +184,8 @@ class Direction(Parametrization):
         return 2
 
     def value(self, u):
-        least = jnp.eye(3, dtype=u.dtype)[jnp.argmin(jnp.abs(self.start))]
-        b = cross(self.start, least)
+        other = jnp.eye(3, dtype=u.dtype)[jnp.argmin(jnp.abs(self.start))]
+        b = cross(self.start, other)
         b = b / jnp.sqrt(dot(b, b))
         moved = self.start + u[0] * b + u[1] * cross(self.start, b)
         return moved / jnp.sqrt(dot(moved, moved))
@@ -195,7 +195,7 @@ class Direction(Parametrization):
 
 
 class InitialConfiguration(Parametrization):
-    """The coordinates of an initial state, or of several in rows, moved in the chart."""
+    """Coordinates q of an initial state, or of several in rows: q = q0 (+) u in the chart."""
 
     model: Model
 
@@ -213,7 +213,7 @@ class InitialConfiguration(Parametrization):
 
 
 def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametrization | Problem:
-    """The parametrization that suits the domain of a leaf, or what is wrong with its start."""
+    """The parametrization for the domain of a leaf, or the problem START_ON_BOUND if its start is at a limit of the domain."""
     path, domain, known = leaf.path, leaf.kind.domain, concrete(start)
     if domain == "configuration":
         return InitialConfiguration(start, model)
@@ -224,42 +224,43 @@ def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametr
     if domain not in STARTS:
         largest = jnp.max(jnp.abs(start))
         return Shifted(start, jnp.where(largest > 0, largest, size))
-    form, inside, where, limit, hint = STARTS[domain]
+    form, inside, problem, limit, hint = STARTS[domain]
     if known is not None and not inside(known):
-        return Problem("START_ON_BOUND", path, f"starts at {known}, {where}", known, limit, hint)
+        return Problem("START_ON_BOUND", path, f"starts at {known}, {problem}", known, limit, hint)
     return form(start)
 
 
 def _thick(inertia: np.ndarray) -> bool:
+    """Whether the body is neither flat nor thin, so that its second moments are positive."""
     moments = np.linalg.eigvalsh(inertia)
     return moments[0] + moments[1] - moments[2] > 1e-9 * moments.sum()
 
 
 UNBOUNDED = {"rotation": Rotation, "direction": Direction}
-NUMBER = (Positive, lambda x: (x > 0).all(), "where its logarithm has no value", "> 0", "Start at a small positive number.")
-STARTS = {  # form, whether a start is inside, what it is else, limit, hint
+NUMBER = (Positive, lambda x: (x > 0).all(), "which has no logarithm", "> 0", "Start at a small positive number.")
+STARTS = {  # form, whether a start is inside the domain, the message if it is not, limit, hint
     "nonnegative": NUMBER,
     "positive": NUMBER,
-    "fraction": (Fraction, lambda x: ((x > 0) & (x < 1)).all(), "at an end of its range", "between 0 and 1", "Start between 0 and 1."),
+    "fraction": (Fraction, lambda x: ((x > 0) & (x < 1)).all(), "at a limit of its range", "between 0 and 1", "Start between 0 and 1."),
     "definite": (
         Definite,
         lambda x: np.linalg.eigvalsh(x).min() > 0,
         "a matrix that is not positive definite",
         "eigenvalues > 0",
-        "Start at a definite matrix.",
+        "Start at a positive definite matrix.",
     ),
     "inertia": (
         Inertia,
         _thick,
-        "that of a flat or thin body",
+        "the inertia of a flat or thin body",
         "each principal moment less than the sum of the other two",
-        "Give it some thickness: masses on both sides of its plane or line.",
+        "Give the body some thickness, with masses on both sides of its plane or line.",
     ),
 }
 
 
 def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
-    """A pair, (lower, upper) or (mean, deviation), as arrays of the shape; None where it is not one."""
+    """A pair (lower, upper) or (mean, deviation) as arrays of this shape; None if it is not a pair of numbers."""
     try:
         lower, upper = given
         return [np.broadcast_to(np.asarray(end, float), shape) for end in (lower, upper)]
@@ -270,21 +271,30 @@ def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
 def sound_bounds(
     form: Parametrization, ends: list[np.ndarray] | None, given: Any, where: str, problems: Problems, slack: float = 0.0
 ) -> bool:
-    """Whether bounds, as given and as a pair of arrays, are some and hold the start; what is wrong goes to `problems`."""
+    """Whether bounds are valid and contain the start, apart from a slack; else a problem is added to `problems`.
+
+    Args:
+        form: the parametrization, with the start.
+        ends: the bounds as a pair of arrays, None if they are not a pair.
+        given: the bounds as the user gave them, for messages.
+        where: the argument, for messages.
+        problems: to which BAD_BOUNDS or START_OUTSIDE is added.
+        slack: allowed distance of the start from the bounds, 0 by default.
+    """
     start = np.asarray(form.start)
     if not isinstance(form, Elementwise):
-        problems.add("BAD_BOUNDS", where, "has no bounds of its own", hint="Bound scalars and vectors only.")
+        problems.add("BAD_BOUNDS", where, "cannot have bounds", hint="Give bounds for scalars and vectors only.")
     elif ends is None:
         problems.add("BAD_BOUNDS", where, f"is {given!r:.60}", value=given, limit="(lower, upper)")
     elif np.isnan(ends).any():
-        hint = "A side without a bound is -inf or inf."
+        hint = "Give -inf or inf for a side without a bound."
         problems.add("BAD_BOUNDS", where, f"is {given!r:.60}, which has a NaN", value=given, limit="numbers", hint=hint)
     elif not (ends[0] < ends[1]).all():
         problems.add("BAD_BOUNDS", where, f"has lower {given[0]} >= upper {given[1]}", value=given, limit="lower < upper")
     elif ((start < ends[0] - slack) | (start > ends[1] + slack)).any():
         distance = np.maximum(ends[0] - start, start - ends[1]).max()
-        told, limit = f"does not hold the start {start}, by {distance:.4g}", f"{given[0]} to {given[1]}"
-        problems.add("START_OUTSIDE", where, told, value=start, limit=limit, hint="Move the start or the bound.")
+        message, limit = f"excludes the start {start}, which is outside by {distance:.4g}", f"{given[0]} to {given[1]}"
+        problems.add("START_OUTSIDE", where, message, value=start, limit=limit, hint="Change the start or the bound.")
     else:
         return True
     return False

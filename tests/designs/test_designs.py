@@ -405,7 +405,10 @@ BAD = {
         dict(free="spring.a = spring.b * [1, 0, 1]"),
         r"has the factor \[1, 0, 1\] .allowed: a number or a list of numbers, none 0",
     ),
-    "START_OUTSIDE": (dict(bounds={"spring.stiffness": (60.0, 90.0)}), r"does not hold the start 50.0, by 10 \(allowed: 60.0 to 90.0\)"),
+    "START_OUTSIDE": (
+        dict(bounds={"spring.stiffness": (60.0, 90.0)}),
+        r"excludes the start 50.0, which is outside by 10 \(allowed: 60.0 to 90.0\)",
+    ),
     "BAD_BOUNDS": (dict(bounds={"spring.stiffness": (90.0, 60.0)}), "lower 90.0 >= upper 60.0"),
     "BAD_LIMITS": (dict(limits={"k": (3.0, 2.0)}), r"tune.limits\['k'\]: has lower 3 > upper 2"),
     "UNKNOWN_NAME": (dict(limits={"kk": 3.0}), "'kk' is unknown. Did you mean 'k'"),

@@ -505,7 +505,7 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
     ("options", "codes", "message"),
     [
         ({"free": ["s.stifness", "cart.mass", "run.bas.frequency"]}, ["UNKNOWN_PATH"] * 2, ["s.stiffness", "run.base.frequency"]),
-        ({"free": ["s.stiffness", "*.stiffness", "s.*"]}, ["LISTED_TWICE"] * 2, ["names s.stiffness twice, by '*.stiffness'", "'s.*'"]),
+        ({"free": ["s.stiffness", "*.stiffness", "s.*"]}, ["LISTED_TWICE"] * 2, ["lists s.stiffness twice, also by '*.stiffness'", "'s.*'"]),
         ({"free": []}, ["NOTHING_FREE"], [""]),
         ({"free": ["*.damping"]}, ["START_ON_BOUND"] * 2, ["t.damping", "hold.damping"]),
         ({"stepsize_controller": diffrax.ConstantStepSize()}, ["NO_STEP"], ["fit.dt0"]),
@@ -527,11 +527,11 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
         ({"bounds": {"cart.mass": (1, 3)}, "method": optax.adam(0.1)}, ["BAD_BOUNDS"], ["least_squares"]),
         ({"bounds": {"cart.mass": (1, 3)}, "method": GAUSS_NEWTON}, ["BAD_BOUNDS"], ["least_squares"]),
         ({"bounds": {"hold.stiffness": (1, 3)}}, ["UNKNOWN_PATH"], ["hold.stiffness"]),
-        ({"free": ["gravity", "run.initial.q"], "bounds": {"*": (0, 1, 2)}}, ["BAD_BOUNDS"] * 2, ["gravity", "bounds of its own"]),
+        ({"free": ["gravity", "run.initial.q"], "bounds": {"*": (0, 1, 2)}}, ["BAD_BOUNDS"] * 2, ["gravity", "cannot have bounds"]),
         (
             {"bounds": {"cart.mass": (2, 2), "s.*": (1, 2), "t.stiffness": (np.nan, 90)}},
             ["BAD_BOUNDS", "START_OUTSIDE", "BAD_BOUNDS"],
-            ["lower 2 >= upper 2", "does not hold the start 104.0, by 102", "is (nan, 90), which has a NaN"],
+            ["lower 2 >= upper 2", "excludes the start 104.0, which is outside by 102", "is (nan, 90), which has a NaN"],
         ),
     ],
     ids=["unknown", "twice", "nothing", "start", "steps", "solver", "tolerance", "method", "evaluations", "none", "bias", "lag", "tie",
