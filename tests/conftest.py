@@ -1,4 +1,4 @@
-"""The tests compute in float64, each draws its own random numbers, the same in every run, and programs compiled for a file go with it."""
+"""The tests compute in float64 with reproducible random numbers of their own, and programs compiled for a file are released after it."""
 
 import ctypes
 import gc
@@ -47,7 +47,7 @@ def batches(request):
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item, nextitem):
-    """Room for programs: each is mapped memory, and JAX keeps what was traced for it. What is let go goes back to the system, too."""
+    """Release compiled programs, which JAX would keep with their traces in mapped memory, and return the memory to the system."""
     most = MUCH if nextitem and nextitem.path == item.path else MUCH_BETWEEN_FILES
     if STATM.exists() and int(STATM.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") > most:
         eqx.clear_caches()

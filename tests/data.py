@@ -1,4 +1,4 @@
-"""Where the measured and reference data are: the folder JAXBODY_DATA names, else ../shared/data beside the checkout."""
+"""The folder of the measured and reference data: JAXBODY_DATA, or ../shared/data next to the checkout."""
 
 import os
 from pathlib import Path

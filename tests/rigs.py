@@ -1,4 +1,4 @@
-"""Rigs that several test files share, so that what they need is compiled once: a body on a spring, a plate on springs, an arm and a box."""
+"""Rigs that several test files share to save compilations: a body on a spring, a plate on springs, an arm and a box."""
 
 import warnings
 

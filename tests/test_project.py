@@ -1,4 +1,4 @@
-"""The project keeps its own rules: files in layers, each with one idea, imports without side effects, examples in docstrings that run."""
+"""The rules of the project: files in layers, each with one idea, imports without side effects, docstring examples that run."""
 
 import ast
 import builtins
@@ -286,7 +286,7 @@ def test_jaxbody_runs_from_a_zip(tmp_path):
 
 @pytest.mark.parametrize("name", sorted(OPEN))
 def test_a_public_module_lists_what_it_offers_and_nothing_else(name):
-    """What has an example in its docstring, and of pictures whatever any module of pictures draws: no imports, no helpers."""
+    """Names with an example in their docstring and all functions of the plots: no imports and no helpers."""
     public = getattr(jb, name)
     home = public.__name__.removeprefix("jaxbody.")
     sources = [module for module in NAMED if module.split(".")[0] == home] or [home]

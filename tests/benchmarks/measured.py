@@ -75,7 +75,7 @@ def calls(job: Job) -> dict[str, Callable]:
 
 
 def truth(job: Job, task: str) -> np.ndarray:
-    """What a task ought to give, by SciPy."""
+    """The reference result of a task, by SciPy."""
     import references
 
     if task == "T1":

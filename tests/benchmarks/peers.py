@@ -1,7 +1,7 @@
-"""The same jobs by other programs, each where it is installed: MuJoCo, Exudyn, SciPy with a NumPy right-hand side.
+"""The same jobs by other installed programs: MuJoCo, Exudyn, and SciPy with a NumPy right-hand side.
 
-MuJoCo and Exudyn know no base whose motion is imposed so that dampers feel its velocity. Here the base is a body of 1e10 kg on springs of
-its own that swings by itself as the motion says; its own steps carry the error of the method, like all else.
+In MuJoCo and Exudyn dampers do not see the velocity of a base with an imposed motion. Here the base is therefore a body of 1e10 kg on its
+own springs, whose free vibration is the imposed motion; it is integrated with the same method as the rest.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Lists in place of dicts, classes in place of objects, text in place of numbers: one message each, before anything is computed."""
+"""Lists instead of dicts, classes instead of objects, text instead of numbers: one message each, before anything is computed."""
 
 import warnings
 

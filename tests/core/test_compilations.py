@@ -1,4 +1,4 @@
-"""What is compiled is told; the option for fast loops is set when asked for, in time, and only where it is known."""
+"""Compilations are reported; the option for fast loops is set on request, before JAX starts, and only in versions that support it."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""A package that is an extra and not installed ends in one error, whichever it is and whoever needs it, with the line for pip."""
+"""Every missing optional package causes the same error with the pip command that installs it."""
 
 import sys
 import tomllib

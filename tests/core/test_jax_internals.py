@@ -1,4 +1,4 @@
-"""What is taken from the inside of JAX does what it is taken for, and there is a way back where it is gone."""
+"""Internal functions of JAX behave as jaxbody needs them, and there is a substitute where they no longer exist."""
 
 import subprocess
 import sys

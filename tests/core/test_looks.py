@@ -1,4 +1,4 @@
-"""Results do not compute when they are looked at: what prints of every class is made with NumPy, and JAX is asked for nothing."""
+"""Printing and inspecting results of any class uses NumPy only and runs no JAX operation."""
 
 import pkgutil
 import warnings

@@ -1,4 +1,4 @@
-"""A function that is compiled for every call says so once, and what of its arguments changes; one that takes long to compile says so."""
+"""One warning for a function that is compiled for every call, which names the changing argument, and one for a long compilation."""
 
 import warnings
 
@@ -67,7 +67,7 @@ def test_an_equilibrium_with_another_number_of_steps_each_time_is_a_storm():
             jb.equilibrium(model, max_steps=steps)
 
 
-def test_a_motion_that_is_made_anew_in_a_loop_is_named():
+def test_a_motion_that_is_created_in_each_iteration_of_a_loop_is_named():
     def place(motions, t):
         return motions[0](t)
 

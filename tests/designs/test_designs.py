@@ -1,4 +1,4 @@
-"""Tuned designs against closed forms, brute force on grids, and problems solved again; what holds them back; bad input told."""
+"""Tuned designs against closed forms, brute force on grids and repeated solutions; active constraints; messages for bad input."""
 
 import warnings
 
@@ -142,7 +142,7 @@ def test_the_tuned_damper_of_a_quarter_car():
 
 
 def test_den_hartogs_absorber():
-    """The spring for which both fixed points are equally high: frequency ratio 1/(1 + mu), height sqrt(1 + 2/mu), whatever the damper."""
+    """The spring for which both fixed points are equally high: frequency ratio 1/(1 + mu), height sqrt(1 + 2/mu), for any damper."""
     mu, k = 0.05, 1e4
     axis = jb.Guide("world", axis=[0, 0, 1])
     model = jb.Model(
@@ -426,14 +426,14 @@ BAD |= {
 
 
 @pytest.mark.parametrize("code", BAD)
-def test_bad_input_is_told(weight, code):
+def test_bad_input_is_reported(weight, code):
     (options, words), code = BAD[code], code.strip()
     with pytest.raises(jb.JaxbodyError, match=words) as caught:
         jb.tune(weight, square, **(GOOD | options))
     assert caught.value.code == code
 
 
-def test_an_objective_that_is_no_number_at_the_start_is_told(weight):
+def test_an_objective_that_is_no_number_at_the_start_is_reported(weight):
     def nothing(model):
         k = model["spring"].stiffness
         return {"f": k, "root": jnp.sqrt(k - 60.0), "g": jnp.stack([k, k])}

@@ -82,7 +82,7 @@ def test_objectives_that_agree_have_one_design(car):
 
 
 @pytest.mark.parametrize("options", [dict(minimize=["one"]), dict(minimize=["one", "two"], points=2)])
-def test_bad_input_is_told(car, options):
+def test_bad_input_is_reported(car, options):
     with pytest.raises(jb.JaxbodyError, match=r"two or three different names|a whole number >= 3") as caught:
         jb.pareto(car, distances, **options, **PLANE)
     assert caught.value.code == "BAD_FRONT"

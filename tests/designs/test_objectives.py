@@ -1,4 +1,4 @@
-"""Quantities to tune for, against closed forms and plain NumPy: maxima, couplings, bands, what arrives, comfort, grip, strokes."""
+"""Objectives against closed forms and plain NumPy: maxima, couplings, bands, transmissibility, comfort, road holding, strokes."""
 
 import diffrax
 import jax

@@ -1,4 +1,4 @@
-"""Sweeps against loops and closed forms: labels, chunks, samples, and what cannot be swept."""
+"""Sweeps against loops and closed forms: labels, chunks, samples, and messages for bad input."""
 
 import jax
 import jax.numpy as jnp
@@ -40,7 +40,7 @@ def test_a_grid_has_its_labels_and_the_values_of_closed_forms(grid):
 
 
 def test_chunks_change_nothing_and_values_do_not_recompile(car, grid, capsys):
-    """Four chunks of six, the last not full; progress is told; new values of the model are arguments."""
+    """Four chunks of six, the last one not full; progress is printed; new values of the model are arguments."""
     over = {"suspension.stiffness": K, "body.mass": M}
     parts = jb.sweep(car, quantities, over, chunk=6, progress=True)
     np.testing.assert_allclose(parts["frequency"], grid["frequency"], rtol=1e-13)
@@ -90,7 +90,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("code", BAD)
-def test_bad_input_is_told(car, code):
+def test_bad_input_is_reported(car, code):
     options, words = BAD[code]
     with pytest.raises(jb.JaxbodyError, match=words) as caught:
         jb.sweep(car, quantities, **options)

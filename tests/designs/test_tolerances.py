@@ -1,4 +1,4 @@
-"""Tolerances, robust designs and sensitivities against polynomials, whose moments are known, and against differences; their pictures."""
+"""Tolerances, robust designs and sensitivities against polynomials with known moments and against differences; their plots."""
 
 import jax
 import jax.numpy as jnp
@@ -83,7 +83,7 @@ def test_a_curved_quantity_has_exact_second_derivatives(weight):
     np.testing.assert_allclose(result.deviation[0], np.sqrt(variance), rtol=1e-13)
 
 
-def test_samples_without_numbers_are_told(weight):
+def test_samples_without_numbers_are_reported(weight):
     with pytest.warns(jb.JaxbodyWarning, match=r"NONFINITE: .*; \d+ of 200 samples are not finite"):
         result = jb.tolerances(weight, lambda model: jnp.sqrt(model["spring"].damping - 0.9), {"spring.damping": 0.1}, samples=200)
     assert np.isfinite(result.sampled_mean).all() and np.isfinite(result.first).all()
@@ -116,7 +116,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("code", BAD)
-def test_bad_scatter_is_told(weight, code):
+def test_bad_scatter_is_reported(weight, code):
     scatter, words = BAD[code]
     for call in (lambda: jb.tolerances(weight, quadratic, scatter), lambda: jb.robust(quadratic, scatter)(weight)):
         with pytest.raises(jb.JaxbodyError, match=words) as caught:

@@ -1,4 +1,4 @@
-"""Elements: forces are the derivatives of their energies, balance over all frames, and stay finite where a length is zero."""
+"""Forces of elements are derivatives of their energies, are in balance over all frames, and stay finite at zero length."""
 
 import equinox as eqx
 import jax
@@ -393,7 +393,7 @@ def test_a_rigid_velocity_of_base_and_bodies_together_dissipates_nothing(rng):
 
 
 def test_a_damper_to_a_moving_base_feels_its_velocity():
-    """A body at rest beside a base that moves and turns: tension = c times the rate of the length."""
+    """A body at rest, a base that translates and rotates: tension = c times the rate of the length."""
     at, point, c, m = np.array([0.3, 0.1, -0.2]), np.array([0.4, -0.5, 0.6]), 3.0, 2.0
     model = jb.Model(
         bodies={"body": jb.Body(mass=m, inertia=[1, 1, 1], position=[1.0, 2.0, 0.5])},
@@ -425,7 +425,7 @@ ALONG = jnp.array([0.6, 0, -0.8, 0, 0, 0])
 
 
 def short(at=(0, 0, 0), stiffness=50.0, free_length=0.0):
-    """One body on a spring of zero length, at the body's origin or beside it."""
+    """One body on a spring of zero length, at the body's origin or away from it."""
     spring = jb.Spring(("body", at), ("world", [0, 0, 0]), stiffness=stiffness, free_length=free_length)
     return jb.Model(bodies={"body": jb.Body(mass=1.0, inertia=[1, 1, 1], position=-np.asarray(at, dtype=float))}, elements={"s": spring})
 

@@ -1,4 +1,4 @@
-"""Runs that begin at rest on a base that is displaced or moves, or whose beginning is left out, against closed forms and a fit by SciPy."""
+"""Runs that start at rest on a displaced or moving base, or whose first part is left out, against closed forms and a fit by SciPy."""
 
 import jax
 import jax.numpy as jnp
@@ -88,7 +88,7 @@ def test_rest_on_a_base_that_is_turned_and_moves_is_carried_along_rigidly():
 
 
 def test_derivatives_at_rest_are_those_of_the_closed_form_in_both_modes():
-    """x(0) = z - m g/k: m g/k^2 is its derivative in k; the speed is that of the base, whatever k."""
+    """x(0) = z - m g/k: its derivative with respect to k is m g/k^2; the speed is that of the base for any k."""
     t, motions = jnp.array(0.0), tuple(MOTION.values())
 
     def first(k):

@@ -1,4 +1,4 @@
-"""Blunders planted in a measured record are named, and a sound record is let pass."""
+"""Mistakes planted in a measured record are reported, and a correct record passes."""
 
 import warnings
 
@@ -69,7 +69,7 @@ def test_a_planted_blunder_is_named(swing, case):
 
 
 def test_sound_records_pass(swing):
-    """20 realizations of noise: a delay is told at four standard errors, which white noise passes once in 16000."""
+    """20 realizations of noise: a delay is reported at four standard errors, which white noise exceeds once in 16000."""
     for key in range(20):
         result, codes = diagnosed(swing, lambda m: {}, key)
         assert codes == [] and result.words == () and "no remarks" in str(result)

@@ -1,4 +1,4 @@
-"""Fits to frequency responses and to modes, alone and with a record in time, against matrices of two masses written out."""
+"""Fits to frequency responses and modes, alone and combined with a record in time, against explicit matrices of two masses."""
 
 import itertools
 import re
@@ -228,7 +228,7 @@ def codes_of(function):
     return [(p.code, p.where) for p in error.value.problems]
 
 
-def test_what_is_wrong_with_them_is_told_at_once(measured):
+def test_what_is_wrong_with_them_is_reported_at_once(measured):
     bad = {("x1", "force"): measured["x1", "force"][:5], ("x3", "force"): measured["x1", "force"], ("x2", "base"): np.full(len(F), np.nan)}
     assert codes_of(lambda: hammer(bad, {("x1", "force"): 0.0, ("x1", "base"): 1.0})) == [
         ("BAD_SHAPE", "MeasuredResponse.measured[('x1', 'force')]"),
@@ -253,7 +253,7 @@ def test_what_is_wrong_with_them_is_told_at_once(measured):
 
 
 @pytest.mark.long
-def test_a_start_that_is_unstable_is_told_by_its_frequency(measured):
+def test_a_start_that_is_unstable_is_reported_by_its_frequency(measured):
     with pytest.warns(jb.JaxbodyWarning, match="NEGATIVE_DAMPING"):
         falling = model_of(START | {"upper.damping": -60.0}, allow_negative=True)
     with pytest.raises(jb.JaxbodyError) as error:

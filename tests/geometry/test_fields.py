@@ -1,4 +1,4 @@
-"""What numbers are stands with their field: unit and domain of all fields of the package, and of a user's own."""
+"""Units and domains of all fields of the package and of a user's own class."""
 
 import dataclasses
 

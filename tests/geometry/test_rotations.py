@@ -1,4 +1,4 @@
-"""Rotations against references that share nothing with them: the matrix series in 60 decimal digits, SciPy, and the group's own laws."""
+"""Rotations against independent references: the matrix series in 60 decimal digits, SciPy, and the group axioms."""
 
 import functools
 import itertools

@@ -1,4 +1,4 @@
-"""Parameters stay in the domain that their field states, wherever the data pull them."""
+"""Parameters stay in the domain of their field even if the data favor values outside."""
 
 from collections.abc import Callable
 from typing import ClassVar
@@ -30,7 +30,7 @@ def holding(part):
 
 
 class Given(Measurement):
-    """Numbers that a function makes of a model and of a part of its own, a sensor or a motion, without a simulation."""
+    """Numbers that a function computes from a model and a sensor or a motion of the run, without a simulation."""
 
     function: Callable = eqx.field(static=True)
     measured: dict = eqx.field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""Two measured gliders: what the record tells, and what it cannot."""
+"""Two measured gliders: the parameters that the record determines, and those that it does not."""
 
 import importlib.util
 import pathlib
@@ -35,12 +35,12 @@ def test_the_record_is_explained_and_the_outer_springs_are_equal(gliders):
     assert float(fit.model["glider2"].mass) == pytest.approx(2.48, abs=0.01)  # the published data's mass ratio by such fits
 
 
-def test_correlated_residuals_are_told(gliders):
+def test_correlated_residuals_are_reported(gliders):
     assert gliders.fit.correlation > 0.5
     assert "residuals are correlated" in str(gliders.fit)
 
 
-def test_the_masses_themselves_are_told_to_be_undetermined(gliders):
+def test_the_masses_themselves_are_reported_as_undetermined(gliders):
     loose = gliders.loose
     assert loose.status == gliders.jb.Status.NOT_IDENTIFIABLE
     assert len(loose.unidentified) == 1

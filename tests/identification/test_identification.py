@@ -1,4 +1,4 @@
-"""Fits against an independent simulation and least-squares program in SciPy: optimum, standard errors, and what is said where they fail."""
+"""Fits against an independent simulation and least-squares program in SciPy: optimum, standard errors, messages of failures."""
 
 import re
 from typing import ClassVar
@@ -431,7 +431,7 @@ def test_each_number_of_a_parameter_has_its_unit(path, units):
     assert units_of(leaf, RIG_OF_ALL, value) == units
 
 
-def test_correlated_residuals_are_told_and_white_ones_are_not(clean, result):
+def test_correlated_residuals_are_reported_and_white_ones_are_not(clean, result):
     assert not result.uncertainty.correlated and "correlated" not in str(result)
     shocks, colored = NOISE * np.random.default_rng(4).normal(size=1041), np.zeros(1041)
     for i in range(1, 1041):
@@ -477,7 +477,7 @@ def test_at_the_largest_number_of_evaluations_the_best_is_kept_with_a_status(met
     assert result.cost == min(result.history) and "evaluations" in result.report()
 
 
-def test_progress_is_told_by_evaluation(record, capsys):
+def test_progress_is_reported_by_evaluation(record, capsys):
     result = fit(cart(), tracked(record), progress=True)
     lines = capsys.readouterr().out.splitlines()
     assert (
@@ -537,13 +537,13 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
     ids=["unknown", "twice", "nothing", "start", "steps", "solver", "tolerance", "method", "evaluations", "none", "bias", "lag", "tie",
          "priors", "bounds", "list", "list of priors", "optax", "optimistix", "elsewhere", "shapes", "several"],
 )  # fmt: skip
-def test_what_is_wrong_with_a_fit_is_told_at_once(record, options, codes, message):
+def test_what_is_wrong_with_a_fit_is_reported_at_once(record, options, codes, message):
     result = problems_of(cart(), tracked(record), **options)
     assert [problem.code for problem in result] == codes
     assert all(word in str(problem) for word, problem in zip(message, result, strict=True)), [str(problem) for problem in result]
 
 
-def test_what_is_wrong_with_the_experiments_is_told_at_once(record):
+def test_what_is_wrong_with_the_experiments_is_reported_at_once(record):
     (run,) = tracked(record).values()
     assert [p.code for p in problems_of(cart(), {})] == ["NO_DATA"]
     result = problems_of(cart(), {"cart": run, "a.b": run, "s": run, "base": run, "world": run, 1: run, "c": 3})
@@ -570,7 +570,7 @@ def test_what_is_wrong_with_the_experiments_is_told_at_once(record):
     assert problem.code == "BAD_SHAPE" and problem.where == "run.initial.q"
 
 
-def test_what_is_of_another_kind_is_told_and_no_traceback(record):
+def test_what_is_of_another_kind_is_reported_and_no_traceback(record):
     (run,) = tracked(record).values()
     cases = [
         (lambda: fit(cart(), run),

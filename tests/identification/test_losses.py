@@ -1,4 +1,4 @@
-"""Ties, priors, robust losses and inertia in fits, against SciPy's optimum of the same cost; interrupted fits go on where they were."""
+"""Ties, priors, robust losses and inertia in fits, against SciPy's optimum of the same cost; interrupted fits are continued."""
 
 import errno
 import os
@@ -89,7 +89,7 @@ def test_a_prior_is_one_more_measurement(record):
     assert abs(expected[0] - alone[0]) > 0.02 and float(result.standard_errors["left.stiffness"]) < deviation
 
 
-def test_bad_priors_and_losses_are_told(record):
+def test_bad_priors_and_losses_are_reported(record):
     with pytest.raises(jb.JaxbodyError) as error:
         fit(oscillator(), run(record), priors={"left.stiffness": (30.0, 0.0), "damper.damping": 1.0})
     assert [p.code for p in error.value.problems] == ["BAD_PRIOR", "BAD_PRIOR"]
@@ -153,7 +153,7 @@ def test_losses_are_their_formulas_and_efficient_for_normal_residuals():
         assert np.isfinite(slopes).all() and (np.asarray(slopes) > 0).all()
 
 
-def test_missing_samples_make_no_difference_to_what_a_robust_fit_is_worth(rng):
+def test_missing_samples_make_no_difference_to_the_uncertainty_of_a_robust_fit(rng):
     r, J, there = rng.normal(size=50), rng.normal(size=(50, 2)), np.arange(80) < 50
     alone, _ = linearized(r, J, there[:50], "cauchy")
     padded, _ = linearized(np.append(r, np.zeros(30)), np.concatenate([J, np.zeros((30, 2))]), there, "cauchy")
@@ -221,7 +221,7 @@ def problem_of(*args, **options):
     return problem
 
 
-def test_a_full_disk_leaves_the_old_checkpoint_and_a_wrong_one_is_told(record, tmp_path, monkeypatch):
+def test_a_full_disk_leaves_the_old_checkpoint_and_a_wrong_one_is_reported(record, tmp_path, monkeypatch):
     path = tmp_path / "fit.npz"
     done = fit(oscillator(), run(record), checkpoint=path)
     before = path.read_bytes()

@@ -1,5 +1,4 @@
-"""The search and the standard errors of `fit` on NIST's Statistical Reference Datasets for nonlinear regression, against the certified
-values.
+"""The search and the standard errors of `fit` against the certified values of NIST's datasets for nonlinear regression.
 
 tests/nist holds the 27 files as NIST publishes them (National Institute of Standards and Technology, public domain): data, two starts,
 and values certified to eleven digits, computed in 128-bit arithmetic. Parameters move as most of a model's do, b = b0 + |b0| u.
@@ -122,7 +121,7 @@ def test_certified_parameters_and_their_standard_deviations(path):
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_from_the_far_start_too_or_the_data_are_told_not_to_determine_what_was_found(path):
+def test_from_the_far_start_too_or_the_data_do_not_determine_the_parameters(path):
     """Three end where an exponential has died out before the first point, on a plateau: parameters have no number there."""
     result, error, arrived, certified, _ = solved(path, 0)
     print(f"{path.stem}: {digits(result, certified):.1f} digits, {arrived}")

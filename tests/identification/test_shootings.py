@@ -1,4 +1,4 @@
-"""Multiple shooting against single shooting where that works, and where it does not; its Jacobian by few columns against all of them."""
+"""Multiple shooting where single shooting works and where it fails; its Jacobian from a few columns against the full one."""
 
 import jax
 import jax.numpy as jnp
@@ -73,7 +73,7 @@ def test_where_one_shot_does_several_give_the_same():
 
 
 def segments(samples, count):
-    """Of a record of its own length, the states between them anywhere."""
+    """Segments of a record with its own length; the states between them are arbitrary."""
     whole = experiment(np.linspace(0, 0.1 * samples, samples))["run"]
     q = jnp.asarray(np.random.default_rng(1).normal(size=(count - 1, 1)))
     return Segments(whole, jb.State(q, q), jb.State(jnp.ones(1), jnp.ones(1)), jnp.asarray(0.1), count)  # pyright: ignore[reportCallIssue]

@@ -1,4 +1,4 @@
-"""A measured nonlinear oscillator: fitted on one part of its record, it is simulated over another that grows louder."""
+"""A measured nonlinear oscillator: fitted to one part of its record and simulated over another one with rising amplitude."""
 
 import importlib.util
 import pathlib
@@ -35,8 +35,8 @@ def test_eight_parameters_tell_the_arrow_head(silverbox):
 
 
 def test_the_oscillator_is_the_one_a_duffing_equation_knows(silverbox):
-    """Newton's law along the guide written out and integrated by SciPy, over the loudest 3000 samples of the test: the steps of the
-    example are short enough by far beside its error, and those of a quarter exact."""
+    """Newton's law along the guide, integrated by SciPy over the 3000 samples of largest amplitude: the error of the example's steps is far
+    below the error of the model, and that of four times shorter steps is negligible."""
     fit, V2 = silverbox.fit, silverbox.V2
     run = silverbox.record(silverbox.ARROW_HEAD)
     steps = silverbox.steps | {"dt0": silverbox.steps["dt0"] / 4, "max_steps": 200_000}

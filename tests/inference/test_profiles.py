@@ -1,4 +1,4 @@
-"""Profiles, validation on runs held out, bands and their pictures: a mass let go on two springs, whose motion is known in closed form."""
+"""Profiles, validation on held-out runs, bands and their plots: a mass released on two springs, whose motion has a closed form."""
 
 import jax
 import jax.numpy as jnp
@@ -97,7 +97,7 @@ def test_of_a_robust_loss_the_profile_is_as_wide_as_the_standard_error(record):
         np.testing.assert_allclose(ends[1] - ends[0], high - low, rtol=0.1)
 
 
-def test_what_has_no_profile_is_told(result):
+def test_what_has_no_profile_is_reported(result):
     for arguments, code in ((("spring.stifness",), "UNKNOWN_PATH"), (("spring.stiffness", 1.5), "BAD_LEVEL")):
         with pytest.raises(jb.JaxbodyError) as error:
             jb.profile(result, arguments[0], **({"level": arguments[1]} if arguments[1:] else {}))
@@ -143,7 +143,7 @@ def test_bands_are_the_delta_method_and_draws_agree(result):
     np.testing.assert_allclose(drawn.standard_error, message.standard_error, rtol=4 / np.sqrt(2 * 2000))
 
 
-def test_bands_of_what_has_none_are_told(result):
+def test_bands_of_what_has_none_are_reported(result):
     with pytest.raises(jb.JaxbodyError, match="WRONG_KIND"):
         jb.bands(result, lambda model: 1j * frequency(model))
     with pytest.raises(jb.JaxbodyError, match="NO_KEY"):

@@ -1,4 +1,4 @@
-"""Functions and classes of the user's: motions, laws and loads that JAX cannot trace or that return something else are refused by name."""
+"""Motions, laws and loads of the user that JAX cannot trace, or that return a wrong type, cause an error that names them."""
 
 import math
 from typing import ClassVar

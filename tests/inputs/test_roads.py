@@ -1,4 +1,4 @@
-"""Roads against quadrature of their profiles: the height under a wheel, its rate, and its derivatives in every number."""
+"""Roads against quadrature of their profiles: the height under a wheel, its rate, and its derivatives in all parameters."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""Causes of failure are named: laws that are not finite, elements turned too far, springs through zero length."""
+"""Causes of failure are named: laws that are not finite, excessive rotation of elements, springs that pass through zero length."""
 
 import re
 
@@ -74,7 +74,7 @@ def test_a_bushing_past_half_a_turn_is_named_with_the_remedy(case):
 
 
 def on_a_line(offset=0.0, element=jb.Spring, **law):
-    """A mass on a guide along x, on a spring of 1 m to a point 1 m behind it and `offset` beside its way."""
+    """A mass on a guide along x, on a spring of 1 m to a point 1 m behind it and `offset` to the side of the guide."""
     return jb.Model(
         bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
         joints={"mass": jb.Guide("world", axis=[1, 0, 0])},
@@ -129,7 +129,7 @@ def test_a_spring_whose_force_does_not_jump_is_not_named(case):
 
 @pytest.mark.parametrize("turns", [0.5, 0.4, 2.5, 3.1])
 def test_a_spring_that_swings_round_between_two_samples_is_not_named(turns):
-    """Its length stays as it is, though the straight line between two samples passes its other end, at half turns exactly."""
+    """Its length stays constant, although the straight line between two samples passes near its other end, and through it at half turns."""
     model = jb.Model(
         bodies={"arm": jb.Body(mass=1.0, inertia=[1, 1, 1])},
         joints={"arm": jb.Hinge("world", axis=[0, 0, 1])},

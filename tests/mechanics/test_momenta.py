@@ -1,5 +1,4 @@
-"""Coordinates and momenta: Hamilton's equations by the derivatives of H; a Gauss step is symplectic and conserves momenta, and energy in
-chaotic motion."""
+"""Hamilton's equations by the derivatives of H; a Gauss step is symplectic and conserves momenta, and energy in chaotic motion."""
 
 from functools import partial
 
@@ -229,7 +228,7 @@ def test_order_with_dampers_loads_and_a_moving_base(stages):
 @pytest.mark.long
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 def test_derivatives_of_a_top(mode):
-    """Of where it is after 0.4 s by stiffness and mass, beside differences of the same steps."""
+    """The derivatives of its position after 0.4 s with respect to stiffness and mass, against differences of the same steps."""
     top = jb.Model(
         bodies={"top": jb.Body(mass=1.2, inertia=[0.05, 0.06, 0.04], com=[0.1, 0.02, 0.3])},
         joints={"top": jb.Ball("world")},

@@ -65,7 +65,7 @@ def cloud(masses, points):
 
 
 def test_a_body_of_parts_is_the_cloud_of_all_their_points(rng):
-    """Parts that are clouds themselves, each in axes of its own, and single points."""
+    """Parts that are clouds of points themselves, each in its own axes, and single points."""
     parts, masses, points = [], [], []
     for _ in range(4):
         m, x = rng.uniform(0.1, 2, 6), rng.normal(size=(6, 3))
@@ -145,7 +145,7 @@ def test_a_simulation_without_inertia_states_the_reason():
 
 
 def test_a_rod_along_no_axis_has_no_inertia_about_it():
-    """Round-off leaves its moment at 1e-17: a frequency of 1e8 Hz would make all others zero beside it."""
+    """Round-off leaves a moment of 1e-17, whose frequency of 1e8 Hz would reduce all others to zero."""
     R = Rotation.from_rotvec([0.3, -0.5, 0.9]).as_matrix()
     with pytest.warns(jb.JaxbodyWarning, match="ZERO_MOMENT"):
         model = mounted(jb.Body(mass=1.0, inertia=R @ np.diag([1, 1, 0]) @ R.T))

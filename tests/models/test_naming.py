@@ -1,4 +1,4 @@
-"""Paths lead to every number of a model or an experiment and to nothing else, and `replace` puts numbers there, traced or not."""
+"""Paths name every number of a model or an experiment and nothing else, and `replace` changes these numbers, traced or not."""
 
 import sys
 

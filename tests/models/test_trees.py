@@ -1,4 +1,4 @@
-"""A model is a tree of arrays: whole arrays exchanged, pickled copies, laws that hold networks."""
+"""A model is a tree of arrays: replacement of whole arrays, pickled copies, laws that contain networks."""
 
 import copy
 import pickle

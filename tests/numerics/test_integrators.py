@@ -1,4 +1,4 @@
-"""Steps of our own against diffrax's of the same method, gradients by every mode, batches against loops."""
+"""The package's integration steps against diffrax's steps of the same method, gradients in every mode, batches against loops."""
 
 import functools
 
@@ -89,7 +89,7 @@ def test_a_batch_of_constant_steps_is_a_loop(model):
 
 @pytest.mark.long
 def test_a_batch_of_step_lengths_is_a_loop(model):
-    """Constant steps, each member with a length of its own."""
+    """Constant steps with a different length for each member."""
     alone = jax.jit(lambda dt0: path(model, 1.2, **STEPS | {"dt0": dt0}))
     lengths = jnp.array([0.03, 0.05, 0.02])
     for q, dt0 in zip(jax.jit(jax.vmap(alone))(lengths), lengths, strict=True):
@@ -231,7 +231,7 @@ class Interpolated(jb.laws.Law):
 
 
 def oscillation(law, times, **options):
-    """A mass of 1 kg let go 0.3 m from where its spring is free."""
+    """A mass of 1 kg released 0.3 m from the relaxed position of its spring."""
     model = jb.Model(
         bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1])},
         joints={"mass": jb.Guide("world", axis=[1, 0, 0])},

@@ -207,7 +207,7 @@ turned_back.defvjp(lambda x: (x**2, x), lambda x, c: (3 * x**2 * c,))
 @batches
 @pytest.mark.parametrize("reversible", [False, True])
 def test_a_rule_of_ones_own_is_kept_when_a_batch_is_differentiated(reversible):
-    """Forward, in reverse, twice, in a loop, beside an operation that JAX replaces: against the rule by hand."""
+    """Forward, reverse, second order, in a loop, and next to an operation that JAX replaces: against the rule by hand."""
     x, n = jnp.array([0.5, -1.0, 2.0]), jnp.array([1, 2, 3])
     in_lane = lambda f: in_lanes(f, reversible=reversible)  # noqa: E731
 

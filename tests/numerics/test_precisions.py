@@ -1,4 +1,4 @@
-"""Both precisions: switched either way within a process, and float32 by itself."""
+"""Both precisions: a change in either direction within a process, and float32 alone."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Eigenvalues by operations that a batch shares, against NumPy's LAPACK: alone, in lanes, at awkward matrices."""
+"""Eigenvalues by batched operations against NumPy's LAPACK: alone, in lanes, for difficult matrices."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Sine and cosine against the C library's in extended precision, on awkward arguments; derivatives of any order."""
+"""Sine and cosine against the C library's in extended precision, for difficult arguments; derivatives of any order."""
 
 import jax
 import jax.numpy as jnp

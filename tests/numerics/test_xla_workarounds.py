@@ -1,4 +1,4 @@
-"""The list of what stands in for XLA's weak places is whole, and rows are taken and summed as NumPy does it."""
+"""The list of workarounds for XLA is complete, and rows are selected and summed as by NumPy."""
 
 import re
 from pathlib import Path

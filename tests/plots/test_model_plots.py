@@ -1,4 +1,4 @@
-"""Drawn models: names apart, tyres round, the frame filled, and no numbers at axes that would be true of one plane alone."""
+"""Drawn models: labels do not overlap, tyres are round, the drawing fills the frame, and oblique views have no axis numbers."""
 
 import itertools
 

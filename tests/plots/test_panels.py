@@ -1,4 +1,4 @@
-"""Every curve has its name, no two look alike, and every axis has one unit, on a car of seven degrees of freedom."""
+"""Every curve has its name, no two look the same, and every axis has one unit, for a car with seven degrees of freedom."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""What is drawn is what was computed, in the axes given, and nothing else is touched."""
+"""Plots show the computed numbers in the given axes and change nothing else."""
 
 import sys
 from types import SimpleNamespace
@@ -179,7 +179,7 @@ def test_modes_are_marks_at_whole_numbers_frequencies_first(ax):
     assert other.get_ylabel() == "damping_ratio"
 
 
-def test_a_history_shows_where_noise_was_estimated_anew_and_what_failed(ax):
+def test_a_history_shows_where_noise_was_estimated_again_and_what_failed(ax):
     plots.plot_history(SimpleNamespace(history=[10.0, np.nan, 0.03, 300.0, 250.0], rounds=(3,)), ax=ax)
     first, second, *_ = ax.lines
     assert list(first.get_xdata()) == [0, 2] and list(second.get_ydata()) == [300.0, 250.0]

@@ -1,4 +1,4 @@
-"""Ready models have the frequencies that their sources print, and the matrices that are written here."""
+"""Ready models have the published frequencies and the matrices that are written out here."""
 
 import jax.numpy as jnp
 import numpy as np

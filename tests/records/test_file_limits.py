@@ -1,5 +1,4 @@
-"""Files that hold more than they seem to, point elsewhere, never end or have headings without end: refused before anything is read, or
-read at once."""
+"""Files that expand too much, refer to other files, never end or have huge headings are refused before they are read, or read quickly."""
 
 import os
 import threading
@@ -168,7 +167,7 @@ def test_a_limit_above_the_numbers_lets_them_pass(tmp_path):
 
 @pytest.mark.parametrize("way", ["external storage", "external link", "virtual dataset"])
 def test_hdf5_that_points_to_other_files_is_refused(way, tmp_path):
-    """A file beside it, here with 800 bytes, could be any file of the machine."""
+    """The other file, here in the same folder with 800 bytes, could be any file of the machine."""
     h5py = pytest.importorskip("h5py")
     other, path = tmp_path / "other.bin", tmp_path / "run.h5"
     if way == "external storage":

@@ -212,7 +212,7 @@ def test_channels_by_number_and_by_id_line(tmp_path):
 
 
 def test_frequency_responses_of_a_universal_file(tmp_path):
-    """Two of them, in mm/s2 per lbf and without units, and a record in time beside them; then an experiment made of them."""
+    """Two responses, in mm/s2 per lbf and without units, and a record in time in the same file; then an experiment with them."""
     pyuff = pytest.importorskip("pyuff", reason="pyuff is not installed: pip install 'jaxbody[files]'")
     H = RNG.normal(size=(50, 2)) @ [1, 1j]
     x = {

@@ -139,7 +139,7 @@ def test_weightings_as_tabulated():
 
 
 def test_a_weighted_signal_is_that_of_the_analog_filter():
-    """SciPy's own solution of the differential equation, the signal linear between samples; its spectrum's tail alone tells them apart."""
+    """SciPy's solution of the differential equation for a signal that is linear between samples; only the tail of its spectrum differs."""
     t = np.arange(0, 12.0, 0.002)
     a = np.sin(2 * np.pi * 3.0 * t) * np.exp(-0.3 * t) + 0.4 * np.sin(2 * np.pi * 11.0 * t + 1) * (t > 2) * (1 - np.exp(-(t - 2).clip(0)))
     w = 2 * np.pi

@@ -1,5 +1,4 @@
-"""Frequency response and state space: limits at low frequency, motion in steady state, published vehicles and absorbers, symmetry,
-derivatives."""
+"""Frequency response and state space: low-frequency limits, steady state, published vehicles and absorbers, symmetry, derivatives."""
 
 import functools
 

@@ -1,4 +1,4 @@
-"""What instruments read, by closed forms and by differences of poses; delay and lag against sines and SciPy; what they refuse."""
+"""Readings of instruments against closed forms and differences of poses; delay and lag against sines and SciPy; bad input."""
 
 import sys
 from pathlib import Path
@@ -367,7 +367,7 @@ def problems_of(function, *arguments, **options):
         (lambda: jb.Orientation("rod", gain=2.0, lag=0.1, bias=1.0), ["BAD_CHAIN", "BAD_CHAIN", "BAD_SHAPE"]),
     ],
 )  # fmt: skip
-def test_an_instrument_tells_all_that_is_wrong_with_its_numbers(make, codes):
+def test_an_instrument_reports_all_that_is_wrong_with_its_numbers(make, codes):
     result = problems_of(make)
     assert [problem.code for problem in result] == codes
     assert all(problem.where.split(".")[0].split(",")[0] in type_names and "joint" not in str(problem) for problem in result)

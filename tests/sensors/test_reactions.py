@@ -1,5 +1,4 @@
-"""What joints transmit: closed forms of pendulum, chain, console and moving guide; rates of momentum, no work, and responses by another
-way."""
+"""Joint reactions: closed forms of a pendulum, a chain, a cantilever and a moving guide; momentum, zero work, and other responses."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""What sensors read of a turned body over a moving support, by hand; what noise does to it; what an experiment refuses."""
+"""Readings of sensors on a rotated body over a moving support, computed by hand; noise; bad input of an experiment."""
 
 import warnings
 
@@ -113,7 +113,7 @@ def test_measuring_without_noise_gives_what_the_trajectory_has(trajectory, clean
 
 
 def is_white(z, level):
-    """Independent normal numbers of this standard deviation: each statistic within four of its own standard deviations."""
+    """Independent normal numbers of this standard deviation: each statistic is within four of its standard deviations."""
     z = np.asarray(z).reshape(len(z), -1) / level
     n = z.size
     assert abs(z.mean()) < 4 / np.sqrt(n) and abs(z.std() - 1) < 4 / np.sqrt(2 * n)
@@ -213,7 +213,7 @@ def problems_of(function, *arguments, **options):
     return caught.value.problems
 
 
-def test_measure_tells_all_that_is_wrong_at_once(trajectory):
+def test_measure_reports_all_that_is_wrong_at_once(trajectory):
     wrong = {"a": jb.Position("armm"), "b": jb.Elongation("arm"), "c": 3.0}
     result = problems_of(jb.measure, trajectory, wrong)
     assert [problem.code for problem in result] == ["UNKNOWN_NAME", "UNKNOWN_NAME", "WRONG_KIND"]
@@ -225,7 +225,7 @@ def test_measure_tells_all_that_is_wrong_at_once(trajectory):
     assert problems_of(jb.measure, trajectory, SENSORS, noise=1e-3)[0].code == "NO_KEY"
 
 
-def test_a_sensor_tells_what_is_wrong_with_its_numbers():
+def test_a_sensor_reports_what_is_wrong_with_its_numbers():
     assert problems_of(jb.Position, "arm", [0, 0])[0].code == "BAD_SHAPE"
     assert problems_of(jb.Position, "arm", axis=[0, 0, 0])[0].code == "ZERO_AXIS"
     assert [p.code for p in problems_of(jb.Position, "arm", [0, np.inf, 0], axis=[0, 0, 1, 2])] == ["NON_FINITE", "BAD_SHAPE"]
@@ -289,7 +289,7 @@ def test_above_a_fifth_missing_warns_and_below_does_not():
         experiment(tie=tie)
 
 
-def test_an_experiment_tells_all_that_is_wrong_at_once():
+def test_an_experiment_reports_all_that_is_wrong_at_once():
     pose = GOOD["pose"].copy()
     pose[3, 3:] = [0, 0, 0, 2]
     result = problems_of(

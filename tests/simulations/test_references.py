@@ -13,7 +13,7 @@ import jaxbody as jb
 
 
 def moved(model, times, rtol=1e-11, **options):
-    """The trajectory; the tolerance as an array, so that another one is not compiled anew."""
+    """The trajectory; the tolerance is an array, so that another one needs no new compilation."""
     trajectory = jb.simulate(model, times, rtol=jnp.array(rtol), **options)
     assert trajectory.ok
     return trajectory

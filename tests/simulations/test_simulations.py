@@ -174,7 +174,7 @@ def test_a_body_turning_a_hundred_times_follows_the_exponential():
 
 
 def test_the_motion_conserves_the_length_of_quaternions():
-    """d|q|^2/dt = 2 q . q' = 0, whatever the length."""
+    """d|q|^2/dt = 2 q . q' = 0 for any length."""
     model, rng = hung(), np.random.default_rng(3)
 
     @jax.jit

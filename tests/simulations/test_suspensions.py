@@ -1,5 +1,4 @@
-"""Suspensions in motion: one rig with a mass for every law, against SciPy programs of the same; their energy; tyres that leave the
-ground."""
+"""Simulated suspensions: a mass for every law against SciPy; their energy; tyres that leave the ground."""
 
 import diffrax
 import jax

@@ -1,5 +1,4 @@
-"""What estimates are worth, on Jacobians of random structure: rank and null directions, coverage, chi-squared, units, more samples,
-gaps."""
+"""Uncertainties of estimates for random Jacobians: rank and null directions, coverage, chi-squared, units, more samples, gaps."""
 
 import dataclasses
 
@@ -41,8 +40,8 @@ def noise(rho, n=N, *, seed, count=1, common=0.0):
     return lfilter([1.0], [1.0, -rho], e, axis=1).reshape(count, n * CHANNELS)
 
 
-def worths(J, E, n=N):
-    """Of linear fits to noise alone, the truth being zero: estimates and what they are worth."""
+def uncertainties(J, E, n=N):
+    """Estimates of linear fits to pure noise, whose true value is zero, and their uncertainties."""
     back = np.linalg.pinv(J)
     for e in E:
         u = back @ e
@@ -54,7 +53,7 @@ def test_intervals_hold_the_truth_and_the_naive_ones_are_flagged(rho, common):
     """400 replicates know 95 % to 1.1 %: limits are three of these; tests/benchmarks/coverage.py has 2000 of simulated motions."""
     J, count = jacobian(), 400
     held, flagged, naive = [], [], []
-    for u, uncertainty in worths(J, noise(rho, seed=1, count=count, common=common)):
+    for u, uncertainty in uncertainties(J, noise(rho, seed=1, count=count, common=common)):
         low, high = interval_of_u(u, uncertainty, 0.95)
         held.append((low <= 0) & (high >= 0))
         naive.append(np.abs(u) <= 1.96 * np.sqrt(np.diag(uncertainty.white_covariance)))
@@ -66,13 +65,15 @@ def test_intervals_hold_the_truth_and_the_naive_ones_are_flagged(rho, common):
 
 
 def test_normalized_errors_are_chi_squared():
-    squares = [u @ np.linalg.solve(uncertainty.covariance, u) for u, uncertainty in worths(jacobian(), noise(0.0, seed=2, count=1000))]
+    squares = [
+        u @ np.linalg.solve(uncertainty.covariance, u) for u, uncertainty in uncertainties(jacobian(), noise(0.0, seed=2, count=1000))
+    ]
     assert kstest(squares, chi2(5).cdf).pvalue > 1e-3
 
 
 def test_one_white_noise_is_the_textbooks():
     J, e = jacobian(), noise(0.0, seed=3)[0]
-    ((u, uncertainty),) = worths(J, [e])
+    ((u, uncertainty),) = uncertainties(J, [e])
     r = e - J @ u
     assert not any(uncertainty.orders.values()) and not uncertainty.pairs
     covariance = r @ r / (len(r) - 5) * np.linalg.inv(J.T @ J)
@@ -85,9 +86,9 @@ def test_one_white_noise_is_the_textbooks():
 
 
 def test_of_known_correlation_the_covariance_is_that_of_its_matrix():
-    """(J'J)^-1 J' Omega J (J'J)^-1 with Omega written out from the autoregressions that were found."""
+    """(J'J)^-1 J' Omega J (J'J)^-1 with the explicit Omega of the fitted autoregressions."""
     J, e = jacobian(), noise(0.8, seed=4)[0]
-    ((u, uncertainty),) = worths(J, [e])
+    ((u, uncertainty),) = uncertainties(J, [e])
     r = (e - J @ u).reshape(N, CHANNELS)
     assert set(uncertainty.orders.values()) == {1} and not uncertainty.pairs
     Omega = np.zeros((N, CHANNELS, N, CHANNELS))
@@ -128,7 +129,7 @@ def test_autocovariances_are_those_whose_residuals_have_the_products_that_are_th
 def test_units_of_parameters_and_the_order_of_samples_do_not_matter():
     J, e = jacobian(), noise(0.6, seed=5)[0]
     scale = np.array([1e-2, 30.0, 1.0, 1e2, 1e-1])  # of u, which is of the order of one whatever the units of values
-    ((u, uncertainty),) = worths(J, [e])
+    ((u, uncertainty),) = uncertainties(J, [e])
     other = assess(e - J @ u, J * scale, [], [], LABELS, records())
     np.testing.assert_allclose(other.covariance * np.outer(scale, scale), uncertainty.covariance, rtol=1e-9, atol=1e-12)
     order = np.random.default_rng(0).permutation(CHANNELS * N)
@@ -207,7 +208,7 @@ def test_autoregressions_are_those_of_yule_and_walker():
     assert np.allclose(products(x, 1), [x @ x, x[1:] @ x[:-1]])
 
 
-def test_whiteness_is_told_by_ljung_and_box():
+def test_whiteness_is_reported_by_ljung_and_box():
     """p-values of white noise are uniform; Durbin and Watson's d is near 2 (1 - r1)."""
     rng = np.random.default_rng(9)
     tests = [whiteness(rng.normal(size=300)) for _ in range(400)]
@@ -232,7 +233,7 @@ def test_whiteness_is_told_by_ljung_and_box():
 def test_correlated_residuals_are_said_without_empty_figures(orders, times, noise, text):
     """No "up to 1 times too large", no "autoregressions of order 0"."""
     J = jacobian()
-    ((_, uncertainty),) = worths(J, [np.random.default_rng(5).normal(size=len(J))])
+    ((_, uncertainty),) = uncertainties(J, [np.random.default_rng(5).normal(size=len(J))])
     uncertainty = dataclasses.replace(
         uncertainty, covariance=times**2 * uncertainty.white_covariance, orders=dict(zip("ab", orders, strict=True)), correlated=True
     )

@@ -69,7 +69,7 @@ def test_branches_are_named_by_their_modes_at_the_first_value(car):
 
 
 def on_springs(*stiffness, coupling=None):
-    """Unit masses along x, each on a spring of its own, the first two on another."""
+    """Unit masses along x, each on its own spring, the first two coupled by another one."""
     names = [f"m{i}" for i in range(len(stiffness))]
     here = dict(free_length=0.0)
     springs = {f"s{i}": jb.Spring((f"m{i}", [0, 0, 0]), ("world", [i, 0, 0]), stiffness=k, **here) for i, k in enumerate(stiffness)}

@@ -1,5 +1,4 @@
-"""Modes: energies, clusters and their derivatives, damped poles, spins, axes, branches; against closed forms, NumPy and SciPy, and
-differences."""
+"""Modes against closed forms, NumPy, SciPy and differences: energies, clusters and their derivatives, poles, spins, axes, branches."""
 
 import equinox as eqx
 import jax

@@ -351,7 +351,7 @@ def test_masses_that_nothing_holds_have_the_backbone_of_their_distance():
     assert abs(result.curvature[1] / (-5 * 0.7**2 / (12 * 2.0**2) * (1 + 2 / 3) ** 2) - 1) < 1e-12
 
 
-def test_where_there_is_no_equilibrium_nothing_is_told():
+def test_where_there_is_no_equilibrium_nothing_is_reported():
     model = Cart().model()
     with pytest.warns(jb.JaxbodyWarning, match="2 NOT_CONVERGED"):
         result = jb.backbones(jb.linearize(model, jb.State(jnp.array([0.0, 0.01]), jnp.zeros(2))))

@@ -1,5 +1,4 @@
-"""Damped poles, spinning rotors, axes of mounted bodies and modes followed along a parameter, against NumPy, closed forms and
-differences."""
+"""Damped poles, rotors, axes of mounted bodies and modes along a parameter, against NumPy, closed forms and differences."""
 
 import jax
 import jax.numpy as jnp
