@@ -94,7 +94,7 @@ _local = threading.local()  # the lines of this thread, outermost first
 
 
 def clear() -> None:
-    """Clear the line before other output; it returns by itself."""
+    """Clear the line before other output; it is written again later."""
     _clock.clear()
 
 

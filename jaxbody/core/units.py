@@ -3,7 +3,7 @@
     value [SI] = factor * value [unit];   dimension = exponents of (m, kg, s, rad, A)
 
 Angles have a dimension of their own, so that degrees given for meters are detected. Products are "N m", "N.m" or "N*m"; powers are
-"m/s^2", "m/s2", "m s-2" or "m/s**2". A slash divides by the next unit only, or by what stands in parentheses.
+"m/s^2", "m/s2", "m s-2" or "m/s**2". A slash divides by the next unit only, or by a product in parentheses.
 """
 
 from __future__ import annotations

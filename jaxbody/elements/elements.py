@@ -21,7 +21,7 @@ from jaxbody.geometry.frames import Frame, Pose, Wrench
 from jaxbody.geometry.vectors import cross, dot, product, rotate
 from jaxbody.numerics.xla_workarounds import inverse_root, kept
 
-MEANT = "If it is meant, say allow_negative=True."
+MEANT = "If this is intended, give allow_negative=True."
 ALLOWED = {"NEGATIVE_STIFFNESS": "an equilibrium may be unstable", "NEGATIVE_DAMPING": "the system may gain energy"}
 
 
@@ -49,7 +49,7 @@ class Element(eqx.Module):
 
     between: tuple[str, ...] = eqx.field(static=True)
     size: ClassVar[int] = 1  # of the deformation
-    jump: ClassVar[tuple[str, str, str] | None] = None  # code, what it is where its force jumps, and what to do about it
+    jump: ClassVar[tuple[str, str, str] | None] = None  # where its force jumps: code, description of the place, remedy
     a: Float[Array, "3"] = field("m")
     b: Float[Array, "3"] = field("m")
 
@@ -186,7 +186,7 @@ def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[A
 
 
 def check_signs(element: Any, allow_negative: bool, problems: Problems) -> None:
-    """Stiffness and damping are in their domains; what is negative is a problem or, where it is allowed, a warning."""
+    """Check that stiffness and damping are in their domains; negative values are a problem or, where allowed, a warning."""
     element.allow_negative, found = False, Problems()
     for name in (each.name for each in fields(element) if each.metadata.get("kind", Kind()).domain.endswith("unless allow_negative")):
         check_domain(getattr(element, name), kind_of(element, name), f"{type(element).__name__}.{name}", found)

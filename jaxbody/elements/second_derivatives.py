@@ -42,7 +42,8 @@ class Block(NamedTuple):
         return Block(P, self.h, self.y, self.x, Q)
 
     def whole(self) -> Float[Array, "*n 6 6"] | float:
-        """By products with ones and zeros: parts joined in place of them are copied one number after another (numerics/xla_workarounds.py)."""
+        """The 6 x 6 matrix, as a sum of products with ones and zeros: joined parts would be copied one number after another
+        (numerics/xla_workarounds.py)."""
         parts = [] if self.P is None else [self.P]
         if self.h is not None:
             parts.append(self.h[..., None, None] * UPPER_LEFT)

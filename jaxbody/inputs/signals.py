@@ -88,7 +88,7 @@ class Sine(Signal):
 
 
 class Samples(Signal):
-    """Through samples at increasing times [s], as a record was made. `kind`, what is between them:
+    """A signal through samples at increasing times [s], such as a record. `kind`, the interpolation between them:
 
     "hold"    each value holds until the next sample (a digital source)
     "linear"  straight lines

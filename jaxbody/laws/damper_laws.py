@@ -14,7 +14,12 @@ from jaxbody.laws.laws import Law, Number
 class Digressive(Law):
     """F = c1 x + (c0 - c1) x/sqrt(1 + (x/x0)^2): slope c0 at rest, c1 at large x, the knee at x0.
 
-    `slow` c0 and `fast` c1 [N s/m], `knee` x0 [m/s]. Errors: NEGATIVE, NOT_POSITIVE of the knee.
+    Args:
+        slow: c0 [N s/m]
+        fast: c1 [N s/m]
+        knee: x0, the velocity about which the slope changes [m/s]
+
+    Errors: NEGATIVE, NOT_POSITIVE of the knee.
 
     >>> float(Digressive(slow=3000.0, fast=0.0, knee=0.3).force(jnp.array(0.4)))
     720.0

@@ -66,7 +66,7 @@ class Dynamics(eqx.Module):
         return State(jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([rotate(R, v_B), rotate(R, w_B)], -1).ravel())
 
     def drive(self, t: Float[Array, ""]) -> Any:
-        """What depends on time alone: t, and for free bodies the frames of the supports."""
+        """The inputs that depend on time alone: t, and for free bodies the frames of the supports."""
         return (t, self.coordinates.supports_moving(self.motions, t)) if self.model.layout.floating else t
 
     def driven(self, u: Any, y: Float[Array, "ny"]) -> Float[Array, "ny"]:

@@ -104,7 +104,7 @@ def force_jump_at(model: Model, motions: Motions, t: Array, state: State) -> str
 
 
 def force_jumps_along(model: Model, motions: Motions, times: Array, states: State) -> list[Float[np.ndarray, "n"]]:
-    """The time of the first jump of the force of each element between these samples, NaN without one, by tables; empty where no force can jump."""
+    """The time of the first jump of the force of each element between these samples, or NaN, for each table; empty if no force can jump."""
     if not any(table.rows.jump for table in model.elements):
         return []
     away = jax.tree.map(np.asarray, _away(model, motions, times, states))
@@ -118,7 +118,7 @@ def force_jump_messages(model: Model, times_of_jumps: list[Float[np.ndarray, "n"
 
 @jit_unoptimized
 def _away(model: Model, motions: Motions, times: Float[Array, "nt"], states: State) -> list[tuple[Array, Array]]:
-    """Of every element the vector `away_from_jump` and its rate at these times, table by table."""
+    """The vector `away_from_jump` of all elements, and its rate, at these times, table by table."""
 
     def away(element, *frames):
         return jax.jvp(element.away_from_jump, tuple(f.pose() for f in frames), tuple(f.rates() for f in frames))

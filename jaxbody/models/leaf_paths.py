@@ -28,7 +28,7 @@ from jaxbody.models.models import Model
 
 @dataclass(frozen=True)
 class Leaf:
-    """Where a path leads: the path, the number of the array among a tree's arrays, and the row in it (None for the whole); and what its numbers are."""
+    """The array at a path: the path, index of the array among those of a tree, row in it (None for the whole), kind of its numbers."""
 
     path: str
     array: int

@@ -144,7 +144,7 @@ def _check_turn(problems: Problems, where: str, element: Bushing | Torsion, A, B
 
 
 def warn_of_oddities(bodies, supports, elements) -> None:
-    """Warnings about what is allowed but rarely meant."""
+    """Warn of values that are allowed but rarely intended."""
     masses, inertias = [concrete(body.mass) for body in bodies.values()], [concrete(body.inertia) for body in bodies.values()]
     if all(x is not None for x in masses + inertias):
         warn_of_tiny(tuple(bodies), np.array(masses))

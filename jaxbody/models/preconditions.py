@@ -48,7 +48,7 @@ def check_precision(where: str, model: Model, *, allow_float32: bool | None = Tr
     begin(x64)
     if not _warned_of_float32:
         _warned_of_float32 = True
-        warn("FLOAT32", f"{where}: computing in float32, with about 7 digits; for 16, say {switch}")
+        warn("FLOAT32", f"{where}: computing in float32, with about 7 digits; for 16, use {switch}")
 
 
 def check_memory(where: str, model: Model) -> None:

@@ -46,12 +46,18 @@ class Spectrum(eqx.Module):
 
 
 class PowerLaw(Spectrum):
-    """S(x) = level (x/reference)^-exponent, x the frequency in the unit's own measure: white noise with exponent 0, a road with 2.
+    """S(x) = level (x/reference)^-exponent, with the frequency x in the measure of the unit: white noise with exponent 0, a road with 2.
 
-    `unit`: as in "m2/Hz", "(m/s2)^2/Hz", "m2/s4/Hz", "g2/Hz", "m2/(rad/s)", "m3" or "m2/(cycle/m)": of any length, angle, force or moment,
-    their rates and accelerations, over Hz, rad/s, cycle/m or rad/m; a spectrum over distance needs the `speed` [m/s]. `sides`: 1, or 2
-    where half of the power is at negative frequencies. Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY of a reference of 0
-    or less, BAD_SHAPE, NON_FINITE.
+    Args:
+        level: S at the reference [unit]
+        unit: such as "m2/Hz", "(m/s2)^2/Hz", "m2/s4/Hz", "g2/Hz", "m2/(rad/s)", "m3" or "m2/(cycle/m)": the square of a length, angle,
+            force or moment, of their rates or accelerations, per Hz, rad/s, cycle/m or rad/m
+        exponent: default 0, a constant
+        reference: frequency x at which S is `level`
+        sides: 1, or 2 where half of the power is at negative frequencies
+        speed: of travel, for a spectrum over distance [m/s]
+
+    Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY of a reference of 0 or less, BAD_SHAPE, NON_FINITE.
 
     >>> road = PowerLaw(64e-6, exponent=2.0, reference=0.1, unit="m2/(cycle/m)", speed=20.0)
     >>> round(float(road(jnp.array([2.0]))[0]) * 1e6, 9)
@@ -89,8 +95,16 @@ class PowerLaw(Spectrum):
 class PSD(Spectrum):
     """A power spectral density through points, interpolated linearly in log-log scale, as in test specifications; zero outside the points.
 
-    `frequencies`, in the unit's own measure (Hz, rad/s, cycle/m or rad/m), and `values` at these; `unit`, `sides`, `speed` as of a
-    PowerLaw. `PSD.from_record` estimates one. Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, BAD_FREQUENCY, NEGATIVE, BAD_SHAPE, NON_FINITE.
+    `PSD.from_record` estimates one from a record.
+
+    Args:
+        frequencies: increasing, in the measure of the unit (Hz, rad/s, cycle/m or rad/m)
+        values: densities at these [unit]
+        unit: see PowerLaw
+        sides: 1, or 2 where half of the power is at negative frequencies
+        speed: of travel, for a spectrum over distance [m/s]
+
+    Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, BAD_FREQUENCY, NEGATIVE, BAD_SHAPE, NON_FINITE.
 
     >>> psd = PSD([10.0, 100.0], [0.01, 0.1], unit="g2/Hz")
     >>> round(float(psd(jnp.array([31.6227766]))[0]) / 9.80665**2, 9)
@@ -153,10 +167,14 @@ class PSD(Spectrum):
 class CrossPSD(eqx.Module):
     """Correlated inputs, S_ij = coherence_ij sqrt(S_i S_j) exp(-i 2 pi f (d_i - d_j)), by the names of the inputs.
 
-    `spectra`: {input: Spectrum}; `delays` d: {input: seconds}, as of a rear wheel behind a front wheel; `coherence`: {(input, input): a
-    number from 0 to 1, or a function of the frequencies [Hz]}, the ratio |S_ij|/sqrt(S_i S_j), the root of the usual coherence estimate.
-    Other pairs are not correlated. The matrix must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, BAD_PAIR of an input with
-    itself or of two given twice, NOT_POSITIVE, BAD_SHAPE, NON_FINITE.
+    Args:
+        spectra: {input: Spectrum}
+        delays: {input: d [s]}, such as that of a rear wheel behind a front wheel; default 0
+        coherence: {(input, input): a number from 0 to 1, or a function of the frequencies [Hz]}, the ratio |S_ij|/sqrt(S_i S_j), which is
+            the square root of the usual coherence estimate; other pairs are not correlated
+
+    The matrix S must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, BAD_PAIR of an input with itself or of a pair given twice,
+    NOT_POSITIVE, BAD_SHAPE, NON_FINITE.
 
     >>> road = PowerLaw(1e-6, unit="m2/Hz", exponent=2.0)
     >>> axles = CrossPSD({"front": road, "rear": road}, delays={"rear": 0.125}, coherence={("front", "rear"): 1.0})

@@ -57,7 +57,7 @@ def simulate(
     Args:
         motion: {support: motion}; a support without an entry is at rest.
         loads: {name: load} on bodies; by default none.
-        initial: a State, or "rest": in equilibrium on the supports as they stand and move at times[0], without loads; by default the
+        initial: a State, or "rest": in equilibrium on the supports in their poses and motion at times[0], without loads; by default the
             reference pose at rest.
         rtol: ten times the relative local error allowed in any component, so that samples between steps keep it too; at least 1.5e-4 in
             float32. The absolute error is rtol/100 times the size of the model (for velocities, times its fastest frequency, roughly).

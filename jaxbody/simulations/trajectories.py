@@ -50,7 +50,7 @@ class Trajectory(Result):
     loads: tuple[Load, ...] = ()
     jumps: list[Float[np.ndarray, "n"]] = field(
         default_factory=list
-    )  # of force, as `force_jumps_along` says them where simulate looked for them
+    )  # times of jumps of forces by `force_jumps_along`, where simulate has computed them
 
     @property
     def poses(self) -> dict[str, Pose]:

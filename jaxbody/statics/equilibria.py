@@ -44,7 +44,7 @@ from jaxbody.statics.load_paths import AppliedLoads, Path, dead_forces, follow_l
 
 RUNAWAY = 20  # distance from the start, in sizes of the model, beyond which the model falls without limit
 NOT_AT_REST = (Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, Status.STALE)  # no linearization about such a state
-SOFTEST = 1e-7  # least ratio of eigenvalues of K from which a path may start; springs that are cubic alone end a search at 1e-9
+SOFTEST = 1e-7  # least ratio of eigenvalues of K at the start of a path; with only cubic springs a search ends at 1e-9
 DESCENDED = "by descent of the potential of the loads, as they cannot be raised step by step: K is singular without them"
 
 
@@ -93,7 +93,7 @@ class Equilibrium(Result):
         return self._known()
 
     def _known(self) -> str:
-        """What the result itself knows of a failure."""
+        """Details of a failure from the result alone."""
         status = Status(int(self.status))
         if status == Status.SINGULAR_K:
             return "report() names it"
@@ -171,7 +171,7 @@ class Equilibrium(Result):
 
 
 def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Load] | None = None, max_steps: int = 200) -> Equilibrium:
-    """The stable equilibrium that descent from `start` leads to, supports at their reference poses.
+    """The stable equilibrium reached by descent from `start`, supports at their reference poses.
 
         dV/dDelta = Q,   K = d2V/dDelta2 - dQ/dDelta positive definite
 

@@ -138,8 +138,8 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
         e_dot' R'' e_dot/(phi' C phi)
 
     Args:
-        forward: a world axis, "x" say, that names fore-aft, lateral, roll and pitch; by default these are named by their axes.
-        up: a world axis, "z" say, that names bounce and yaw; by default the axis against gravity, if it is one.
+        forward: a world axis, such as "x", that names fore-aft, lateral, roll and pitch; by default these are named by their axes.
+        up: a world axis, such as "z", that names bounce and yaw; by default the axis against gravity, if it is one.
         allow_float32: whether to compute in float32; by default an error.
 
     Where frequencies coincide, energies are averaged over their space: this has derivatives, which single shapes have not.
@@ -168,7 +168,7 @@ def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str,
             )
     up = up or upward_axis(model)
     if forward is not None and up is None:
-        problems.add("BAD_DIRECTION", "mode_energies.up", "is missing, and gravity is not along an axis", hint="Give up='z', say.")
+        problems.add("BAD_DIRECTION", "mode_energies.up", "is missing, and gravity is not along an axis", hint="Give it, as up='z'.")
     if forward is not None and forward == up:
         problems.add("BAD_DIRECTION", "mode_energies.forward", "is upwards", value=forward, limit="another axis than `up`")
     problems.raise_if_any()

@@ -86,7 +86,7 @@ class Modes(Result):
 
 
 def details_of(modes: Any, growing: np.ndarray, still: np.ndarray) -> str:
-    """Details of the status of natural or complex modes, of which these grow and these have no frequency."""
+    """Details of the status of natural or complex modes: those that grow, and those without a frequency."""
     status = Status(int(modes.status))
     if status == Status.SINGULAR_M:
         return "; ".join(massless_motions(modes.layout, modes.M))

@@ -93,10 +93,16 @@ class PointForce(eqx.Module):
 
 
 class PointMotion(eqx.Module):
-    """An output: the absolute motion of a point of a body or support along x, y, z or a vector, world axes, or its turn about rx, ry, rz.
+    """An output: the motion of a point of a body or support along x, y, z or a vector, world axes, or its rotation about rx, ry, rz.
 
-    `kind`: displacement [m, rad], velocity or acceleration. With `relative_to` (a support or body) the motion relative to the point of that
-    frame which coincides with this one at equilibrium. Errors: BAD_DIRECTION, BAD_KIND, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
+    Args:
+        on: name of the body or support
+        point: in its axes [m]
+        direction: x, y, z, a vector in world axes, rx, ry or rz
+        kind: displacement [m, rad], velocity or acceleration
+        relative_to: a body or support, for the motion relative to its point that coincides with this one at equilibrium; None: absolute
+
+    Errors: BAD_DIRECTION, BAD_KIND, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
     >>> PointMotion("cabin", [0.1, 0, 0], "z", kind="acceleration").unit
     'm/s2'
@@ -128,10 +134,8 @@ class PointMotion(eqx.Module):
 
 
 class ElementForce(eqx.Module):
-    """An output: the force of an element against its deformation, spring and damper, less its value at equilibrium: of a spring the tension
-    [N].
-
-    Of a bushing `component` (0 to 5) selects one of three forces [N] and moments [N m] in its own axes.
+    """An output: the force of an element, spring and damper, less its value at equilibrium: for a spring the tension [N], for a bushing its
+    `component`, one of three forces (0 to 2) [N] and moments (3 to 5) [N m] in its own axes, against the deformation.
 
     >>> ElementForce("mount", component=2).component
     2
@@ -148,8 +152,8 @@ class ElementForce(eqx.Module):
 
 
 class ElementDeformation(eqx.Module):
-    """An output: the deformation of an element less its value at equilibrium: of a spring its elongation [m], of a bushing
-    `component` (0 to 5) of its displacement [m] and turn [rad].
+    """An output: the deformation of an element less its value at equilibrium: for a spring its elongation [m], for a bushing the
+    `component` (0 to 5) of its displacement [m] and rotation [rad].
 
     >>> ElementDeformation("AB").on
     'AB'
@@ -166,8 +170,8 @@ class ElementDeformation(eqx.Module):
 
 
 class SupportReaction(eqx.Module):
-    """An output: the force [N] along x, y, z or the moment [N m] about its origin, rx, ry, rz, that everything on a support exerts on it,
-    world axes, less its value at equilibrium.
+    """An output: the force [N] on a support along x, y, z, or the moment [N m] about its origin, rx, ry, rz, in world axes, exerted by all
+    that is attached to it, less its value at equilibrium.
 
     >>> SupportReaction("base", "z").unit
     'N'
@@ -197,8 +201,8 @@ OUTPUTS = (PointMotion, ElementForce, ElementDeformation, SupportReaction)
 
 class PortMatrices(eqx.Module):
     """The matrices of ports: forces enter (Delta, Xi) as F f, motions are Xi = X u; outputs are Y0 x + Y1 x' + Y2 x'' + G f.
-    `orders`: the derivative of Xi that each input is (0 for forces); `elements`, `reactions`: the element whose force, or the component of
-    Xi whose reaction, an output is (-1 for none)."""
+    `orders`: the order of the derivative of Xi for each input (0 for forces); `elements`: for each output the index of the element if it is
+    a force; `reactions`: the index of the component of Xi if it is a reaction; -1 for others."""
 
     F: Float[Array, "n nu"]
     X: Float[Array, "nxi nu"]
@@ -285,7 +289,7 @@ def ports_of(
                 f"is a {type(port).__name__}",
                 value=port,
                 limit=limit,
-                hint="A sensor must read one number, with no chain.",
+                hint="Sensors must read one number, without chain.",
             )
         elif (problem := port.problem(model, path)) is not None:
             problems.collected.append(problem)
