@@ -505,7 +505,8 @@ def test_a_start_that_cannot_be_simulated_names_the_element_the_time_and_the_cha
     ("options", "codes", "message"),
     [
         ({"free": ["s.stifness", "cart.mass", "run.bas.frequency"]}, ["UNKNOWN_PATH"] * 2, ["s.stiffness", "run.base.frequency"]),
-        ({"free": ["s.stiffness", "*.stiffness", "s.*"]}, ["LISTED_TWICE"] * 2, ["lists s.stiffness twice, also by '*.stiffness'", "'s.*'"]),
+        ({"free": ["s.stiffness", "*.stiffness", "s.*"]}, ["LISTED_TWICE"] * 2,
+         ["lists s.stiffness twice, also by '*.stiffness'", "'s.*'"]),
         ({"free": []}, ["NOTHING_FREE"], [""]),
         ({"free": ["*.damping"]}, ["START_ON_BOUND"] * 2, ["t.damping", "hold.damping"]),
         ({"stepsize_controller": diffrax.ConstantStepSize()}, ["NO_STEP"], ["fit.dt0"]),
