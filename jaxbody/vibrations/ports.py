@@ -233,11 +233,10 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...])
     reaction_at_rest = slope(at)[layout.nv :] if turned else zero
     sensors = [port for port in outputs if hasattr(port, "reading")]
     readings = iter(zip(*reading_rows(lin, sensors, _input_wrenches(inputs, frames, layout)), strict=True) if sensors else ())
-    whole = full_matrices(lin)
     forces = [next(points) if isinstance(port, PointForce) else zero for port in inputs]
     moved = [_unit(layout, port, dtype) if isinstance(port, BaseMotion) else jnp.zeros(layout.nxi, dtype) for port in inputs]
     F, X = (jnp.reshape(jnp.asarray(cols, dtype), (len(inputs), size)).T for cols, size in ((forces, n), (moved, layout.nxi)))
-    rows, direct = [], []
+    whole, rows, direct = full_matrices(lin), [], []
     for port in outputs:
         G = jnp.zeros(len(inputs), dtype)
         if isinstance(port, PointMotion):
@@ -283,14 +282,8 @@ def ports_of(
         path = f"{where}.{what}[{name!r}]"
         scalar_sensor = hasattr(port, "reading") and getattr(port, "shape", None) == () and port.plain
         if not (isinstance(port, Input) if what == "inputs" else isinstance(port, OUTPUTS) or scalar_sensor):
-            problems.add(
-                "WRONG_KIND",
-                path,
-                f"is a {type(port).__name__}",
-                value=port,
-                limit=limit,
-                hint="Sensors must read one number, without chain.",
-            )
+            hint = "A sensor must read one number, with no chain."
+            problems.add("WRONG_KIND", path, f"is a {type(port).__name__}", value=port, limit=limit, hint=hint)
         elif (problem := port.problem(model, path)) is not None:
             problems.collected.append(problem)
     if problems.collected:
