@@ -3,6 +3,7 @@
 import ctypes
 import gc
 import os
+import tempfile
 from pathlib import Path
 
 import equinox as eqx
@@ -23,11 +24,28 @@ MUCH, MUCH_BETWEEN_FILES = 1.2e9, 0.8e9  # bytes of memory that a worker has in 
 
 def pytest_configure(config):
     """XLA compiles in less time, as compiling is most of what tests do: all programs as with `jaxbody.quick_options`, those of the quick
-    tests without optimization. The others, and those chosen for every Python, run what users run."""
-    if jaxlib.version.__version__.startswith("0.10."):
-        os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_cpu_use_fusion_emitters=false"
+    tests without optimization, each in one piece (a fifth less time), and once for all workers. The others, and those chosen for every
+    Python, run what users run."""
+    flags = ["--xla_cpu_use_fusion_emitters=false"] if jaxlib.version.__version__.startswith("0.10.") else []
     if config.option.markexpr == "not long":
-        os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"
+        flags += ["--xla_backend_optimization_level=0", "--xla_cpu_parallel_codegen_split_count=1"]
+        share_programs(config)
+    os.environ["XLA_FLAGS"] = " ".join([os.environ.get("XLA_FLAGS", ""), *flags])
+
+
+def share_programs(config):
+    """JAX keeps compiled programs in a folder that the workers share, unless the user has one; workers start after this and inherit it."""
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        folder = tempfile.TemporaryDirectory(prefix="jaxbody-tests-")
+        config.add_cleanup(folder.cleanup)
+        kept = {
+            "compilation_cache_dir": folder.name,
+            "persistent_cache_min_compile_time_secs": 0,
+            "persistent_cache_min_entry_size_bytes": -1,
+        }
+        for name, value in kept.items():
+            os.environ[f"JAX_{name.upper()}"] = str(value)
+            jax.config.update(f"jax_{name}", value)
 
 
 @pytest.fixture
