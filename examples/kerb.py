@@ -63,7 +63,9 @@ for i, case in enumerate(cases):
 
 speed, kerb = 10.0, 0.08
 profile = dict(height=kerb, at=3.0, ramp=0.03, speed=speed, footprint=0.15)
-motion = {f"road {name}": jb.Road.kerb(position=x, **profile) for name, (x, y) in wheels.items() if y > 0}  # the right wheels stay below
+motion = {
+    f"road {name}": jb.Road.kerb(position=x, **profile) for name, (x, y) in wheels.items() if y > 0
+}  # the right wheels stay on the road
 times = jnp.linspace(0.0, 1.5, 1501)
 run = jb.simulate(model, times, motion=motion, initial=eq.state, rtol=1e-7)
 run.raise_if_failed()

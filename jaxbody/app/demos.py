@@ -73,7 +73,7 @@ def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
     l, m, g, kt = 0.7, 3.0, 9.81, 120.0
     k = m * g / l
     report("The plate of N.-D. Stanescu and S. Mihalcea, 13th IFToMM World Congress, 2011, A14_316, section 7:")
-    print(f"  m = {m} kg, l = {l} m, suspended by AB and CD, k = m g/l = {k:.4g} N/m, on EF, kt = {kt:g} N/m.")
+    print(f"  m = {m} kg, l = {l} m, springs AB and CD above with k = m g/l = {k:.4g} N/m, spring EF below with kt = {kt:g} N/m.")
     plate = model(l, m, g, k, kt)
 
     report("Computing K~, the force on the plate per displacement of the base, from derivatives of the energies ...")

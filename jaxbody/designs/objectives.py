@@ -117,7 +117,7 @@ def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
 
 
 def torque_roll_coupling(lin: Linearization, body: str, torque: Any) -> Float[Array, ""]:
-    """The deviation of a rotation about the torque roll axis from a mode, squared to be smooth at 0.
+    """How far a rotation about the torque roll axis is from being a mode; zero if it is one. The square is smooth at zero.
 
         |K r - w^2 M r|^2/(w^2 |M r|)^2 in the norm of M^-1,   r the rotation about the torque roll axis, w^2 = r' K r/(r' M r)
 
@@ -212,7 +212,7 @@ def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, "
 
 
 def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Array, ""]:
-    """The stroke [m] of an element, |static| + 3 rms, which is exceeded for 0.3 % of the time only.
+    """The stroke [m] of an element, |static| + 3 rms, which is exceeded only 0.3 % of the time.
 
     output: the deformation of the element in a random response; static: its static deformation [m]. Error: UNKNOWN_NAME.
 

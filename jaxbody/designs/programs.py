@@ -144,8 +144,8 @@ def needed(function: Callable[[Array], Array], u: Float[Array, "n"]) -> Callable
 
 
 def evaluated(evaluate: Evaluate, *given: Any) -> Quantities:
-    """{name: array} of evaluate(model) during tracing. Error: BAD_OBJECTIVE."""
-    hint = "Return {name: number or array}, or one number, by JAX functions of the model, without float(), numpy or if on its numbers."
+    """The quantities {name: array} that `evaluate` returns while JAX traces it. Error: BAD_OBJECTIVE."""
+    hint = "Return {name: number or array} or one number, computed with JAX: no float(), NumPy functions or `if` on numbers of the model."
     if not callable(evaluate):
         raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", f"is {evaluate!r:.60}", evaluate, "a function of the model", hint))
     try:

@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxbody.designs.interior_points import minimize_by_ipopt
 
-ACTIVE = 1e-5  # scaled distance from a limit or bound up to which it is active
+ACTIVE = 1e-5  # a limit or bound is active within this scaled distance
 MET = 1e-8  # negligible scaled violation
 CONVERGED = 1e-4  # largest remaining gradient of the scaled objective, per unit of u, at convergence
 OFFSET = 1e-6  # distance in u at which derivatives are taken where they do not exist
@@ -31,7 +31,7 @@ DesignVector = Float[np.ndarray, "n"]
 
 @dataclass(frozen=True)
 class Rows:
-    """Which row of the values is the objective, and which others have limits."""
+    """The row of the objective among the values, and the rows of the limited quantities with their limits."""
 
     objective: int
     limited: np.ndarray
@@ -252,7 +252,7 @@ def _minimize(problem: Scaled, method: str, iterations: int, tolerance: float) -
                 lambda u: problem.at(u)[2], lower, upper, jac=lambda u: problem.at(u)[3], hess=scipy.optimize.BFGS()
             )
         inside = np.isfinite(np.r_[lower[lower != upper], upper[lower != upper], problem.search.low, problem.search.high]).any()
-        gtol = 1e-14 if inside else tolerance**0.8  # otherwise it would stop at any barrier parameter
+        gtol = 1e-14 if inside else tolerance**0.8  # a larger gtol would end the search at a large barrier parameter
         options = dict(maxiter=iterations, gtol=gtol, xtol=tolerance, barrier_tol=tolerance**0.8)
         common["hess"] = scipy.optimize.BFGS()
     solution = scipy.optimize.minimize(lambda u: problem.at(u)[0], u, constraints=limits, method=method, options=options, **common)

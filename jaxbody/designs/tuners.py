@@ -127,7 +127,7 @@ def tune(
 
 
 def _catalogs(space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np.ndarray) -> dict[int, np.ndarray]:
-    """{group: u of the available values}; narrows the bounds to them."""
+    """The available values {group: u}; the bounds `low` and `high` are narrowed to them."""
     problems, catalogs = Problems(), {}
     owner = {leaf: i for i, group in enumerate(space.groups) for leaf in group.leaves}
     for pattern, leaves in matching(list(owner), catalogues, "tune.catalogues").items():
@@ -176,7 +176,7 @@ def _check_options(method: Any, limits: dict[str, Any], catalogs: dict[int, Any]
 
 
 def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> list[Search]:
-    """Starts at all combinations of neighbors in the catalogues; with many parameters, the clearest ones take the nearer neighbor only."""
+    """Starts at all combinations of neighbors in the catalogues; beyond MOST_NEIGHBORS, the clearest choices take the nearer neighbor."""
     places = [space.ends[i].start for i in catalogs]
     pairs = [_neighbors_of(catalog, best.u[at]) for at, catalog in zip(places, catalogs.values(), strict=True)]
     clear = [abs(np.diff(np.abs(pair - best.u[at])).sum()) if len(pair) > 1 else np.inf for at, pair in zip(places, pairs, strict=True)]

@@ -68,8 +68,8 @@ def plot_correlations(fit: Fit, *, ax: Any = None) -> Any:
 def plot_autocorrelation(fit: Fit, *, run: str | None = None, sensor: str | None = None, ax: Any = None) -> Any:
     """The autocorrelation of the residuals of one sensor, with the band that contains 95 % of the values for white noise.
 
-    The lag is in samples, for a frequency response in spectral lines. Errors: UNKNOWN_NAME; NO_DATA if the record has too few samples or
-    is no sequence, as modes are not.
+    The lag is in samples, for a frequency response in spectral lines. Errors: UNKNOWN_NAME; NO_DATA if the record has too few samples or,
+    like modes, is not a sequence.
 
     Args:
         fit: the fit.
