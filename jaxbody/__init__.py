@@ -17,9 +17,9 @@ The packages, in the order to read them; each imports only from those before it:
     vibrations      Small motions: matrices, ports, state space, modes of every kind.
     responses       Responses to harmonic and random excitation, spectra, roads and comfort.
     statistics      What residuals say of estimates: noise models, covariance, robust losses. No mechanics.
-    parameters      Which numbers may move, and how: ties, transforms, spaces; shared by fit and tune.
-    experiments     What was measured on a rig, and what a model predicts in its place.
-    identification  Fits: residuals, searches, results, several starts, multiple shooting.
+    parameters      Free parameters of fit and tune: ties, transforms, bounds, design spaces.
+    experiments     Measurements, and the predictions of a model for them; checks of records and models before a fit.
+    identification  Fits: residuals, searches, results, several initial guesses, multiple shooting.
     inference       Uncertainty of fits: profiles, bands, validation.
     designs         Tuning: tune, pareto, sweep, tolerances, objectives.
     presets         Ready models.

@@ -1,1 +1,1 @@
-"""What was measured on a rig, and what a model predicts in its place."""
+"""Measurements, and the predictions of a model for them; checks of records and models before a fit."""

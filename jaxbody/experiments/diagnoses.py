@@ -2,7 +2,7 @@
 
     measured(t) ~ offset + gain reading(t - delay)
 
-for every channel, by least squares. It is meant for a model that is roughly right, before a fit to records with such an error.
+for every channel, by least squares. Use it with a model that is roughly right, before a fit, whose estimates would hide such errors.
 """
 
 from __future__ import annotations
@@ -137,21 +137,21 @@ def _compared(name: str, times: np.ndarray, y: np.ndarray, p: np.ndarray, step: 
     """Gain g and delay d of y relative to p, by iterated linear fits of y ~ c0 + g (p - d p')."""
     from scipy.interpolate import CubicSpline
 
-    here = np.isfinite(y) & np.isfinite(p)
-    spread = np.std(y[here])
-    if here.sum() < 8 or not np.ptp(p[here]) or not spread:
-        return Compared(name, np.nan, np.nan, np.nan, np.nan, float(np.sqrt(np.mean((y - p)[here] ** 2)) / spread) if spread else np.nan)
-    spline, delay, error, gain = CubicSpline(times[here], p[here]), 0.0, np.inf, 1.0
+    valid = np.isfinite(y) & np.isfinite(p)
+    spread = np.std(y[valid])
+    if valid.sum() < 8 or not np.ptp(p[valid]) or not spread:
+        return Compared(name, np.nan, np.nan, np.nan, np.nan, float(np.sqrt(np.mean((y - p)[valid] ** 2)) / spread) if spread else np.nan)
+    spline, delay, error, gain = CubicSpline(times[valid], p[valid]), 0.0, np.inf, 1.0
     for _ in range(3):
-        t = np.clip(times[here] - delay, times[here][0], times[here][-1])
-        c, e, _ = _fit([np.ones(len(t)), spline(t), -spline(t, 1)], y[here])
+        t = np.clip(times[valid] - delay, times[valid][0], times[valid][-1])
+        c, e, _ = _fit([np.ones(len(t)), spline(t), -spline(t, 1)], y[valid])
         gain = c[1]
         if not gain or abs(c[2] / gain) > 0.1 * (times[-1] - times[0]):
             break
         delay, error = delay + c[2] / gain, e[2] / abs(gain)
-    residual = np.sqrt(np.mean((y - p)[here] ** 2)) / spread
+    residual = np.sqrt(np.mean((y - p)[valid] ** 2)) / spread
     return Compared(
-        name, float(gain), float(np.corrcoef(y[here], p[here])[0, 1]), float(delay / step), float(error / step), float(residual)
+        name, float(gain), float(np.corrcoef(y[valid], p[valid])[0, 1]), float(delay / step), float(error / step), float(residual)
     )
 
 
@@ -173,10 +173,10 @@ def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, str]]) -> list[tu
     """Remarks on pairs of channels of one unit that fit better when exchanged."""
     remarks = []
     for (a, (y, p, unit)), (b, (z, q, other)) in itertools.combinations(channels.items(), 2):
-        here = np.isfinite(y) & np.isfinite(z)
-        if unit != other or not here.any():
+        valid = np.isfinite(y) & np.isfinite(z)
+        if unit != other or not valid.any():
             continue
-        y, z, p, q = (x[here] - x[here].mean() for x in (y, z, p, q))
+        y, z, p, q = (x[valid] - x[valid].mean() for x in (y, z, p, q))
         recorded, exchanged = np.sum((y - p) ** 2 + (z - q) ** 2), np.sum((y - q) ** 2 + (z - p) ** 2)
         if exchanged < BETTER * recorded:
             lower = 100 * (1 - exchanged / recorded)
@@ -191,8 +191,8 @@ def _mirrored(run: str, experiment: Experiment, readings: dict[str, np.ndarray])
         y = np.asarray(experiment.measured[name])
         if y.ndim != 2 or y.shape[1] != 3:
             continue
-        here = np.isfinite(y).all(1)
-        y, p = y[here] - y[here].mean(0), p[here] - p[here].mean(0)
+        valid = np.isfinite(y).all(1)
+        y, p = y[valid] - y[valid].mean(0), p[valid] - p[valid].mean(0)
         U, S, Vt = np.linalg.svd(y.T @ p)
         power = np.sum(y**2) + np.sum(p**2)
         rotated, mirrored = power - 2 * (S[0] + S[1] + S[2] * np.sign(np.linalg.det(U @ Vt))), power - 2 * S.sum()

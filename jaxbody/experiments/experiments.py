@@ -54,8 +54,8 @@ class Experiment(Measurement):
         measured: {name: array (nt, ...)} for every sensor, NaN for missing samples.
         motion: {support: motion}; a support without an entry is at rest.
         loads: {name: load}; by default none.
-        initial: the state at times[0], or "rest", in equilibrium on the supports as they stand and move at times[0], which follows the
-            parameters of a fit; by default the reference pose at rest.
+        initial: the state at times[0], or "rest", the equilibrium on the supports with their positions and velocities at times[0], which
+            is computed again for every trial of a fit; by default the reference pose at rest.
         noise: standard deviations, one number or {sensor: one number}, for a pose two numbers, in meters and radians; by default
             estimated from the residuals.
         leave_out: duration of the initial transient [s], whose samples become NaN.
@@ -113,12 +113,12 @@ class Experiment(Measurement):
         }
         valid = {name: sensor for name, sensor in sensors.items() if isinstance(sensor, Sensor)}
         levels = None if noise is None else noise_levels(valid, noise, "Experiment.noise", problems, zero=False)
-        taken = {"initial": "is reserved"} | dict.fromkeys(motion, "is the name of a support too")
+        reserved = {"initial": "is reserved"} | dict.fromkeys(motion, "is the name of a support too")
         for kind, names in (("loads", loads), ("sensors", sensors)):
-            for name in [name for name in names if name in taken]:
+            for name in [name for name in names if name in reserved]:
                 where, hint = f"Experiment.{kind}['{name}']", "Paths need different names."
-                problems.add("DUPLICATE_NAME", where, taken[name], value=name, hint=hint)
-            taken |= dict.fromkeys(names, "is the name of a load too")
+                problems.add("DUPLICATE_NAME", where, reserved[name], value=name, hint=hint)
+            reserved |= dict.fromkeys(names, "is the name of a load too")
         for name in sensors:
             if not isinstance(name, str) or not name or set(name) & set(".*?[]"):
                 problems.add(
@@ -253,7 +253,7 @@ def _warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -
 
 
 def _samples(name: str, sensor: Sensor, value: Any, times, kept, problems: Problems):
-    """The measured array of a sensor, with NaN for samples that are left out; what is wrong with it goes to `problems`."""
+    """The measured array of a sensor, with NaN for samples that are left out; its errors are added to `problems`."""
     where = f"Experiment.measured['{name}']"
     if not isinstance(sensor, Sensor):
         problems.add(

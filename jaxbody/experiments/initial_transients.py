@@ -33,25 +33,25 @@ def far_off(
             continue
         size = _sizes(experiment, predicted[run], noise[run])
         count = max(int(FIRST * len(size)), 3)
-        here = np.flatnonzero(np.isfinite(size))
-        if len(here) < MIN_SAMPLES:
+        valid = np.flatnonzero(np.isfinite(size))
+        if len(valid) < MIN_SAMPLES:
             continue
-        late, first = _rms(size[here[len(here) // 2 :]]), _rms(size[here[:count]])
+        late, first = _rms(size[valid[len(valid) // 2 :]]), _rms(size[valid[:count]])
         signal = _rms(_sizes(experiment, _means(experiment), noise[run]))
         if first < max(NOTABLE * late, SIGNAL * signal):
             continue
         remark = f"'{run}' begins with residuals {first / late:.2g} times as large as those of its second half"
         if not isinstance(experiment.initial, Rest):
             rest = eqx.tree_at(lambda e: e.initial, experiment, Rest(), is_leaf=lambda x: x is None or isinstance(x, State))
-            other = _rms(_sizes(rest, _readings(model, rest, integration), noise[run])[here[:count]])
+            other = _rms(_sizes(rest, _readings(model, rest, integration), noise[run])[valid[:count]])
             if other < BETTER * first:
                 words.append(f'{remark}, with initial="rest" only {other / late:.2g} times: start it in equilibrium on its base')
                 continue
         if first < FAR * late:
             continue
         times = np.asarray(experiment.times) - float(experiment.times[0])
-        blocks = [i for i in range(0, len(here) // 2, count) if _rms(size[here[i : i + count]]) > SETTLED * late]
-        settled = times[here[min(blocks[-1] + count, len(here) - 1)]]
+        blocks = [i for i in range(0, len(valid) // 2, count) if _rms(size[valid[i : i + count]]) > SETTLED * late]
+        settled = times[valid[min(blocks[-1] + count, len(valid) - 1)]]
         free = ", or free its initial state" if isinstance(experiment.initial, State) else ""
         words.append(f"{remark}: leave out the initial transient with leave_out={settled:.3g}{free}")
     return words

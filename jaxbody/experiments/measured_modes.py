@@ -67,16 +67,16 @@ class MeasuredModes(Measurement):
         if not count:
             problems.add("NO_DATA", "MeasuredModes.frequency", "is empty", limit="one number for each mode")
         for name, array in arrays.items():
-            where, known = f"MeasuredModes.{name}", concrete(array)
+            where, values = f"MeasuredModes.{name}", concrete(array)
             if array.shape != expected[name]:
                 hint = "A row for each mode, a column for each sensor." if name == "shapes" else "One number for each mode."
                 problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=str(expected[name]), hint=hint)
-            elif known is not None and np.isinf(known).any():
+            elif values is not None and np.isinf(values).any():
                 problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN for a missing number")
-            elif name == "frequency" and known is not None and (known < 0).any():
-                least = float(np.nanmin(known))
+            elif name == "frequency" and values is not None and (values < 0).any():
+                least = float(np.nanmin(values))
                 problems.add("BAD_FREQUENCY", where, f"has {least:g} Hz", value=least, limit=">= 0", hint="Give NaN for a missing number.")
-            elif known is not None and known.size and np.isnan(known).all():
+            elif values is not None and values.size and np.isnan(values).all():
                 problems.add("ALL_NAN", where, "has only NaN", hint="Leave it out.")
         if pairing not in ("order", "mac") or (pairing == "mac" and shapes is None):
             message = f"is {pairing!r}" + (", but there are no shapes" if pairing == "mac" else "")
@@ -86,15 +86,15 @@ class MeasuredModes(Measurement):
             problems.add("BAD_SHAPE", "MeasuredModes.number", f"is {number}", value=number, limit=f"{count} different numbers from 0 on")
         levels = {}
         for name, level in (noise or {}).items():
-            where, known = f"MeasuredModes.noise['{name}']", np.asarray(level, float)
+            where, deviation = f"MeasuredModes.noise['{name}']", np.asarray(level, float)
             if name not in arrays:
                 problems.add("UNKNOWN_NAME", where, "is not measured", value=name, limit=", ".join(arrays))
-            elif known.shape not in ((), arrays[name].shape):
-                problems.add("BAD_SHAPE", where, f"has shape {known.shape}", value=known, limit=f"() or {arrays[name].shape}")
-            elif not (np.isfinite(known) & (known > 0)).all():
-                problems.add("BAD_NOISE", where, "is not positive", value=known, limit="> 0", hint="Leave out noise= to estimate it.")
+            elif deviation.shape not in ((), arrays[name].shape):
+                problems.add("BAD_SHAPE", where, f"has shape {deviation.shape}", value=deviation, limit=f"() or {arrays[name].shape}")
+            elif not (np.isfinite(deviation) & (deviation > 0)).all():
+                problems.add("BAD_NOISE", where, "is not positive", value=deviation, limit="> 0", hint="Leave out noise= to estimate it.")
             else:
-                levels[name] = device_array(known)
+                levels[name] = device_array(deviation)
         problems.raise_if_any()
         if "shapes" in arrays:
             arrays["shapes"] = arrays["shapes"] / np.sqrt(np.nansum(arrays["shapes"] ** 2, 1, keepdims=True))

@@ -45,7 +45,7 @@ class MeasuredResponse(Measurement):
     Args:
         frequencies: [Hz] (nf,).
         inputs, outputs: {name: port} as in `frequency_response`.
-        measured: {(output, input): complex (nf,)} for any pairs, NaN for lines to leave out.
+        measured: {(output, input): complex (nf,)} for any number of pairs, NaN for frequencies to leave out.
         noise: the standard deviation of the real part and of the imaginary part, one number or {(output, input): one number or one for
             each frequency}. For a coherence g2 with n averages it is |H| sqrt((1 - g2)/(2 n g2)). By default it is estimated from the
             residuals.
@@ -77,25 +77,26 @@ class MeasuredResponse(Measurement):
         arrays, levels = {}, {}
         for pair, value in measured.items():
             where = f"MeasuredResponse.measured[{pair!r}]"
-            for name, known in zip(pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, pair), (outputs, inputs), strict=True):
-                if name not in known:
-                    problems.collected.append(unknown(str(name), where, tuple(known)))
+            for name, ports in zip(pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, pair), (outputs, inputs), strict=True):
+                if name not in ports:
+                    problems.collected.append(unknown(str(name), where, tuple(ports)))
             arrays[pair] = _complex(value, shape, where, problems)
         for pair, value in (noise if isinstance(noise, dict) else {} if noise is None else dict.fromkeys(measured, noise)).items():
             where = f"MeasuredResponse.noise[{pair!r}]"
-            known: Any = np.asarray(value, float) if concrete(value) is not None else value
+            deviation: Any = np.asarray(value, float) if concrete(value) is not None else value
             if pair not in measured:
                 problems.add("UNKNOWN_NAME", where, "is not a measured pair", value=pair, limit=", ".join(map(str, measured)))
-            elif np.shape(known) not in ((), shape):
-                problems.add("BAD_SHAPE", where, f"has shape {np.shape(known)}", value=known, limit=f"() or {shape}")
-            elif isinstance(known, np.ndarray) and not (np.isfinite(known) & (known > 0)).all():
-                problems.add("BAD_NOISE", where, "is not positive", value=known, limit="> 0", hint="Leave out noise= to estimate it.")
+            elif np.shape(deviation) not in ((), shape):
+                problems.add("BAD_SHAPE", where, f"has shape {np.shape(deviation)}", value=deviation, limit=f"() or {shape}")
+            elif isinstance(deviation, np.ndarray) and not (np.isfinite(deviation) & (deviation > 0)).all():
+                problems.add("BAD_NOISE", where, "is not positive", value=deviation, limit="> 0", hint="Leave out noise= to estimate it.")
             else:
-                levels[_name(pair)] = device_array(known)
+                levels[_name(pair)] = device_array(deviation)
         problems.raise_if_any()
         self.frequencies = checked  # pyright: ignore[reportAttributeAccessIssue]
         self.inputs, self.outputs = dict(inputs), dict(outputs)
-        self.loss_factor = None if loss_factor is None else {name: device_array(x) for name, x in _by_element(loss_factor).items()}
+        by_element = loss_factor if isinstance(loss_factor, dict) else {"all": loss_factor}
+        self.loss_factor = None if loss_factor is None else {name: device_array(x) for name, x in by_element.items()}
         self.measured = {_name(pair): jnp.asarray(x) for pair, x in arrays.items()}
         self.noise = levels if noise is not None else None
         self.pairs = tuple(arrays)
@@ -155,10 +156,6 @@ def _unit(output: Any, source: Any) -> str:
     return f"{f'({above})' if '/' in above else above}/{f'({below})' if set(below) & set('/ ') else below}"
 
 
-def _by_element(loss_factor: Any) -> dict[str, Any]:
-    return loss_factor if isinstance(loss_factor, dict) else {"all": loss_factor}
-
-
 def _complex(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -> Any:
     if concrete(value) is None:
         return value
@@ -170,7 +167,7 @@ def _complex(value: Any, shape: tuple[int, ...], where: str, problems: Problems)
     if array.shape != shape:
         problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=str(shape), hint="One for each frequency.")
     elif np.isinf(array).any():
-        problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN for lines to leave out")
+        problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN for frequencies to leave out")
     elif np.isnan(array).all():
-        problems.add("ALL_NAN", where, "has no line that is not NaN", hint="Leave out this pair.")
+        problems.add("ALL_NAN", where, "has only NaN", hint="Leave out this pair.")
     return array

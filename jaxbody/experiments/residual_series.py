@@ -20,7 +20,7 @@ def records_of(experiments: dict[str, Measurement]) -> list[ResidualSeries]:
             for i, (label, unit) in enumerate(zip(labels, units, strict=True)):
                 times = np.flatnonzero(present[:, i])
                 rows = first + times * present.shape[1] + i
-                known = not channel.series and name in (experiment.noise or {})
-                records.append(ResidualSeries(f"{run}.{name}{label}", f"{name} {unit}", run, rows, times, channel.series, known))
+                stated = not channel.series and name in (experiment.noise or {})
+                records.append(ResidualSeries(f"{run}.{name}{label}", f"{name} {unit}", run, rows, times, channel.series, stated))
             first += present.size
     return records

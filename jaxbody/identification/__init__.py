@@ -1,1 +1,1 @@
-"""Fits: residuals, searches, results, several starts, multiple shooting."""
+"""Fits: residuals, searches, results, several initial guesses, multiple shooting."""

@@ -138,7 +138,7 @@ class Fit(Result):
             return f"rank {u.rank} of {len(u.singular_values)}: " + "; ".join(u.words)
         if status == Status.AT_BOUND:
             given = any(label.endswith(("(lower)", "(upper)")) for label in self.at_bound)
-            note = "; its interval is one-sided, the other parameters are estimated with it there"
+            note = "; its interval is one-sided, the other parameters are estimated with it fixed there"
             return ", ".join(self.at_bound) + (note if given else "")
         after = f"after {tables.counted(int(self.evaluations), 'evaluation')}; the best so far is kept"
         if status == Status.INTERRUPTED:

@@ -278,8 +278,8 @@ def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, .
 def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
     problems = check_measurements(experiments, "fit.experiments")
     for name in experiments:
-        taken = {"a body": model.layout.bodies, "a support": model.layout.supports, "an element": model.element_names}
-        owner = next((kind for kind, names in taken.items() if name in names), None)
+        reserved = {"a body": model.layout.bodies, "a support": model.layout.supports, "an element": model.element_names}
+        owner = next((kind for kind, names in reserved.items() if name in names), None)
         marks = "".join(mark for mark in ".*?[]" if isinstance(name, str) and mark in name)
         message = (
             "is not a string" if not isinstance(name, str) else f"is the name of {owner} of the model" if owner

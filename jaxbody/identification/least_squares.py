@@ -1,4 +1,4 @@
-"""Searches for the least sum of squares of any residual r(u) with its Jacobian, by SciPy, or by an optax optimizer in whitened coordinates.
+"""Minimization of the sum of squares of a residual r(u) with its Jacobian, by SciPy or by an optax optimizer in whitened coordinates.
 
 An optax optimizer works in coordinates y whitened by the Jacobian, J = U S V', u = u_k + V S^-1 |U'r| y, in which the linearized
 optimum lies at a distance of one. It is restarted from its best point until the Gauss-Newton step is small.
@@ -146,7 +146,7 @@ def by_scipy(evaluate: Evaluations, u, limits: Bounds) -> tuple[np.ndarray, bool
 
 
 def gauss_newton(evaluate: Evaluations, u, converged: bool, limits: Bounds) -> tuple[np.ndarray, bool]:
-    """Gauss-Newton steps as long as each is shorter than the one before; differences of costs are below the integration error here."""
+    """Gauss-Newton steps as long as each is shorter than the one before; near the optimum, integration errors hide changes of the cost."""
     u = np.asarray(u)
     inside = np.all(np.abs(u - np.stack(limits)) > AT_BOUND, axis=0)
     projected, S, V = _whitened(evaluate.triangle(u), inside)

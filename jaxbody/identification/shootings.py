@@ -207,8 +207,8 @@ def _cut(model: Model, name: str, experiment: Experiment, count: int, options: d
     starts, rows = cuts(len(experiment.times), count)
     how = {field.name: options[field.name] for field in dataclasses.fields(Integration) if field.name in options}
     state = first_state(experiment, model)
-    known = first_noise({name: experiment}, absolute=False)[0][name], state
-    whole = eqx.tree_at(lambda e: (e.noise, e.initial), experiment, known, is_leaf=lambda x: x is None or isinstance(x, Rest))
+    start = first_noise({name: experiment}, absolute=False)[0][name], state
+    whole = eqx.tree_at(lambda e: (e.noise, e.initial), experiment, start, is_leaf=lambda x: x is None or isinstance(x, Rest))
     motions: list[State] = []
     for i, following in zip(starts, [*starts[1:], starts[-1]], strict=True):
         record = {channel: x[i : i + rows] for channel, x in whole.measured.items()}

@@ -73,8 +73,8 @@ def bands(
     ...               joints={"mass": Guide("world", axis=[1, 0, 0])})
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
     >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times) + noise})
-    >>> found = fit(model, {"track": track}, free=["spring.stiffness"])
-    >>> frequency = bands(found, lambda model: jnp.sqrt(model["spring"].stiffness / model["mass"].mass) / (2 * jnp.pi))
+    >>> result = fit(model, {"track": track}, free=["spring.stiffness"])
+    >>> frequency = bands(result, lambda model: jnp.sqrt(model["spring"].stiffness / model["mass"].mass) / (2 * jnp.pi))
     >>> bool(frequency.lower < 1.0 < frequency.upper), bool(frequency.standard_error < 0.02)
     (True, True)
     """
@@ -87,7 +87,8 @@ def bands(
     value = f(fit.u)
     if not isinstance(value, jax.Array | np.ndarray) or jnp.iscomplexobj(value):
         hint = "Return one array; for complex numbers, magnitude and phase or real and imaginary parts."
-        raise JaxbodyError(Problem("WRONG_KIND", "bands.function", f"returns {_kind(value)}", value, "an array of real numbers", hint))
+        kind = "complex numbers" if jnp.iscomplexobj(value) else f"a {type(value).__name__}"
+        raise JaxbodyError(Problem("WRONG_KIND", "bands.function", f"returns {kind}", value, "an array of real numbers", hint))
     value = np.asarray(value, float)
     if samples is not None:
         error, low, high, finite = _drawn(fit, f, level, samples, key)
@@ -103,10 +104,6 @@ def bands(
     result = Bands(value, error, low, high, freedom, level, np.asarray(Status.OK if ok else Status.NONFINITE))
     warn_if_failed(result)
     return result
-
-
-def _kind(value: Any) -> str:
-    return "complex numbers" if jnp.iscomplexobj(value) else f"a {type(value).__name__}"
 
 
 def _drawn(fit: Fit, f: Callable, level: float, samples: int, key: PRNGKeyArray | None):

@@ -87,8 +87,8 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
     ...               joints={"mass": Guide("world", axis=[1, 0, 0])})
     >>> times, noise = jnp.linspace(0, 1, 21), 0.05 * jax.random.normal(jax.random.key(0), (21,))
     >>> track = Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": jnp.cos(2 * jnp.pi * times) + noise})
-    >>> found = profile(fit(model, {"track": track}, free=["spring.stiffness"]), "spring.stiffness")
-    >>> found.interval[0] < 4 * jnp.pi**2 < found.interval[1]
+    >>> result = profile(fit(model, {"track": track}, free=["spring.stiffness"]), "spring.stiffness")
+    >>> result.interval[0] < 4 * jnp.pi**2 < result.interval[1]
     True
     """
     check_level(level, "profile.level")

@@ -72,8 +72,8 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     >>> def run(times, noise):
     ...     x = jnp.cos(2 * jnp.pi * times) + noise * jnp.cos(300 * times**2)
     ...     return Experiment(times, sensors={"x": Position("mass", axis=[1, 0, 0])}, measured={"x": x})
-    >>> found = fit(model, {"one": run(jnp.linspace(0, 1, 21), 0.02)}, free=["spring.stiffness"])
-    >>> print(f"{100 * validate(found, {'two': run(jnp.linspace(0, 2, 41), 0.02)}).nrmse['two.x']:.1f} %")
+    >>> result = fit(model, {"one": run(jnp.linspace(0, 1, 21), 0.02)}, free=["spring.stiffness"])
+    >>> print(f"{100 * validate(result, {'two': run(jnp.linspace(0, 2, 41), 0.02)}).nrmse['two.x']:.1f} %")
     2.3 %
     """
     check_measurements(experiments, "validate.experiments").raise_if_any()

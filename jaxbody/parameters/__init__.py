@@ -1,1 +1,1 @@
-"""Which numbers may move, and how: ties, transforms, spaces; shared by fit and tune."""
+"""Free parameters of fit and tune: ties, transforms, bounds, design spaces."""

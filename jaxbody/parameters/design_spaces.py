@@ -106,7 +106,7 @@ def _grouped(model: Model, free: list[str], bounds: dict[str, Any], where: str) 
 
 
 def _group(tie: Tie, arrays, model: Model, size, given: dict[Leaf, Any], problems: Problems) -> Group | None:
-    """The group of a tie. With a lower bound of zero it varies linearly, as a logarithm does not reach zero."""
+    """The group for a tie. With a lower bound of zero its value is linear in u, because a logarithm never reaches zero."""
     starts, first = [leaf.read(arrays) for leaf in tie], next(iter(tie))
     form = parametrize(first, starts[0], model, size)
     ends = pair_of(next((given[leaf] for leaf in tie if leaf in given), None), starts[0].shape)

@@ -90,16 +90,16 @@ def bounds_of_first(ends: list[np.ndarray], factor: Factor) -> list[np.ndarray]:
 
 def check_alike(tie: Tie, starts: list[Any], form: Parametrization, problems: Problems) -> None:
     """The starts of tied leaves must agree with the tie; only scalars and vectors may have factors. Errors: TIED_APART, BAD_TIE."""
-    first, known = next(iter(tie)), [concrete(start) for start in starts]
-    for (leaf, factor), start in zip(tie.items(), known, strict=True):
-        if start is None or known[0] is None:
+    first, values = next(iter(tie)), [concrete(start) for start in starts]
+    for (leaf, factor), start in zip(tie.items(), values, strict=True):
+        if start is None or values[0] is None:
             continue
         tied = equation([first.path, leaf.path], [1.0, factor])
         if factor != 1.0 and (not isinstance(form, Positive | Shifted) or np.shape(factor) not in ((), start.shape)):
             limit = "scalars and vectors, by a number or one for each"
             problems.add("BAD_TIE", leaf.path, f"of shape {start.shape} cannot be tied by {tied}", value=factor, limit=limit)
-        elif start.shape != known[0].shape or not np.allclose(start, times(known[0], factor), rtol=ALIKE, atol=0):
-            message = f"starts at {start}, but {tied}, and {first.path} starts at {known[0]}"
+        elif start.shape != values[0].shape or not np.allclose(start, times(values[0], factor), rtol=ALIKE, atol=0):
+            message = f"starts at {start}, but {tied}, and {first.path} starts at {values[0]}"
             problems.add("TIED_APART", leaf.path, message, value=start, hint="Set matching values with jb.replace.")
 
 

@@ -214,7 +214,7 @@ class InitialConfiguration(Parametrization):
 
 def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametrization | Problem:
     """The parametrization for the domain of a leaf, or the problem START_ON_BOUND if its start is at a limit of the domain."""
-    path, domain, known = leaf.path, leaf.kind.domain, concrete(start)
+    path, domain, value = leaf.path, leaf.kind.domain, concrete(start)
     if domain == "configuration":
         return InitialConfiguration(start, model)
     if domain == "definite" and start.ndim < 2:
@@ -225,8 +225,8 @@ def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametr
         largest = jnp.max(jnp.abs(start))
         return Shifted(start, jnp.where(largest > 0, largest, size))
     form, inside, problem, limit, hint = STARTS[domain]
-    if known is not None and not inside(known):
-        return Problem("START_ON_BOUND", path, f"starts at {known}, {problem}", known, limit, hint)
+    if value is not None and not inside(value):
+        return Problem("START_ON_BOUND", path, f"starts at {value}, {problem}", value, limit, hint)
     return form(start)
 
 
