@@ -1,1 +1,1 @@
-"""What all share: errors and statuses, numbers from users, results that print, units, compilation. No mechanics."""
+"""Foundations of all packages: errors and statuses, checks of arguments, printed results, units, compilation. No mechanics."""

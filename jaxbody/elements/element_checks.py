@@ -1,4 +1,4 @@
-"""Checks of users' elements and laws when a model is built: what they hold and what they return."""
+"""Checks of users' elements and laws when a model is built: the types of their fields and of the results of their functions."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What acts on a model from outside, as functions of time: motions, signals, roads, loads."""
+"""Inputs of a model as functions of time: motions of supports, signals, roads, loads."""

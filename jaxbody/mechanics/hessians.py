@@ -37,8 +37,8 @@ Square = Float[Array, "n n"]
 
 
 class Configuration(NamedTuple):
-    """A model with its bodies at q, supports at rest in their reference poses: the table of frames; for each column, of (Delta, Xi) or
-    without `base` of Delta alone, the turn of its own frame per unit of it, and J, the motion of each frame, None for the identity."""
+    """A model with its bodies at q, supports at rest in their reference poses: the table of frames; for each column of (Delta, Xi), or
+    without `base` of Delta, the rotation of its own frame per unit of it; and J, the motion of each frame, None for the identity."""
 
     model: Model
     q: Float[Array, "nq"]

@@ -22,9 +22,9 @@ class Body(eqx.Module):
 
     Args:
         mass: [kg]
-        inertia: about the centre of mass in body axes [kg m2]: three principal moments, six numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries
+        inertia: about the center of mass in body axes [kg m2]: three principal moments, six numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries
             of the matrix, signs included) or the 3 x 3 matrix; default: a point mass
-        com: the centre of mass in body coordinates [m]
+        com: the center of mass in body coordinates [m]
         position: of the reference point O in the reference pose, where the search for equilibrium starts [m]
         orientation: in the reference pose, body to world: unit quaternion w, x, y, z, rotation matrix or `jb.Euler`
 
@@ -147,7 +147,7 @@ def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Pro
             f"has principal moments {shown} kg m2",
             value=moments,
             limit=">= 0",
-            hint=f"Is it about the centre of mass? {signs}",
+            hint=f"Is it about the center of mass? {signs}",
         )
     elif moments[0] + moments[1] - moments[2] < -round_off:
         deficit = moments[2] - moments[0] - moments[1]
@@ -157,7 +157,7 @@ def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Pro
             f"has principal moments {shown} kg m2: the largest exceeds the sum of the others by {deficit:.3g}",
             value=moments,
             limit="at most the sum of the two others",
-            hint=f"Is it about the centre of mass? {signs} Are all units the same?",
+            hint=f"Is it about the center of mass? {signs} Are all units the same?",
         )
 
 

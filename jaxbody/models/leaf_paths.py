@@ -76,7 +76,7 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
 
 
 def _fields(numbers: Any, root: Any) -> list[tuple[str, int, Kind]]:
-    """Path and number of each array below a root, and what its own numbers are."""
+    """Path, index and kind of each array below a root."""
 
     def name(key: Any) -> str:
         return str(getattr(key, "name", getattr(key, "key", getattr(key, "idx", key))))
@@ -205,7 +205,7 @@ def _block(value: Any, rows: list[int] | int, first: Leaf, arrays: list[Array]) 
 
 
 def _made(leaf: Leaf, value: Any, where: str, problems: Problems) -> Any:
-    """A value in its domain, as those who make bodies, joints and elements would have it."""
+    """The value, checked and normalized as by the constructors of bodies, joints and elements."""
     domain, known = leaf.kind.domain, concrete(value)
     if domain not in ("direction", "rotation"):
         rows = [] if known is None else [known]

@@ -70,7 +70,7 @@ def of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) 
 
 
 def check_links(problems: Problems, bodies, supports, elements, joints) -> None:
-    """Elements and joints end on what there is, and every chain of joints on the world or a support."""
+    """Check that elements and joints end on existing parts, and every chain of joints on the world or a support."""
     frames = (*bodies, *supports, WORLD)
     for name, element in elements.items():
         for end in element.between:

@@ -13,7 +13,7 @@ from jaxbody.models.models import Model
 
 
 def size_of(model: Model) -> Float[Array, ""]:
-    """A length of the model: the largest distance of a point of attachment or a centre of mass from the origin of its body; where that is
+    """A length of the model: the largest distance of a point of attachment or a center of mass from the origin of its body; where that is
     zero, from the world's origin; else 1 m."""
     xp: Any = np if is_concrete(model) else jnp  # outside of compiled programs no operation of JAX is run
     on_bodies, anywhere = [np.zeros((1, 3), model.gravity.dtype), model.bodies.rows.com], [model.bodies.rows.position]

@@ -206,7 +206,7 @@ def check_without_force_sensors(given: Any, where: str, outputs: tuple[Any, ...]
     for port in outputs if given is not None else ():
         if hasattr(port, "reading") and port.unit in ("N", "N m"):
             hint = "Use ElementForce or SupportReaction, or give the model dampers."
-            message = f"is not part of what a {type(port).__name__} on '{port.on}' reads"
+            message = f"is not read by a {type(port).__name__} on '{port.on}'"
             problems.add("BAD_OPTION", where, message, value=given, limit="sensors of motion", hint=hint)
     problems.raise_if_any()
 

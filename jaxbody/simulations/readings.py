@@ -62,8 +62,8 @@ def measure(
 
     Args:
         sensors: {name: sensor}.
-        noise: standard deviation in the unit of the sensor, one for all or {sensor: one}; by default 0. On a pose it is in meters on the
-            position and in radians on the orientation, or two numbers.
+        noise: standard deviation in the unit of the sensor, one for all or {sensor: one}; default 0. For a pose one number, in meters for
+            the position and in radians for the orientation, or two.
         key: of the noise, as jax.random.key(0); by default none, for readings without noise.
 
     A delayed instrument reads NaN where the delayed time is outside the trajectory. Leading axes of a batch of trajectories are kept.

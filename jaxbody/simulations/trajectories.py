@@ -36,9 +36,9 @@ class Trajectory(Result):
     """A motion at `times` [s]: `state`, and by name `poses`, `elongations` [m], `forces` [N], `energies` [J], `powers` [W],
     `reactions` [N, N m].
 
-    `status`: MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED if the integration ended early, later samples being NaN; TABLE_RANGE if a motion
-    left the table of a law. `statistics`: steps accepted and rejected. Printing computes nothing;
-    what is by name, and `summary()`, does."""
+    `status`: MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED if the integration ended early, with NaN in later samples; TABLE_RANGE if a
+    motion left the table of a law. `statistics`: accepted and rejected steps. Quantities by name and `summary()` are computed when they are
+    read; printing computes nothing."""
 
     times: Float[Array, "nt"]
     state: State
@@ -54,19 +54,19 @@ class Trajectory(Result):
 
     @property
     def poses(self) -> dict[str, Pose]:
-        """Of every body and support: `.p` (nt, 3) position of its origin, `.R` (nt, 3, 3) orientation, `.quaternion`."""
+        """{body or support: pose}, with `.p` (nt, 3) position of its origin, `.R` (nt, 3, 3) orientation, `.quaternion`."""
         frames = self.at_samples(_frames)
         names = self.model.layout.frames[1:]
         return {name: jax.tree.map(lambda x, i=i: jnp.take(x, i + 1, axis=self.times.ndim), frames) for i, name in enumerate(names)}
 
     @property
     def elongations(self) -> dict[str, Array]:
-        """Of each spring (nt,), tension positive; of a bushing its deformations (nt, 6)."""
+        """{element: elongation (nt,), tension positive}; for a bushing its deformations (nt, 6)."""
         return self._of_elements(_deformations)
 
     @property
     def forces(self) -> dict[str, Array]:
-        """Of each spring the tension (nt,) with its damper's part; of a bushing its six forces and moments (nt, 6)."""
+        """{element: tension (nt,), its damper included}; for a bushing its six forces and moments (nt, 6)."""
         return self._of_elements(_forces)
 
     @property
@@ -87,7 +87,7 @@ class Trajectory(Result):
 
     @property
     def reactions(self) -> dict[str, tuple[Array, Array]]:
-        """Of each support the force and the moment about its origin, world axes, that everything on it exerts, each (nt, 3)."""
+        """{support: (force, moment about its origin)}, each (nt, 3) in world axes, exerted by all that is attached to it."""
         force, moment = self.at_samples(_reactions, loads=True)
         axis = self.times.ndim
         return {name: (jnp.take(force, i, axis=axis), jnp.take(moment, i, axis=axis)) for i, name in enumerate(self.model.layout.supports)}
@@ -122,7 +122,7 @@ class Trajectory(Result):
         return message
 
     def _accelerations(self) -> str:
-        """What is not finite where all forces and motions are."""
+        """The name of the nonfinite part where all forces and motions are finite: accelerations or the state."""
         layout, q = self.model.layout, self.end[1].q
         massless = massless_motions(layout, matrices(self.model, State(q, np.zeros(layout.nv)))[0])
         return "the accelerations: " + "; ".join(massless) if massless else f"the state of '{layout.bodies[0]}'"

@@ -36,7 +36,7 @@ MAX_STEPS = 200  # of a search
 NEGLIGIBLE = 1e-9  # relative to the applied loads: less than this in every coordinate is round-off
 BY_JOINTS = (
     "carried by the joints alone, so that no body moves and no spring is loaded; if it should tilt a body, put the point O, "
-    "about which that body turns, and its centre of mass (com) at their true heights"
+    "about which that body turns, and its center of mass (com) at their true heights"
 )
 
 

@@ -86,8 +86,8 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
 
 
 def eigenvalue_signs(K: Float[Array, "nv nv"]) -> tuple[Int[Array, ""], Bool[Array, ""]]:
-    """How many eigenvalues of K are negative, and whether one is zero; eigenvalues are computed only where elimination shows that K is not
-    definite."""
+    """The number of negative eigenvalues of K, and whether one is zero; eigenvalues are computed only where elimination shows that K is
+    not definite."""
 
     zero = reachable(SINGULAR, K.dtype)
 

@@ -73,7 +73,7 @@ class Equilibrium(Result):
 
     @property
     def elongations(self) -> dict[str, Array]:
-        """Of each spring the elongation [m], tension positive; of a bushing its six deformations."""
+        """{element: elongation [m], tension positive}; for a bushing its six deformations."""
         return by_name(tuple(table.names for table in self.model.elements), self.deformations)
 
     @property
@@ -127,7 +127,7 @@ class Equilibrium(Result):
         return "none was found by descent; report() says how much of the weights is carried"
 
     def _how_much(self) -> str:
-        """How much of the weights is carried."""
+        """A sentence on the fraction of the weights that is carried."""
         weightless = with_gravity(self.model, -self.model.gravity)
         start = equilibrium_of(weightless, None, 200)
         if int(start.status) not in (Status.OK, Status.SINGULAR_K):
@@ -210,7 +210,7 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
 
 
 class SearchResult(eqx.Module):
-    """Where a search ended: the configuration, the number of negative eigenvalues of K and whether one is zero, the status except for
+    """The end of a search: the configuration, the number of negative eigenvalues of K and whether one is zero, the status except for
     stability."""
 
     q: Float[Array, "nq"]

@@ -4,8 +4,8 @@
 
 M is the covariance of Q'e (`noises`); for white noise of one level it is s^2 I with s^2 = r'r/(samples - parameters).
 A variance v that is estimated has 2 v^2/var(v) degrees of freedom (F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110); intervals use
-Student's t with as many. Directions of u with a negligible singular value do not change the readings. Parameters that have a part in them
-have no standard error; nor has a parameter at its bound, where the others are estimated with it fixed.
+Student's t with this number. Directions of u with a negligible singular value do not change the readings. Parameters that have a part
+in them have no standard error; nor has a parameter at its bound, where the others are estimated with it fixed.
 """
 
 from __future__ import annotations

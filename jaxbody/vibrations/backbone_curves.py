@@ -58,7 +58,7 @@ class Backbones(Result):
     weighted with the size of the model); `curvature` gamma [1/m2 or 1/rad2], negative where the mode softens; `drift` c0 and
     `second_harmonic` c2 (columns), the mean and the second harmonic of the motion per a^2; `stiffness`, `third` and `fourth`, the
     derivatives of V along the straight line a phi of the chart. `status` of each mode: UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE or
-    NOT_CONVERGED, with gamma NaN, where the mode has no backbone of its own."""
+    NOT_CONVERGED, with gamma NaN, where the mode has no backbone."""
 
     frequency: Float[Array, "nv"]
     shapes: Float[Array, "nv nv"]
@@ -130,7 +130,7 @@ def _amplitude(value: Any, unit: str) -> str:
 
 
 def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
-    """How the natural frequencies change with amplitude, and up to which amplitude the linear model is valid, without damping.
+    """The change of natural frequencies with amplitude, and the amplitude up to which the linear model is valid, without damping.
 
         w(a) = w (1 + gamma a^2 + ...),   a the amplitude of the largest component of the mode [m or rad]
 

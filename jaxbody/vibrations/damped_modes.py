@@ -194,7 +194,7 @@ def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
 
         2 sum (m (a x b) + J (alpha x beta)) . n/sum (m (a . a + b . b) + J (alpha . alpha + beta . beta)),   J = tr(inertia)/2
 
-    for motions a cos(w t) + b sin(w t) of the centres of mass and alpha cos + beta sin of the rotations, across the axis n of the fastest
+    for motions a cos(w t) + b sin(w t) of the centers of mass and alpha cos + beta sin of the rotations, across the axis n of the fastest
     body.
 
     A hanging, spinning top:

@@ -1,4 +1,4 @@
-"""Small motions about a state: mass, damping and stiffness matrices with their blocks towards the base, as second derivatives.
+"""Small motions about a state: mass, damping and stiffness matrices with their blocks that couple to the base, as second derivatives.
 
 M | -M~ | M_bb   Hessian of T in (v, Xi')         M Delta'' + C Delta' + K Delta = K~ Xi + C~ Xi' + M~ Xi''
 C | -C~ | C_bb   Hessian of R in (v, Xi')
@@ -104,7 +104,7 @@ class Linearization(Result):
         return "the state is not an equilibrium" if int(self.status) else ""
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: M, C, K and their blocks towards the base, by named coordinates."""
+        """An xarray.Dataset: M, C, K and their blocks that couple to the base, by named coordinates."""
         own, base = list(self.coordinates), list(self.base_coordinates)
         variables = {}
         for name, unit in (("M", "kg, kg m, kg m2"), ("C", "N s/m, N s, N m s"), ("K", "N/m, N, N m")):
@@ -150,7 +150,7 @@ def check_linearization(lin: Any, where: str) -> None:
 
 
 def linearize(model: Model, at: Equilibrium | State) -> Linearization:
-    """M, C, K and the blocks towards the supports, at an equilibrium or any state, supports at their reference poses.
+    """M, C, K and their blocks that couple to the supports, at an equilibrium or any state, supports at their reference poses.
 
     Loads of the equilibrium are included: K = d2V/dDelta2 - dQ/dDelta. The status of a failed equilibrium is kept; STALE, with a warning,
     where the numbers of the model have changed so that it is not at rest. Errors: BAD_SHAPE, NON_FINITE of a state, OTHER_MODEL.

@@ -34,7 +34,7 @@ MOST_MODES = 12  # of a table
 class ModeEnergies(Result):
     """Shares in percent, a column for each mode, ascending. Modes of coinciding frequencies each have the mean over their space.
 
-    `kinetic` {body: (6, n)}: translation of the centre of mass and rotation, world axes; the sum is 100. `strain` {element: (n,)}: V''(e)
+    `kinetic` {body: (6, n)}: translation of the center of mass and rotation, world axes; the sum is 100. `strain` {element: (n,)}: V''(e)
     de de; with `other_strain`, {"tension", "gravity", "loads"}, the contributions of tension, weights and loads to K, the sum is 100 (NaN
     for a mode of zero frequency). `dissipation` {element: (n,)}: the sum is 100, or 0 without dissipation. `velocities` (bodies, 6, n): of
     centers of mass and angular, along the shape. `names`: each mode by the body and direction with most of its kinetic energy."""
@@ -133,7 +133,7 @@ OTHERS = ("tension", "gravity", "loads")
 def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | None = None, allow_float32: bool = False) -> ModeEnergies:
     """The shares of bodies, elements and dampers in the energies of each natural mode [%].
 
-        kinetic      100 v_i (M v)_i/(phi' M phi)         v: velocities of a body along phi, of its centre of mass and angular; M: mass and
+        kinetic      100 v_i (M v)_i/(phi' M phi)         v: velocities of a body along phi, of its center of mass and angular; M: mass and
         inertia strain       100 e_dot' V'' e_dot/(phi' K phi)    e_dot: change of an element's deformation along phi dissipation  100
         e_dot' R'' e_dot/(phi' C phi)
 

@@ -53,7 +53,7 @@ class Branches(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the modes at the first value, by the body and direction with most of their kinetic energy."""
+        """Names of the modes at the first value, from the body and direction with most of their kinetic energy."""
         return self.first.names
 
     def to_xarray(self) -> Any:

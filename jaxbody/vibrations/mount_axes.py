@@ -73,7 +73,7 @@ class ElasticAxes(Result):
 
 
 class TorqueRollAxis(Result):
-    """The axis through `point`, the centre of mass, along `direction` (unit), about which a free body turns under a torque, world axes.
+    """The axis through `point`, the center of mass, along `direction` (unit), about which a free body turns under a torque, world axes.
 
     `inertia` [kg m2] and `stiffness` [N m/rad] of rotation about it, `frequency` [Hz] from both, and `coupling`, 0 if this rotation is a
     mode, the only one that the torque excites."""
@@ -131,7 +131,7 @@ def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAx
     """The axis about which a free body, without mounts or on very soft ones, turns under a torque (3,) of fixed direction (world axes), as
     of the crankshaft.
 
-        J n ~ torque,   through the centre of mass,   J: moment of inertia about it
+        J n ~ torque,   through the center of mass,   J: moment of inertia about it
         r = (displacement of O, n) of this rotation:   frequency = sqrt(r' K r/(r' M r))/(2 pi),
         coupling = |K r - w^2 M r|/(w^2 |M r|) in the norm of M^-1
 

@@ -87,7 +87,7 @@ class SpinLinearization(Result):
 
 
 def linearize_spin(model: Model, at: State) -> SpinLinearization:
-    """Mass, damping, gyroscopic and stiffness matrix of small motions about a steady motion, as of a spinning rotor, supports at rest.
+    """Mass, damping, gyroscopic and stiffness matrix of small motions about a steady motion, such as that of a rotor, supports at rest.
 
         M delta'' + (C + G) delta' + K delta = 0
 

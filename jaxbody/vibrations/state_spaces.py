@@ -18,9 +18,9 @@ from jaxbody.vibrations.ports import PortMatrices, check_ports, port_matrices
 
 
 class StateSpace(Result):
-    """x' = A x + B u, y = C x + D u; `inputs`, `outputs` and `states` are names, `input_units` and `output_units` go with them.
+    """x' = A x + B u, y = C x + D u; `inputs`, `outputs` and `states` are names, `input_units` and `output_units` their units.
 
-    `control.ss(s.A, s.B, s.C, s.D, inputs=s.inputs, outputs=s.outputs, states=s.states)` is python-control's form of it."""
+    `control.ss(s.A, s.B, s.C, s.D, inputs=s.inputs, outputs=s.outputs, states=s.states)` makes a system of python-control."""
 
     A: Float[Array, "nx nx"]
     B: Float[Array, "nx nu"]

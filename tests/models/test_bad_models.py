@@ -91,7 +91,7 @@ BAD = {
         "TRIANGLE",
         "Body.inertia",
         None,
-        "1, 2, 4 by 1 centre units",
+        "1, 2, 4 by 1 center units",
     ),
     "10 signs of products": (
         lambda: body(inertia=[2, 2, 2, 0.9, 0.9, 0.9]),

@@ -145,7 +145,7 @@ def test_modal_damping_without_real_modes_is_reported(rig):
 def test_modal_damping_with_sensors_of_forces_is_refused(rig):
     """They read forces of the model, which these are not."""
     sensors = {"arm": jb.Reaction("arm", component=0)}
-    with pytest.raises(jb.JaxbodyError, match="modal_damping: is not part of what a Reaction on 'arm' reads") as refused:
+    with pytest.raises(jb.JaxbodyError, match="modal_damping: is not read by a Reaction on 'arm'") as refused:
         jb.frequency_response(rig[0], F, FORCES, sensors, modal_damping=0.1)
     assert refused.value.code == "BAD_OPTION"
 
