@@ -69,7 +69,10 @@ def warned(function):
         return function(), [str(w.message) for w in seen]
 
 
-@pytest.mark.parametrize("code", FAILURES)
+SLOW = ("MAX_STEPS", "NONFINITE", "NOT_CONVERGED")
+
+
+@pytest.mark.parametrize("code", [pytest.param(code, marks=[pytest.mark.long] * (code in SLOW)) for code in FAILURES])
 def test_a_failed_result_issues_the_same_warnings_under_derivatives(code):
     """The derivative of a failed result is NaN; beyond a table the values are valid, and so are the derivatives."""
     number = FAILURES[code]

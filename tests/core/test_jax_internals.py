@@ -66,6 +66,7 @@ def test_loops_in_shard_map_may_begin_with_constants_and_have_derivatives():
     run_on_two(LOOPS_ON_TWO)
 
 
+@pytest.mark.long
 def test_frequencies_and_their_slopes_in_shard_map():
     """f = sqrt(k/m)/2 pi and df/dk = f/2k, two stiffnesses on each of two devices."""
     run_on_two(FREQUENCIES_ON_TWO)

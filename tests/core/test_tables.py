@@ -35,6 +35,7 @@ def test_results_printed_together_have_a_blank_line_between(mass):
     assert repr(eq) == str(eq).strip()
 
 
+@pytest.mark.long
 def test_a_table_shows_sixty_load_cases_whole_and_in_meters(mass):
     """u = f / k of each, to a thousandth of a millimeter."""
     force = np.arange(1.0, 61.0)

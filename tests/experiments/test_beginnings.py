@@ -100,6 +100,7 @@ def test_derivatives_at_rest_are_those_of_the_closed_form_in_both_modes():
         np.testing.assert_allclose(mode(first)(k), [MASS * G / k**2, 0.0], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.long
 def test_the_gradient_of_a_motion_that_begins_at_rest_is_that_of_differences():
     """The rest state moves with the stiffness, and all that follows."""
 
@@ -150,6 +151,7 @@ def test_a_fit_that_begins_far_off_says_that_rest_would_do_better():
     assert result.remarks[0] in str(result)
 
 
+@pytest.mark.long
 def test_a_fit_to_a_recorded_base_motion_says_that_rest_would_do_better():
     """A base recorded by its accelerometer begins a few millimeters off its reference pose; an accelerometer on the box, which stood
     there, shows a transient, and estimates take it up."""

@@ -177,6 +177,7 @@ def momenta_of(model, state):
     return total
 
 
+@pytest.mark.long
 def test_momentum_and_angular_momentum_are_conserved():
     model = pair()
     start = jb.State(model.reference.q, jnp.array([0.5, -0.2, 0.3, 1.0, 2.0, -0.7, -0.4, 0.3, 0.1, -2.0, 1.5, 3.0]))

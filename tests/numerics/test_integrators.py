@@ -66,7 +66,7 @@ def test_constant_steps_are_those_of_the_tableau(model):
             y = y + h * sum(float(b) * f for b, f in zip(tableau.b_sol, k, strict=True))
         return dynamics(factor).unpack(y).q
 
-    q, q_slope = jax.jvp(by_hand, (1.1,), (1.0,))
+    q, q_slope = jax.jit(lambda f: jax.jvp(by_hand, (f,), (1.0,)))(1.1)
     ours, pull = jax.vjp(jax.jit(lambda f: path(model, f, times=ends, **STEPS)), 1.1)
     np.testing.assert_allclose(ours[-1], q, rtol=0, atol=1e-14)
     for i in range(3):
@@ -240,6 +240,7 @@ def oscillation(law, times, **options):
     return jb.simulate(model, times, initial=jb.State(jnp.array([0.3]), jnp.zeros(1)), rtol=1e-10, **options).state.q[:, 0]
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("batches")
 def test_simulate_works_on_every_jax_also_with_laws_that_interpolate():
     """A mass on a spring by a table that is a straight line, k = 40 N/m: x = cos wt, alone and in a batch, and dx/dk = -t sin(wt)/(2 w)."""

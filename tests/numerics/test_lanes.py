@@ -259,6 +259,7 @@ class Ruled(jb.laws.Law):
         return of(self.k, x)
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("batches")
 def test_a_rule_of_a_law_of_ones_own_is_kept_in_batches_of_drivers():
     """The derivative of a batch is the batch of derivatives, of the equilibrium, of matrices and of a simulation."""

@@ -97,6 +97,7 @@ def equal_ways(k):
     return dataclasses.replace(jb.linearize(model, model.reference), K=jnp.diag(jnp.array([80.0, 80.0, 300.0])) + k * d[:, None] * d)
 
 
+@pytest.mark.long
 def test_derivatives_where_modes_coincide_are_those_of_the_matrix_function():
     """With one ratio for all C = 2 zeta M^(1/2) (M^(-1/2) K M^(-1/2))^(1/2) M^(1/2), smooth where modes meet: forward and reverse against
     differences of SciPy's."""

@@ -207,6 +207,7 @@ def test_matrices_are_second_derivatives_of_the_energies_at_any_state(rig):
     assert set(lin.K_elastic_by_element) == {"s0", "s1", "s2", "s3", "s4", "mount"}
 
 
+@pytest.mark.long
 def test_matrices_of_an_arm_on_a_bushing_are_second_derivatives_of_its_energies():
     """The same for one body on a hinge, at a large rotation from the axes of its mount, with a spring to the world."""
     p = rigs.PARAMETERS

@@ -93,7 +93,7 @@ FAMILY = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", FAMILY)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.long] * (name == "a net in a frame")) for name in FAMILY])
 def test_strings_and_nets_without_stress_carry_loads_across(name):
     nodes, links, forces = FAMILY[name]
     eq = jb.equilibrium(web(nodes, links), loads={f"on {node}": jb.Force(node, force=force) for node, force in forces.items()})
@@ -121,6 +121,7 @@ def exactly(x):
     return brentq(lambda y: 2 * k * (np.hypot(1, y) - 1 + s) * y / np.hypot(1, y) - F, 0, 10, xtol=1e-15, rtol=1e-15)
 
 
+@pytest.mark.long
 def test_paths_and_descents_in_one_batch_and_their_derivatives():
     """Strings with and without tension: a path for one, descent for the other, each with its derivatives in forward and reverse mode."""
     xs = np.array([[1.0, 1.0, 0.0], [1.3, 0.7, 0.0], [1.0, 1.0, 0.05]])
@@ -141,6 +142,7 @@ def test_derivatives_outside_of_jit_are_the_same():
     np.testing.assert_allclose(slopes, [(exactly(x + h) - exactly(x - h)) / 2e-6 for h in 1e-6 * np.eye(3)], atol=1e-8)
 
 
+@pytest.mark.long
 def test_load_cases_of_an_unstressed_string_are_descended():
     """A force across, and the string's own mass at 2 g across."""
     model = string()
