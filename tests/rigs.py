@@ -18,7 +18,7 @@ ON_BASE = np.array([[0.6, 0.5, 1.0], [-0.6, 0.5, 1.05], [-0.6, -0.4, 0.95], [0.6
 
 
 def plate(*, damping=0.0, position=(0, 0, 0), orientation=(1, 0, 0, 0), base=None, gravity=(0, 0, -9.81)):
-    """A free plate, centre of mass off O and unequal moments, hung on four springs from a base and held by a fifth from below."""
+    """A free plate, center of mass off O and unequal moments, hung on four springs from a base and held by a fifth from below."""
     springs = {
         f"s{i}": jb.Spring(
             ("plate", a), ("base", b), stiffness=200.0 + 30 * i, free_length=0.75 + 0.03 * i, damping=damping * (1 + 0.1 * i)
@@ -64,7 +64,7 @@ def unit(x):
 
 
 def rig(parameters=PARAMETERS, mount=None):
-    """A free box on springs of a base and an arm on a hinge of the base, tied by a spring (and a bushing); nothing symmetric, centres of
+    """A free box on springs of a base and an arm on a hinge of the base, tied by a spring (and a bushing); nothing symmetric, centers of
     mass off O."""
     p = parameters
     ends = [("box", "base"), ("box", "base"), ("box", "base"), ("box", "arm"), ("arm", "base")]

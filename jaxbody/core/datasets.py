@@ -1,4 +1,4 @@
-"""Results as labelled arrays: an xarray.Dataset with names, units and coordinates.
+"""Results as labeled arrays: an xarray.Dataset with names, units and coordinates.
 
 xarray is imported here, on first use, and is an extra: `pip install 'jaxbody[xarray]'`. Leading axes of a batch become `sample`.
 """

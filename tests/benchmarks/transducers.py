@@ -21,7 +21,7 @@ SEED, STEP, SAMPLES = 2026, 0.005, 1000
 CHAIN = {"gain": 1.002, "bias": 0.05, "delay": 0.5 * STEP}
 NOMINAL = {"gain": 1.0, "bias": 0.0, "delay": 0.0}
 FREE = ["s.stiffness", "s.damping"]
-MODELLED = [*FREE, "run.acc.gain", "run.acc.bias", "run.acc.delay"]
+MODELED = [*FREE, "run.acc.gain", "run.acc.bias", "run.acc.delay"]
 TONES = [(0.9, 0.03), (2.3, 0.01), (4.1, 0.004), (7.0, 0.002)]  # [Hz], [m]
 TRUTH = {"s.stiffness": 400.0, "s.damping": 4.0, **{f"run.acc.{name}": x for name, x in CHAIN.items()}}
 ON = {"axis": [1, 0, 0]}
@@ -49,10 +49,10 @@ class Study:
         self.noise = {name: float(np.std(x)) / 100 for name, x in self.clean.items()}
         self.start = jb.replace(self.model, {"s.stiffness": 440.0, "s.damping": 3.6})
 
-    def fit(self, seed: int, modelled: bool):
+    def fit(self, seed: int, modeled: bool):
         rng = np.random.default_rng([SEED, seed])
         measured = {name: x + self.noise[name] * rng.normal(size=x.shape) for name, x in self.clean.items()}
-        acc = jb.Accelerometer("cart", **ON, **(NOMINAL if modelled else {}))
+        acc = jb.Accelerometer("cart", **ON, **(NOMINAL if modeled else {}))
         run = jb.Experiment(
             self.times,
             motion={"base": self.base},
@@ -61,13 +61,13 @@ class Study:
             measured=measured,
             noise=self.noise,
         )
-        return jb.fit(self.start, {"run": run}, free=MODELLED if modelled else FREE)
+        return jb.fit(self.start, {"run": run}, free=MODELED if modeled else FREE)
 
-    def replicates(self, count: int, modelled: bool) -> dict:
+    def replicates(self, count: int, modeled: bool) -> dict:
         """Errors over true values, whether intervals hold them, and the residual test of each replicate."""
         errors, stated, held, flagged, least, factor = [], [], [], [], [], []
         for seed in range(count):
-            result = self.fit(seed, modelled)
+            result = self.fit(seed, modeled)
             ends = result.intervals()
             errors.append([float(x) - TRUTH[path] for path, x in result.estimates.items()])
             stated.append([float(result.standard_errors[path]) for path in result.estimates])
@@ -87,25 +87,25 @@ class Study:
         }
 
 
-def report(modelled: dict, bare: dict) -> list[str]:
-    delay = modelled["errors"][:, modelled["paths"].index("run.acc.delay")] / STEP
+def report(modeled: dict, bare: dict) -> list[str]:
+    delay = modeled["errors"][:, modeled["paths"].index("run.acc.delay")] / STEP
     lines = [
         "| parameter | true | coverage, modeled, % | standard deviation of the estimate | coverage, not modeled, %"
         " | mean error, not modeled |",
         "|---|---|---|---|---|---|",
     ]
-    for i, path in enumerate(modelled["paths"]):
+    for i, path in enumerate(modeled["paths"]):
         known = path in bare["paths"]
         j = bare["paths"].index(path) if known else 0
         other = f"{100 * bare['held'][:, j].mean():.1f} | {bare['errors'][:, j].mean():.3g}" if known else "|"
         lines.append(
-            f"| {path} | {TRUTH[path]:g} | {100 * modelled['held'][:, i].mean():.1f} | {modelled['errors'][:, i].std():.3g} | {other} |"
+            f"| {path} | {TRUTH[path]:g} | {100 * modeled['held'][:, i].mean():.1f} | {modeled['errors'][:, i].std():.3g} | {other} |"
         )
     lines += [
         "",
         f"Error of the delay: standard deviation {delay.std():.4f} samples, largest {np.abs(delay).max():.4f}, mean {delay.mean():.5f}.",
     ]
-    for name, result in (("Modeled", modelled), ("Not modeled", bare)):
+    for name, result in (("Modeled", modeled), ("Not modeled", bare)):
         lines.append(
             f"{name}: residuals reported as correlated in {100 * result['flagged'].mean():.1f} %, p of the Ljung-Box test below 0.01 in "
             f"{100 * (result['white'] < 0.01).mean():.1f} % of replicates; largest rms over stated noise {result['rms'].mean():.3f}."
@@ -122,7 +122,7 @@ def main():
     warnings.simplefilter("ignore", jb.JaxbodyWarning)
     begin = time.perf_counter()
     study = Study()
-    modelled, bare = study.replicates(options.replicates, True), study.replicates(max(options.replicates // 4, 10), False)
+    modeled, bare = study.replicates(options.replicates, True), study.replicates(max(options.replicates // 4, 10), False)
     page = [
         "# A transducer with a delay, a gain error and a bias",
         "",
@@ -132,7 +132,7 @@ def main():
         ' LVDT, 40 dB. "Coverage": percent of',
         "replicates whose 95 % interval contains the true value.",
         "",
-        *report(modelled, bare),
+        *report(modeled, bare),
     ]
     print("\n".join(page))
     print(f"{time.perf_counter() - begin:.0f} s")

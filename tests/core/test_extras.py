@@ -28,7 +28,7 @@ def reading(start, suffix):
     return read
 
 
-def labelled(folder):
+def labeled(folder):
     jb.sweep(jb.presets.quarter_car(), lambda car: {"mass": car["body"].mass}, {"body.mass": np.array([250.0, 300.0])}).to_xarray()
 
 
@@ -38,7 +38,7 @@ def tuned(folder):
 
 
 USES = {
-    "xarray": labelled,
+    "xarray": labeled,
     "casadi": tuned,
     "pyarrow": reading(b"PAR1", ".parquet"),
     "h5py": reading(b"\x89HDF", ".h5"),

@@ -53,7 +53,7 @@ def test_coupling_is_made_of_the_published_energies(engine):
 
 @pytest.mark.long
 def test_couplings_vanish_where_modes_are_decoupled_and_have_derivatives_there():
-    """A table on isolators in the plane of its centre of mass, square so that modes coincide: nothing couples, and raising the plane
+    """A table on isolators in the plane of its center of mass, square so that modes coincide: nothing couples, and raising the plane
     couples to second order."""
 
     def of_height(z):

@@ -363,7 +363,7 @@ NOWHERE, STILL = (jnp.zeros(12), jnp.zeros((1, 6))), (jnp.zeros(12), jnp.zeros((
 
 
 def test_forces_are_minus_the_gradients_of_the_energies_of_the_model(rng):
-    """On the bodies -dV/dDelta - dR/dv, gravity at the centres of mass among them, and on the supports -dV/dXi - dR/dXi'."""
+    """On the bodies -dV/dDelta - dR/dv, gravity at the centers of mass among them, and on the supports -dV/dXi - dR/dXi'."""
     v, xi_dot = jnp.asarray(rng.normal(size=12)), jnp.asarray(rng.normal(size=(1, 6)))
     _, dV, _, dR, (F, M) = everything(MODEL, NOWHERE[0], v, NOWHERE[1], xi_dot)
     on_bodies, on_base = (-np.asarray(x + y).reshape(-1, 6) for x, y in zip(dV, dR, strict=True))

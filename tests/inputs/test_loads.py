@@ -19,7 +19,7 @@ TIMES = np.linspace(0, 1, 11)
 
 
 def flying(loads, times=TIMES):
-    """Position of the centre of mass and orientation of every body, which only loads act on: {name: function of a body's name -> loads}."""
+    """Position of the center of mass and orientation of every body, which only loads act on: {name: function of a body's name -> loads}."""
     body = jb.Body(mass=MASS, inertia=INERTIA, com=COM)
     model = jb.Model(bodies=dict.fromkeys(loads, body))
     with pytest.warns(jb.JaxbodyWarning, match="UNATTACHED"):

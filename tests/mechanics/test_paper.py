@@ -24,7 +24,7 @@ jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling
 
 
 def plate(l, m=3.0, g=9.81, kt=120.0):
-    """The plate on its three springs, k = m g/l; O is its centre of mass."""
+    """The plate on its three springs, k = m g/l; O is its center of mass."""
     p = paper.plate_points(l)
     k = m * g / l
     length = np.linalg.norm(p["B"] - p["A"])
@@ -145,7 +145,7 @@ N, SIX = 1000, 6
 
 @pytest.fixture(scope="module")
 def geometries():
-    """Models in equilibrium on six springs, body and base turned, centre of mass off O, and what the paper's formulas need of them."""
+    """Models in equilibrium on six springs, body and base turned, center of mass off O, and what the paper's formulas need of them."""
     rng = np.random.default_rng(0)
 
     def turns(n):

@@ -60,7 +60,7 @@ BAD = {
     "5 NaN mass": (lambda: body(mass=NAN), "NON_FINITE", "Body.mass", NAN, "nan finite"),
     "5 infinite mass": (lambda: body(mass=INF), "NON_FINITE", "Body.mass", INF, "inf finite"),
     "5 text": (lambda: body(mass="nan"), "NOT_A_NUMBER", "Body.mass", "nan", "'nan' number"),
-    "5 centre of mass": (lambda: body(com=[0, INF, 0]), "NON_FINITE", "Body.com", None, "inf"),
+    "5 center of mass": (lambda: body(com=[0, INF, 0]), "NON_FINITE", "Body.com", None, "inf"),
     "5 inertia": (lambda: body(inertia=[1, NAN, 1]), "NON_FINITE", "Body.inertia", None, "nan"),
     "5 position": (lambda: jb.Support(position=[NAN, 0, 0]), "NON_FINITE", "Support.position", None, "nan"),
     "5 orientation": (lambda: body(orientation=[NAN, 0, 0, 0]), "NON_FINITE", "Body.orientation", None, "nan"),
@@ -307,10 +307,10 @@ def inertia(masses, points):
 def test_a_true_inertia_is_never_rejected_for_its_round_off(rng):
     """Also where it was carried over from the reference point, far off: I_O - m (c'c - c c')."""
     for masses, points in rods_and_plates(rng, 300):
-        total, centre = masses.sum(), masses @ points / masses.sum()
-        body(mass=total, inertia=inertia(masses, points - centre))
-        far = centre + 1e3 * np.linalg.norm(points) * rng.normal(size=3)
-        about_O = inertia(masses, points - centre + far)
+        total, center = masses.sum(), masses @ points / masses.sum()
+        body(mass=total, inertia=inertia(masses, points - center))
+        far = center + 1e3 * np.linalg.norm(points) * rng.normal(size=3)
+        about_O = inertia(masses, points - center + far)
         body(mass=total, inertia=about_O - inertia(np.array([total]), far[None]), com=far)
 
 

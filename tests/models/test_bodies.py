@@ -59,7 +59,7 @@ def test_euler_angles_may_be_differentiated():
 
 
 def cloud(masses, points):
-    """Mass, centre and inertia about it of point masses, by their definition."""
+    """Mass, center and inertia about it of point masses, by their definition."""
     com = masses @ points / masses.sum()
     return masses.sum(), com, sum(m * (d @ d * np.eye(3) - np.outer(d, d)) for m, d in zip(masses, points - com, strict=True))
 
@@ -87,7 +87,7 @@ def test_a_body_of_parts_is_the_cloud_of_all_their_points(rng):
 
 
 def test_parts_may_be_differentiated():
-    """A bar and a point at its end: dI/dm = (M/(M + m))^2 (l/2)^2 for a bar of mass M about its centre of mass, m the point."""
+    """A bar and a point at its end: dI/dm = (M/(M + m))^2 (l/2)^2 for a bar of mass M about its center of mass, m the point."""
 
     @jax.jit
     @jax.value_and_grad

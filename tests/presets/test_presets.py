@@ -147,8 +147,8 @@ def pushed(car, acceleration):
     return cases, {name: -float(cases.forces[name][0]) - rest[name] for name in names}, np.asarray(cases.state.q[0])
 
 
-def test_braking_and_cornering_load_the_wheels_by_the_height_of_the_centre_of_mass():
-    """m (a cos + g sin) h about the point on the road: m a h/(2 L) a wheel, and what the centre of mass that goes forward adds."""
+def test_braking_and_cornering_load_the_wheels_by_the_height_of_the_center_of_mass():
+    """m (a cos + g sin) h about the point on the road: m a h/(2 L) a wheel, and what the center of mass that goes forward adds."""
     car, m, h, a = presets.full_car(height=0.55), 1100.0, 0.55, 9.80665
     eq = jb.equilibrium(car)
     assert eq.ok and abs(eq.state.q).max() <= 1e-12

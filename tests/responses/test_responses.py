@@ -267,7 +267,7 @@ def test_responses_have_the_derivatives_of_differences():
     rng = np.random.default_rng(5)
     sizes = [max(float(jnp.abs(leaf).max(initial=0.0)), 0.1) for leaf in leaves]
     free = [i for i, (slope, size) in enumerate(zip(gradient, sizes, strict=True)) if np.abs(slope).max(initial=0.0) * size > 1e-9]
-    assert len(free) >= 9  # mass, centre, inertia, gravity, points, lengths, stiffness, damping
+    assert len(free) >= 9  # mass, center, inertia, gravity, points, lengths, stiffness, damping
     h, points, slopes = 2e-5, [], []  # the truncation of differences, near resonance, falls below 1e-7; rounding is below it too
     for i in free:
         tangent = rng.normal(size=leaves[i].shape) * sizes[i]

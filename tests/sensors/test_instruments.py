@@ -88,7 +88,7 @@ def test_a_sensor_at_rest_reads_g_upwards_whatever_its_axes(pendulum):
 
 
 def test_an_offset_accelerometer_of_a_free_body_feels_loads_and_its_spin_but_not_gravity():
-    """f at P: (F/m + alpha x r + w x (w x r)) with r from the centre of mass, alpha = J^-1 (M - w x J w); axes of the body."""
+    """f at P: (F/m + alpha x r + w x (w x r)) with r from the center of mass, alpha = J^-1 (M - w x J w); axes of the body."""
     J, c, m = np.array([0.3, 0.5, 0.7]), np.array([0.05, 0.02, -0.01]), 3.0
     model = jb.Model(bodies={"box": jb.Body(mass=m, inertia=J, com=c)}, gravity=[0, 0, -G])
     w, F, at_P = np.array([1.5, -2.0, 0.7]), np.array([4.0, -3.0, 9.0]), np.array([0.4, 0.1, -0.2])
@@ -124,14 +124,14 @@ GENERAL = {
     "table": jb.ForcePlate("base"),
     "angle": jb.JointAngle("arm"),
 }
-CENTRES, H = np.array([0.4, 0.9]), 2e-3
+CENTERS, H = np.array([0.4, 0.9]), 2e-3
 STENCIL = np.arange(-4, 5)
 
 
 @pytest.fixture(scope="module")
 def flight():
     """A box and an arm on a shaken base, pushed; nine samples about each of two times, so that derivatives can be taken."""
-    times = jnp.concatenate([jnp.zeros(1), jnp.asarray((CENTRES[:, None] + H * STENCIL).ravel())])
+    times = jnp.concatenate([jnp.zeros(1), jnp.asarray((CENTERS[:, None] + H * STENCIL).ravel())])
     model = rigs.rig()
     push = jb.Force(("box", [0.1, 0, 0]), force=jb.signals.Sine(amplitude=[3.0, 1.0, -2.0], frequency=2.0))
     motion = {"base": jb.Harmonic(**SHAKING)}
@@ -144,13 +144,13 @@ def recorded(flight):
 
 
 def rate(x, order=1):
-    """Derivatives at the centres, to eighth order in H."""
+    """Derivatives at the centers, to eighth order in H."""
     first = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280]) / H
     second = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560]) / H**2
     return np.tensordot(np.reshape(x[1:], (2, 9, *x.shape[1:])), first if order == 1 else second, (1, 0))
 
 
-def centre(x):
+def center(x):
     return np.reshape(x[1:], (2, 9, *x.shape[1:]))[:, 4]
 
 
@@ -163,12 +163,12 @@ def test_accelerations_and_angular_velocities_are_the_derivatives_of_poses(fligh
     """Differences of positions good to 1e-13 m over 2 ms leave 1e-7 m/s2."""
     g = np.asarray(flight.model.gravity)
     for name, on, axes in (("acc", "arm", R_S), ("floor", "base", np.eye(3))):
-        R = centre(np.asarray(flight.poses[on].R)) @ axes
+        R = center(np.asarray(flight.poses[on].R)) @ axes
         f = np.einsum("nji,nj->ni", R, rate(points(flight, on, P), 2) - g)
-        np.testing.assert_allclose(centre(recorded[name]), f, rtol=0, atol=1e-6, err_msg=name)
+        np.testing.assert_allclose(center(recorded[name]), f, rtol=0, atol=1e-6, err_msg=name)
     R = np.asarray(flight.poses["arm"].R)
-    spin = np.einsum("nji,njk->nik", centre(R), rate(R))
-    np.testing.assert_allclose(centre(recorded["gyro"]), np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], -1), rtol=0, atol=1e-9)
+    spin = np.einsum("nji,njk->nik", center(R), rate(R))
+    np.testing.assert_allclose(center(recorded["gyro"]), np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], -1), rtol=0, atol=1e-9)
 
 
 def test_gauges_and_beams_are_those_of_points_and_their_derivatives(flight, recorded):
@@ -184,13 +184,13 @@ def test_gauges_and_beams_are_those_of_points_and_their_derivatives(flight, reco
     d = ((p - [0.1, -3, -4]) * normal).sum(1) / (normal @ n)
     np.testing.assert_allclose(recorded["range"], d, rtol=0, atol=1e-12)
     fine = {"rtol": 0, "atol": 1e-9}
-    np.testing.assert_allclose(centre(recorded["velocity"]), rate(seen), **fine)
-    np.testing.assert_allclose(centre(recorded["geophone"]), rate(p @ n), **fine)
-    np.testing.assert_allclose(centre(recorded["laser"]), rate(p @ n), **fine)
-    spots = np.array([0.1, -3, -4]) + centre(d)[:, None] * n
-    at_spot = np.einsum("nji,nj->ni", centre(R_box), spots - centre(np.asarray(flight.poses["box"].p)))  # where on the body the beam is
+    np.testing.assert_allclose(center(recorded["velocity"]), rate(seen), **fine)
+    np.testing.assert_allclose(center(recorded["geophone"]), rate(p @ n), **fine)
+    np.testing.assert_allclose(center(recorded["laser"]), rate(p @ n), **fine)
+    spots = np.array([0.1, -3, -4]) + center(d)[:, None] * n
+    at_spot = np.einsum("nji,nj->ni", center(R_box), spots - center(np.asarray(flight.poses["box"].p)))  # where on the body the beam is
     moved = np.stack([rate(points(flight, "box", a))[i] for i, a in enumerate(at_spot)])
-    np.testing.assert_allclose(centre(recorded["beam"]), moved @ n, **fine)
+    np.testing.assert_allclose(center(recorded["beam"]), moved @ n, **fine)
 
 
 def test_forces_angles_and_attitudes_are_those_of_the_trajectory(flight, recorded):
@@ -486,7 +486,7 @@ def test_what_is_free_of_a_chain_moves_by_what_it_is_about_and_unknown_samples_d
 
 
 @pytest.mark.long
-def test_intervals_hold_where_delay_gain_and_bias_are_modelled_and_residuals_tell_where_they_are_not():
+def test_intervals_hold_where_delay_gain_and_bias_are_modeled_and_residuals_show_where_they_are_not():
     """A few of the replicates of tests/benchmarks/transducers.py; shares within four standard deviations of 95 %. That is no limit above,
     so there errors are held to standard errors, whose ratio n replicates know to 1/sqrt(2 n): intervals twice too wide would halve it."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
@@ -494,14 +494,14 @@ def test_intervals_hold_where_delay_gain_and_bias_are_modelled_and_residuals_tel
 
     study = benchmark.Study()
     n = 60
-    modelled = study.replicates(n, True)
+    modeled = study.replicates(n, True)
     with pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):
         bare = study.replicates(10, False)
-    print(modelled["held"].mean(0), modelled["white"].min(), bare["white"].max())
-    assert (modelled["held"].mean(0) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / n)).all()
-    ratio = np.sqrt(np.mean((modelled["errors"] / modelled["stated"]) ** 2, 0))
+    print(modeled["held"].mean(0), modeled["white"].min(), bare["white"].max())
+    assert (modeled["held"].mean(0) > 0.95 - 4 * np.sqrt(0.95 * 0.05 / n)).all()
+    ratio = np.sqrt(np.mean((modeled["errors"] / modeled["stated"]) ** 2, 0))
     print(ratio)
-    assert (np.abs(ratio - 1) < 4 / np.sqrt(2 * n)).all() and modelled["held"].mean() < 0.99
-    delay = modelled["errors"][:, modelled["paths"].index("run.acc.delay")] / benchmark.STEP
-    assert np.sqrt(np.mean(delay**2)) < 0.01 and not modelled["flagged"].any()
+    assert (np.abs(ratio - 1) < 4 / np.sqrt(2 * n)).all() and modeled["held"].mean() < 0.99
+    delay = modeled["errors"][:, modeled["paths"].index("run.acc.delay")] / benchmark.STEP
+    assert np.sqrt(np.mean(delay**2)) < 0.01 and not modeled["flagged"].any()
     assert bare["flagged"].all() and bare["white"].max() < 1e-6 and not bare["held"].all(0).any()

@@ -26,10 +26,10 @@ def at(model, q, v, sensors, *more):
 
 @pytest.mark.parametrize(("q", "w"), [(0.0, 0.0), (0.7, 0.0), (0.7, 3.0), (-2.2, -5.0)])
 def test_a_pendulum_pulls_on_its_hinge(q, w):
-    """Along the rod m g cos q + m l w^2, across it m g sin q J/(J + m l^2), no moment at the hinge, and about the centre of mass that of
+    """Along the rod m g cos q + m l w^2, across it m g sin q J/(J + m l^2), no moment at the hinge, and about the center of mass that of
     the force."""
     m, l, J, pivot = 2.0, 0.6, 0.4, np.array([0.3, -0.1, 0.2])
-    rod = jb.Body(mass=m, inertia=[0.3, J, 0.1], position=pivot - l * np.eye(3)[2])  # O is the centre of mass
+    rod = jb.Body(mass=m, inertia=[0.3, J, 0.1], position=pivot - l * np.eye(3)[2])  # O is the center of mass
     model = jb.Model(bodies={"rod": rod}, joints={"rod": jb.Hinge("world", axis=[0, 1, 0], at=pivot)}, gravity=[0, 0, -G])
     sensors = {"hinge": jb.Reaction("rod"), "mass": jb.Reaction("rod", [0, 0, 0]), "up": jb.Reaction("rod", component=2)}
     result = at(model, [q], [w], sensors)
@@ -94,7 +94,7 @@ def test_a_console_bends_its_hinge():
 
 def test_a_guide_on_a_moving_base_pushes_sideways():
     """A carriage whose guide stands along z on a base that shakes along x and z: m x_b'' sideways, nothing along the guide, and the moment
-    about O from a centre of mass off the guide; the base stands turned about z, so that its axes are not those of the world."""
+    about O from a center of mass off the guide; the base stands turned about z, so that its axes are not those of the world."""
     m, c, d, f, t = 4.0, np.array([0.05, 0.02, 0.1]), np.array([0.02, 0.0, 0.03]), 1.7, 0.31
     turn = 0.6
     base = jb.Support(orientation=[np.cos(turn / 2), 0, 0, np.sin(turn / 2)])
@@ -238,7 +238,7 @@ def test_derivatives_of_reactions_agree():
 
 @pytest.fixture(scope="module")
 def chain():
-    """Two links on hinges about y, the upper in the origin of a base; centres of mass off the hinges, so that they hang askew; a spring
+    """Two links on hinges about y, the upper in the origin of a base; centers of mass off the hinges, so that they hang askew; a spring
     and a damper turn one against the other."""
     links = {
         "upper": jb.Body(mass=2.0, inertia=[0.1, 0.11, 0.02], com=[0.3, 0, -0.4]),
@@ -251,7 +251,7 @@ def chain():
 
 def test_responses_of_reactions_are_those_of_supports_and_of_accelerations(chain):
     """The upper hinge, all that the base holds, against the reaction on the base, which comes from K, C and M of (Delta, Xi); the lower
-    against Newton's law for its link, by the acceleration of its centre of mass less the push on it. Axes of the base and of the upper
+    against Newton's law for its link, by the acceleration of its center of mass less the push on it. Axes of the base and of the upper
     link turn: what they carry at rest is then seen from another side."""
     lin = jb.linearize(chain, jb.equilibrium(chain))
     inputs = {

@@ -63,7 +63,7 @@ def test_torque_free_top_follows_jacobis_functions_and_the_printed_digits():
     assert abs(period - PERIOD) < 1e-12
     y0 = np.array([np.cos(1.1), 0, np.sin(1.1)])
     body = jb.Body(mass=1.0, inertia=POSSIBLE)
-    model = rigs.hung(body, to=[0, 0, 1], stiffness=1.0, free_length=1.0)  # relaxed, on the centre of mass: no torque
+    model = rigs.hung(body, to=[0, 0, 1], stiffness=1.0, free_length=1.0)  # relaxed, on the center of mass: no torque
     start = jb.State(model.reference.q, jnp.concatenate([jnp.zeros(3), y0 / POSSIBLE]))
     state = moved(model, times, initial=start).state
     R = rigs.turned(state.q[:, 3:])
@@ -102,15 +102,15 @@ def test_heavy_top_on_a_ball_joint_reaches_the_printed_digits():
     start = jb.State(top.reference.q, jnp.array([0, 150, -4.61538]))
     state = moved(top, times, initial=start).state
     R = rigs.turned(state.q)
-    centre, rates = R[:, :, 1], np.einsum("tji,tj->ti", R, state.v)
+    center, rates = R[:, :, 1], np.einsum("tji,tj->ti", R, state.v)
     printed = np.array([[0.173343964098, 0.640088592071, -0.748490791133], [-0.150416822745, -0.724165591637, -0.673022269561]])
-    print("heavy top", abs(centre[[10, 20]] - printed).max(), abs(rates[:, 1] - 150).max())
-    assert max_difference(centre[[10, 20]], printed) < 1e-10
+    print("heavy top", abs(center[[10, 20]] - printed).max(), abs(rates[:, 1] - 150).max())
+    assert max_difference(center[[10, 20]], printed) < 1e-10
     np.testing.assert_allclose(rates[:, 1], 150, rtol=1e-10)
 
 
-def test_off_centre_body_on_a_shaken_base_moves_as_by_an_independent_program():
-    """Newton and Euler about the centre of mass with SciPy's DOP853; the velocity of the base by complex steps."""
+def test_off_center_body_on_a_shaken_base_moves_as_by_an_independent_program():
+    """Newton and Euler about the center of mass with SciPy's DOP853; the velocity of the base by complex steps."""
     orientation = np.array([0.9, 0.1, -0.3, 0.2]) / np.linalg.norm([0.9, 0.1, -0.3, 0.2])
     origin, frequency = np.array([0.1, -0.2, 0.3]), 1.3
     translation, rotation = np.array([0.03, 0.02, -0.04]), np.array([0.1, -0.15, 0.2])
@@ -126,7 +126,7 @@ def test_off_centre_body_on_a_shaken_base_moves_as_by_an_independent_program():
         return origin + xi + b @ (rigs.rodrigues(phi) @ rigs.turned(orientation)).T
 
     def rate(t, y):
-        C, q, v, w = y[:3], y[3:7], y[7:10], y[10:]  # centre of mass, quaternion, its velocity, body rates
+        C, q, v, w = y[:3], y[3:7], y[7:10], y[10:]  # center of mass, quaternion, its velocity, body rates
         R = rigs.turned(q / np.sqrt(q @ q))
         arm = (a - c) @ R.T
         w_W = R @ w
@@ -153,7 +153,7 @@ def test_off_centre_body_on_a_shaken_base_moves_as_by_an_independent_program():
     w_W, arm = np.einsum("tij,tj->ti", R, y[:, 10:]), R @ c
     result = rigs.turned(state.q[:, 3:])
     print(abs(state.v[:, 3:] - w_W).max(1))
-    print("off centre", abs(state.q[:, :3] - (y[:, :3] - arm)).max(), abs(result - R).max(), abs(state.v[:, 3:] - w_W).max())
+    print("off center", abs(state.q[:, :3] - (y[:, :3] - arm)).max(), abs(result - R).max(), abs(state.v[:, 3:] - w_W).max())
     assert max_difference(state.q[:, :3], y[:, :3] - arm) < 1e-8
     assert max_difference(result, R) < 1e-8
     assert max_difference(state.v[:, 3:], w_W) < 1e-8
@@ -161,7 +161,7 @@ def test_off_centre_body_on_a_shaken_base_moves_as_by_an_independent_program():
 
 
 def mounted(mass, inertia, places, stiffness, damping=None):
-    """A body on axis-parallel mounts of a base, O in the centre of mass; four mounts, so that all are compiled once."""
+    """A body on axis-parallel mounts of a base, O in the center of mass; four mounts, so that all are compiled once."""
     damping = np.zeros((4, 3)) if damping is None else damping
     elements = {
         f"mount {i}": jb.Bushing(("body", r), ("base", r), stiffness=k, damping=c)
@@ -210,7 +210,7 @@ def test_body_on_four_isolators_has_harris_frequencies():
 
 
 def half_car(m, radius, front, rear, k_front, k_rear):
-    """Bounce and pitch of a car: (frequencies [rad/s], bounce over pitch). Two wheels an axle, at the height of the centre of mass, so that
+    """Bounce and pitch of a car: (frequencies [rad/s], bounce over pitch). Two wheels an axle, at the height of the center of mass, so that
     what holds the car sideways and lengthways takes no part."""
     places = [[front, 0.7, 0], [front, -0.7, 0], [-rear, 0.7, 0], [-rear, -0.7, 0]]
     sideways = 0.9 * k_front

@@ -156,7 +156,7 @@ def test_work_of_the_moving_base_is_the_change_of_energy_plus_dissipation(rig, r
 
 
 def test_a_body_turning_a_hundred_times_follows_the_exponential():
-    """A sphere on a relaxed spring to its centre: nothing turns it, R(t) = exp([w] t)."""
+    """A sphere on a relaxed spring to its center: nothing turns it, R(t) = exp([w] t)."""
     turns, end = 100, 10.0
     axis = np.array([0.48, -0.6, 0.64])
     model = rigs.hung(jb.Body(mass=1.0, inertia=[0.3, 0.3, 0.3], com=[0, 0, 0]), to=[0, 0, 1], stiffness=1.0, free_length=1.0)

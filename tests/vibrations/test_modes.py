@@ -58,7 +58,7 @@ def test_kinetic_energies_of_the_published_powertrain(engine):
 
 @pytest.mark.long
 def test_shares_are_those_of_the_matrices(rig):
-    """Kinetic energy with O away from the centres of mass and a hinge on a base, against the velocities of each body by differences; strain
+    """Kinetic energy with O away from the centers of mass and a hinge on a base, against the velocities of each body by differences; strain
     by the split of K."""
     model, result = rig.model, jb.mode_energies(rig)
     M, K, C = (np.asarray(x) for x in (rig.M, rig.K, rig.C))
@@ -91,7 +91,7 @@ def test_shares_are_those_of_the_matrices(rig):
 
 
 def _places(model, q, delta):
-    """Centres of mass and orientations of the bodies after small displacements."""
+    """Centers of mass and orientations of the bodies after small displacements."""
     state = jb.State(jb.retract(model, q, jnp.asarray(delta)), jnp.zeros(model.layout.nv))
     frames = frames_of(model, state)[model.layout.first_body :]
     return frames.point(model.bodies.rows.com), frames.R

@@ -243,7 +243,7 @@ def test_a_pendulum_on_a_cart_has_the_slope_of_its_periodic_motions(mode):
 
 
 class Plate:
-    """The free plate of the other tests, by Newton and Euler about its centre of mass: y = (C, R, C', w), all in world axes."""
+    """The free plate of the other tests, by Newton and Euler about its center of mass: y = (C, R, C', w), all in world axes."""
 
     def __init__(self, eq):
         model = eq.model
