@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 from html import escape
 from typing import Any
 
@@ -41,6 +43,22 @@ class Printed(ABC):
 
     def _repr_html_(self) -> str:
         return html(*in_numpy(self)._tables())
+
+
+def summarized(title: str, ndim: int, **heads: str) -> Callable:
+    """A decorator of `_tables` of results that may be batches: unless the first of these attributes has `ndim` axes and a known value, the result
+    prints as one table of the attributes, each under its heading."""
+
+    def of_method(single: Callable[[Any], list[PrintedTable]]) -> Callable[[Any], list[PrintedTable]]:
+        @wraps(single)
+        def shown(self) -> list[PrintedTable]:
+            rows = [(head, getattr(self, name)) for name, head in heads.items()]
+            alone = rows[0][1].ndim == ndim and not isinstance(rows[0][1], Tracer)
+            return single(self) if alone else [PrintedTable(title, ("", ""), rows)]
+
+        return shown
+
+    return of_method
 
 
 def in_numpy(tree: Any) -> Any:

@@ -138,13 +138,16 @@ def units_of(kind: Kind, shape: tuple[int, ...]) -> list[str]:
     return np.broadcast_to(whole, (*shape[:-2], before, last)).ravel().tolist()
 
 
-def take(owner: Any, problems: Problems, **values) -> None:
-    """Set fields of an owner under construction to numbers, each checked for its domain."""
+def take(owner: Any, problems: Problems | None = None, **values) -> None:
+    """Set fields of an owner under construction to numbers, each checked for its domain. Errors are added to `problems`, or raised without it."""
+    found = Problems() if problems is None else problems
     for name, value in values.items():
         where = f"{type(owner).__name__}.{name}"
-        setattr(owner, name, scalar(value, where, problems))
-        if not any(problem.where == where for problem in problems.collected):
-            check_domain(getattr(owner, name), kind_of(owner, name), where, problems)
+        setattr(owner, name, scalar(value, where, found))
+        if not any(problem.where == where for problem in found.collected):
+            check_domain(getattr(owner, name), kind_of(owner, name), where, found)
+    if problems is None:
+        found.raise_if_any()
 
 
 def check_domain(value: Any, kind: Kind, where: str, problems: Problems) -> None:

@@ -19,6 +19,7 @@ from jaxbody.core import tables
 from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
 from jaxbody.core.progress_lines import Line, working
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.identification.fit_parameters import parts_of
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.intervals import widening
 from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_scipy
@@ -113,15 +114,13 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
 def _place(fit: Fit, path: str) -> tuple[int, Any]:
     """The index of the parameter in u, and its value as a function of that u."""
     fit._assessed()
-    first = 0
-    for f in fit.task.free:
+    for f, part in zip(fit.task.free, parts_of(fit.task.free), strict=True):
         labels = [f.path + label for label in f.form.labels()]
         if path in labels and not isinstance(f.form, Elementwise):
             message, hint = f"'{path}' does not vary independently", "Give a scalar, such as a stiffness, or a number of a vector."
             raise JaxbodyError(Problem("WRONG_KIND", "profile.path", message, path, hint=hint))
         if path in labels:
-            return first + labels.index(path), partial(_value, f.form, labels.index(path))
-        first += f.form.size
+            return part.start + labels.index(path), partial(_value, f.form, labels.index(path))
     paths = tuple(f.path + label for f in fit.task.free for label in f.form.labels())
     problem = unknown(path, "profile.path", paths)
     raise JaxbodyError(Problem("UNKNOWN_PATH", "profile.path", problem.message, path, hint=problem.hint))

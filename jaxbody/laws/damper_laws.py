@@ -6,7 +6,6 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 
-from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field, take
 from jaxbody.laws.laws import Law, Number
 
@@ -31,9 +30,7 @@ class Digressive(Law):
     knee: Number = field("argument", "positive")
 
     def __init__(self, *, slow, fast, knee):
-        problems = Problems()
-        take(self, problems, slow=slow, fast=fast, knee=knee)
-        problems.raise_if_any()
+        take(self, slow=slow, fast=fast, knee=knee)
 
     def force(self, x):
         return self.fast * x + (self.slow - self.fast) * x / jnp.sqrt(1 + (x / self.knee) ** 2)
@@ -56,9 +53,7 @@ class Friction(Law):
     velocity: Number = field("argument", "positive", hint="Give the velocity at which it slides with 71 % of the force.")
 
     def __init__(self, *, level, velocity):
-        problems = Problems()
-        take(self, problems, level=level, velocity=velocity)
-        problems.raise_if_any()
+        take(self, level=level, velocity=velocity)
 
     def force(self, x):
         return self.level * x / jnp.sqrt(x**2 + self.velocity**2)

@@ -87,9 +87,7 @@ class Linear(Law):
     coefficient: Number = field("force/argument", "nonnegative", hint="If this is intended, use Polynomial([...]).")
 
     def __init__(self, coefficient):
-        problems = Problems()
-        take(self, problems, coefficient=coefficient)
-        problems.raise_if_any()
+        take(self, coefficient=coefficient)
 
     def force(self, x):
         return self.coefficient * x

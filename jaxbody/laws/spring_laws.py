@@ -74,10 +74,8 @@ class Stop(Law):
     extension: bool = field(static=True)
 
     def __init__(self, *, gap, stiffness, engagement=1e-3, extension: bool = False):
-        problems = Problems()
         self.extension = bool(extension)
-        take(self, problems, gap=gap, stiffness=stiffness, engagement=engagement)
-        problems.raise_if_any()
+        take(self, gap=gap, stiffness=stiffness, engagement=engagement)
 
     def force(self, x):
         d, side = self._penetration(x)
@@ -117,9 +115,7 @@ class TensionOnly(Law):
     stiffness: Number = field("force/argument", "nonnegative")
 
     def __init__(self, stiffness):
-        problems = Problems()
-        take(self, problems, stiffness=stiffness)
-        problems.raise_if_any()
+        take(self, stiffness=stiffness)
 
     def force(self, x):
         return 0.5 * self.stiffness * (x + x * jnp.sign(x))  # |x|, with slope 0 at 0
@@ -155,9 +151,7 @@ class AirSpring(Law):
     ambient: Number = field("Pa", "nonnegative")
 
     def __init__(self, *, pressure, area, height, exponent=1.4, ambient=ATMOSPHERE):
-        problems = Problems()
-        take(self, problems, pressure=pressure, area=area, height=height, exponent=exponent, ambient=ambient)
-        problems.raise_if_any()
+        take(self, pressure=pressure, area=area, height=height, exponent=exponent, ambient=ambient)
 
     @classmethod
     def carrying(cls, load, *, area, height, exponent=1.4, ambient=ATMOSPHERE) -> AirSpring:

@@ -100,10 +100,9 @@ class FrequencyResponse(Result):
         }
         return dataset(variables, coordinates, "frequency response")
 
+    @tables.summarized("Frequency response", 3, values="values")
     def _tables(self) -> list[tables.PrintedTable]:
         heads = ("output", "input", "unit", "at first frequency", "largest", "at [Hz]")
-        if self.values.ndim > 3 or not is_concrete(self.values):
-            return [tables.PrintedTable("Frequency response", ("", ""), [("values", self.values)])]
         f, size = np.asarray(self.frequencies), np.abs(np.asarray(self.values))
         largest = np.argmax(np.nan_to_num(size, nan=-1.0), -1)
         rows = [

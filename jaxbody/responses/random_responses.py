@@ -59,9 +59,8 @@ class RandomResponse(Result):
         coordinates = {"output": list(self.outputs), "frequency": ("frequency", f.reshape(-1, f.shape[-1])[0], {"units": "Hz"})}
         return dataset(variables, coordinates, "random response")
 
+    @tables.summarized("Random response", 1, rms="rms")
     def _tables(self) -> list[tables.PrintedTable]:
-        if self.rms.ndim > 1 or not is_concrete(self.rms):
-            return [tables.PrintedTable("Random response", ("", ""), [("rms", self.rms)])]
         f = np.asarray(self.frequencies)
         rows = [(name, value, unit) for name, value, unit in zip(self.outputs, self.rms, self.units, strict=True)]
         note = "" if int(self.status) == 0 else self.report()

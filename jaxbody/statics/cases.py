@@ -15,7 +15,7 @@ from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import device_array, stack, vector
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import AXES, dataset, rows_of
-from jaxbody.core.errors import Problems, Status, is_concrete
+from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Pose
@@ -132,9 +132,8 @@ class LoadCases(Result):
             variables[f"{name}_force"] = (("case", "component"), forces[name], "N, N m")
         return dataset(variables, coordinates, "load cases")
 
+    @tables.summarized("Load cases", 3, displacement_rows="displacements [m]")
     def _tables(self) -> list[tables.PrintedTable]:
-        if self.status.ndim != 1 or not is_concrete(self.status):
-            return [tables.PrintedTable("Load cases", ("", ""), [("displacements [m]", self.displacement_rows)])]
         rows = []
         for i, case in enumerate(self.names):
             label = case

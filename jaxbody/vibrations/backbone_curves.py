@@ -34,7 +34,7 @@ from jaxbody.core import tables
 from jaxbody.core.arrays import module_of
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
-from jaxbody.core.errors import MESSAGES, Status, is_concrete
+from jaxbody.core.errors import MESSAGES, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import rotate, rotate_back
 from jaxbody.mechanics.energies import kinetic, potential
@@ -107,9 +107,8 @@ class Backbones(Result):
         }
         return dataset(variables, {"mode": list(range(1, largest.shape[-1] + 1)), "coordinate": list(layout.coordinates)}, "backbones")
 
+    @tables.summarized("Backbones", 1, curvature="curvature [1/m2, 1/rad2]")
     def _tables(self) -> list[tables.PrintedTable]:
-        if self.frequency.ndim > 1 or not is_concrete(self.frequency):
-            return [tables.PrintedTable("Backbones", ("", ""), [("curvature [1/m2, 1/rad2]", self.curvature)])]
         rows = []
         for i, (force, frequency) in enumerate(zip(self.force_within(5), self.frequency_within(5), strict=True)):
             largest, status = int(self.largest[i]), Status(int(self.status[i]))

@@ -12,7 +12,7 @@ from jaxtyping import Array, Complex, Float, Int
 from jaxbody.core import tables
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
-from jaxbody.core.errors import Status, is_concrete
+from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import cross
 from jaxbody.mechanics.kinematics import Coordinates
@@ -81,11 +81,8 @@ class ComplexModes(Result):
         count = np.shape(self.frequency)[-1]
         return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(self.layout.coordinates)}, "complex modes")
 
+    @tables.summarized("Complex modes", 1, frequency="frequency [Hz]", damping_ratio="damping ratio")
     def _tables(self) -> list[tables.PrintedTable]:
-        if self.frequency.ndim > 1 or not is_concrete(self.frequency):
-            return [
-                tables.PrintedTable("Complex modes", ("", ""), [("frequency [Hz]", self.frequency), ("damping ratio", self.damping_ratio)])
-            ]
         heads = ("mode", "frequency [Hz]", "natural frequency [Hz]", "damping ratio", "decay rate [1/s]", "most energy in")
         natural, names = np.asarray(self.natural_frequency), self.names
         ratio, decay = tables.without_dust(self.damping_ratio, 1.0), tables.without_dust(self.decay_rate, natural.max(initial=0.0)) + 0.0

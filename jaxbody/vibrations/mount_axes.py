@@ -56,9 +56,8 @@ class ElasticAxes(Result):
         }
         return dataset(variables, {"axis": AXES, "elastic_axis": [1, 2, 3]}, f"elastic axes of {self.body}")
 
+    @tables.summarized("Elastic axes", 1, stiffness="stiffness [N/m]")
     def _tables(self) -> list[tables.PrintedTable]:
-        if self.stiffness.ndim > 1 or not is_concrete(self.stiffness):
-            return [tables.PrintedTable("Elastic axes", ("", ""), [("stiffness [N/m]", self.stiffness)])]
         columns = zip(self.directions.T, self.stiffness, self.points, self.pitch, strict=True)
         rows = [(str(i + 1), tables.without_dust(d), k, tables.without_dust(p), h) for i, (d, k, p, h) in enumerate(columns)]
         torsional_axes = [

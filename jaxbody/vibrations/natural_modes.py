@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 from jaxbody.core import tables
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
-from jaxbody.core.errors import Status, is_concrete
+from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.models.layouts import Layout
 from jaxbody.models.models import Model
@@ -72,9 +72,8 @@ class Modes(Result):
         count = np.shape(self.frequency)[-1]
         return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(self.layout.coordinates)}, "modes")
 
+    @tables.summarized("Modes", 1, frequency="frequency [Hz]")
     def _tables(self) -> list[tables.PrintedTable]:
-        if self.frequency.ndim > 1 or not is_concrete(self.frequency):
-            return [tables.PrintedTable("Modes", ("", ""), [("frequency [Hz]", self.frequency)])]
         names, ratio = self.names, tables.without_dust(self.damping_ratio, 1.0)
         rows = [(str(i + 1), *row) for i, row in enumerate(zip(np.asarray(self.frequency), ratio, names, strict=True))]
         notes = [self.report() if int(self.status) else "", mark_note(names)]
