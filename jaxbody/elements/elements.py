@@ -48,7 +48,7 @@ class Element(eqx.Module):
     """
 
     between: tuple[str, ...] = eqx.field(static=True)
-    size: ClassVar[int] = 1  # of the deformation
+    size: ClassVar[int] = 1  # number of components of the deformation
     jump: ClassVar[tuple[str, str, str] | None] = None  # where its force jumps: code, description of the place, remedy
     a: Float[Array, "3"] = field("m")
     b: Float[Array, "3"] = field("m")

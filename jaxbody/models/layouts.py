@@ -112,5 +112,5 @@ class Layout:
 
     @cached_property
     def angular(self) -> np.ndarray:
-        """(nq,): True for angles and for the four numbers of a quaternion, which stand for three turns."""
+        """(nq,): True for angles and for the four numbers of a quaternion, which describe three rotations."""
         return np.array([turn for kind in self.kinds for turn in (*kind.turns, *[True] * (kind.nq - kind.nv))], dtype=bool)

@@ -122,7 +122,7 @@ def _check_length(problems: Problems, where: str, line: LineElement, A, B) -> No
         problems.add(
             "ZERO_LENGTH",
             where,
-            f"has length {length:.3g} m in the reference pose, so no direction",
+            f"has length {length:.3g} m in the reference pose, which gives it no direction",
             value=length,
             limit="> 0",
             hint=f"Use a Bushing, a free length and damping of 0, or move a point by more than {1e-6 * size:.1g} m.",

@@ -316,7 +316,7 @@ def _eliminated(A: _Matrices, s) -> Callable[[Complex[Array, "n m nf"], bool], C
     shapes = jax.scipy.linalg.solve_triangular(L, jnp.linalg.eigh((whitened + whitened.T) / 2)[1], lower=True, trans=1)
     D = A.moved(shapes.T, shapes).at(s)
     D = jnp.concatenate([D, jnp.broadcast_to(shapes.T[:, :, None], D.shape)], 1)
-    for i in range(n):  # of the columns not yet cleared
+    for i in range(n):  # the first column is eliminated and dropped
         row = D[i, 1:] / D[i, 0]
         D = jnp.where((jnp.arange(n) == i)[:, None, None], row, D[:, 1:] - D[:, :1] * row)
     inverse = jnp.tensordot(shapes, D, 1)

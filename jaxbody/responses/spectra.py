@@ -28,8 +28,8 @@ DENSITIES = {  # dimension -> quantity, measure of frequency
 }
 CYCLES = re.compile(r"\bcycles?\b")
 LAST = re.compile(r".*[^/]/\s*(\([^()]*\)|[^/()\s*.]+)\s*")  # the last divisor of a unit
-ROUNDING = 1e-9  # of the smallest eigenvalue of a matrix of coherences
-LOWEST = -700.0  # in place of the logarithm of zero
+ROUNDING = 1e-9  # round-off of the smallest eigenvalue of a matrix of coherences
+LOWEST = -700.0  # used for the logarithm of zero
 
 
 class Spectrum(eqx.Module):

@@ -172,7 +172,15 @@ class Sensor(Channel):
 
 
 class Position(Sensor):
-    """World position [m] of a point of a body or support; with `axis` (a direction in world axes) one number, the component along it.
+    """World position [m] of a point of a body or support.
+
+    Args:
+        on: name of the body or support
+        point: in its axes [m]
+        axis: a direction in world axes, for the component along it; None: three components
+        chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
+
+    Errors: ZERO_AXIS, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
 
     >>> Position("plate", [0.1, 0, 0]).shape, Position("plate", axis=[1, 0, 0]).shape
     ((3,), ())

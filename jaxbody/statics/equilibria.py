@@ -178,7 +178,7 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     Args:
         start: the state to start from; by default the reference pose.
         loads: {name: load}, as at time 0, raised from zero along the stable branch; by default none. Where K is singular without loads (an
-            unstressed string pushed sideways) V less the work of dead forces is descended instead, and the result is `descended`.
+            unstressed string pushed sideways) the search descends V minus the work of dead forces instead, and the result is `descended`.
         max_steps: of the search.
 
     Differentiable with respect to the model in forward and reverse mode, to any order; the derivative of a search that failed, or through a

@@ -186,7 +186,7 @@ def _backbones(lin: Linearization) -> Backbones:
         least = COUPLED * square * jnp.sqrt(m) / (size * scale[i])
         drifts = jnp.any(rigid & (jnp.abs(shapes.T @ B0) > least))
         resonates = jnp.any(doubled & (jnp.abs(shapes.T @ B2) > least))
-        near = jnp.max(jnp.abs(solve(K, rigid, force)) / scale) <= AT_REST * size  # the equilibrium is
+        near = jnp.max(jnp.abs(solve(K, rigid, force)) / scale) <= AT_REST * size  # the state is an equilibrium
         return phi, value, gamma, c0, c2, jnp.sum(phi * (K @ phi)), V3, V4, near, drifts, resonates
 
     phi, value, gamma, c0, c2, V2, V3, V4, near, drifts, resonates = jax.vmap(one, in_axes=(1, 0, 0, 0))(shapes, values, largest, valid)

@@ -98,7 +98,7 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
 
     K and D need not be symmetric. Differentiable, on the CPU: all results of single poles, sums where poles coincide; at a double pole with
     one shape, as at critical damping, the derivative is infinite and given as NaN. Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE,
-    SINGULAR_K, and by the status of `lin`. Source: D. J. Inman, Vibration with Control (2006), 3.4 and 4.
+    SINGULAR_K, and of the status of `lin`. Source: D. J. Inman, Vibration with Control (2006), 3.4 and 4.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=12.0)})

@@ -120,8 +120,8 @@ class Linearization(Result):
 
         States: Delta and Delta' less terms in u, so that no derivative of an input is needed; further the displacement of a base motion
         given as velocity, and displacement and velocity of one given as acceleration. An output that depends on derivatives of u, as the
-        acceleration of a damped body does on the displacement of its base, has no state space: IMPROPER, D NaN there; take
-        kind="acceleration".
+        acceleration of a damped body does on the displacement of its base, has no state space: the status is IMPROPER, with NaN in
+        D; use kind="acceleration".
         Errors: WRONG_KIND, UNKNOWN_NAME, BAD_COMPONENT.
 
         >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
