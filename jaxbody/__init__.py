@@ -27,7 +27,9 @@ The packages, in the order to read them; each imports only from those before it:
     app             The command jaxbody.
 """
 
+import sys
 from importlib import import_module
+from types import ModuleType
 
 __version__ = "0.1.0"
 
@@ -125,5 +127,24 @@ def __getattr__(name):
     return thing
 
 
-def __dir__():
-    return __all__
+class _Listed(ModuleType):
+    """A module of this package: `dir` lists its `__all__`, else its public names, else what it defines; of a package its modules."""
+
+    def __dir__(self):
+        def own(x):
+            home = x.__name__ if isinstance(x, ModuleType) else getattr(x, "__module__", None)
+            return (home or "").startswith(self.__name__)
+
+        listed = vars(self).get("__all__") or _NAMES.get(self.__name__)
+        return listed or [name for name, x in vars(self).items() if name[0] != "_" and own(x)]
+
+    def __setattr__(self, name, value):
+        """The import system sets each module in its package after it has run; it may have imported modules of its own by then."""
+        if isinstance(value, ModuleType) and value.__name__ == f"{self.__name__}.{name}":
+            value.__class__ = _Listed
+            for part in [*vars(value).items()]:
+                setattr(value, *part)
+        super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Listed

@@ -9,10 +9,10 @@ from pathlib import Path
 import equinox as eqx
 import jax
 import jaxlib.version
+import jaxtyping
 import numpy as np
 import pytest
-
-from jaxbody.numerics import lanes
+from beartype import BeartypeConf, beartype
 
 jax.config.update("jax_enable_x64", True)
 # What is traced are millions of objects that stay: looking for garbage among them as often as by default takes a tenth of the time
@@ -20,12 +20,17 @@ gc.set_threshold(50_000, 20, 50)
 
 STATM = Path("/proc/self/statm")
 MUCH, MUCH_BETWEEN_FILES = 1.2e9, 0.8e9  # bytes of memory that a worker has in use; a file shares what it compiles
+beartyped = beartype(conf=BeartypeConf(is_pep484_tower=True))  # where a float is asked for, an int is one
 
 
 def pytest_configure(config):
     """XLA compiles in less time, as compiling is most of what tests do: all programs as with `jaxbody.quick_options`, those of the quick
     tests without optimization, each in one piece (a fifth less time), and once for all workers. The others, and those chosen for every
     Python, run what users run."""
+    if config.option.typed:
+        jaxtyping.install_import_hook("jaxbody", "conftest.beartyped")
+        jax.config.update("jax_numpy_dtype_promotion", "strict")
+        jax.config.update("jax_numpy_rank_promotion", "raise")
     flags = ["--xla_cpu_use_fusion_emitters=false"] if jaxlib.version.__version__.startswith("0.10.") else []
     if config.option.markexpr == "not long":
         flags += ["--xla_backend_optimization_level=0", "--xla_cpu_parallel_codegen_split_count=1"]
@@ -59,6 +64,8 @@ def batches(request):
     if request.param == "in lanes":
         yield
     else:
+        from jaxbody.numerics import lanes
+
         with lanes.switched_off():
             yield
 
@@ -81,6 +88,9 @@ def pytest_sessionfinish():
 
 
 def pytest_addoption(parser):
+    parser.addoption(
+        "--typed", action="store_true", help="check all annotations of jaxbody, and raise where JAX would promote types or ranks"
+    )
     parser.addoption("--third", type=int, choices=(1, 2, 3), help="of the files, those whose number among all leaves this rest")
 
 

@@ -18,9 +18,11 @@ from pathlib import Path
 import conftest
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import pytest
 
 import jaxbody as jb
+from jaxbody.geometry import vectors
 
 PACKAGE = Path(jb.__file__).parent
 
@@ -301,6 +303,27 @@ def test_a_public_module_lists_what_it_offers_and_nothing_else(name):
         }
         offered |= draws if name == "plots" else {name for name, x in own.items() if ">>>" in (x.__doc__ or "")}
     assert dir(public) == sorted(offered)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_dir_of_a_module_lists_no_imports(module):
+    thing = importlib.import_module(f"jaxbody.{module}".removesuffix(".__init__"))
+    own = [getattr(thing, name) for name in dir(thing) if name not in getattr(thing, "__all__", ())]
+    homes = [x.__name__ if inspect.ismodule(x) else getattr(x, "__module__", "jaxbody") for x in own]
+    assert [home for home in homes if home and not home.startswith("jaxbody")] == []
+    assert not [name for name in dir(thing) if name.startswith("_")]
+
+
+def test_annotations_are_checked_where_pytest_is_asked_to(pytestconfig):
+    """`pytest --typed`: shapes of arguments and results by jaxtyping and beartype, no implicit change of a type or a rank."""
+    if not pytestconfig.option.typed:
+        pytest.skip("for pytest --typed")
+    with pytest.raises(jaxtyping.TypeCheckError, match="parameter 'b'"):
+        vectors.cross(jnp.zeros(3), jnp.zeros(2))
+    with pytest.raises(ValueError, match="rank_promotion"):
+        jnp.zeros((2, 3)) + jnp.zeros(3)
+    with pytest.raises(jax.dtypes.TypePromotionError):
+        jnp.zeros(3) + jnp.arange(3)
 
 
 @pytest.mark.parametrize("name", EXPORTED)

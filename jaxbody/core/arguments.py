@@ -47,7 +47,7 @@ def whole_number(value: Any, where: str, problems: Problems, least: int = 1, cod
     """A whole number, `least` or more; 1e5 counts as whole. Traced numbers are returned unchanged."""
     if isinstance(value, Tracer):
         return value
-    number = int(value) if isinstance(value, float) and value.is_integer() else value
+    number: Any = int(value) if isinstance(value, float) and value.is_integer() else value
     try:
         valid = operator.index(number) >= least and not isinstance(value, bool)
     except TypeError:

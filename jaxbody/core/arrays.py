@@ -7,9 +7,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Complex, Float, Int, PRNGKeyArray  # noqa: F401  for annotations, with Array
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.jax_internals import Tracer
+
+Array = jax.Array | np.ndarray  # in annotations: numbers that a user gave stay NumPy's, on no device, until something is computed
 
 
 def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
@@ -59,7 +62,7 @@ def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -
     return np.zeros(shape) if array is None else array
 
 
-def device_array(value: np.ndarray | jax.Array) -> jax.Array:
+def device_array(value: Any) -> jax.Array:
     """The value as a JAX array, float64 or, where x64 is off, float32."""
     return jnp.asarray(value, dtype=float)
 

@@ -72,7 +72,7 @@ class CompileTimes:
             self.programs[name] = (trace, lowered + seconds, compiled, n) if phase == 1 else (trace, lowered, compiled + seconds, n + 1)
 
     def __repr__(self) -> str:
-        rows = sorted(((name, *times) for name, times in self.programs.items()), key=lambda row: -sum(row[1:4]))
+        rows: list[tuple[Any, ...]] = sorted(((name, *times) for name, times in self.programs.items()), key=lambda row: -sum(row[1:4]))
         rest = rows[MOST_ROWS:]
         shown = rows[:MOST_ROWS]
         if rest:
@@ -110,24 +110,24 @@ def compile_times() -> Iterator[CompileTimes]:
     """
     record, listening = CompileTimes(), True
 
-    def seconds(event: str, duration: float, **more) -> None:
+    def timed(event: str, duration_secs: float, **more: Any) -> None:
         if listening:
-            record.heard(event, duration, **more)
+            record.heard(event, duration_secs, **more)
 
-    def event(name: str, **more) -> None:
-        record.cached += listening and name == HIT
-        if listening and name == LEFT:
+    def counted(event: str, **more: Any) -> None:
+        record.cached += listening and event == HIT
+        if listening and event == LEFT:
             record.left_to_vmap[more["function"]] = more["why"]
 
-    monitoring.register_event_duration_secs_listener(seconds)
-    monitoring.register_event_listener(event)
+    monitoring.register_event_duration_secs_listener(timed)
+    monitoring.register_event_listener(counted)
     try:
         yield record
     finally:
         listening = False
         if hasattr(monitoring, "unregister_event_listener"):  # older versions of JAX cannot remove them
-            monitoring.unregister_event_duration_listener(seconds)
-            monitoring.unregister_event_listener(event)
+            monitoring.unregister_event_duration_listener(timed)
+            monitoring.unregister_event_listener(counted)
 
 
 class Compiled:
@@ -185,9 +185,9 @@ def _under_way() -> dict[str, float]:
     """{function that is being compiled: seconds that JAX has spent on it}, from events of JAX after the first call."""
     spent: dict[str, float] = {}
 
-    def heard(event: str, seconds: float, **more: Any) -> None:
+    def heard(event: str, duration_secs: float, **more: Any) -> None:
         if event in PHASES and program(more) in spent:
-            spent[program(more)] += seconds
+            spent[program(more)] += duration_secs
 
     monitoring.register_event_duration_secs_listener(heard)
     return spent

@@ -145,7 +145,7 @@ def shaped(shape: tuple[int, ...], dtype: Any) -> ShapedArray:
     return ShapedArray(shape, dtype, sharding=jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*(None for _ in shape))))
 
 
-def linear_one_way(name: str, forward: Callable[..., Array], backward: Callable[..., Array], again: Any = None) -> Callable[..., Array]:
+def linear_one_way(name: str, forward: Callable[..., Any], backward: Callable[..., Any], again: Any = None) -> Callable[..., Array]:
     """A function of a tangent and of known arrays, with its own transpose; all functions take leading axes of batches.
 
     A custom rule of JAX would transpose `forward`, which here need not be linear, and cannot inspect a cotangent.

@@ -14,10 +14,10 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
+from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.progress_lines import working
@@ -50,7 +50,7 @@ class Front(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset over `point`: every quantity, parameter and slope."""
-        variables = {"status": (("point",), self.status, "")}
+        variables: dict[str, tuple[tuple[str, ...], Any, str]] = {"status": (("point",), self.status, "")}
         for name, values in {**self.quantities, **self.values}.items():
             axes = tuple(f"{name}_{i}" for i in range(np.ndim(values) - 1))
             variables.setdefault(name, (("point", *axes), values, ""))
@@ -115,7 +115,7 @@ def pareto(
             both[other] = (lower, bound if upper is None else min(bound, upper))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the front has the status of each
-            return tune(start, evaluate, minimize=name, free=free, limits=both, **(options if start is model else options | {"starts": 1}))
+            return tune(start, evaluate, minimize=name, free=free, limits=both, **(options if start is model else dict(options, starts=1)))
 
     with working("pareto", options.get("progress")) as line:
         ends = [least(model, name, {}) for name in names]
@@ -171,9 +171,9 @@ def _over(names: list[str], ends: list[Tuning], least: Any, points: int) -> list
     values = np.array([[_value(design, name) for name in names] for design in designs])
     size = np.ptp(values, axis=0)
     gain = (values[:, None] - values[None]) / np.where(size > 0, size, 1.0)  # of the second design of each pair over the first
-    dominated = (gain >= -SAME).all(-1) & (gain > NOTABLE).any(-1)
-    repeated = np.triu((np.abs(gain) < NOTABLE).all(-1), 1).any(0)
-    return [design for design, worse, duplicate in zip(designs, dominated.any(1), repeated, strict=True) if not worse and not duplicate]
+    dominated = np.all(gain >= -SAME, -1) & np.any(gain > NOTABLE, -1)
+    repeated = np.any(np.triu(np.all(np.abs(gain) < NOTABLE, -1), 1), 0)
+    return [design for design, worse, duplicate in zip(designs, np.any(dominated, 1), repeated, strict=True) if not worse and not duplicate]
 
 
 def _front(names: list[str], designs: list[Tuning]) -> Front:
@@ -181,6 +181,7 @@ def _front(names: list[str], designs: list[Tuning]) -> Front:
     slopes = np.array(
         [[design.multipliers.get(name, 0.0) if design.minimize == names[0] else np.nan for name in names[1:]] for design in designs]
     )
-    values = {path: jnp.stack([design.values[path] for design in designs]) for path in designs[0].values}
-    quantities = {name: np.stack([design.after[name] for design in designs]) for name in designs[0].after}
-    return Front(objectives, values, quantities, slopes, np.array([int(design.status) for design in designs]), tuple(designs))
+    values: dict[str, Array] = {path: jnp.stack([design.values[path] for design in designs]) for path in designs[0].values}
+    quantities: Quantities = {name: np.stack([design.after[name] for design in designs]) for name in designs[0].after}
+    status = np.array([int(design.status) for design in designs])
+    return Front(objectives=objectives, values=values, quantities=quantities, slopes=slopes, status=status, designs=tuple(designs))

@@ -9,9 +9,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import concrete, float_array
+from jaxbody.core.arrays import Array, Float, concrete, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, is_concrete
 from jaxbody.responses.comfort_weightings import weighted
 from jaxbody.responses.frequency_responses import FrequencyResponse
@@ -33,10 +32,6 @@ __all__ = [
     "torque_roll_coupling",
     "transmitted",
 ]
-
-
-def __dir__():
-    return __all__
 
 
 LEAST_SHARE = 1e-6  # shares of energy below this are rounded off to avoid a kink at zero
@@ -167,7 +162,7 @@ def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Ar
         hint = "The average is over log(f): leave 0 Hz out."
         raise JaxbodyError(Problem("BAD_FREQUENCY", "transmitted.response", "has a frequency of 0 Hz", 0.0, "> 0", hint))
     H, x = response[output, name], jnp.log(response.frequencies)
-    return jnp.sqrt(jnp.trapezoid(H.real**2 + H.imag**2, x) / (x[-1] - x[0]))
+    return jnp.sqrt(jnp.trapezoid(jnp.real(H) ** 2 + jnp.imag(H) ** 2, x) / (x[-1] - x[0]))
 
 
 def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:

@@ -9,8 +9,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
@@ -155,7 +155,7 @@ def evaluated(evaluate: Evaluate, *given: Any) -> Quantities:
         raise JaxbodyError(Problem("BAD_OBJECTIVE", "evaluate", message, hint=hint)) from error
     named = result if isinstance(result, dict) else {"objective": result}
     try:
-        quantities = {str(name): jnp.asarray(x, float) for name, x in named.items()}
+        quantities: Quantities = {str(name): jnp.asarray(x, float) for name, x in named.items()}
     except (TypeError, ValueError):
         quantities = {}
     if not quantities:

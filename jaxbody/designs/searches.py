@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from threadpoolctl import threadpool_limits
 
+from jaxbody.core.arrays import Float
 from jaxbody.designs.interior_points import minimize_by_ipopt
 
 ACTIVE = 1e-5  # a limit or bound is active within this scaled distance
@@ -80,10 +80,10 @@ class Search:
     def __post_init__(self):
         self.u = self.requested = self.start
 
-    def keep(self, u: DesignVector, values: DesignVector, slopes: np.ndarray) -> None:
+    def keep(self, u: DesignVector, values: np.ndarray, slopes: np.ndarray) -> None:
         self.u, self.values, self.slopes = u, values, slopes
 
-    def ask(self, u: DesignVector) -> tuple[DesignVector, np.ndarray]:
+    def ask(self, u: DesignVector) -> tuple[np.ndarray, np.ndarray]:
         self.requested = np.array(u)
         self.back.release()
         self.go.acquire()
@@ -155,7 +155,7 @@ class Scaled:
     def _finite(self, *arrays: np.ndarray) -> bool:
         return all(np.isfinite(x[self.requested]).all() for x in arrays)
 
-    def _requested(self, u: DesignVector) -> tuple[DesignVector, np.ndarray]:
+    def _requested(self, u: DesignVector) -> tuple[np.ndarray, np.ndarray]:
         """Values and derivatives; where derivatives do not exist, those of a point nearby."""
         values, slopes = self.search.ask(u)
         if self._finite(values) and not self._finite(slopes):
@@ -183,7 +183,7 @@ class Scaled:
             )  # fmt: skip
         return self.last[1]
 
-    def _keep(self, u: DesignVector, values: DesignVector, slopes: np.ndarray) -> None:
+    def _keep(self, u: DesignVector, values: np.ndarray, slopes: np.ndarray) -> None:
         """Add to the history, and keep u if it is better than the best so far: smaller violation or, if both are feasible, lower
         objective."""
         search, f = self.search, self.rows.objective
@@ -249,7 +249,11 @@ def _minimize(problem: Scaled, method: str, iterations: int, tolerance: float) -
     else:
         if len(rows.limited):
             limits = scipy.optimize.NonlinearConstraint(
-                lambda u: problem.at(u)[2], lower, upper, jac=lambda u: problem.at(u)[3], hess=scipy.optimize.BFGS()
+                lambda u: problem.at(u)[2],
+                lower,
+                upper,
+                jac=lambda u: problem.at(u)[3],  # pyright: ignore[reportArgumentType]  SciPy takes functions, too
+                hess=scipy.optimize.BFGS(),
             )
         inside = np.isfinite(np.r_[lower[lower != upper], upper[lower != upper], problem.search.low, problem.search.high]).any()
         gtol = 1e-14 if inside else tolerance**0.8  # a larger gtol would end the search at a large barrier parameter

@@ -93,7 +93,7 @@ def sweep(
     return sweep_dataset(columns, quantities, on_grid=samples is None)
 
 
-def _end(values: np.ndarray, which: Any) -> np.ndarray:
+def _end(values: np.ndarray, which: Any) -> np.ndarray | float:
     """The value that contains the smallest or the largest number."""
     return values[np.unravel_index(which(values), values.shape)[0]]
 

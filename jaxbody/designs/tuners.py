@@ -191,7 +191,7 @@ def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> l
     return searches
 
 
-def _neighbors_of(catalog: np.ndarray, u: float) -> np.ndarray:
+def _neighbors_of(catalog: np.ndarray, u) -> np.ndarray:
     """The neighbors of u, one below and one above, the nearer first."""
     above = int(np.searchsorted(catalog, u))
     pair = catalog[max(above - 1, 0) : above + 1]

@@ -9,9 +9,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
@@ -83,7 +83,7 @@ class Tuning(Result):
     def to_xarray(self) -> Any:
         """An xarray.Dataset over `start`: objective, violation, status, and every quantity and parameter."""
         runs = self.runs
-        variables = {
+        variables: dict[str, tuple[tuple[str, ...], Any, str]] = {
             "objective": (("start",), runs.objective, ""),
             "violation": (("start",), runs.violation, ""),
             "status": (("start",), runs.status, ""),

@@ -7,9 +7,8 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import checked
+from jaxbody.core.arrays import Array, Float, checked
 from jaxbody.core.errors import Problems
 from jaxbody.elements.elements import MEANT, Element, check_signs, turned
 from jaxbody.geometry import rotations

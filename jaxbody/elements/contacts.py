@@ -11,9 +11,8 @@ has no jumps.
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import scalar
+from jaxbody.core.arrays import Array, Float, scalar
 from jaxbody.core.errors import Problems
 from jaxbody.elements.elements import Element, LineElement
 from jaxbody.geometry.fields import check_domain, field, kind_of, take

@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
 
+from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.errors import Problems, warn
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import Kind, check_domain, field, kind_of
@@ -54,7 +54,7 @@ class Element(eqx.Module):
     b: Float[Array, "3"] = field("m")
 
     @property
-    def points(self) -> tuple[Float[Array, "3"], ...]:
+    def points(self) -> tuple[Float[Array, "*rows 3"], ...]:
         """The points of attachment, one in each frame."""
         return self.a, self.b
 

@@ -8,16 +8,16 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.elements.bushings import Bushing
 from jaxbody.elements.elements import Element, LineElement, length_and_direction
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame
-from jaxbody.geometry.vectors import cross, dot, product, rotate, rotate_back, skew
+from jaxbody.geometry.vectors import cross, dot, product, rotate, rotate_back, skew, to_rank
 from jaxbody.numerics.xla_workarounds import inverse_root
 
-DeformationSlopes = tuple[Float[Array, "6"], ...]  # of each frame of an element
+DeformationSlopes = tuple[Float[Array, "*rows 6"], ...]  # of each frame of an element
 # Positions and signs in a block: of h, of Q, and of the components of x and y
 SKEW = np.cross(np.eye(3)[:, None], np.eye(3)).swapaxes(1, 2)  # [e_x], [e_y], [e_z]
 UPPER_LEFT, LOWER_RIGHT = np.kron(np.diag([1.0, 0.0]), np.eye(3)), np.kron(np.diag([0.0, 1.0]), np.ones((3, 3)))
@@ -46,12 +46,12 @@ class Block(NamedTuple):
         (numerics/xla_workarounds.py)."""
         parts = [] if self.P is None else [self.P]
         if self.h is not None:
-            parts.append(self.h[..., None, None] * UPPER_LEFT)
+            parts.append(self.h[..., None, None] * to_rank(UPPER_LEFT, self.h.ndim + 2))
         for vector, places in ((self.x, LOWER_LEFT), (self.y, UPPER_RIGHT)):
-            parts += [] if vector is None else [vector[..., k, None, None] * places[k] for k in range(3)]
+            parts += [] if vector is None else [vector[..., k, None, None] * to_rank(places[k], vector.ndim + 1) for k in range(3)]
         if self.Q is not None:
             everywhere = jnp.broadcast_to(self.Q[..., None, :, None, :], (*self.Q.shape[:-2], 2, 3, 2, 3))
-            parts.append(everywhere.reshape(*self.Q.shape[:-2], 6, 6) * LOWER_RIGHT)
+            parts.append(everywhere.reshape(*self.Q.shape[:-2], 6, 6) * to_rank(LOWER_RIGHT, self.Q.ndim))
         return sum(parts, 0.0)
 
 
@@ -87,9 +87,9 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, Blocks]
     c = (rate - rest * inverse) * inverse**2
     g_a, g_b = (jnp.concatenate([d, cross(arm, d)]) for arm in (a, b))
 
-    def block(x, y, g_x, g_y, turned=0.0):
-        Q = dot(x, y) * np.eye(3, dtype=d.dtype) - y[:, None] * x
-        return Block(c * g_x[:, None] * g_y, h, h * x, h * y, h * Q + turned)
+    def block(x, y, g_x, g_y, turned: Array | float = 0.0):
+        Q = dot(x, y) * np.eye(3, dtype=d.dtype) - y[:, None] * x[None]
+        return Block(c * g_x[:, None] * g_y[None], h, h * x, h * y, h * Q + turned)
 
     return (-h * g_a, h * g_b), {
         (0, 0): block(a, a, g_a, g_a, turning(a, -h * d)),
@@ -138,7 +138,7 @@ def _in_relative_motion(bushing: Bushing, theta: Float[Array, "3"], t: Float[Arr
         return cross(theta, cross(theta, y))
 
     def along(y, x):
-        return y[:, None] * x
+        return y[:, None] * x[None]
 
     def N(y):
         return skew(y) / 2 + 2 * c1 * along(squared(y), theta) - c * (skew(cross(theta, y)) + product(T, skew(y)))
@@ -178,7 +178,7 @@ def _with_derivatives(function, x: Array) -> tuple[Array, Array, Array]:
 def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     """The Hessian of force . exp([phi]) arm: (f a' + a f')/2 - (f . a) I."""
     outer = force[..., :, None] * arm[..., None, :]
-    return (outer + jnp.swapaxes(outer, -1, -2)) / 2 - dot(force, arm)[..., None, None] * np.eye(3, dtype=arm.dtype)
+    return (outer + jnp.swapaxes(outer, -1, -2)) / 2 - dot(force, arm)[..., None, None] * to_rank(np.eye(3, dtype=arm.dtype), outer.ndim)
 
 
 @singledispatch
@@ -204,7 +204,11 @@ def _(line: LineElement, A: Frame, B: Frame) -> Blocks:
     e_dot = dot(u, (B.v - A.v) + (cross(B.w, b) - cross(A.w, a)))
     c = jax.grad(lambda e_dot: line.damper_tension(L - line.free_length, e_dot))(e_dot)
     g_a, g_b = (jnp.concatenate([u, cross(arm, u)]) for arm in (a, b))
-    return {(0, 0): Block(c * g_a[:, None] * g_a), (0, 1): Block(-c * g_a[:, None] * g_b), (1, 1): Block(c * g_b[:, None] * g_b)}
+    return {
+        (0, 0): Block(c * g_a[:, None] * g_a[None]),
+        (0, 1): Block(-c * g_a[:, None] * g_b[None]),
+        (1, 1): Block(c * g_b[:, None] * g_b[None]),
+    }
 
 
 def _blocks(H: Float[Array, "m m"]) -> Blocks:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problems
 from jaxbody.elements.elements import MEANT, LineElement, check_signs
 from jaxbody.geometry.fields import field, take
@@ -37,7 +39,7 @@ class Spring(LineElement):
     damping: Float[Array, ""] = field("N s/m", "nonnegative unless allow_negative", code="NEGATIVE_DAMPING", hint=MEANT)
     allow_negative: bool = eqx.field(default=False, static=True)
 
-    def __init__(self, a, b, *, stiffness, free_length=0.0, damping=0.0, allow_negative: bool = False):
+    def __init__(self, a, b, *, stiffness, free_length: Any = 0.0, damping: Any = 0.0, allow_negative: bool = False):
         problems = Problems()
         self.between, (self.a, self.b) = ends((a, b), "Spring", problems)
         self.allow_negative = True

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import warn_of_degrees
-from jaxbody.core.arrays import scalar
+from jaxbody.core.arrays import Array, Float, scalar
 from jaxbody.core.errors import Problems
 from jaxbody.elements.elements import Element, turned
 from jaxbody.geometry.fields import field

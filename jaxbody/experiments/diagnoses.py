@@ -14,9 +14,9 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
 
 from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Int
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result

@@ -7,10 +7,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import check_times, concrete, device_array, float_array
+from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, warn
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.inputs.loads import Load, loads_by_name, loads_of

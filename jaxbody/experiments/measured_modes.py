@@ -8,9 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from equinox import field
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import concrete, device_array, float_array
+from jaxbody.core.arrays import Array, Float, concrete, device_array, float_array
 from jaxbody.core.errors import Problems
 from jaxbody.experiments.measured_responses import equilibrium_status, linearized
 from jaxbody.experiments.measurements import Measurement

@@ -7,9 +7,8 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
 
-from jaxbody.core.arrays import concrete, device_array
+from jaxbody.core.arrays import Array, Complex, Float, concrete, device_array
 from jaxbody.core.errors import Problems, Status, unknown
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.models.models import Model
@@ -103,7 +102,8 @@ class MeasuredResponse(Measurement):
 
     @property
     def channels(self):
-        return {_name(pair): ResponseChannel(_unit(self.outputs[pair[0]], self.inputs[pair[1]])) for pair in self.pairs}
+        units = {pair: _unit(self.outputs[pair[0]], self.inputs[pair[1]]) for pair in self.pairs}
+        return {_name(pair): ResponseChannel(unit=unit) for pair, unit in units.items()}  # pyright: ignore[reportCallIssue]  the class states the shape
 
     def named(self):
         return {**self.inputs, **self.outputs, **({} if self.loss_factor is None else {"loss_factor": self.loss_factor})}

@@ -6,8 +6,8 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array
 
+from jaxbody.core.arrays import Array
 from jaxbody.sensors.channels import Channel
 
 

@@ -8,9 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.results import Result

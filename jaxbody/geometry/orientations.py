@@ -8,9 +8,8 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import checked, concrete
+from jaxbody.core.arrays import Array, Float, checked, concrete
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
 

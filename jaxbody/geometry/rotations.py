@@ -10,9 +10,9 @@ from math import factorial
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxbody.geometry.vectors import cross, dot, product, skew
+from jaxbody.core.arrays import Array, Float
+from jaxbody.geometry.vectors import cross, dot, product, skew, to_rank
 from jaxbody.numerics.elementary_functions import polynomial, sincos
 from jaxbody.numerics.xla_workarounds import kept
 
@@ -53,13 +53,17 @@ def exp(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     """Rotation matrix of a rotation vector, exp([phi]) = I + sin(t)/t [phi] + (1 - cos(t))/t^2 [phi]^2."""
     a, b = _coefficients(dot(phi, phi))
     P = skew(phi)
-    return np.eye(3, dtype=P.dtype) + a[..., None, None] * P + b[..., None, None] * product(P, P)  # pyright: ignore[reportReturnType]  a JAX array
+    return to_rank(np.eye(3, dtype=P.dtype), P.ndim) + a[..., None, None] * P + b[..., None, None] * product(P, P)
 
 
 def about(n: Float[Array, "*n 3"], angle: Float[Array, "*n"]) -> Float[Array, "*n 3 3"]:
     """Rotation matrix of a turn about a unit vector, I + sin(angle) [n] + (1 - cos(angle)) [n]^2."""
     N = skew(n)
-    return np.eye(3, dtype=N.dtype) + jnp.sin(angle)[..., None, None] * N + (1 - jnp.cos(angle))[..., None, None] * product(N, N)  # pyright: ignore[reportReturnType]  a JAX array
+    return (
+        to_rank(np.eye(3, dtype=N.dtype), N.ndim)
+        + jnp.sin(angle)[..., None, None] * N
+        + (1 - jnp.cos(angle))[..., None, None] * product(N, N)
+    )
 
 
 def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
@@ -72,7 +76,7 @@ def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     third = [(-1) ** n / factorial(2 * n + 3) for n in range(TERMS)]  # (t - sin(t))/t^3
     c = kept(jnp.where(small, polynomial(third, near), (t - sincos(t)[0]) / (far * t)))
     P = skew(phi)
-    return np.eye(3, dtype=P.dtype) + b[..., None, None] * P + c[..., None, None] * product(P, P)  # pyright: ignore[reportReturnType]  a JAX array
+    return to_rank(np.eye(3, dtype=P.dtype), P.ndim) + b[..., None, None] * P + c[..., None, None] * product(P, P)
 
 
 def exp_quaternion(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
@@ -153,7 +157,7 @@ def from_matrix(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
     """Unit quaternion of a rotation matrix, from its largest component (Shepperd, J. Guidance and Control 1 (1978) 223)."""
     a, b, c = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]
     four_squares = jnp.stack([1 + a + b + c, 1 + a - b - c, 1 - a + b - c, 1 - a - b + c], -1)
-    largest = jnp.argmax(four_squares, -1)[..., None] == np.arange(4)
+    largest = jnp.argmax(four_squares, -1)[..., None] == to_rank(np.arange(4), four_squares.ndim)
     root = jnp.sqrt(jnp.sum(jnp.where(largest, four_squares, 0.0), -1))
     x, y, z = R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]
     p, q, r = R[..., 0, 1] + R[..., 1, 0], R[..., 0, 2] + R[..., 2, 0], R[..., 1, 2] + R[..., 2, 1]

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+
+from jaxbody.core.arrays import Array, Float
 
 
-def dot(a: Float[Array, "*n 3"], b: Float[Array, "*n 3"]) -> Float[Array, "*n"]:
+def dot(a: Float[Array, "*#n k"], b: Float[Array, "*#n k"]) -> Float[Array, "*#n"]:
     """a . b over the last axis."""
     return jnp.sum(a * b, -1)
 
 
-def cross(a: Float[Array, "*n 3"], b: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+def cross(a: Float[Array, "*#n 3"], b: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """a x b over the last axis."""
     return _next(a) * _previous(b) - _previous(a) * _next(b)
 
@@ -26,29 +28,34 @@ def _previous(a: Array) -> Array:
     return jnp.concatenate([a[..., 2:], a[..., :2]], -1)
 
 
-def rotate(R: Float[Array, "*n 3 3"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+def rotate(R: Float[Array, "*#n 3 3"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """R a."""
     return jnp.sum(R * a[..., None, :], -1)
 
 
-def rotate_back(R: Float[Array, "*n 3 3"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
+def rotate_back(R: Float[Array, "*#n 3 3"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """R' a."""
     return jnp.sum(R * a[..., :, None], -2)
 
 
-def product(A: Float[Array, "*n 3 3"], B: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3 3"]:
+def product(A: Float[Array, "*#n 3 3"], B: Float[Array, "*#n 3 3"]) -> Float[Array, "*#n 3 3"]:
     """A B."""
     return jnp.sum(A[..., :, :, None] * B[..., None, :, :], -2)
 
 
-def skew(a: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
+def skew(a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3 3"]:
     """[a], the matrix with [a] b = a x b."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
     o = jnp.zeros_like(x)
     return jnp.stack([jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)], -2)
 
 
-def inverse_of_three(A: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3 3"]:
+def to_rank(a: np.ndarray, rank: int) -> np.ndarray:
+    """a with so many axes, those added first, for arithmetic with the rows of a table."""
+    return a.reshape((1,) * (rank - a.ndim) + a.shape)
+
+
+def inverse_of_three(A: Float[Array, "*#n 3 3"]) -> Float[Array, "*#n 3 3"]:
     """The inverse of symmetric A = [a, b, c]: [b x c, c x a, a x b] / (a . b x c)."""
     a, b, c = A[..., 0, :], A[..., 1, :], A[..., 2, :]
     rows = cross(b, c), cross(c, a), cross(a, b)

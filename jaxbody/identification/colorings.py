@@ -6,8 +6,8 @@ Source: A. Curtis, M. Powell, J. Reid, On the estimation of sparse Jacobian matr
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
 
+from jaxbody.core.arrays import Array, Bool, Int
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.fit_parameters import FreeParameter
 

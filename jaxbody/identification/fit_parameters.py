@@ -9,8 +9,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
+from jaxbody.core.arrays import Array
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.experiments.experiments import Experiment
 from jaxbody.experiments.measurements import Measurement

@@ -217,7 +217,21 @@ def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
     u, status, steps = solve(task, u, method, max_steps)
     model, experiments = task.scatter(u)
     r = task.residual(u)
-    return Fit(model, experiments, u, 0.5 * r @ r, status, steps, task, None, {}, {}, [], 0, [])
+    return Fit(
+        model=model,
+        experiments=experiments,
+        u=u,
+        cost=0.5 * r @ r,
+        status=status,
+        evaluations=steps,
+        task=task,
+        uncertainty=None,
+        predicted={},
+        noise={},
+        history=[],
+        failed=0,
+        at_bound=[],
+    )
 
 
 def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds) -> Fit:
@@ -247,9 +261,23 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds
     if np.linalg.norm(r) > exact:
         remarks += tuple(far_off(model, experiments, predicted, task.noise, task.integration))
     return Fit(
-        model, experiments, jnp.asarray(u), jnp.asarray(0.5 * r @ r), jnp.asarray(status.value), evaluate.count, task, uncertainty,
-        predicted, rms_residuals(task, runs), evaluate.history, evaluate.failed, at_bound, limits, tuple(evaluate.rounds), remarks,
-    )  # fmt: skip
+        model=model,
+        experiments=experiments,
+        u=jnp.asarray(u),
+        cost=jnp.asarray(0.5 * r @ r),
+        status=jnp.asarray(status.value),
+        evaluations=evaluate.count,
+        task=task,
+        uncertainty=uncertainty,
+        predicted=predicted,
+        noise=rms_residuals(task, runs),
+        history=evaluate.history,
+        failed=evaluate.failed,
+        at_bound=at_bound,
+        limits=limits,
+        rounds=tuple(evaluate.rounds),
+        remarks=remarks,
+    )
 
 
 def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray:

@@ -137,7 +137,9 @@ def by_scipy(evaluate: Evaluations, u, limits: Bounds) -> tuple[np.ndarray, bool
 
     try:
         result = least_squares(
-            lambda u: evaluate.triangle(u)[0] / size, np.asarray(u), jacobian, limits,
+            lambda u: evaluate.triangle(u)[0] / size, np.asarray(u),
+            jacobian,  # pyright: ignore[reportArgumentType]  SciPy takes functions, too
+            limits,
             x_scale="jac", xtol=1e-11, ftol=1e-15, gtol=1e-15, max_nfev=evaluations_left,
         )  # fmt: skip
     except _NearOptimum as near:

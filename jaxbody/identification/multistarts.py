@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import positive_number, whole_number
+from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems, Status, warn, warn_of
 from jaxbody.core.progress_lines import working
@@ -144,7 +144,8 @@ def multistart(
         warn("SEVERAL_OPTIMA", f"another optimum explains the data about as well: costs {cost[0]:.6g} and {cost[1]:.6g}")
     values = eqx.filter_vmap(task.values)(jnp.asarray(np.array([ends[group[0]] for group in groups])))
     estimates = dict(zip((f.path for f in task.free), values, strict=True))
-    return Multistart(best, cost, np.array([len(group) for group in groups]), estimates, starts + 1, failures, best.status)
+    found = np.array([len(group) for group in groups])
+    return Multistart(best=best, cost=cost, found=found, estimates=estimates, starts=starts + 1, lost=failures, status=best.status)
 
 
 def _points(limits, starts: int, spread: float, seed: int) -> np.ndarray:

@@ -18,8 +18,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import JaxbodyError, JaxbodyWarning, Problem
 from jaxbody.core.progress_lines import working
 from jaxbody.experiments.experiments import Experiment, Integration, check_measurements
@@ -122,7 +122,8 @@ class Segments(Measurement):
         owner = self._segment_of_samples()
         joined = jax.tree.map(lambda x: x[owner, np.arange(len(owner)) - starts[owner]], parts.state)
         end = jax.tree.map(lambda x: x[-1], parts.end)
-        whole = Trajectory(self.whole.times, joined, jnp.max(parts.status), {}, end, model, motions, loads)
+        times, status = self.whole.times, jnp.max(parts.status)
+        whole = Trajectory(times=times, state=joined, status=status, statistics={}, end=end, model=model, motions=motions, loads=loads)
         return {**readings(whole, self.whole.sensors), "continuity": jnp.concatenate(gaps, 1)}
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
-from jaxtyping import Array
 
+from jaxbody.core.arrays import Array
 from jaxbody.core.errors import Status
 from jaxbody.identification.residuals import Task, residual_and_jacobian, residuals_of_mean
 
@@ -67,7 +69,7 @@ def solve(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
 
         slopes = jax.jacfwd(gradient)(jnp.zeros(task.size + 1))
         H, change = slopes[:, :-1], slopes[:, -1]
-        zeros = [np.zeros(jnp.shape(x), jax.dtypes.float0) for x in (status, steps)]
-        return (u, status, steps), (-jnp.linalg.solve(jnp.where(status == 0, H, jnp.nan), change), *zeros)
+        zeros: list[Any] = [np.zeros(jnp.shape(x), jax.dtypes.float0) for x in (status, steps)]
+        return (u, status, steps), (-jnp.linalg.solve(jnp.where(status == 0, H, jnp.nan), change), zeros[0], zeros[1])
 
     return optimum(arrays, u, numbers)

@@ -14,10 +14,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key
+from jaxbody.core.arrays import Array, Float, PRNGKeyArray
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.identification.fits import Fit
@@ -101,12 +101,20 @@ def bands(
         half_width = quantile(level, freedom) * error
         low, high = value - half_width, value + half_width
     ok = finite.all() and np.isfinite(value).all()
-    result = Bands(value, error, low, high, freedom, level, np.asarray(Status.OK if ok else Status.NONFINITE))
+    result = Bands(
+        value=value,
+        standard_error=error,
+        lower=np.asarray(low),
+        upper=np.asarray(high),
+        degrees_of_freedom=freedom,
+        level=level,
+        status=np.asarray(Status.OK if ok else Status.NONFINITE),
+    )
     warn_if_failed(result)
     return result
 
 
-def _drawn(fit: Fit, f: Callable, level: float, samples: int, key: PRNGKeyArray | None):
+def _drawn(fit: Fit, f: Callable, level: float, samples: int, key):
     """Standard deviation and quantiles over draws of u from its normal distribution."""
     uncertainty = fit._assessed()
     if uncertainty.rank < len(fit.u):

@@ -106,7 +106,19 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
     with np.errstate(over="ignore"):
         low, high = (value(end) for end in ends)
         values = np.array([value(x) for x in u[:, i]])
-    result = Profile(path, value(fit.u[i]), level, search.t, search.freedom, values, tau, cost, u, (low, high), status)
+    result = Profile(
+        path=path,
+        estimate=value(fit.u[i]),
+        level=level,
+        limit=search.t,
+        degrees_of_freedom=search.freedom,
+        values=values,
+        tau=tau,
+        cost=cost,
+        u=u,
+        interval=(low, high),
+        status=status,
+    )
     warn_if_failed(result)
     return result
 
@@ -126,7 +138,7 @@ def _place(fit: Fit, path: str) -> tuple[int, Any]:
     raise JaxbodyError(Problem("UNKNOWN_PATH", "profile.path", problem.message, path, hint=problem.hint))
 
 
-def _value(form: Elementwise, k: int, u: float) -> float:
+def _value(form, k: int, u) -> float:
     """The number k of a leaf, without a compiled program."""
     return float(jax.tree.map(np.asarray, form).value(np.full(form.size, u)).ravel()[k])
 

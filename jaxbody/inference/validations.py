@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from jaxbody.core import tables
+from jaxbody.core.arrays import Array
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
@@ -19,7 +19,7 @@ from jaxbody.experiments.experiments import check_measurements
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.fits import Fit
-from jaxbody.identification.residuals import Task, residuals_of_mean
+from jaxbody.identification.residuals import Levels, Task, residuals_of_mean
 from jaxbody.statistics.autocorrelations import Whiteness, whiteness
 
 WHITE = 0.01  # p-value from which residuals are reported as white
@@ -79,7 +79,9 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     check_measurements(experiments, "validate.experiments").raise_if_any()
     for name, experiment in experiments.items():
         experiment.check(fit.model, name)
-    noise = {run: {name: jnp.ones(np.shape(channel.spread(0.0))) for name, channel in e.channels.items()} for run, e in experiments.items()}
+    noise: Levels = {
+        run: {name: jnp.ones(np.shape(channel.spread(0.0))) for name, channel in e.channels.items()} for run, e in experiments.items()
+    }
     task = Task(fit.model, dict(experiments), (), noise, fit.task.integration)
     runs = _runs(task)
     means = {run: ({}, {name: residuals_of_mean(e, name) for name in e.channels}) for run, e in experiments.items()}
@@ -102,7 +104,17 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     }
     status = np.asarray(Status.NONFINITE if failed else Status.OK)
     predicted, residuals = ({run: both[k] for run, both in runs.items()} for k in (0, 1))
-    result = Validation(nrmse, rms, excess, tests, units, predicted, residuals, failed, status)
+    result = Validation(
+        nrmse=nrmse,
+        rms=rms,
+        excess=excess,
+        whiteness=tests,
+        units=units,
+        predicted=predicted,
+        residuals=residuals,
+        failed=failed,
+        status=status,
+    )
     warn_if_failed(result)
     return result
 

@@ -15,10 +15,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables, units
-from jaxbody.core.arrays import checked, shaped
+from jaxbody.core.arrays import Array, Float, Int, checked, shaped
 from jaxbody.core.errors import JaxbodyError, Problems, Status
 from jaxbody.core.results import Result
 from jaxbody.core.tables import counted
@@ -115,10 +114,16 @@ def base_motion(
     )
     if w is not None:
         spline = Sampled(record.times, rotation=turn)
-        merged = [m.at[:, 3:].set(s[:, 3:]) for m, s in ((motion.values, spline.values), (motion.curvatures, spline.curvatures))]
+        merged = [
+            jnp.concatenate([m[:, :3], s[:, 3:]], 1) for m, s in ((motion.values, spline.values), (motion.curvatures, spline.curvatures))
+        ]
         motion = eqx.tree_at(lambda m: (m.values, m.curvatures), motion, merged)
     return Recovered(
-        motion, jnp.asarray(record.times), jnp.asarray(removed), jnp.asarray(Status.OK), _words(t, degree, cutoff, slow, w is not None)
+        motion=motion,
+        times=jnp.asarray(record.times),
+        removed=jnp.asarray(removed),
+        status=jnp.asarray(Status.OK),
+        words=_words(t, degree, cutoff, slow, w is not None),
     )
 
 

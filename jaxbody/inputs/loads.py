@@ -12,10 +12,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import check_kind, checked_dict, plain
-from jaxbody.core.arrays import checked, concrete, device_array, scalar
+from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, scalar
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Wrench

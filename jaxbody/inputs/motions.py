@@ -15,10 +15,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import check_returned, is_own, kind_of, warn_of_degrees
-from jaxbody.core.arrays import check_times, checked, concrete, device_array, float_array, functions_as_nodes, shaped
+from jaxbody.core.arrays import Array, Float, check_times, checked, concrete, device_array, float_array, functions_as_nodes, shaped
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
@@ -213,9 +212,9 @@ class Sampled(Motion):
         self = object.__new__(cls)
         t, m = device_array(times), device_array(m)
         h = jnp.diff(t)[:, None]
-        velocity = v0 + jnp.concatenate([jnp.zeros((1, 6), m.dtype), jnp.cumsum(h * (m[1:] + m[:-1]) / 2, 0)])
+        velocity = v0[None] + jnp.concatenate([jnp.zeros((1, 6), m.dtype), jnp.cumsum(h * (m[1:] + m[:-1]) / 2, 0)])
         steps = h * velocity[:-1] + h**2 * (2 * m[:-1] + m[1:]) / 6
-        values = x0 + jnp.concatenate([jnp.zeros((1, 6), m.dtype), jnp.cumsum(steps, 0)])
+        values = x0[None] + jnp.concatenate([jnp.zeros((1, 6), m.dtype), jnp.cumsum(steps, 0)])
         for name, value in dict(times=t, values=values, curvatures=m, uniform=is_uniform(times), rough=True).items():
             object.__setattr__(self, name, value)
         return self

@@ -7,9 +7,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import checked, concrete, device_array, float_array, shaped
+from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, float_array, shaped
 from jaxbody.core.errors import JaxbodyError, Problems
 from jaxbody.geometry.fields import check_domain, field, kind_of
 from jaxbody.inputs.motions import Motion
@@ -103,7 +102,7 @@ class Road(Motion):
         last, half = len(self.distances) - 1, self.footprint / 2
         rear = jax.lax.stop_gradient(s - half)
         behind = jnp.searchsorted(self.distances, rear, side="right", method="scan_unrolled") - 1
-        first = jnp.clip(behind, 0, last - self.window)
+        first = jnp.clip(behind, 0, last - self.window).astype(int)
         # by index: a slice with a variable start copies the whole profile in a loop
         points, z = (x[first + np.arange(self.window + 1)] for x in (self.distances, self.heights))
         d = points - s

@@ -8,9 +8,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import concrete
+from jaxbody.core.arrays import Array, Float, concrete
 
 
 def kinks_of(functions: Iterable[Any]) -> Array | None:

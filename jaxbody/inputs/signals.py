@@ -9,10 +9,9 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import check_returned, plain
-from jaxbody.core.arrays import check_times, checked, concrete, device_array, float_array
+from jaxbody.core.arrays import Array, Float, check_times, checked, concrete, device_array, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.fields import field
 from jaxbody.inputs.samples import cell, curvatures, is_uniform
@@ -24,10 +23,6 @@ __all__ = [
     "Signal",
     "Sine",
 ]
-
-
-def __dir__():
-    return __all__
 
 
 KINDS = ("hold", "linear", "cubic")
@@ -58,9 +53,9 @@ class Constant(Signal):
     3.0
     """
 
-    value: Float[Array, "*k"] = field("value")
+    value: Float[Array, "*k"] | float = field("value")
 
-    def __call__(self, t):
+    def __call__(self, t) -> Any:
         return self.value
 
 
@@ -141,7 +136,7 @@ class Function(Signal):
     1.5
     """
 
-    function: Callable[[Array], Array] = eqx.field(static=True)
+    function: Callable[..., Any] = eqx.field(static=True)
 
     def __call__(self, t):
         return jnp.asarray(self.function(t))

@@ -8,9 +8,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import checked, device_array, shaped
+from jaxbody.core.arrays import Array, Float, checked, device_array, shaped
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field
 from jaxbody.inputs.motions import Motion, as_motion

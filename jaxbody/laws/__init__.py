@@ -19,7 +19,3 @@ __all__ = [
     "TensionOnly",
     "TwoSided",
 ]
-
-
-def __dir__():
-    return __all__

@@ -16,9 +16,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
-from jaxbody.core.arrays import checked, functions_as_nodes
+from jaxbody.core.arrays import Array, Bool, Float, checked, functions_as_nodes
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.fields import check_domain, field, kind_of, take
 
@@ -104,7 +103,7 @@ class Function(Law):
     0.543080634815
     """
 
-    function: Callable[[Array], Array] = eqx.field(static=True)
+    function: Callable[..., Any] = eqx.field(static=True)
 
     def force(self, x):
         return self.function(x)

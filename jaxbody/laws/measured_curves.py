@@ -8,9 +8,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import concrete
+from jaxbody.core.arrays import Array, Float, concrete
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field
 from jaxbody.laws.curve_files import read_columns

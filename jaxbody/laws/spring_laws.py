@@ -6,8 +6,8 @@ from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field, take
 from jaxbody.laws.laws import Law, Number, row_of_numbers

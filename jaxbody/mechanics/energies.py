@@ -6,12 +6,13 @@ Each takes the model, a state and, for supports away from their reference poses,
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
+from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
@@ -95,7 +96,7 @@ def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
 def gravity_energy(model: Model, frames: Frame) -> Float[Array, ""]:
     """-sum of m g . C."""
     bodies = model.bodies.rows
-    return -jnp.sum(bodies.mass * dot(frames[model.layout.first_body :].point(bodies.com), model.gravity))
+    return -jnp.sum(bodies.mass * dot(frames[model.layout.first_body :].point(bodies.com), model.gravity[None]))
 
 
 def potential(model: Model, frames: Frame) -> Float[Array, ""]:
@@ -128,7 +129,7 @@ def each_element(model: Model, frames: Frame, function) -> list:
     return results
 
 
-def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t=0.0) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t: Any = 0.0) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
     """Force and moment about its origin that elements, gravity and loads at time t exert on each frame, world axes.
 
     Forces on a frame are summed by padded gathers; adding into rows would split a compiled loop."""
@@ -139,7 +140,7 @@ def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t=0.0) -
             forces.append(F)
             moments.append(M)
     bodies = model.bodies.rows
-    weight = bodies.mass[:, None] * model.gravity
+    weight = bodies.mass[:, None] * model.gravity[None]
     forces.append(weight)
     moments.append(cross(rotate(frames.R[model.layout.first_body :], bodies.com), weight))
     ends += list(range(model.layout.first_body, len(model.layout.frames)))

@@ -15,8 +15,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, stack
 from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
@@ -155,7 +155,7 @@ class Dynamics(eqx.Module):
         owners = np.repeat(np.arange(len(layout.bodies)), [kind.nv for kind in layout.kinds])
         p = frames.p[layout.first_body :]
         mask = jnp.asarray(layout.carries, p.dtype)[..., None]
-        return mask * (linear + cross(angular[None], p[:, None] - p[owners][None])), mask * angular
+        return mask * (linear[None] + cross(angular[None], p[:, None] - p[owners][None])), mask * angular[None]
 
     def instant(self, t: Float[Array, ""], state: State, *, reactions: bool) -> Instant:
         """Frames with accelerations and, with `reactions`, the forces and moments that joints, supports and world carry."""
@@ -171,15 +171,15 @@ class Dynamics(eqx.Module):
         if extra is not None:
             F, M = F + extra[0], M + extra[1]
         outboard = jnp.asarray(outboard_mask(self.model.layout), F.dtype)[..., None]
-        moment = M + cross(frames.p[first:] - frames.p[:, None], F)
+        moment = M[None] + cross(frames.p[first:][None] - frames.p[:, None], F[None])
         direct = (jnp.concatenate([x[:first], jnp.zeros_like(F)]) for x in wrenches(self.model, frames))  # elements on world and supports
         return tuple(x + jnp.sum(outboard * of_bodies, 1) for x, of_bodies in zip(direct, (F[None], moment), strict=True))
 
     def _accelerated(self, t, state: State):
         v_dot, frames, a, alpha, lin, ang = self._solve(t, state.q, state.v)
         first = self.model.layout.first_body
-        a = a.at[first:].add(jnp.sum(lin * v_dot[:, None], 1))
-        return frames, a, alpha.at[first:].add(jnp.sum(ang * v_dot[:, None], 1))
+        a = a.at[first:].add(jnp.sum(lin * v_dot[None, :, None], 1))
+        return frames, a, alpha.at[first:].add(jnp.sum(ang * v_dot[None, :, None], 1))
 
     def _accelerated_floating(self, t, state: State):
         """a = R (v_B' + w_B x v_B), alpha = R w_B'."""

@@ -7,8 +7,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
+from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.elements.second_derivatives import second_order
 from jaxbody.inputs.loads import Load

@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.elements.second_derivatives import Block, Blocks, DeformationSlopes, dissipation_hessian, second_order, turning
 from jaxbody.geometry.frames import Frame
@@ -85,7 +85,7 @@ def expansion(at: Configuration, dead: DeadForces | None = None) -> tuple[Float[
     model, frames, J, base = at.model, at.frames, at.J, at.base
     layout = model.layout
     arms = rotate(frames.R[layout.first_body :], model.bodies.rows.com)
-    weights = -model.bodies.rows.mass[:, None] * model.gravity
+    weights = -model.bodies.rows.mass[:, None] * model.gravity[None]
     G_bodies, Q = jnp.concatenate([weights, cross(arms, weights)], -1), turning(arms, weights)
     if dead is not None:
         G_bodies, Q = G_bodies + dead.G, Q + dead.Q
@@ -96,7 +96,7 @@ def expansion(at: Configuration, dead: DeadForces | None = None) -> tuple[Float[
     if J is not None:
         n = at.turns
         T = jnp.sum(cross(J[..., :3], G[:, None, :3]) + cross(J[..., 3:], G[:, None, 3:]) / 2, 0)
-        W = jnp.asarray(_precedence(layout)[: len(n), : len(n)], K.dtype) * jnp.sum(n[:, None] * T, -1)
+        W = jnp.asarray(_precedence(layout)[: len(n), : len(n)], K.dtype) * jnp.sum(n[:, None] * T[None], -1)
         K = K + W + W.T
     V = potential(model, frames)
     return V if dead is None else V + dead.V, _pulled_back(J, G), K
@@ -168,7 +168,9 @@ def _jacobian(layout: Layout, frames: Frame, linear, angular, base: bool) -> Flo
     rows, n = _rows(layout, base), len(linear)
     p = frames.p[rows]
     mask = jnp.asarray(_moves(layout)[: len(rows), :n], p.dtype)[..., None]
-    return mask * jnp.concatenate(jnp.broadcast_arrays(linear + cross(angular[None], p[:, None] - p[_owners(layout)[:n]]), angular), -1)
+    return mask * jnp.concatenate(
+        jnp.broadcast_arrays(linear[None] + cross(angular[None], p[:, None] - p[_owners(layout)[:n]][None]), angular), -1
+    )
 
 
 def _pulled_back(J: Array | None, G: Array) -> Vector:
@@ -215,7 +217,7 @@ def _hessian(model: Model, bodies: Block, elements: list[Blocks], base: bool) ->
         pairs = [(places[link[one]], places[link[other]]) for link in table.links]
         return [None if i is None or j is None else i * n + j for i, j in pairs]
 
-    parts = [(bodies, [i * n + i for i in range(len(model.layout.bodies))])]
+    parts: list[tuple[Block, list[int | None]]] = [(bodies, [i * n + i for i in range(len(model.layout.bodies))])]
     for table, blocks in zip(model.elements, elements, strict=False):
         for (one, other), block in blocks.items():
             parts.append((block, cells(table, one, other)))

@@ -6,8 +6,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.models.states import Instant, State
 

@@ -7,9 +7,8 @@ from typing import Any
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import checked, concrete, vector
+from jaxbody.core.arrays import Array, Float, checked, concrete, vector
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.geometry.fields import check_domain, field, kind_of
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion, matrix
@@ -163,7 +162,7 @@ def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Pro
 
 def _is_valid(I: np.ndarray, round_off: float) -> bool:
     low, middle, high = np.linalg.eigvalsh(I)
-    return min(low, low + middle - high) >= -round_off
+    return bool(min(low, low + middle - high) >= -round_off)
 
 
 def _matrix_of(array):

@@ -11,10 +11,9 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import plain
-from jaxbody.core.arrays import vector
+from jaxbody.core.arrays import Array, Float, vector
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field

@@ -7,7 +7,7 @@ are "run1.initial.v", "run1.base.frequency" (the motion of a support), "run1.cor
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from dataclasses import field as attribute
 from fnmatch import fnmatchcase
@@ -16,10 +16,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import checked, concrete, device_array
+from jaxbody.core.arrays import Array, checked, concrete, device_array
 from jaxbody.core.errors import Problems, is_concrete
 from jaxbody.geometry.fields import Kind, check_domain, kind_along, kind_of
 from jaxbody.models.bodies import check_inertia
@@ -41,15 +40,15 @@ class Leaf:
         """The last part of the path: "stiffness"."""
         return self.path.rsplit(".", 1)[-1]
 
-    def axis(self, arrays: list[Array]) -> int:
+    def axis(self, arrays: Sequence[Array]) -> int:
         """The axis of the rows, after the leading axes of a batch of models."""
         return arrays[self.array].ndim - 1 - self.rank
 
-    def read(self, arrays: list[Array]) -> Array:
+    def read(self, arrays: Sequence[Array]) -> Array:
         array = arrays[self.array]
         return array if self.row is None else array[(..., self.row, *[slice(None)] * self.rank)]
 
-    def shape(self, arrays: list[Array]) -> tuple[int, ...]:
+    def shape(self, arrays: Sequence[Array]) -> tuple[int, ...]:
         """The shape of what `read` returns."""
         shape = arrays[self.array].shape
         return shape if self.row is None else shape[: self.axis(arrays)] + shape[self.axis(arrays) + 1 :]
@@ -125,7 +124,7 @@ def by_array(leaves: Iterable[Leaf]) -> dict[int, list[Leaf]]:
     return groups
 
 
-def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
+def _put(arrays: list[jax.Array], leaves: list[Leaf], block: jax.Array) -> None:
     """Write a block of rows into their array by one operation."""
     first, rows = leaves[0], [leaf.row for leaf in leaves]
     if first.row is None or rows == list(range(arrays[first.array].shape[first.axis(arrays)])):

@@ -114,7 +114,7 @@ def check_reference(problems: Problems, bodies, supports, elements) -> None:
             check(problems, f"elements[{name!r}]", element, *((p, matrix(o)) for p, o in (places[end] for end in element.between)))
 
 
-def _check_length(problems: Problems, where: str, line: LineElement, A, B) -> None:
+def _check_length(problems: Problems, where: str, line, A, B) -> None:
     """Check the length of a line: it may be zero where the free length is zero, there is no damper and the force is zero."""
     ends = [p + R @ point for (p, R), point in zip((A, B), (line.a, line.b), strict=True)]
     length, size = np.linalg.norm(ends[1] - ends[0]), np.abs(ends).max() or 1.0
@@ -129,7 +129,7 @@ def _check_length(problems: Problems, where: str, line: LineElement, A, B) -> No
         )
 
 
-def _check_turn(problems: Problems, where: str, element: Bushing | Torsion, A, B) -> None:
+def _check_turn(problems: Problems, where: str, element, A, B) -> None:
     R_A, R_B = A[1] @ matrix(element.orientation), B[1] @ matrix(element.orientation_b)
     angle = np.rad2deg(np.arccos(np.clip((np.sum(R_A * R_B) - 1) / 2, -1, 1)))
     if angle > LARGEST_TURN:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import device_array, functions_as_nodes, vector
+from jaxbody.core.arrays import Array, Float, device_array, functions_as_nodes, vector
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problems, unknown
 from jaxbody.elements.element_checks import check_laws, check_leaves
@@ -60,7 +60,7 @@ class Model(tables.Printed, eqx.Module):
         *,
         bodies: dict[str, Body],
         supports: dict[str, Support] | None = None,
-        elements: dict[str, Element] | None = None,
+        elements: Mapping[str, Element] | None = None,
         joints: dict[str, Joint] | None = None,
         gravity=(0, 0, 0),
     ):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, rotate

@@ -21,8 +21,8 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import combine, filter_custom_jvp, is_array, is_inexact_array, partition
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int
 
+from jaxbody.core.arrays import Array, Bool, Float, Int
 from jaxbody.core.errors import JaxbodyError, Status
 from jaxbody.core.errors import Problem as Wrong
 from jaxbody.core.jax_internals import linear_with_transpose
@@ -77,7 +77,7 @@ class Begun(NamedTuple):
 
     tau: Float[Array, ""]
     y: Float[Array, "ny"]
-    f: Float[Array, "ny"]
+    f: Float[jax.Array, "ny"]
     last: Steps
     window: Int[Array, ""]
     filled: Float[Array, ""]
@@ -142,7 +142,7 @@ def _tangents(primals, tangents, *, problem):
     return ended, Solution(of_samples, None, of_y, Course(None, None, None, None))  # pyright: ignore
 
 
-def _backward(kept, of_samples: Float[Array, "nt ny"], of_y: Float[Array, "ny"], given, problem: InitialValueProblem):
+def _backward(kept, of_samples: Float[jax.Array, "nt ny"], of_y: Float[Array, "ny"], given, problem: InitialValueProblem):
     """Cotangents of (arguments, y0, times) by the chain rule, block by block from the last to the first."""
     arguments, y0, times = given
     begun, lengths, n = kept
@@ -222,7 +222,7 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
                 (begun, jnp.where(jnp.isfinite(steps.h[1:]), steps.h[1:], 0.0)),
             )
         through = (tau >= goal) & (begun.window < len(reach) - 1)
-        begun = Begun(tau, y, f, _last(steps), begun.window + through, jnp.where(through, -1.0, tau))
+        begun = Begun(tau, y, f, _last(steps), begun.window + through.astype(begun.window.dtype), jnp.where(through, -1.0, tau))
         return begun, course, out, kept, n + 1
 
     carry = (begun, course, out, kept, none)
@@ -271,7 +271,8 @@ def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: 
         made, tries = on & good & ~trial, course.accepted + course.rejected + 1
         tau1 = jnp.where(h == left, to, tau + h)
         code = jnp.where(good & (tau1 >= end), Status.OK.value, jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, code))
-        after = Course(longer, course.accepted + good, course.rejected + ~good, code)
+        taken, refused = (x.astype(course.accepted.dtype) for x in (good, ~good))
+        after = Course(longer, course.accepted + taken, course.rejected + refused, code)
         f0 = k[1] / h  # the rate at the start, for a trial step
         begin = course._replace(h=_first(problem, *lax.stop_gradient((y, f0, f1)), EULER * h, end))
         after = jax.tree.map(lambda new, old: jnp.where(trial, new, old), begin, after)
@@ -379,7 +380,7 @@ def _eighth_root(x: Array) -> Array:
     return jnp.sqrt(jnp.sqrt(jnp.sqrt(x)))
 
 
-def _windows(x: Float[Array, "nt *k"], more: Array | None = None) -> Float[Array, "n w *k"]:
+def _windows(x: Float[Array, "nt *k"], more: Array | None = None) -> Float[jax.Array, "n w *k"]:
     """Rows in windows, filled with the last row or with `more`."""
     w = min(WINDOW, len(x))
     n = -(-len(x) // w)
@@ -387,10 +388,10 @@ def _windows(x: Float[Array, "nt *k"], more: Array | None = None) -> Float[Array
     return x.reshape(n, w, *x.shape[1:])
 
 
-def _at(x: Array, i: Int[Array, ""]) -> Array:
+def _at(x: Array, i: Array) -> Array:
     """x[i]; for a single row without an index, so that a batch needs no gather."""
     return x[0] if len(x) == 1 else lax.dynamic_index_in_dim(x, i, 0, keepdims=False)
 
 
-def _put(x: Array, i: Int[Array, ""], row: Array) -> Array:
+def _put(x: jax.Array, i: Int[Array, ""], row: jax.Array) -> jax.Array:
     return row[None] if len(x) == 1 else lax.dynamic_update_index_in_dim(x, row, i, 0)

@@ -16,8 +16,8 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float, Int
 
+from jaxbody.core.arrays import Array, Bool, Complex, Float, Int
 from jaxbody.core.jax_internals import linear_one_way
 from jaxbody.numerics.lanes import in_lanes
 
@@ -43,7 +43,7 @@ def together(cluster: Int[Array, "*b n"]) -> Bool[Array, "*b n n"]:
 def averaged(x: Float[Array, "*m n"], cluster: Int[Array, "n"]) -> Float[Array, "*m n"]:
     """The mean over each cluster, along the last axis."""
     same = together(cluster)
-    return x @ (same / jnp.sum(same, 0)).astype(x.dtype)
+    return x @ (same.astype(x.dtype) / jnp.sum(same, 0).astype(x.dtype)[None])
 
 
 # First and second derivatives of eigenvalues
@@ -119,7 +119,7 @@ shape_changes = linear_one_way("shape_changes", _unless_shared, _if_of_the_space
 
 
 @jax.custom_jvp
-def refused_in_clusters(shapes: Float[Array, "n n"], cluster: Int[Array, "n"]) -> Float[Array, "n n"]:
+def refused_in_clusters(shapes: Float[Array, "*m n"], cluster: Int[Array, "n"]) -> Float[Array, "*m n"]:
     """The shapes; a single shape of a cluster has no derivative (NaN)."""
     return shapes
 
@@ -239,7 +239,7 @@ def _poles_jvp(primals, tangents):
     W = jnp.linalg.solve(G, Y.T @ (dA @ X))
     W = jnp.where(defective[:, None] | defective, 0.0, W)
     gap = jnp.where(same, 1.0, s - s[:, None])
-    ds = pole_slopes(W, cluster, jax.lax.stop_gradient(s.imag))
+    ds = pole_slopes(W, cluster, jax.lax.stop_gradient(jnp.imag(s)))
     ds = jnp.where(defective, jnp.nan, ds)
     return (s, X), (ds, X @ jnp.where(same, 0.0, W / gap))
 

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from diffrax import RESULTS, AbstractSolver, AbstractTerm, ThirdOrderHermitePolynomialInterpolation
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import JaxbodyError, Problem
 
 MOST_ITERATIONS = 100
@@ -81,7 +81,7 @@ class Gauss(AbstractSolver):
         k, settled = fixed_point(slopes, jnp.broadcast_to(first, (self.stages, *first.shape)))
         y1 = y0 + h * weighted(b, k)
         dense = dict(y0=y0, y1=y1, k0=h * first, k1=h * slope(t1, y1))
-        result = RESULTS.where(settled, RESULTS.successful, RESULTS.nonlinear_divergence)
+        result = RESULTS.where(settled, RESULTS.successful, RESULTS.nonlinear_divergence)  # pyright: ignore[reportArgumentType]  equinox's members
         return y1, None, dense, None, result
 
     def func(self, terms, t0, y0, args):

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.dtypes import float0
-from jaxtyping import Array
 
+from jaxbody.core.arrays import Array
 from jaxbody.core.compilations import note_left_to_vmap
 from jaxbody.core.jax_internals import ClosedJaxpr, Literal, Zero, call_of, jaxpr_as_fun, without_high_operations
 from jaxbody.numerics.symmetric_eigenvalues import eigenvalues

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
 
+from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.numerics.xla_workarounds import kept
 
 LARGEST_UNROLLED = 30
@@ -26,7 +26,7 @@ def is_definite(A: Float[Array, "n n"]) -> Bool[Array, ""]:
         A, definite = carry
         row = lax.dynamic_index_in_dim(A, k, keepdims=False)
         pivot = lax.dynamic_index_in_dim(row, k, keepdims=False)
-        return A - kept(row)[:, None] * kept(row / pivot), definite & (pivot > 0)
+        return A - kept(row)[:, None] * kept(row / pivot)[None], definite & (pivot > 0)
 
     return lax.fori_loop(0, len(A), clear, (A, jnp.array(True)))[1]
 
@@ -42,5 +42,5 @@ def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Flo
     for i in range(n):  # Gauss-Jordan: eliminate the first column from all rows but i, and drop it
         pivots.append(Ab[i, 0])
         row = Ab[i, 1:] / Ab[i, 0]
-        Ab = jnp.where((np.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row)
+        Ab = jnp.where((np.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row[None])
     return kept(Ab[:, 0]), jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)

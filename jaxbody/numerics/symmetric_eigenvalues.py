@@ -11,8 +11,8 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.numerics.xla_workarounds import any_of_batch, kept
 
 SWEEPS = 30  # most sweeps for each eigenvalue; three are usual
@@ -34,9 +34,9 @@ def _tridiagonal(A: Float[Array, "n n"]) -> tuple[Float[Array, "n"], Float[Array
         first, length = _at(x, k + 1), jnp.sqrt(jnp.sum(x * x))
         v = kept(jnp.where(row == k + 1, first + jnp.where(first < 0, -length, length), x))
         beta = _inverse_unless_zero(length * (length + jnp.abs(first)))  # 2/v'v
-        p = beta * jnp.sum(A * v, 1)
+        p = beta * jnp.sum(A * v[None], 1)
         w = kept(p - beta / 2 * jnp.sum(p * v) * v)
-        return A - v[:, None] * w - w[:, None] * v
+        return A - v[:, None] * w[None] - w[:, None] * v[None]
 
     A = lax.fori_loop(0, len(A) - 2, reflect, A)
     return jnp.sum(jnp.where(row[:, None] == row, A, 0.0), 1), jnp.sum(jnp.where(row[:, None] + 1 == row, A * A, 0.0), 1)
@@ -83,10 +83,10 @@ def _diagonalized(d: Float[Array, "n"], e: Float[Array, "n"]) -> Float[Array, "n
 
 def _ascending(d: Float[Array, "n"]) -> Float[Array, "n"]:
     """Sorted numbers, each placed by the number of smaller ones; NaN everywhere if one is NaN."""
-    i = np.arange(len(d))
-    before = (d[:, None] < d) | ((d[:, None] == d) & (i[:, None] < i))
+    i = np.arange(len(d), dtype=d.dtype)
+    before = (d[:, None] < d[None]) | ((d[:, None] == d[None]) & (i[:, None] < i))
     rank = jnp.sum(before.astype(d.dtype), 0)
-    return jnp.sum(jnp.where(rank == i[:, None], d, 0 * d), 1)
+    return jnp.sum(jnp.where(rank[None] == i[:, None], d, 0 * d), 1)
 
 
 def _inverse_unless_zero(x: Array) -> Array:

@@ -67,8 +67,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
 
+from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.jax_internals import new_operation, same_numbers, shaped
 
 FEW_RUNS = 64  # most slices in a sum; compiling more would cost more than running a gather
@@ -94,12 +94,12 @@ def as_kept(x: Array) -> Array:
 
 # Reducers that XLA does not recognize: it passes large reductions to a library, whose calls keep a loop from being compiled whole.
 # They must still be sums and maxima, as XLA merges sums of sums.
-def plain_sum(x: Array, axes: tuple[int, ...]) -> Array:
+def plain_sum(x: Array, axes: tuple) -> Array:
     """The sum over axes, never by a library."""
     return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
 
 
-def plain_max(x: Array, axes: tuple[int, ...]) -> Array:
+def plain_max(x: Array, axes: tuple) -> Array:
     """The largest over axes, never by a library."""
     return lax.reduce(x, np.array(-np.inf, x.dtype), lambda a, b: -lax.min(-a, -b), axes)
 

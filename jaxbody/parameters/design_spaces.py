@@ -10,8 +10,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
 from jaxbody.models.models import Model
@@ -144,7 +144,7 @@ def _bounded(space: Space, bounds: dict[str, Any], where: str) -> tuple[Space, n
     return Space(space.model, tuple(Group(g.leaves, g.factors, form) for g, form in zip(space.groups, forms, strict=True))), low, high
 
 
-def _within(pairs: list[tuple[list[np.ndarray] | None, Factor]]) -> list[np.ndarray] | None:
+def _within(pairs: list[tuple[list[Any] | None, Factor]]) -> list[Any] | None:
     """The bounds of tied leaves as bounds of the first."""
     if any(pair is None for pair, _ in pairs):
         return None

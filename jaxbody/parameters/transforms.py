@@ -19,9 +19,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import concrete, module_of
+from jaxbody.core.arrays import Array, Float, concrete, module_of
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.vectors import cross, dot
@@ -268,9 +267,7 @@ def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
         return None
 
 
-def sound_bounds(
-    form: Parametrization, ends: list[np.ndarray] | None, given: Any, where: str, problems: Problems, slack: float = 0.0
-) -> bool:
+def sound_bounds(form: Parametrization, ends: list[Any] | None, given: Any, where: str, problems: Problems, slack: float = 0.0) -> bool:
     """Whether bounds are valid and contain the start, apart from a slack; else a problem is added to `problems`.
 
     Args:

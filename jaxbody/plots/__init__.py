@@ -30,7 +30,3 @@ __all__ = [
     "plot_transmissibility",
     "plot_tuning",
 ]
-
-
-def __dir__():
-    return __all__

@@ -23,7 +23,3 @@ __all__ = [
     "quarter_car",
     "stewart_table",
 ]
-
-
-def __dir__():
-    return __all__

@@ -10,13 +10,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from equinox import field, filter_jit
-from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import checked
+from jaxbody.core.arrays import Array, Complex, Float, Int, checked
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
 from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.results import Result
@@ -169,7 +169,7 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
 
 @filter_jit
 def _weighting(name: str, f: Float[Array, "nf"]) -> Complex[Array, "nf"]:
-    p, s = WEIGHTINGS[name], 1j * f
+    p, s = WEIGHTINGS[name], jax.lax.complex(jnp.zeros_like(f), f)
     W = p.K * s**2 / (s**2 + 2**0.5 * p.f1 * s + p.f1**2)
     W = W / (1 + 2**0.5 * s / p.f2 + (s / p.f2) ** 2)
     W = W * (1 + s / p.f3) / (1 + s / (p.Q4 * p.f4) + (s / p.f4) ** 2)

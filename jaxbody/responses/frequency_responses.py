@@ -15,10 +15,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from equinox import Module, field
-from jaxtyping import Array, Bool, Complex, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import checked, concrete, device_array, float_array
+from jaxbody.core.arrays import Array, Bool, Complex, Float, Int, checked, concrete, device_array, float_array
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
@@ -238,16 +237,16 @@ def response_values(
 ):
     """(values (ny, nu, nf), status); `static` where 0 Hz is among the frequencies."""
     nv, X = lin.M.shape[-1], ports.X
-    s = 2j * jnp.pi * f
+    s = jax.lax.complex(jnp.zeros_like(f), 2 * jnp.pi * f)
     whole = _Matrices(*full_matrices(lin), None if eta is None else hysteretic_damping(lin, eta))
-    scale = s[None] ** -jnp.array(ports.orders, f.dtype)[:, None].astype(int) if any(ports.orders) else jnp.ones((len(ports.orders), 1))
+    scale = s[None] ** -jnp.array(ports.orders, s.dtype)[:, None] if any(ports.orders) else jnp.ones((len(ports.orders), 1), s.dtype)
     own = jax.tree.map(lambda A: A[:nv, :nv], whole)
-    right = ports.F[:nv, :, None] - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale
+    right = ports.F[:nv, :, None].astype(s.dtype) - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale[None]
     Delta, complete = _solved(own, s, jnp.broadcast_to(right, (nv, X.shape[1], f.shape[0])), method)
     Y = ports.Y
     rows = _Matrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, ports, lin, eta))
     on_bodies, on_supports = jax.tree.map(lambda A: A[:, :nv], rows), jax.tree.map(lambda A: A[:, nv:] @ X, rows)
-    values = on_bodies.times(s, Delta) + on_supports.at(s) * scale + ports.G[:, :, None]
+    values = on_bodies.times(s, Delta) + on_supports.at(s) * scale[None] + ports.G[:, :, None].astype(s.dtype)
     free = jnp.array(False)
     if static:
         squares = jnp.abs(jax.lax.stop_gradient(natural(lin.K, lin.M)[0]))
@@ -274,15 +273,16 @@ class _Matrices(Module):
         return jax.tree.map(lambda A: left @ A @ right, self)
 
     def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "k n nf"]:
-        K = self.K if self.H is None else self.K + 1j * self.H
-        return K[:, :, None] + self.C[:, :, None] * s + self.M[:, :, None] * s**2
+        K = self.K.astype(s.dtype) if self.H is None else jax.lax.complex(self.K, self.H)
+        C, M, s = self.C.astype(s.dtype), self.M.astype(s.dtype), s[None, None]
+        return K[:, :, None] + C[:, :, None] * s + M[:, :, None] * s**2
 
-    def times(self, s: Complex[Array, "nf"], x: Complex[Array, "n m nf"]) -> Complex[Array, "k m nf"]:
+    def times(self, s: Complex[Array, "nf"], x: Complex[jax.Array, "n m nf"]) -> Complex[jax.Array, "k m nf"]:
         """D(s) x by real products."""
         parts = jax.tree.leaves(self)
         re, im = (jnp.split(jnp.tensordot(jnp.concatenate(parts), part, 1), len(parts)) for part in (x.real, x.imag))
-        product = [re_ + 1j * im_ for re_, im_ in zip(re, im, strict=True)]
-        return sum((a * b for a, b in zip(product[1:], (s, s**2, 1j), strict=False)), product[0])
+        product = [jax.lax.complex(re_, im_) for re_, im_ in zip(re, im, strict=True)]
+        return sum((a * b for a, b in zip(product[1:], (s[None, None], s[None, None] ** 2, 1j), strict=False)), product[0])
 
 
 def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tuple[Complex[Array, "n m nf"], Bool[Array, ""]]:
@@ -293,7 +293,7 @@ def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tupl
 
         def solve(b, transposed):
             L, R = (right.T, left.T) if transposed else (left, right)
-            return jnp.tensordot(L, jnp.tensordot(R, b, 1) / (at - poles[:, None])[:, None], 1)
+            return jnp.tensordot(L, jnp.tensordot(R, b, 1) / (at[None] - poles[:, None])[:, None], 1)
     else:
         complete, eliminated = jnp.array(True), _eliminated(frozen, at)
 
@@ -303,7 +303,7 @@ def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tupl
     return jax.lax.custom_linear_solve(lambda x: own.times(s, x), b, lambda _, b: solve(b, False), lambda _, b: solve(b, True)), complete
 
 
-def _eliminated(A: _Matrices, s) -> Callable[[Complex[Array, "n m nf"], bool], Complex[Array, "n m nf"]]:
+def _eliminated(A: _Matrices, s) -> Callable[[jax.Array, bool], jax.Array]:
     """The map b -> D^-1 b or its transpose, from one elimination. In the coordinates of the real modes no pivoting is needed: D is diagonal
     except for damping, and no entry of C exceeds the mean of two on its diagonal."""
     n = len(A.M)
@@ -315,20 +315,20 @@ def _eliminated(A: _Matrices, s) -> Callable[[Complex[Array, "n m nf"], bool], C
     whitened = jax.scipy.linalg.solve_triangular(L, half.T, lower=True)
     shapes = jax.scipy.linalg.solve_triangular(L, jnp.linalg.eigh((whitened + whitened.T) / 2)[1], lower=True, trans=1)
     D = A.moved(shapes.T, shapes).at(s)
-    D = jnp.concatenate([D, jnp.broadcast_to(shapes.T[:, :, None], D.shape)], 1)
+    D = jnp.concatenate([D, jnp.broadcast_to(shapes.T[:, :, None].astype(D.dtype), D.shape)], 1)
     for i in range(n):  # the first column is eliminated and dropped
-        row = D[i, 1:] / D[i, 0]
-        D = jnp.where((jnp.arange(n) == i)[:, None, None], row, D[:, 1:] - D[:, :1] * row)
-    inverse = jnp.tensordot(shapes, D, 1)
+        row = D[i, 1:] / D[i, :1]
+        D = jnp.where((jnp.arange(n) == i)[:, None, None], row, D[:, 1:] - D[:, :1] * row[None])
+    inverse = jnp.tensordot(shapes.astype(D.dtype), D, 1)
     return lambda b, transposed: _product(jnp.swapaxes(inverse, 0, 1) if transposed else inverse, b)
 
 
-def _product(A: Complex[Array, "k n nf"], x: Complex[Array, "n m nf"]) -> Complex[Array, "k m nf"]:
+def _product(A: Complex[jax.Array, "k n nf"], x: Complex[jax.Array, "n m nf"]) -> Complex[jax.Array, "k m nf"]:
     """The product A x at each frequency."""
-    pairs = [(A[:, j, None], x[j]) for j in range(len(x))]
+    pairs = [(A[:, j, None], x[j][None]) for j in range(len(x))]
     none = jnp.zeros((len(A), *x.shape[1:]), A.real.dtype)
     re = sum((a.real * b.real - a.imag * b.imag for a, b in pairs), none)
-    return re + 1j * sum((a.real * b.imag + a.imag * b.real for a, b in pairs), none)
+    return jax.lax.complex(re, sum((a.real * b.imag + a.imag * b.real for a, b in pairs), none))
 
 
 def _companion(A: _Matrices) -> Array:

@@ -15,9 +15,8 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import checked, concrete, device_array, float_array
+from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, float_array
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems, Status
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, together

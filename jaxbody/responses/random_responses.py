@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from equinox import field
-from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Complex, Float, Int
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
@@ -119,9 +119,9 @@ def random_response(
     return result
 
 
-def root_mean_square(psd: Float[Array, "ny nf"], weights: Float[Array, "nf"]) -> Float[Array, "ny"]:
+def root_mean_square(psd: Float[Array, "ny nf"], weights: Float[Array, "*w nf"]) -> Float[Array, "ny"]:
     """The root of the integral; its derivative at zero is zero."""
-    square = jnp.sum(psd * weights, -1)
+    square = jnp.sum(psd * jnp.atleast_2d(weights), -1)
     positive = square > 0
     return jnp.where(jnp.isnan(square), square, jnp.where(positive, jnp.sqrt(jnp.where(positive, square, 1.0)), 0.0))
 
@@ -140,10 +140,10 @@ def _random_response(lin: Linearization, f, weights, coarse, ports: PortMatrices
     if isinstance(spectra, CrossPSD):
         order = np.array([spectra.names.index(name) for name in names])
         R = spectra.correlation(f)[order][:, order]
-        psd = hermitian_form(H * jnp.sqrt(S), R)
+        psd = hermitian_form(H * jnp.sqrt(S)[None].astype(H.dtype), R)
         positive = spectra.positive(f)
     else:
-        psd = jnp.sum((H.real**2 + H.imag**2) * S, 1)
+        psd = jnp.sum((H.real**2 + H.imag**2) * S[None], 1)
         positive = jnp.array(True)
     psd = psd * jnp.where(positive, 1.0, jnp.nan)
     good = jnp.where(positive, resolution(psd, weights, coarse), Status.NOT_POSITIVE.value)

@@ -8,10 +8,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PRNGKeyArray
 
 from jaxbody.core.arguments import check_key
-from jaxbody.core.arrays import concrete, scalar
+from jaxbody.core.arrays import Array, Float, PRNGKeyArray, concrete, scalar
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.responses.spectra import PowerLaw
 
@@ -90,7 +89,9 @@ def road_profile(road: Unevenness, *, length, spacing, key: PRNGKeyArray) -> tup
     k = np.arange(1, (n + 1) // 2)
     phase = jax.random.uniform(key, k.shape, maxval=2 * np.pi)
     amplitude = jnp.sqrt(2 * road(jnp.asarray(k / (n * step))) / (n * step))
-    waves = jnp.concatenate([jnp.zeros(1), amplitude * jnp.exp(1j * phase) * n / 2, jnp.zeros(n // 2 - len(k))])
+    turned = jnp.exp(jax.lax.complex(jnp.zeros_like(phase), phase))
+    none = jnp.zeros(n // 2 - len(k), turned.dtype)
+    waves = jnp.concatenate([jnp.zeros(1, turned.dtype), amplitude.astype(turned.dtype) * turned * n / 2, none])
     heights = jnp.fft.irfft(waves, n)
     return jnp.asarray(step * np.arange(n + 1)), jnp.append(heights, heights[0])
 

@@ -11,11 +11,11 @@ from abc import abstractmethod
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float
 
-from jaxbody.core.arrays import checked, concrete, device_array, float_array, scalar, shaped
+from jaxbody.core.arrays import Array, Bool, Complex, Float, checked, concrete, device_array, float_array, scalar, shaped
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.units import ANGULAR_RATE, RATE, parse
 
@@ -73,7 +73,7 @@ class PowerLaw(Spectrum):
     per: str = eqx.field(static=True)
     sides: int = eqx.field(static=True)
 
-    def __init__(self, level, *, unit: str, exponent=0.0, reference=1.0, sides: int = 1, speed=None):
+    def __init__(self, level, *, unit: str, exponent: Any = 0.0, reference=1.0, sides: int = 1, speed=None):
         problems = Problems()
         self.quantity, self.per, self.factor = _unit(unit, "PowerLaw.unit", problems)
         self.sides, self.speed = _measure(self.per, sides, speed, "PowerLaw", problems)
@@ -227,7 +227,9 @@ class CrossPSD(eqx.Module):
     def correlation(self, f: Float[Array, "nf"]) -> Complex[Array, "nu nu nf"]:
         """S_ij/sqrt(S_i S_j)."""
         d = jnp.stack([self.delays[name] for name in self.names])
-        return self._coherences(f) * jnp.exp(-2j * jnp.pi * f * (d[:, None] - d)[:, :, None])
+        phase = -2 * jnp.pi * f[None, None] * (d[:, None] - d[None])[:, :, None]
+        turned = jnp.exp(jax.lax.complex(jnp.zeros_like(phase), phase))
+        return self._coherences(f).astype(turned.dtype) * turned
 
     def positive(self, f: Float[Array, "nf"]) -> Bool[Array, ""]:
         """Whether the matrix is positive semidefinite at all frequencies."""
@@ -264,7 +266,7 @@ class Band(eqx.Module):
         problems.raise_if_any()
         n = points | 1
         step = jnp.log(device_array(high) / low) / (n - 1)
-        self.frequencies = low * jnp.exp(step * np.arange(n))
+        self.frequencies = low * jnp.exp(step * np.arange(n, dtype=float))
         ends = np.array([3 / 8, 7 / 6, 23 / 24])  # Gregory's, of the third order
 
         def weights(count):

@@ -5,7 +5,8 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+
+from jaxbody.core.arrays import Array, Float
 
 
 class Channel(eqx.Module):

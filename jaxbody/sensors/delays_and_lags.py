@@ -11,7 +11,8 @@ from math import factorial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+
+from jaxbody.core.arrays import Array, Float, Int
 
 POINTS = 12  # of the polynomial
 NODES = (1 - np.cos(np.pi * np.arange(6) / 5)) / 2  # in a cell: where the integral of the lag samples x

@@ -6,10 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import plain
-from jaxbody.core.arrays import concrete, vector
+from jaxbody.core.arrays import Array, Float, concrete, vector
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Pose

@@ -4,10 +4,9 @@ from typing import Any, Unpack
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import plain
-from jaxbody.core.arrays import concrete, vector
+from jaxbody.core.arrays import Array, Float, concrete, vector
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field

@@ -6,10 +6,9 @@ from typing import Any, ClassVar, TypedDict, Unpack
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import check_kind, checked_dict, plain
-from jaxbody.core.arrays import checked, concrete, vector
+from jaxbody.core.arrays import Array, Float, checked, concrete, vector
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.elements.elements import Element
 from jaxbody.geometry.fields import check_domain, field, kind_of
@@ -126,7 +125,7 @@ class Sensor(Channel):
 
     def delayed(self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
         """x(t - delay)."""
-        return delays_and_lags.delayed(times, x, self.delay)
+        return delays_and_lags.delayed(times, x, self.delay)  # pyright: ignore[reportArgumentType]  called where there is one
 
     def weight(self, times: Float[Array, "nt"]) -> Float[Array, "nt"]:
         """The weight of each sample: 0 where a delayed one is unknown."""

@@ -6,8 +6,8 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import optimistix
-from jaxtyping import Array, Bool, Float
 
+from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Status
 from jaxbody.inputs.samples import kinks_of
@@ -61,7 +61,8 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
         beyond = jax.vmap(lambda t, state: jnp.any(outside_law_range(model, frames_at_time(model, motions, t, state))))(times, state)
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
     statistics = {"num_accepted_steps": accepted, "num_rejected_steps": rejected}
-    return Trajectory(times, state, code, statistics, (t_end, final), model, motions, loads)
+    end = (t_end, final)
+    return Trajectory(times=times, state=state, status=code, statistics=statistics, end=end, model=model, motions=motions, loads=loads)
 
 
 @jax.custom_jvp
@@ -88,7 +89,7 @@ def _tolerances(coordinates: Coordinates, span, rtol):
     return local, local / 100 * _scales(coordinates, span), reachable(1e-13, span.dtype, 1) * span
 
 
-def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
+def _by_blocks(dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
     """Integration by our own loops (`dormand_prince_steps`)."""
     limits = _tolerances(dynamics.coordinates, times[-1] - times[0], rtol)
     signals = [signal for load in dynamics.loads for signal in load.signals()]
@@ -107,7 +108,7 @@ def _by_blocks(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint,
     return result.samples, times[0] + result.tau, result.y, course.code, course.accepted, course.rejected
 
 
-def _by_diffrax(dynamics: Dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
+def _by_diffrax(dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
     """Integration by diffrax, with the user's objects and defaults for the others."""
     adjoint = adjoint or (diffrax.DirectAdjoint() if isinstance(controller, CONSTANT) else diffrax.RecursiveCheckpointAdjoint())
     if controller is None:

@@ -5,10 +5,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, PRNGKeyArray
 
 from jaxbody.core.arguments import check_key, check_kind
-from jaxbody.core.arrays import concrete
+from jaxbody.core.arrays import Array, PRNGKeyArray, concrete
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame

@@ -10,10 +10,9 @@ from typing import Any
 import diffrax
 import jax
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import check_kind, checked_dict, positive_number, whole_number
-from jaxbody.core.arrays import check_times, concrete, device_array, float_array
+from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, unknown, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
@@ -43,7 +42,7 @@ def simulate(
     *,
     motion: dict[str, Motion | Callable] | None = None,
     loads: dict[str, Load] | None = None,
-    initial: State | str | None = None,
+    initial: State | Rest | str | None = None,
     rtol: float = 1e-8,
     solver: diffrax.AbstractSolver | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
@@ -208,7 +207,7 @@ def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion
     return tuple(motions.values())
 
 
-def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], initial: State | None) -> Float[Array, "nt"]:
+def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], initial: Any) -> Float[Array, "nt"]:
     """The times, increasing and covered by motions and loads; the initial state has the right shape."""
     problems = Problems()
     checked = check_times(times, problems, "times", minimum=2)

@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from equinox import combine, field, is_array, partition
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import AXES, QUATERNION, dataset, rows_of
 from jaxbody.core.errors import Status, is_concrete
@@ -148,7 +148,7 @@ class Trajectory(Result):
             "kinetic_energy": (("time",), energies["kinetic"], "J"),
             "potential_energy": (("time",), energies["potential"], "J"),
         }
-        coordinates = {"frame": list(poses), "axis": AXES, "part": QUATERNION}
+        coordinates: dict[str, Any] = {"frame": list(poses), "axis": AXES, "part": QUATERNION}
         if springs:
             variables["elongation"] = (("time", "spring"), rows_of([elongations[name] for name in springs], -1), "m")
             variables["force"] = (("time", "spring"), rows_of([forces[name] for name in springs], -1), "N")

@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind, checked_dict
-from jaxbody.core.arrays import device_array, stack, vector
+from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, stack, vector
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import AXES, dataset, rows_of
 from jaxbody.core.errors import Problems, Status
@@ -222,15 +220,15 @@ def _load_cases(model: Model, unloaded: Equilibrium, searches: SearchResult, app
         by_joints = (largest <= NEGLIGIBLE * total) & (total > 0)
         return eq.status, eq.load_factor, eq.state, _deformed(model, eq.state), eq.descended, by_joints
 
-    status, factor, state, (pose, deformations, forces), descended, by_joints = jax.vmap(one, in_axes=(AppliedLoads(None, 0, 0), 0))(
-        applied, searches
-    )
-    failed = unloaded.status * ~(unloaded.ok | (unloaded.status == Status.SINGULAR_K) | (unloaded.status == Status.TABLE_RANGE))
-    status = jnp.where(failed > 0, failed, status)
+    status, factor, state, (pose, deformations, forces), descended, by_joints = applied.each(one, searches)
+    usable = unloaded.ok | (unloaded.status == Status.SINGULAR_K) | (unloaded.status == Status.TABLE_RANGE)
+    status = jnp.where(usable, status, unloaded.status)
     rest_poses, rest_deformations, _ = _deformed(model, unloaded.state)
-    rotation_rows = rotations.log(product(pose.R, jnp.swapaxes(rest_poses.R, -1, -2)))
-    strokes = tuple(e - e0 for e, e0 in zip(deformations, rest_deformations, strict=True))
-    return LoadCases(status, factor, state, unloaded, pose.p - rest_poses.p, rotation_rows, strokes, forces, descended, by_joints, names)
+    rotation_rows = rotations.log(product(pose.R, jnp.swapaxes(rest_poses.R, -1, -2)[None]))
+    strokes = tuple(e - e0[None] for e, e0 in zip(deformations, rest_deformations, strict=True))
+    return LoadCases(
+        status, factor, state, unloaded, pose.p - rest_poses.p[None], rotation_rows, strokes, forces, descended, by_joints, names
+    )
 
 
 def _deformed(model: Model, state: State) -> tuple[Pose, tuple[Array, ...], tuple[Array, ...]]:

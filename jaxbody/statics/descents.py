@@ -9,8 +9,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
 
+from jaxbody.core.arrays import Array, Bool, Float, Int
 from jaxbody.mechanics.hessians import configuration_at, expansion
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.numerics.lanes import LANES, in_lanes
@@ -46,7 +46,7 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
         # below `tiny` rounding of the energy hides its decrease
         falls = (expected > 0) & (best[1] - value >= 1e-4 * expected)
         accept = jnp.isfinite(value) & (falls | tiny | (n == 0))
-        best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (trial, value, slope * scale, K * scale * scale[:, None]), best)
+        best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (trial, value, slope * scale, K * scale[None] * scale[:, None]), best)
         shift = jnp.where(accept, jnp.where(shift > 1e-3, shift / 10, 0.0), jnp.maximum(4 * shift, 0.1))
         _, _, slope, K = best
         unit = jnp.max(jnp.abs(K), initial=0.0)
@@ -56,7 +56,7 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
         y = jnp.where(
             definite, y * jnp.where(longest > size / 2, size / 2 / longest, 1.0), 0.0
         )  # otherwise no step, and a larger shift next
-        expected = -jnp.sum(y * slope) - 0.5 * jnp.sum(y * jnp.sum(K * y, -1))
+        expected = -jnp.sum(y * slope) - 0.5 * jnp.sum(y * jnp.sum(K * y[None], -1))
         at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= least_slope * unit * size  # also on a saddle, which no Newton step leaves
         near = accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= tolerance * size)
         done = definite & (near | at_rest) & jnp.isfinite(best[1])

@@ -15,11 +15,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
-from jaxbody.core.arrays import device_array
+from jaxbody.core.arrays import Array, Bool, Float, Int, device_array
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset, rows_of
 from jaxbody.core.errors import Problems, Status, is_concrete
@@ -267,11 +266,6 @@ def search_under_loads(
     return jax.lax.cond(any_of_batch(~jnp.all(settled)), descended, lambda: search)
 
 
-def _each(function, many: bool):
-    """The function, mapped over rows of weights and changes of gravity if there are `many`."""
-    return jax.vmap(function, in_axes=(AppliedLoads(None, 0, 0), 0)) if many else function
-
-
 @jit_unoptimized
 def _along_path(model: Model, unloaded: Equilibrium, applied: AppliedLoads, many: bool) -> tuple[SearchResult, Bool[Array, "*n"]]:
     """The search along the load path from the unloaded equilibrium, and whether its result stands: not where K is singular at the start,
@@ -287,7 +281,8 @@ def _along_path(model: Model, unloaded: Equilibrium, applied: AppliedLoads, many
         search = SearchResult(q, negative, singular, status, unloaded.steps, factor, path, jnp.array(False))
         return search, usable & ((factor >= 1) | (ahead & (factor > 0)) | (path.smallest[0] > reachable(SOFTEST, q0.dtype)))
 
-    return _each(one, many)(loads, jnp.zeros(len(applied.gravity)))
+    starts = jnp.zeros(len(applied.gravity))
+    return loads.each(one, starts) if many else one(loads, starts)
 
 
 @jit_unoptimized
@@ -309,7 +304,8 @@ def _by_descent(
         )
         return jax.tree.map(lambda a, b: jnp.where(settled | (~ok & (along_path.factor > 0)), a, b), along_path, descent)
 
-    return _each(one, many)(jax.lax.stop_gradient(applied), (search, settled))
+    frozen, ends = jax.lax.stop_gradient(applied), (search, settled)
+    return frozen.each(one, ends) if many else one(frozen, ends)
 
 
 @jit_unoptimized
@@ -329,11 +325,10 @@ def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: Appl
         [search.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
     return Equilibrium(
-        State(q, zero), residual(at, applied, search.factor), potential(with_load_gravity(at, applied).model, frames), search.negative,
-        ~failed & (search.negative == 0), status, search.steps,
-        tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))),
-        model, applied.loads, search.factor, search.path,
-        jnp.asarray(search.descended), outside,
+        state=State(q, zero), residual=residual(at, applied, search.factor), negative=search.negative, status=status, steps=search.steps,
+        energy=potential(with_load_gravity(at, applied).model, frames), stable=~failed & (search.negative == 0), model=model,
+        deformations=tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), loads=applied.loads,
+        load_factor=search.factor, path=search.path, descended=jnp.asarray(search.descended), beyond=outside,
     )  # fmt: skip
 
 
@@ -372,7 +367,7 @@ def zero_modes(model: Model, state: State) -> list[str]:
     layout = model.layout
     scale = np.asarray(scale_of(model, size_of(model)))
     K = np.asarray(_stiffness(model, state.q))
-    return describe_null_motions(layout, K * scale * scale[:, None], reachable(SINGULAR, K.dtype), "free to")
+    return describe_null_motions(layout, K * scale[None] * scale[:, None], reachable(SINGULAR, K.dtype), "free to")
 
 
 def massless_motions(layout: Layout, M: Any) -> list[str]:

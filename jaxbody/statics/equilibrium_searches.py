@@ -8,10 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, positive_number, whole_number
+from jaxbody.core.arrays import Array, Float
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
@@ -123,7 +123,8 @@ def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
 def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium:
     size, coordinates = size_of(model), Coordinates(model)
     scale = scale_of(model, size)
-    moves = spread * size * scale * jnp.where(model.layout.turns, 2.0, 1.0) * jax.random.normal(key, (starts, len(scale)), size.dtype)
+    reach = spread * size * scale * jnp.where(model.layout.turns, 2.0, 1.0)
+    moves = jnp.multiply(reach, jax.random.normal(key, (starts, len(scale)), size.dtype))
     q0 = coordinates.reference.q
     q = jax.vmap(lambda move: coordinates.retract(q0, move))(moves.at[0].set(0.0))
 
@@ -136,7 +137,7 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
         def step(carry, _):
             q, _ = carry
             _, g, K = expansion(configuration_at(coordinates, q, base=False))
-            K, g = K * scale * scale[:, None], g * scale
+            K, g = K * scale[None] * scale[:, None], g * scale
             y = -jnp.linalg.pinv(K, rtol=SINGULAR, hermitian=True) @ g
             longest = jnp.max(jnp.abs(y), initial=0.0)
             y = y * jnp.where(longest > size / 4, size / 4 / longest, 1.0)
@@ -146,7 +147,7 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
 
         (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=NEWTON_STEPS)
         K = stiffness(configuration_at(coordinates, q, base=False))
-        return q, eigenvalue_signs(K * scale * scale[:, None]), done, jnp.array(NEWTON_STEPS)
+        return q, eigenvalue_signs(K * scale[None] * scale[:, None]), done, jnp.array(NEWTON_STEPS)
 
     def equilibrium(q, signs, converged, steps):
         status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)

@@ -12,8 +12,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
 
+from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.elements.second_derivatives import turning
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import cross, dot, product, rotate, skew
@@ -35,8 +35,16 @@ class AppliedLoads(eqx.Module):
     """The loads raised with lambda: each load, as at time 0, times its weight, and a change of gravity."""
 
     loads: tuple[Load, ...]
-    weights: Float[Array, "n"]
-    gravity: Float[Array, "3"]
+    weights: Float[Array, "*cases n"]
+    gravity: Float[Array, "*cases 3"]
+
+    def each(self, function, *more):
+        """function(loads, ...) by row of the weights, of the changes of gravity and of `more`."""
+
+        def one(weights, gravity, *more):
+            return function(AppliedLoads(self.loads, weights, gravity), *more)
+
+        return jax.vmap(one)(self.weights, self.gravity, *more)
 
 
 class Path(eqx.Module):
@@ -51,7 +59,7 @@ def with_gravity(model: Model, change: Float[Array, "3"]) -> Model:
     return eqx.tree_at(lambda m: m.gravity, model, model.gravity + change)
 
 
-def with_load_gravity(at: Configuration, applied: AppliedLoads, factor=1.0) -> Configuration:
+def with_load_gravity(at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0) -> Configuration:
     """The configuration with a fraction `factor` of the change of gravity."""
     return at._replace(model=with_gravity(at.model, factor * applied.gravity))
 
@@ -87,13 +95,13 @@ def stiffness_of_loads(model: Model, q, loads: tuple[Load, ...], weights: Float[
     return jax.jacfwd(lambda delta: generalized_force(model, q, loads, weights, delta))(zero)
 
 
-def residual(at: Configuration, applied: AppliedLoads, factor=1.0) -> Float[Array, "nv"]:
+def residual(at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0) -> Float[Array, "nv"]:
     """dV/dDelta - lambda Q; `at` without its base."""
     Q = generalized_force(at.model, at.q, applied.loads, applied.weights, jnp.zeros(at.model.layout.nv, at.q.dtype))
     return slope(with_load_gravity(at, applied, factor)) - factor * Q
 
 
-def tangent(at: Configuration, applied: AppliedLoads, factor=1.0) -> Float[Array, "nv nv"]:
+def tangent(at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0) -> Float[Array, "nv nv"]:
     """K = d2V/dDelta2 - lambda dQ/dDelta; `at` without its base."""
     return stiffness(with_load_gravity(at, applied, factor)) - factor * stiffness_of_loads(at.model, at.q, applied.loads, applied.weights)
 
@@ -128,7 +136,7 @@ def follow_load_path(coordinates: Coordinates, q, applied: AppliedLoads, scale: 
 
     def nondimensional(q, factor):
         at = configuration_at(coordinates, q, base=False)
-        return residual(at, applied, factor) * scale, tangent(at, applied, factor) * scale * scale[:, None]
+        return residual(at, applied, factor) * scale, tangent(at, applied, factor) * scale[None] * scale[:, None]
 
     def iterate(carry):
         at, q, target, length, iteration, steps, top, path = carry
@@ -148,7 +156,7 @@ def follow_load_path(coordinates: Coordinates, q, applied: AppliedLoads, scale: 
         length = jnp.where(ended, jnp.where(good, 2 * length, length / 4), length)
         return (
             at, jnp.where(ended, at.q, moved), jnp.where(ended, jnp.minimum(1.0, at.factor + length), target), length,
-            jnp.where(ended, 0, iteration + 1), steps + good, top, path,
+            jnp.where(ended, 0, iteration + 1), jnp.where(good, steps + 1, steps), top, path,
         )  # fmt: skip
 
     def unfinished(carry):

@@ -66,7 +66,7 @@ def _start(coordinates: Coordinates, on_supports: Coordinates):
     return at_rest_in(on_supports.model, rest_poses(on_supports.model, on_supports.supports, bodies)).q
 
 
-def initial_state_of(model: Model, motions: Motions, t, initial: State | Rest | None, where: str) -> State | None:
+def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str) -> State | None:
     """The initial state of a run. Error: the status of the equilibrium, where "rest" is given and there is none."""
     if not isinstance(initial, Rest):
         return initial

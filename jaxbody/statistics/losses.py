@@ -17,8 +17,8 @@ import math
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
+from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import JaxbodyError, Problem
 
 LOSSES = {"soft_l1": 1.345, "cauchy": 2.385}

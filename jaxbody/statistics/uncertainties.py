@@ -246,4 +246,4 @@ def lag_one(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> tupl
         return 0.0, False
     pooled = sum(float(x[1:] @ x[:-1]) / float(x @ x) * len(x) for x, _ in series) / n
     by_fit = sum(float(np.sum(q[1:] * q[:-1])) / max(len(x) - float(np.sum(q**2)), LEAST) * len(x) for x, q in series) / n
-    return pooled, abs(pooled + by_fit) > max(CORRELATED, SIGNIFICANT / np.sqrt(n))
+    return pooled, bool(abs(pooled + by_fit) > max(CORRELATED, SIGNIFICANT / np.sqrt(n)))

@@ -28,10 +28,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from equinox import field
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import module_of
+from jaxbody.core.arrays import Array, Float, Int, module_of
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import MESSAGES, Status
@@ -161,14 +160,14 @@ def _backbones(lin: Linearization) -> Backbones:
     scale = scale_of(frozen.model, size)
     MS = frozen.M @ shapes
     top = jnp.max(jnp.abs(values))
-    single = jnp.sum(cluster[:, None] == cluster, 0) == 1
+    single = jnp.sum(cluster[:, None] == cluster[None], 0) == 1
     oscillates = values > ZERO * top
     valid, rigid = single & oscillates, jnp.abs(values) <= ZERO * top
     largest = jnp.argmax(jnp.abs(shapes) / scale[:, None], axis=0)
 
     def solve(D, near, B):
         """x with D x = B, without the modes in `near`, the null vectors of D; B does not excite them."""
-        regular = D + top * (MS * near) @ MS.T
+        regular = D + top * (MS * near.astype(MS.dtype)[None]) @ MS.T
         return jnp.linalg.solve(regular, B)
 
     def one(phi, value, i, good):
@@ -234,7 +233,7 @@ def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, 
     def derivatives(u):
         return _along(lambda q: potential(lin.model, coordinates.at_rest(q)), coordinates, q, u, 4)
 
-    _, V1, _, V3, V4 = jax.vmap(derivatives)(jnp.concatenate([phi[None], phi + e, phi - e, e]))
+    _, V1, _, V3, V4 = jax.vmap(derivatives)(jnp.concatenate([phi[None], phi[None] + e, phi[None] - e, e]))
     plus, minus, own = jnp.split(V3[1:], 3)
     return V1[1 + 2 * len(phi) :] / step, V3[0], V4[0], (plus - minus - 2 * own) / (6 * step)
 

@@ -7,9 +7,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float, Int
 
 from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Complex, Float, Int
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
@@ -162,21 +162,21 @@ def _complex_modes(M, D, K, unit, lin_status, spins: bool) -> tuple[Array, ...]:
 def _paired(s: Complex[Array, "2n"], U: Complex[Array, "n 2n"], M, K) -> Int[Array, "n 2"]:
     """The pairs of poles of the modes, by ascending |s1 s2|: conjugates, and real ones adjacent in the order of u' K u/(u' M u), which is
     w^2 for both poles of an overdamped mode where damping is proportional."""
-    n = len(U)
-    oscillates = s.imag != 0
+    n, imag = len(U), jnp.imag(s)
+    oscillates = imag != 0
     rayleigh = jnp.sum(jnp.conj(U) * (K @ U), 0).real / jnp.sum(jnp.conj(U) * (M @ U), 0).real
-    upper = jnp.sum(s.imag > 0)
-    kind = jnp.where(s.imag > 0, 0, jnp.where(oscillates, 2, 1))
-    line = jnp.lexsort((jnp.abs(s.imag), jnp.where(oscillates, jnp.abs(s), rayleigh), kind))
+    upper = jnp.sum(imag > 0)
+    kind = jnp.where(imag > 0, 0, jnp.where(oscillates, 2, 1))
+    line = jnp.lexsort((jnp.abs(imag), jnp.where(oscillates, jnp.abs(s), rayleigh), kind))
     i = jnp.arange(n)
     real = upper + 2 * (i - upper)
     pairs = jnp.where((i < upper)[:, None], jnp.stack([i, 2 * n - upper + i], -1), jnp.stack([real, real + 1], -1))
     pairs = line[pairs]
     one, other = pairs.T
-    swapped = (s.imag[one] == 0) & (jnp.abs(s[one]) > jnp.abs(s[other]))
+    swapped = (imag[one] == 0) & (jnp.abs(s[one]) > jnp.abs(s[other]))
     pairs = jnp.where(swapped[:, None], pairs[:, ::-1], pairs)
     size = jnp.abs(s[one] * s[other])
-    return pairs[jnp.lexsort((s.imag[pairs[:, 0]], size))]
+    return pairs[jnp.lexsort((imag[pairs[:, 0]], size))]
 
 
 def _normalized(shapes: Complex[Array, "nv n"], M: Float[Array, "nv nv"]) -> Complex[Array, "nv n"]:

@@ -13,11 +13,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import shaped, stack
+from jaxbody.core.arrays import Array, Float, Int, shaped, stack
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
@@ -226,7 +225,7 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
         size = size_of(model)
         scale = scale_of(model, size)
         unbalanced = slope - generalized_force(model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros_like(slope))
-        largest = jnp.max(jnp.abs(K * scale * scale[:, None]), initial=0.0) * size
+        largest = jnp.max(jnp.abs(K * scale[None] * scale[:, None]), initial=0.0) * size
         stale = jnp.max(jnp.abs(unbalanced * scale), initial=0.0) > jnp.finfo(unbalanced.dtype).eps ** 0.5 * largest
         status = jnp.where(stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status)
     return Linearization(M, C, K, M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, status, state, model, loads)

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from equinox import field
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems, is_concrete
@@ -183,8 +183,8 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
 
     def share(part, whole, least):
         """In percent, averaged over clusters; zero where the whole is."""
-        nonzero = jnp.abs(whole) > least
-        return 100 * averaged(part, cluster) / jnp.where(nonzero, averaged(whole, cluster), 1.0) * nonzero
+        nonzero = jnp.broadcast_to(jnp.abs(whole) > least, part.shape)
+        return 100 * averaged(part, cluster) / jnp.where(nonzero, averaged(whole, cluster), 1.0) * nonzero.astype(part.dtype)
 
     second = _curvatures(lin)
     kinetic, moving, elastic, loss = (jnp.moveaxis(x, 0, -1) for x in jax.vmap(lambda phi: _of_motion(lin, second, phi), in_axes=1)(shapes))
@@ -193,9 +193,9 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     others = jnp.stack([strain - jnp.sum(elastic, 0) - gravity - loads, gravity, loads])
     velocities = refused_in_clusters(moving.reshape(-1, len(values)), cluster).reshape(moving.shape)
     top = jnp.max(jnp.abs(values), initial=0.0)
-    stiff = jnp.where(jnp.abs(values) > ZERO * top, 1.0, jnp.nan)
+    stiff = jnp.where(jnp.abs(values) > ZERO * top, 1.0, jnp.nan)[None]
     return (
-        frequency, share(kinetic, jnp.sum(kinetic, (0, 1)), 0.0), stiff * share(elastic, strain, 0.0), stiff * share(others, strain, 0.0),
+        frequency, share(kinetic, jnp.sum(kinetic, (0, 1)), 0.0), share(elastic, strain, 0.0) * stiff, share(others, strain, 0.0) * stiff,
         share(loss, dissipated, LEAST_LOSS * jnp.max(jnp.abs(dissipated), initial=0.0)), velocities, cluster, status,
     )  # fmt: skip
 

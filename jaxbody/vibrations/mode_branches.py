@@ -12,10 +12,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import concrete, float_array
+from jaxbody.core.arrays import Array, Float, Int, concrete, float_array
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
@@ -108,7 +107,7 @@ def _mac(X: Array, Y: Array, W: Float[Array, "nv nv"]) -> Float[Array, "n m"]:
     def norm(Z):
         return jnp.sum(jnp.conj(Z) * (W @ Z), 0).real
 
-    return jnp.abs(jnp.conj(X).T @ (W @ Y)) ** 2 / (norm(X)[:, None] * norm(Y))
+    return jnp.abs(jnp.conj(X).T @ (W @ Y)) ** 2 / (norm(X)[:, None] * norm(Y)[None])
 
 
 def track(linearized: Callable[[Any], Linearization | SpinLinearization], values: Any) -> Branches:
@@ -154,13 +153,15 @@ def _track(values: Float[Array, "k"], at_values: Modes | ComplexModes, M: Float[
         at_value, at_reference = together(cluster), together(label)
         both = _mac(reference, shapes, M)
         in_spaces = at_reference.astype(both.dtype) @ both @ at_value.astype(both.dtype)
-        best = in_spaces / jnp.minimum(jnp.sum(at_reference, 1)[:, None], jnp.sum(at_value, 0))
+        best = in_spaces / jnp.minimum(jnp.sum(at_reference, 1)[:, None], jnp.sum(at_value, 0)[None]).astype(both.dtype)
         order = _matched(best)
         chosen = shapes[:, order]
         shared = jnp.sum(at_value, 0)[order] > 1
-        amounts = jnp.conj(shapes).T @ (M @ reference) * at_value[:, order]  # coordinates of the reference in its matching space
+        amounts = (
+            jnp.conj(shapes).T @ (M @ reference) * at_value[:, order].astype(shapes.dtype)
+        )  # coordinates of the reference in its matching space
         projected = shapes @ amounts
-        projected = projected / jnp.sqrt(jnp.sum(jnp.conj(projected) * (M @ projected), 0).real)
+        projected = projected / jnp.sqrt(jnp.sum(jnp.conj(projected) * (M @ projected), 0, keepdims=True).real)
         label = jnp.where(shared, label, n + jnp.arange(n))
         return (jnp.where(shared, projected, chosen), label), (order, best[jnp.arange(n), order])
 

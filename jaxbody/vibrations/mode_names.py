@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from jaxtyping import Array, Float
 
-from jaxbody.core.arrays import concrete
+from jaxbody.core.arrays import Array, Float, concrete
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
@@ -119,7 +118,7 @@ def mark_note(names: tuple[str, ...]) -> str:
     return MARK_NOTE if any(name.endswith(MARK) for name in names) else ""
 
 
-def _name(bodies: tuple[str, ...], direction: str, alike: Any, largest: int, shares: np.ndarray, velocities: Any) -> str:
+def _name(bodies: tuple[str, ...], direction: str, alike: Any, largest: Any, shares: np.ndarray, velocities: Any) -> str:
     if len(alike) == 1 or len(alike) > MOST_NAMED:
         others = f" and {len(alike) - 1} more" if len(alike) > 1 else ""
         return f"{bodies[largest]}{others} {direction} {shares[largest]:.0f} %"

@@ -7,11 +7,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from equinox import field
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import plain
-from jaxbody.core.arrays import shaped
+from jaxbody.core.arrays import Array, Float, Int, shaped
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import AXES, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
@@ -188,7 +187,7 @@ def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     origin = _origin(lin, body)[0]
     resists = jnp.min(stiffness) > 1e-10 * jnp.max(jnp.abs(stiffness))
     status = jnp.where(resists, Status.OK.value, Status.SINGULAR_K.value)
-    center, points, pitch, torsional = (jnp.where(resists, x, jnp.nan) for x in (origin + p, origin + p + points, pitch, torsional))
+    center, points, pitch, torsional = (jnp.where(resists, x, jnp.nan) for x in (origin + p, (origin + p)[None] + points, pitch, torsional))
     return ElasticAxes(center, n, stiffness, points, pitch, torsional_axes, torsional, status, body)
 
 

@@ -12,10 +12,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import plain
-from jaxbody.core.arrays import float_array, vector
+from jaxbody.core.arrays import Array, Float, float_array, vector
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.elements.elements import Element
@@ -241,7 +240,7 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...])
         G = jnp.zeros(len(inputs), dtype)
         if isinstance(port, PointMotion):
             place = jnp.asarray(np.eye(3)[KINDS.index(port.kind)], dtype)
-            row = place[:, None] * next(points)
+            row = place[:, None] * next(points)[None]
         elif isinstance(port, SupportReaction):
             unit = jnp.concatenate([jnp.zeros(layout.nv, dtype), _unit(layout, port, dtype)])
             K, C, M = (unit @ matrix for matrix in whole)

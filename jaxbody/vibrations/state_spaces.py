@@ -7,9 +7,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from equinox import field
-from jaxtyping import Array, Float, Int
 
 from jaxbody.core import tables
+from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
