@@ -41,7 +41,7 @@ CORRELATED = 0.8  # smallest correlation for which gain and delay are considered
 LATE = 0.05  # smallest delay that is reported, in samples
 SIGNIFICANT = 4.0  # and in standard errors
 HEAVY = 0.3  # smallest predicted mean of an accelerometer, relative to gravity, for which gravity is checked
-LIGHT = 0.2  # measured mean, relative to the predicted one, below which gravity is missing
+LIGHT = 0.2  # measured mean, relative to the predicted one, below which gravity counts as missing
 EARTH = (9.7, 9.9)  # m/s2
 BETTER = 0.7  # relative cost below which another arrangement of channels or axes is reported
 

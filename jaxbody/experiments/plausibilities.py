@@ -45,11 +45,11 @@ class Plausibility(Result):
 def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Plausibility:
     """Quantities that a wrong unit changes by orders of magnitude, compared with their usual ranges at the reference pose.
 
-    These are: the radius of gyration of each body that can rotate, relative to its farthest attachment point (kg mm2, or an inertia about
-    another point); the first natural frequency and the sag under gravity (N/mm, mm); gravity itself; and the sampling step of `experiments`
-    relative to the first natural period (ms).
+    These are the radius of gyration of each body that can rotate, relative to its farthest attachment point (detects kg mm2, or an inertia
+    about another point); the first natural frequency and the sag under gravity (N/mm, mm); gravity itself; and the sampling step of
+    `experiments` relative to the first natural period (ms).
 
-    Warns GYRATION, FREQUENCY, SAG, GRAVITY (neither zero nor 9.7 to 9.9 m/s2), TIME_UNIT. Errors: X64_CHANGED. Warns FLOAT32.
+    Warns GYRATION, FREQUENCY, SAG, GRAVITY (neither zero nor 9.7 to 9.9 m/s2), TIME_UNIT, FLOAT32. Errors: X64_CHANGED.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=800.0, free_length=1.0)
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},

@@ -151,7 +151,7 @@ class Fit(Result):
         ends = [np.concatenate([np.ravel(interval[side]) for interval in intervals.values()]) for side in (0, 1)]
         for path, value in self.estimates.items():
             value = np.asarray(value)
-            names += [path] if value.ndim == 0 else [path + str(list(i)).replace(" ", "") for i in np.ndindex(value.shape)]
+            names += _labels(path, value)
             estimates += value.ravel().tolist()
             errors += np.asarray(self.standard_errors[path]).ravel().tolist()
         variables: dict[str, tuple[tuple[str, ...], Any, str]] = {

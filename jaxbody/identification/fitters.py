@@ -296,8 +296,7 @@ def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, .
     durations = {name: float(np.ptp(run.times)) for name, run in runs.items()}
     short = [f"'{name}' lasts {duration:.3g} s" for name, duration in durations.items() if duration < SHORT * period]
     if short:
-        remedy = "record longer, or free fewer parameters"
-        return (f"{', '.join(short)}, a small part of the first natural period of {period:.3g} s: {remedy}",)
+        return (f"{', '.join(short)}, a small part of the first natural period of {period:.3g} s: record longer, or free fewer parameters",)
     if status != Status.NOT_CONVERGED:
         return ()
     return (f"give a better initial guess, or {'more max_evaluations' if evaluate.exhausted else 'another method'}",)

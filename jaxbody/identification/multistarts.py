@@ -57,8 +57,10 @@ class Multistart(Result):
     def _tables(self) -> list[tables.PrintedTable]:
         paths = {path: np.asarray(x).reshape(len(self.cost), -1) for path, x in self.estimates.items()}
         scalars = [path for path, x in paths.items() if x.shape[1] == 1]
-        counts = enumerate(zip(self.cost, self.found, strict=True))
-        rows = [(str(i + 1), cost, str(count), *(float(paths[path][i, 0]) for path in scalars)) for i, (cost, count) in counts]
+        rows = [
+            (str(i + 1), cost, str(count), *(float(paths[path][i, 0]) for path in scalars))
+            for i, (cost, count) in enumerate(zip(self.cost, self.found, strict=True))
+        ]
         note = f"{self.starts} starts, {self.lost} of which did not converge; {self.report()}"
         return [tables.PrintedTable("Optima", ("", "cost", "starts", *scalars), rows, note)]
 

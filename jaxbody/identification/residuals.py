@@ -127,8 +127,9 @@ def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Arra
     colors = colors_of(task.free, task.experiments)
     seeds = jnp.asarray(colors[:, None] == np.arange(colors.max(initial=-1) + 1), float)
     r, sums, runs = jax.vmap(lambda seed: jax.jvp(evaluate, (u,), (seed,), has_aux=True), 1, (None, 1, None))(seeds)
-    channels = [(run, name) for run in _order(runs) for name in sorted(runs[run][1])]
-    blocks = [moved_rows(task.free, task.experiments, run, name, runs[run][1][name].size) for run, name in channels]
+    blocks = [
+        moved_rows(task.free, task.experiments, run, name, runs[run][1][name].size) for run in _order(runs) for name in sorted(runs[run][1])
+    ]
     return r, jnp.where(jnp.concatenate(blocks), sums[:, colors], 0.0), runs
 
 
