@@ -46,8 +46,8 @@ class Printed(ABC):
 
 
 def summarized(title: str, ndim: int, **heads: str) -> Callable:
-    """A decorator of `_tables` of results that may be batches: unless the first of these attributes has `ndim` axes and a known value, the result
-    prints as one table of the attributes, each under its heading."""
+    """A decorator of `_tables` of results that may be batches: unless the first of these attributes has `ndim` axes and a known value, the
+    result prints as one table of the attributes, each under its heading."""
 
     def of_method(single: Callable[[Any], list[PrintedTable]]) -> Callable[[Any], list[PrintedTable]]:
         @wraps(single)

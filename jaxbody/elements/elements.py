@@ -91,7 +91,7 @@ class Element(eqx.Module):
         return jax.grad(self.dissipation, argnums=1)(e, e_dot)
 
     def force(self, *frames: Frame) -> Float[Array, "*m"]:
-        """dV/de + dR/de_dot, the force against the deformation: the tension of a spring [N]."""
+        """dV/de + dR/de_dot, the force opposing the deformation: the tension of a spring [N]."""
         e, e_dot = self.rates(*frames)
         return jax.grad(self.energy)(e) + self.damping_force(e, e_dot)
 

@@ -39,7 +39,7 @@ class LawElement(Element):
 
 
 class Torsion(LawElement):
-    """A torsion spring and damper between two bodies, as at a hinge: the turn of B against A about an axis n of A,
+    """A torsion spring and damper between two bodies, as at a hinge: the rotation of B relative to A about an axis n of A,
 
         e = 2 atan2(n . w, 1 + tr R) - e0,   R = R_A' R_B,   w = (R32 - R23, R13 - R31, R21 - R12),   |e + e0| < pi
 

@@ -139,7 +139,7 @@ def units_of(kind: Kind, shape: tuple[int, ...]) -> list[str]:
 
 
 def take(owner: Any, problems: Problems | None = None, **values) -> None:
-    """Set fields of an owner under construction to numbers, each checked for its domain. Errors are added to `problems`, or raised without it."""
+    """Set fields of an owner under construction to numbers, each checked for its domain. Errors are added to `problems`, or else raised."""
     found = Problems() if problems is None else problems
     for name, value in values.items():
         where = f"{type(owner).__name__}.{name}"

@@ -14,7 +14,7 @@ WORLD = "world"
 
 @dataclass(frozen=True)
 class Layout:
-    """The static part of a model: the order of its frames and coordinates, in which the user gave the names."""
+    """The static part of a model: its frames and coordinates, in the order of the names given by the user."""
 
     bodies: tuple[str, ...]
     supports: tuple[str, ...]

@@ -69,7 +69,7 @@ class PowerLaw(Spectrum):
     reference: Float[Array, ""]
     speed: Float[Array, ""]
     quantity: str = eqx.field(static=True)
-    factor: float = eqx.field(static=True)  # to the square of the quantity
+    factor: float = eqx.field(static=True)  # from the unit to the square of the quantity in SI units
     per: str = eqx.field(static=True)
     sides: int = eqx.field(static=True)
 
@@ -115,7 +115,7 @@ class PSD(Spectrum):
     values: Float[Array, "n"]
     speed: Float[Array, ""]
     quantity: str = eqx.field(static=True)
-    factor: float = eqx.field(static=True)  # to the square of the quantity
+    factor: float = eqx.field(static=True)  # from the unit to the square of the quantity in SI units
     per: str = eqx.field(static=True)
     sides: int = eqx.field(static=True)
 

@@ -134,7 +134,7 @@ class PointMotion(eqx.Module):
 
 class ElementForce(eqx.Module):
     """An output: the force of an element, spring and damper, less its value at equilibrium: for a spring the tension [N], for a bushing its
-    `component`, one of three forces (0 to 2) [N] and moments (3 to 5) [N m] in its own axes, against the deformation.
+    `component`, one of three forces (0 to 2) [N] and moments (3 to 5) [N m] in its own axes, opposing the deformation.
 
     >>> ElementForce("mount", component=2).component
     2
