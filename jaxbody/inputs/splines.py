@@ -19,9 +19,9 @@ MOST = 100_000  # intervals
 
 
 class Spline(Motion):
-    """Xi(t) = sum_j B_j(t) values_j . directions, with B_j the cubic B-splines on equal intervals from `start` to `stop` [s]. It is C2 for any
-    values, and each value acts over four intervals only. In a fit "run1.base.values" may be free, where the motion of the base was measured
-    poorly or not at all. `values` (m, k) has a column [m or rad] for each direction. Times outside start to stop are an error.
+    """Xi(t) = sum_j B_j(t) values_j . directions, with B_j the cubic B-splines on equal intervals from `start` to `stop` [s]. It is C2
+    for any values, and each value acts over four intervals only. In a fit "run1.base.values" may be free, where the motion of the base was
+    measured poorly or not at all. `values` (m, k) has a column [m or rad] for each direction. Times outside start to stop are an error.
 
     Args:
         start, stop: first and last time [s]
