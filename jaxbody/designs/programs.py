@@ -25,7 +25,18 @@ NamedLimits = dict[str, tuple[float, float]]
 
 
 class Program:
-    """All quantities and their derivatives at a batch of u."""
+    """All quantities and their derivatives at a batch of u.
+
+    Args:
+        space: the free parameters.
+        evaluate: model -> quantities.
+        minimize, limits: the objective and the limits of other quantities, by name.
+        width: number of u in a batch.
+        reverse: derivatives by reverse mode; None decides by the number of parameters.
+        key: for stochastic objectives, otherwise None.
+        progress: True prints every evaluation to stderr.
+        line: shows a progress line.
+    """
 
     def __init__(
         self,
@@ -100,7 +111,12 @@ class Program:
 
 @jit_optimized
 def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u: Float[Array, "*b n"], key: Any):
-    """Values, derivatives and shapes of all quantities; the choice of the objective and the limits needs no new compilation."""
+    """Values, derivatives and shapes of all quantities; the choice of the objective and the limits needs no new compilation.
+
+    Args:
+        space, evaluate, reverse, key: as in `Program`.
+        u: one vector of free parameters (n,) or a batch (b, n).
+    """
     shapes: list[tuple[str, tuple[int, ...]]] = []
 
     def flat(u):

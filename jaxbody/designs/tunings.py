@@ -168,7 +168,14 @@ def _remedy(program: Program, best: Search, iterations: int) -> str:
 
 
 def tuning_of(program: Program, searches: list[Search], best: Search, iterations: int) -> Tuning:
-    """The result of searches from all starts, each of at most so many iterations."""
+    """The result of searches from all starts.
+
+    Args:
+        program: the quantities and their derivatives.
+        searches: all searches, after they have ended.
+        best: the best of them.
+        iterations: the largest number that each was allowed.
+    """
     rows, space, quantities = program.rows, program.space, program.quantities
     U, values = (np.stack([getattr(search, name) for search in searches]) for name in ("u", "values"))
     codes = np.array([_status_and_multipliers(search, rows, space)[0] for search in searches])

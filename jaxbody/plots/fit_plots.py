@@ -125,7 +125,13 @@ def plot_profile(profile: Profile, *, ax: Any = None) -> Any:
 
 
 def chosen(fit: Fit, run: str | None, sensor: str | None, where: str) -> tuple[str, str, int | None]:
-    """The named run, sensor and part of a sensor, or the first ones; "plate moment" names the second part of the ForcePlate "plate"."""
+    """The named run, sensor and part of a sensor, or the first ones; "plate moment" names the second part of the ForcePlate "plate".
+
+    Args:
+        fit: the fit.
+        run, sensor: names; None takes the first ones.
+        where: name of the calling function, for messages.
+    """
     run = run or next(iter(fit.experiments))
     if run not in fit.experiments:
         raise JaxbodyError(unknown(run, f"{where}.run", tuple(fit.experiments)))
