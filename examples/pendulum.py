@@ -48,7 +48,7 @@ shape = ["hinge.spring.moment", "swing.angle.bias", "swing.initial.*"]
 class Weight(laws.Law):
     """The moment of the pendulum's weight, a sin(x)."""
 
-    moment: jax.Array
+    moment: jax.Array = jb.field("force")  # N m about the hinge
 
     def potential(self, x):
         return self.moment * (1 - jnp.cos(x))
@@ -57,7 +57,7 @@ class Weight(laws.Law):
 class Dry(laws.Law):
     """F w/sqrt(w^2 + w0^2) as in laws.Friction, but F may have either sign, so that its interval can contain zero."""
 
-    level: jax.Array
+    level: jax.Array = jb.field("force")
 
     def force(self, w):
         return self.level * w / jnp.sqrt(w**2 + 0.05**2)
@@ -66,8 +66,8 @@ class Dry(laws.Law):
 class Progressive(laws.Law):
     """c w + d w |w|."""
 
-    linear: jax.Array
-    square: jax.Array
+    linear: jax.Array = jb.field("force/argument")
+    square: jax.Array = jb.field("force/argument^2")
 
     def force(self, w):
         return self.linear * w + self.square * w * jnp.abs(w)

@@ -13,11 +13,14 @@ from jaxbody.core.arrays import concrete, scalar
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import KNOWN
 
-DOMAINS = ("any", "nonnegative", "positive", "fraction", "definite", "direction", "rotation", "inertia", "configuration", "speeds")
+ROWS = ("increasing", "rising")
+DOMAINS = ("any", "nonnegative", "positive", "fraction", "definite", "direction", "rotation", "inertia", *ROWS, "configuration", "speeds")
 LIMITS = {  # in words, and the default code of the error; "symmetric" is "definite" without a condition on signs
     "nonnegative": (">= 0", "NEGATIVE"),
     "positive": ("> 0", "NOT_POSITIVE"),
     "fraction": ("0 to 1", "NOT_A_FRACTION"),
+    "increasing": ("more than the number before", "TABLE_UNSORTED"),
+    "rising": ("not less than the number before", "TABLE_FALLS"),
     "definite": (">= 0", "NEGATIVE"),
     "symmetric": ("symmetric", "NOT_SYMMETRIC"),
 }
@@ -46,7 +49,8 @@ def field(unit: str = "", domain: str = "any", *, code: str = "", hint: str = ""
             N m/rad in a spring about an angle
         domain: any, nonnegative, positive (for both a fit uses the logarithm, which keeps the sign), fraction (from 0 to 1), definite (a
             symmetric matrix without negative eigenvalues, or a row of such numbers), direction (a unit vector), rotation (a unit
-            quaternion) or inertia; for a state, configuration or speeds (the coordinates of the joints, and their rates);
+            quaternion) or inertia; for a row of numbers, increasing or rising (not falling), which `replace` checks and a fit does not
+            enforce; for a state, configuration or speeds (the coordinates of the joints, and their rates);
             "nonnegative unless allow_negative" is any where the owner's `allow_negative` is true
         code, hint: of the error for a number outside its domain; default code: NEGATIVE, NOT_POSITIVE or NOT_A_FRACTION
         words: for a field that holds laws or signals, the words of their formulas: {"force": "N m", "argument": "rad"}
@@ -160,8 +164,13 @@ def check_domain(value: Any, kind: Kind, where: str, problems: Problems) -> None
     limit, code = LIMITS[kind.domain]
     if kind.domain in ("definite", "symmetric"):
         _check_definite(known, kind, where, problems)
-    elif (bad := {"nonnegative": known < 0, "positive": known <= 0, "fraction": (known < 0) | (known > 1)}[kind.domain]).any():
-        worst = float(known[bad].min())
+        return
+    steps = np.diff(known) if kind.domain in ROWS else known
+    bad = {"nonnegative": steps < 0, "positive": steps <= 0, "increasing": steps <= 0, "rising": steps < 0}.get(
+        kind.domain, (known < 0) | (known > 1)
+    )
+    if bad.any():
+        worst = float((known[..., 1:] if kind.domain in ROWS else known)[bad].min())
         problems.add(kind.code or code, where, f"is {worst:g} {kind.unit}".rstrip(), value=worst, limit=limit, hint=kind.hint)
 
 

@@ -30,8 +30,8 @@ class Table(Law):
     True
     """
 
-    x: Float[Array, "n"] = field("argument")
-    forces: Float[Array, "n"] = field("force")
+    x: Float[Array, "n"] = field("argument", "increasing", hint="Sort the points by x.")
+    forces: Float[Array, "n"] = field("force", "rising", hint="For a law that falls on purpose use a Polynomial or a function.")
 
     def __init__(self, x, forces):
         problems = Problems()

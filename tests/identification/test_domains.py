@@ -222,6 +222,39 @@ def test_replace_refuses_what_the_constructor_refuses(path, value, code):
     assert refused.value.code == code
 
 
+K_OFF = np.diag([3.0, 2.0, 4.0, 1.0, 1.5, -2.0])
+TABLE = jb.laws.Table([-1, 0, 1, 2], [-10, 0, 10, 40])
+REFUSED = {  # what the constructor refuses, in pairs: an object as it may be, a field, numbers that it may not have
+    "a negative mount": (jb.Bushing(HERE, ("world", [0, 0, 0]), stiffness=K), "s.stiffness", K_OFF, "NEGATIVE_STIFFNESS"),
+    "a lopsided mount": (jb.Bushing(HERE, ("world", [0, 0, 0]), stiffness=K), "s.stiffness", K + np.triu(K, 1), "NOT_SYMMETRIC"),
+    "negative damping": (jb.Bushing(HERE, ("world", [0, 0, 0]), stiffness=[1, 2, 3]), "s.damping", [1, -1, 0], "NEGATIVE_DAMPING"),
+    "an unsorted table": (TABLE, "s.spring.x", [-1.0, 1, 0, 2], "TABLE_UNSORTED"),
+    "a falling table": (TABLE, "s.spring.forces", [-10.0, 0, -1, 2], "TABLE_FALLS"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_replace_refuses_what_the_constructor_of_a_mount_or_a_table_refuses(name):
+    part, path, value, code = REFUSED[name]
+    with pytest.raises(jb.JaxbodyError, match=r"replace\[") as refused:
+        jb.replace(holding(part), {path: value})
+    assert refused.value.code == code
+    given = {"stiffness": [1, 2, 3], path.rsplit(".")[-1]: value}
+    with pytest.raises(jb.JaxbodyError) as refused:
+        jb.Bushing(HERE, ("world", [0, 0, 0]), **given) if "mount" in name or "damping" in name else jb.laws.Table(
+            *(value if path.endswith(each) else start for each, start in (("x", TABLE.x), ("forces", TABLE.forces)))
+        )
+    assert refused.value.code == code
+
+
+def test_a_mount_that_may_be_negative_must_still_be_symmetric():
+    with pytest.warns(jb.JaxbodyWarning, match="NEGATIVE_STIFFNESS"):
+        mount = jb.Bushing(HERE, ("world", [0, 0, 0]), stiffness=K_OFF, allow_negative=True)
+    assert jb.replace(holding(mount), {"s.stiffness": 2 * K_OFF})["s"].stiffness[5, 5] == -4.0
+    with pytest.raises(jb.JaxbodyError, match="NOT_SYMMETRIC"):
+        jb.replace(holding(mount), {"s.stiffness": K + np.triu(K, 1)})
+
+
 def test_what_was_allowed_to_be_negative_stays_so():
     with pytest.warns(jb.JaxbodyWarning, match="NEGATIVE_STIFFNESS"):
         spring = jb.Spring(*ENDS, stiffness=-2.0, allow_negative=True)
