@@ -61,6 +61,13 @@ def configuration_at(
     return Configuration(model, q, frames, angular, _jacobian(layout, frames, linear, angular, base), base)
 
 
+def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:
+    """The displacement of the origin and the rotation of every frame per unit of each of (Delta, Xi)."""
+    bodies, n, dtype = len(at.model.layout.bodies), len(at.turns), at.q.dtype
+    J = jnp.swapaxes(jnp.eye(n, dtype=dtype).reshape(-1, 6, n), 1, 2) if at.J is None else at.J
+    return jnp.concatenate([jnp.zeros((1, n, 6), dtype), J[bodies:], J[:bodies]])
+
+
 def slope(at: Configuration) -> Vector:
     """dV/d(Delta, Xi) at rest."""
     G = -jnp.concatenate(wrenches(at.model, at.frames), -1)[_rows(at.model.layout, at.base)]

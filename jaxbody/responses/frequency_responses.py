@@ -22,7 +22,8 @@ from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.mechanics.energies import each_element
+from jaxbody.mechanics.element_derivatives import element_derivatives
+from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
@@ -361,30 +362,9 @@ def is_unstable(A: _Matrices) -> Bool[Array, ""]:
 
 def hysteretic_damping(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Array, "n n"]:
     """H of (Delta, Xi): the sum over the elements of eta V''(e) de de."""
-    H = jnp.zeros(())
-    first = 0
-    for curvature, J in _elastic(lin):
-        own = eta[first : first + len(J)]
-        first += len(J)
-        H = H + jnp.einsum("e,eai,eab,ebj->ij", own, J, curvature, J)
-    return H + jnp.zeros((lin.model.layout.nv + lin.model.layout.nxi,) * 2)
-
-
-def _elastic(lin: Linearization):
-    """V''(e) (elements, k, k) and de/d(Delta, Xi) (elements, k, n) of every table of elements."""
-    model, layout, q = lin.model, lin.model.layout, lin.state.q
-
-    def deformations(x):
-        coordinates, delta, xi = Coordinates(model), x[: layout.nv], x[layout.nv :].reshape(-1, 6)
-        frames = coordinates.frames(coordinates.retract(q, delta), jnp.zeros_like(delta), coordinates.supports_at(xi, jnp.zeros_like(xi)))
-        return tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F))))
-
-    zero = jnp.zeros(layout.nv + layout.nxi, q.dtype)
-    for table, e, J in zip(model.elements, deformations(zero), jax.jacfwd(deformations)(zero), strict=True):
-        count = len(table.names)
-        k = int(np.prod(e.shape[1:], dtype=int))
-        curvature = jax.vmap(lambda s, e: jax.hessian(s.energy)(e))(table.rows, e)
-        yield curvature.reshape(count, k, k), J.reshape(count, k, len(zero))
+    at = configuration_at(Coordinates(lin.model), lin.state.q)
+    H = [x.quadratic(x.stiffness, jnp.eye(len(at.turns), dtype=eta.dtype)) for x in element_derivatives(at)]
+    return jnp.tensordot(eta, jnp.concatenate(H), 1) if H else jnp.zeros((len(at.turns),) * 2)
 
 
 def _elastic_rows(Y, H, ports: PortMatrices, lin: Linearization, eta) -> Float[Array, "ny n"]:

@@ -23,6 +23,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_conc
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.energies import each_element, gravity_energy, potential
 from jaxbody.mechanics.hessians import configuration_at, damping, expansion, mass
 from jaxbody.mechanics.kinematics import Coordinates
@@ -260,20 +261,10 @@ def _split(model: Model, state: State):
     """Elastic and geometric stiffness of every element, table by table: V'' de de, and the rest of the Hessian, V' d2e."""
     zero, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
 
-    def each(function):
-        return lambda d: tuple(
-            each_element(model, _frames(model, state, d, zero, rest, rest), lambda s, *F: function(s, *(f.pose() for f in F)))
-        )
+    def potentials(d):
+        frames = _frames(model, state, d, zero, rest, rest)
+        return each_element(model, frames, lambda s, *F: s.potential(*(f.pose() for f in F)))
 
-    deformation = each(lambda s, *poses: s.deformation(*poses))
-    slopes = jax.jacfwd(deformation)(zero)
-    curvatures = [
-        jax.vmap(lambda s, e: jax.hessian(s.energy)(e))(table.rows, e) for table, e in zip(model.elements, deformation(zero), strict=True)
-    ]
-    whole = jax.hessian(each(lambda s, *poses: s.potential(*poses)))(zero)
-    elastic = []
-    for J, c in zip(slopes, curvatures, strict=True):
-        J = J.reshape(J.shape[0], -1, len(zero))
-        c = c.reshape(c.shape[0], J.shape[1], J.shape[1])
-        elastic.append(jnp.einsum("nai,nab,nbj->nij", J, c, J))
-    return tuple(elastic), tuple(k - e for k, e in zip(whole, elastic, strict=True))
+    own = jnp.eye(len(zero) + len(rest), len(zero), dtype=zero.dtype)
+    elastic = [x.quadratic(x.stiffness, own) for x in element_derivatives(configuration_at(Coordinates(model), state.q))]
+    return elastic, [k - e for k, e in zip(jax.hessian(potentials)(zero), elastic, strict=True)]

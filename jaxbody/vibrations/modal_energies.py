@@ -17,7 +17,8 @@ from jaxbody.core.errors import Problems, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import rotate, rotate_back
-from jaxbody.mechanics.energies import each_element
+from jaxbody.mechanics.element_derivatives import element_derivatives
+from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
@@ -186,8 +187,13 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
         nonzero = jnp.broadcast_to(jnp.abs(whole) > least, part.shape)
         return 100 * averaged(part, cluster) / jnp.where(nonzero, averaged(whole, cluster), 1.0) * nonzero.astype(part.dtype)
 
-    second = _curvatures(lin)
-    kinetic, moving, elastic, loss = (jnp.moveaxis(x, 0, -1) for x in jax.vmap(lambda phi: _of_motion(lin, second, phi), in_axes=1)(shapes))
+    kinetic, moving = jax.vmap(lambda phi: _kinetic(lin.model, _moving(lin, phi)), in_axes=1, out_axes=-1)(shapes)
+    elements = element_derivatives(configuration_at(Coordinates(lin.model), lin.state.q, lin.state.v))
+    changes = [x.J[..., : len(shapes)] @ shapes for x in elements]
+    elastic, loss = (
+        jnp.concatenate([jnp.zeros((0, len(values))), *(jnp.sum(de * (H @ de), 1) for de, H in zip(changes, second, strict=True))])
+        for second in ([x.stiffness for x in elements], [x.damping for x in elements])
+    )
     gravity, loads = (jnp.sum(shapes * (K @ shapes), 0) for K in (lin.K_gravity, lin.K_loads))
     strain, dissipated = jnp.sum(shapes * (lin.K @ shapes), 0), jnp.sum(loss, 0)
     others = jnp.stack([strain - jnp.sum(elastic, 0) - gravity - loads, gravity, loads])
@@ -198,18 +204,6 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
         frequency, share(kinetic, jnp.sum(kinetic, (0, 1)), 0.0), share(elastic, strain, 0.0) * stiff, share(others, strain, 0.0) * stiff,
         share(loss, dissipated, LEAST_LOSS * jnp.max(jnp.abs(dissipated), initial=0.0)), velocities, cluster, status,
     )  # fmt: skip
-
-
-def _curvatures(lin: Linearization) -> list[tuple[Array, Array]]:
-    """V''(e) and R''(e, e_dot) of the elements, table by table."""
-
-    def of(element, *frames):
-        e, e_dot = element.rates(*frames)
-        n = e.size
-        second = jax.hessian(element.energy)(e), jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot)
-        return tuple(x.reshape(n, n) for x in second)
-
-    return each_element(lin.model, Coordinates(lin.model).at_rest(lin.state.q, lin.state.v), of)
 
 
 def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
@@ -234,17 +228,3 @@ def _kinetic(model: Model, frames: Frame) -> tuple[Float[Array, "nb 6"], Float[A
     momenta = jnp.concatenate([bodies.mass[:, None] * v_C, rotate(moving.R, rotate(inertia, w_B))], -1)
     velocities = jnp.concatenate([v_C, moving.w], -1)
     return velocities * momenta, velocities
-
-
-def _of_motion(lin: Linearization, curvatures: list[tuple[Array, Array]], phi: Float[Array, "nv"]):
-    """Twice the kinetic energy by body and direction, velocities, and by element twice the elastic energy and the power dissipated, along
-    phi."""
-    frames = _moving(lin, phi)
-    changes = [e_dot.reshape(len(e_dot), -1) for _, e_dot in each_element(lin.model, frames, lambda element, *F: element.rates(*F))]
-    none = jnp.zeros(0, phi.dtype)
-
-    def quadratic(i):
-        pairs = zip(changes, curvatures, strict=True)
-        return jnp.concatenate([none, *(jnp.einsum("ni,nij,nj->n", change, both[i], change) for change, both in pairs)])
-
-    return *_kinetic(lin.model, frames), quadratic(0), quadratic(1)

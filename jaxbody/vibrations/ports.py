@@ -9,7 +9,6 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -17,13 +16,13 @@ from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, float_array, vector
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Problem, Problems, unknown
-from jaxbody.elements.elements import Element
 from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry.fields import field
-from jaxbody.geometry.frames import Frame, Pose
+from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.places import unit_vector
 from jaxbody.geometry.vectors import cross, skew
-from jaxbody.mechanics.hessians import Configuration, configuration_at, slope
+from jaxbody.mechanics.element_derivatives import ElementDerivatives, element_derivatives
+from jaxbody.mechanics.hessians import configuration_at, frame_twists, slope
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.mechanics.linear_readings import reading_rows
 from jaxbody.models.models import Model
@@ -218,16 +217,15 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...])
     model, layout, q = lin.model, lin.model.layout, lin.state.q
     n, dtype = layout.nv + layout.nxi, q.dtype
     zero = jnp.zeros(n, dtype)
-    at = configuration_at(Coordinates(model), q)
+    at = configuration_at(Coordinates(model), q, lin.state.v)
     frames, twists = at.frames, frame_twists(at)
     points = iter(
         [_point_row(port, frames, twists, layout.frame) for port in (*inputs, *outputs) if isinstance(port, PointForce | PointMotion)]
     )
-    bending, deformed = {}, {}
-    for name in {port.on for port in outputs if isinstance(port, ElementForce | ElementDeformation)}:
-        ends = [layout.frame(end) for end in model[name].between]
-        slopes, deformed[name] = _bending(model[name], [frames[end].pose() for end in ends])
-        bending[name] = sum(slope @ twists[end].T for slope, end in zip(slopes, ends, strict=True))
+    of_elements = {}
+    if any(isinstance(port, ElementForce | ElementDeformation) for port in outputs):
+        for table, derivatives in zip(model.elements, element_derivatives(at), strict=True):
+            of_elements |= {name: ElementDerivatives(*(x[i] for x in derivatives)) for i, name in enumerate(table.names)}
     turned = any(isinstance(port, SupportReaction) and len(port.direction) == 2 for port in outputs)
     reaction_at_rest = slope(at)[layout.nv :] if turned else zero
     sensors = [port for port in outputs if hasattr(port, "reading")]
@@ -246,10 +244,10 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...])
             K, C, M = (unit @ matrix for matrix in whole)
             row, G = -jnp.stack([K + _turned_moment(layout, reaction_at_rest, port), C, M]), unit @ F
         elif isinstance(port, ElementForce):
-            e, i = deformed[port.on], port.component or 0
-            row = jnp.stack([k[i] @ bending[port.on] for k in _rates_of_force(model[port.on], e)] + [zero])
+            J, *second = of_elements[port.on]
+            row = jnp.stack([H[port.component or 0] @ J for H in second] + [zero])
         elif isinstance(port, ElementDeformation):
-            row = jnp.stack([bending[port.on][port.component or 0], zero, zero])
+            row = jnp.stack([of_elements[port.on].J[port.component or 0], zero, zero])
         else:
             row, G = next(readings)
         rows.append(row)
@@ -304,13 +302,6 @@ def _direction(direction: Any, where: str, problems: Problems) -> tuple[Any, boo
     return np.eye(3)["xyz".find(direction[-1:])], len(direction) == 2
 
 
-def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:
-    """The displacement of the origin and the rotation of every frame per unit of each of (Delta, Xi)."""
-    bodies, n, dtype = len(at.model.layout.bodies), len(at.turns), at.q.dtype
-    J = jnp.swapaxes(jnp.eye(n, dtype=dtype).reshape(-1, 6, n), 1, 2) if at.J is None else at.J
-    return jnp.concatenate([jnp.zeros((1, n, 6), dtype), J[bodies:], J[:bodies]])
-
-
 def _point_row(port: PointForce | PointMotion, frames: Frame, twists, row_of) -> Float[Array, "n"]:
     """The displacement or rotation of a port's point per unit of each of (Delta, Xi)."""
     place, axis = frames[row_of(port.on)].point(port.point), jnp.asarray(port.axis)
@@ -323,16 +314,6 @@ def _point_row(port: PointForce | PointMotion, frames: Frame, twists, row_of) ->
 
     other = getattr(port, "relative_to", None)
     return moved(port.on) if other is None else moved(port.on) - moved(other)
-
-
-def _bending(element: Element, poses: list[Pose]):
-    """The derivative of an element's deformation in the displacement of each of its frames, and the deformation."""
-
-    def deformation(moves):
-        e = element.deformation(*(pose.displaced(move) for pose, move in zip(poses, moves, strict=True))).reshape(-1)
-        return e, e
-
-    return jax.jacfwd(deformation, has_aux=True)([jnp.zeros(6, poses[0].p.dtype)] * len(poses))
 
 
 def _input_wrenches(inputs: tuple[Input, ...], frames: Frame, layout) -> Float[Array, "nu nb 6"]:
@@ -363,15 +344,6 @@ def _turned_moment(layout, held: Float[Array, "nxi"], port: SupportReaction) -> 
         return row
     turned = -skew(held[first : first + 3])[DIRECTIONS.index(port.direction) - 3] / 2
     return row.at[layout.nv + first : layout.nv + first + 3].set(turned)
-
-
-def _rates_of_force(element: Element, e: Float[Array, "k"]) -> tuple[Float[Array, "k k"], Float[Array, "k k"]]:
-    """V''(e) and R''(e, 0)."""
-    k = e.shape[0]
-    e = e if element.size > 1 else e[0]
-    stiffness = jax.hessian(element.energy)(e)
-    damping = jax.jacfwd(lambda rate: element.damping_force(e, rate))(jnp.zeros_like(e))
-    return stiffness.reshape(k, k), damping.reshape(k, k)
 
 
 def _turning(port: Any, model: Model) -> bool:
