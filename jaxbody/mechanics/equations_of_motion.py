@@ -217,7 +217,7 @@ def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
     C = skew(bodies.com)
     G = inverse_of_three((bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2)
     CG, GC = product(C, G), product(G, C)
-    top = jnp.concatenate([np.eye(3, dtype=C.dtype) / bodies.mass[:, None, None] - product(CG, C), CG], -1)
+    top = jnp.concatenate([np.eye(3, dtype=C.dtype)[None] / bodies.mass[:, None, None] - product(CG, C), CG], -1)
     return jnp.concatenate([top, jnp.concatenate([-GC, G], -1)], -2)
 
 

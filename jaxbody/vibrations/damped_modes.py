@@ -122,7 +122,7 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
 @jit_unoptimized
 def _complex_modes(M, D, K, unit, lin_status, spins: bool) -> tuple[Array, ...]:
     n = len(M)
-    M, D, K = (X * unit * unit[:, None] for X in (M, D, K))
+    M, D, K = (X * unit[None] * unit[:, None] for X in (M, D, K))
     finite, massless = jnp.isfinite(jnp.stack([M, D, K])).all(), jnp.isnan(cholesky_of_mass(M)).any()
     M, D, K = (jnp.where(finite & ~massless, X, np.eye(n)) for X in (M, D, K))  # LAPACK may not terminate on NaN
     inverse = jnp.linalg.inv((M + M.T) / 2)
@@ -144,11 +144,11 @@ def _complex_modes(M, D, K, unit, lin_status, spins: bool) -> tuple[Array, ...]:
     own_status = jnp.select(
         # a change of the spin is a motion that nothing resists
         [~finite, massless, jnp.any(jnp.maximum(one.real, other.real) > reachable(GROWS, largest.dtype, 256) * largest),
-         jnp.sum(rigid) > spins],
+         jnp.sum(rigid) > int(spins)],
         [Status.NONFINITE.value, Status.SINGULAR_M.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,
     )  # fmt: skip
-    shapes = refused_if_shared(X[:n] * unit[:, None], pole_clusters(frozen))[:, pairs[:, 0]]
-    shapes = _normalized(shapes, M / unit / unit[:, None])
+    shapes = refused_if_shared(X[:n] * unit[:, None].astype(X.dtype), pole_clusters(frozen))[:, pairs[:, 0]]
+    shapes = _normalized(shapes, M / unit[None] / unit[:, None])
     status = jnp.where(failed, lin_status, own_status)
     valid = jnp.where(finite & ~massless, 1.0, jnp.nan)
     steady = jnp.where(status == Status.NOT_STEADY, jnp.nan, valid)
@@ -159,12 +159,13 @@ def _complex_modes(M, D, K, unit, lin_status, spins: bool) -> tuple[Array, ...]:
     return frequency, natural, ratio, decay, both, shapes * valid, cluster, status
 
 
-def _paired(s: Complex[Array, "2n"], U: Complex[Array, "n 2n"], M, K) -> Int[Array, "n 2"]:
+def _paired(s: Complex[Array, "m"], U: Complex[Array, "n m"], M, K) -> Int[Array, "n 2"]:
     """The pairs of poles of the modes, by ascending |s1 s2|: conjugates, and real ones adjacent in the order of u' K u/(u' M u), which is
     w^2 for both poles of an overdamped mode where damping is proportional."""
     n, imag = len(U), jnp.imag(s)
     oscillates = imag != 0
-    rayleigh = jnp.sum(jnp.conj(U) * (K @ U), 0).real / jnp.sum(jnp.conj(U) * (M @ U), 0).real
+    rayleigh, unit = (jnp.sum(jnp.conj(U) * (A.astype(U.dtype) @ U), 0).real for A in (K, M))
+    rayleigh = rayleigh / unit
     upper = jnp.sum(imag > 0)
     kind = jnp.where(imag > 0, 0, jnp.where(oscillates, 2, 1))
     line = jnp.lexsort((jnp.abs(imag), jnp.where(oscillates, jnp.abs(s), rayleigh), kind))
@@ -182,8 +183,9 @@ def _paired(s: Complex[Array, "2n"], U: Complex[Array, "n 2n"], M, K) -> Int[Arr
 def _normalized(shapes: Complex[Array, "nv n"], M: Float[Array, "nv nv"]) -> Complex[Array, "nv n"]:
     """u* M u = 1, the component of largest modulus real and positive."""
     largest = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=0)[None], 0)
-    shapes = shapes * jnp.conj(largest) / jnp.abs(largest)
-    return shapes / jnp.sqrt(jnp.sum(jnp.conj(shapes) * (M @ shapes), 0).real)
+    shapes = shapes * jnp.conj(largest) / jnp.abs(largest).astype(shapes.dtype)
+    size = jnp.sqrt(jnp.sum(jnp.conj(shapes) * (M.astype(shapes.dtype) @ shapes), 0, keepdims=True).real)
+    return shapes / size.astype(shapes.dtype)
 
 
 def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
@@ -222,7 +224,7 @@ def _whirl(lin: SpinLinearization, shapes: Complex[Array, "nv n"]) -> Float[Arra
     def one(u):
         whirling = size = jnp.zeros(())
         for weight, a, b in zip(weights, velocities(u.real), velocities(-u.imag), strict=True):
-            a, b = (x - jnp.sum(x * n, -1, keepdims=True) * n for x in (a, b))
+            a, b = (x - jnp.sum(x * n[None], -1, keepdims=True) * n[None] for x in (a, b))
             whirling += jnp.sum(weight * (cross(a, b) @ n))
             size += jnp.sum(weight * jnp.sum(a * a + b * b, -1))
         return 2 * whirling / jnp.where(size > 0, size, 1.0)

@@ -105,9 +105,9 @@ def mac(one: Modes | ComplexModes | Any, other: Modes | ComplexModes | Any, *, m
 @jit_unoptimized
 def _mac(X: Array, Y: Array, W: Float[Array, "nv nv"]) -> Float[Array, "n m"]:
     def norm(Z):
-        return jnp.sum(jnp.conj(Z) * (W @ Z), 0).real
+        return jnp.sum(jnp.conj(Z) * (W.astype(Z.dtype) @ Z), 0).real
 
-    return jnp.abs(jnp.conj(X).T @ (W @ Y)) ** 2 / (norm(X)[:, None] * norm(Y)[None])
+    return jnp.abs(jnp.conj(X).T @ (W.astype(Y.dtype) @ Y)) ** 2 / (norm(X)[:, None] * norm(Y)[None])
 
 
 def track(linearized: Callable[[Any], Linearization | SpinLinearization], values: Any) -> Branches:
@@ -158,10 +158,10 @@ def _track(values: Float[Array, "k"], at_values: Modes | ComplexModes, M: Float[
         chosen = shapes[:, order]
         shared = jnp.sum(at_value, 0)[order] > 1
         amounts = (
-            jnp.conj(shapes).T @ (M @ reference) * at_value[:, order].astype(shapes.dtype)
+            jnp.conj(shapes).T @ (M.astype(reference.dtype) @ reference) * at_value[:, order].astype(shapes.dtype)
         )  # coordinates of the reference in its matching space
         projected = shapes @ amounts
-        projected = projected / jnp.sqrt(jnp.sum(jnp.conj(projected) * (M @ projected), 0, keepdims=True).real)
+        projected = projected / jnp.sqrt(jnp.sum(jnp.conj(projected) * (M.astype(projected.dtype) @ projected), 0, keepdims=True).real)
         label = jnp.where(shared, label, n + jnp.arange(n))
         return (jnp.where(shared, projected, chosen), label), (order, best[jnp.arange(n), order])
 

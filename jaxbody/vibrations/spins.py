@@ -126,13 +126,14 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
         return _second_order(dynamics, dynamics.coordinates.retract(q, v * period * angle), v)[1:3]
 
     def largest(X):
-        return jnp.max(jnp.abs(X * scale * scale[:, None]), (-2, -1), initial=0.0)
+        row, column = (x.reshape((1,) * (X.ndim - 2) + x.shape) for x in (scale[None], scale[:, None]))
+        return jnp.max(jnp.abs(X * row * column), (-2, -1), initial=0.0)
 
     later_D, later_K = jax.vmap(matrices)(jnp.array(ALONG, q.dtype))
     inertia = largest(M)
     stiff = jnp.maximum(largest(K), inertia * fastest**2)
     steady = reachable(STEADY, M.dtype, 1024)
-    changes = (largest(later_D - D) > steady * (largest(D) + inertia * fastest)) | (largest(later_K - K) > steady * stiff)
+    changes = (largest(later_D - D[None]) > steady * (largest(D) + inertia * fastest)) | (largest(later_K - K[None]) > steady * stiff)
     accelerates = jnp.max(jnp.abs(M @ v_dot * scale), initial=0.0) > steady * stiff * size
     status = jnp.where(accelerates | changes.any(), Status.NOT_STEADY.value, Status.OK.value)
     return SpinLinearization(M, C, D - C, K, K - K_rest, v_dot, status, state, model)
