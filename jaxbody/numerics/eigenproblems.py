@@ -13,11 +13,13 @@ Source: A. P. Seyranian, E. Lund, N. Olhoff, Structural Optimization 8 (1994) 20
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Bool, Complex, Float, Int
+from jaxbody.core.arrays import Array, Bool, Complex, Float, Int, module_of
 from jaxbody.core.jax_internals import linear_one_way
 from jaxbody.numerics.lanes import in_lanes
 
@@ -209,6 +211,13 @@ def _second_of_poles(W: Array, cluster: Array, order: Array) -> Array:
 
 
 pole_slopes = linear_one_way("pole_slopes", _one_sided_poles, lambda x, cluster, order: _if_alike(x, cluster), again=_second_of_poles)
+
+
+def companion(M: Any, C: Any, K: Any) -> Any:
+    """A of x' = A x, x = (Delta, Delta'), where M Delta'' + C Delta' + K Delta = 0."""
+    xp, n = module_of(M), len(M)
+    rates = xp.linalg.solve(M.astype(K.dtype), xp.concatenate([-K, -C.astype(K.dtype)], 1))
+    return xp.concatenate([np.eye(n, 2 * n, n, dtype=K.dtype), rates])
 
 
 @jax.custom_jvp

@@ -27,7 +27,7 @@ from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
-from jaxbody.numerics.eigenproblems import ZERO, natural
+from jaxbody.numerics.eigenproblems import ZERO, companion, natural
 from jaxbody.numerics.precisions import reachable
 from jaxbody.responses.modal_dampings import NO_MODES, with_modal_damping
 from jaxbody.statics.equilibria import NOT_AT_REST
@@ -332,18 +332,10 @@ def _product(A: Complex[jax.Array, "k n nf"], x: Complex[jax.Array, "n m nf"]) -
     return jax.lax.complex(re, sum((a.real * b.imag + a.imag * b.real for a, b in pairs), none))
 
 
-def _companion(A: _Matrices) -> Array:
-    """(Delta, Delta')' = A (Delta, Delta')."""
-    n = len(A.M)
-    K = A.K if A.H is None else A.K + 1j * A.H
-    lower = jnp.linalg.solve(A.M.astype(K.dtype), jnp.concatenate([-K, -A.C.astype(K.dtype)], 1))
-    return jnp.concatenate([jnp.concatenate([jnp.zeros((n, n), K.dtype), jnp.eye(n, dtype=K.dtype)], 1), lower])
-
-
 def _complex_modes(A: _Matrices):
     """D(s)^-1 = left diag(1/(s - pole)) right, and whether the modes are a basis."""
     n = len(A.M)
-    matrix = _companion(A)
+    matrix = companion(A.M, A.C, A.K if A.H is None else A.K + 1j * A.H)
     unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n:, :n])))  # of frequency, so that displacements and rates have the same scale
     scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)])
     balanced = matrix * scale / scale[:, None]
@@ -356,7 +348,7 @@ def _complex_modes(A: _Matrices):
 
 def is_unstable(A: _Matrices) -> Bool[Array, ""]:
     """Whether a free motion grows, which is UNSTABLE."""
-    values = jnp.linalg.eigvals(_companion(jax.lax.stop_gradient(_Matrices(A.K, A.C, A.M, None))))
+    values = jnp.linalg.eigvals(companion(*jax.lax.stop_gradient((A.M, A.C, A.K))))
     return jnp.max(values.real) > reachable(GROWS, values.real.dtype, 256) * jnp.max(jnp.abs(values))
 
 

@@ -24,6 +24,7 @@ from jaxbody.mechanics.kinematics import Motions
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, check_state, unattached
 from jaxbody.models.states import State
+from jaxbody.numerics.eigenproblems import companion
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.simulations.integrations import CONSTANT, integrate
 from jaxbody.simulations.trajectories import Trajectory
@@ -183,9 +184,7 @@ def check_steps(
 
 def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None) -> None:
     """Warn of constant steps that are too long for the fastest small motion about the initial state, y' = A y."""
-    (M, C, K), n = matrices(model, initial), model.layout.nv
-    rates = np.linalg.solve(np.asarray(M), np.concatenate([-K, -C], 1)) if n else np.zeros((0, 0))
-    fastest = np.abs(np.linalg.eigvals(np.concatenate([np.eye(n, 2 * n, n), rates]))).max(initial=0.0)
+    fastest = np.abs(np.linalg.eigvals(companion(*map(np.asarray, matrices(model, initial))))).max(initial=0.0)
     if dt * fastest > STABLE and not isinstance(solver, diffrax.AbstractImplicitSolver):
         remedy = f"Take dt0 below {STABLE / fastest:.3g} s, leave the steps to the default controller, or use an implicit solver"
         warn(

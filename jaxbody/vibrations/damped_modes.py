@@ -20,7 +20,7 @@ from jaxbody.models.layouts import Layout
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import scale_of, size_of
-from jaxbody.numerics.eigenproblems import cholesky_of_mass, pole_clusters, poles, refused_if_shared
+from jaxbody.numerics.eigenproblems import cholesky_of_mass, companion, pole_clusters, poles, refused_if_shared
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.descents import SINGULAR
 from jaxbody.statics.equilibria import NOT_AT_REST
@@ -125,13 +125,12 @@ def _complex_modes(M, D, K, unit, lin_status, spins: bool) -> tuple[Array, ...]:
     M, D, K = (X * unit[None] * unit[:, None] for X in (M, D, K))
     finite, massless = jnp.isfinite(jnp.stack([M, D, K])).all(), jnp.isnan(cholesky_of_mass(M)).any()
     M, D, K = (jnp.where(finite & ~massless, X, np.eye(n)) for X in (M, D, K))  # LAPACK may not terminate on NaN
-    inverse = jnp.linalg.inv((M + M.T) / 2)
-    A = jnp.block([[jnp.zeros((n, n), M.dtype), jnp.eye(n, dtype=M.dtype)], [-inverse @ K, -inverse @ D]])
+    A = companion((M + M.T) / 2, D, K)
     s, X = poles(A)
     frozen, U = jax.lax.stop_gradient((s, X[:n]))
     pairs = _paired(frozen, U, M, K)
     both = s[pairs]
-    singular = jnp.linalg.svd(inverse @ K, compute_uv=False)
+    singular = jnp.linalg.svd(A[n:, :n], compute_uv=False)
     largest = jnp.max(jnp.abs(frozen), initial=0.0)
     at_rest = (jnp.min(singular, initial=jnp.inf) <= SINGULAR * jnp.max(singular, initial=0.0)) & (jnp.abs(both) <= REST * largest)
     rigid = jnp.any(at_rest, axis=1)
