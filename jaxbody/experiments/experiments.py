@@ -128,7 +128,7 @@ class Experiment(Measurement):
                     hint="Give a text without . * ? [ ], as paths contain it.",
                 )
         problems.raise_if_any()
-        self.times = device_array(checked)  # pyright: ignore[reportArgumentType]
+        self.times = device_array(checked)
         self.motion = motions
         self.loads = {name: jax.tree.map(device_array, load) for name, load in loads.items()}
         self.initial = as_initial(initial)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -45,6 +45,6 @@ def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
     results = []
     for table, (slopes, *second) in zip(at.model.elements, each_element(at.model, at.frames, of), strict=True):
         ends = [np.array([frame(name) for name in end]) for end in zip(*table.links, strict=True)]
-        J = sum(slope @ jnp.swapaxes(twists[end], 1, 2) for slope, end in zip(slopes, ends, strict=True))
+        J: Any = sum(slope @ jnp.swapaxes(twists[end], 1, 2) for slope, end in zip(slopes, ends, strict=True))
         results.append(ElementDerivatives(J, *second))
     return results
