@@ -88,9 +88,16 @@ def warn_of(warning: Warning) -> None:
 
 @dataclass
 class Problems:
-    """Collects problems, so that one error holds all of them."""
+    """Collects problems, so that one error holds all of them: `with Problems() as problems:` raises it at its end."""
 
     collected: list[Problem] = field(default_factory=list)
+
+    def __enter__(self) -> Problems:
+        return self
+
+    def __exit__(self, raised: type | None, *_: Any) -> None:
+        if raised is None:
+            self.raise_if_any()
 
     def add(self, code: str, where: str, message: str, *, value: Any = None, limit: str = "", hint: str = "") -> None:
         self.collected.append(Problem(code, where, message, value, limit, hint))

@@ -98,12 +98,11 @@ def pareto(
     [0.3, 1.0]
     """
     names = [minimize] if isinstance(minimize, str) else list(minimize)
-    problems = Problems()
-    if len(set(names)) != len(names) or len(names) not in (2, 3):
-        message = f"has the objectives {', '.join(map(str, names))}"
-        problems.add("BAD_FRONT", "pareto.minimize", message, value=names, limit="two or three different names")
-    points = whole_number(points, "pareto.points", problems, least=3, code="BAD_FRONT")
-    problems.raise_if_any()
+    with Problems() as problems:
+        if len(set(names)) != len(names) or len(names) not in (2, 3):
+            message = f"has the objectives {', '.join(map(str, names))}"
+            problems.add("BAD_FRONT", "pareto.minimize", message, value=names, limit="two or three different names")
+        points = whole_number(points, "pareto.points", problems, least=3, code="BAD_FRONT")
 
     counts = itertools.count(1)
 

@@ -181,36 +181,38 @@ def evaluated(evaluate: Evaluate, *given: Any) -> Quantities:
 
 def check_names(program: Program) -> None:
     """Check that the objective and the limited quantities exist and that the objective is a scalar."""
-    problems, shapes = Problems(), dict(program.shapes)
-    for where, names in (("tune.minimize", (program.minimize,)), ("tune.limits", program.limits)):
-        problems.collected += [unknown(name, where, tuple(shapes)) for name in names if name not in shapes]
-    shape = shapes.get(program.minimize, ())
-    if shape:
-        hint = "Minimize one number; limit the others."
-        problems.add("BAD_OBJECTIVE", f"evaluate[{program.minimize!r}]", f"has shape {shape}", value=shape, limit="one number", hint=hint)
-    problems.raise_if_any()
+    shapes = dict(program.shapes)
+    with Problems() as problems:
+        for where, names in (("tune.minimize", (program.minimize,)), ("tune.limits", program.limits)):
+            problems.collected += [unknown(name, where, tuple(shapes)) for name in names if name not in shapes]
+        shape = shapes.get(program.minimize, ())
+        if shape:
+            hint = "Minimize one number; limit the others."
+            problems.add(
+                "BAD_OBJECTIVE", f"evaluate[{program.minimize!r}]", f"has shape {shape}", value=shape, limit="one number", hint=hint
+            )
 
 
 def limits_of(limits: dict[str, Any]) -> NamedLimits:
     """{name: (lower, upper)}."""
-    problems, parsed = Problems(), {}
-    if not isinstance(limits, dict):
-        problems.add("BAD_LIMITS", "tune.limits", f"is {limits!r:.60}", value=limits, limit="{name: (lower, upper)}")
-        problems.raise_if_any()
-    for name, given in limits.items():
-        where = f"tune.limits[{name!r}]"
-        try:
-            lower, upper = (given, given) if np.ndim(given) == 0 and not isinstance(given, tuple) else given
-            ends = (-np.inf if lower is None else float(lower), np.inf if upper is None else float(upper))
-        except (TypeError, ValueError):
-            problems.add("BAD_LIMITS", where, f"is {given!r:.60}", value=given, limit="(lower, upper), a number, or None for either")
-            continue
-        if np.isnan(ends).any() or ends == (-np.inf, np.inf):
-            problems.add("BAD_LIMITS", where, f"is {given!r:.60}", value=given, limit="a number at one end or both")
-        elif not ends[0] <= ends[1]:
-            problems.add("BAD_LIMITS", where, f"has lower {ends[0]:g} > upper {ends[1]:g}", value=given, limit="lower <= upper")
-        parsed[name] = ends
-    problems.raise_if_any()
+    parsed = {}
+    with Problems() as problems:
+        if not isinstance(limits, dict):
+            problems.add("BAD_LIMITS", "tune.limits", f"is {limits!r:.60}", value=limits, limit="{name: (lower, upper)}")
+            problems.raise_if_any()
+        for name, given in limits.items():
+            where = f"tune.limits[{name!r}]"
+            try:
+                lower, upper = (given, given) if np.ndim(given) == 0 and not isinstance(given, tuple) else given
+                ends = (-np.inf if lower is None else float(lower), np.inf if upper is None else float(upper))
+            except (TypeError, ValueError):
+                problems.add("BAD_LIMITS", where, f"is {given!r:.60}", value=given, limit="(lower, upper), a number, or None for either")
+                continue
+            if np.isnan(ends).any() or ends == (-np.inf, np.inf):
+                problems.add("BAD_LIMITS", where, f"is {given!r:.60}", value=given, limit="a number at one end or both")
+            elif not ends[0] <= ends[1]:
+                problems.add("BAD_LIMITS", where, f"has lower {ends[0]:g} > upper {ends[1]:g}", value=given, limit="lower <= upper")
+            parsed[name] = ends
     return parsed
 
 

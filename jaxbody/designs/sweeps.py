@@ -63,22 +63,23 @@ def sweep(
     0.0981
     """
     check_precision("sweep", model)
-    problems = Problems()
-    given = checked_dict(over, "sweep.over", "path: [values]", problems)
-    samples = None if samples is None else whole_number(samples, "sweep.samples", problems)
-    chunk = None if chunk is None else whole_number(chunk, "sweep.chunk", problems, code="BAD_CHUNK")
-    check_key(key, "sweep.key", problems)
-    columns = {path: problems.gather(lambda path=path: float_array(given[path], f"sweep['{path}']")) for path in given}
-    columns = {path: values for path, values in columns.items() if values is not None}
-    empty = not columns or any(values.ndim < 1 or not len(values) for values in columns.values())
-    if empty and not problems.collected:
-        problems.add("EMPTY_SWEEP", "sweep.over", "has no values", value=over, limit="values for each path", hint="Give {path: [values]}.")
-    for path, values in columns.items():
-        if not np.isfinite(values).all():
-            problems.add("NON_FINITE", f"sweep['{path}']", f"is {values[~np.isfinite(values)][0]}", value=values, limit="finite")
-    if sampler not in SAMPLERS:
-        problems.add("BAD_SAMPLER", "sweep.sampler", f"is {sampler!r}", value=sampler, limit=" ".join(SAMPLERS))
-    problems.raise_if_any()
+    with Problems() as problems:
+        given = checked_dict(over, "sweep.over", "path: [values]", problems)
+        samples = None if samples is None else whole_number(samples, "sweep.samples", problems)
+        chunk = None if chunk is None else whole_number(chunk, "sweep.chunk", problems, code="BAD_CHUNK")
+        check_key(key, "sweep.key", problems)
+        columns = {path: problems.gather(lambda path=path: float_array(given[path], f"sweep['{path}']")) for path in given}
+        columns = {path: values for path, values in columns.items() if values is not None}
+        empty = not columns or any(values.ndim < 1 or not len(values) for values in columns.values())
+        if empty and not problems.collected:
+            problems.add(
+                "EMPTY_SWEEP", "sweep.over", "has no values", value=over, limit="values for each path", hint="Give {path: [values]}."
+            )
+        for path, values in columns.items():
+            if not np.isfinite(values).all():
+                problems.add("NON_FINITE", f"sweep['{path}']", f"is {values[~np.isfinite(values)][0]}", value=values, limit="finite")
+        if sampler not in SAMPLERS:
+            problems.add("BAD_SAMPLER", "sweep.sampler", f"is {sampler!r}", value=sampler, limit=" ".join(SAMPLERS))
     if samples is not None:
         columns = _sampled(columns, samples, sampler, jax.random.key(0) if key is None else key)
         points = columns
@@ -101,13 +102,12 @@ def _end(values: np.ndarray, which: Any) -> np.ndarray | float:
 def _sampled(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> dict[str, np.ndarray]:
     import scipy.stats.qmc as qmc  # slow to import
 
-    problems = Problems()
-    for path, values in ranges.items():
-        if len(values) != 2 or not (values[0] < values[1]).all():
-            problems.add(
-                "BAD_RANGE", f"sweep['{path}']", f"is {values.tolist()}", value=values, limit="(low, high)", hint="Samples lie between."
-            )
-    problems.raise_if_any()
+    with Problems() as problems:
+        for path, values in ranges.items():
+            if len(values) != 2 or not (values[0] < values[1]).all():
+                problems.add(
+                    "BAD_RANGE", f"sweep['{path}']", f"is {values.tolist()}", value=values, limit="(low, high)", hint="Samples lie between."
+                )
     sizes = [int(np.prod(values.shape[1:])) for values in ranges.values()]
     seed = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
     draw = getattr(qmc, SAMPLERS[sampler])(d=sum(sizes), seed=seed)

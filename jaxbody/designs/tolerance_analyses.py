@@ -104,11 +104,10 @@ def tolerances(
     (0.05, 1.0025)
     """
     check_precision("tolerances", model)
-    problems = Problems()
-    samples = whole_number(samples, "tolerances.samples", problems, least=2, code="BAD_SCATTER")
-    check_key(key, "tolerances.key", problems)
-    leaves, deviations = problems.gather(lambda: scattering(model, scatter, "tolerances.scatter")) or ((), ())
-    problems.raise_if_any()
+    with Problems() as problems:
+        samples = whole_number(samples, "tolerances.samples", problems, least=2, code="BAD_SCATTER")
+        check_key(key, "tolerances.key", problems)
+        leaves, deviations = problems.gather(lambda: scattering(model, scatter, "tolerances.scatter")) or ((), ())
     key = jax.random.key(0) if key is None else key
     with working("tolerances", progress) as line:
         line(f"derivatives and {samples} samples, as one program")
@@ -137,9 +136,8 @@ def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Eval
     [0.1051, 0.1212, 0.0896]
     """
 
-    problems = Problems()
-    positive_number(sigmas, "robust.sigmas", problems)
-    problems.raise_if_any()
+    with Problems() as problems:
+        positive_number(sigmas, "robust.sigmas", problems)
 
     def with_scatter(model: Model) -> Quantities:
         leaves, deviations = scattering(model, scatter, "robust.scatter")
@@ -155,9 +153,9 @@ def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Eval
 
 def scattering(model: Model, scatter: Scatter, where: str) -> tuple[tuple[Leaf, ...], tuple[Array, ...]]:
     """The leaves that scatter and their standard deviations."""
-    problems, leaves, deviations = Problems(), [], []
-    scatter = checked_dict(scatter, where, "path: standard deviation", problems)
-    problems.raise_if_any()
+    leaves, deviations = [], []
+    with Problems() as problems:
+        scatter = checked_dict(scatter, where, "path: standard deviation", problems)
     arrays = jax.tree.leaves(model)
     for pattern, matches in matching(leaves_of(model), scatter, where).items():
         given = problems.gather(lambda pattern=pattern: float_array(scatter[pattern], f"{where}[{pattern!r}]"))

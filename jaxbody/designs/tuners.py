@@ -88,16 +88,15 @@ def tune(
     check_precision("tune", model, allow_float32=None)
     if not is_concrete(model):
         raise JaxbodyError(Problem("TRACED", "tune.model", "is being traced", hint="Tune outside of jit, vmap and grad."))
-    problems = Problems()
-    bounds, catalogues = (
-        checked_dict(bounds, "tune.bounds", "path: (lower, upper)", problems),
-        checked_dict(catalogues, "tune.catalogues", "path: [values]", problems),
-    )
-    whole_number(starts, "tune.starts", problems, code="BAD_STARTS")
-    max_iterations = whole_number(max_iterations, "tune.max_iterations", problems)
-    positive_number(tolerance, "tune.tolerance", problems)
-    check_key(key, "tune.key", problems)
-    problems.raise_if_any()
+    with Problems() as problems:
+        bounds, catalogues = (
+            checked_dict(bounds, "tune.bounds", "path: (lower, upper)", problems),
+            checked_dict(catalogues, "tune.catalogues", "path: [values]", problems),
+        )
+        whole_number(starts, "tune.starts", problems, code="BAD_STARTS")
+        max_iterations = whole_number(max_iterations, "tune.max_iterations", problems)
+        positive_number(tolerance, "tune.tolerance", problems)
+        check_key(key, "tune.key", problems)
     key = jax.random.key(0) if key is None else key
     limited = limits_of(limits or {})
     space, low, high = space_of(model, free, bounds, "tune")
@@ -128,26 +127,26 @@ def tune(
 
 def _catalogs(space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np.ndarray) -> dict[int, np.ndarray]:
     """The available values {group: u}; the bounds `low` and `high` are narrowed to them."""
-    problems, catalogs = Problems(), {}
-    owner = {leaf: i for i, group in enumerate(space.groups) for leaf in group.leaves}
-    for pattern, leaves in matching(list(owner), catalogues, "tune.catalogues").items():
-        values = problems.gather(lambda path=pattern: _values(catalogues[path], f"tune.catalogues['{path}']"))
-        if values is None:
-            continue
-        for i in dict.fromkeys(owner[leaf] for leaf in leaves):
-            group, at = space.groups[i], space.ends[i]
-            where = f"tune.catalogues['{group.path}']"
-            if group.form.start.ndim or values.ndim != 1 or not values.size or not np.isfinite(values).all() or (values <= 0).any():
-                problems.add("BAD_CATALOGUE", where, f"is {values.tolist()}", value=values, limit="positive numbers, for one number")
+    catalogs = {}
+    with Problems() as problems:
+        owner = {leaf: i for i, group in enumerate(space.groups) for leaf in group.leaves}
+        for pattern, leaves in matching(list(owner), catalogues, "tune.catalogues").items():
+            values = problems.gather(lambda path=pattern: _values(catalogues[path], f"tune.catalogues['{path}']"))
+            if values is None:
                 continue
-            catalog = np.array([at_value(space, i, x)[0] for x in values])
-            inside = (catalog >= low[at] - 1e-12) & (catalog <= high[at] + 1e-12)
-            if not inside.any():
-                problems.add("BAD_CATALOGUE", where, "has no value within the bounds", value=values, hint="Widen the bounds.")
-                continue
-            catalogs[i] = catalog[inside]
-            low[at], high[at] = min(catalog[inside].min(), 0.0), max(catalog[inside].max(), 0.0)
-    problems.raise_if_any()
+            for i in dict.fromkeys(owner[leaf] for leaf in leaves):
+                group, at = space.groups[i], space.ends[i]
+                where = f"tune.catalogues['{group.path}']"
+                if group.form.start.ndim or values.ndim != 1 or not values.size or not np.isfinite(values).all() or (values <= 0).any():
+                    problems.add("BAD_CATALOGUE", where, f"is {values.tolist()}", value=values, limit="positive numbers, for one number")
+                    continue
+                catalog = np.array([at_value(space, i, x)[0] for x in values])
+                inside = (catalog >= low[at] - 1e-12) & (catalog <= high[at] + 1e-12)
+                if not inside.any():
+                    problems.add("BAD_CATALOGUE", where, "has no value within the bounds", value=values, hint="Widen the bounds.")
+                    continue
+                catalogs[i] = catalog[inside]
+                low[at], high[at] = min(catalog[inside].min(), 0.0), max(catalog[inside].max(), 0.0)
     return catalogs
 
 
@@ -158,21 +157,22 @@ def _values(given: Any, where: str) -> np.ndarray:
 
 
 def _check_options(method: Any, limits: dict[str, Any], catalogs: dict[int, Any]) -> None:
-    problems = Problems()
-    if isinstance(method, optax.GradientTransformation):
-        if limits or catalogs:
+    with Problems() as problems:
+        if isinstance(method, optax.GradientTransformation):
+            if limits or catalogs:
+                problems.add(
+                    "BAD_METHOD",
+                    "tune.method",
+                    "is an optax optimizer, which has no limits or catalogues",
+                    value=method,
+                    limit=" ".join(METHODS),
+                )
+        elif method not in METHODS:
             problems.add(
-                "BAD_METHOD",
-                "tune.method",
-                "is an optax optimizer, which has no limits or catalogues",
-                value=method,
-                limit=" ".join(METHODS),
+                "BAD_METHOD", "tune.method", f"is {method!r:.60}", value=method, limit=" ".join(METHODS) + " or an optax optimizer"
             )
-    elif method not in METHODS:
-        problems.add("BAD_METHOD", "tune.method", f"is {method!r:.60}", value=method, limit=" ".join(METHODS) + " or an optax optimizer")
-    elif method == "ipopt":
-        import_extra("casadi", "tune.method")
-    problems.raise_if_any()
+        elif method == "ipopt":
+            import_extra("casadi", "tune.method")
 
 
 def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> list[Search]:

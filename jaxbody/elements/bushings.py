@@ -54,14 +54,13 @@ class Bushing(Element):
     allow_negative: bool = eqx.field(default=False, static=True)
 
     def __init__(self, a, b, *, stiffness, damping=None, orientation=IDENTITY, orientation_b=IDENTITY, allow_negative: bool = False):
-        problems = Problems()
-        self.between, (self.a, self.b) = ends((a, b), "Bushing", problems)
-        self.stiffness = _coefficients(stiffness, "Bushing.stiffness", problems)
-        self.damping = _coefficients(np.zeros(self.stiffness.shape) if damping is None else damping, "Bushing.damping", problems)
-        check_signs(self, allow_negative, problems)
-        self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
-        self.orientation_b = as_quaternion(orientation_b, "Bushing.orientation_b", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "Bushing", problems)
+            self.stiffness = _coefficients(stiffness, "Bushing.stiffness", problems)
+            self.damping = _coefficients(np.zeros(self.stiffness.shape) if damping is None else damping, "Bushing.damping", problems)
+            check_signs(self, allow_negative, problems)
+            self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
+            self.orientation_b = as_quaternion(orientation_b, "Bushing.orientation_b", problems)
 
     def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         R_A, R = turned(self, A, B)

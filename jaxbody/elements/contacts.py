@@ -84,11 +84,10 @@ class Tyre(Touching):
     axis: Float[Array, "3"] = field("", "direction")
 
     def __init__(self, hub, road, *, stiffness, damping=0.0, radius, engagement=1e-3, axis=(0, 0, 1)):
-        problems = Problems()
-        self.between, (self.a, self.b) = ends((hub, road), "Tyre", problems, points=False)
-        take(self, problems, stiffness=stiffness, damping=damping, engagement=engagement, radius=radius)
-        self.axis = unit_vector(axis, "Tyre.axis", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((hub, road), "Tyre", problems, points=False)
+            take(self, problems, stiffness=stiffness, damping=damping, engagement=engagement, radius=radius)
+            self.axis = unit_vector(axis, "Tyre.axis", problems)
 
     def deformation(self, hub, road):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         return dot(rotate(road.R, self.axis), hub.point(self.a) - road.point(self.b)) - self.radius
@@ -114,12 +113,11 @@ class Contact(Touching, LineElement):
     free_length: Float[Array, ""] = field("m", "positive", hint="Give the distance of the points at which they touch.")
 
     def __init__(self, a, b, *, distance, stiffness, damping=0.0, engagement=1e-3):
-        problems = Problems()
-        self.between, (self.a, self.b) = ends((a, b), "Contact", problems)
-        take(self, problems, stiffness=stiffness, damping=damping, engagement=engagement)
-        self.free_length = scalar(distance, "Contact.distance", problems)
-        check_domain(self.free_length, kind_of(self, "free_length"), "Contact.distance", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "Contact", problems)
+            take(self, problems, stiffness=stiffness, damping=damping, engagement=engagement)
+            self.free_length = scalar(distance, "Contact.distance", problems)
+            check_domain(self.free_length, kind_of(self, "free_length"), "Contact.distance", problems)
 
     def split(self, L):
         d = self.free_length - L

@@ -40,12 +40,11 @@ class Spring(LineElement):
     allow_negative: bool = eqx.field(default=False, static=True)
 
     def __init__(self, a, b, *, stiffness, free_length: Any = 0.0, damping: Any = 0.0, allow_negative: bool = False):
-        problems = Problems()
-        self.between, (self.a, self.b) = ends((a, b), "Spring", problems)
-        self.allow_negative = True
-        take(self, problems, stiffness=stiffness, free_length=free_length, damping=damping)
-        check_signs(self, allow_negative, problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "Spring", problems)
+            self.allow_negative = True
+            take(self, problems, stiffness=stiffness, free_length=free_length, damping=damping)
+            check_signs(self, allow_negative, problems)
 
     def energy(self, e):
         return 0.5 * self.stiffness * e**2
@@ -87,12 +86,11 @@ class SpringDamper(LineElement):
     damper: laws.Law | None = field(words={"force": "N", "argument": "m/s"})
 
     def __init__(self, a, b, *, spring=None, damper=None, free_length=0.0):
-        problems = Problems()
-        self.between, (self.a, self.b) = ends((a, b), "SpringDamper", problems)
-        take(self, problems, free_length=free_length)
-        self.spring = laws.as_law(spring, "SpringDamper.spring", problems)
-        self.damper = laws.as_law(damper, "SpringDamper.damper", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "SpringDamper", problems)
+            take(self, problems, free_length=free_length)
+            self.spring = laws.as_law(spring, "SpringDamper.spring", problems)
+            self.damper = laws.as_law(damper, "SpringDamper.damper", problems)
 
     def energy(self, e):
         return laws.potential(self.spring, e)

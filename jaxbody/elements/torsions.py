@@ -76,15 +76,14 @@ class Torsion(LawElement):
     orientation_b: Float[Array, "4"] = field("", "rotation")
 
     def __init__(self, a, b, *, axis, spring=None, damper=None, free_angle=0.0, orientation=IDENTITY, orientation_b=IDENTITY):
-        problems = Problems()
-        self.between, (self.a, self.b) = ends((a, b), "Torsion", problems, points=False)
-        self.axis = unit_vector(axis, "Torsion.axis", problems)
-        self.spring = laws.as_law(spring, "Torsion.spring", problems)
-        self.damper = laws.as_law(damper, "Torsion.damper", problems)
-        self.free_angle = scalar(free_angle, "Torsion.free_angle", problems)
-        self.orientation = as_quaternion(orientation, "Torsion.orientation", problems)
-        self.orientation_b = as_quaternion(orientation_b, "Torsion.orientation_b", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "Torsion", problems, points=False)
+            self.axis = unit_vector(axis, "Torsion.axis", problems)
+            self.spring = laws.as_law(spring, "Torsion.spring", problems)
+            self.damper = laws.as_law(damper, "Torsion.damper", problems)
+            self.free_angle = scalar(free_angle, "Torsion.free_angle", problems)
+            self.orientation = as_quaternion(orientation, "Torsion.orientation", problems)
+            self.orientation_b = as_quaternion(orientation_b, "Torsion.orientation_b", problems)
         warn_of_degrees(self.free_angle, "Torsion.free_angle")
 
     def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
@@ -126,12 +125,11 @@ class AntiRollBar(LawElement):
     axis: Float[Array, "3"] = field("", "direction")
 
     def __init__(self, left, right, body, *, axis=(0, 0, 1), spring=None, damper=None):
-        problems = Problems()
-        self.between, (self.a, self.b, self.c) = ends((left, right, body), "AntiRollBar", problems, points=False)
-        self.axis = unit_vector(axis, "AntiRollBar.axis", problems)
-        self.spring = laws.as_law(spring, "AntiRollBar.spring", problems)
-        self.damper = laws.as_law(damper, "AntiRollBar.damper", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.between, (self.a, self.b, self.c) = ends((left, right, body), "AntiRollBar", problems, points=False)
+            self.axis = unit_vector(axis, "AntiRollBar.axis", problems)
+            self.spring = laws.as_law(spring, "AntiRollBar.spring", problems)
+            self.damper = laws.as_law(damper, "AntiRollBar.damper", problems)
 
     @property
     def points(self):

@@ -87,13 +87,14 @@ class Experiment(Measurement):
         noise: float | dict[str, Any] | None = None,
         leave_out: float = 0.0,
     ):
-        problems = Problems()
-        sensors = checked_dict(sensors, "Experiment.sensors", "name: jb.Position(...)", problems)
-        measured = checked_dict(measured, "Experiment.measured", "name: array", problems)
-        motion = checked_dict(motion, "Experiment.motion", "support: jb.Harmonic(...)", problems)
-        motions = {name: problems.gather(lambda m=m, name=name: as_motion(m, f"Experiment.motion['{name}']")) for name, m in motion.items()}
-        loads = loads_by_name(loads, "Experiment.loads", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            sensors = checked_dict(sensors, "Experiment.sensors", "name: jb.Position(...)", problems)
+            measured = checked_dict(measured, "Experiment.measured", "name: array", problems)
+            motion = checked_dict(motion, "Experiment.motion", "support: jb.Harmonic(...)", problems)
+            motions = {
+                name: problems.gather(lambda m=m, name=name: as_motion(m, f"Experiment.motion['{name}']")) for name, m in motion.items()
+            }
+            loads = loads_by_name(loads, "Experiment.loads", problems)
         checked = check_times(times, problems, "Experiment.times", minimum=2)
         if not sensors:
             problems.add("NO_DATA", "Experiment.sensors", "is empty", limit="at least one sensor")
@@ -189,15 +190,14 @@ class Experiment(Measurement):
         return missing
 
     def check(self, model: Model, where: str) -> None:
-        problems = Problems()
-        problems.gather(lambda: loads_of(self.loads, model.layout.bodies))
-        motions = problems.gather(lambda: motions_of(model, self.motion))
-        if not problems.collected:
-            problems.gather(lambda: check_run(model, self.times, motions, self.loads, self.initial))
-        problems.gather(lambda: check_sensors(self.sensors, model, "sensors"))
-        problems.collected += [problem for name in self.sensors if (problem := self._delay_problem(name)) is not None]
-        problems.collected = [_under(where, problem) for problem in problems.collected]
-        problems.raise_if_any()
+        with Problems() as problems:
+            problems.gather(lambda: loads_of(self.loads, model.layout.bodies))
+            motions = problems.gather(lambda: motions_of(model, self.motion))
+            if not problems.collected:
+                problems.gather(lambda: check_run(model, self.times, motions, self.loads, self.initial))
+            problems.gather(lambda: check_sensors(self.sensors, model, "sensors"))
+            problems.collected += [problem for name in self.sensors if (problem := self._delay_problem(name)) is not None]
+            problems.collected = [_under(where, problem) for problem in problems.collected]
 
     def _delay_problem(self, name: str) -> Problem | None:
         """BAD_DELAY, if a sensor's delay leaves no measured sample to compare with."""

@@ -57,44 +57,49 @@ class MeasuredModes(Measurement):
     number: tuple[int, ...] | None = field(static=True)
 
     def __init__(self, *, frequency, damping_ratio=None, shapes=None, sensors=None, number=None, pairing: str = "order", noise=None):
-        problems = Problems()
-        self.sensors = dict(sensors or {})
-        given = {"frequency": frequency, "damping_ratio": damping_ratio, "shapes": shapes}
-        arrays = {name: float_array(x, f"MeasuredModes.{name}") for name, x in given.items() if x is not None}
-        count = arrays["frequency"].shape[0] if arrays["frequency"].ndim else 0
-        expected = {"frequency": (count,), "damping_ratio": (count,), "shapes": (count, len(self.sensors))}
-        if not count:
-            problems.add("NO_DATA", "MeasuredModes.frequency", "is empty", limit="one number for each mode")
-        for name, array in arrays.items():
-            where, values = f"MeasuredModes.{name}", concrete(array)
-            if array.shape != expected[name]:
-                hint = "A row for each mode, a column for each sensor." if name == "shapes" else "One number for each mode."
-                problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=str(expected[name]), hint=hint)
-            elif values is not None and np.isinf(values).any():
-                problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN for a missing number")
-            elif name == "frequency" and values is not None and (values < 0).any():
-                least = float(np.nanmin(values))
-                problems.add("BAD_FREQUENCY", where, f"has {least:g} Hz", value=least, limit=">= 0", hint="Give NaN for a missing number.")
-            elif values is not None and values.size and np.isnan(values).all():
-                problems.add("ALL_NAN", where, "has only NaN", hint="Leave it out.")
-        if pairing not in ("order", "mac") or (pairing == "mac" and shapes is None):
-            message = f"is {pairing!r}" + (", but there are no shapes" if pairing == "mac" else "")
-            problems.add("BAD_PAIRING", "MeasuredModes.pairing", message, value=pairing, limit='"order", or "mac" with shapes')
-        numbers = tuple(range(count)) if number is None else tuple(int(n) for n in np.ravel(number))
-        if len(numbers) != count or len(set(numbers)) < len(numbers) or any(n < 0 for n in numbers):
-            problems.add("BAD_SHAPE", "MeasuredModes.number", f"is {number}", value=number, limit=f"{count} different numbers from 0 on")
-        levels = {}
-        for name, level in (noise or {}).items():
-            where, deviation = f"MeasuredModes.noise['{name}']", np.asarray(level, float)
-            if name not in arrays:
-                problems.add("UNKNOWN_NAME", where, "is not measured", value=name, limit=", ".join(arrays))
-            elif deviation.shape not in ((), arrays[name].shape):
-                problems.add("BAD_SHAPE", where, f"has shape {deviation.shape}", value=deviation, limit=f"() or {arrays[name].shape}")
-            elif not (np.isfinite(deviation) & (deviation > 0)).all():
-                problems.add("BAD_NOISE", where, "is not positive", value=deviation, limit="> 0", hint="Leave out noise= to estimate it.")
-            else:
-                levels[name] = device_array(deviation)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.sensors = dict(sensors or {})
+            given = {"frequency": frequency, "damping_ratio": damping_ratio, "shapes": shapes}
+            arrays = {name: float_array(x, f"MeasuredModes.{name}") for name, x in given.items() if x is not None}
+            count = arrays["frequency"].shape[0] if arrays["frequency"].ndim else 0
+            expected = {"frequency": (count,), "damping_ratio": (count,), "shapes": (count, len(self.sensors))}
+            if not count:
+                problems.add("NO_DATA", "MeasuredModes.frequency", "is empty", limit="one number for each mode")
+            for name, array in arrays.items():
+                where, values = f"MeasuredModes.{name}", concrete(array)
+                if array.shape != expected[name]:
+                    hint = "A row for each mode, a column for each sensor." if name == "shapes" else "One number for each mode."
+                    problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=str(expected[name]), hint=hint)
+                elif values is not None and np.isinf(values).any():
+                    problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN for a missing number")
+                elif name == "frequency" and values is not None and (values < 0).any():
+                    least = float(np.nanmin(values))
+                    problems.add(
+                        "BAD_FREQUENCY", where, f"has {least:g} Hz", value=least, limit=">= 0", hint="Give NaN for a missing number."
+                    )
+                elif values is not None and values.size and np.isnan(values).all():
+                    problems.add("ALL_NAN", where, "has only NaN", hint="Leave it out.")
+            if pairing not in ("order", "mac") or (pairing == "mac" and shapes is None):
+                message = f"is {pairing!r}" + (", but there are no shapes" if pairing == "mac" else "")
+                problems.add("BAD_PAIRING", "MeasuredModes.pairing", message, value=pairing, limit='"order", or "mac" with shapes')
+            numbers = tuple(range(count)) if number is None else tuple(int(n) for n in np.ravel(number))
+            if len(numbers) != count or len(set(numbers)) < len(numbers) or any(n < 0 for n in numbers):
+                problems.add(
+                    "BAD_SHAPE", "MeasuredModes.number", f"is {number}", value=number, limit=f"{count} different numbers from 0 on"
+                )
+            levels = {}
+            for name, level in (noise or {}).items():
+                where, deviation = f"MeasuredModes.noise['{name}']", np.asarray(level, float)
+                if name not in arrays:
+                    problems.add("UNKNOWN_NAME", where, "is not measured", value=name, limit=", ".join(arrays))
+                elif deviation.shape not in ((), arrays[name].shape):
+                    problems.add("BAD_SHAPE", where, f"has shape {deviation.shape}", value=deviation, limit=f"() or {arrays[name].shape}")
+                elif not (np.isfinite(deviation) & (deviation > 0)).all():
+                    problems.add(
+                        "BAD_NOISE", where, "is not positive", value=deviation, limit="> 0", hint="Leave out noise= to estimate it."
+                    )
+                else:
+                    levels[name] = device_array(deviation)
         if "shapes" in arrays:
             arrays["shapes"] = arrays["shapes"] / np.sqrt(np.nansum(arrays["shapes"] ** 2, 1, keepdims=True))
         self.measured = {name: device_array(array) for name, array in arrays.items()}
@@ -109,18 +114,17 @@ class MeasuredModes(Measurement):
         return dict(self.sensors)
 
     def check(self, model, where):
-        problems = Problems()
-        if self.sensors:
-            ports_of(model, self.sensors, "outputs", where, problems)
-        for name, port in self.sensors.items():
-            if not isinstance(port, PointMotion) or port.kind != "displacement":
-                limit = "a PointMotion of a displacement"
-                problems.add("WRONG_KIND", f"{where}.sensors['{name}']", f"is a {type(port).__name__}", value=port, limit=limit)
-        count = model.layout.nv
-        if max(self.number or (len(self.measured["frequency"]) - 1,)) >= count:
-            message = "has more modes than the model" if self.number is None else "is compared with a mode that the model does not have"
-            problems.add("BAD_SHAPE", f"{where}.frequency", message, value=self.number, limit=f"{count} modes")
-        problems.raise_if_any()
+        with Problems() as problems:
+            if self.sensors:
+                ports_of(model, self.sensors, "outputs", where, problems)
+            for name, port in self.sensors.items():
+                if not isinstance(port, PointMotion) or port.kind != "displacement":
+                    limit = "a PointMotion of a displacement"
+                    problems.add("WRONG_KIND", f"{where}.sensors['{name}']", f"is a {type(port).__name__}", value=port, limit=limit)
+            count = model.layout.nv
+            if max(self.number or (len(self.measured["frequency"]) - 1,)) >= count:
+                message = "has more modes than the model" if self.number is None else "is compared with a mode that the model does not have"
+                problems.add("BAD_SHAPE", f"{where}.frequency", message, value=self.number, limit=f"{count} modes")
 
     def readings(self, model, integration):
         lin = linearized(model)

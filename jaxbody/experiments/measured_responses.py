@@ -68,30 +68,33 @@ class MeasuredResponse(Measurement):
     pairs: tuple[tuple[str, str], ...] = eqx.field(static=True)
 
     def __init__(self, frequencies, *, inputs, outputs, measured, noise=None, loss_factor=None):
-        problems = Problems()
-        checked = problems.gather(lambda: check_frequencies(frequencies, "MeasuredResponse.frequencies"))
-        shape = np.shape(frequencies if checked is None else checked)
-        if not measured:
-            problems.add("NO_DATA", "MeasuredResponse.measured", "is empty", limit="at least one pair (output, input)")
-        arrays, levels = {}, {}
-        for pair, value in measured.items():
-            where = f"MeasuredResponse.measured[{pair!r}]"
-            for name, ports in zip(pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, pair), (outputs, inputs), strict=True):
-                if name not in ports:
-                    problems.collected.append(unknown(str(name), where, tuple(ports)))
-            arrays[pair] = _complex(value, shape, where, problems)
-        for pair, value in (noise if isinstance(noise, dict) else {} if noise is None else dict.fromkeys(measured, noise)).items():
-            where = f"MeasuredResponse.noise[{pair!r}]"
-            deviation: Any = np.asarray(value, float) if concrete(value) is not None else value
-            if pair not in measured:
-                problems.add("UNKNOWN_NAME", where, "is not a measured pair", value=pair, limit=", ".join(map(str, measured)))
-            elif np.shape(deviation) not in ((), shape):
-                problems.add("BAD_SHAPE", where, f"has shape {np.shape(deviation)}", value=deviation, limit=f"() or {shape}")
-            elif isinstance(deviation, np.ndarray) and not (np.isfinite(deviation) & (deviation > 0)).all():
-                problems.add("BAD_NOISE", where, "is not positive", value=deviation, limit="> 0", hint="Leave out noise= to estimate it.")
-            else:
-                levels[_name(pair)] = device_array(deviation)
-        problems.raise_if_any()
+        with Problems() as problems:
+            checked = problems.gather(lambda: check_frequencies(frequencies, "MeasuredResponse.frequencies"))
+            shape = np.shape(frequencies if checked is None else checked)
+            if not measured:
+                problems.add("NO_DATA", "MeasuredResponse.measured", "is empty", limit="at least one pair (output, input)")
+            arrays, levels = {}, {}
+            for pair, value in measured.items():
+                where = f"MeasuredResponse.measured[{pair!r}]"
+                for name, ports in zip(
+                    pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, pair), (outputs, inputs), strict=True
+                ):
+                    if name not in ports:
+                        problems.collected.append(unknown(str(name), where, tuple(ports)))
+                arrays[pair] = _complex(value, shape, where, problems)
+            for pair, value in (noise if isinstance(noise, dict) else {} if noise is None else dict.fromkeys(measured, noise)).items():
+                where = f"MeasuredResponse.noise[{pair!r}]"
+                deviation: Any = np.asarray(value, float) if concrete(value) is not None else value
+                if pair not in measured:
+                    problems.add("UNKNOWN_NAME", where, "is not a measured pair", value=pair, limit=", ".join(map(str, measured)))
+                elif np.shape(deviation) not in ((), shape):
+                    problems.add("BAD_SHAPE", where, f"has shape {np.shape(deviation)}", value=deviation, limit=f"() or {shape}")
+                elif isinstance(deviation, np.ndarray) and not (np.isfinite(deviation) & (deviation > 0)).all():
+                    problems.add(
+                        "BAD_NOISE", where, "is not positive", value=deviation, limit="> 0", hint="Leave out noise= to estimate it."
+                    )
+                else:
+                    levels[_name(pair)] = device_array(deviation)
         self.frequencies = checked  # pyright: ignore[reportAttributeAccessIssue]
         self.inputs, self.outputs = dict(inputs), dict(outputs)
         by_element = loss_factor if isinstance(loss_factor, dict) else {"all": loss_factor}
@@ -109,10 +112,9 @@ class MeasuredResponse(Measurement):
         return {**self.inputs, **self.outputs, **({} if self.loss_factor is None else {"loss_factor": self.loss_factor})}
 
     def check(self, model, where):
-        problems = Problems()
-        for given, what in ((self.inputs, "inputs"), (self.outputs, "outputs")):
-            ports_of(model, given, what, where, problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            for given, what in ((self.inputs, "inputs"), (self.outputs, "outputs")):
+                ports_of(model, given, what, where, problems)
         if self.loss_factor is not None:
             check_loss_factors(self._loss_factors(), model, f"{where}.loss_factor")
             check_without_force_sensors(self.loss_factor, f"{where}.loss_factor", tuple(self.outputs.values()))

@@ -32,21 +32,22 @@ class Euler(eqx.Module):
     angles: Float[Array, "n"]
 
     def __init__(self, sequence: str, angles):
-        problems = Problems()
-        one_case = isinstance(sequence, str) and 1 <= len(sequence) <= 3 and (sequence.islower() or sequence.isupper())
-        if not one_case or set(sequence.lower()) - set(AXES) or any(a == b for a, b in pairwise(sequence)):
-            hint = 'Capitals: axes that turn with the frame ("ZYX": yaw, pitch, roll); small letters: fixed axes; no axis twice in a row.'
-            problems.add(
-                "BAD_SEQUENCE", "Euler.sequence", f"is {sequence!r}", value=sequence, limit="one to three of XYZ, or of xyz", hint=hint
-            )
-            problems.raise_if_any()
-        self.sequence = sequence
-        self.angles = checked(angles, ((len(sequence),),), "Euler.angles", problems, "One angle [rad] for each letter of the sequence.")
-        known = None if self.angles is None else concrete(self.angles)
-        if known is not None and (np.abs(known) > 2 * np.pi).any():
-            hint = "Are these degrees? np.deg2rad converts them."
-            problems.add("DEGREES", "Euler.angles", f"is {known.tolist()} rad", value=known, limit="2 pi", hint=hint)
-        problems.raise_if_any()
+        with Problems() as problems:
+            one_case = isinstance(sequence, str) and 1 <= len(sequence) <= 3 and (sequence.islower() or sequence.isupper())
+            if not one_case or set(sequence.lower()) - set(AXES) or any(a == b for a, b in pairwise(sequence)):
+                hint = (
+                    'Capitals: axes that turn with the frame ("ZYX": yaw, pitch, roll); small letters: fixed axes; no axis twice in a row.'
+                )
+                problems.add(
+                    "BAD_SEQUENCE", "Euler.sequence", f"is {sequence!r}", value=sequence, limit="one to three of XYZ, or of xyz", hint=hint
+                )
+                problems.raise_if_any()
+            self.sequence = sequence
+            self.angles = checked(angles, ((len(sequence),),), "Euler.angles", problems, "One angle [rad] for each letter of the sequence.")
+            known = None if self.angles is None else concrete(self.angles)
+            if known is not None and (np.abs(known) > 2 * np.pi).any():
+                hint = "Are these degrees? np.deg2rad converts them."
+                problems.add("DEGREES", "Euler.angles", f"is {known.tolist()} rad", value=known, limit="2 pi", hint=hint)
 
     def _quaternion(self, xp):
         q = None

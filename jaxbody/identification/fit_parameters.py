@@ -57,50 +57,48 @@ def parts_of(free: tuple[FreeParameter, ...]) -> list[slice]:
 
 def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str]) -> tuple[FreeParameter, ...]:
     """The free parameters selected by the patterns, with their parametrizations; "a = b" is one parameter."""
-    problems = Problems()
-    roots = {"": model, **experiments}
-    leaves = [(run, leaf) for run, tree in roots.items() for leaf in leaves_of(tree, f"{run}." if run else "")]
-    owner = {leaf: run for run, leaf in leaves}
-    arrays = {run: jax.tree.leaves(tree) for run, tree in roots.items()}
-    absent = {f"{run}.{path}": hint for run, experiment in experiments.items() for path, hint in experiment.absent().items()}
-    selected = ties(list(owner), patterns, "fit.free", problems, absent)
-    size = size_of(model)
-    free = []
-    for tie in selected:
-        group, starts = list(tie), [leaf.read(arrays[owner[leaf]]) for leaf in tie]
-        run, leaf = owner[group[0]], group[0]
-        experiment, name = experiments.get(run), leaf.path.removeprefix(f"{run}.").removesuffix(f".{leaf.field}")
-        sensor = experiment.sensors.get(name) if isinstance(experiment, Experiment) else None
-        form = parametrize(leaf, starts[0], model, size)
-        if isinstance(experiment, Experiment) and sensor is not None and leaf.field in sensor.stages and isinstance(form, Shifted):
-            form = of_instrument(leaf.kind.unit, starts[0], experiment, name)
-        if isinstance(form, Problem):
-            problems.collected.append(form)
-        else:
-            check_alike(tie, starts, form, problems)
-            free.append(FreeParameter(tuple((owner[leaf], leaf) for leaf in group), tuple(tie.values()), form))
-    problems.raise_if_any()
+    with Problems() as problems:
+        roots = {"": model, **experiments}
+        leaves = [(run, leaf) for run, tree in roots.items() for leaf in leaves_of(tree, f"{run}." if run else "")]
+        owner = {leaf: run for run, leaf in leaves}
+        arrays = {run: jax.tree.leaves(tree) for run, tree in roots.items()}
+        absent = {f"{run}.{path}": hint for run, experiment in experiments.items() for path, hint in experiment.absent().items()}
+        selected = ties(list(owner), patterns, "fit.free", problems, absent)
+        size = size_of(model)
+        free = []
+        for tie in selected:
+            group, starts = list(tie), [leaf.read(arrays[owner[leaf]]) for leaf in tie]
+            run, leaf = owner[group[0]], group[0]
+            experiment, name = experiments.get(run), leaf.path.removeprefix(f"{run}.").removesuffix(f".{leaf.field}")
+            sensor = experiment.sensors.get(name) if isinstance(experiment, Experiment) else None
+            form = parametrize(leaf, starts[0], model, size)
+            if isinstance(experiment, Experiment) and sensor is not None and leaf.field in sensor.stages and isinstance(form, Shifted):
+                form = of_instrument(leaf.kind.unit, starts[0], experiment, name)
+            if isinstance(form, Problem):
+                problems.collected.append(form)
+            else:
+                check_alike(tie, starts, form, problems)
+                free.append(FreeParameter(tuple((owner[leaf], leaf) for leaf in group), tuple(tie.values()), form))
     return tuple(free)
 
 
 def limits_of(free: tuple[FreeParameter, ...], bounds: dict[str, tuple[Any, Any]], method: Any) -> tuple[np.ndarray, np.ndarray]:
     """Bounds of u from bounds of the values."""
-    problems = Problems()
-    low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
-    if bounds and not (isinstance(method, str) and method == "least_squares"):
-        problems.add("BAD_BOUNDS", "fit.bounds", 'are supported by method="least_squares" only', value=method)
-    if not _is_dict(bounds, "fit.bounds", "BAD_BOUNDS", "(lower, upper)", problems):
-        bounds = {}
-    place = {leaf: (i, factor) for i, f in enumerate(free) for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
-    for pattern, leaves in matching(list(place), bounds, "fit.bounds", problems).items():
-        for leaf in leaves:
-            i, factor = place[leaf]
-            form, where = free[i].form, f"fit.bounds['{leaf.path}']"
-            ends = pair_of(bounds[pattern], form.start.shape)
-            ends = ends and bounds_of_first(ends, factor)
-            if sound_bounds(form, ends, bounds[pattern], where, problems):
-                low[i], high[i] = np.maximum(low[i], form.inverse(ends[0])), np.minimum(high[i], form.inverse(ends[1]))  # pyright: ignore
-    problems.raise_if_any()
+    with Problems() as problems:
+        low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
+        if bounds and not (isinstance(method, str) and method == "least_squares"):
+            problems.add("BAD_BOUNDS", "fit.bounds", 'are supported by method="least_squares" only', value=method)
+        if not _is_dict(bounds, "fit.bounds", "BAD_BOUNDS", "(lower, upper)", problems):
+            bounds = {}
+        place = {leaf: (i, factor) for i, f in enumerate(free) for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
+        for pattern, leaves in matching(list(place), bounds, "fit.bounds", problems).items():
+            for leaf in leaves:
+                i, factor = place[leaf]
+                form, where = free[i].form, f"fit.bounds['{leaf.path}']"
+                ends = pair_of(bounds[pattern], form.start.shape)
+                ends = ends and bounds_of_first(ends, factor)
+                if sound_bounds(form, ends, bounds[pattern], where, problems):
+                    low[i], high[i] = np.maximum(low[i], form.inverse(ends[0])), np.minimum(high[i], form.inverse(ends[1]))  # pyright: ignore
     return np.concatenate(low), np.concatenate(high)
 
 
@@ -113,24 +111,23 @@ def _is_dict(given: Any, where: str, code: str, pair: str, problems: Problems) -
 
 def priors_of(free: tuple[FreeParameter, ...], priors: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Array, Array]]:
     """{path: (mean, standard deviation)} of free parameters, as arrays of their shapes."""
-    problems = Problems()
-    if not _is_dict(priors, "fit.priors", "BAD_PRIOR", "(mean, standard deviation)", problems):
-        priors = {}
-    forms = {leaf: (f, np.asarray(factor)) for f in free for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
-    values = {}
-    for pattern, leaves in matching(list(forms), priors, "fit.priors", problems).items():
-        for leaf in leaves:
-            (parameter, factor), form = forms[leaf], forms[leaf][0].form
-            pair = pair_of(priors[pattern], form.start.shape)
-            where = f"fit.priors['{leaf.path}']"
-            if not isinstance(form, Elementwise):
-                problems.add("BAD_PRIOR", where, "cannot have a prior", hint="Give priors for scalars and vectors only.")
-            elif pair is None or not np.isfinite(pair).all() or not (pair[1] > 0).all():
-                message, given = f"is {priors[pattern]!r:.60}", priors[pattern]
-                problems.add("BAD_PRIOR", where, message, value=given, limit="(mean, standard deviation > 0), finite")
-            else:
-                values[parameter.path] = (jnp.asarray(pair[0] / factor), jnp.asarray(pair[1] / np.abs(factor)))
-    problems.raise_if_any()
+    with Problems() as problems:
+        if not _is_dict(priors, "fit.priors", "BAD_PRIOR", "(mean, standard deviation)", problems):
+            priors = {}
+        forms = {leaf: (f, np.asarray(factor)) for f in free for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
+        values = {}
+        for pattern, leaves in matching(list(forms), priors, "fit.priors", problems).items():
+            for leaf in leaves:
+                (parameter, factor), form = forms[leaf], forms[leaf][0].form
+                pair = pair_of(priors[pattern], form.start.shape)
+                where = f"fit.priors['{leaf.path}']"
+                if not isinstance(form, Elementwise):
+                    problems.add("BAD_PRIOR", where, "cannot have a prior", hint="Give priors for scalars and vectors only.")
+                elif pair is None or not np.isfinite(pair).all() or not (pair[1] > 0).all():
+                    message, given = f"is {priors[pattern]!r:.60}", priors[pattern]
+                    problems.add("BAD_PRIOR", where, message, value=given, limit="(mean, standard deviation > 0), finite")
+                else:
+                    values[parameter.path] = (jnp.asarray(pair[0] / factor), jnp.asarray(pair[1] / np.abs(factor)))
     return values
 
 

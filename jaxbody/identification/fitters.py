@@ -110,10 +110,9 @@ def fit(
     """
     check_precision("fit", model, allow_float32=allow_float32)
     check_loss(loss, "fit.loss")
-    problems = Problems()
-    max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit"))
-    max_evaluations = whole_number(max_evaluations, "fit.max_evaluations", problems)
-    problems.raise_if_any()
+    with Problems() as problems:
+        max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit"))
+        max_evaluations = whole_number(max_evaluations, "fit.max_evaluations", problems)
     _check_runs(model, experiments)
     parameters = choose(model, experiments, _patterns(free))
     limits = limits_of(parameters, {} if bounds is None else bounds, method)

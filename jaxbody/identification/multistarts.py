@@ -107,11 +107,10 @@ def multistart(
     >>> several.estimates["spring.stiffness"].round(4).tolist()
     [39.4784]
     """
-    problems = Problems()
-    starts = whole_number(starts, "multistart.starts", problems)
-    seed = whole_number(seed, "multistart.seed", problems, least=0)
-    positive_number(spread, "multistart.spread", problems)
-    problems.raise_if_any()
+    with Problems() as problems:
+        starts = whole_number(starts, "multistart.starts", problems)
+        seed = whole_number(seed, "multistart.seed", problems, least=0)
+        positive_number(spread, "multistart.spread", problems)
     with working("multistart", progress) as line:
         with warnings.catch_warnings(record=True) as caught:  # about an optimum that may not be the best
             warnings.simplefilter("always")

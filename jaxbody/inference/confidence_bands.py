@@ -79,9 +79,8 @@ def bands(
     (True, True)
     """
     check_level(level, "bands.level")
-    problems = Problems()
-    check_key(key, "bands.key", problems, "" if samples is None else "Draws need")
-    problems.raise_if_any()
+    with Problems() as problems:
+        check_key(key, "bands.key", problems, "" if samples is None else "Draws need")
     uncertainty = fit._assessed()
     f = eqx.filter_jit(lambda u: function(fit.task.scatter(u)[0]))
     value = f(fit.u)

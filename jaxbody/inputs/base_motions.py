@@ -87,17 +87,16 @@ def base_motion(
     >>> round(float(motion(jnp.array(10.0))[0]) * 39.478, 2)  # cos(2 pi t)/(2 pi)^2, less its small slow part
     1.0
     """
-    problems = Problems()
-    f = _channel(record, acceleration, units.ACCELERATION, axis, problems)
-    w = None if rates is None else _channel(record, rates, units.ANGULAR_RATE, None, problems)
-    A = np.eye(3) if axes is None else _axes(axes, problems)
-    r = shaped(at, (3,), "base_motion.at", problems)
-    g = None if gravity is None else checked(gravity, ((3,),), "base_motion.gravity", problems)
-    _check_options(record, degree, cutoff, problems)
-    if w is not None and gravity is None:
-        hint = "Give gravity=[0, 0, -9.81], or zeros if the accelerometer does not read it."
-        problems.add("NO_GRAVITY", "base_motion.gravity", "is not stated, with rates", limit="three numbers [m/s2]", hint=hint)
-    problems.raise_if_any()
+    with Problems() as problems:
+        f = _channel(record, acceleration, units.ACCELERATION, axis, problems)
+        w = None if rates is None else _channel(record, rates, units.ANGULAR_RATE, None, problems)
+        A = np.eye(3) if axes is None else _axes(axes, problems)
+        r = shaped(at, (3,), "base_motion.at", problems)
+        g = None if gravity is None else checked(gravity, ((3,),), "base_motion.gravity", problems)
+        _check_options(record, degree, cutoff, problems)
+        if w is not None and gravity is None:
+            hint = "Give gravity=[0, 0, -9.81], or zeros if the accelerometer does not read it."
+            problems.add("NO_GRAVITY", "base_motion.gravity", "is not stated, with rates", limit="three numbers [m/s2]", hint=hint)
     t = record.times - record.times[0]
     turn, removed = np.zeros((len(t), 3)), np.zeros((len(t), 6))
     a = f @ A.T

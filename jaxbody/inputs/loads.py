@@ -78,15 +78,14 @@ class Force(Load):
     axes: str = field(static=True, converter=plain)
 
     def __init__(self, on, *, force=(0, 0, 0), moment=(0, 0, 0), axes: str = "world"):
-        problems = Problems()
-        self.on, self.point = _place(on, "Force", problems)
-        self.force, self.moment = (as_signal(x, f"Force.{name}", problems, (3,)) for name, x in (("force", force), ("moment", moment)))
-        if axes not in ("world", "body"):
-            problems.add(
-                "BAD_AXES", "Force.axes", f"is {axes!r}", value=axes, limit="world or body", hint="Name the axes in which it is given."
-            )
-        self.axes = axes
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.on, self.point = _place(on, "Force", problems)
+            self.force, self.moment = (as_signal(x, f"Force.{name}", problems, (3,)) for name, x in (("force", force), ("moment", moment)))
+            if axes not in ("world", "body"):
+                problems.add(
+                    "BAD_AXES", "Force.axes", f"is {axes!r}", value=axes, limit="world or body", hint="Name the axes in which it is given."
+                )
+            self.axes = axes
 
     def signals(self):
         return self.force, self.moment
@@ -131,15 +130,14 @@ class Unbalance(Load):
     across: int = field(static=True)
 
     def __init__(self, on, *, axis, unbalance, frequency, run_up=0.0, phase=0.0):
-        problems = Problems()
-        self.on, self.point = _place(on, "Unbalance", problems)
-        self.axis = unit_vector(axis, "Unbalance.axis", problems)
-        known = concrete(self.axis)
-        self.across = 1 if known is not None and abs(known[0]) > 0.9 else 0
-        given = {"unbalance": unbalance, "frequency": frequency, "run_up": run_up, "phase": phase}
-        for name, value in given.items():
-            setattr(self, name, scalar(value, f"Unbalance.{name}", problems))
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.on, self.point = _place(on, "Unbalance", problems)
+            self.axis = unit_vector(axis, "Unbalance.axis", problems)
+            known = concrete(self.axis)
+            self.across = 1 if known is not None and abs(known[0]) > 0.9 else 0
+            given = {"unbalance": unbalance, "frequency": frequency, "run_up": run_up, "phase": phase}
+            for name, value in given.items():
+                setattr(self, name, scalar(value, f"Unbalance.{name}", problems))
 
     def at_point(self, t, frame):
         phi = 2 * jnp.pi * (self.frequency * t + 0.5 * self.run_up * t**2) + self.phase
@@ -184,16 +182,15 @@ class EngineTorque(Load):
     phases: Float[Array, "n"] = field("rad")
 
     def __init__(self, on, *, axis, frequency, orders, amplitudes, phases=None, mean=0.0):
-        problems = Problems()
-        self.on, self.point = _place(on, "EngineTorque", problems)
-        self.axis = unit_vector(axis, "EngineTorque.axis", problems)
-        self.frequency, self.mean = (scalar(v, f"EngineTorque.{n}", problems) for n, v in (("frequency", frequency), ("mean", mean)))
-        n = np.size(orders)
-        rows = {"orders": orders, "amplitudes": amplitudes, "phases": np.zeros(n) if phases is None else phases}
-        for name, value in rows.items():
-            row = checked(value, ((n,),), f"EngineTorque.{name}", problems, "One number for each order.")
-            setattr(self, name, np.zeros(n) if row is None else row)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.on, self.point = _place(on, "EngineTorque", problems)
+            self.axis = unit_vector(axis, "EngineTorque.axis", problems)
+            self.frequency, self.mean = (scalar(v, f"EngineTorque.{n}", problems) for n, v in (("frequency", frequency), ("mean", mean)))
+            n = np.size(orders)
+            rows = {"orders": orders, "amplitudes": amplitudes, "phases": np.zeros(n) if phases is None else phases}
+            for name, value in rows.items():
+                row = checked(value, ((n,),), f"EngineTorque.{name}", problems, "One number for each order.")
+                setattr(self, name, np.zeros(n) if row is None else row)
 
     def at_point(self, t, frame):
         waves = self.amplitudes * jnp.cos(2 * jnp.pi * self.orders * self.frequency * t + self.phases)
@@ -209,15 +206,14 @@ def _place(on: Any, kind: str, problems: Problems):
 
 def loads_of(loads: dict[str, Load] | None, bodies: tuple[str, ...], where: str = "loads") -> tuple[Load, ...]:
     """The loads of a run, each on a body of the model."""
-    problems = Problems()
-    given = loads_by_name(loads, where, problems)
-    for name, load in given.items():
-        if load.on not in bodies:
-            message = f"is on '{load.on}', which is not a body"
-            problems.add(
-                "UNKNOWN_BODY", f"{where}[{name!r}]", message, value=load.on, limit=" ".join(bodies), hint="A load acts on a body."
-            )
-    problems.raise_if_any()
+    with Problems() as problems:
+        given = loads_by_name(loads, where, problems)
+        for name, load in given.items():
+            if load.on not in bodies:
+                message = f"is on '{load.on}', which is not a body"
+                problems.add(
+                    "UNKNOWN_BODY", f"{where}[{name!r}]", message, value=load.on, limit=" ".join(bodies), hint="A load acts on a body."
+                )
     return tuple(jax.tree.map(device_array, load) for load in given.values())
 
 

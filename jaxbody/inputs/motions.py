@@ -88,14 +88,13 @@ class Harmonic(Motion):
     rotation_phase: Float[Array, "3"] = field("rad")
 
     def __init__(self, *, frequency, translation=(0, 0, 0), rotation=(0, 0, 0), translation_phase=0.0, rotation_phase=0.0):
-        problems = Problems()
-        f = checked(frequency, ((), (6,)), "Harmonic.frequency", problems)
-        arrays = {}
-        for name, value in dict(translation=translation, rotation=rotation).items():
-            arrays[name] = shaped(value, (3,), f"Harmonic.{name}", problems)
-        for name, value in dict(translation_phase=translation_phase, rotation_phase=rotation_phase).items():
-            arrays[name] = checked(value, ((), (3,)), f"Harmonic.{name}", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            f = checked(frequency, ((), (6,)), "Harmonic.frequency", problems)
+            arrays = {}
+            for name, value in dict(translation=translation, rotation=rotation).items():
+                arrays[name] = shaped(value, (3,), f"Harmonic.{name}", problems)
+            for name, value in dict(translation_phase=translation_phase, rotation_phase=rotation_phase).items():
+                arrays[name] = checked(value, ((), (3,)), f"Harmonic.{name}", problems)
         self.frequency = device_array(f)
         for name, array in arrays.items():
             setattr(self, name, device_array(array * np.ones(3)))
@@ -137,9 +136,8 @@ class Delayed(Motion):
     delay: Float[Array, ""] = field("s")
 
     def __init__(self, motion, delay):
-        problems = Problems()
-        delay = shaped(delay, (), "Delayed.delay", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            delay = shaped(delay, (), "Delayed.delay", problems)
         self.motion, self.delay = as_motion(motion), device_array(delay)
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:

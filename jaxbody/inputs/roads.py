@@ -57,16 +57,15 @@ class Road(Motion):
     window: int = field(static=True)
 
     def __init__(self, distances, heights, *, speed, position=0.0, footprint=0.0):
-        problems = Problems()
-        s = _points(distances, "Road.distances", problems)
-        z = _points(heights, "Road.heights", problems, None if s is None else len(s))
-        numbers = {
-            name: shaped(value, (), f"Road.{name}", problems)
-            for name, value in dict(speed=speed, position=position, footprint=footprint).items()
-        }
-        _check_increasing(s, problems)
-        check_domain(numbers["footprint"], kind_of(self, "footprint"), "Road.footprint", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            s = _points(distances, "Road.distances", problems)
+            z = _points(heights, "Road.heights", problems, None if s is None else len(s))
+            numbers = {
+                name: shaped(value, (), f"Road.{name}", problems)
+                for name, value in dict(speed=speed, position=position, footprint=footprint).items()
+            }
+            _check_increasing(s, problems)
+            check_domain(numbers["footprint"], kind_of(self, "footprint"), "Road.footprint", problems)
         self.distances, self.heights = device_array(s), device_array(z)
         for name, number in numbers.items():
             setattr(self, name, device_array(number))
@@ -87,9 +86,8 @@ class Road(Motion):
         >>> Road.kerb(0.1, at=5.0, ramp=0.02, speed=8.0).heights.tolist()
         [0.0, 0.1]
         """
-        problems = Problems()
-        start, length = shaped(at, (), "Road.kerb at", problems), shaped(ramp, (), "Road.kerb ramp", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            start, length = shaped(at, (), "Road.kerb at", problems), shaped(ramp, (), "Road.kerb ramp", problems)
         return cls([start, start + length], [0.0, height], speed=speed, position=position, footprint=footprint)
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:

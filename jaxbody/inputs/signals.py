@@ -71,12 +71,11 @@ class Sine(Signal):
     phase: Float[Array, ""] = field("rad")
 
     def __init__(self, *, amplitude, frequency, phase=0.0):
-        problems = Problems()
-        self.amplitude = device_array(_number_or_vector(amplitude, "Sine.amplitude", problems))
-        for name, value in (("frequency", frequency), ("phase", phase)):
-            array = checked(value, ((),), f"Sine.{name}", problems)
-            setattr(self, name, device_array(np.zeros(()) if array is None else array))
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.amplitude = device_array(_number_or_vector(amplitude, "Sine.amplitude", problems))
+            for name, value in (("frequency", frequency), ("phase", phase)):
+                array = checked(value, ((),), f"Sine.{name}", problems)
+                setattr(self, name, device_array(np.zeros(()) if array is None else array))
 
     def __call__(self, t):
         return self.amplitude * jnp.cos(2 * jnp.pi * self.frequency * t + self.phase)
@@ -102,12 +101,11 @@ class Samples(Signal):
     uniform: bool = field(static=True)
 
     def __init__(self, times, values, *, kind: str = "cubic"):
-        problems = Problems()
-        if kind not in KINDS:
-            problems.add("BAD_KIND", "Samples.kind", f"is {kind!r}", value=kind, limit=" ".join(KINDS), hint="Give one of these.")
-        known = check_times(times, problems, "Samples.times", minimum=4 if kind == "cubic" else 2)
-        y = _rows(values, known, problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            if kind not in KINDS:
+                problems.add("BAD_KIND", "Samples.kind", f"is {kind!r}", value=kind, limit=" ".join(KINDS), hint="Give one of these.")
+            known = check_times(times, problems, "Samples.times", minimum=4 if kind == "cubic" else 2)
+            y = _rows(values, known, problems)
         self.times, self.values = device_array(known), device_array(y)
         self.kind, self.uniform = kind, is_uniform(known)
         flat = self.values.reshape(len(self.values), -1)

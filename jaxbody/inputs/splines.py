@@ -45,10 +45,11 @@ class Spline(Motion):
     directions: Float[Array, "k 6"] = field(", rad/m")
 
     def __init__(self, start, stop, *, interval, along: Any = AXES, about: Any = (), like: Any = None):
-        problems = Problems()
-        t0, t1, step = (shaped(x, (), f"Spline.{name}", problems) for name, x in (("start", start), ("stop", stop), ("interval", interval)))
-        rows = [_rows(value, f"Spline.{name}", problems) for name, value in (("along", along), ("about", about))]
-        problems.raise_if_any()
+        with Problems() as problems:
+            t0, t1, step = (
+                shaped(x, (), f"Spline.{name}", problems) for name, x in (("start", start), ("stop", stop), ("interval", interval))
+            )
+            rows = [_rows(value, f"Spline.{name}", problems) for name, value in (("along", along), ("about", about))]
         n = _intervals(float(t0), float(t1), float(step), problems)
         if not sum(map(len, rows)):
             problems.add("NO_DIRECTION", "Spline", "has no direction to move in", hint="Give along= or about=.")

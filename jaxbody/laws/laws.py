@@ -119,9 +119,8 @@ class Sum(Law):
     terms: tuple[Law, ...] = field()
 
     def __init__(self, *terms):
-        problems = Problems()
-        laws = [law_of(term, f"Sum.terms[{i}]", problems) for i, term in enumerate(terms)]
-        problems.raise_if_any()
+        with Problems() as problems:
+            laws = [law_of(term, f"Sum.terms[{i}]", problems) for i, term in enumerate(terms)]
         self.terms = tuple(part for law in laws for part in (law.terms if isinstance(law, Sum) else (law,)))
 
     def force(self, x):
@@ -217,9 +216,8 @@ class TwoSided(Law):
     rebound: Law = field()
 
     def __init__(self, *, bump, rebound):
-        problems = Problems()
-        self.bump, self.rebound = (law_of(law, f"TwoSided.{name}", problems) for name, law in (("bump", bump), ("rebound", rebound)))
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.bump, self.rebound = (law_of(law, f"TwoSided.{name}", problems) for name, law in (("bump", bump), ("rebound", rebound)))
 
     def potential(self, x):
         return self._each(x, lambda law, x: law.potential(x))

@@ -34,10 +34,9 @@ class Table(Law):
     forces: Float[Array, "n"] = field("force", "rising", hint="For a law that falls on purpose use a Polynomial or a function.")
 
     def __init__(self, x, forces):
-        problems = Problems()
-        self.x, self.forces = (row_of_numbers(v, f"Table.{name}", problems, least=1) for name, v in (("x", x), ("forces", forces)))
-        _check_table(self.x, self.forces, problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.x, self.forces = (row_of_numbers(v, f"Table.{name}", problems, least=1) for name, v in (("x", x), ("forces", forces)))
+            _check_table(self.x, self.forces, problems)
 
     @classmethod
     def read(

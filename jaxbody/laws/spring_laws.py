@@ -25,9 +25,8 @@ class Polynomial(Law):
     coefficients: Float[Array, "n"] = field("powers")
 
     def __init__(self, coefficients):
-        problems = Problems()
-        self.coefficients = row_of_numbers(coefficients, "Polynomial.coefficients", problems, least=1)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.coefficients = row_of_numbers(coefficients, "Polynomial.coefficients", problems, least=1)
 
     @property
     def powers(self) -> str:

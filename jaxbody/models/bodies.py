@@ -43,13 +43,12 @@ class Body(eqx.Module):
     orientation: Float[Array, "4"] = field("", "rotation")
 
     def __init__(self, mass, inertia=(0, 0, 0), *, com=(0, 0, 0), position=(0, 0, 0), orientation=IDENTITY):
-        problems = Problems()
-        self.mass = _mass(self, mass, problems)
-        self.com = vector(com, "Body.com", problems)
-        self.inertia = _inertia(inertia, self.mass, self.com, problems)
-        self.position = vector(position, "Body.position", problems)
-        self.orientation = as_quaternion(orientation, "Body.orientation", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.mass = _mass(self, mass, problems)
+            self.com = vector(com, "Body.com", problems)
+            self.inertia = _inertia(inertia, self.mass, self.com, problems)
+            self.position = vector(position, "Body.position", problems)
+            self.orientation = as_quaternion(orientation, "Body.orientation", problems)
 
     @classmethod
     def of_parts(cls, parts: Sequence[Body], *, position=(0, 0, 0), orientation=IDENTITY) -> Body:
@@ -87,10 +86,9 @@ class Support(eqx.Module):
     orientation: Float[Array, "4"] = field("", "rotation")
 
     def __init__(self, position=(0, 0, 0), orientation=IDENTITY):
-        problems = Problems()
-        self.position = vector(position, "Support.position", problems)
-        self.orientation = as_quaternion(orientation, "Support.orientation", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.position = vector(position, "Support.position", problems)
+            self.orientation = as_quaternion(orientation, "Support.orientation", problems)
 
 
 def _mass(body: Body, value: Any, problems: Problems) -> Any:

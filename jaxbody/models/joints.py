@@ -143,10 +143,9 @@ class Guide(Joint):
     turns = (False,)
 
     def __init__(self, parent: str, *, axis):
-        problems = Problems()
-        self.parent = parent
-        self.axis = unit_vector(axis, "Guide.axis", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.parent = parent
+            self.axis = unit_vector(axis, "Guide.axis", problems)
 
     def pose(self, q, parent, rest):
         return parent @ Pose(rest.p + q[0] * self.axis, rest.R)
@@ -172,11 +171,10 @@ class Hinge(Joint):
     turns = (True,)
 
     def __init__(self, parent: str, *, axis, at=None):
-        problems = Problems()
-        self.parent = parent
-        self.axis = unit_vector(axis, "Hinge.axis", problems)
-        self.at = None if at is None else vector(at, "Hinge.at", problems)  # pyright: ignore[reportIncompatibleVariableOverride]
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.parent = parent
+            self.axis = unit_vector(axis, "Hinge.axis", problems)
+            self.at = None if at is None else vector(at, "Hinge.at", problems)  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def pose(self, q, parent, rest):
         return parent @ _about(self.at, rotations.about(self.axis, q[0]), rest)
@@ -200,10 +198,9 @@ class Ball(Joint):
     turns = (True,) * 3
 
     def __init__(self, parent: str, *, at=None):
-        problems = Problems()
-        self.parent = parent
-        self.at = None if at is None else vector(at, "Ball.at", problems)  # pyright: ignore[reportIncompatibleVariableOverride]
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.parent = parent
+            self.at = None if at is None else vector(at, "Ball.at", problems)  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def rest(self, rest: Pose):
         return jnp.array([1.0, 0, 0, 0], rest.p.dtype)

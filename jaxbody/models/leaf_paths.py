@@ -162,9 +162,9 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
     3.0
     """
     arrays, treedef = jax.tree.flatten(tree)
-    problems, listed = Problems(), set()
-    values = checked_dict(values, "replace.values", "path: value", problems)
-    problems.raise_if_any()
+    listed = set()
+    with Problems() as problems:
+        values = checked_dict(values, "replace.values", "path: value", problems)
     new: dict[int, list[tuple[list[Leaf], Any]]] = {}
     for pattern, leaves in matching(leaves_of(tree), values, "replace").items():
         where = f"replace['{pattern}']"

@@ -64,16 +64,15 @@ class Model(tables.Printed, eqx.Module):
         joints: dict[str, Joint] | None = None,
         gravity=(0, 0, 0),
     ):
-        problems = Problems()
-        bodies, supports = (
-            checked_dict(bodies, "bodies", "name: jb.Body(...)", problems),
-            checked_dict(supports, "supports", "name: jb.Support(...)", problems),
-        )
-        elements, joints = (
-            checked_dict(elements, "elements", "name: jb.Spring(...)", problems),
-            checked_dict(joints, "joints", "name: jb.Hinge(...)", problems),
-        )
-        problems.raise_if_any()
+        with Problems() as problems:
+            bodies, supports = (
+                checked_dict(bodies, "bodies", "name: jb.Body(...)", problems),
+                checked_dict(supports, "supports", "name: jb.Support(...)", problems),
+            )
+            elements, joints = (
+                checked_dict(elements, "elements", "name: jb.Spring(...)", problems),
+                checked_dict(joints, "joints", "name: jb.Hinge(...)", problems),
+            )
         check_names(problems, bodies=bodies, supports=supports, elements=elements)
         bodies, supports = of_kind(problems, "bodies", bodies, Body), of_kind(problems, "supports", supports, Support)
         elements, joints = of_kind(problems, "elements", elements, Element), of_kind(problems, "joints", joints, Joint)

@@ -86,55 +86,56 @@ def unattached(model: Model) -> list[str]:
 
 def check_state(model: Model, state: State, where: str) -> None:
     """Check that q and v have the model's shapes and precision, are finite and have unit quaternions; all problems in one error."""
-    problems = Problems()
-    if not isinstance(state, State):
-        raise JaxbodyError(
-            Problem(
-                "WRONG_KIND",
-                where,
-                f"is a {type(state).__name__}",
-                state,
-                "jb.State(q, v)",
-                "Examples are model.reference and equilibrium(model).state.",
+    with Problems() as problems:
+        if not isinstance(state, State):
+            raise JaxbodyError(
+                Problem(
+                    "WRONG_KIND",
+                    where,
+                    f"is a {type(state).__name__}",
+                    state,
+                    "jb.State(q, v)",
+                    "Examples are model.reference and equilibrium(model).state.",
+                )
             )
-        )
-    layout = model.layout
-    for name, count in (("q", layout.nq), ("v", layout.nv)):
-        value = getattr(state, name)
-        if np.shape(value) != (count,):
-            parts = ", ".join(f"{body} {getattr(kind, 'n' + name)}" for body, kind in zip(layout.bodies, layout.kinds, strict=True))
-            problems.add(
-                "BAD_SHAPE",
-                f"{where}.{name}",
-                f"has shape {np.shape(value)}",
-                value=np.shape(value),
-                limit=f"({count},)",
-                hint=f"Expected ({count},): {parts}.",
-            )
-            continue
-        number, one = getattr(value, "dtype", None), model.gravity.dtype
-        if number in (np.float32, np.float64) and jax.dtypes.canonicalize_dtype(number) != one:
-            hint = f"Give jb.State(numpy.asarray(state.q, '{one}'), numpy.asarray(state.v, '{one}'))."
-            problems.add("X64_CHANGED", f"{where}.{name}", f"is {number}, the model {one}", value=number, limit="one precision", hint=hint)
-            continue
-        known = concrete(value)
-        if known is not None and not np.isfinite(known).all():
-            problems.add(
-                "NON_FINITE",
-                f"{where}.{name}",
-                f"is {known[~np.isfinite(known)][0]} at index {np.flatnonzero(~np.isfinite(known))[0]}",
-                value=known,
-                limit="finite",
-            )
-        elif known is not None and name == "q":
-            for body, kind in zip(layout.bodies, layout.kinds, strict=True):
-                part = known[layout.q_slices[body]][-4:]
-                if kind.nq - kind.nv == 1 and abs(np.linalg.norm(part) - 1) > 1e-3:
-                    problems.add(
-                        "BAD_QUATERNION",
-                        f"{where}.q",
-                        f"of '{body}' has a quaternion of length {np.linalg.norm(part):.6g}",
-                        value=part,
-                        limit="1 within 1e-3",
-                    )
-    problems.raise_if_any()
+        layout = model.layout
+        for name, count in (("q", layout.nq), ("v", layout.nv)):
+            value = getattr(state, name)
+            if np.shape(value) != (count,):
+                parts = ", ".join(f"{body} {getattr(kind, 'n' + name)}" for body, kind in zip(layout.bodies, layout.kinds, strict=True))
+                problems.add(
+                    "BAD_SHAPE",
+                    f"{where}.{name}",
+                    f"has shape {np.shape(value)}",
+                    value=np.shape(value),
+                    limit=f"({count},)",
+                    hint=f"Expected ({count},): {parts}.",
+                )
+                continue
+            number, one = getattr(value, "dtype", None), model.gravity.dtype
+            if number in (np.float32, np.float64) and jax.dtypes.canonicalize_dtype(number) != one:
+                hint = f"Give jb.State(numpy.asarray(state.q, '{one}'), numpy.asarray(state.v, '{one}'))."
+                problems.add(
+                    "X64_CHANGED", f"{where}.{name}", f"is {number}, the model {one}", value=number, limit="one precision", hint=hint
+                )
+                continue
+            known = concrete(value)
+            if known is not None and not np.isfinite(known).all():
+                problems.add(
+                    "NON_FINITE",
+                    f"{where}.{name}",
+                    f"is {known[~np.isfinite(known)][0]} at index {np.flatnonzero(~np.isfinite(known))[0]}",
+                    value=known,
+                    limit="finite",
+                )
+            elif known is not None and name == "q":
+                for body, kind in zip(layout.bodies, layout.kinds, strict=True):
+                    part = known[layout.q_slices[body]][-4:]
+                    if kind.nq - kind.nv == 1 and abs(np.linalg.norm(part) - 1) > 1e-3:
+                        problems.add(
+                            "BAD_QUATERNION",
+                            f"{where}.q",
+                            f"of '{body}' has a quaternion of length {np.linalg.norm(part):.6g}",
+                            value=part,
+                            limit="1 within 1e-3",
+                        )

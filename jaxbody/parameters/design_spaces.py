@@ -95,13 +95,12 @@ def space_of(model: Model, free: str | Iterable[str], bounds: dict[str, Any], wh
 
 
 def _grouped(model: Model, free: list[str], bounds: dict[str, Any], where: str) -> tuple[Group, ...]:
-    problems = Problems()
-    arrays, size = jax.tree.leaves(model), size_of(model)
-    selected = ties(leaves_of(model), free, f"{where}.free", problems)
-    by_pattern = matching([leaf for tie in selected for leaf in tie], bounds, f"{where}.bounds")
-    given = {leaf: bounds[pattern] for pattern, leaves in by_pattern.items() for leaf in leaves}
-    groups = [_group(tie, arrays, model, size, given, problems) for tie in selected]
-    problems.raise_if_any()
+    with Problems() as problems:
+        arrays, size = jax.tree.leaves(model), size_of(model)
+        selected = ties(leaves_of(model), free, f"{where}.free", problems)
+        by_pattern = matching([leaf for tie in selected for leaf in tie], bounds, f"{where}.bounds")
+        given = {leaf: bounds[pattern] for pattern, leaves in by_pattern.items() for leaf in leaves}
+        groups = [_group(tie, arrays, model, size, given, problems) for tie in selected]
     return tuple(group for group in groups if group is not None)
 
 
@@ -122,25 +121,26 @@ def _group(tie: Tie, arrays, model: Model, size, given: dict[Leaf, Any], problem
 
 
 def _bounded(space: Space, bounds: dict[str, Any], where: str) -> tuple[Space, np.ndarray, np.ndarray]:
-    problems = Problems()
-    owner = {leaf: (i, factor) for i, group in enumerate(space.groups) for leaf, factor in zip(group.leaves, group.factors, strict=True)}
-    low, high = np.full(space.size, -np.inf), np.full(space.size, np.inf)
-    forms = [group.form for group in space.groups]
-    bounded: dict[int, list[tuple[str, Factor]]] = {}
-    for pattern, leaves in matching(list(owner), bounds, where).items():
-        for i, factor in (owner[leaf] for leaf in leaves):
-            bounded.setdefault(i, []).append((pattern, factor))
-    for i, patterns in bounded.items():
-        path, form, at, given = space.groups[i].path, forms[i], space.ends[i], bounds[patterns[0][0]]
-        ends = _within([(pair_of(bounds[pattern], form.start.shape), factor) for pattern, factor in patterns])
-        largest = max(float(np.where(np.isfinite(end), np.abs(end), 0.0).max()) for end in ends or [np.asarray(form.start)])
-        slack = ALIKE * largest  # a tuned model may lie outside by round-off
-        if sound_bounds(form, ends, given, f"{where}['{path}']", problems, slack):
-            lower, upper = ends  # pyright: ignore
-            if isinstance(form, Shifted) and np.isfinite(upper - lower).all():
-                forms[i] = form = Shifted(form.start, jnp.asarray((upper - lower).max() / 2))
-            low[at], high[at] = form.inverse(lower), form.inverse(upper)  # pyright: ignore
-    problems.raise_if_any()
+    with Problems() as problems:
+        owner = {
+            leaf: (i, factor) for i, group in enumerate(space.groups) for leaf, factor in zip(group.leaves, group.factors, strict=True)
+        }
+        low, high = np.full(space.size, -np.inf), np.full(space.size, np.inf)
+        forms = [group.form for group in space.groups]
+        bounded: dict[int, list[tuple[str, Factor]]] = {}
+        for pattern, leaves in matching(list(owner), bounds, where).items():
+            for i, factor in (owner[leaf] for leaf in leaves):
+                bounded.setdefault(i, []).append((pattern, factor))
+        for i, patterns in bounded.items():
+            path, form, at, given = space.groups[i].path, forms[i], space.ends[i], bounds[patterns[0][0]]
+            ends = _within([(pair_of(bounds[pattern], form.start.shape), factor) for pattern, factor in patterns])
+            largest = max(float(np.where(np.isfinite(end), np.abs(end), 0.0).max()) for end in ends or [np.asarray(form.start)])
+            slack = ALIKE * largest  # a tuned model may lie outside by round-off
+            if sound_bounds(form, ends, given, f"{where}['{path}']", problems, slack):
+                lower, upper = ends  # pyright: ignore
+                if isinstance(form, Shifted) and np.isfinite(upper - lower).all():
+                    forms[i] = form = Shifted(form.start, jnp.asarray((upper - lower).max() / 2))
+                low[at], high[at] = form.inverse(lower), form.inverse(upper)  # pyright: ignore
     return Space(space.model, tuple(Group(g.leaves, g.factors, form) for g, form in zip(space.groups, forms, strict=True))), low, high
 
 
@@ -161,27 +161,26 @@ def at_value(space: Space, group: int, x: Any) -> np.ndarray:
 def drawn(space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any, where: str) -> np.ndarray:
     """Starts (count, n): the model, and random ones, uniform between the bounds of u. Orientations are uniform over all rotations,
     fractions uniform between their bounds or in their domain."""
-    problems = Problems()
-    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
-    u = np.zeros((count, space.size))
-    for group, at in zip(space.groups, space.ends, strict=True):
-        if isinstance(group.form, Rotation):
-            q = rng.normal(size=(count, 4))
-            q = q / np.linalg.norm(q, axis=1, keepdims=True)
-            angle = 2 * np.arctan2(np.linalg.norm(q[:, 1:], axis=1), q[:, 0])
-            u[:, at] = (
-                q[:, 1:] / np.linalg.norm(q[:, 1:], axis=1, keepdims=True) * np.where(angle > np.pi, angle - 2 * np.pi, angle)[:, None]
-            )
-        elif isinstance(group.form, Fraction):  # bounded by its domain
-            ends = [np.asarray(group.form.value(end)) for end in (low[at], high[at])]
-            u[:, at] = [group.form.inverse(rng.uniform(*ends)) for _ in range(count)]
-        elif not isinstance(group.form, Elementwise):
-            u[:, at] = SPREAD * rng.normal(size=(count, group.form.size))
-        elif count > 1 and not np.isfinite(high[at] - low[at]).all():
-            limit, hint = "both finite", "Random starts need bounds."
-            problems.add("NO_BOUNDS", f"{where}['{group.path}']", "is missing", limit=limit, hint=hint)
-        elif count > 1:
-            u[:, at] = rng.uniform(low[at], high[at], (count, group.form.size))
-    problems.raise_if_any()
+    with Problems() as problems:
+        rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+        u = np.zeros((count, space.size))
+        for group, at in zip(space.groups, space.ends, strict=True):
+            if isinstance(group.form, Rotation):
+                q = rng.normal(size=(count, 4))
+                q = q / np.linalg.norm(q, axis=1, keepdims=True)
+                angle = 2 * np.arctan2(np.linalg.norm(q[:, 1:], axis=1), q[:, 0])
+                u[:, at] = (
+                    q[:, 1:] / np.linalg.norm(q[:, 1:], axis=1, keepdims=True) * np.where(angle > np.pi, angle - 2 * np.pi, angle)[:, None]
+                )
+            elif isinstance(group.form, Fraction):  # bounded by its domain
+                ends = [np.asarray(group.form.value(end)) for end in (low[at], high[at])]
+                u[:, at] = [group.form.inverse(rng.uniform(*ends)) for _ in range(count)]
+            elif not isinstance(group.form, Elementwise):
+                u[:, at] = SPREAD * rng.normal(size=(count, group.form.size))
+            elif count > 1 and not np.isfinite(high[at] - low[at]).all():
+                limit, hint = "both finite", "Random starts need bounds."
+                problems.add("NO_BOUNDS", f"{where}['{group.path}']", "is missing", limit=limit, hint=hint)
+            elif count > 1:
+                u[:, at] = rng.uniform(low[at], high[at], (count, group.form.size))
     u[0] = 0.0
     return u

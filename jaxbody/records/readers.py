@@ -45,9 +45,8 @@ def read_columns(path: Any, wanted: list[Asked], *, format: str | None = None, l
     kind = kind_of(path, format, largest)
 
     def pick(names: list[str], aliases: list[str] | None = None) -> dict[Asked, str]:
-        problems = Problems()
-        chosen = {name: problems.gather(partial(find_name, name, names, path.name, aliases)) for name in wanted}
-        problems.raise_if_any()
+        with Problems() as problems:
+            chosen = {name: problems.gather(partial(find_name, name, names, path.name, aliases)) for name in wanted}
         return chosen
 
     with reader_errors(path, kind):

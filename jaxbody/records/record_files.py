@@ -58,15 +58,15 @@ def read_record(
     >>> read_record(path, time="t", channels={"acc": "acc"})["acc"].round(3).tolist()
     [0.981, 1.961, 0.0]
     """
-    problems, name = Problems(), str(getattr(path, "name", path))[-100:]
-    if not isinstance(channels, dict):
-        message, hint = f"is {channels!r:.60}", 'Write {"acc": ("ax", "m/s2")}: your own name, then column and unit.'
-        raise JaxbodyError(Problem("WRONG_KIND", "channels", message, channels, "a dict {name: column}", hint))
-    wanted = {key: _wanted(spec, f"channels['{key}']", problems) for key, spec in channels.items()}
-    clock = None if time is None else _wanted(time, "time", problems)
-    if not channels:
-        problems.add("NO_DATA", "channels", "is empty", limit="at least one", hint='Give channels={"acc": ("ax", "m/s2")}.')
-    problems.raise_if_any()
+    name = str(getattr(path, "name", path))[-100:]
+    with Problems() as problems:
+        if not isinstance(channels, dict):
+            message, hint = f"is {channels!r:.60}", 'Write {"acc": ("ax", "m/s2")}: your own name, then column and unit.'
+            raise JaxbodyError(Problem("WRONG_KIND", "channels", message, channels, "a dict {name: column}", hint))
+        wanted = {key: _wanted(spec, f"channels['{key}']", problems) for key, spec in channels.items()}
+        clock = None if time is None else _wanted(time, "time", problems)
+        if not channels:
+            problems.add("NO_DATA", "channels", "is empty", limit="at least one", hint='Give channels={"acc": ("ax", "m/s2")}.')
     stated = {f"{name}['{key}']": unit for key, (_, unit) in wanted.items()} | ({} if clock is None else {f"{name}.times": clock[1]})
     for where, unit in stated.items():
         problems.gather(lambda unit=unit, where=where: None if unit is None else units.parse(unit, where))

@@ -64,11 +64,11 @@ class Record(tables.Printed):
         drop: str | None = None,
         name: str = "Record",
     ):
-        problems, notes = Problems(), []
-        _check_options(rate, fill, max_gap, drop, problems)
-        given = _channels(channels, name, problems)
-        t = _times(times, time_unit, rate, given, name, problems)
-        problems.raise_if_any()
+        notes = []
+        with Problems() as problems:
+            _check_options(rate, fill, max_gap, drop, problems)
+            given = _channels(channels, name, problems)
+            t = _times(times, time_unit, rate, given, name, problems)
         for key in [key for key, (x, _) in given.items() if len(x) != len(t)]:
             message, limit = f"has {len(given[key][0])} samples", f"{len(t)}, as many as times"
             hint = "It looks transposed: give values.T." if given[key][0].shape[-1] == len(t) else "One row per time."

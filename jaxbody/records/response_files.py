@@ -25,18 +25,18 @@ def read_responses(
     """
     wanted = {pair: spec if isinstance(spec, tuple) else (spec, None, None) for pair, spec in pairs.items()}
     responses = read_uff_responses(path, [spec[0] for spec in wanted.values()], largest)
-    problems, measured, grid = Problems(), {}, None
-    for pair, (name, above, below) in wanted.items():
-        response, where = responses[name], f"{path}['{name}']"
-        grid = response.frequencies if grid is None else grid
-        if grid.shape != response.frequencies.shape or np.abs(grid - response.frequencies).max() > 1e-9 * grid.max():
-            problems.add(
-                "DIFFERENT_FREQUENCIES", where, "has other frequencies than the first", limit="one set", hint="Read it separately."
-            )
-            continue
-        factors = [_factor(*both, where, problems) for both in ((above, response.above), (below, response.below))]
-        measured[pair] = response.values * factors[0] / factors[1]
-    problems.raise_if_any()
+    measured, grid = {}, None
+    with Problems() as problems:
+        for pair, (name, above, below) in wanted.items():
+            response, where = responses[name], f"{path}['{name}']"
+            grid = response.frequencies if grid is None else grid
+            if grid.shape != response.frequencies.shape or np.abs(grid - response.frequencies).max() > 1e-9 * grid.max():
+                problems.add(
+                    "DIFFERENT_FREQUENCIES", where, "has other frequencies than the first", limit="one set", hint="Read it separately."
+                )
+                continue
+            factors = [_factor(*both, where, problems) for both in ((above, response.above), (below, response.below))]
+            measured[pair] = response.values * factors[0] / factors[1]
     if grid is None:
         raise JaxbodyError(Problem("NO_DATA", "pairs", "is empty", limit="at least one", hint='Give {("y", "f"): "4+Z/1+Z"}.'))
     return grid, measured

@@ -166,38 +166,42 @@ def _numbers(rows: list[tuple[int, str]], name: str, separator: str, decimal: st
             return values
     except (ValueError, OverflowError):
         pass
-    problems = Problems()
-    cells = [_cells(line, separator) for _, line in rows]
-    width = len(cells[0])
-    no_numbers = [[cell for cell in row if not NUMBER.fullmatch(_pointed(cell, decimal))] for row in cells]
-    last_good = max((k for k, row in enumerate(cells) if len(row) == width and not no_numbers[k]), default=0)
-    for k, ((i, line), row) in enumerate(zip(rows, cells, strict=True)):
-        where, wrong = f"{name}:{i}", no_numbers[k]
-        comma = next((cell for cell in wrong if COMMA_NUMBER.fullmatch(cell)), None)
-        if len(row) != width:
-            last = k == len(rows) - 1 and not complete and len(row) < width
-            hint = "The file ends within a line: copy it again, or give footer=1." if last else _ragged_hint(len(row), width, separator)
-            message, limit = f"has {len(row)} cells: {line!r:.50}", f"{width}, as line {rows[0][0]} has"
-            problems.add("TRUNCATED" if last else "RAGGED_LINE", where, message, value=len(row), limit=limit, hint=hint)
-        elif comma is not None:
-            hint = f'It may be a decimal comma: give decimal=",", separator="{separator}".'
-            hint += " If it separates thousands, write numbers without it." if THOUSANDS.fullmatch(comma) else ""
-            problems.add("DECIMAL_COMMA", where, f"has {comma!r}", value=comma, limit="a decimal point", hint=hint)
-        elif wrong and wrong[0].lower().lstrip("+-") in ("inf", "infinity", "1.#inf"):
-            problems.add(
-                "NON_FINITE", where, f"has {wrong[0]!r}", value=wrong[0], limit="finite", hint="Leave the cell empty for a missing sample."
-            )
-        elif wrong:
-            at_end = k > last_good
-            if at_end and k > last_good + 1:
-                continue  # reported with the first line of the footer
-            hint = f"If the table ends before it, give footer={len(rows) - k}. If" if at_end else "Numbers follow: if"
-            hint = _thousands(wrong) or f"{hint} it means a missing sample, leave the cell empty or write nan."
-            message = f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}"
-            problems.add("BAD_LINE", where, message, value=wrong[0], limit="numbers", hint=hint)
-        if len(problems.collected) >= MOST_PROBLEMS:
-            break
-    problems.raise_if_any()
+    with Problems() as problems:
+        cells = [_cells(line, separator) for _, line in rows]
+        width = len(cells[0])
+        no_numbers = [[cell for cell in row if not NUMBER.fullmatch(_pointed(cell, decimal))] for row in cells]
+        last_good = max((k for k, row in enumerate(cells) if len(row) == width and not no_numbers[k]), default=0)
+        for k, ((i, line), row) in enumerate(zip(rows, cells, strict=True)):
+            where, wrong = f"{name}:{i}", no_numbers[k]
+            comma = next((cell for cell in wrong if COMMA_NUMBER.fullmatch(cell)), None)
+            if len(row) != width:
+                last = k == len(rows) - 1 and not complete and len(row) < width
+                hint = "The file ends within a line: copy it again, or give footer=1." if last else _ragged_hint(len(row), width, separator)
+                message, limit = f"has {len(row)} cells: {line!r:.50}", f"{width}, as line {rows[0][0]} has"
+                problems.add("TRUNCATED" if last else "RAGGED_LINE", where, message, value=len(row), limit=limit, hint=hint)
+            elif comma is not None:
+                hint = f'It may be a decimal comma: give decimal=",", separator="{separator}".'
+                hint += " If it separates thousands, write numbers without it." if THOUSANDS.fullmatch(comma) else ""
+                problems.add("DECIMAL_COMMA", where, f"has {comma!r}", value=comma, limit="a decimal point", hint=hint)
+            elif wrong and wrong[0].lower().lstrip("+-") in ("inf", "infinity", "1.#inf"):
+                problems.add(
+                    "NON_FINITE",
+                    where,
+                    f"has {wrong[0]!r}",
+                    value=wrong[0],
+                    limit="finite",
+                    hint="Leave the cell empty for a missing sample.",
+                )
+            elif wrong:
+                at_end = k > last_good
+                if at_end and k > last_good + 1:
+                    continue  # reported with the first line of the footer
+                hint = f"If the table ends before it, give footer={len(rows) - k}. If" if at_end else "Numbers follow: if"
+                hint = _thousands(wrong) or f"{hint} it means a missing sample, leave the cell empty or write nan."
+                message = f"has {wrong[0]!r:.40} in column {row.index(wrong[0]) + 1}"
+                problems.add("BAD_LINE", where, message, value=wrong[0], limit="numbers", hint=hint)
+            if len(problems.collected) >= MOST_PROBLEMS:
+                break
     values = np.array([[_number(_pointed(cell, decimal)) for cell in row] for row in cells])
     if width > 1 and all(row[-1] == "" for row in cells):  # a separator at the end of every line
         values = values[:, :-1]

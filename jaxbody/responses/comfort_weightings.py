@@ -120,18 +120,17 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
     >>> bool(weighted(response, {"body": "Wk"})["body"] < response["body"])
     True
     """
-    problems = Problems()
-    for output, name in weights.items():
-        if output not in response.outputs:
-            problems.collected.append(unknown(output, "weighted", response.outputs))
-            continue
-        if name not in WEIGHTINGS:
-            problems.add("BAD_WEIGHTING", f"weighted[{output!r}]", f"is {name!r}", value=name, limit=" ".join(WEIGHTINGS), hint=HINT)
-        unit, limit = response.units[response.outputs.index(output)], _unit(name)
-        if unit != limit:
-            hint = 'Ask kind="acceleration" of it; We is for rotations, the others for translations.'
-            problems.add("BAD_UNIT", f"weighted[{output!r}]", f"is in {unit}", value=unit, limit=limit, hint=hint)
-    problems.raise_if_any()
+    with Problems() as problems:
+        for output, name in weights.items():
+            if output not in response.outputs:
+                problems.collected.append(unknown(output, "weighted", response.outputs))
+                continue
+            if name not in WEIGHTINGS:
+                problems.add("BAD_WEIGHTING", f"weighted[{output!r}]", f"is {name!r}", value=name, limit=" ".join(WEIGHTINGS), hint=HINT)
+            unit, limit = response.units[response.outputs.index(output)], _unit(name)
+            if unit != limit:
+                hint = 'Ask kind="acceleration" of it; We is for rotations, the others for translations.'
+                problems.add("BAD_UNIT", f"weighted[{output!r}]", f"is in {unit}", value=unit, limit=limit, hint=hint)
     rows = np.array([response.outputs.index(output) for output in weights], dtype=int)
     factors = jnp.stack([jnp.abs(_weighting(name, response.frequencies)) ** 2 for name in weights.values()], -2)
     psd = response.psd[..., rows, :] * factors
@@ -158,10 +157,9 @@ def weighted_signal(times: Any, acceleration: Any, name: str) -> WeightedSignal:
     1.04
     """
     _check_weighting(name, "weighted_signal.name")
-    problems = Problems()
-    step = sampling_step(times, "weighted_signal.times", problems)
-    a = checked(acceleration, ((np.size(times),),), "weighted_signal.acceleration", problems, "One number for each time.")
-    problems.raise_if_any()
+    with Problems() as problems:
+        step = sampling_step(times, "weighted_signal.times", problems)
+        a = checked(acceleration, ((np.size(times),),), "weighted_signal.acceleration", problems, "One number for each time.")
     padding = int(np.ceil(DECAY_PERIODS / WEIGHTINGS[name].f1 / float(step))) if is_concrete(step) else np.size(times)
     results = _weighted_signal(jnp.asarray(a, float), jnp.asarray(step), name, padding)
     return WeightedSignal(jnp.asarray(times, float), *results, jnp.array(Status.OK.value), name)

@@ -160,9 +160,8 @@ def frequency_response(
         check_without_force_sensors(option, f"frequency_response.{what}", outs)
     eta = check_loss_factors(loss_factor, lin.model, "frequency_response.loss_factor")
     if method not in METHODS:
-        problems = Problems()
-        problems.add("BAD_METHOD", "frequency_response.method", f"is {method!r}", value=method, limit=" ".join(METHODS))
-        problems.raise_if_any()
+        with Problems() as problems:
+            problems.add("BAD_METHOD", "frequency_response.method", f"is {method!r}", value=method, limit=" ".join(METHODS))
     static = is_concrete(f) and not np.asarray(f).all()
     if static:
         _check_bounded_at_rest(u, ins)
@@ -175,55 +174,52 @@ def frequency_response(
 
 def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:
     """Frequencies in one row, positive, with `static` also 0."""
-    problems = Problems()
-    array = float_array(given, where)
-    array = checked(array, ((max(array.size, 1),),), where, problems, "Give frequencies [Hz] in one row.")
-    known = None if array is None else concrete(array)
-    if known is not None and (wrong := known < 0 if static else known <= 0).any():
-        i, limit = int(np.flatnonzero(wrong)[0]), ">= 0" if static else "> 0"
-        hint = "Give their magnitudes." if known[i] < 0 else "Leave 0 out."
-        problems.add("BAD_FREQUENCY", where, f"is {known[i]:g} Hz at index {i}", value=float(known[i]), limit=limit, hint=hint)
-    problems.raise_if_any()
+    with Problems() as problems:
+        array = float_array(given, where)
+        array = checked(array, ((max(array.size, 1),),), where, problems, "Give frequencies [Hz] in one row.")
+        known = None if array is None else concrete(array)
+        if known is not None and (wrong := known < 0 if static else known <= 0).any():
+            i, limit = int(np.flatnonzero(wrong)[0]), ">= 0" if static else "> 0"
+            hint = "Give their magnitudes." if known[i] < 0 else "Leave 0 out."
+            problems.add("BAD_FREQUENCY", where, f"is {known[i]:g} Hz at index {i}", value=float(known[i]), limit=limit, hint=hint)
     return device_array(array)
 
 
 def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> None:
     """Refuses inputs given as velocity or acceleration at 0 Hz, whose displacement is unbounded."""
-    problems = Problems()
-    for name, port in zip(names, inputs, strict=True):
-        if (kind := getattr(port, "kind", "displacement")) != "displacement":
-            message, hint = f"is given as {kind}, and a frequency is 0 Hz", 'Take kind="displacement", or leave 0 Hz out.'
-            problems.add(
-                "BAD_FREQUENCY", f"frequency_response.inputs[{name!r}]", message, value=kind, limit="displacement at 0 Hz", hint=hint
-            )
-    problems.raise_if_any()
+    with Problems() as problems:
+        for name, port in zip(names, inputs, strict=True):
+            if (kind := getattr(port, "kind", "displacement")) != "displacement":
+                message, hint = f"is given as {kind}, and a frequency is 0 Hz", 'Take kind="displacement", or leave 0 Hz out.'
+                problems.add(
+                    "BAD_FREQUENCY", f"frequency_response.inputs[{name!r}]", message, value=kind, limit="displacement at 0 Hz", hint=hint
+                )
 
 
 def check_without_force_sensors(given: Any, where: str, outputs: tuple[Any, ...]) -> None:
     """Refuses force sensors with damping that is an option, as they read forces of the model only. Error: BAD_OPTION."""
-    problems = Problems()
-    for port in outputs if given is not None else ():
-        if hasattr(port, "reading") and port.unit in ("N", "N m"):
-            hint = "Use ElementForce or SupportReaction, or give the model dampers."
-            message = f"is not read by a {type(port).__name__} on '{port.on}'"
-            problems.add("BAD_OPTION", where, message, value=given, limit="sensors of motion", hint=hint)
-    problems.raise_if_any()
+    with Problems() as problems:
+        for port in outputs if given is not None else ():
+            if hasattr(port, "reading") and port.unit in ("N", "N m"):
+                hint = "Use ElementForce or SupportReaction, or give the model dampers."
+                message = f"is not read by a {type(port).__name__} on '{port.on}'"
+                problems.add("BAD_OPTION", where, message, value=given, limit="sensors of motion", hint=hint)
 
 
 def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne"] | None:
     """One loss factor for each element, from one for all or {element: factor}. Errors: UNKNOWN_NAME, BAD_SHAPE, NEGATIVE."""
     if given is None:
         return None
-    problems, names = Problems(), model.element_names
-    for name in given if isinstance(given, dict) else ():
-        if name not in names:
-            problems.collected.append(unknown(name, where, names))
-    each = [checked(given.get(name, 0.0) if isinstance(given, dict) else given, ((),), where, problems) for name in names]
-    for name, value in zip(names, each, strict=True):
-        known = None if value is None else concrete(value)
-        if known is not None and known < 0:
-            problems.add("NEGATIVE", where, f"of '{name}' is {known:g}", value=float(known), limit=">= 0", hint="It would add energy.")
-    problems.raise_if_any()
+    names = model.element_names
+    with Problems() as problems:
+        for name in given if isinstance(given, dict) else ():
+            if name not in names:
+                problems.collected.append(unknown(name, where, names))
+        each = [checked(given.get(name, 0.0) if isinstance(given, dict) else given, ((),), where, problems) for name in names]
+        for name, value in zip(names, each, strict=True):
+            known = None if value is None else concrete(value)
+            if known is not None and known < 0:
+                problems.add("NEGATIVE", where, f"of '{name}' is {known:g}", value=float(known), limit=">= 0", hint="It would add energy.")
     return jnp.stack([device_array(value) for value in each]) if each else jnp.zeros(0)
 
 

@@ -33,12 +33,12 @@ def with_modal_damping(lin: Linearization, ratios: Any, where: str) -> Lineariza
     Errors: BAD_SHAPE, NON_FINITE, NEGATIVE."""
     if ratios is None:
         return lin
-    problems, n = Problems(), lin.M.shape[-1]
-    given = checked(float_array(ratios, where), ((), (n,)), where, problems, f"Give one for all modes or one for each of {n}.")
-    known = None if given is None else concrete(given)
-    if known is not None and (known < 0).any():
-        problems.add("NEGATIVE", where, f"has {known.min():g}", value=float(known.min()), limit=">= 0", hint="It would add energy.")
-    problems.raise_if_any()
+    n = lin.M.shape[-1]
+    with Problems() as problems:
+        given = checked(float_array(ratios, where), ((), (n,)), where, problems, f"Give one for all modes or one for each of {n}.")
+        known = None if given is None else concrete(given)
+        if known is not None and (known < 0).any():
+            problems.add("NEGATIVE", where, f"has {known.min():g}", value=float(known.min()), limit=">= 0", hint="It would add energy.")
     C, C_tilde, C_bb, status = _added(lin, jnp.broadcast_to(device_array(given), (n,)))
     return dataclasses.replace(lin, C=C, C_tilde=C_tilde, C_bb=C_bb, status=status)
 

@@ -180,38 +180,38 @@ def _order(spectrum: Spectrum, port: Any) -> int:
 
 def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
     """Each input, and no other, has a spectrum that fits it."""
-    problems = Problems()
-    each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
-    if not isinstance(each, dict):
-        problems.add("WRONG_KIND", "spectra", f"is a {type(each).__name__}", value=each, limit="{input: Spectrum} or CrossPSD")
-        problems.raise_if_any()
-    known = check_spectra(each, "spectra", problems)
-    for name in set(each) - set(inputs):
-        problems.collected.append(unknown(name, "spectra", tuple(inputs)))
-    for name, port in inputs.items():
-        if name not in each:
-            problems.add("NO_SPECTRUM", f"spectra[{name!r}]", "is missing", limit="one for each input", hint="Give a PSD or a PowerLaw.")
-        elif name in known:
-            family = (port.unit,) if not hasattr(port, "kind") else UNITS[len(port.direction) - 1]
-            if known[name].quantity not in family:
-                message, limit = f"is of {known[name].quantity}, the input is in {port.unit}", " or ".join(family)
+    with Problems() as problems:
+        each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
+        if not isinstance(each, dict):
+            problems.add("WRONG_KIND", "spectra", f"is a {type(each).__name__}", value=each, limit="{input: Spectrum} or CrossPSD")
+            problems.raise_if_any()
+        known = check_spectra(each, "spectra", problems)
+        for name in set(each) - set(inputs):
+            problems.collected.append(unknown(name, "spectra", tuple(inputs)))
+        for name, port in inputs.items():
+            if name not in each:
                 problems.add(
-                    "BAD_UNIT",
-                    f"spectra[{name!r}]",
-                    message,
-                    value=known[name].quantity,
-                    limit=limit,
-                    hint="Give the spectrum in one of these units.",
+                    "NO_SPECTRUM", f"spectra[{name!r}]", "is missing", limit="one for each input", hint="Give a PSD or a PowerLaw."
                 )
-    problems.raise_if_any()
+            elif name in known:
+                family = (port.unit,) if not hasattr(port, "kind") else UNITS[len(port.direction) - 1]
+                if known[name].quantity not in family:
+                    message, limit = f"is of {known[name].quantity}, the input is in {port.unit}", " or ".join(family)
+                    problems.add(
+                        "BAD_UNIT",
+                        f"spectra[{name!r}]",
+                        message,
+                        value=known[name].quantity,
+                        limit=limit,
+                        hint="Give the spectrum in one of these units.",
+                    )
 
 
 def _check_band(f: Float[Array, "nf"]) -> None:
-    problems = Problems()
-    if len(f) < 2:
-        problems.add(
-            "EMPTY_BAND", "random_response.frequencies", f"has {len(f)} frequency", value=len(f), limit=">= 2", hint="Give a Band."
-        )
-    elif is_concrete(f) and (np.diff(np.asarray(f)) <= 0).any():
-        problems.add("EMPTY_BAND", "random_response.frequencies", "do not increase", limit="increasing", hint="Sort them.")
-    problems.raise_if_any()
+    with Problems() as problems:
+        if len(f) < 2:
+            problems.add(
+                "EMPTY_BAND", "random_response.frequencies", f"has {len(f)} frequency", value=len(f), limit=">= 2", hint="Give a Band."
+            )
+        elif is_concrete(f) and (np.diff(np.asarray(f)) <= 0).any():
+            problems.add("EMPTY_BAND", "random_response.frequencies", "do not increase", limit="increasing", hint="Sort them.")

@@ -34,12 +34,13 @@ class Unevenness(eqx.Module):
     exponent: Float[Array, ""]
 
     def __init__(self, level, *, exponent=2.0):
-        problems = Problems()
-        self.level, self.exponent = scalar(level, "Unevenness.level", problems), scalar(exponent, "Unevenness.exponent", problems)
-        known = concrete(self.level)
-        if known is not None and known < 0:
-            problems.add("NEGATIVE", "Unevenness.level", f"is {known:g} m3", value=float(known), limit=">= 0", hint="Give Gd(0.1 cycle/m).")
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.level, self.exponent = scalar(level, "Unevenness.level", problems), scalar(exponent, "Unevenness.exponent", problems)
+            known = concrete(self.level)
+            if known is not None and known < 0:
+                problems.add(
+                    "NEGATIVE", "Unevenness.level", f"is {known:g} m3", value=float(known), limit=">= 0", hint="Give Gd(0.1 cycle/m)."
+                )
 
     @classmethod
     def iso(cls, road_class: str) -> Unevenness:
@@ -81,9 +82,8 @@ def road_profile(road: Unevenness, *, length, spacing, key: PRNGKeyArray) -> tup
         raise JaxbodyError(
             Problem("WRONG_KIND", "road_profile.road", f"is a {type(road).__name__}", road, "Unevenness", 'Give Unevenness.iso("C").')
         )
-    problems = Problems()
-    check_key(key, "road_profile.key", problems, "A road needs")
-    problems.raise_if_any()
+    with Problems() as problems:
+        check_key(key, "road_profile.key", problems, "A road needs")
     n = _count(length, spacing)
     step = float(length) / n
     k = np.arange(1, (n + 1) // 2)

@@ -74,18 +74,17 @@ class PowerLaw(Spectrum):
     sides: int = eqx.field(static=True)
 
     def __init__(self, level, *, unit: str, exponent: Any = 0.0, reference=1.0, sides: int = 1, speed=None):
-        problems = Problems()
-        self.quantity, self.per, self.factor = _unit(unit, "PowerLaw.unit", problems)
-        self.sides, self.speed = _measure(self.per, sides, speed, "PowerLaw", problems)
-        self.level = scalar(level, "PowerLaw.level", problems)
-        self.exponent = scalar(exponent, "PowerLaw.exponent", problems)
-        self.reference = scalar(reference, "PowerLaw.reference", problems)
-        _check_not_negative(self.level, "PowerLaw.level", problems)
-        known = concrete(self.reference)
-        if known is not None and known <= 0:
-            hint = "Give the frequency at which the density is `level`."
-            problems.add("BAD_FREQUENCY", "PowerLaw.reference", f"is {known:g}", value=float(known), limit="> 0", hint=hint)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.quantity, self.per, self.factor = _unit(unit, "PowerLaw.unit", problems)
+            self.sides, self.speed = _measure(self.per, sides, speed, "PowerLaw", problems)
+            self.level = scalar(level, "PowerLaw.level", problems)
+            self.exponent = scalar(exponent, "PowerLaw.exponent", problems)
+            self.reference = scalar(reference, "PowerLaw.reference", problems)
+            _check_not_negative(self.level, "PowerLaw.level", problems)
+            known = concrete(self.reference)
+            if known is not None and known <= 0:
+                hint = "Give the frequency at which the density is `level`."
+                problems.add("BAD_FREQUENCY", "PowerLaw.reference", f"is {known:g}", value=float(known), limit="> 0", hint=hint)
 
     def __call__(self, f):
         x, density = _in_hertz(f, self.per, self.speed)
@@ -120,18 +119,19 @@ class PSD(Spectrum):
     sides: int = eqx.field(static=True)
 
     def __init__(self, frequencies, values, *, unit: str, sides: int = 1, speed=None):
-        problems = Problems()
-        self.quantity, self.per, self.factor = _unit(unit, "PSD.unit", problems)
-        self.sides, self.speed = _measure(self.per, sides, speed, "PSD", problems)
-        count = max(2, np.size(frequencies))
-        x = checked(frequencies, ((count,),), "PSD.frequencies", problems, "Give two points or more.")
-        y = checked(values, ((count,),), "PSD.values", problems, "One value for each frequency.")
-        known = None if x is None else concrete(x)
-        if known is not None and ((known <= 0).any() or (np.diff(known) <= 0).any()):
-            problems.add("BAD_FREQUENCY", "PSD.frequencies", f"is {known}", value=known, limit="positive, increasing", hint="Leave 0 out.")
-        if y is not None:
-            _check_not_negative(y, "PSD.values", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.quantity, self.per, self.factor = _unit(unit, "PSD.unit", problems)
+            self.sides, self.speed = _measure(self.per, sides, speed, "PSD", problems)
+            count = max(2, np.size(frequencies))
+            x = checked(frequencies, ((count,),), "PSD.frequencies", problems, "Give two points or more.")
+            y = checked(values, ((count,),), "PSD.values", problems, "One value for each frequency.")
+            known = None if x is None else concrete(x)
+            if known is not None and ((known <= 0).any() or (np.diff(known) <= 0).any()):
+                problems.add(
+                    "BAD_FREQUENCY", "PSD.frequencies", f"is {known}", value=known, limit="positive, increasing", hint="Leave 0 out."
+                )
+            if y is not None:
+                _check_not_negative(y, "PSD.values", problems)
         self.frequencies, self.values = device_array(x), device_array(y)
 
     @classmethod
@@ -147,10 +147,9 @@ class PSD(Spectrum):
         Errors: BAD_UNIT, BAD_SHAPE, NOT_UNIFORM, NON_FINITE."""
         from scipy.signal import welch
 
-        problems = Problems()
-        step = sampling_step(times, "PSD.from_record times", problems)
-        y = checked(values, ((np.size(times),),), "PSD.from_record values", problems, "One value for each time.")
-        problems.raise_if_any()
+        with Problems() as problems:
+            step = sampling_step(times, "PSD.from_record times", problems)
+            y = checked(values, ((np.size(times),),), "PSD.from_record values", problems, "One value for each time.")
         f, S = welch(np.asarray(y), 1 / float(step), nperseg=min(segment, np.size(times)))
         return cls(f[1:], S[1:], unit=f"({unit})2/Hz")
 
@@ -190,13 +189,14 @@ class CrossPSD(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(self, spectra: dict[str, Spectrum], *, delays: dict[str, Any] | None = None, coherence: dict[Any, Any] | None = None):
-        problems = Problems()
-        self.names, self.spectra = tuple(spectra), check_spectra(spectra, "CrossPSD.spectra", problems)
-        given = delays or {}
-        for name in {*given, *(name for pair in coherence or {} for name in pair)} - set(self.names):
-            problems.collected.append(unknown(name, "CrossPSD", self.names))
-        self.delays = {name: device_array(shaped(given.get(name, 0.0), (), f"CrossPSD.delays[{name!r}]", problems)) for name in self.names}
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.names, self.spectra = tuple(spectra), check_spectra(spectra, "CrossPSD.spectra", problems)
+            given = delays or {}
+            for name in {*given, *(name for pair in coherence or {} for name in pair)} - set(self.names):
+                problems.collected.append(unknown(name, "CrossPSD", self.names))
+            self.delays = {
+                name: device_array(shaped(given.get(name, 0.0), (), f"CrossPSD.delays[{name!r}]", problems)) for name in self.names
+            }
         levels, pairs = [], []
         for (one, other), value in (coherence or {}).items():
             if one == other or (self.names.index(other), self.names.index(one)) in [pair[:2] for pair in pairs]:
@@ -252,18 +252,17 @@ class Band(eqx.Module):
     coarse: Float[Array, "n"]  # weights of every other point, zero between them
 
     def __init__(self, low, high, *, points: int = 1001):
-        problems = Problems()
-        low, high = shaped(low, (), "Band.low", problems), shaped(high, (), "Band.high", problems)
-        first, last = concrete(low), concrete(high)
-        if first is not None and last is not None and not problems.collected:
-            if first <= 0:
-                problems.add("BAD_FREQUENCY", "Band.low", f"is {low:g} Hz", value=float(low), limit="> 0", hint="Take a small one.")
-            elif first >= last:
-                message, hint = f"goes from {low:g} to {high:g} Hz", "Give the lower end first."
-                problems.add("EMPTY_BAND", "Band", message, value=(float(low), float(high)), limit="low < high", hint=hint)
-        if points < 17:
-            problems.add("EMPTY_BAND", "Band.points", f"is {points}", value=points, limit=">= 17", hint="Give more points.")
-        problems.raise_if_any()
+        with Problems() as problems:
+            low, high = shaped(low, (), "Band.low", problems), shaped(high, (), "Band.high", problems)
+            first, last = concrete(low), concrete(high)
+            if first is not None and last is not None and not problems.collected:
+                if first <= 0:
+                    problems.add("BAD_FREQUENCY", "Band.low", f"is {low:g} Hz", value=float(low), limit="> 0", hint="Take a small one.")
+                elif first >= last:
+                    message, hint = f"goes from {low:g} to {high:g} Hz", "Give the lower end first."
+                    problems.add("EMPTY_BAND", "Band", message, value=(float(low), float(high)), limit="low < high", hint=hint)
+            if points < 17:
+                problems.add("EMPTY_BAND", "Band.points", f"is {points}", value=points, limit=">= 17", hint="Give more points.")
         n = points | 1
         step = jnp.log(device_array(high) / low) / (n - 1)
         self.frequencies = low * jnp.exp(step * np.arange(n, dtype=float))

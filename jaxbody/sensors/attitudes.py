@@ -106,10 +106,9 @@ class Orientation(Attitude):
     unit = "rad"
 
     def __init__(self, on: str, *, orientation=IDENTITY, **chain: Unpack[Chain]):
-        problems = Problems()
-        self.on, self.orientation = on, as_quaternion(orientation, "Orientation.orientation", problems)
-        self.chained(problems, **chain)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.on, self.orientation = on, as_quaternion(orientation, "Orientation.orientation", problems)
+            self.chained(problems, **chain)
 
     def reading(self, model, frames):
         R = product(frames.R[model.layout.frame(self.on)], rotations.matrix(self.orientation))

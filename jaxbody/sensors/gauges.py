@@ -30,11 +30,11 @@ class Gauge(Sensor):
     axis: Float[Array, "3"] | None = field("", "direction")
 
     def spanned(self, a: Any, b: Any, axis: Any, chain: Chain) -> None:
-        kind, problems = type(self).__name__, Problems()
-        self.between, (self.a, self.b) = ends((a, b), kind, problems, points=False)
-        self.axis = None if axis is None else unit_vector(axis, f"{kind}.axis", problems)
-        self.chained(problems, **chain)
-        problems.raise_if_any()
+        kind = type(self).__name__
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), kind, problems, points=False)
+            self.axis = None if axis is None else unit_vector(axis, f"{kind}.axis", problems)
+            self.chained(problems, **chain)
 
     @property
     def on(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -167,15 +167,15 @@ class LaserLine(Sensor):
     shape = ()
 
     def aimed(self, on: str, point: Any, axis: Any, origin: Any, normal: Any, chain: Chain) -> None:
-        kind, problems = type(self).__name__, Problems()
-        self.on, self.point = on, vector(point, f"{kind}.point", problems)
-        self.axis = unit_vector(axis, f"{kind}.axis", problems)
-        if (origin is None) != (normal is None):
-            problems.add("NO_SURFACE", kind, "has only one of `origin` and `normal`", hint="Give both or neither.")
-        self.origin = None if origin is None else vector(origin, f"{kind}.origin", problems)
-        self.normal = None if normal is None else unit_vector(normal, f"{kind}.normal", problems)
-        self.chained(problems, **chain)
-        problems.raise_if_any()
+        kind = type(self).__name__
+        with Problems() as problems:
+            self.on, self.point = on, vector(point, f"{kind}.point", problems)
+            self.axis = unit_vector(axis, f"{kind}.axis", problems)
+            if (origin is None) != (normal is None):
+                problems.add("NO_SURFACE", kind, "has only one of `origin` and `normal`", hint="Give both or neither.")
+            self.origin = None if origin is None else vector(origin, f"{kind}.origin", problems)
+            self.normal = None if normal is None else unit_vector(normal, f"{kind}.normal", problems)
+            self.chained(problems, **chain)
 
     def distance(self, frame: Pose) -> Float[Array, ""]:
         """The distance d from the beam's origin to the spot."""

@@ -27,15 +27,15 @@ class Mounted(Sensor):
     orientation: Float[Array, "4"] | None = field("", "rotation")
 
     def mounted(self, on: str, point: Any, axis: Any, orientation: Any, chain: Chain) -> None:
-        kind, problems = type(self).__name__, Problems()
-        self.on, self.point = on, vector(point, f"{kind}.point", problems)
-        if axis is not None and orientation is not None:
-            problems.add("TWO_AXES", kind, "has an axis and an orientation", value=axis, hint="Give one of them: one number or three.")
-        self.axis = None if axis is None else unit_vector(axis, f"{kind}.axis", problems)
-        turned = IDENTITY if orientation is None else orientation
-        self.orientation = None if axis is not None else as_quaternion(turned, f"{kind}.orientation", problems)
-        self.chained(problems, **chain)
-        problems.raise_if_any()
+        kind = type(self).__name__
+        with Problems() as problems:
+            self.on, self.point = on, vector(point, f"{kind}.point", problems)
+            if axis is not None and orientation is not None:
+                problems.add("TWO_AXES", kind, "has an axis and an orientation", value=axis, hint="Give one of them: one number or three.")
+            self.axis = None if axis is None else unit_vector(axis, f"{kind}.axis", problems)
+            turned = IDENTITY if orientation is None else orientation
+            self.orientation = None if axis is not None else as_quaternion(turned, f"{kind}.orientation", problems)
+            self.chained(problems, **chain)
 
     @property
     def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -149,10 +149,9 @@ class Components(Sensor):
     component: int | None = field(static=True)
 
     def __init__(self, on: str, *, component: int | None = None, **chain: Unpack[Chain]):
-        problems = Problems()
-        self.on, self.component = on, component
-        self.chained(problems, **chain)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.on, self.component = on, component
+            self.chained(problems, **chain)
 
 
 class LoadCell(Components):
@@ -255,10 +254,9 @@ class Reaction(WrenchSensor):
     point: Float[Array, "3"] | None = field("m")
 
     def __init__(self, on: str, point=None, *, component: int | None = None, **chain: Unpack[Chain]):
-        problems = Problems()
-        self.point = None if point is None else vector(point, "Reaction.point", problems)
-        problems.gather(lambda: Components.__init__(self, on, component=component, **chain))
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.point = None if point is None else vector(point, "Reaction.point", problems)
+            problems.gather(lambda: Components.__init__(self, on, component=component, **chain))
 
     def reading(self, model, frames):
         row, joint = model.layout.frame(self.on), model.joint(self.on)
@@ -294,10 +292,9 @@ class JointAngle(Sensor):
     unit = "rad"
 
     def __init__(self, on: str, *, component: int | None = None, **chain: Unpack[Chain]):
-        problems = Problems()
-        self.on, self.component = on, component
-        self.chained(problems, **chain)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.on, self.component = on, component
+            self.chained(problems, **chain)
 
     def reading(self, model, frames):
         return frames.state.q[model.layout.q_slices[self.on]][self.component or 0]

@@ -80,10 +80,9 @@ class Sensor(Channel):
     start: Float[Array, "*r"] | None = field("unit", default=None, kw_only=True)
 
     def __init__(self, on: str, **chain: Unpack[Chain]):
-        problems = Problems()
-        self.on = on
-        self.chained(problems, **chain)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.on = on
+            self.chained(problems, **chain)
 
     def chained(self, problems: Problems, **chain: Unpack[Chain]) -> None:
         """Check and set gain, bias, delay, lag and start."""
@@ -191,11 +190,10 @@ class Position(Sensor):
     unit = "m"
 
     def __init__(self, on: str, point=(0, 0, 0), *, axis=None, **chain: Unpack[Chain]):
-        problems = Problems()
-        self.on, self.point = on, vector(point, "Position.point", problems)
-        self.axis = None if axis is None else unit_vector(axis, "Position.axis", problems)
-        self.chained(problems, **chain)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.on, self.point = on, vector(point, "Position.point", problems)
+            self.axis = None if axis is None else unit_vector(axis, "Position.axis", problems)
+            self.chained(problems, **chain)
 
     @property
     def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -229,12 +227,11 @@ class Elongation(Sensor):
 
 def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:
     """Check that all sensors are Sensors, on parts of the model."""
-    problems = Problems()
-    for name, sensor in checked_dict(sensors, where, "name: jb.Position(...)", problems).items():
-        check_kind(sensor, Sensor, f"{where}['{name}']", "a sensor, as jb.Position(...)", problems)
-        problem = sensor.problem(model, f"{where}['{name}']") if isinstance(sensor, Sensor) else None
-        problems.collected += [] if problem is None else [problem]
-    problems.raise_if_any()
+    with Problems() as problems:
+        for name, sensor in checked_dict(sensors, where, "name: jb.Position(...)", problems).items():
+            check_kind(sensor, Sensor, f"{where}['{name}']", "a sensor, as jb.Position(...)", problems)
+            problem = sensor.problem(model, f"{where}['{name}']") if isinstance(sensor, Sensor) else None
+            problems.collected += [] if problem is None else [problem]
 
 
 def noise_levels(sensors: dict[str, Sensor], noise: Any, where: str, problems: Problems, *, zero: bool) -> dict[str, Any]:

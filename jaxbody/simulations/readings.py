@@ -75,9 +75,8 @@ def measure(
     >>> measured["place"].shape
     (5, 3)
     """
-    problems = Problems()
-    check_kind(trajectory, Trajectory, "measure.trajectory", "a Trajectory, as jb.simulate(...) returns", problems)
-    problems.raise_if_any()
+    with Problems() as problems:
+        check_kind(trajectory, Trajectory, "measure.trajectory", "a Trajectory, as jb.simulate(...) returns", problems)
     check_sensors(sensors, trajectory.model, "sensors")
     levels = noise_levels(sensors, noise, "noise", problems, zero=True)
     noisy = any(concrete(level) is None or np.any(level) for level in levels.values())

@@ -98,12 +98,12 @@ def simulate(
     (11, 3)
     """
     check_precision("simulate", model)
-    problems, initial = Problems(), as_initial(initial)
-    motions = problems.gather(lambda: motions_of(model, motion))
-    loads_on = problems.gather(lambda: loads_of(loads, model.layout.bodies))
-    max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "simulate", adjoint))
-    times = problems.gather(lambda: check_run(model, times, motions or (), {} if loads_on is None else loads or {}, initial))
-    problems.raise_if_any()
+    initial = as_initial(initial)
+    with Problems() as problems:
+        motions = problems.gather(lambda: motions_of(model, motion))
+        loads_on = problems.gather(lambda: loads_of(loads, model.layout.bodies))
+        max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "simulate", adjoint))
+        times = problems.gather(lambda: check_run(model, times, motions or (), {} if loads_on is None else loads or {}, initial))
     initial = initial_state_of(model, motions, times[0], initial, "simulate.initial")
     unattached_bodies = unattached(model)
     if unattached_bodies:
@@ -160,25 +160,24 @@ def check_steps(
 ) -> int:
     """Solver, controller and adjoint are diffrax's objects, Gauss has constant steps with dt0, rtol and dt0 are positive. Returns
     max_steps, an integer."""
-    problems = Problems()
-    given = {"solver": solver, "stepsize_controller": stepsize_controller, "adjoint": adjoint}
-    for name, value in given.items():
-        if value is not None:
-            check_kind(value, KINDS[name], f"{where}.{name}", f"an object of diffrax, as {EXAMPLES[name]}", problems)
-    if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(stepsize_controller, CONSTANT):
-        words = "is RecursiveCheckpointAdjoint, which with constant steps gives wrong gradients where samples lie on steps"
-        problems.add("WRONG_GRADIENT", f"{where}.adjoint", words, value=adjoint, hint="Use diffrax.DirectAdjoint() or ForwardMode().")
-    if isinstance(solver, Gauss) and not isinstance(stepsize_controller, CONSTANT):
-        message = "is Gauss, which has no error estimate by which a controller could choose steps"
-        hint = "Give stepsize_controller=diffrax.ConstantStepSize() and dt0= a tenth of the shortest period."
-        problems.add("NO_ERROR_ESTIMATE", f"{where}.solver", message, value=solver, hint=hint)
-    if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
-        problems.add("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds.")
-    if dt0 is not None:
-        positive_number(dt0, f"{where}.dt0", problems)
-    positive_number(rtol, f"{where}.rtol", problems)
-    steps = whole_number(max_steps, f"{where}.max_steps", problems)
-    problems.raise_if_any()
+    with Problems() as problems:
+        given = {"solver": solver, "stepsize_controller": stepsize_controller, "adjoint": adjoint}
+        for name, value in given.items():
+            if value is not None:
+                check_kind(value, KINDS[name], f"{where}.{name}", f"an object of diffrax, as {EXAMPLES[name]}", problems)
+        if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(stepsize_controller, CONSTANT):
+            words = "is RecursiveCheckpointAdjoint, which with constant steps gives wrong gradients where samples lie on steps"
+            problems.add("WRONG_GRADIENT", f"{where}.adjoint", words, value=adjoint, hint="Use diffrax.DirectAdjoint() or ForwardMode().")
+        if isinstance(solver, Gauss) and not isinstance(stepsize_controller, CONSTANT):
+            message = "is Gauss, which has no error estimate by which a controller could choose steps"
+            hint = "Give stepsize_controller=diffrax.ConstantStepSize() and dt0= a tenth of the shortest period."
+            problems.add("NO_ERROR_ESTIMATE", f"{where}.solver", message, value=solver, hint=hint)
+        if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
+            problems.add("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds.")
+        if dt0 is not None:
+            positive_number(dt0, f"{where}.dt0", problems)
+        positive_number(rtol, f"{where}.rtol", problems)
+        steps = whole_number(max_steps, f"{where}.max_steps", problems)
     return steps
 
 
@@ -195,11 +194,11 @@ def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax
 
 def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion") -> Motions:
     """One motion for each support, in their order."""
-    problems, supports = Problems(), model.layout.supports
-    given = checked_dict(motion, where, "support: jb.Harmonic(...)", problems)
-    problems.collected += [unknown(name, where, supports) for name in given if name not in supports]
-    motions = {name: problems.gather(lambda name=name: as_motion(given.get(name, AtRest()), f"{where}['{name}']")) for name in supports}
-    problems.raise_if_any()
+    supports = model.layout.supports
+    with Problems() as problems:
+        given = checked_dict(motion, where, "support: jb.Harmonic(...)", problems)
+        problems.collected += [unknown(name, where, supports) for name in given if name not in supports]
+        motions = {name: problems.gather(lambda name=name: as_motion(given.get(name, AtRest()), f"{where}['{name}']")) for name in supports}
     for name, one in motions.items():
         check_motion(one, f"{where}['{name}']", problems)
     problems.raise_if_any()
@@ -208,9 +207,8 @@ def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion
 
 def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], initial: Any) -> Float[Array, "nt"]:
     """The times, increasing and covered by motions and loads; the initial state has the right shape."""
-    problems = Problems()
-    checked = check_times(times, problems, "times", minimum=2)
-    problems.raise_if_any()
+    with Problems() as problems:
+        checked = check_times(times, problems, "times", minimum=2)
     assert checked is not None
     requested = concrete(checked)
     timed = [(f"motion['{name}']", motion) for name, motion in zip(model.layout.supports, motions, strict=False)]

@@ -51,10 +51,9 @@ class LoadCase(eqx.Module):
     loads: dict[str, Load]
 
     def __init__(self, *, acceleration=(0, 0, 0), loads: dict[str, Load] | None = None):
-        problems = Problems()
-        self.acceleration = vector(acceleration, "LoadCase.acceleration", problems)
-        self.loads = loads_by_name(loads, "LoadCase.loads", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.acceleration = vector(acceleration, "LoadCase.acceleration", problems)
+            self.loads = loads_by_name(loads, "LoadCase.loads", problems)
 
 
 class LoadCases(Result):
@@ -176,21 +175,20 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     check_precision("load_cases", model)
     check_memory("load_cases", model)
     check_attached(model)
-    problems = Problems()
-    cases = checked_dict(cases, "load_cases.cases", "name: jb.LoadCase(...)", problems)
-    if not cases and not problems.collected:
-        problems.add("NO_CASE", "load_cases", "has no case", value=cases, limit="at least one", hint="Give {name: jb.LoadCase(...)}.")
-    for name, case in cases.items():
-        check_kind(case, LoadCase, f"cases[{name!r}]", "jb.LoadCase(acceleration=..., loads=...)", problems)
-    start = at.state if isinstance(at, Equilibrium) else at
-    if start is not None:
-        problems.gather(lambda: check_state(model, start, "at"))
-    each = [
-        problems.gather(lambda name=name, case=case: loads_of(case.loads, model.layout.bodies, f"cases[{name!r}].loads"))
-        for name, case in cases.items()
-        if isinstance(case, LoadCase)
-    ]
-    problems.raise_if_any()
+    with Problems() as problems:
+        cases = checked_dict(cases, "load_cases.cases", "name: jb.LoadCase(...)", problems)
+        if not cases and not problems.collected:
+            problems.add("NO_CASE", "load_cases", "has no case", value=cases, limit="at least one", hint="Give {name: jb.LoadCase(...)}.")
+        for name, case in cases.items():
+            check_kind(case, LoadCase, f"cases[{name!r}]", "jb.LoadCase(acceleration=..., loads=...)", problems)
+        start = at.state if isinstance(at, Equilibrium) else at
+        if start is not None:
+            problems.gather(lambda: check_state(model, start, "at"))
+        each = [
+            problems.gather(lambda name=name, case=case: loads_of(case.loads, model.layout.bodies, f"cases[{name!r}].loads"))
+            for name, case in cases.items()
+            if isinstance(case, LoadCase)
+        ]
     loads = tuple(load for group in each for load in group)
     owner = np.repeat(np.arange(len(each)), [len(group) for group in each])
     weights = (np.arange(len(each))[:, None] == owner).astype(float)

@@ -192,12 +192,11 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     check_precision("equilibrium", model)
     check_memory("equilibrium", model)
     check_attached(model)
-    problems = Problems()
-    if start is not None:
-        problems.gather(lambda: check_state(model, start, "start"))
-    acting = problems.gather(lambda: loads_of(loads, model.layout.bodies))
-    max_steps = whole_number(max_steps, "equilibrium.max_steps", problems, least=0)
-    problems.raise_if_any()
+    with Problems() as problems:
+        if start is not None:
+            problems.gather(lambda: check_state(model, start, "start"))
+        acting = problems.gather(lambda: loads_of(loads, model.layout.bodies))
+        max_steps = whole_number(max_steps, "equilibrium.max_steps", problems, least=0)
     q = None if start is None else start.q
     result = equilibrium_of(model, q, max_steps)
     if acting:

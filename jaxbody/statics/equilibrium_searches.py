@@ -85,11 +85,10 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
     check_precision("find_equilibria", model)
     check_memory("find_equilibria", model)
     check_attached(model)
-    problems = Problems()
-    starts = whole_number(starts, "find_equilibria.starts", problems)
-    positive_number(spread, "find_equilibria.spread", problems)
-    check_key(key, "find_equilibria.key", problems)
-    problems.raise_if_any()
+    with Problems() as problems:
+        starts = whole_number(starts, "find_equilibria.starts", problems)
+        positive_number(spread, "find_equilibria.spread", problems)
+        check_key(key, "find_equilibria.key", problems)
     batch = _search(model, jax.random.key(0) if key is None else key, starts, float(spread))
     status, energies = np.asarray(batch.status), np.asarray(batch.energy)
     converged = [int(i) for i in np.argsort(energies) if status[i] != Status.NOT_CONVERGED and status[i] != Status.NO_EQUILIBRIUM]

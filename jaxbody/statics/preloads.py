@@ -102,10 +102,9 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",),
     check_precision("preload", model)
     state = model.reference if pose is None else pose
     check_state(model, state, "pose")
-    problems = Problems()
-    check_kind(free, (str, list, tuple), "preload.free", "paths or patterns", problems)
-    check_kind(moving, (str, list, tuple), "preload.moving", "names or patterns of coordinates", problems)
-    problems.raise_if_any()
+    with Problems() as problems:
+        check_kind(free, (str, list, tuple), "preload.free", "paths or patterns", problems)
+        check_kind(moving, (str, list, tuple), "preload.moving", "names or patterns of coordinates", problems)
     matched = matching(leaves_of(model), [free] if isinstance(free, str) else free, "free")
     leaves = tuple(dict.fromkeys(leaf for group in matched.values() for leaf in group))
     wrong = [leaf.path for leaf in leaves if leaf.kind.unit not in ("m", "rad") or leaf.rank]

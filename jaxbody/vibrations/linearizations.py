@@ -193,12 +193,11 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
     check_precision("excitation", model)
     state = at.state if isinstance(at, Equilibrium) else at
     check_state(model, state, "state")
-    problems = Problems()
-    given = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
-    problems.collected += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
-    known = [name for name in model.layout.supports if name in given]
-    xi = {name: shaped(given[name], (6,), f"excitation[{name!r}]", problems) for name in known}
-    problems.raise_if_any()
+    with Problems() as problems:
+        given = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
+        problems.collected += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
+        known = [name for name in model.layout.supports if name in given]
+        xi = {name: shaped(given[name], (6,), f"excitation[{name!r}]", problems) for name in known}
     return _excitation(model, state, stack([xi.get(name, np.zeros(6)) for name in model.layout.supports]))
 
 

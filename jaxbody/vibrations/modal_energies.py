@@ -161,18 +161,22 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
 
 def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str, ...]:
     """The names of three translations and three rotations."""
-    problems = Problems()
-    for name, axis in (("forward", forward), ("up", up)):
-        if axis is not None and axis not in AXES:
-            problems.add(
-                "BAD_DIRECTION", f"mode_energies.{name}", f"is {axis!r}", value=axis, limit="x, y or z", hint="Give one axis of the world."
-            )
-    up = up or upward_axis(model)
-    if forward is not None and up is None:
-        problems.add("BAD_DIRECTION", "mode_energies.up", "is missing, and gravity is not along an axis", hint="Give it, as up='z'.")
-    if forward is not None and forward == up:
-        problems.add("BAD_DIRECTION", "mode_energies.forward", "is upwards", value=forward, limit="another axis than `up`")
-    problems.raise_if_any()
+    with Problems() as problems:
+        for name, axis in (("forward", forward), ("up", up)):
+            if axis is not None and axis not in AXES:
+                problems.add(
+                    "BAD_DIRECTION",
+                    f"mode_energies.{name}",
+                    f"is {axis!r}",
+                    value=axis,
+                    limit="x, y or z",
+                    hint="Give one axis of the world.",
+                )
+        up = up or upward_axis(model)
+        if forward is not None and up is None:
+            problems.add("BAD_DIRECTION", "mode_energies.up", "is missing, and gravity is not along an axis", hint="Give it, as up='z'.")
+        if forward is not None and forward == up:
+            problems.add("BAD_DIRECTION", "mode_energies.forward", "is upwards", value=forward, limit="another axis than `up`")
     return direction_names(model, forward, up)
 
 

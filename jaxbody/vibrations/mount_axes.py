@@ -143,9 +143,8 @@ def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAx
     """
     check_linearization(lin, "torque_roll_axis")
     check_precision("torque_roll_axis", lin.model)
-    problems = Problems()
-    along = shaped(torque, (3,), "torque_roll_axis.torque", problems)
-    problems.raise_if_any()
+    with Problems() as problems:
+        along = shaped(torque, (3,), "torque_roll_axis.torque", problems)
     if is_concrete(along) and not np.any(along):
         raise JaxbodyError(Problem("ZERO_AXIS", "torque_roll_axis.torque", "is zero", along, "> 0", "Give the direction of the torque."))
     result = _torque_roll_axis(lin, jnp.asarray(along), _free(lin, body, "torque_roll_axis"))

@@ -46,10 +46,9 @@ class BaseMotion(eqx.Module):
     kind: str = eqx.field(static=True, converter=plain)
 
     def __init__(self, on: str, direction: str, *, kind: str = "displacement"):
-        problems = Problems()
-        _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", "BaseMotion.direction", problems)
-        _check_one_of(kind, KINDS, "BAD_KIND", "BaseMotion.kind", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", "BaseMotion.direction", problems)
+            _check_one_of(kind, KINDS, "BAD_KIND", "BaseMotion.kind", problems)
         self.on, self.direction, self.kind = on, direction, kind
 
     @property
@@ -76,10 +75,9 @@ class PointForce(eqx.Module):
     turns: bool = field(static=True)
 
     def __init__(self, on: str, point=(0, 0, 0), direction: Any = "z"):
-        problems = Problems()
-        self.on, self.point = on, vector(point, "PointForce.point", problems)
-        self.axis, self.turns = _direction(direction, "PointForce.direction", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.on, self.point = on, vector(point, "PointForce.point", problems)
+            self.axis, self.turns = _direction(direction, "PointForce.direction", problems)
 
     @property
     def unit(self) -> str:
@@ -114,11 +112,10 @@ class PointMotion(eqx.Module):
     relative_to: str | None = field(static=True, converter=plain)
 
     def __init__(self, on: str, point=(0, 0, 0), direction: Any = "z", *, kind: str = "displacement", relative_to: str | None = None):
-        problems = Problems()
-        self.on, self.point = on, vector(point, "PointMotion.point", problems)
-        self.axis, self.turns = _direction(direction, "PointMotion.direction", problems)
-        _check_one_of(kind, KINDS, "BAD_KIND", "PointMotion.kind", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            self.on, self.point = on, vector(point, "PointMotion.point", problems)
+            self.axis, self.turns = _direction(direction, "PointMotion.direction", problems)
+            _check_one_of(kind, KINDS, "BAD_KIND", "PointMotion.kind", problems)
         self.kind, self.relative_to = kind, relative_to
 
     @property
@@ -179,9 +176,8 @@ class SupportReaction(eqx.Module):
     direction: str = eqx.field(static=True, converter=plain)
 
     def __init__(self, on: str, direction: str):
-        problems = Problems()
-        _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", "SupportReaction.direction", problems)
-        problems.raise_if_any()
+        with Problems() as problems:
+            _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", "SupportReaction.direction", problems)
         self.on, self.direction = on, direction
 
     @property
@@ -362,7 +358,6 @@ def _element_problem(port: Any, model: Model, where: str) -> Problem | None:
 
 def check_ports(lin: Any, inputs: Any, outputs: Any, where: str):
     """(names, ports, units) of inputs and outputs; raises all errors at once."""
-    problems = Problems()
-    ports = [ports_of(lin.model, given, what, where, problems) for given, what in ((inputs, "inputs"), (outputs, "outputs"))]
-    problems.raise_if_any()
+    with Problems() as problems:
+        ports = [ports_of(lin.model, given, what, where, problems) for given, what in ((inputs, "inputs"), (outputs, "outputs"))]
     return ports
