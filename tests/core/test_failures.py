@@ -69,7 +69,7 @@ def warned(function):
         return function(), [str(w.message) for w in seen]
 
 
-SLOW = ("MAX_STEPS", "NONFINITE", "NOT_CONVERGED")
+SLOW = ("MAX_STEPS", "NONFINITE", "TABLE_RANGE")
 
 
 @pytest.mark.parametrize("code", [pytest.param(code, marks=[pytest.mark.long] * (code in SLOW)) for code in FAILURES])

@@ -125,7 +125,10 @@ def acting(element, *frames):
     return jax.tree.map(np.asarray, compute(element, *frames))
 
 
-@pytest.fixture(scope="module", params=ELEMENTS)
+SLOW = ("bushing of three numbers", "strut of measured curves")
+
+
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=[pytest.mark.long] * (name in SLOW)) for name in ELEMENTS])
 def case(request):
     return acting(ELEMENTS[request.param], *(A, B, C)[: len(ELEMENTS[request.param].between)])
 

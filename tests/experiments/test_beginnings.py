@@ -112,6 +112,7 @@ def test_the_gradient_of_a_motion_that_begins_at_rest_is_that_of_differences():
     np.testing.assert_allclose(result, (high - low) / 0.02, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_a_fit_at_rest_moves_the_rest_state_with_its_parameters():
     """SciPy's optimum with the sag m g/k following k; a state that stays at the sag of the start leads elsewhere."""
     record = noisy(independent(TRUTH))
@@ -141,6 +142,7 @@ def test_a_beginning_that_cannot_be_left_out_is_refused(leave_out):
     assert caught.value.code == "BAD_NUMBER"
 
 
+@pytest.mark.long
 def test_a_fit_that_begins_far_off_says_that_rest_would_do_better():
     """From the reference pose, 5 cm and a sag away from where the box stood."""
     record = noisy(independent(TRUTH))

@@ -55,6 +55,7 @@ def test_derivatives_pass_through_the_stages(mode):
     assert rigs.max_difference(slopes, expected) < 1e-9 * 0.1  # of the method at this step; by differences of 0.01 N/m 1e-7
 
 
+@pytest.mark.long
 def test_steps_that_do_not_converge_end_in_a_status():
     with pytest.warns(jb.JaxbodyWarning) as caught:
         result = moved(1, 0.2)  # four over the fastest rate, where two is the most

@@ -110,6 +110,7 @@ def slider(**laws):
 TIMES = np.linspace(0.0, 0.6, 13)
 
 
+@pytest.mark.long
 def test_a_law_that_holds_a_network_moves_as_its_numbers_say_and_can_be_differentiated_and_fitted():
     model = slider(s=Learned(network(1), 50.0))
     W1, b1, W2, b2 = (np.asarray(jb.paths(model)[f"s.spring.network.layers.{i}.{name}"]) for i in (0, 1) for name in ("weight", "bias"))

@@ -49,7 +49,9 @@ for x64 in (word == "64" for word in sys.argv[1:]):
 """
 
 
-@pytest.mark.parametrize("order", [("32", "64"), pytest.param(("64", "32"), marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.everywhere
+@pytest.mark.parametrize("order", [("32", "64"), ("64", "32")])
 def test_precision_may_be_switched_either_way_within_a_process(order):
     environment = {**os.environ, "JAX_ENABLE_X64": "0", "PYTHONWARNINGS": "ignore"}
     run = subprocess.run([sys.executable, "-c", SWITCHED, *order], capture_output=True, text=True, env=environment, timeout=600)

@@ -249,6 +249,7 @@ def chain():
     return jb.Model(bodies=links, supports={"base": jb.Support()}, joints=joints, elements={"spring": spring}, gravity=[0, 0, -G])
 
 
+@pytest.mark.long
 def test_responses_of_reactions_are_those_of_supports_and_of_accelerations(chain):
     """The upper hinge, all that the base holds, against the reaction on the base, which comes from K, C and M of (Delta, Xi); the lower
     against Newton's law for its link, by the acceleration of its center of mass less the push on it. Axes of the base and of the upper
