@@ -1,7 +1,7 @@
 """The base class of results: a status with its message, and printing as small tables."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -10,6 +10,8 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.errors import MESSAGES, MOST_PROBLEMS, JaxbodyError, Problem, Status, is_concrete, warn
 from jaxbody.core.jax_internals import Tracer
+
+AnyResult = TypeVar("AnyResult", bound="Result")
 
 
 class Result(tables.Printed, eqx.Module):
@@ -66,7 +68,8 @@ def without_derivatives(tree: Any) -> Any:
     return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if isinstance(x, Tracer) else x, tree)
 
 
-def warn_if_failed(result: Result) -> None:
-    """Warn of a failed result at the end of a public function, where the status is not traced."""
+def warn_if_failed(result: AnyResult) -> AnyResult:
+    """The result at the end of a public function, with a warning if it failed and its status is not traced."""
     if is_concrete(result.status) and (codes := np.asarray(result.status)).any():
         warn(Status(int(codes.flat[np.flatnonzero(codes)[0]])).name, f"{type(result).__name__}: {result.report()}")
+    return result

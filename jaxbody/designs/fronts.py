@@ -119,9 +119,7 @@ def pareto(
     with working("pareto", options.get("progress")) as line:
         ends = [least(model, name, {}) for name in names]
         designs = _along(names, ends, least, points) if len(names) == 2 else _over(names, ends, least, points)
-    result = _front(names, designs)
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(_front(names, designs))
 
 
 def _value(design: Tuning, name: str) -> float:

@@ -91,9 +91,7 @@ def sensitivities(
         values, slopes = program(U)
     low, high = np.split(values[1:].T, 2, axis=1)
     bad = not (np.isfinite(values).all() and np.isfinite(slopes[0]).all())
-    result = Sensitivities(
+    return warn_if_failed(Sensitivities(
         values[0], slopes[0] / space.numbers(U[0])[1], low, high, np.asarray(Status.NONFINITE.value if bad else 0), tuple(program.labels()),
         tuple(space.labels()), change,
-    )  # fmt: skip
-    warn_if_failed(result)
-    return result
+    ))  # fmt: skip

@@ -117,9 +117,7 @@ def tolerances(
         for leaf, s in zip(leaves, deviations, strict=True)
         for i in np.ndindex(s.shape)
     ]
-    result = Tolerances(*numbers, quantities=labels, parameters=tuple(parameters))
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(Tolerances(*numbers, quantities=labels, parameters=tuple(parameters)))
 
 
 def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Evaluate:

@@ -120,9 +120,7 @@ def tune(
             best = _best(program.rows, searches)
     if not best.finite:
         check_slopes(program, best)
-    result = tuning_of(program, searches, best, max_iterations)
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(tuning_of(program, searches, best, max_iterations))
 
 
 def _catalogs(space: Space, catalogues: dict[str, Any], low: np.ndarray, high: np.ndarray) -> dict[int, np.ndarray]:

@@ -100,17 +100,17 @@ def bands(
         half_width = quantile(level, freedom) * error
         low, high = value - half_width, value + half_width
     ok = finite.all() and np.isfinite(value).all()
-    result = Bands(
-        value=value,
-        standard_error=error,
-        lower=np.asarray(low),
-        upper=np.asarray(high),
-        degrees_of_freedom=freedom,
-        level=level,
-        status=np.asarray(Status.OK if ok else Status.NONFINITE),
+    return warn_if_failed(
+        Bands(
+            value=value,
+            standard_error=error,
+            lower=np.asarray(low),
+            upper=np.asarray(high),
+            degrees_of_freedom=freedom,
+            level=level,
+            status=np.asarray(Status.OK if ok else Status.NONFINITE),
+        )
     )
-    warn_if_failed(result)
-    return result
 
 
 def _drawn(fit: Fit, f: Callable, level: float, samples: int, key):

@@ -106,21 +106,21 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
     with np.errstate(over="ignore"):
         low, high = (value(end) for end in ends)
         values = np.array([value(x) for x in u[:, i]])
-    result = Profile(
-        path=path,
-        estimate=value(fit.u[i]),
-        level=level,
-        limit=search.t,
-        degrees_of_freedom=search.freedom,
-        values=values,
-        tau=tau,
-        cost=cost,
-        u=u,
-        interval=(low, high),
-        status=status,
+    return warn_if_failed(
+        Profile(
+            path=path,
+            estimate=value(fit.u[i]),
+            level=level,
+            limit=search.t,
+            degrees_of_freedom=search.freedom,
+            values=values,
+            tau=tau,
+            cost=cost,
+            u=u,
+            interval=(low, high),
+            status=status,
+        )
     )
-    warn_if_failed(result)
-    return result
 
 
 def _place(fit: Fit, path: str) -> tuple[int, Any]:

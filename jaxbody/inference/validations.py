@@ -104,19 +104,19 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     }
     status = np.asarray(Status.NONFINITE if failed else Status.OK)
     predicted, residuals = ({run: both[k] for run, both in runs.items()} for k in (0, 1))
-    result = Validation(
-        nrmse=nrmse,
-        rms=rms,
-        excess=excess,
-        whiteness=tests,
-        units=units,
-        predicted=predicted,
-        residuals=residuals,
-        failed=failed,
-        status=status,
+    return warn_if_failed(
+        Validation(
+            nrmse=nrmse,
+            rms=rms,
+            excess=excess,
+            whiteness=tests,
+            units=units,
+            predicted=predicted,
+            residuals=residuals,
+            failed=failed,
+            status=status,
+        )
     )
-    warn_if_failed(result)
-    return result
 
 
 @jit_optimized

@@ -167,9 +167,7 @@ def frequency_response(
         _check_bounded_at_rest(u, ins)
     lin = with_modal_damping(lin, modal_damping, "frequency_response.modal_damping")
     values, status = response_values(lin, f, port_matrices(lin, ins, outs), eta, method, static)
-    result = FrequencyResponse(f, values, status, u, y, u_units, y_units)
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(FrequencyResponse(f, values, status, u, y, u_units, y_units))
 
 
 def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:

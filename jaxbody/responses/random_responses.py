@@ -114,9 +114,7 @@ def random_response(
     eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor")
     lin = with_modal_damping(lin, modal_damping, "random_response.modal_damping")
     psd, rms, status = _random_response(lin, f, weights, coarse, port_matrices(lin, ins, outs), ins, names, spectra, eta)
-    result = RandomResponse(f, psd, rms, weights, coarse, status, y, y_units)
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(RandomResponse(f, psd, rms, weights, coarse, status, y, y_units))
 
 
 def root_mean_square(psd: Float[Array, "ny nf"], weights: Float[Array, "*w nf"]) -> Float[Array, "ny"]:

@@ -197,9 +197,9 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     unloaded = equilibrium_of(model, q, MAX_STEPS)
     warn_if_failed(unloaded)
     applied = AppliedLoads(loads, device_array(weights), changes)
-    result = _load_cases(model, unloaded, search_under_loads(model, unloaded, q, applied, MAX_STEPS, many=True), applied, tuple(cases))
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(
+        _load_cases(model, unloaded, search_under_loads(model, unloaded, q, applied, MAX_STEPS, many=True), applied, tuple(cases))
+    )
 
 
 @jit_unoptimized

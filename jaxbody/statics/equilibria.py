@@ -203,8 +203,7 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
         result = under_loads(
             model, result, q, AppliedLoads(acting, device_array(np.ones(len(acting))), device_array(np.zeros(3))), max_steps
         )
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(result)
 
 
 class SearchResult(eqx.Module):

@@ -105,9 +105,7 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
             hits.append(1)
     distances = [float(distance_between(model, eq.state.q, model.reference.q)) for eq in distinct]
     code = Status.OK if distinct else Status.NOT_CONVERGED
-    result = Equilibria(np.array(code.value), tuple(distinct), np.array(distances), np.array(hits), len(status))
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(Equilibria(np.array(code.value), tuple(distinct), np.array(distances), np.array(hits), len(status)))
 
 
 def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:

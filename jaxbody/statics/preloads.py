@@ -118,9 +118,7 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",),
         if not matching_rows:
             raise JaxbodyError(unknown(pattern, "preload.moving", model.layout.coordinates))
         rows += matching_rows
-    result = _preload(model, state, leaves, tuple(dict.fromkeys(rows)))
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(_preload(model, state, leaves, tuple(dict.fromkeys(rows))))
 
 
 @jit_unoptimized

@@ -147,9 +147,7 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
     (-0.0625, 0.4)
     """
     check_precision("backbones", lin.model, allow_float32=allow_float32)
-    result = _backbones(lin)
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(_backbones(lin))
 
 
 @jit_unoptimized

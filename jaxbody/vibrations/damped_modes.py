@@ -112,11 +112,14 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     spins = isinstance(lin, SpinLinearization)
     D = lin.C + lin.G if isinstance(lin, SpinLinearization) else lin.C
     unit = jax.lax.stop_gradient(scale_of(lin.model, size_of(lin.model)))  # nondimensional; results do not depend on it
-    result = ComplexModes(
-        *_complex_modes(lin.M, D, lin.K, unit, lin.status, spins), M=lin.M, model=lin.model, placed=placed_bodies(lin.model, lin.state.q)
+    return warn_if_failed(
+        ComplexModes(
+            *_complex_modes(lin.M, D, lin.K, unit, lin.status, spins),
+            M=lin.M,
+            model=lin.model,
+            placed=placed_bodies(lin.model, lin.state.q),
+        )
     )
-    warn_if_failed(result)
-    return result
 
 
 @jit_unoptimized

@@ -154,9 +154,7 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
     check_linearization(lin, "mode_energies")
     check_precision("mode_energies", lin.model, allow_float32=allow_float32)
     directions = _directions(lin.model, forward, up)
-    result = ModeEnergies(*_energies(lin), model=lin.model, directions=directions)
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(ModeEnergies(*_energies(lin), model=lin.model, directions=directions))
 
 
 def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str, ...]:

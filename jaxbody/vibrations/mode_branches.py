@@ -136,9 +136,7 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
         return complex_modes(lin) if isinstance(lin, SpinLinearization) else modes(lin), lin.M
 
     at_values, M = eqx.filter_vmap(one)(jnp.asarray(given))
-    result = _track(jnp.asarray(given), at_values, M)
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(_track(jnp.asarray(given), at_values, M))
 
 
 @jit_unoptimized

@@ -120,9 +120,7 @@ def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     """
     check_linearization(lin, "elastic_axes")
     check_precision("elastic_axes", lin.model)
-    result = _elastic_axes(lin, _free(lin, body, "elastic_axes"))
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(_elastic_axes(lin, _free(lin, body, "elastic_axes")))
 
 
 def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAxis:
@@ -147,9 +145,7 @@ def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAx
         along = shaped(torque, (3,), "torque_roll_axis.torque", problems)
     if is_concrete(along) and not np.any(along):
         raise JaxbodyError(Problem("ZERO_AXIS", "torque_roll_axis.torque", "is zero", along, "> 0", "Give the direction of the torque."))
-    result = _torque_roll_axis(lin, jnp.asarray(along), _free(lin, body, "torque_roll_axis"))
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(_torque_roll_axis(lin, jnp.asarray(along), _free(lin, body, "torque_roll_axis")))
 
 
 def _free(lin: Linearization, body: str, where: str) -> str:

@@ -109,9 +109,7 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     """
     check_linearization(lin, "modes")
     check_precision("modes", lin.model, allow_float32=allow_float32)
-    result = Modes(*_modes(lin))
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(Modes(*_modes(lin)))
 
 
 @jit_unoptimized

@@ -105,9 +105,7 @@ def linearize_spin(model: Model, at: State) -> SpinLinearization:
     """
     check_precision("linearize_spin", model)
     check_state(model, at, "at")
-    result = _linearize_spin(model, at)
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(_linearize_spin(model, at))
 
 
 @jit_unoptimized

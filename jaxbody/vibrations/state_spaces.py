@@ -63,9 +63,7 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
         *(f"displacement of {name}" for name, _ in integrated),
         *(f"velocity of {name}" for name, kind in integrated if kind == "acceleration"),
     )
-    result = StateSpace(A, B, C, D, status, u, y, states, u_units, y_units)
-    warn_if_failed(result)
-    return result
+    return warn_if_failed(StateSpace(A, B, C, D, status, u, y, states, u_units, y_units))
 
 
 @jit_unoptimized
