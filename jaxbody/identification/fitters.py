@@ -252,7 +252,11 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds
     at_bound += [f"{label} ({end})" for label, end in zip(task.labels, ends, strict=True) if end]
     if status == Status.OK:
         rank = uncertainty.rank + np.count_nonzero(ends != "")
-        conditions = ((uncertainty.still, Status.NEVER_MOVED), (rank < task.size, Status.NOT_IDENTIFIABLE), (at_bound, Status.AT_BOUND))
+        conditions = (
+            (uncertainty.ineffective, Status.NEVER_MOVED),
+            (rank < task.size, Status.NOT_IDENTIFIABLE),
+            (at_bound, Status.AT_BOUND),
+        )
         status = next((code for condition, code in conditions if condition), Status.OK)
     remarks = () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
     model, experiments = task.scatter(jnp.asarray(u))

@@ -27,7 +27,7 @@ def interval_of_u(u: np.ndarray, uncertainty: Uncertainty, level: float) -> Inte
     error, freedom = uncertainty.spread(np.eye(len(u)))
     half_width = quantile(level, freedom) * error
     low, high = u - half_width, u + half_width
-    for i, (slope, curvature, error, freedom) in uncertainty.pressed.items():
+    for i, (slope, curvature, error, freedom) in uncertainty.at_bounds.items():
         t = float(quantile(level, freedom, sides=1))
         distance = t**2 * error**2 * curvature / (abs(slope) + np.sqrt(slope**2 + (t * error * curvature) ** 2))
         low[i], high[i] = (u[i], u[i] + distance) if slope > 0 else (u[i] - distance, u[i])
@@ -58,7 +58,7 @@ def freedoms_of(free: tuple[FreeParameter, ...], uncertainty: Uncertainty) -> di
     for f, G, own in zip(free, uncertainty.slopes, parts_of(free), strict=True):
         _, freedom = uncertainty.spread(G.reshape(-1, G.shape[-1]))
         if isinstance(f.form, Elementwise):
-            freedom = np.array([uncertainty.pressed[i][3] if i in uncertainty.pressed else x for i, x in enumerate(freedom, own.start)])
+            freedom = np.array([uncertainty.at_bounds[i][3] if i in uncertainty.at_bounds else x for i, x in enumerate(freedom, own.start)])
         freedoms[f.path] = freedom.reshape(G.shape[:-1])
     return freedoms
 

@@ -34,9 +34,9 @@ BATCH = 16  # starts in one program
 
 
 class Multistart(Result):
-    """The distinct optima, by increasing `cost` (n,), with `estimates` {path: (n, ...)} and the number of starts `found` at each.
+    """The distinct optima, by increasing `cost` (n,), with `estimates` {path: (n, ...)} and `hits`: the number of starts that reached each.
 
-    `best` is the fit with the lowest cost; `starts` the number of starts, of which `lost` did not converge.
+    `best`: the fit with the lowest cost; `starts`: the number of all starts; `failures`: the number of those that did not converge.
 
     >>> import inspect
     >>> inspect.signature(multistart).return_annotation  # the result of multistart
@@ -45,10 +45,10 @@ class Multistart(Result):
 
     best: Fit
     cost: Float[np.ndarray, "n"]
-    found: Int[np.ndarray, "n"]
+    hits: Int[np.ndarray, "n"]
     estimates: dict[str, Array]
     starts: int
-    lost: int
+    failures: int
     status: Int[Array, ""]
 
     def explain(self) -> str:
@@ -59,9 +59,9 @@ class Multistart(Result):
         scalars = [path for path, x in paths.items() if x.shape[1] == 1]
         rows = [
             (str(i + 1), cost, str(count), *(float(paths[path][i, 0]) for path in scalars))
-            for i, (cost, count) in enumerate(zip(self.cost, self.found, strict=True))
+            for i, (cost, count) in enumerate(zip(self.cost, self.hits, strict=True))
         ]
-        note = f"{self.starts} starts, {self.lost} of which did not converge; {self.report()}"
+        note = f"{self.starts} starts, {self.failures} of which did not converge; {self.report()}"
         return [tables.PrintedTable("Optima", ("", "cost", "starts", *scalars), rows, note)]
 
 
@@ -145,8 +145,8 @@ def multistart(
         warn("SEVERAL_OPTIMA", f"another optimum explains the data about as well: costs {cost[0]:.6g} and {cost[1]:.6g}")
     values = eqx.filter_vmap(task.values)(jnp.asarray(np.array([ends[group[0]] for group in groups])))
     estimates = dict(zip((f.path for f in task.free), values, strict=True))
-    found = np.array([len(group) for group in groups])
-    return Multistart(best=best, cost=cost, found=found, estimates=estimates, starts=starts + 1, lost=failures, status=best.status)
+    hits = np.array([len(group) for group in groups])
+    return Multistart(best=best, cost=cost, hits=hits, estimates=estimates, starts=starts + 1, failures=failures, status=best.status)
 
 
 def _points(limits, starts: int, spread: float, seed: int) -> np.ndarray:

@@ -150,14 +150,14 @@ class _ProfileSearch:
         self.fit, self.i, uncertainty = fit, i, fit._assessed()
         self.evaluate = partial(residual_and_jacobian, fit.task)
         self.limits = fit.limits or (np.full(len(fit.u), -np.inf), np.full(len(fit.u), np.inf))
-        pressed = uncertainty.pressed.get(i)
-        if pressed is None:
+        at_bound = uncertainty.at_bounds.get(i)
+        if at_bound is None:
             (self.error,), (freedom,) = uncertainty.spread(np.eye(len(fit.u))[[i]])
             self.curvature = self._curvature()
         else:
-            _, self.curvature, self.error, freedom = pressed
+            _, self.curvature, self.error, freedom = at_bound
         self.freedom = float(freedom)
-        self.t = float(quantile(level, freedom, sides=2 if pressed is None else 1))
+        self.t = float(quantile(level, freedom, sides=2 if at_bound is None else 1))
         self.kappa = self.curvature * self.error**2 if np.isfinite(self.error) else 1.0
         self.converged = True
 

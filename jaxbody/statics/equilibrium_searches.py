@@ -28,38 +28,38 @@ DESCENT_STEPS, NEWTON_STEPS = 200, 60
 
 
 class Equilibria(Result):
-    """Equilibria by rising energy: `found`, each an Equilibrium; and, (n,) each, `energies` [J], `stable`, `negative` (number of negative
-    eigenvalues of K), `distances` (largest displacement of a body from the reference pose [m]) and `hits` (number of searches that ended
-    there). `status` is NOT_CONVERGED if no search ended at an equilibrium."""
+    """Equilibria in order of energy: `solutions` (n Equilibrium objects), and arrays (n,): `energies` [J], `stable`, `negative` (number of
+    negative eigenvalues of K), `distances` (largest displacement of a body from the reference pose [m]) and `hits` (number of searches
+    that ended there). `status` is NOT_CONVERGED if no search ended at an equilibrium."""
 
     status: Any
-    found: tuple[Equilibrium, ...]
+    solutions: tuple[Equilibrium, ...]
     distances: np.ndarray
     hits: np.ndarray
     searches: int = eqx.field(static=True)
 
     @property
     def energies(self) -> np.ndarray:
-        return np.array([float(eq.energy) for eq in self.found])
+        return np.array([float(eq.energy) for eq in self.solutions])
 
     @property
     def stable(self) -> np.ndarray:
-        return np.array([bool(eq.stable) for eq in self.found])
+        return np.array([bool(eq.stable) for eq in self.solutions])
 
     @property
     def negative(self) -> np.ndarray:
-        return np.array([int(eq.negative) for eq in self.found])
+        return np.array([int(eq.negative) for eq in self.solutions])
 
     def __len__(self) -> int:
-        return len(self.found)
+        return len(self.solutions)
 
     def __getitem__(self, i: int):
-        return self.found[i]
+        return self.solutions[i]
 
     def _tables(self) -> list[tables.PrintedTable]:
         rows = [
             (str(i), eq.energy, "stable" if eq.stable else f"unstable ({int(eq.negative)})", d, str(int(n)))
-            for i, (eq, d, n) in enumerate(zip(self.found, self.distances, self.hits, strict=True))
+            for i, (eq, d, n) in enumerate(zip(self.solutions, self.distances, self.hits, strict=True))
         ]
         note = f"{int(self.hits.sum())} of {self.searches} searches ended in these; there may be more"
         return [tables.PrintedTable("Equilibria", ("", "energy [J]", "stability", "distance [m]", "searches"), rows, note)]

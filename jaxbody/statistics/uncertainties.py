@@ -30,9 +30,9 @@ class Uncertainty(eqx.Module):
     """The uncertainty of a fit.
 
     `covariance`, `white_covariance`: of u, and for white noise; `parts`: changes of the covariance for standard errors of the noise
-    estimates; `singular_values`, `rank`, `null` directions and these in `words`; `still`: parameters without effect on the data.
+    estimates; `singular_values`, `rank`, `null` directions and these in `words`; `ineffective`: parameters without effect on the data.
     `whiteness`, `orders`, `correlation`: tests of residuals by record, orders of their autoregressions, pooled correlation at lag one;
-    `pairs`: correlations between records. `pressed` {index of a u at its bound: slope of the cost, its curvature with all others free,
+    `pairs`: correlations between records. `at_bounds` {index of a u at its bound: slope of the cost, its curvature with all others free,
     standard error without the bound, degrees of freedom}. `beyond_stated`: ratio of residuals to the stated noise where they exceed it."""
 
     covariance: np.ndarray
@@ -44,13 +44,13 @@ class Uncertainty(eqx.Module):
     singular_values: np.ndarray
     rank: int
     words: list[str]
-    still: list[str]
+    ineffective: list[str]
     correlation: float
     correlated: bool
     whiteness: dict[str, Whiteness | None]
     orders: dict[str, int]
     pairs: dict[tuple[str, str], float]
-    pressed: dict[int, tuple[float, float, float, float]]
+    at_bounds: dict[int, tuple[float, float, float, float]]
     beyond_stated: dict[str, float]
     samples: int
 
@@ -159,14 +159,14 @@ def assess(
     null = np.concatenate([Vt[~known].T, np.eye(J.shape[1])[:, ~inside]], axis=1)
     noise, back = _noise_and_map(r, inside, records, (U, S, Vt, known) if inside.all() else decomposed(J[:, inside]))
     covariance, white, *parts = (back @ M @ back.T for M in (noise.M, noise.white, *noise.parts))
-    still = [label for label, silent in zip(labels, ~J.any(0) & ~np.asarray(ended), strict=True) if silent]
+    ineffective = [label for label, silent in zip(labels, ~J.any(0) & ~np.asarray(ended), strict=True) if silent]
     tests = {c.name: whiteness(r[c.rows]) if c.series else None for c in records}
     correlation, significant = lag_one(r, U[:, known], records)
     uncertainty = Uncertainty(
         covariance, white, np.reshape(parts, (len(parts), *covariance.shape)), null, slopes, {}, S, int(known.sum()),
-        in_words(np.where(ended, 0.0, Vt[~known]).T, labels, still), still, correlation, significant and bool(r @ r > exact**2), tests,
-        noise.orders, noise.pairs, _pressed(r, J, inside, records), _beyond_stated(r, U[:, known], records),
-        sum(len(c.rows) for c in records),
+        in_words(np.where(ended, 0.0, Vt[~known]).T, labels, ineffective), ineffective, correlation,
+        significant and bool(r @ r > exact**2), tests, noise.orders, noise.pairs, _at_bounds(r, J, inside, records),
+        _beyond_stated(r, U[:, known], records), sum(len(c.rows) for c in records),
     )  # fmt: skip
     errors = {path: uncertainty.spread(G.reshape(-1, len(S)))[0].reshape(G.shape[:-1]) for path, G in zip(paths, slopes, strict=True)}
     return replace(uncertainty, standard_errors=errors)
@@ -191,8 +191,8 @@ def _beyond_stated(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) 
     return ratios
 
 
-def _pressed(r, J, inside, records: list[ResidualSeries]) -> dict[int, tuple[float, float, float, float]]:
-    pressed = {}
+def _at_bounds(r, J, inside, records: list[ResidualSeries]) -> dict[int, tuple[float, float, float, float]]:
+    at_bounds = {}
     for i in np.flatnonzero(~inside & J.any(0)):
         one = inside.copy()
         one[i] = True
@@ -200,14 +200,14 @@ def _pressed(r, J, inside, records: list[ResidualSeries]) -> dict[int, tuple[flo
         parts = np.reshape([back @ M @ back.T for M in noise.parts], (-1, J.shape[1], J.shape[1]))
         error, freedom = _spread(np.eye(J.shape[1])[[i]], back @ noise.M @ back.T, parts)
         curvature = 1 / float((back @ back.T)[i, i])
-        pressed[int(i)] = (float(J[:, i] @ r), curvature, float(error[0]), float(freedom[0]))
-    return pressed
+        at_bounds[int(i)] = (float(J[:, i] @ r), curvature, float(error[0]), float(freedom[0]))
+    return at_bounds
 
 
-def in_words(null: np.ndarray, labels: list[str], still: list[str]) -> list[str]:
+def in_words(null: np.ndarray, labels: list[str], ineffective: list[str]) -> list[str]:
     """Null directions in words, "AB.stiffness up with CD.stiffness down", with few parameters in each, by elimination."""
-    words = [f"{label} has no effect on the data" for label in still]
-    moving = [i for i, label in enumerate(labels) if label not in still]
+    words = [f"{label} has no effect on the data" for label in ineffective]
+    moving = [i for i, label in enumerate(labels) if label not in ineffective]
     for row in _echelon(null[moving].T):
         parts = [(labels[moving[i]], row[i]) for i in np.argsort(-np.abs(row), kind="stable") if abs(row[i]) > 0.02 * np.abs(row).max()]
         first = np.sign(parts[0][1])

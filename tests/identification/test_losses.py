@@ -297,7 +297,7 @@ def test_many_starts_find_the_optima_that_scipy_finds():
         result = scipy.optimize.least_squares(lambda u: (motion(np.exp(u[0]) + 20, 0.1) - record) / SIGMA, [u], xtol=1e-13, ftol=1e-13)
         ends[round(result.cost, 3)] = np.exp(result.x)
     print(several, ends)
-    assert len(several.cost) >= 3 and several.found.sum() + several.lost == several.starts == 13
+    assert len(several.cost) >= 3 and several.hits.sum() + several.failures == several.starts == 13
     np.testing.assert_allclose(several.cost[0], min(ends), atol=1e-3)
     np.testing.assert_allclose(values(several.best), ends[min(ends)], rtol=1e-6)
     assert several.best.ok and float(several.best.cost) == pytest.approx(several.cost[0], rel=1e-9)

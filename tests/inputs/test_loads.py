@@ -343,7 +343,7 @@ def test_a_limit_point_is_found_where_the_force_is_largest():
 def test_two_stable_equilibria_and_the_one_between_are_found():
     result = jb.find_equilibria(truss(), starts=16)
     assert result.stable.tolist() == [True, True, False] and result.negative.tolist() == [0, 0, 1]
-    np.testing.assert_allclose(sorted(float(eq.state.q[0]) for eq in result.found), [-0.6, -0.3, 0], atol=1e-9)
+    np.testing.assert_allclose(sorted(float(eq.state.q[0]) for eq in result.solutions), [-0.6, -0.3, 0], atol=1e-9)
     flat = 1000 * (np.hypot(1, 0.3) - 1) ** 2
     np.testing.assert_allclose(result.energies, [0, 0, flat], atol=1e-12)
     assert "unstable (1)" in str(result) and len(result) == 3
