@@ -116,7 +116,7 @@ __all__ = sorted(_MODULES | _PLACES)  # pyright: ignore[reportUnsupportedDunderA
 
 
 def __getattr__(name):
-    """What has this name, imported when it is first used: everything takes three times as long as what a simulation needs."""
+    """Import a public name at its first use, as importing all of them takes three times as long as those that a simulation needs."""
     if name in _MODULES:
         thing = import_module(_MODULES[name])
     elif name in _PLACES:

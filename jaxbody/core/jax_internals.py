@@ -4,7 +4,7 @@ Changes of JAX that matter here:
 0.10  most names of jax.core move to `jax.extend.core`; the last version for Python 3.11
 0.11  `jax.experimental.hijax`: "high" operations with their own rules, which are replaced by others before a program is compiled
 0.12  jnp.searchsorted is one, and so is jnp.interp: `without_high_operations`. `ClosedJaxpr` is `Jaxpr`. XLA has no fusion emitters
-Expected: JAX's documents recommend high operations for custom rules; custom_jvp and custom_vjp are already written so, but not yet used.
+Expected: JAX's documents recommend high operations for custom rules; custom_jvp and custom_vjp exist in that form but are not used yet.
 Programs will then have `call_hi_primitive` where `lanes` knows `custom_jvp_call`, and `without_high_operations` would drop their rules.
 """
 

@@ -161,8 +161,8 @@ def noise_level(channel: Channel, residuals: list, present: list, loss: str | No
 
 
 def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Levels, bool]:
-    """The noise to start with, as stated, or else the standard deviation of the channel over all runs; and whether it must be estimated,
-    because its level matters (`absolute`) or the ratios of several levels do."""
+    """The noise to start with, as stated, or else the standard deviation of the channel over all runs; and whether it must be estimated:
+    where the level itself matters (`absolute`), or the ratios of several levels."""
     channels = {name: channel for e in experiments.values() for name, channel in e.channels.items()}
     spread = {}
     for name, channel in channels.items():

@@ -100,7 +100,7 @@ def _mass(body: Body, value: Any, problems: Problems) -> Any:
 
 def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
     """The symmetric part of the 3 x 3 matrix. Its round-off is taken relative to the inertia about the reference point,
-    I + m (c'c - c c'), from which it was often computed."""
+    I + m (c'c - c c'), as it was often computed from that."""
     where = "Body.inertia"
     hint = "Give three principal moments, (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or the matrix."
     array = checked(value, ((3,), (6,), (3, 3)), where, problems, hint)

@@ -194,7 +194,7 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
 
 
 def _block(value: Any, rows: list[int] | int, first: Leaf, arrays: list[Array]) -> Any:
-    """Rows of a value, by their indices in it or the same one repeated, with the axis of rows where the array has it."""
+    """The rows of a value with these indices, or one value repeated in as many rows, with the rows along the same axis as in the array."""
     xp = np if isinstance(value, np.ndarray) else jnp
     if first.row is None:
         return value if isinstance(rows, int) else value[rows[0]]

@@ -38,7 +38,7 @@ class Parametrization(eqx.Module):
 
     @property
     def size(self) -> int:
-        """The number of numbers in u."""
+        """The length of u."""
         return self.start.size
 
     @abstractmethod

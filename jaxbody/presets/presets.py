@@ -263,7 +263,7 @@ def elastic_pendulum(*, mass=1.0, stiffness=4 * np.pi**2, free_length=0.75, damp
         stiffness, free_length, damping: of the spring [N/m, m, N s/m].
         gravity: [m/s2], downward.
 
-    Source: P. Lynch, the swinging spring: in 2:1 resonance it bounces and swings in turn, each time in another plane.
+    Source: P. Lynch, the swinging spring: in 2:1 resonance it alternates between bouncing and swinging, each time in another plane.
 
     >>> elastic_pendulum().layout.coordinates[2]
     'bob move along z'

@@ -22,8 +22,8 @@ BACK = np.array([1.0, -1, -1, -1])  # conjugates a quaternion
 class Attitude(Sensor):
     """The base class of readings that end in a unit quaternion w, x, y, z, after `places` other numbers.
 
-    The residual has a rotation vector in place of the quaternion, from the measured to the read orientation, in world axes. `bias` has one
-    too, by which the reading is turned."""
+    The residual has a rotation vector in place of the quaternion, from the measured to the read orientation, in world axes. `bias` also has
+    a rotation vector in its place, which rotates the reading."""
 
     places: ClassVar[int] = 0
     stages = {"bias": "0.0", "delay": "0.0"}  # noqa: RUF012

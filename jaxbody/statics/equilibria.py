@@ -253,7 +253,7 @@ def search_under_loads(
 ) -> SearchResult:
     """The search under loads, by their path or by descent; `many`: for each row of the weights and changes of gravity.
 
-    Two programs, as few models need the second; when traced they are one."""
+    Two programs, as few models need the second; inside a user's program both are part of it."""
     search, settled = _along_path(model, unloaded, applied, many)
 
     def descended():

@@ -31,7 +31,7 @@ LEAST_MAC = 0.8  # below it a mode may differ from that at the value before
 
 
 class Branches(Result):
-    """Modes along a parameter, each column one mode; at the first value they ascend.
+    """Modes along a parameter, each column one mode; their frequencies ascend at the first value.
 
     `frequency` [Hz] (damped about a spin), `damping_ratio`, `shapes` (value, coordinate, mode), `order`: the index of each among the
     ascending modes, `mac` of each with itself at the value before, `names` of the modes at the first value. `status` of each value:
