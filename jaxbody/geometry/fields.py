@@ -49,8 +49,8 @@ def field(unit: str = "", domain: str = "any", *, code: str = "", hint: str = ""
             N m/rad in a spring about an angle
         domain: any, nonnegative, positive (for both a fit uses the logarithm, which keeps the sign), fraction (from 0 to 1), definite (a
             symmetric matrix without negative eigenvalues, or a row of such numbers), direction (a unit vector), rotation (a unit
-            quaternion) or inertia; for a row of numbers, increasing or rising (not falling), which `replace` checks and a fit does not
-            enforce; for a state, configuration or speeds (the coordinates of the joints, and their rates);
+            quaternion) or inertia; for a row of numbers, increasing or rising (not falling; a fit uses the logarithms of its steps); for a
+            state, configuration or speeds (the coordinates of the joints, and their rates);
             "nonnegative unless allow_negative" is any where the owner's `allow_negative` is true
         code, hint: of the error for a number outside its domain; default code: NEGATIVE, NOT_POSITIVE or NOT_A_FRACTION
         words: for a field that holds laws or signals, the words of their formulas: {"force": "N m", "argument": "rad"}

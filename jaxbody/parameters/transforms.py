@@ -2,6 +2,7 @@
 
 nonnegative, positive  x = x0 exp(u)                   stiffness, damping, lengths, mass
 fraction               x = x0 e^u/(1 + x0 (e^u - 1))   between 0 and 1
+increasing, rising     steps x_i - x_(i-1) exp(u)      rows of measured tables, the first number as others
 definite               X = L(u) L(u)'                  6 x 6 stiffness and damping; L lower triangular, logarithms on its diagonal
 inertia                I = tr(S) 1 - S, S definite     inertia of positive masses (log-Cholesky of the pseudo-inertia)
 rotation               q = exp(u) q0                   orientations; coordinates of an initial state
@@ -113,6 +114,22 @@ class Fraction(Elementwise):
 
     def ended(self, u):
         return np.select([u < -FAR, u > FAR], ["zero", "one"], "")
+
+
+class Ordered(Parametrization):
+    """x_0 = x0_0 + s u_0, x_i - x_(i-1) = (x0_i - x0_(i-1)) exp(u_i)."""
+
+    scale: Float[Array, ""]
+
+    def value(self, u):
+        first, steps = self.start[:1] + self.scale * u[:1], jnp.diff(self.start) * jnp.exp(u[1:])
+        return jnp.cumsum(jnp.concatenate([first, steps]))
+
+    def labels(self):
+        return ["[0]", *(f"[{i}] - [{i - 1}]" for i in range(1, self.size))]
+
+    def ended(self, u):
+        return np.where((u < -FAR) & (np.arange(len(u)) > 0), "zero", "")
 
 
 class Definite(Parametrization):
@@ -237,9 +254,18 @@ def _thick(inertia: np.ndarray) -> bool:
 
 UNBOUNDED = {"rotation": Rotation, "direction": Direction}
 NUMBER = (Positive, lambda x: (x > 0).all(), "which has no logarithm", "> 0", "Start at a small positive number.")
+ROW = (
+    lambda x: Ordered(x, jnp.max(jnp.abs(x))),
+    lambda x: (np.diff(x) > 0).all(),
+    "with a step of zero, which has no logarithm",
+    "increasing",
+    "Start with numbers that all differ.",
+)
 STARTS = {  # form, whether a start is inside the domain, the message if it is not, limit, hint
     "nonnegative": NUMBER,
     "positive": NUMBER,
+    "increasing": ROW,
+    "rising": ROW,
     "fraction": (Fraction, lambda x: ((x > 0) & (x < 1)).all(), "at a limit of its range", "between 0 and 1", "Start between 0 and 1."),
     "definite": (
         Definite,

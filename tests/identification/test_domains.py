@@ -86,6 +86,7 @@ K = np.diag([3.0, 2.0, 4.0, 1.0, 1.5, 2.0]) + 0.2
 HERE = "mass", [0, 0, 0]
 SPRING = jb.Spring(HERE, ("world", [0, 0, 0.1]), stiffness=2.0, damping=0.5, free_length=0.3)
 TYRE = jb.Tyre(HERE, ("world", [0, 0, 0]), stiffness=2.0, damping=0.5, radius=1.0, engagement=0.1)
+TABLE = jb.laws.Table([-1, 0, 1, 2], [-10, 0, 10, 40])
 FITTED = {  # of each class that states a field with a domain that ends: what is fitted, and what is measured of it
     Linear: (Linear(2.0), force()),
     Digressive: (Digressive(slow=2.0, fast=1.0, knee=0.1), force()),
@@ -134,6 +135,40 @@ def test_data_that_pull_a_number_across_the_end_of_its_domain_leave_it_inside(ki
     left = value / start if start.ndim == 0 else np.linalg.eigvalsh(value) @ ([1, 1, -1] if kind is jb.Body else [1, 0, 0, 0, 0, 0])
     assert 0 < left < 1e-4
     assert result.status == jb.Status.AT_BOUND
+
+
+def test_a_fitted_table_does_not_fall():
+    """Measured is as much beyond a table whose last two forces are equal as the start is before it."""
+    flat = jb.replace(holding(TABLE), {"s.spring.forces": [-10.0, 0.0, 10.0, 10.0]})
+    at = np.linspace(-0.9, 1.9, 29)
+    first, last = (np.asarray(force(at)(model, None)) for model in (holding(TABLE), flat))
+    with pytest.warns(jb.JaxbodyWarning, match=r"s.spring.forces\[3\] - \[2\] \(zero\) \[AT_BOUND"):
+        result = jb.fit(holding(TABLE), {"run": Given(force(at), {"numbers": jnp.asarray(2 * last - first)})}, free=["s.spring.forces"])
+    steps = np.diff(result.estimates["s.spring.forces"])
+    assert (steps[:2] > 1).all() and 0 < steps[2] < 0.3
+
+
+def test_the_points_of_a_fitted_table_stay_sorted_and_have_standard_errors(rng):
+    """The data are of a table with other points, and noise; standard errors up to its level, by differences of the data in the points."""
+    at, x = np.linspace(-0.9, 1.9, 29), np.array([-1.2, 0.1, 0.8, 2.1])
+
+    def forces(x):
+        return np.asarray(force(at)(jb.replace(holding(TABLE), {"s.spring.x": x}), None))
+
+    numbers = jnp.asarray(forces(x) + 1e-3 * rng.normal(size=len(at)))
+    result = jb.fit(holding(TABLE), {"run": Given(force(at), {"numbers": numbers})}, free=["s.spring.x"])
+    estimates, errors = (np.asarray(each["s.spring.x"]) for each in (result.estimates, result.standard_errors))
+    assert (np.abs(estimates - x) < 4 * errors).all()
+    J = np.stack([forces(estimates + h) - forces(estimates - h) for h in 1e-6 * np.eye(4)], 1) / 2e-6
+    ratio = errors / np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
+    assert 0.5e-3 < ratio[0] < 2e-3
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-4)
+
+
+def test_a_table_with_equal_forces_is_refused_by_a_fit_with_the_remedy():
+    flat = holding(jb.laws.Table([-1, 0, 1, 2], [-10, 0, 0, 40]))
+    with pytest.raises(jb.JaxbodyError, match=r"a step of zero.*Start with numbers that all differ.*START_ON_BOUND"):
+        jb.fit(flat, {"run": Given(force(), {"numbers": jnp.zeros(len(AT))})}, free=["s.spring.forces"])
 
 
 def test_a_fit_that_ends_at_zero_says_so_once_and_assesses_the_others():
@@ -223,7 +258,6 @@ def test_replace_refuses_what_the_constructor_refuses(path, value, code):
 
 
 K_OFF = np.diag([3.0, 2.0, 4.0, 1.0, 1.5, -2.0])
-TABLE = jb.laws.Table([-1, 0, 1, 2], [-10, 0, 10, 40])
 REFUSED = {  # what the constructor refuses, in pairs: an object as it may be, a field, numbers that it may not have
     "a negative mount": (jb.Bushing(HERE, ("world", [0, 0, 0]), stiffness=K), "s.stiffness", K_OFF, "NEGATIVE_STIFFNESS"),
     "a lopsided mount": (jb.Bushing(HERE, ("world", [0, 0, 0]), stiffness=K), "s.stiffness", K + np.triu(K, 1), "NOT_SYMMETRIC"),
