@@ -11,7 +11,7 @@ from jaxbody.geometry.fields import Kind
 from jaxbody.inputs.signals import Signal
 
 OWNERS = (jb.Element, jb.laws.Law, jb.Joint, jb.Body, jb.Support, jb.Load, jb.Motion, jb.Sensor, Signal)
-ENDING = ("nonnegative", "positive", "fraction", "definite", "inertia")
+ENDING = ("nonnegative", "positive", "fraction", "definite", "inertia", "increasing", "rising")
 
 
 def owners():

@@ -84,6 +84,11 @@ def module_of(x: Any) -> Any:
     return np if isinstance(x, np.ndarray) else jnp
 
 
+def indices(shape: tuple[int, ...]) -> list[str]:
+    """The index of each number of an array, as text: "[0,1]", or "" for a scalar."""
+    return [str(list(i)).replace(" ", "") if i else "" for i in np.ndindex(shape)]
+
+
 def concrete(value: Any) -> np.ndarray | None:
     """The value as a NumPy array; None while it is being traced."""
     return None if isinstance(value, Tracer) else np.asarray(value)

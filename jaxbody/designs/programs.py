@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float
+from jaxbody.core.arrays import Array, Float, indices
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
@@ -98,11 +98,7 @@ class Program:
 
     def labels(self) -> list[str]:
         """The name of every value."""
-        return [
-            name + (str(list(i)).replace(" ", "") if shape else "")
-            for name, shape in self.shapes
-            for i in (np.ndindex(shape) if shape else [()])
-        ]
+        return [name + index for name, shape in self.shapes for index in indices(shape)]
 
     def quantities(self, values: np.ndarray) -> Quantities:
         parts = np.split(values, np.cumsum([int(np.prod(shape)) for _, shape in self.shapes])[:-1], axis=-1)

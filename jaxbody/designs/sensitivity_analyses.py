@@ -16,7 +16,6 @@ from jaxbody.designs.searches import one_thread
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.parameters.design_spaces import space_of
-from jaxbody.parameters.transforms import Positive
 
 SHOWN = 5  # parameters printed for each quantity
 
@@ -81,10 +80,7 @@ def sensitivities(
     if not 0 < change < 1:
         raise JaxbodyError(Problem("BAD_CHANGE", "sensitivities.change", f"is {change}", change, "between 0 and 1", "0.1 is ten percent."))
     space, *_ = space_of(model, free, {}, "sensitivities")
-    up, down = np.ones(space.size) * change, -np.ones(space.size) * change
-    for group, at in zip(space.groups, space.ends, strict=True):
-        if isinstance(group.form, Positive):
-            up[at], down[at] = np.log1p(change), np.log1p(-change)
+    up, down = (np.concatenate([group.form.changed(fraction) for group in space.groups]) for fraction in (change, -change))
     U = np.concatenate([np.zeros((1, space.size)), np.diag(down), np.diag(up)])
     program = Program(space, evaluate, "", {}, width=1, progress=progress)  # the program of `tune` from one start
     with one_thread(), working("sensitivities", progress) as program.line:

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
-from jaxbody.core.arrays import Array, Float, Int, concrete, float_array, module_of
+from jaxbody.core.arrays import Array, Float, Int, concrete, float_array, indices, module_of
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.progress_lines import working
@@ -112,11 +112,7 @@ def tolerances(
     with working("tolerances", progress) as line:
         line(f"derivatives and {samples} samples, as one program")
         numbers, labels = jax.block_until_ready(_tolerances(model, evaluate, leaves, deviations, samples, key))
-    parameters = [
-        leaf.path + (str(list(i)).replace(" ", "") if s.ndim else "")
-        for leaf, s in zip(leaves, deviations, strict=True)
-        for i in np.ndindex(s.shape)
-    ]
+    parameters = [leaf.path + index for leaf, s in zip(leaves, deviations, strict=True) for index in indices(s.shape)]
     return warn_if_failed(Tolerances(*numbers, quantities=labels, parameters=tuple(parameters)))
 
 
@@ -197,11 +193,7 @@ class Moved:
         return {name: x.reshape(shape) for (name, shape), x in zip(self.shapes.items(), jnp.split(values, ends), strict=True)}
 
     def labels(self) -> tuple[str, ...]:
-        return tuple(
-            name + (str(list(i)).replace(" ", "") if shape else "")
-            for name, shape in self.shapes.items()
-            for i in (np.ndindex(shape) if shape else [()])
-        )
+        return tuple(name + index for name, shape in self.shapes.items() for index in indices(shape))
 
 
 def _expanded(flat: Any, size: int) -> tuple[Array, Array, Array]:

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int
+from jaxbody.core.arrays import Array, Float, Int, indices
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
@@ -21,7 +21,7 @@ from jaxbody.designs.programs import NamedLimits, Program, Quantities
 from jaxbody.designs.searches import ACTIVE, CONVERGED, MET, Multipliers, Rows, Search, multipliers, scales
 from jaxbody.models.models import Model
 from jaxbody.parameters.design_spaces import Space
-from jaxbody.parameters.transforms import Fraction, Positive
+from jaxbody.parameters.transforms import Positive
 
 DUST = 1e-12  # values below this, relative to the value before, print as zero
 FAR = 12.0  # distance in u, a factor of 160 000, that shows a parameter to be unbounded
@@ -117,8 +117,7 @@ def _each(path: str, label: str, before: Any, after: Any) -> list[tuple[str, str
     """A row for each number of a scalar or an array."""
     before, after = np.asarray(before), np.asarray(after)
     after = np.where(np.abs(after) < DUST * np.abs(before), 0.0, after)
-    index = [""] if before.ndim == 0 else [str(list(i)).replace(" ", "") for i in np.ndindex(before.shape)]
-    return [(path + i, label + i, float(a), float(b)) for i, a, b in zip(index, before.ravel(), after.ravel(), strict=True)]
+    return [(path + i, label + i, float(a), float(b)) for i, a, b in zip(indices(before.shape), before.ravel(), after.ravel(), strict=True)]
 
 
 def _limit(limit: tuple[float, float] | None) -> str:
@@ -131,13 +130,13 @@ def _limit(limit: tuple[float, float] | None) -> str:
 
 
 def _places(space: Space, search: Search) -> dict[str, str]:
-    """Parameters at a bound, from a catalogue, or unbounded."""
+    """Parameters at a bound, from a catalogue, or unbounded; a number of a row in order, "[2]", at the number before."""
     at = np.minimum(np.abs(search.u - search.low), np.abs(search.u - search.high)) <= ACTIVE
-    forms = np.concatenate([np.full(group.form.size, type(group.form).__name__) for group in space.groups])
+    positive = np.concatenate([np.full(group.form.size, isinstance(group.form, Positive)) for group in space.groups])
+    ended = np.concatenate([group.form.ended(search.u[part]) for group, part in zip(space.groups, space.ends, strict=True)]) != ""
     far = (np.abs(search.u) > FAR) & np.isinf(np.where(search.u < 0, search.low, search.high))
-    at_end, unbounded = ((forms == kind.__name__) & far for kind in (Fraction, Positive))
-    words = np.select([search.low == search.high, at | at_end, unbounded], [CHOSEN, BOUND, UNBOUNDED], "")
-    return {name: str(word) for name, word in zip(space.labels(), words, strict=True) if word}
+    words = np.select([search.low == search.high, at | (far & ended & ~positive), far & positive], [CHOSEN, BOUND, UNBOUNDED], "")
+    return {name.partition(" - [")[0]: str(word) for name, word in zip(space.labels(), words, strict=True) if word}
 
 
 def _status_and_multipliers(search: Search, rows: Rows, space: Space) -> tuple[int, Multipliers | None]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxbody.core.arrays import indices
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.statistics.noises import ResidualSeries
 
@@ -14,8 +15,7 @@ def records_of(experiments: dict[str, Measurement]) -> list[ResidualSeries]:
     for run, experiment in sorted(experiments.items()):
         for name, channel in sorted(experiment.channels.items()):
             present = experiment.present(name)
-            labels = [str(list(i)).replace(" ", "") if i else "" for i in np.ndindex(present.shape[1:])]
-            present = present.reshape(len(present), -1)
+            labels, present = indices(present.shape[1:]), present.reshape(len(present), -1)
             units = np.broadcast_to(channel.spread(np.arange(channel.units)), present.shape[1:])
             for i, (label, unit) in enumerate(zip(labels, units, strict=True)):
                 times = np.flatnonzero(present[:, i])

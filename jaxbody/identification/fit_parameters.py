@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -18,7 +17,7 @@ from jaxbody.models.leaf_paths import Leaf, leaves_of, matching
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of
 from jaxbody.parameters.ties import Factor, bounds_of_first, check_alike, equation, ties, times
-from jaxbody.parameters.transforms import Elementwise, Parametrization, Shifted, pair_of, parametrize, sound_bounds
+from jaxbody.parameters.transforms import Elementwise, Ordered, Parametrization, Shifted, pair_of, parametrize, sound_bounds
 
 
 class FreeParameter(eqx.Module):
@@ -47,12 +46,6 @@ class FreeParameter(eqx.Module):
     def spread(self, value: Array, run: str) -> dict[Leaf, Array]:
         """The values of its leaves in a run, from the value of the first leaf."""
         return {leaf: times(value, factor) for (owner, leaf), factor in zip(self.places, self.factors, strict=True) if owner == run}
-
-
-def parts_of(free: tuple[FreeParameter, ...]) -> list[slice]:
-    """Which numbers of u each free parameter has."""
-    ends = np.cumsum([0, *(f.form.size for f in free)]).tolist()
-    return [slice(i, j) for i, j in pairwise(ends)]
 
 
 def choose(model: Model, experiments: dict[str, Measurement], patterns: list[str]) -> tuple[FreeParameter, ...]:
@@ -88,8 +81,7 @@ def limits_of(free: tuple[FreeParameter, ...], bounds: dict[str, tuple[Any, Any]
         low, high = [np.full(f.form.size, -np.inf) for f in free], [np.full(f.form.size, np.inf) for f in free]
         if bounds and not (isinstance(method, str) and method == "least_squares"):
             problems.add("BAD_BOUNDS", "fit.bounds", 'are supported by method="least_squares" only', value=method)
-        if not _is_dict(bounds, "fit.bounds", "BAD_BOUNDS", "(lower, upper)", problems):
-            bounds = {}
+        bounds = _pairs_by_path(bounds, "fit.bounds", "BAD_BOUNDS", "(lower, upper)", problems)
         place = {leaf: (i, factor) for i, f in enumerate(free) for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
         for pattern, leaves in matching(list(place), bounds, "fit.bounds", problems).items():
             for leaf in leaves:
@@ -102,18 +94,19 @@ def limits_of(free: tuple[FreeParameter, ...], bounds: dict[str, tuple[Any, Any]
     return np.concatenate(low), np.concatenate(high)
 
 
-def _is_dict(given: Any, where: str, code: str, pair: str, problems: Problems) -> bool:
+def _pairs_by_path(given: Any, where: str, code: str, pair: str, problems: Problems) -> dict[str, Any]:
+    """The dict; empty if it is none, with a problem added."""
     if not isinstance(given, dict):
         message, hint = f"is {given!r:.60}", f'Write {{"s.stiffness": {pair}}} or a pattern such as "*.stiffness".'
         problems.add(code, where, message, value=given, limit="a dict of pairs by path", hint=hint)
-    return isinstance(given, dict)
+        return {}
+    return given
 
 
 def priors_of(free: tuple[FreeParameter, ...], priors: dict[str, tuple[Any, Any]]) -> dict[str, tuple[Array, Array]]:
     """{path: (mean, standard deviation)} of free parameters, as arrays of their shapes."""
     with Problems() as problems:
-        if not _is_dict(priors, "fit.priors", "BAD_PRIOR", "(mean, standard deviation)", problems):
-            priors = {}
+        priors = _pairs_by_path(priors, "fit.priors", "BAD_PRIOR", "(mean, standard deviation)", problems)
         forms = {leaf: (f, np.asarray(factor)) for f in free for (_, leaf), factor in zip(f.places, f.factors, strict=True)}
         values = {}
         for pattern, leaves in matching(list(forms), priors, "fit.priors", problems).items():
@@ -121,7 +114,7 @@ def priors_of(free: tuple[FreeParameter, ...], priors: dict[str, tuple[Any, Any]
                 (parameter, factor), form = forms[leaf], forms[leaf][0].form
                 pair = pair_of(priors[pattern], form.start.shape)
                 where = f"fit.priors['{leaf.path}']"
-                if not isinstance(form, Elementwise):
+                if not isinstance(form, Elementwise | Ordered):
                     problems.add("BAD_PRIOR", where, "cannot have a prior", hint="Give priors for scalars and vectors only.")
                 elif pair is None or not np.isfinite(pair).all() or not (pair[1] > 0).all():
                     message, given = f"is {priors[pattern]!r:.60}", priors[pattern]

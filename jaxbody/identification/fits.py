@@ -8,17 +8,16 @@ import jax
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int
+from jaxbody.core.arrays import Array, Float, Int, indices
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.core.results import Result
 from jaxbody.experiments.measurements import Measurement
-from jaxbody.identification.fit_parameters import parts_of
 from jaxbody.identification.intervals import FEW, Interval, freedoms_of, intervals_of, widening
 from jaxbody.identification.residuals import Task
 from jaxbody.models.models import Model
 from jaxbody.parameters.field_units import units_of
-from jaxbody.parameters.transforms import Direction, Rotation
+from jaxbody.parameters.transforms import Direction, Rotation, parts_of
 from jaxbody.statistics.quantiles import check_level
 from jaxbody.statistics.uncertainties import Uncertainty
 
@@ -151,7 +150,7 @@ class Fit(Result):
         ends = [np.concatenate([np.ravel(interval[side]) for interval in intervals.values()]) for side in (0, 1)]
         for path, value in self.estimates.items():
             value = np.asarray(value)
-            names += _labels(path, value)
+            names += [path + index for index in indices(value.shape)]
             estimates += value.ravel().tolist()
             errors += np.asarray(self.standard_errors[path]).ravel().tolist()
         variables: dict[str, tuple[tuple[str, ...], Any, str]] = {
@@ -183,7 +182,8 @@ class Fit(Result):
             value = np.asarray(value)
             units = units_of(f.places[0][1], self.model, value)
             columns = (np.asarray(x).ravel() for x in (value, errors[path], freedoms[path], *ends[path]))
-            for label, unit, x, e, freedom, low, high in zip(_labels(f.name, value), units, *columns, strict=True):
+            for index, unit, x, e, freedom, low, high in zip(indices(value.shape), units, *columns, strict=True):
+                label = f.name + index
                 bounded = bool(np.isfinite(high - low))
                 printed_freedoms.append(float(freedom) if bounded else np.inf)
                 ended = f"{label} (zero)" in self.at_bound or (not np.isfinite(e) and bounded)
@@ -217,7 +217,3 @@ class Fit(Result):
             (f"{run}.{name}{part}", float(rms), unit.strip())
             for rms, unit, part in zip(np.ravel(levels), channel.unit.split(","), parts, strict=True)
         ]
-
-
-def _labels(path: str, value: np.ndarray) -> list[str]:
-    return [path] if value.ndim == 0 else [path + str(list(i)).replace(" ", "") for i in np.ndindex(value.shape)]

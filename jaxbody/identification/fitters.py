@@ -28,7 +28,7 @@ from jaxbody.experiments.plausibilities import first_frequency
 from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.checkpoints import resumed, save
 from jaxbody.identification.colorings import PRIORS
-from jaxbody.identification.fit_parameters import choose, limits_of, parts_of, priors_of
+from jaxbody.identification.fit_parameters import choose, limits_of, priors_of
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.least_squares import AT_BOUND, Bounds, Evaluations, by_optax, by_scipy
 from jaxbody.identification.residuals import Task, first_noise, residual_and_jacobian, rms_residuals, with_estimated_noise
@@ -36,6 +36,7 @@ from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import size_of
+from jaxbody.parameters.transforms import parts_of
 from jaxbody.simulations.simulations import check_steps
 from jaxbody.statistics.losses import check_loss
 from jaxbody.statistics.uncertainties import RANK, assess, decomposed

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.identification.fit_parameters import FreeParameter, parts_of
-from jaxbody.parameters.transforms import Elementwise
+from jaxbody.identification.fit_parameters import FreeParameter
+from jaxbody.parameters.transforms import Elementwise, parts_of
 from jaxbody.statistics.quantiles import quantile
 from jaxbody.statistics.uncertainties import Uncertainty
 

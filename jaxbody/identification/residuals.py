@@ -17,9 +17,10 @@ from jaxbody.core.compile_options import jit_optimized
 from jaxbody.experiments.experiments import Integration
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.colorings import PRIORS, colors_of, moved_rows
-from jaxbody.identification.fit_parameters import FreeParameter, parts_of
+from jaxbody.identification.fit_parameters import FreeParameter
 from jaxbody.models.leaf_paths import write
 from jaxbody.models.models import Model
+from jaxbody.parameters.transforms import parts_of
 from jaxbody.sensors.channels import Channel
 from jaxbody.statistics.losses import linearized, robust_level, root
 

@@ -19,12 +19,11 @@ from jaxbody.core import tables
 from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
 from jaxbody.core.progress_lines import Line, working
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.identification.fit_parameters import parts_of
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.intervals import widening
 from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_scipy
 from jaxbody.identification.residuals import residual_and_jacobian
-from jaxbody.parameters.transforms import Elementwise
+from jaxbody.parameters.transforms import Elementwise, parts_of
 from jaxbody.statistics.quantiles import check_level, quantile
 
 STEPS = 4  # from the optimum to each end of the interval

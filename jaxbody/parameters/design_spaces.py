@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable
 from typing import Any
 
@@ -26,10 +25,11 @@ from jaxbody.parameters.transforms import (
     Shifted,
     pair_of,
     parametrize,
+    parts_of,
     sound_bounds,
 )
 
-SPREAD = 0.3  # standard deviation of u for random starts of directions and matrices, which have no bounds
+SPREAD = 0.3  # standard deviation of u for random starts of directions, matrices and rows in order, which have no bounds
 
 
 class Group(eqx.Module):
@@ -61,8 +61,7 @@ class Space(eqx.Module):
     @property
     def ends(self) -> list[slice]:
         """The part of u of each group."""
-        at = np.cumsum([0] + [group.form.size for group in self.groups])
-        return [slice(i, j) for i, j in itertools.pairwise(at)]
+        return parts_of(self.groups)
 
     def values(self, u: Float[Array, "n"]) -> dict[str, Array]:
         """{path of each group's first leaf: value}."""
@@ -78,13 +77,9 @@ class Space(eqx.Module):
         return [group.path + suffix for group in self.groups for suffix in group.form.labels()]
 
     def numbers(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The value of the parameter at each u and its derivative with respect to u; for orientations and matrices, u itself and 1."""
-        x, slopes = np.array(u), np.ones(len(u))
-        for group, at in zip(self.groups, self.ends, strict=True):
-            if isinstance(group.form, Elementwise):
-                x[at] = np.asarray(group.form.value(jnp.asarray(u[at]))).ravel()
-                slopes[at] = group.form.slope(x[at])
-                x[at] = np.where(np.abs(x[at]) < 1e-12 * np.abs(slopes[at]), 0.0, x[at])
+        """The number that each u determines and its derivative with respect to u; for orientations and matrices, u itself and 1."""
+        pairs = (group.form.numbers(u[at]) for group, at in zip(self.groups, self.ends, strict=True))
+        x, slopes = map(np.concatenate, zip(*pairs, strict=True))
         return x, slopes
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxbody.core.arrays import concrete
 from jaxbody.core.errors import Problems
 from jaxbody.models.leaf_paths import Leaf, matching
-from jaxbody.parameters.transforms import Parametrization, Positive, Shifted
+from jaxbody.parameters.transforms import Ordered, Parametrization, Positive, Shifted
 
 ALIKE = 1e-9  # largest relative difference of the starts of tied parameters
 
@@ -95,8 +95,9 @@ def check_alike(tie: Tie, starts: list[Any], form: Parametrization, problems: Pr
         if start is None or values[0] is None:
             continue
         tied = equation([first.path, leaf.path], [1.0, factor])
-        if factor != 1.0 and (not isinstance(form, Positive | Shifted) or np.shape(factor) not in ((), start.shape)):
-            limit = "scalars and vectors, by a number or one for each"
+        allowed = ((),) if isinstance(form, Ordered) else ((), start.shape) if isinstance(form, Positive | Shifted) else ()
+        if factor != 1.0 and np.shape(factor) not in allowed:
+            limit = "scalars and vectors, by a number or one for each; rows in order, by a number"
             problems.add("BAD_TIE", leaf.path, f"of shape {start.shape} cannot be tied by {tied}", value=factor, limit=limit)
         elif start.shape != values[0].shape or not np.allclose(start, times(values[0], factor), rtol=ALIKE, atol=0):
             message = f"starts at {start}, but {tied}, and {first.path} starts at {values[0]}"

@@ -14,6 +14,8 @@ others                 x = x0 + s u                    s the largest of |x0|, or
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Iterable
+from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -21,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, concrete, module_of
+from jaxbody.core.arrays import Array, Float, concrete, indices, module_of
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.vectors import cross, dot
@@ -30,6 +32,7 @@ from jaxbody.models.leaf_paths import Leaf
 from jaxbody.models.models import Model
 
 FAR = 5.0  # in u: less than a hundredth of the start, which counts as zero if it has no effect
+LEAST = -25.0  # of the u of a step in a row: 1e-11 of its start, so that rounding does not make two numbers equal
 
 
 class Parametrization(eqx.Module):
@@ -47,7 +50,15 @@ class Parametrization(eqx.Module):
 
     def labels(self) -> list[str]:
         """The suffix of each u: "", or its index."""
-        return [""] if self.start.ndim == 0 else [str(list(i)).replace(" ", "") for i in np.ndindex(self.start.shape)]
+        return indices(self.start.shape)
+
+    def numbers(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The number that each u determines and its derivative with respect to u; u itself and 1 if it determines none alone."""
+        return u, np.ones_like(u)
+
+    def changed(self, fraction: float) -> np.ndarray:
+        """The u that changes each number by this fraction of itself, or of its scale if it may have either sign."""
+        return np.full(self.size, fraction)
 
     def ended(self, u: np.ndarray) -> np.ndarray:
         """The limit of the domain that each u is near, as a word: "zero" for a value far below the start; "" for the others."""
@@ -65,12 +76,20 @@ class Elementwise(Parametrization):
     def slope(self, x: np.ndarray) -> np.ndarray:
         """dx/du."""
 
+    def numbers(self, u):
+        x = np.asarray(self.value(jnp.asarray(u))).ravel()
+        slope = self.slope(x)
+        return np.where(np.abs(x) < 1e-12 * np.abs(slope), 0.0, x), slope
+
 
 class Positive(Elementwise):
     """x = x0 exp(u)."""
 
     def ended(self, u):
         return np.where(u < -FAR, "zero", "")
+
+    def changed(self, fraction):
+        return np.full(self.size, np.log1p(fraction))
 
     def value(self, u):
         return self.start * module_of(u).exp(u.reshape(self.start.shape))
@@ -122,8 +141,19 @@ class Ordered(Parametrization):
     scale: Float[Array, ""]
 
     def value(self, u):
-        first, steps = self.start[:1] + self.scale * u[:1], jnp.diff(self.start) * jnp.exp(u[1:])
-        return jnp.cumsum(jnp.concatenate([first, steps]))
+        return module_of(u).cumsum(self._steps(u))
+
+    def _steps(self, u: Any) -> Any:
+        """The first number, and the step to each other one."""
+        xp = module_of(u)
+        return xp.concatenate([self.start[:1] + self.scale * u[:1], xp.diff(self.start) * xp.exp(xp.maximum(u[1:], LEAST))])
+
+    def numbers(self, u):
+        steps = np.asarray(self._steps(u))
+        return steps, np.r_[self.scale, steps[1:]]
+
+    def changed(self, fraction):
+        return np.r_[fraction, np.full(self.size - 1, np.log1p(fraction))]
 
     def labels(self):
         return ["[0]", *(f"[{i}] - [{i - 1}]" for i in range(1, self.size))]
@@ -284,6 +314,12 @@ STARTS = {  # form, whether a start is inside the domain, the message if it is n
 }
 
 
+def parts_of(parameters: Iterable[Any]) -> list[slice]:
+    """The part of u of each of these, which have a `form`."""
+    ends = np.cumsum([0, *(parameter.form.size for parameter in parameters)]).tolist()
+    return [slice(i, j) for i, j in pairwise(ends)]
+
+
 def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
     """A pair (lower, upper) or (mean, deviation) as arrays of this shape; None if it is not a pair of numbers."""
     try:
@@ -306,7 +342,8 @@ def sound_bounds(form: Parametrization, ends: list[Any] | None, given: Any, wher
     """
     start = np.asarray(form.start)
     if not isinstance(form, Elementwise):
-        problems.add("BAD_BOUNDS", where, "cannot have bounds", hint="Give bounds for scalars and vectors only.")
+        hint = "Give bounds for scalars, and for vectors whose numbers do not depend on each other."
+        problems.add("BAD_BOUNDS", where, "cannot have bounds", hint=hint)
     elif ends is None:
         problems.add("BAD_BOUNDS", where, f"is {given!r:.60}", value=given, limit="(lower, upper)")
     elif np.isnan(ends).any():
