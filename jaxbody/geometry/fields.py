@@ -165,12 +165,10 @@ def check_domain(value: Any, kind: Kind, where: str, problems: Problems) -> None
     if kind.domain in ("definite", "symmetric"):
         _check_definite(known, kind, where, problems)
         return
-    steps = np.diff(known) if kind.domain in ROWS else known
-    bad = {"nonnegative": steps < 0, "positive": steps <= 0, "increasing": steps <= 0, "rising": steps < 0}.get(
-        kind.domain, (known < 0) | (known > 1)
-    )
+    x, dx = (known[..., 1:], np.diff(known)) if kind.domain in ROWS else (known, known)
+    bad = {"nonnegative": x < 0, "positive": x <= 0, "fraction": (x < 0) | (x > 1), "increasing": dx <= 0, "rising": dx < 0}[kind.domain]
     if bad.any():
-        worst = float((known[..., 1:] if kind.domain in ROWS else known)[bad].min())
+        worst = float(x[bad].min())
         problems.add(kind.code or code, where, f"is {worst:g} {kind.unit}".rstrip(), value=worst, limit=limit, hint=kind.hint)
 
 

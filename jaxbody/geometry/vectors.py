@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax.numpy as jnp
-import numpy as np
 
 from jaxbody.core.arrays import Array, Float
 
@@ -50,7 +51,7 @@ def skew(a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3 3"]:
     return jnp.stack([jnp.stack([o, -z, y], -1), jnp.stack([z, o, -x], -1), jnp.stack([-y, x, o], -1)], -2)
 
 
-def to_rank(a: np.ndarray, rank: int) -> np.ndarray:
+def to_rank(a: Any, rank: int) -> Any:
     """a with so many axes, those added first, for arithmetic with the rows of a table."""
     return a.reshape((1,) * (rank - a.ndim) + a.shape)
 

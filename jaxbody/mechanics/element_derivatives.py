@@ -6,11 +6,10 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from jaxbody.geometry.frames import Frame
-from jaxbody.mechanics.energies import each_element
+from jaxbody.mechanics.energies import each_element, end_rows
 from jaxbody.mechanics.hessians import Configuration, frame_twists
 
 
@@ -21,10 +20,9 @@ class ElementDerivatives(NamedTuple):
     stiffness: Float[Array, "ne k k"]
     damping: Float[Array, "ne k k"]
 
-    def quadratic(self, H: Float[Array, "ne k k"], x: Float[Array, "n m"]) -> Float[Array, "ne m m"]:
-        """(J x)' H (J x) of each element."""
-        e = self.J @ x
-        return jnp.swapaxes(e, 1, 2) @ H @ e
+    def elastic(self) -> Float[Array, "ne n n"]:
+        """J' V'' J of each element."""
+        return jnp.swapaxes(self.J, 1, 2) @ self.stiffness @ self.J
 
 
 def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
@@ -41,10 +39,10 @@ def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
         damping = jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot)
         return slopes, jax.hessian(element.energy)(e).reshape(k, k), damping.reshape(k, k)
 
-    twists, frame = frame_twists(at), at.model.layout.frame
+    twists = frame_twists(at)
     results = []
     for table, (slopes, *second) in zip(at.model.elements, each_element(at.model, at.frames, of), strict=True):
-        ends = [np.array([frame(name) for name in end]) for end in zip(*table.links, strict=True)]
-        J: Any = sum(slope @ jnp.swapaxes(twists[end], 1, 2) for slope, end in zip(slopes, ends, strict=True))
+        rows = end_rows(at.model, table)
+        J: Any = sum(slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True))
         results.append(ElementDerivatives(J, *second))
     return results

@@ -20,6 +20,7 @@ from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
+from jaxbody.models.storage import KindTable
 from jaxbody.numerics.xla_workarounds import sums, take
 
 Xi = Float[Array, "ns 6"] | None
@@ -123,10 +124,14 @@ def each_element(model: Model, frames: Frame, function) -> list:
     """function(element, A, B, ...) of every element and its frames, table by table."""
     results = []
     for table in model.elements:
-        rows = [np.array([model.layout.frame(name) for name in end]) for end in zip(*table.links, strict=True)]
-        end_frames = [Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w))) for row in rows]
+        end_frames = [Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w))) for row in end_rows(model, table)]
         results.append(jax.vmap(function)(table.rows, *end_frames))
     return results
+
+
+def end_rows(model: Model, table: KindTable) -> list[np.ndarray]:
+    """The rows in the table of frames of each end of the elements."""
+    return [np.array([model.layout.frame(name) for name in end]) for end in zip(*table.links, strict=True)]
 
 
 def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t: Any = 0.0) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:

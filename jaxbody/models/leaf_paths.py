@@ -134,7 +134,7 @@ def _put(arrays: list[jax.Array], leaves: list[Leaf], block: jax.Array) -> None:
         if is_concrete((array, block)):
             changed = np.array(array)
             changed[where] = block
-            arrays[first.array] = device_array(changed)
+            arrays[first.array] = jnp.asarray(changed)
         else:
             arrays[first.array] = array.at[where].set(block)
 

@@ -349,7 +349,7 @@ def is_unstable(A: _Matrices) -> Bool[Array, ""]:
 def hysteretic_damping(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Array, "n n"]:
     """H of (Delta, Xi): the sum over the elements of eta V''(e) de de."""
     at = configuration_at(Coordinates(lin.model), lin.state.q)
-    H = [x.quadratic(x.stiffness, jnp.eye(len(at.turns), dtype=eta.dtype)) for x in element_derivatives(at)]
+    H = [x.elastic() for x in element_derivatives(at)]
     return jnp.tensordot(eta, jnp.concatenate(H), 1) if H else jnp.zeros((len(at.turns),) * 2)
 
 

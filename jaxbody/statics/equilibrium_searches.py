@@ -121,7 +121,7 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
     size, coordinates = size_of(model), Coordinates(model)
     scale = scale_of(model, size)
     reach = spread * size * scale * jnp.where(model.layout.turns, 2.0, 1.0)
-    moves = jnp.multiply(reach, jax.random.normal(key, (starts, len(scale)), size.dtype))
+    moves: Any = reach[None] * jax.random.normal(key, (starts, len(scale)), size.dtype)
     q0 = coordinates.reference.q
     q = jax.vmap(lambda move: coordinates.retract(q0, move))(moves.at[0].set(0.0))
 

@@ -166,8 +166,8 @@ def _paired(s: Complex[Array, "m"], U: Complex[Array, "n m"], M, K) -> Int[Array
     w^2 for both poles of an overdamped mode where damping is proportional."""
     n, imag = len(U), jnp.imag(s)
     oscillates = imag != 0
-    rayleigh, unit = (jnp.sum(jnp.conj(U) * (A.astype(U.dtype) @ U), 0).real for A in (K, M))
-    rayleigh = rayleigh / unit
+    stiff, mass = (jnp.sum(jnp.conj(U) * (A.astype(U.dtype) @ U), 0).real for A in (K, M))
+    rayleigh = stiff / mass
     upper = jnp.sum(imag > 0)
     kind = jnp.where(imag > 0, 0, jnp.where(oscillates, 2, 1))
     line = jnp.lexsort((jnp.abs(imag), jnp.where(oscillates, jnp.abs(s), rayleigh), kind))

@@ -264,6 +264,6 @@ def _split(model: Model, state: State):
         frames = _frames(model, state, d, zero, rest, rest)
         return each_element(model, frames, lambda s, *F: s.potential(*(f.pose() for f in F)))
 
-    own = jnp.eye(len(zero) + len(rest), len(zero), dtype=zero.dtype)
-    elastic = [x.quadratic(x.stiffness, own) for x in element_derivatives(configuration_at(Coordinates(model), state.q))]
+    n = len(zero)
+    elastic = [x.elastic()[:, :n, :n] for x in element_derivatives(configuration_at(Coordinates(model), state.q))]
     return elastic, [k - e for k, e in zip(jax.hessian(potentials)(zero), elastic, strict=True)]

@@ -134,9 +134,9 @@ OTHERS = ("tension", "gravity", "loads")
 def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | None = None, allow_float32: bool = False) -> ModeEnergies:
     """The shares of bodies, elements and dampers in the energies of each natural mode [%].
 
-        kinetic      100 v_i (M v)_i/(phi' M phi)         v: velocities of a body along phi, of its center of mass and angular; M: mass and
-        inertia strain       100 e_dot' V'' e_dot/(phi' K phi)    e_dot: change of an element's deformation along phi dissipation  100
-        e_dot' R'' e_dot/(phi' C phi)
+        kinetic      100 v_i (M v)_i/(phi' M phi)     v: velocities of a body along phi, of its center of mass and angular
+        strain       100 de' V'' de/(phi' K phi)      de: change of an element's deformation along phi
+        dissipation  100 de' R'' de/(phi' C phi)
 
     Args:
         forward: a world axis, such as "x", that names fore-aft, lateral, roll and pitch; by default these are named by their axes.
@@ -192,8 +192,9 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     kinetic, moving = jax.vmap(lambda phi: _kinetic(lin.model, _moving(lin, phi)), in_axes=1, out_axes=-1)(shapes)
     elements = element_derivatives(configuration_at(Coordinates(lin.model), lin.state.q, lin.state.v))
     changes = [x.J[..., : len(shapes)] @ shapes for x in elements]
+    none = jnp.zeros((0, len(values)), shapes.dtype)
     elastic, loss = (
-        jnp.concatenate([jnp.zeros((0, len(values))), *(jnp.sum(de * (H @ de), 1) for de, H in zip(changes, second, strict=True))])
+        jnp.concatenate([none, *(jnp.sum(de * (H @ de), 1) for de, H in zip(changes, second, strict=True))])
         for second in ([x.stiffness for x in elements], [x.damping for x in elements])
     )
     gravity, loads = (jnp.sum(shapes * (K @ shapes), 0) for K in (lin.K_gravity, lin.K_loads))

@@ -213,7 +213,7 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...])
     model, layout, q = lin.model, lin.model.layout, lin.state.q
     n, dtype = layout.nv + layout.nxi, q.dtype
     zero = jnp.zeros(n, dtype)
-    at = configuration_at(Coordinates(model), q, lin.state.v)
+    at = configuration_at(Coordinates(model), q)
     frames, twists = at.frames, frame_twists(at)
     points = iter(
         [_point_row(port, frames, twists, layout.frame) for port in (*inputs, *outputs) if isinstance(port, PointForce | PointMotion)]

@@ -23,6 +23,7 @@ from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.geometry.vectors import to_rank
 from jaxbody.inputs.motions import AtRest
 from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.mechanics.hessians import configuration_at, damping, mass, stiffness
@@ -124,8 +125,7 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
         return _second_order(dynamics, dynamics.coordinates.retract(q, v * period * angle), v)[1:3]
 
     def largest(X):
-        row, column = (x.reshape((1,) * (X.ndim - 2) + x.shape) for x in (scale[None], scale[:, None]))
-        return jnp.max(jnp.abs(X * row * column), (-2, -1), initial=0.0)
+        return jnp.max(jnp.abs(X * to_rank(scale[None] * scale[:, None], X.ndim)), (-2, -1), initial=0.0)
 
     later_D, later_K = jax.vmap(matrices)(jnp.array(ALONG, q.dtype))
     inertia = largest(M)
