@@ -32,7 +32,7 @@ FITTED = 11.0  # s
 
 
 def peak(x):
-    """The frequency [Hz] at which a record's spectrum is largest, to a fraction of its resolution."""
+    """The frequency [Hz] at which a record's spectrum is largest, refined by zero padding."""
     n = 16 * len(x)
     spectrum = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(len(x)), n))
     return np.argmax(spectrum) / n * (len(time) - 1) / (time[-1] - time[0])

@@ -81,7 +81,7 @@ for name in wheels:
 
 
 def roughness(further):
-    """The rms acceleration of the car's center [m/s2] with the bump stops `further` away [m]."""
+    """The rms acceleration of the car's center [m/s2] with the bump stops moved away by `further` [m]."""
     gaps = {path: gap + further for path, gap in jb.paths(model, "strut *.spring.terms.1.gap").items()}
     changed = jb.replace(model, gaps)
     v = jb.simulate(changed, times, motion=motion, initial=eq.state, rtol=1e-7, adjoint=diffrax.ForwardMode()).state.v[:, 0]

@@ -12,8 +12,8 @@ resonance near 68 Hz the phase advances by 0.7 rad per sample. Linear interpolat
 errors of 0.9 mV), and a zero-order hold also delays it by half a sample (13 mV). The spline is close to the signal without content above
 the Nyquist frequency, which "band-limited" computes by upsampling with the FFT before the spline.
 
-To save the figure of the test, give a file name: python examples/silverbox.py silverbox.png. With the word "compare" after it, other laws
-and inputs are fitted too, which takes some minutes.
+To save the figure of the test, give a file name: python examples/silverbox.py silverbox.png. With the argument "compare" after the file
+name, other laws and inputs are fitted too, which takes a few minutes.
 """
 
 import os
@@ -108,8 +108,8 @@ def compare(fitted_model: jb.Model) -> list[tuple[str, jb.Fit, float]]:
     fifth_order = jb.replace(model(jb.laws.Polynomial([*k, 0.0, 0.0]), damper), scalars(fitted_model))
     cases = [
         ("cubic spring, linear damper", model(cubic, 2.2e-4), "cubic"),
-        ("fifth-order spring, rising damper", fifth_order, "cubic"),
-        ("the first, input band-limited", fitted_model, "band-limited"),
+        ("fifth-order spring, progressive damper", fifth_order, "cubic"),
+        ("the first model, input band-limited", fitted_model, "band-limited"),
     ]
     rows = []
     for name, start, between in cases:
@@ -140,14 +140,14 @@ def draw(error: np.ndarray, file: str) -> None:
 
 if __name__ == "__main__":
     began = time.perf_counter()
-    print("cubic spring, rising damper:")
+    print("cubic spring, progressive damper:")
     fit, error = main()
     print(fit)
     print(signals)
     print(f"arrow-head test, all {error.size} samples: rms {1e3 * rms(error):.4f} mV, {time.perf_counter() - began:.0f} s so far")
     if len(sys.argv) > 1:
         draw(error, sys.argv[1])
-    rows = [("cubic spring, rising damper", fit, rms(error)), *(compare(fit.model) if "compare" in sys.argv else [])]
+    rows = [("cubic spring, progressive damper", fit, rms(error)), *(compare(fit.model) if "compare" in sys.argv else [])]
     print(f"\n{'rms error [mV]':42} parameters  estimation  test")
     for name, fit, test in rows:
         print(f"{name:42} {fit.u.size:10}  {1e3 * float(fit.noise['records']['V2']):10.4f}  {1e3 * test:.4f}")

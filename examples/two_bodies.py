@@ -1,4 +1,4 @@
-"""The first example for bodies in general position: a tilted block, its center of mass off its origin, and an arm on a hinge of the
+"""The example contract.py for bodies in general position: a tilted block, its center of mass off its origin, and an arm on a hinge of the
 base."""
 
 import jax

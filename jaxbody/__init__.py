@@ -1,8 +1,8 @@
-"""jaxbody: rigid bodies on springs from a base whose motion is imposed, differentiable.
+"""jaxbody: differentiable models of rigid bodies on springs, with an imposed base motion.
 
-The packages, in the order to read them; each imports only from those before it:
+The packages, in reading order; each imports only from those before it:
 
-    core            What all share: errors and statuses, numbers from users, results that print, units, compilation. No mechanics.
+    core            Shared foundations: errors and statuses, numbers from users, results that print, units, compilation. No mechanics.
     numerics        Computing without physics: batches in lanes, eigenproblems, Dormand-Prince, Gauss collocation.
     geometry        Rotations, poses and frames; points, directions and orientations as users give them.
     records         Measured data: files, formats, units, sampling, repairs.
@@ -16,7 +16,7 @@ The packages, in the order to read them; each imports only from those before it:
     simulations     Trajectories by the equations of motion, and what sensors read along them.
     vibrations      Small motions: matrices, ports, state space, modes of every kind.
     responses       Responses to harmonic and random excitation, spectra, roads and comfort.
-    statistics      What residuals say of estimates: noise models, covariance, robust losses. No mechanics.
+    statistics      Uncertainty of estimates from residuals: noise models, covariance, robust losses. No mechanics.
     parameters      Free parameters of fit and tune: ties, transforms, bounds, design spaces.
     experiments     Measurements, and the predictions of a model for them; checks of records and models before a fit.
     identification  Fits: residuals, searches, results, several initial guesses, multiple shooting.
@@ -116,7 +116,7 @@ __all__ = sorted(_MODULES | _PLACES)  # pyright: ignore[reportUnsupportedDunderA
 
 
 def __getattr__(name):
-    """Import a public name at its first use, as importing all of them takes three times as long as those that a simulation needs."""
+    """Import a public name when it is first used: importing all takes three times as long as importing those that a simulation needs."""
     if name in _MODULES:
         thing = import_module(_MODULES[name])
     elif name in _PLACES:
@@ -128,7 +128,7 @@ def __getattr__(name):
 
 
 class _Listed(ModuleType):
-    """A module of this package: `dir` lists its `__all__`, else its public names, else what it defines; of a package its modules."""
+    """A module of this package whose `dir` lists its `__all__` if it has one, else its public names, else the names that it defines."""
 
     def __dir__(self):
         def own(x):
@@ -139,7 +139,8 @@ class _Listed(ModuleType):
         return listed or [name for name, x in vars(self).items() if name[0] != "_" and own(x)]
 
     def __setattr__(self, name, value):
-        """The import system sets each module in its package after it has run; it may have imported modules of its own by then."""
+        """The import system sets each module as an attribute of its package after running it; the module may have imported others
+        before."""
         if isinstance(value, ModuleType) and value.__name__ == f"{self.__name__}.{name}":
             value.__class__ = _Listed
             for part in [*vars(value).items()]:

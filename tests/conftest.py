@@ -1,4 +1,4 @@
-"""The tests compute in float64 with reproducible random numbers of their own, and programs compiled for a file are released after it."""
+"""Tests compute in float64, each with its own reproducible random numbers; programs compiled for a test file are released after it."""
 
 import ctypes
 import gc

@@ -1,7 +1,7 @@
 """The formulas of Stanescu and Mihalcea (13th IFToMM World Congress, 2011, A14_316) in NumPy, each with its equation number.
 
-Nothing of the library is used. Arrays may have leading axes. Names: `O`, `R` the reference point and orientation of a frame, `r_A`, `r_B`,
-`r_C` points in body axes in section 2 and 3 of the paper, in world axes at equilibrium in section 4.
+They use nothing from the library. Arrays may have leading axes. Names: `O`, `R` the reference point and orientation of a frame, `r_A`,
+`r_B`, `r_C` points in body axes in section 2 and 3 of the paper, in world axes at equilibrium in section 4.
 """
 
 import numpy as np

@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="jaxbody", description=DESCRIPTION, epilog=EPILOG, formatter_class=form)
     parser.add_argument("--version", action="version", version=f"jaxbody {__version__}")
     commands = parser.add_subparsers(dest="command", title="commands")
-    demo = commands.add_parser("demo", help="a plate on three springs under a shaken base, from the drawing to fitted stiffnesses")
+    demo = commands.add_parser("demo", help="a plate on three springs and a shaking base, from the drawing to fitted stiffnesses")
     demo.add_argument("--out", type=Path, default=Path("jaxbody-demo"), help="folder for the figures (default: ./jaxbody-demo)")
     demo.add_argument("--seed", type=int, default=0, help="seed of the measurement noise (default: 0)")
     options = parser.parse_args(arguments)
@@ -166,7 +166,7 @@ def compare_K_tilde(K_tilde: np.ndarray, k: float, kt: float, l: float) -> None:
 
 
 def compare_forces(linear: np.ndarray, exact: np.ndarray, k: float, l: float) -> None:
-    """Print the force due to a displaced base: linear, the paper's (79), and exact."""
+    """Print the force due to a displaced base: the linear one, the one by the paper's (79), and the exact one."""
     from jaxbody.core.tables import PrintedTable, text
 
     report("The force due to a base displaced by 10 mm along x and turned by 20 mrad about z:")
@@ -191,7 +191,7 @@ def compare_stiffnesses(fit: Any, truth: dict[str, float]) -> bool:
 
 
 def figure(width: float, height: float, rows: int, columns: int, **ratios: Any) -> tuple[Any, Any]:
-    """A figure, created without a window or global state, and its axes."""
+    """A figure and its axes, created without a window or global state."""
     from matplotlib.figure import Figure
 
     new = Figure(figsize=(width, height), layout="constrained")

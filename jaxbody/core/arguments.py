@@ -18,7 +18,7 @@ USE_JNP = "Write it with jax.numpy: jnp.sin for np.sin and math.sin, jnp.where f
 
 
 def plain(name: Any) -> Any:
-    """A name, or a tuple of names, as Python strings, as JAX treats strings of NumPy as arrays."""
+    """A name, or a tuple of names, as Python strings, because JAX treats NumPy strings as arrays."""
     if isinstance(name, tuple):
         return tuple(map(plain, name))
     return str(name) if isinstance(name, str) else name
@@ -33,7 +33,7 @@ def kind_of(value: Any) -> str:
 
 
 def checked_dict(things: Any, where: str, kind: str, problems: Problems) -> dict[str, Any]:
-    """The dict with Python strings as names; empty where `things` is not a dict, with a problem added."""
+    """The dict with Python strings as names; empty if `things` is not a dict, with a problem added."""
     if things is None:
         return {}
     if not isinstance(things, Mapping):
@@ -59,7 +59,7 @@ def whole_number(value: Any, where: str, problems: Problems, least: int = 1, cod
 
 
 def positive_number(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER") -> Any:
-    """One finite number above zero; None where it is not, with a problem added."""
+    """One finite number above zero; None if it is not, with a problem added."""
     number = checked(value, ((),), where, problems)
     known = None if number is None else concrete(number)
     if known is not None and not known > 0:
@@ -69,7 +69,8 @@ def positive_number(value: Any, where: str, problems: Problems, code: str = "BAD
 
 
 def check_key(key: Any, where: str, problems: Problems, needed: str = "") -> None:
-    """Check a random key of JAX, typed or of the old kind. `needed`: why a key is needed, as the start of a hint; "": it may be None."""
+    """Check a random key of JAX, typed or of the old kind. `needed`: the reason why a key is required, for the hint; "" if the key may be
+    None."""
     if key is None:
         if needed:
             problems.add("NO_KEY", where, "is missing", hint=f"{needed} key=jax.random.key(...).")
@@ -87,7 +88,7 @@ def check_key(key: Any, where: str, problems: Problems, needed: str = "") -> Non
 
 
 def warn_of_degrees(angle: Any, where: str) -> None:
-    """Warn UNIT of an angle of more than one turn."""
+    """Warn UNIT for an angle of more than one turn."""
     known = concrete(angle)
     if known is not None and (largest := float(np.abs(known).max(initial=0.0))) > 2 * np.pi:
         warn("UNIT", f"{where} is {largest:.4g} rad, more than a turn; if it is in degrees, write np.deg2rad({largest:.4g})")

@@ -36,7 +36,7 @@ def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
 
 
 def checked(value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problems: Problems, hint: str = "") -> Any:
-    """A finite float array of one of the shapes; None where it is not, with a problem added."""
+    """A finite float array of one of the shapes; None if it is not, with a problem added."""
     try:
         array = float_array(value, where)
     except JaxbodyError as error:
@@ -80,7 +80,7 @@ def stack(rows: list[Any]) -> jax.Array:
 
 
 def module_of(x: Any) -> Any:
-    """numpy for its own arrays, jax.numpy for all others."""
+    """The module numpy for NumPy arrays, jax.numpy for all others."""
     return np if isinstance(x, np.ndarray) else jnp
 
 
@@ -105,7 +105,7 @@ def vector(value: Any, where: str, problems: Problems) -> Any:
 
 
 def check_times(times, problems: Problems, where: str = "times", minimum: int = 1) -> np.ndarray | jax.Array | None:
-    """Increasing, finite, one-dimensional times; None where they are not, with a problem added."""
+    """Increasing, finite, one-dimensional times; None if they are not, with a problem added."""
     try:
         times = float_array(times, where)
     except JaxbodyError as error:

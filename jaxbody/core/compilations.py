@@ -1,4 +1,4 @@
-"""Compilations and their times as reported by JAX; warnings of functions that are compiled repeatedly or for over a minute."""
+"""Compilations and their times as reported by JAX; warnings about functions that are compiled repeatedly or for over a minute."""
 
 from __future__ import annotations
 
@@ -62,7 +62,8 @@ class CompileTimes:
         return sum(sum(times) for *times, _ in self.programs.values())
 
     def heard(self, event: str, seconds: float, **more: str) -> None:
-        """Record an event of JAX. Only traces that become programs count; those of functions inside others are parts of theirs."""
+        """Record an event of JAX. Only traces that become programs are counted; traces of inner functions are part of those of the outer
+        functions."""
         phase, name = PHASES.get(event), program(more)
         if phase == 0:
             self.traced[name] = self.traced.get(name, 0.0) + seconds
@@ -148,7 +149,7 @@ class Compiled:
         _under_way()[self.program] = 0.0
 
     def end(self, args: tuple[Any, ...]) -> None:
-        """Note the end of a compilation for these arguments. Warns SLOW_COMPILATION, and once RECOMPILED where only one thing changes."""
+        """Note the end of a compilation for these arguments. Warns SLOW_COMPILATION; warns RECOMPILED once, if only one thing changes."""
         self.begun = False
         seconds = _under_way().pop(self.program, 0.0)
         if seconds > LONG:
@@ -194,7 +195,7 @@ def _under_way() -> dict[str, float]:
 
 
 def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, Any]:
-    """{place: (shape, type) of an array, another leaf unchanged, or the structure of an argument}."""
+    """{place: (shape, type) of an array, any other leaf itself, or the structure of an argument}."""
     places: dict[str, Any] = {}
     for name, arg in zip(parameters, args, strict=True):
         leaves, structure = jax.tree_util.tree_flatten_with_path(arg)
@@ -204,7 +205,7 @@ def _described(parameters: tuple[str, ...], args: tuple[Any, ...]) -> dict[str, 
 
 
 def _difference(before: dict[str, Any], now: dict[str, Any]) -> tuple[str, tuple[str, ...]] | None:
-    """The kind of change, and where; None where several kinds changed, or where the new arguments need another program anyway."""
+    """The kind of change, and where; None if several kinds changed, or if the new arguments need another program anyway."""
     if before.keys() != now.keys():
         return None
     changed = [place for place in now if before[place] != now[place]]

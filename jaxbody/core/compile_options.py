@@ -27,16 +27,17 @@ def fast_loops() -> bool:
     """Let XLA compile every loop on a CPU into one function; simulations of small models then run 2 to 5 times as fast.
 
     By default XLA does so only for loops that carry less than 1024 bytes. The widest vector instructions are enabled too. Returns whether
-    the options are set. They apply to all that JAX compiles in this process and its child processes, so jaxbody never sets them itself.
-    Call it before the first computation; other options in `XLA_FLAGS` are kept. Results change by rounding only.
+    the options are set. They apply to all that JAX compiles in this process and its child processes, so jaxbody sets them only when you
+    call this function. Call it before the first computation; other options in `XLA_FLAGS` are kept. Results change by rounding only.
 
-    Loops over long vectors become slower, as they then run on one core: 100 steps on a vector of 1e6 took twice the time on two cores. Of
-    other programs (float32, two cores, jaxlib 0.10) a thousand random steps of 32 numbers took a quarter of the time. No difference was
-    measured for matrix products of 256 x 512 x 512 in a loop, a loop over vectors of 1e3, training steps of a small network, a recurrent
-    network, sorting and a convolution. Loops with LAPACK calls, sorts or scatters gain nothing. Time your own program both ways.
+    Loops over long vectors become slower, because they then run on one core: 100 steps on a vector of 1e6 took twice the time on two cores.
+    Other programs were timed too (float32, two cores, jaxlib 0.10): a thousand random steps of 32 numbers took a quarter of the time. No
+    difference was measured for matrix products of 256 x 512 x 512 in a loop, a loop over vectors of 1e3, training steps of a small network,
+    a recurrent network, sorting and a convolution. Loops with LAPACK calls, sorts or scatters gain nothing. Time your own program both
+    ways.
 
     Errors: TOO_LATE where JAX has already looked for devices, unless the option is set. Warns UNTESTED_JAXLIB, and changes nothing, for a
-    version of jaxlib that was not tested, as XLA ends the process on unknown options.
+    version of jaxlib that was not tested, because XLA ends the process on unknown options.
 
     >>> done = fast_loops()  # doctest: +SKIP
     """
@@ -61,12 +62,14 @@ def fast_loops() -> bool:
 
 
 def jit_optimized(function: Callable[..., Any]) -> Callable[..., Any]:
-    """filter_jit for functions that run long: optimized. Unless part of another program it compiles in two thirds of the time on a CPU."""
+    """filter_jit for functions that run long: optimized. Unless it is part of another program, it compiles in two thirds of the time on a
+    CPU."""
     return _jit_by_itself(function, {})
 
 
 def jit_unoptimized(function: Callable[..., Any]) -> Callable[..., Any]:
-    """filter_jit for functions that take milliseconds: not optimized. Unless part of another program it compiles in a third of the time."""
+    """filter_jit for functions that take milliseconds: not optimized. Unless it is part of another program, it compiles in a third of the
+    time."""
     return _jit_by_itself(function, UNOPTIMIZED)
 
 
@@ -99,8 +102,8 @@ def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Cal
 def quick_options() -> dict[str, Any]:
     """Options for `jax.jit` with which your own programs compile in two thirds of the time or less on a CPU.
 
-    jaxbody's own functions already use them. Simulations and frequencies run as fast; a training step of a neural network took 1.4 times as
-    long. The options are empty where XLA does not have them: jaxlib 0.10 does, 0.12 does not.
+    jaxbody's own functions already use them. Simulations and frequencies run just as fast; a training step of a neural network took 1.4
+    times as long. The options are empty where XLA does not have them: jaxlib 0.10 does, 0.12 does not.
 
     >>> import jax
     >>> free_fall = jax.jit(lambda t: 9.81 * t**2 / 2, compiler_options=quick_options())

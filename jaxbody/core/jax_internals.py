@@ -61,7 +61,7 @@ def only_what_is_needed(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
 
 def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     """The same program in operations with batching and lowering rules. Since version 0.12 a program may have "high" operations, such as
-    searchsorted, each of which JAX replaces by others just before it compiles."""
+    searchsorted, which JAX replaces by others just before it compiles."""
     if not getattr(jaxpr, "is_high", False):
         return jaxpr
     if hasattr(partial_eval, "lower_jaxpr2"):
@@ -83,10 +83,10 @@ def new_operation(
     jvp: Callable[..., Any] | None = None,
     transpose: Callable[..., Any] | None = None,
 ) -> Primitive:
-    """A new operation of JAX with its rules; with a transpose but no jvp it is linear.
+    """A new operation of JAX with its rules; with a transpose but no jvp the operation is linear.
 
     Args:
-        name: of the operation
+        name: name of the operation
         compute: its function of (*arrays, **parameters)
         batch: its batching rule
         typed: types of the results; None: those of compute
@@ -151,10 +151,10 @@ def linear_one_way(name: str, forward: Callable[..., Any], backward: Callable[..
     A custom rule of JAX would transpose `forward`, which here need not be linear, and cannot inspect a cotangent.
 
     Args:
-        name: of the operation
+        name: name of the operation
         forward: the function of (tangent, *known)
         backward: its transpose, of (cotangent, *known)
-        again: its derivative in the tangent, of (tangent, *known); None: forward
+        again: the derivative of forward with respect to the tangent, of (tangent, *known); None: forward itself
     """
 
     def jvp(primals, tangents):
@@ -182,7 +182,7 @@ def linear_one_way(name: str, forward: Callable[..., Any], backward: Callable[..
 
 
 def without_manual_axes(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The function of trees of arrays; inside it, no array varies over the axes of a mesh."""
+    """The function, extended to trees of arrays; inside it, no array varies over the axes of a mesh."""
 
     @functools.wraps(function)
     def call(*args):
@@ -199,7 +199,8 @@ def _each_array(function: Callable[[Array], Array], tree: Any) -> Any:
 
 
 def _hidden(x: Array, axes: frozenset) -> Array:
-    """x without varying axes, after it is made to vary over all of them: derivatives by constants are then correct sums over devices."""
+    """x without varying axes, after it is made to vary over all of them: derivatives with respect to constants are then correct sums over
+    devices."""
     missing = tuple(axes - _varying(jax.typeof(x)))
     if missing:
         x = jax.lax.pcast(x, missing, to="varying") if hasattr(jax.lax, "pcast") else jax.lax.pvary(x, missing)  # pyright: ignore
@@ -218,7 +219,7 @@ def _with_varying(aval: Any, axes: frozenset) -> Any:
 
 
 def _type_only(name: str, varying: Callable[[frozenset], frozenset], back: Callable[[], Primitive]) -> Primitive:
-    """An operation that changes the type, not the numbers."""
+    """An operation that changes the type of an array but not its numbers."""
     primitive = same_numbers(
         name,
         typed=lambda x, axes: _with_varying(x, varying(axes)),
@@ -239,7 +240,8 @@ _shown_p = _type_only("manual_axes_shown", lambda axes: axes, lambda: _hidden_p)
 def linear_with_transpose(
     forward: Callable[[Any, Any], Any], transpose: Callable[[Any, Any], Any], known: Any, moved: Any, like: Any
 ) -> Any:
-    """forward(known, moved), linear in moved, with its own transpose. Only the one that is needed is traced; both keep their derivatives.
+    """forward(known, moved), linear in moved, with its own transpose. Only the function that is needed is traced; both can be
+    differentiated again.
 
     Args:
         forward: function of (known, moved); neither function may hold arrays

@@ -99,7 +99,7 @@ def clear() -> None:
 
 
 def screen() -> TextIO | None:
-    """stderr of a terminal or stdout of a notebook; None where there is neither."""
+    """stderr of a terminal or stdout of a notebook; None if there is neither."""
     if sys.stderr is not None and sys.stderr.isatty():
         return sys.stderr
     ipython: Any = sys.modules.get("IPython")
@@ -111,7 +111,7 @@ def screen() -> TextIO | None:
 def working(name: str, progress: bool | None = None) -> Iterator[Line]:
     """A progress line for the duration of a `with` block, shown after five seconds where progress is None.
 
-    False turns it off; so does True, as a lasting report is then printed instead."""
+    False turns it off; so does True, because reports are then printed on lines of their own."""
     lines = _local.__dict__.setdefault("lines", [])
     line, outermost = Line(name), not lines
     stream = screen() if outermost and progress is None else None

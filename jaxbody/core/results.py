@@ -25,7 +25,7 @@ class Result(tables.Printed, eqx.Module):
         return self.status == Status.OK
 
     def explain(self) -> str:
-        """Details of the failure of a single sample; empty where there are none. Those of a trajectory or an equilibrium are computed."""
+        """Details of the failure of a single sample; "" if there are none. A trajectory or an equilibrium computes them when asked."""
         return ""
 
     def report(self) -> str:
@@ -33,7 +33,7 @@ class Result(tables.Printed, eqx.Module):
         return self.message(type(self).explain)
 
     def message(self, details: Callable[[Any], str]) -> str:
-        """The same with other details than those of `explain`."""
+        """The same text as `report`, with other details than those of `explain`."""
         if not is_concrete(self.status):
             return "traced"
         codes = np.asarray(self.status)
@@ -69,7 +69,7 @@ def without_derivatives(tree: Any) -> Any:
 
 
 def warn_if_failed(result: AnyResult) -> AnyResult:
-    """The result at the end of a public function, with a warning if it failed and its status is not traced."""
+    """The result itself, which a public function returns, after a warning if it failed and its status is not traced."""
     if is_concrete(result.status) and (codes := np.asarray(result.status)).any():
         warn(Status(int(codes.flat[np.flatnonzero(codes)[0]])).name, f"{type(result).__name__}: {result.report()}")
     return result

@@ -46,8 +46,8 @@ class Printed(ABC):
 
 
 def summarized(title: str, ndim: int, **heads: str) -> Callable:
-    """A decorator of `_tables` of results that may be batches: unless the first of these attributes has `ndim` axes and a known value, the
-    result prints as one table of the attributes, each under its heading."""
+    """A decorator of `_tables` for results that may be batches. If the first of these attributes does not have `ndim` axes, or is traced,
+    the result prints as one table of the attributes, each with its heading."""
 
     def of_method(single: Callable[[Any], list[PrintedTable]]) -> Callable[[Any], list[PrintedTable]]:
         @wraps(single)
@@ -62,7 +62,7 @@ def summarized(title: str, ndim: int, **heads: str) -> Callable:
 
 
 def in_numpy(tree: Any) -> Any:
-    """The tree with arrays of JAX as arrays of NumPy; tracers stay."""
+    """The tree with JAX arrays converted to NumPy arrays; tracers stay."""
     return jax.tree.map(lambda x: np.asarray(x) if isinstance(x, jax.Array) and not isinstance(x, Tracer) else x, tree)
 
 
@@ -88,7 +88,7 @@ def number(value: Any) -> str:
 
 
 def percent(share: Any) -> str:
-    """A share in percent, to two digits; empty where it is round-off or not finite.
+    """A share in percent, to two digits; empty if it is round-off or not finite.
 
     >>> percent(0.0123), percent(2.1), percent(2e-14)
     ('1.2 %', '210 %', '')
@@ -99,7 +99,7 @@ def percent(share: Any) -> str:
 
 
 def counted(count: int, what: str) -> str:
-    """A number of things: "1 line", "2 lines"."""
+    """A count with its noun: "1 line", "2 lines"."""
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
@@ -139,7 +139,7 @@ def _rest(table: PrintedTable) -> str:
 
 
 def html(*shown: PrintedTable) -> str:
-    """The same for a notebook."""
+    """The tables as HTML, for a notebook."""
     blocks = []
     for table in shown:
         head = "".join(f"<th>{escape(c)}</th>" for c in table.columns)

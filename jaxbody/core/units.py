@@ -160,7 +160,7 @@ def _tokens(text: str, written: str, where: str) -> list[tuple[str, str]]:
 
 
 def _product(rest: list[tuple[str, str]], written: str, where: str, depth: int = 0) -> tuple[float, Dimension]:
-    """The product of the units up to the end or a closing parenthesis, which are taken off `rest`."""
+    """The product of the units up to the end or a closing parenthesis; they are removed from `rest`."""
     factor, dimension, sign, divided = 1.0, NONE, 1, False
     while True:
         f, d = _power(rest, written, where, depth)

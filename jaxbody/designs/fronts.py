@@ -84,9 +84,10 @@ def pareto(
         points: number of designs on the front.
         options: the other options of `tune`.
 
-    Two objectives: from the design with the least second objective to that with the least first one, about equally spaced relative to
-    their ranges. Three objectives: such fronts of the first and third for several bounds on the second, about `points` in all, without
-    dominated or repeated designs. Warns of the worst status of a design. Errors: BAD_FRONT, those of `tune`.
+    For two objectives, the front runs from the design with the least second objective to that with the least first one, about equally
+    spaced relative to their ranges. For three objectives, it consists of such fronts of the first and third for several bounds on the
+    second, about `points` designs in all, without dominated or repeated designs. Warns with the worst status of all designs. Errors:
+    BAD_FRONT, those of `tune`.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def trade(model):
@@ -127,7 +128,7 @@ def _value(design: Tuning, name: str) -> float:
 
 
 def _slack(x: float) -> float:
-    """A bound that the design with this value still meets."""
+    """A bound slightly above a value, so that the design with this value is feasible in spite of tolerances."""
     return x + MET * abs(x)
 
 

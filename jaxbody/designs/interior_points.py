@@ -29,7 +29,7 @@ def minimize_by_ipopt(
     n, m = len(u), len(limits[0])
 
     class Slopes(casadi.Callback):
-        """The derivatives of f and c in u; CasADi also passes their values."""
+        """The derivatives of f and c with respect to u; CasADi also passes their values."""
 
         def __init__(self, name: str, options: Any):
             casadi.Callback.__init__(self)

@@ -98,9 +98,10 @@ def coupling_of_modes(lin: Linearization) -> Float[Array, ""]:
 
         sum over modes j of sum over i != k of |e_ij| |e_kj|,   e_ij = v_i (M v)_i/(v' M v), shares of kinetic energy as in `mode_energies`
 
-    It is 0 if each mode has one share only, and 5/6 per mode for six equal shares. Products of inertia can make shares negative, so their
-    absolute values count, sqrt(e^2 + 1e-12). Modes with equal frequencies are aligned with the directions, so that equal frequencies alone
-    cause no coupling. Source: kinetic energy decoupling, T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
+    It is 0 if each mode has one share only, and 5/6 per mode for six equal shares. Products of inertia can make shares negative, so the sum
+    uses absolute values, smoothed as sqrt(e^2 + 1e-12). Modes with equal frequencies are aligned with the directions, so that equal
+    frequencies alone cause no coupling. Source: kinetic energy decoupling, T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000)
+    85.
 
     >>> model = jb.presets.isolated_table(at=(0.45, 0.3, 0.0))  # in the plane of its center of mass
     >>> round(float(coupling_of_modes(linearize(model, model.reference))), 4)
@@ -159,7 +160,7 @@ def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Ar
     """
     known = concrete(response.frequencies)
     if known is not None and not known.all():
-        hint = "The average is over log(f): leave 0 Hz out."
+        hint = "The average is over log(f): omit 0 Hz."
         raise JaxbodyError(Problem("BAD_FREQUENCY", "transmitted.response", "has a frequency of 0 Hz", 0.0, "> 0", hint))
     H, x = response[output, name], jnp.log(response.frequencies)
     return jnp.sqrt(jnp.trapezoid(jnp.real(H) ** 2 + jnp.imag(H) ** 2, x) / (x[-1] - x[0]))

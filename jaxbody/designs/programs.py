@@ -33,7 +33,7 @@ class Program:
         minimize, limits: the objective and the limits of other quantities, by name.
         width: number of u in a batch.
         reverse: derivatives by reverse mode; None decides by the number of parameters.
-        key: for stochastic objectives, otherwise None.
+        key: random key for stochastic objectives, otherwise None.
         progress: True prints every evaluation to stderr.
         line: shows a progress line.
     """

@@ -95,7 +95,7 @@ class Search:
 def run_in_lockstep(
     evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], searches: list[Search], run: Callable[[Search], None]
 ) -> None:
-    """`run(search)` for each; their requests go to `evaluate` (b, n) -> values (b, m), Jacobians (b, m, n) as one batch."""
+    """Call `run(search)` for each search; their requests go to `evaluate` (b, n) -> values (b, m), Jacobians (b, m, n) as one batch."""
 
     def act(search: Search) -> None:
         search.go.acquire()

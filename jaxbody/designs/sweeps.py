@@ -53,7 +53,7 @@ def sweep(
         chunk: number of models evaluated at a time; None takes up to 1024 that fit in 1 GiB.
         progress: None shows progress after five seconds on a terminal or in a notebook, False is silent, True prints to stderr at once.
 
-    Errors: those of `replace`, NON_FINITE, WRONG_KIND of a key, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, MISSING_EXTRA.
+    Errors: those of `replace`, NON_FINITE, WRONG_KIND for a key, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, MISSING_EXTRA.
 
     >>> car = jb.presets.quarter_car()
     >>> def sag(model):

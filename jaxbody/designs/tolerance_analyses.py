@@ -92,10 +92,10 @@ def tolerances(
         model, evaluate: as in `tune`.
         scatter: {path or pattern: standard deviation}, in the parameter's unit, one number or an array of the parameter's shape.
         samples: number of Monte Carlo samples.
-        key: for these samples; None takes jax.random.key(0).
+        key: random key for these samples; None takes jax.random.key(0).
         progress: None shows a line after five seconds on a terminal or in a notebook, False is silent.
 
-    Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER, WRONG_KIND of a key. Warns NONFINITE if samples are not finite.
+    Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER, WRONG_KIND for a key. Warns NONFINITE if samples are not finite.
 
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}

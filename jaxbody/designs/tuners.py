@@ -58,15 +58,15 @@ def tune(
         free: paths or patterns of independent parameters; "spring fl.stiffness = spring fr.stiffness" ties parameters,
             "left.a = right.a * [1, -1, 1]" with factors.
         minimize: name of the objective.
-        limits: {name: (lower, upper)}, either may be None, or {name: number} for equality; each element of an array has them.
+        limits: {name: (lower, upper)}, either may be None, or {name: number} for equality; for an array they apply to each element.
         bounds: {path or pattern: (lower, upper)}, in the units of the parameter, never violated.
         catalogues: {path or pattern: available values}; all neighbors of the optimum are tried, with the other parameters tuned again.
         starts: number of initial designs: the model, and others drawn between the bounds; all are evaluated in batches.
-        key: for the drawn designs and for stochastic objectives; None takes jax.random.key(0).
+        key: random key for the drawn designs and for stochastic objectives; None takes jax.random.key(0).
         method: "slsqp" or "trust-constr" (SciPy), "ipopt" (needs jaxbody[ipopt]), restarted while they improve, or an optax optimizer
             for large or stochastic objectives without limits, where `evaluate` may take a key as its second argument.
-        max_iterations: most iterations of each start; the number of steps with optax.
-        tolerance: of the objective, relative to its value at the start.
+        max_iterations: largest number of iterations from each start; the number of steps with optax.
+        tolerance: tolerance of the objective, relative to its value at the start.
         reverse: derivatives by reverse mode; None uses forward mode for up to thirty free numbers.
         progress: None shows progress after five seconds, False is silent, True prints every evaluation to stderr.
 
@@ -74,9 +74,9 @@ def tune(
     trial that is not finite is a rejected step. Where derivatives do not exist, as with equal natural frequencies, those of a nearby
     point are used; smooth quantities (`objectives`) avoid this.
 
-    Errors: UNKNOWN_PATH, UNKNOWN_NAME, WRONG_KIND of a key, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND, START_OUTSIDE,
-    BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE, NONFINITE_START, MISSING_EXTRA, TRACED, FLOAT32. Warns
-    INFEASIBLE, with the violated limits, and NOT_CONVERGED.
+    Errors: UNKNOWN_PATH, UNKNOWN_NAME, WRONG_KIND for a key, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND,
+    START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE, NONFINITE_START, MISSING_EXTRA, TRACED,
+    FLOAT32. Warns INFEASIBLE, with the violated limits, and NOT_CONVERGED.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def sag(model):
@@ -174,7 +174,8 @@ def _check_options(method: Any, limits: dict[str, Any], catalogs: dict[int, Any]
 
 
 def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> list[Search]:
-    """Starts at all combinations of neighbors in the catalogues; beyond MOST_NEIGHBORS, the clearest choices take the nearer neighbor."""
+    """Starts at all combinations of neighbors in the catalogues; of more than MOST_NEIGHBORS parameters, only those between two values that
+    are about equally near try both."""
     places = [space.ends[i].start for i in catalogs]
     pairs = [_neighbors_of(catalog, best.u[at]) for at, catalog in zip(places, catalogs.values(), strict=True)]
     clear = [abs(np.diff(np.abs(pair - best.u[at])).sum()) if len(pair) > 1 else np.inf for at, pair in zip(places, pairs, strict=True)]
@@ -190,7 +191,7 @@ def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> l
 
 
 def _neighbors_of(catalog: np.ndarray, u) -> np.ndarray:
-    """The neighbors of u, one below and one above, the nearer first."""
+    """The catalogue values next to u, one below and one above, with the nearer one first."""
     above = int(np.searchsorted(catalog, u))
     pair = catalog[max(above - 1, 0) : above + 1]
     return pair[np.argsort(np.abs(pair - u), kind="stable")]

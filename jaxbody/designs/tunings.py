@@ -91,7 +91,7 @@ class Tuning(Result):
         for name, values in {**runs.quantities, **runs.values}.items():
             axes = tuple(f"{name}_{i}" for i in range(np.ndim(values) - 1))
             variables.setdefault(name, (("start", *axes), values, ""))
-        return dataset(variables, {"start": np.arange(len(runs.status))}, f"design of least {self.minimize}")
+        return dataset(variables, {"start": np.arange(len(runs.status))}, f"design with the least {self.minimize}")
 
     def _tables(self) -> list[tables.PrintedTable]:
         start = {group.path: group.form.start for group in self.space.groups}
@@ -108,7 +108,7 @@ class Tuning(Result):
         note = "\n".join([*self.words, f"{self.evaluations} evaluations, best of {len(self.runs.status)} starts; {self.report()}"])
         heads = ("", "before", "after", "limit", f"{self.minimize} per unit of the limit")
         return [
-            tables.PrintedTable(f"Design of least {self.minimize}", ("parameter", "before", "after", ""), rows),
+            tables.PrintedTable(f"Design with the least {self.minimize}", ("parameter", "before", "after", ""), rows),
             tables.PrintedTable("", heads, [row[1:] for row in quantities], note),
         ]
 
@@ -151,7 +151,7 @@ def _status_and_multipliers(search: Search, rows: Rows, space: Space) -> tuple[i
 
 
 def _remedy(program: Program, best: Search, iterations: int) -> str:
-    """Advice for a search that has not converged: more iterations if it has used all; or bounds, if a derivative jumps at its end."""
+    """Advice for a search that has not converged: more iterations if it has used them all; or bounds, if a derivative jumps at its end."""
     rows, labels = program.rows, program.labels()
     requested = np.r_[rows.objective, rows.limited].astype(int)
     along = np.where(best.low < best.high, best.slopes[rows.objective], 0.0)
@@ -163,7 +163,7 @@ def _remedy(program: Program, best: Search, iterations: int) -> str:
         return f"derivatives of {names} jump there{cause}; this may be the optimum: check with bounds that exclude one side of the kink"
     if best.iterations >= iterations:
         return "increase max_iterations"
-    return f"no further step improved it, after {best.iterations} of {iterations} iterations; try more starts or another method"
+    return f"no further step improved the design, after {best.iterations} of {iterations} iterations; try more starts or another method"
 
 
 def tuning_of(program: Program, searches: list[Search], best: Search, iterations: int) -> Tuning:

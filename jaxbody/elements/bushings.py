@@ -30,8 +30,8 @@ class Bushing(Element):
         stiffness: K, a symmetric positive semidefinite 6 x 6 matrix, or three numbers along the bushing's axes [N/m], with no rotational
             stiffness
         damping: C likewise [N s/m]; None: no damping
-        orientation: of the frame at a in its body
-        orientation_b: of the frame at b in its body
+        orientation: orientation of the frame at a in its body
+        orientation_b: orientation of the frame at b in its body
         allow_negative: warn of negative coefficients instead of refusing them
 
     Errors: NOT_SYMMETRIC, NEGATIVE_STIFFNESS, NEGATIVE_DAMPING, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION.

@@ -30,7 +30,7 @@ class Touching(Element):
 
     stiffness: Float[Array, ""] = field("N/m", "nonnegative")
     damping: Float[Array, ""] = field("N s/m", "nonnegative")
-    engagement: Float[Array, ""] = field("m", "positive", hint="A hundredth of the travel does little harm.")
+    engagement: Float[Array, ""] = field("m", "positive", hint="A hundredth of the travel has little effect.")
 
     def energy(self, e):
         return self.stiffness * ramp_energy(-e, self.engagement)
@@ -58,7 +58,7 @@ class Touching(Element):
 
 
 class Tyre(Touching):
-    """The vertical force of a tyre: it pushes the hub a up from the road b while the hub is lower than the radius; it may lift off.
+    """The vertical force of a tyre: it pushes the hub a up from the road b while the hub is lower than the radius; the tyre may lift off.
 
         e = n . (A - B) - radius,   n the road's normal, `axis` in the road's frame; the penetration is -e
 
@@ -98,7 +98,7 @@ class Contact(Touching, LineElement):
 
     Args:
         a, b: (name, point in its frame [m])
-        distance: at which the points touch [m]
+        distance: distance at which they touch [m]
         stiffness: [N/m]
         damping: [N s/m]
         engagement: penetration over which stiffness and damping build up [m]

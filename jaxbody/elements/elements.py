@@ -107,7 +107,7 @@ class Element(eqx.Module):
 
 
 def _wrench(cotangent: Pose, R: Float[Array, "3 3"]) -> Wrench:
-    """Force and moment of a cotangent of a pose: the moment is the sum over the columns of R x its cotangent."""
+    """Force and moment of a cotangent of a pose: the moment is the sum of the cross products of the columns of R with their cotangents."""
     return cotangent.p, cross(R.T, cotangent.R.T).sum(0)
 
 
@@ -138,7 +138,7 @@ class LineElement(Element):
         return False
 
     def length(self, A: Pose, B: Pose) -> Float[Array, ""]:
-        """|AB|, its derivatives zero at zero length."""
+        """|AB|, whose derivatives at zero length are zero."""
         return length_and_direction(B.point(self.b) - A.point(self.a))[0]
 
     def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
@@ -146,7 +146,7 @@ class LineElement(Element):
         return self.length(A, B) - self.free_length
 
     def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        """AB over the free length; 1 where the force at zero length is zero, as nothing jumps then."""
+        """AB over the free length; 1 where the force at zero length is zero, because no force jumps then."""
         _, rest, _ = self.split(jnp.zeros_like(self.free_length))
         jumps = (self.free_length > 0) & (rest != 0)
         return jnp.where(jumps, (B.point(self.b) - A.point(self.a)) / jnp.where(jumps, self.free_length, 1.0), 1.0)
@@ -180,7 +180,8 @@ def length_and_direction(d: Float[Array, "3"]) -> tuple[Float[Array, ""], Float[
 
 
 def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[Array, "3 3"]]:
-    """For an element with `orientation` and `orientation_b`: the axes of its first end to the world, those of the second to the first."""
+    """For an element with `orientation` and `orientation_b`: the rotations from the axes of its first end to the world, and of its second
+    end to the first."""
     R_A, R_B = product(A.R, rotations.matrix(element.orientation)), product(B.R, rotations.matrix(element.orientation_b))
     return R_A, product(jnp.swapaxes(R_A, -1, -2), R_B)
 
@@ -193,6 +194,6 @@ def check_signs(element: Any, allow_negative: bool, problems: Problems) -> None:
     element.allow_negative = bool(allow_negative)
     for problem in found.collected:
         if allow_negative and problem.code in ALLOWED:
-            warn(problem.code, f"{problem.where} {problem.message}, as allowed: {ALLOWED[problem.code]}")
+            warn(problem.code, f"{problem.where} {problem.message}, which is allowed: {ALLOWED[problem.code]}")
         else:
             problems.collected.append(problem)

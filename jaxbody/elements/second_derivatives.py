@@ -60,7 +60,8 @@ Blocks = dict[tuple[int, int], Block]  # for each pair (i, j) of an element's fr
 
 @singledispatch
 def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, Blocks]:
-    """Gradient and Hessian of V; the Hessian is the symmetric part of the derivative of the wrenches, as rotations only add a skew part."""
+    """Gradient and Hessian of V; the Hessian is the symmetric part of the derivative of the wrenches, because rotations only add a skew
+    part."""
     n = 6 * len(frames)
 
     def moved(frame, x):

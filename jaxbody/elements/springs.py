@@ -70,7 +70,7 @@ class SpringDamper(LineElement):
     Args:
         a, b: (name, point in its frame [m])
         spring: a law (jb.laws), the stiffness of a linear one [N/m] or a JAX function x -> F; None: no spring
-        damper: likewise, over the rate; a number is a damping [N s/m]
+        damper: likewise, as a function of the rate; a number is a damping [N s/m]
         free_length: l0, the length at which the spring's law has x = 0 [m]
 
     Errors: NEGATIVE, NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.

@@ -39,24 +39,24 @@ class LawElement(Element):
 
 
 class Torsion(LawElement):
-    """A torsion spring and damper between two bodies, as at a hinge: the rotation of B relative to A about an axis n of A,
+    """A torsion spring and damper between two bodies, for example at a hinge: the rotation of B relative to A about an axis n of A,
 
         e = 2 atan2(n . w, 1 + tr R) - e0,   R = R_A' R_B,   w = (R32 - R23, R13 - R31, R21 - R12),   |e + e0| < pi
 
-    for a general rotation the part about n (the twist). At half a turn e jumps by 2 pi, and `simulate` warns HALF_TURN. At a ball joint use
-    a Bushing for all three axes.
+    which for a general rotation is the part about n (the twist). At half a turn e jumps by 2 pi, and `simulate` warns HALF_TURN. At a ball
+    joint use a Bushing for all three axes.
 
     Args:
-        a, b: names, or (name, point) where the element is drawn
+        a, b: names, or (name, point) with the point where plots show the element
         axis: n, in the axes of A
         spring: a law [rad -> N m], a stiffness [N m/rad] or a function; None: no spring
         damper: likewise [rad/s -> N m], [N m s/rad]
-        free_angle: e0 [rad], from where the axes of the two frames coincide
-        orientation: of these axes in A
-        orientation_b: of these axes in B
+        free_angle: e0 [rad]; it is zero if the spring is relaxed where the axes of the two frames coincide
+        orientation: orientation of these axes in A
+        orientation_b: orientation of these axes in B
 
     Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, those of the laws.
-    Warns UNIT of a free angle of more than a turn.
+    Warns UNIT for a free angle of more than a turn.
 
     >>> spring = Torsion("arm", "base", axis=[0, 0, 1], spring=30.0, damper=0.5)
     >>> spring.between
@@ -110,7 +110,7 @@ class AntiRollBar(LawElement):
         body: name of the body that carries the bar, or (name, point)
         axis: upwards, in body axes
         spring: a law, or the stiffness at the wheels [N/m]: torsional stiffness of the bar over the square of its lever arm
-        damper: likewise, over the rate [N s/m]
+        damper: likewise, as a function of the rate [N s/m]
 
     Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
 

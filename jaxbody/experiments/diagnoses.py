@@ -2,7 +2,7 @@
 
     measured(t) ~ offset + gain reading(t - delay)
 
-for every channel, by least squares. Use it with a model that is roughly right, before a fit, whose estimates would hide such errors.
+for every channel, by least squares. Use it before a fit, with a model that is roughly right; the estimates of a fit would hide such errors.
 """
 
 from __future__ import annotations
@@ -76,14 +76,15 @@ def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool
     """Likely errors of measured channels, from a comparison with the predictions of the model without a fit.
 
     Args:
-        model: with parameters that are roughly right.
+        model: a model with parameters that are roughly right.
         experiments: {name: Experiment}.
         progress: None shows progress on a terminal or in a notebook after five seconds, False is silent.
         options: those of `simulate`.
 
-    Warns GAIN_FACTOR of a gain near 1000, 57.3, 9.81, 39.4 or their inverses, or negative; DELAY of more than 0.05 samples and 4 standard
-    errors of white noise; SWAPPED of two channels whose cost is 30 % lower when exchanged; LEFT_HANDED of three axes that agree with the
-    model only after a reflection; GRAVITY of an accelerometer's record without gravity, or with gravity that the model does not have.
+    Warns GAIN_FACTOR for a gain near 1000, 57.3, 9.81, 39.4 or their inverses, or negative; DELAY for a delay of more than 0.05 samples and
+    4 standard errors of white noise; SWAPPED for two channels whose cost is 30 % lower when exchanged; LEFT_HANDED for three axes that
+    agree with the model only after a reflection; GRAVITY for an accelerometer's record without gravity, or with gravity that the model does
+    not have.
     Errors: those of `simulate`.
 
     >>> times = jnp.linspace(0, 1, 50)
@@ -180,7 +181,7 @@ def _swapped(channels: dict[str, tuple[np.ndarray, np.ndarray, str]]) -> list[tu
         recorded, exchanged = np.sum((y - p) ** 2 + (z - q) ** 2), np.sum((y - q) ** 2 + (z - p) ** 2)
         if exchanged < BETTER * recorded:
             lower = 100 * (1 - exchanged / recorded)
-            remarks.append(("SWAPPED", f"{a} and {b} fit better when exchanged, at {lower:.0f} % lower cost: are their cables swapped?"))
+            remarks.append(("SWAPPED", f"{a} and {b} fit better when exchanged, with {lower:.0f} % lower cost: are their cables swapped?"))
     return remarks
 
 

@@ -59,7 +59,7 @@ class Experiment(Measurement):
             estimated from the residuals.
         leave_out: duration of the initial transient [s], whose samples become NaN.
 
-    Errors, all at once: times as in `simulate`, BAD_SHAPE, NO_DATA, ALL_NAN of a channel, NON_FINITE, BAD_QUATERNION, BAD_NOISE,
+    Errors, all at once: times as in `simulate`, BAD_SHAPE, NO_DATA, ALL_NAN for a channel, NON_FINITE, BAD_QUATERNION, BAD_NOISE,
     UNKNOWN_NAME, BAD_NAME, DUPLICATE_NAME, WRONG_KIND; warns MISSING above 20 %, DEAD, SATURATED.
 
     >>> height = Position("mass", axis=[0, 1, 0])
@@ -200,7 +200,7 @@ class Experiment(Measurement):
             problems.collected = [_under(where, problem) for problem in problems.collected]
 
     def _delay_problem(self, name: str) -> Problem | None:
-        """BAD_DELAY, if a sensor's delay leaves no measured sample to compare with."""
+        """The problem BAD_DELAY if a sensor's delay leaves no measured sample to compare with."""
         sensor = self.sensors[name]
         if sensor.delay is None or not is_concrete(sensor.delay, self.times, self.measured[name]):
             return None
@@ -209,7 +209,7 @@ class Experiment(Measurement):
             return None
         length = float(self.times[-1] - self.times[0])
         message = f"is {float(sensor.delay):.6g} s in a record of {length:.6g} s: no measured sample is left to compare with"
-        hint = "Is it in milliseconds? Give seconds, a small part of the record."
+        hint = "Is it in milliseconds? Give it in seconds; it is usually a small part of the record."
         return Problem("BAD_DELAY", f"sensors['{name}'].delay", message, float(sensor.delay), f"-{length:.6g} to {length:.6g} s", hint)
 
 
@@ -234,7 +234,7 @@ def _under(where: str, problem):
 
 
 def _kept(leave_out: Any, times, problems: Problems):
-    """Which samples are after the part that is left out; None for all."""
+    """Which samples are used: those after the part that is left out; None for all."""
     duration = None if times is None or not is_concrete(times) else float(times[-1] - times[0])
     valid = isinstance(leave_out, int | float | np.number) and not isinstance(leave_out, bool) and leave_out >= 0
     if not valid or (duration is not None and not leave_out < duration):

@@ -85,7 +85,7 @@ class MeasuredModes(Measurement):
             numbers = tuple(range(count)) if number is None else tuple(int(n) for n in np.ravel(number))
             if len(numbers) != count or len(set(numbers)) < len(numbers) or any(n < 0 for n in numbers):
                 problems.add(
-                    "BAD_SHAPE", "MeasuredModes.number", f"is {number}", value=number, limit=f"{count} different numbers from 0 on"
+                    "BAD_SHAPE", "MeasuredModes.number", f"is {number}", value=number, limit=f"{count} different numbers from 0 up"
                 )
             levels = {}
             for name, level in (noise or {}).items():

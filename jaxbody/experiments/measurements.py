@@ -55,7 +55,7 @@ class Measurement(eqx.Module):
 
     @abstractmethod
     def place(self, row: int) -> tuple[str, float]:
-        """The place of a row of `measured`, as text and as a number."""
+        """The time, frequency or mode of a row of `measured`, as text and as a number."""
 
     def present(self, name: str) -> np.ndarray:
         """Which components of the residuals of a channel have samples."""

@@ -1,4 +1,4 @@
-"""Fields with a unit and a domain of their numbers, stated once in the class; a unit may be a formula in words that the owner defines."""
+"""Fields whose unit and domain are stated once, in the class; a unit may be a formula of words whose units the owner defines."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ def field(unit: str = "", domain: str = "any", *, code: str = "", hint: str = ""
             quaternion) or inertia; for a row of numbers, increasing or rising (not falling; a fit uses the logarithms of its steps); for a
             state, configuration or speeds (the coordinates of the joints, and their rates);
             "nonnegative unless allow_negative" is any where the owner's `allow_negative` is true
-        code, hint: of the error for a number outside its domain; default code: NEGATIVE, NOT_POSITIVE or NOT_A_FRACTION
+        code, hint: code and hint of the error for a number outside its domain; default code: NEGATIVE, NOT_POSITIVE or NOT_A_FRACTION
         words: for a field that holds laws or signals, the words of their formulas: {"force": "N m", "argument": "rad"}
-        options: of equinox.field: default, converter, static
+        options: options of equinox.field: default, converter, static
 
     Error: UNKNOWN_DOMAIN.
 
@@ -105,7 +105,7 @@ def _stated(owner: Any, name: str) -> tuple[Kind, dict[str, str]]:
 
 def resolved(unit: str, owner: Any, words: dict[str, str]) -> str:
     """A unit with its words replaced: by those given, by those of the owner's class (`words`), or by an attribute of the owner that is a
-    unit; "" where a word is missing."""
+    unit; "" if a word is missing."""
     own = getattr(owner, unit, unit) if unit.isidentifier() else unit
     text, words = own if isinstance(own, str) else unit, {**getattr(owner, "words", {}), **words}
     return "; ".join(", ".join(_reduced(part, words) for part in row.split(",")) for row in text.split(";"))
@@ -132,7 +132,8 @@ def _powers(unit: str, words: dict[str, str]) -> dict[str, int]:
 def units_of(kind: Kind, shape: tuple[int, ...]) -> list[str]:
     """The unit of each number of an array.
 
-    A row has the first unit where the units are those of a matrix; "" where the shape does not divide into as many parts as units."""
+    If the units are those of a matrix, a row has the first of them. The units are "" if the shape cannot be divided into one part per
+    unit."""
     blocks = np.array([[unit.strip() for unit in row.split(",")] for row in kind.unit.split(";")])
     blocks = blocks[:1, :1] if len(blocks) > 1 and len(shape) < 2 else blocks
     last, before = (1, 1, *shape)[-1], (1, 1, *shape)[-2]
@@ -143,7 +144,7 @@ def units_of(kind: Kind, shape: tuple[int, ...]) -> list[str]:
 
 
 def take(owner: Any, problems: Problems | None = None, **values) -> None:
-    """Set fields of an owner under construction to numbers, each checked for its domain. Errors are added to `problems`, or else raised."""
+    """Set fields of an object in its constructor, and check their domains. Errors are added to `problems`, or raised if it is None."""
     found = Problems() if problems is None else problems
     for name, value in values.items():
         where = f"{type(owner).__name__}.{name}"
@@ -155,9 +156,9 @@ def take(owner: Any, problems: Problems | None = None, **values) -> None:
 
 
 def check_domain(value: Any, kind: Kind, where: str, problems: Problems) -> None:
-    """Check that numbers are in their domain, as far as it concerns signs and symmetry.
+    """Check the signs and the symmetry that the domain of numbers requires.
 
-    Errors: that of the field, or NEGATIVE, NOT_POSITIVE, NOT_A_FRACTION; NOT_SYMMETRIC of a matrix."""
+    Errors: that of the field, or NEGATIVE, NOT_POSITIVE, NOT_A_FRACTION; NOT_SYMMETRIC for a matrix."""
     known = concrete(value)
     if known is None or kind.domain not in LIMITS:
         return
@@ -176,7 +177,7 @@ def _check_definite(known: np.ndarray, kind: Kind, where: str, problems: Problem
     largest, difference = np.abs(known).max(), known - known.T
     if known.ndim == 2 and np.abs(difference).max() > 1e-9 * largest:
         message = f"is not symmetric: largest |K - K'| = {np.abs(difference).max():.3g}"
-        hint = "No potential energy belongs to such a matrix; give (K + K')/2 if that is meant."
+        hint = "Such a matrix has no potential energy; give (K + K')/2 if you mean its symmetric part."
         problems.add("NOT_SYMMETRIC", where, message, value=difference, limit=f"{1e-9 * largest:.3g}", hint=hint)
         return
     values = known if known.ndim == 1 else np.linalg.eigvalsh(known)

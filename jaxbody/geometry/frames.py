@@ -1,4 +1,4 @@
-"""Frames: poses, the velocities that go with them, and the chart in which small displacements are written."""
+"""Frames: poses, their velocities, and the coordinates (chart) of small displacements."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
 from jaxbody.geometry.vectors import cross, product, rotate, rotate_back
 
-Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about the frame's origin, world axes
+Wrench = tuple[Float[Array, "3"], Float[Array, "3"]]  # force and moment about the frame's origin, in world axes
 
 
 class Pose(eqx.Module):
@@ -34,7 +34,7 @@ class Pose(eqx.Module):
         return Frame(self.p, self.R, jnp.zeros_like(self.p), jnp.zeros_like(self.p))
 
     def displaced(self, xi: Float[Array, "*n 6"]) -> Pose:
-        """The chart of a free frame: xi = (displacement of the origin, rotation vector), world axes; R -> exp([theta]) R."""
+        """The chart of a free frame: xi = (displacement of the origin, rotation vector), in world axes; R -> exp([theta]) R."""
         return Pose(self.p + xi[..., :3], product(rotations.exp(xi[..., 3:]), self.R))
 
     @property
@@ -43,7 +43,7 @@ class Pose(eqx.Module):
 
 
 class Frame(Pose):
-    """A pose with its motion: velocity v of the origin and angular velocity w, world axes."""
+    """A pose with its motion: velocity v of the origin and angular velocity w, in world axes."""
 
     v: Float[Array, "*n 3"]
     w: Float[Array, "*n 3"]
@@ -64,7 +64,7 @@ class Frame(Pose):
 
 
 def stack(frames: list[Frame]) -> Frame:
-    """The rows of several tables in one."""
+    """One table with the rows of several."""
     if len(frames) == 1:
         return frames[0]
     return Frame(*(jnp.concatenate([getattr(f, name) for f in frames]) for name in ("p", "R", "v", "w")))

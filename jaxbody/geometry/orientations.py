@@ -64,7 +64,7 @@ class Euler(eqx.Module):
 
 
 def _product(p: list[Any], q: list[Any]) -> list[Any]:
-    """The quaternion product: the rotation q, then p."""
+    """The quaternion product p q: the rotation q followed by p."""
     (a, b, c, d), (w, x, y, z) = p, q
     return [a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y, a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w]
 
@@ -101,7 +101,7 @@ def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
 
 
 def _quaternion(R: np.ndarray) -> np.ndarray:
-    """The unit quaternion of a rotation matrix, as the dominant eigenvector of 4 q q' - I; in NumPy, so that a check compiles nothing."""
+    """The unit quaternion of a rotation matrix, as the dominant eigenvector of 4 q q' - I; in NumPy, so that nothing is compiled."""
     x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     S = R + R.T
     K = np.block([[np.array([[np.trace(R)]]), np.array([[x, y, z]])], [np.array([[x], [y], [z]]), S - np.trace(R) * np.eye(3)]])
@@ -110,7 +110,7 @@ def _quaternion(R: np.ndarray) -> np.ndarray:
 
 
 def matrix(q: Any) -> Any:
-    """Rotation matrix of a unit quaternion; in NumPy unless it is traced, so that a check compiles nothing."""
+    """Rotation matrix of a unit quaternion; in NumPy unless it is traced, so that nothing is compiled."""
     q = known if (known := concrete(q)) is not None else q
     if not isinstance(q, np.ndarray):
         return rotations.matrix(q)

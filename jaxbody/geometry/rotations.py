@@ -1,4 +1,4 @@
-"""SO(3): exponential, logarithm and unit quaternions, exact to the fourth derivative at zero rotation.
+"""SO(3): exponential, logarithm and unit quaternions, with exact derivatives up to the fourth at zero rotation.
 
 A rotation vector is phi, theta = |phi|; a quaternion is (w, x, y, z). Near theta = 0 every coefficient is a power series in
 theta^2, because `where(theta < tiny, 1, sin(theta) / theta)` has wrong second derivatives for rotations of 1e-11 to 1e-8.
@@ -67,7 +67,7 @@ def about(n: Float[Array, "*n 3"], angle: Float[Array, "*n"]) -> Float[Array, "*
 
 
 def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
-    """J with angular velocity = J(phi) dphi/dt for R = exp([phi]), world axes."""
+    """J with angular velocity = J(phi) dphi/dt for R = exp([phi]), in world axes."""
     x = dot(phi, phi)
     _, b = _coefficients(x)
     small = x < 1.0
@@ -113,7 +113,7 @@ def log_below_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
 
 
 def away_from_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
-    """(1 + tr R, skew part of R), which is 4 w (w, x, y, z) of the unit quaternion: zero at half a turn."""
+    """(1 + tr R, skew part of R), which equals 4 w (w, x, y, z) for the unit quaternion; it is zero at half a turn."""
     trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
     return jnp.stack([1 + trace, R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
 
@@ -133,7 +133,7 @@ def inverse_left_jacobian(phi: Float[Array, "*n 3"], a: Float[Array, "*n 3"]) ->
 
 
 def multiply(p: Float[Array, "*n 4"], q: Float[Array, "*n 4"]) -> Float[Array, "*n 4"]:
-    """Quaternion product: the rotation q, then p."""
+    """Quaternion product p q: the rotation q followed by p."""
     pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
     return jnp.concatenate([pw * qw - jnp.sum(pv * qv, -1, keepdims=True), pw * qv + qw * pv + cross(pv, qv)], -1)
 

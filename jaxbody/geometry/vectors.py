@@ -1,4 +1,4 @@
-"""Vectors and matrices of three as sums of products, not matrix products: what that gains is listed in numerics/xla_workarounds.py."""
+"""Products of 3-vectors and 3 x 3 matrices as sums, which are faster than matrix products (numerics/xla_workarounds.py)."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def skew(a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3 3"]:
 
 
 def to_rank(a: Any, rank: int) -> Any:
-    """a with so many axes, those added first, for arithmetic with the rows of a table."""
+    """a with axes of length one added at the front, up to `rank` axes, for arithmetic with the rows of a table."""
     return a.reshape((1,) * (rank - a.ndim) + a.shape)
 
 

@@ -78,7 +78,7 @@ def _numbers(value: Any, shape: tuple[int, ...], where: str, *, positive: bool =
 
 
 def check_same(names: list[str], task: Task, where: str) -> None:
-    """A checkpoint must be of a fit of the same parameters to the same channels. Error: OTHER_FIT."""
+    """Check that a checkpoint is from a fit of the same parameters to the same channels. Error: OTHER_FIT."""
     own = _names(task)
     if names != own:
         differences = [f"'{name}'" for name in [*names, *own] if (name in names) != (name in own)] or ["the order of names"]

@@ -84,8 +84,8 @@ class Fit(Result):
         return {path: np.where(unknown, np.inf, errors[path]) for path, unknown in self._unknown_to_second_order().items()}
 
     def _unknown_to_second_order(self) -> dict[str, np.ndarray]:
-        """Which numbers of an undetermined direction or orientation have a first derivative of zero, as the z component of an axis along z:
-        their standard errors to first order would be zero."""
+        """Which numbers of an undetermined direction or orientation have a first derivative of zero, such as the z component of an axis
+        along z: their standard errors to first order would be zero."""
         u = self._assessed()
         error, _ = u.spread(np.eye(self.u.size))
         unknown = {}

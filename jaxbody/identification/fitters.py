@@ -79,7 +79,8 @@ def fit(
         method: "least_squares", SciPy's trust-region reflective method; any optax optimizer, restarted in whitened coordinates until it
             converges; or an optimistix least-squares solver, which also runs inside jit and vmap, differentiable in forward mode.
         bounds: {path or pattern: (lower, upper)} in the unit of the parameter, for "least_squares" only; by default none.
-        priors: {path or pattern: (mean, standard deviation)}, normal, of scalars and vectors; each counts as one more measurement.
+        priors: {path or pattern: (mean, standard deviation)} of normal distributions, for scalars and vectors; each counts as one more
+            measurement.
         loss: None for least squares; "soft_l1" or "cauchy" for data with outliers (`losses`).
         rtol, solver, stepsize_controller, dt0, max_steps: as in `simulate`.
         max_evaluations: largest number of evaluations of residuals and Jacobian.
@@ -88,18 +89,18 @@ def fit(
         checkpoint: path of a file to which every improved trial is saved; by default none.
         allow_float32: accept single precision, which loses half of the digits.
 
-    Stiffness, damping and mass stay positive, quaternions stay unit, and an inertia stays that of positive masses. Parameters that the data
-    do not determine are listed in words, without numbers. Noise that an experiment does not state is estimated for each channel from the
-    residuals, and the fit is repeated with it. A trial that cannot be simulated is a rejected step. Ctrl-C ends the fit with the best
-    estimates so far and status INTERRUPTED.
+    Stiffness, damping and mass stay positive, quaternions keep unit length, and an inertia stays one of positive masses. Parameters that
+    the data do not determine are listed in words, without numbers. Noise that an experiment does not state is estimated for each channel
+    from the residuals, and the fit is repeated with it. A trial that cannot be simulated is a rejected step. Ctrl-C ends the fit with the
+    best estimates so far and status INTERRUPTED.
 
     Constant steps are several times faster for many experiments in one batch, or for an input with kinks at samples that coincide with
     steps; they do not control the error, so compare with a shorter dt0.
 
     Errors: WRONG_KIND, BAD_NAME, BAD_NUMBER, UNKNOWN_PATH, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, BAD_BOUNDS, BAD_PRIOR,
     UNKNOWN_LOSS, START_OUTSIDE, START_ON_BOUND, BAD_DELAY, NONFINITE_START, NOT_SAVED, NO_CHECKPOINT, OTHER_FIT, FLOAT32 and those of
-    `simulate`; inside jit and vmap also NO_NOISE, as noise is not estimated there. Warns of any status but OK, CORRELATED_RESIDUALS,
-    FAILED_TRIALS, and FAR_OFF where the prediction of a run begins far from its first samples.
+    `simulate`; inside jit and vmap also NO_NOISE, because noise is not estimated there. Warns of any status other than OK, of
+    CORRELATED_RESIDUALS, of FAILED_TRIALS, and of FAR_OFF if the prediction of a run begins far from its first samples.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
@@ -182,7 +183,8 @@ def _patterns(free: Any) -> list[str]:
 
 
 def _floor(task: Task) -> float:
-    """The norm of a column of the Jacobian that is integration error: an error of rtol times the size of the model in every residual."""
+    """The norm of a column of the Jacobian below which it is only integration error: an error of rtol times the size of the model in every
+    residual."""
     weights = [(e.measured[name].size, task.noise[run][name]) for run, e in task.experiments.items() for name in e.channels]
     weight = np.sqrt(sum(n * np.mean(1 / np.asarray(level) ** 2) for n, level in weights))
     return float(task.integration.rtol * size_of(task.model) * weight)
@@ -285,7 +287,8 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds
 
 
 def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray:
-    """The limit of its domain that each u is near, as a word, if moving on to it has no effect on the readings; "" for the others."""
+    """The limit of its domain that each u is near, as a word, if moving closer to the limit has no effect on the readings; "" for the
+    others."""
     ends = np.concatenate([f.form.ended(u[part]) for f, part in zip(task.free, parts_of(task.free), strict=True)])
     _, S, Vt, _ = decomposed(J)
     size = max(np.linalg.norm(r), S.max()) or 1.0
@@ -317,7 +320,7 @@ def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
             else "is reserved" if name in ("world", "gravity", PRIORS) else f"has {' '.join(marks)} in it" if marks else ""
         )  # fmt: skip
         if message:
-            hint = "Choose another name, without . * ? [ ], as the paths of an experiment begin with its name."
+            hint = "Choose another name, without . * ? [ ], because the paths of an experiment begin with its name."
             problems.add("BAD_NAME", f"experiments[{name!r}]", message, value=name, hint=hint)
     problems.raise_if_any()
     for name, experiment in experiments.items():
@@ -326,7 +329,7 @@ def _check_runs(model: Model, experiments: dict[str, Measurement]) -> None:
 
 
 def _check_start(task: Task, r: np.ndarray, J: np.ndarray) -> None:
-    """The residuals must be finite at the start. Error: NONFINITE_START, with the first residual that is not."""
+    """Check that the residuals are finite at the start. Error: NONFINITE_START, with the first residual that is not."""
     if np.isfinite(r).all():
         return
     runs = residual_and_jacobian(task, jnp.zeros(task.size))[2]

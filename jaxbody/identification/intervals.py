@@ -1,10 +1,11 @@
-"""Confidence intervals of estimates: Student's t in the coordinate u of a parameter, mapped to its values so that they stay possible.
+"""Confidence intervals of estimates: Student's t in the coordinate u of a parameter, mapped to its values so that these stay physically
+possible.
 
     value(u - t s) to value(u + t s),    s the standard error of u, t the quantile for the degrees of freedom of s
 
-At a bound the interval has one side, by the likelihood: the distance d of u from the bound at which the cost has increased as much as it
-does over t standard errors at an optimum, 2 g d + h d^2 = t^2 h s^2, with the slope g and the curvature h of the cost at the bound, the
-other parameters adjusted.
+At a bound the interval has one side and follows from the likelihood. It ends at the distance d of u from the bound over which the cost
+increases as much as over t standard errors at an optimum: 2 g d + h d^2 = t^2 h s^2, with g and h the slope and the curvature of the cost
+at the bound when the other parameters are adjusted.
 """
 
 from __future__ import annotations

@@ -103,7 +103,8 @@ class Evaluations:
 
 
 def triangle(r: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The last column of T, and the columns before it, of [J r] = Q T; first for blocks of rows that fit into the processor's cache."""
+    """The last column of the triangle T of [J r] = Q T, and its other columns; computed for blocks of rows that fit into the cache, then
+    for all."""
     T = np.concatenate([J, r[:, None]], 1)
     n, whole = T.shape[1], len(r) // ROWS * ROWS
     if len(T) < 4 * n:
@@ -116,7 +117,7 @@ def triangle(r: np.ndarray, J: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 class _NearOptimum(Exception):
-    """The Gauss-Newton step from u is so short that such steps can finish the search."""
+    """Raised where the Gauss-Newton step from u is so short that such steps can finish the search."""
 
     def __init__(self, u: np.ndarray):
         self.u = u
@@ -189,7 +190,7 @@ def by_optax(evaluate: Evaluations, u, optimizer, limits: Bounds) -> tuple[np.nd
     """The optimizer in whitened coordinates, restarted from the best point until the Gauss-Newton step is small.
 
     It runs operation by operation on concrete numbers, so only the simulations are compiled, and only once. Within about a hundredth of a
-    standard error, integration errors make the cost too rough to descend; there Gauss-Newton steps take over, which do not use it."""
+    standard error, integration errors make the cost too rough to descend; there Gauss-Newton steps take over, which do not use the cost."""
     optimizer = optax.with_extra_args_support(optimizer)
     u, reach = np.asarray(u), 1.0
     for _ in range(MAX_RESTARTS):

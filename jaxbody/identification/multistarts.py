@@ -88,7 +88,7 @@ def multistart(
         starts: number of additional initial guesses.
         spread: half the range of the initial guesses around the values of the model, in the coordinates u of the fit, for parameters
             without finite bounds; for positive parameters 0.5 is a factor of 1.65 in both directions.
-        seed: of the Sobol points.
+        seed: random seed of the Sobol points.
         bounds: as in `fit`; where they are finite, the initial guesses lie between them.
         max_evaluations: largest number of steps from each initial guess.
         progress: as in `fit`.

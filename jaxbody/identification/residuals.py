@@ -119,7 +119,7 @@ def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
 
 @jit_optimized
 def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Array, ReadingsAndResiduals]:
-    """r, dr/du and the readings and residuals by channel, in one program, as compiling costs more than running."""
+    """r, dr/du and the readings and residuals by channel, in one program, because compiling costs more than running."""
 
     def evaluate(u):
         runs = task.runs(u)

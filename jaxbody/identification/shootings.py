@@ -128,7 +128,7 @@ class Segments(Measurement):
 
 
 def cuts(samples: int, count: int) -> tuple[np.ndarray, int]:
-    """The first sample of each segment and their number of samples; each segment reaches the first sample of the next one."""
+    """The first sample of each segment, and the number of samples in a segment; each segment reaches the first sample of the next one."""
     rows = -(-(samples - 1) // count) + 1
     return np.round(np.linspace(0, samples - rows, count)).astype(int), rows
 
@@ -145,7 +145,7 @@ def multiple_shooting(
 
     Args:
         model, experiments, free: as in `fit`; the experiments are records in time.
-        segments: number of segments of each record, so many that a simulated motion stays near the measured one within each.
+        segments: number of segments of each record, large enough that a simulated motion stays near the measured one within each.
         options: other options of `fit`.
 
     The initial states of the segments are fitted together with the parameters; the gaps between segments are reduced step by step. If the

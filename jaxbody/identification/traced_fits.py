@@ -17,7 +17,8 @@ from jaxbody.identification.residuals import Task, residual_and_jacobian, residu
 
 @eqx.filter_custom_jvp  # not jax.custom_jvp: the task's solver and step controller may contain functions
 def _residual(task: Task, size, u):
-    """r/size, with the Jacobian that is evaluated together with r as its derivative: JAX would run the simulation twice."""
+    """r/size, with the Jacobian that is evaluated together with r as its derivative, because JAX would otherwise run the simulation
+    twice."""
     return residual_and_jacobian(task, u)[0] / size
 
 

@@ -61,12 +61,12 @@ def bands(
         level: confidence level of the interval.
         samples: number of random draws of the parameters, to be used instead of derivatives if the function is nonlinear within the
             interval; the bounds are then quantiles of the draws. By default derivatives are used.
-        key: of the draws, jax.random.key(0) for instance.
+        key: random key of the draws, for instance jax.random.key(0).
 
     Equal natural frequencies have no derivatives one by one: use their sum or mean, a response, or draws.
 
-    Errors: WRONG_KIND of a function that returns no array of real numbers, BAD_LEVEL, NO_KEY, UNDETERMINED for draws if the data do not
-    determine all parameters, TRACED. Warns NONFINITE.
+    Errors: WRONG_KIND for a function that does not return an array of real numbers, BAD_LEVEL, NO_KEY, UNDETERMINED for draws if the data
+    do not determine all parameters, TRACED. Warns NONFINITE.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
@@ -118,7 +118,7 @@ def _drawn(fit: Fit, f: Callable, level: float, samples: int, key):
     uncertainty = fit._assessed()
     if uncertainty.rank < len(fit.u):
         message = "has parameters that are not determined: " + "; ".join([*uncertainty.words, *fit.at_bound])
-        hint = "Fix some of them, or leave out samples=: then determined results still have bands."
+        hint = "Fix some of them, or leave out samples=: then results that the data determine still have bands."
         raise JaxbodyError(Problem("UNDETERMINED", "fit", message, hint=hint))
     values, vectors = np.linalg.eigh(uncertainty.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

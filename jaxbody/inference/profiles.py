@@ -75,11 +75,11 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
 
     Args:
         fit: the result of `fit`.
-        path: of a scalar, "AB.stiffness", or of one number of a vector, "AB.a[0]".
+        path: path of a scalar, "AB.stiffness", or of one number of a vector, "AB.a[0]".
         level: confidence level of the interval.
         progress: None shows progress on a terminal or in a notebook after five seconds, False is silent.
 
-    For a parameter at its bound the profile has one side. Errors: UNKNOWN_PATH, WRONG_KIND of a number that does not vary independently of
+    For a parameter at its bound the profile has one side. Errors: UNKNOWN_PATH, WRONG_KIND for a number that does not vary independently of
     others, as in a matrix or a direction, BAD_LEVEL, TRACED. Warns NOT_CONVERGED.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)

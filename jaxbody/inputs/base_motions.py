@@ -1,4 +1,4 @@
-"""The motion of a base from a recorded acceleration, and angular rate where there is a gyro: integrated, with its drift removed.
+"""The motion of a base by integration of recorded accelerations, and of angular rates if there is a gyro, with the drift removed.
 
     x(t) = x0 + v0 t + int int (a - b),   b = sum_k c_k B_k(t),   c, x0, v0: least squares of x over the record
 
@@ -46,7 +46,7 @@ class Recovered(Result):
             for i, name in enumerate(NAMES)
             if peak[i] > 0
         ]
-        heads = ("component", "mean removed", "rest removed up to", "", "largest motion", "")
+        heads = ("component", "mean removed", "largest variation removed", "", "largest motion", "")
         return [tables.PrintedTable("Base motion", heads, rows, "\n".join(self.words))]
 
 
@@ -65,19 +65,19 @@ def base_motion(
     """The motion of a support from the channel `acceleration` of an accelerometer on it, (n, 3) in its axes, or (n,) along `axis`.
 
     Args:
-        record: with the channels
+        record: the record that contains the channels
         acceleration: name of the accelerometer's channel [m/s2]
-        axis: direction of a channel of one column, world axes
+        axis: direction of a channel of one column, in world axes
         rates: name of a gyro's channel (n, 3) [rad/s]; None: the base does not turn
         axes: (3, 3), the instrument's axes as columns, in world axes with the base in its reference pose; None: the world's axes
-        at: position of the instrument from the support's origin [m], which matters where the base turns
-        gravity: world axes [m/s2], where the accelerometer reads it (+g upward at rest); required with `rates`, as the base tilts
-        degree: of the polynomial removed from the accelerations; 0: a constant bias; None: nothing, the base starts at rest in its
-            reference pose
-        cutoff: frequency [Hz] below which all motion is removed, true or not; None: no cutoff
+        at: position of the instrument from the support's origin [m]; it has an effect only if the base turns
+        gravity: in world axes [m/s2], if the accelerometer reads it (+g upward at rest); required with `rates`, because the base tilts
+        degree: degree of the polynomial removed from the accelerations; 0: a constant bias; None: nothing is removed, and the base starts
+            at rest in its reference pose
+        cutoff: frequency [Hz] below which all motion is removed, real or not; None: no cutoff
 
     The base is in its reference pose on average. The same polynomial is removed from the rates, and one of the next degree from the
-    accelerations, as a drifting angle tilts gravity.
+    accelerations, because a drifting angle tilts gravity.
 
     Errors, all at once: UNKNOWN_CHANNEL, WRONG_DIMENSION, BAD_SHAPE, GAPS, BAD_OPTION, NO_GRAVITY, BAD_AXES. Warns BASE_JUMP.
 
@@ -96,7 +96,9 @@ def base_motion(
         _check_options(record, degree, cutoff, problems)
         if w is not None and gravity is None:
             hint = "Give gravity=[0, 0, -9.81], or zeros if the accelerometer does not read it."
-            problems.add("NO_GRAVITY", "base_motion.gravity", "is not stated, with rates", limit="three numbers [m/s2]", hint=hint)
+            problems.add(
+                "NO_GRAVITY", "base_motion.gravity", "is not stated; it is required with rates", limit="three numbers [m/s2]", hint=hint
+            )
     t = record.times - record.times[0]
     turn, removed = np.zeros((len(t), 3)), np.zeros((len(t), 6))
     a = f @ A.T
@@ -141,7 +143,7 @@ def _channel(record: Record, name: str, dimension: units.Dimension, axis: Any, p
     if record.sampling.missing or np.isnan(x).any():
         count = record.sampling.missing + int(np.isnan(x).any(tuple(range(1, x.ndim))).sum())
         hint = 'Read the record with fill="spline", or take a part without gaps.'
-        problems.add("GAPS", where, f"lacks {count} samples", value=count, limit="none, as it is integrated", hint=hint)
+        problems.add("GAPS", where, f"lacks {count} samples", value=count, limit="no gaps, because it is integrated", hint=hint)
     if axis is not None and x.ndim == 1:
         direction = checked(axis, ((3,),), "base_motion.axis", problems)
         length = 0.0 if direction is None else float(np.linalg.norm(direction))
@@ -172,7 +174,7 @@ def _check_options(record: Record, degree: Any, cutoff: Any, problems: Problems)
         )
     highest = record.sampling.rate / 10
     if cutoff is not None and not (isinstance(cutoff, int | float) and 0 < cutoff <= highest and degree is not None):
-        hint = "A cutoff always removes a constant too: leave degree=0." if degree is None else "In Hz, below the frequencies of interest."
+        hint = "A cutoff also removes any constant, so keep degree=0." if degree is None else "In Hz, below the frequencies of interest."
         problems.add(
             "BAD_OPTION", "base_motion.cutoff", f"is {cutoff!r} Hz", value=cutoff, limit=f"0 to {highest:.4g} Hz, degree >= 0", hint=hint
         )
@@ -217,7 +219,7 @@ def _drift(t: np.ndarray, a: np.ndarray, slow: np.ndarray) -> tuple[np.ndarray, 
 
 
 def _turned(t: np.ndarray, w: np.ndarray, slow: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation vectors at the samples from rates in body axes, less their drift; and the drift.
+    """Rotation vectors at the samples from rates in body axes after removal of their drift, and this drift.
 
     R_{i+1} = R_i exp(h (w_i + w_{i+1})/2 + h^2/12 w_i x w_{i+1}), w linear between samples; the mean rotation vector is zero.
     """
@@ -248,7 +250,7 @@ def _product(steps: Float[Array, "n 3"], start: Float[Array, "3"]) -> Float[Arra
 
 
 def _swing(times: np.ndarray, turn: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """The acceleration of R r [m/s2] at the samples, from a spline through the turns."""
+    """The acceleration of R r [m/s2] at the samples, from a spline through the rotations."""
     motion = Sampled(times, rotation=turn)
 
     def place(t):
@@ -265,5 +267,5 @@ def _words(t: np.ndarray, degree: int | None, cutoff: float | None, slow: np.nda
         return ("nothing removed: at rest in the reference pose when the record begins",)
     kind = ("a constant", "a line")[degree] if degree < 2 else f"a polynomial of degree {degree}"
     what = f"removed from the accelerations: {kind}" + (f" and all below {cutoff:g} Hz" if cutoff else "")
-    what += f", {counted(slow.shape[1], 'function')} over {t[-1]:.4g} s, true motion of that kind included"
+    what += f", {counted(slow.shape[1], 'function')} over {t[-1]:.4g} s, including real motion of that kind"
     return (what, *(["from the rates: the same, one degree less"] if turns else []))

@@ -41,18 +41,18 @@ class Load(eqx.Module):
 
     @abstractmethod
     def at_point(self, t: Float[Array, ""], frame: Frame) -> Wrench:
-        """Force [N] and moment [N m] at the point, world axes."""
+        """Force [N] and moment [N m] at the point, in world axes."""
 
     def signals(self) -> tuple[Signal, ...]:
-        """Its functions of time."""
+        """The functions of time (signals) that it contains."""
         return ()
 
     def dead_force(self, t: Float[Array, ""]) -> Float[Array, "3"]:
-        """The force [N] at the point, world axes, of a load that does not depend on the motion of its body; NaN for other loads."""
+        """The force [N] at the point, in world axes, of a load that does not depend on the motion of its body; NaN for other loads."""
         return jnp.full(3, jnp.nan, t.dtype)
 
     def wrench(self, t: Float[Array, ""], frame: Frame) -> Wrench:
-        """Force, and moment about the origin of the body, world axes."""
+        """Force, and moment about the origin of the body, in world axes."""
         F, M = self.at_point(t, frame)
         return F, M + cross(rotate(frame.R, self.point), F)
 
@@ -99,17 +99,17 @@ class Force(Load):
 
 
 class Unbalance(Load):
-    """A rotating unbalance u = m e on a shaft of the body, its angle phi = 2 pi (f t + r t^2/2) + p:
+    """A rotating unbalance u = m e on a shaft of the body, with the angle phi =  2 pi (f t + r t^2/2) + p:
 
         F = u (phi'^2 (n1 cos phi + n2 sin phi) + phi'' (n1 sin phi - n2 cos phi))
 
     n1 and n2 are perpendicular to the shaft and make a right-handed frame with `axis`: n1 is the projection of the body's x axis (of y
-    where the shaft is along x). The rotor's mass is part of the body's. The effect of the body's motion on the unbalance is neglected, as u
-    is small compared with the body's mass times its size.
+    where the shaft is along x). The rotor's mass is part of the body's. The effect of the body's motion on the unbalance is neglected,
+    because u is small compared with the body's mass times its size.
 
     Args:
         on: the body, or (body, point of the shaft)
-        axis: of the shaft, body axes
+        axis: axis of the shaft, in body axes
         unbalance: u [kg m]
         frequency: f at t = 0 [Hz]
         run_up: rate r of the frequency [Hz/s]
@@ -152,7 +152,7 @@ class Unbalance(Load):
 
 
 class EngineTorque(Load):
-    """The reaction torque of a running engine on its block, in orders of the crank's speed,
+    """The reaction torque of a running engine on its block, as a sum over orders (multiples) of the crank's speed,
 
         M = -n (T_0 + sum T_i cos(2 pi o_i f t + p_i))
 
@@ -160,7 +160,7 @@ class EngineTorque(Load):
 
     Args:
         on: the body
-        axis: n, the direction of the crank, body axes
+        axis: n, the direction of the crank, in body axes
         frequency: f of the crank [Hz] (3000 rpm: 50)
         orders: o_i, such as 2, 4, 6 for a four-cylinder four-stroke engine
         amplitudes: T_i [N m]
@@ -218,7 +218,7 @@ def loads_of(loads: dict[str, Load] | None, bodies: tuple[str, ...], where: str 
 
 
 def loads_by_name(loads: Any, where: str, problems: Problems) -> dict[str, Load]:
-    """The loads of a dict; anything else in it is a problem."""
+    """The loads in a dict; a problem is added for anything else in it."""
     given = checked_dict(loads, where, "name: jb.Force(...)", problems)
     for name, load in given.items():
         check_kind(load, Load, f"{where}[{name!r}]", "jb.Force(...) or another Load", problems)

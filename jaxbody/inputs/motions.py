@@ -29,8 +29,8 @@ LARGEST_TURN = np.deg2rad(30)  # from sample to sample
 
 
 class Motion(eqx.Module):
-    """An imposed motion: `motion(t)` is Xi = (xi, phi), translation [m] and rotation vector [rad] in world axes. Motions add, also
-    with bare functions of time.
+    """An imposed motion: `motion(t)` is Xi = (xi, phi), translation [m] and rotation vector [rad] in world axes. Motions can be added to
+    each other and to functions of time.
 
     >>> (Harmonic(frequency=1.0, translation=[0.1, 0, 0]) + AtRest())(jnp.array(0.0)).tolist()
     [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -44,7 +44,7 @@ class Motion(eqx.Module):
         return -np.inf, np.inf
 
     def kinks(self) -> Array | None:
-        """Times [s] at which the motion is not smooth, where integration steps should end; None where there are none."""
+        """Times [s] at which the motion is not smooth, where integration steps should end; None if there are none."""
 
     def __add__(self, other: Motion | Callable[[Array], Array]) -> MotionSum:
         return MotionSum((self, as_motion(other)))
@@ -74,7 +74,7 @@ class Harmonic(Motion):
         translation_phase: p_i [rad], one number or one per axis
         rotation_phase: p_i [rad], one number or one per axis
 
-    Warns UNIT of amplitudes of more than one turn. Source: the paper's (78), with a phase per axis.
+    Warns UNIT for amplitudes of more than one turn. Source: the paper's (78), with a phase per axis.
 
     >>> import jax.numpy as jnp
     >>> Harmonic(frequency=2.0, translation=[0.01, 0, 0])(jnp.array(0.25)).tolist()[0]
@@ -124,7 +124,8 @@ class MotionSum(Motion):
 
 
 class Delayed(Motion):
-    """Xi(t) = motion(t - delay): the same motion `delay` [s] later, such as that of a rear wheel on the front wheel's road.
+    """Xi(t) = motion(t - delay): the same motion `delay` [s] later, such as that of a rear wheel that follows the front wheel on the same
+    road.
 
     >>> import jax.numpy as jnp
     >>> motion = Delayed(Harmonic(frequency=2.0, translation=[0.01, 0, 0]), 0.25)
@@ -170,7 +171,7 @@ class Sampled(Motion):
 
     The m follow from continuity of Xi', with the end slopes of the cubic through the four outermost samples. `Sampled.from_accelerations`
     takes the m and integrates them from given initial values: acceleration is then linear between samples, as in earthquake
-    engineering. Times outside the samples are an error. Warns BASE_JUMP of a step of more than 20 standard deviations of the steps.
+    engineering. Times outside the samples are an error. Warns BASE_JUMP for a step of more than 20 standard deviations of the steps.
 
     >>> times = jnp.linspace(0, 1, 11)
     >>> drift = Sampled(times, translation=jnp.stack([times**2, 0 * times, 0 * times], 1))
@@ -197,7 +198,7 @@ class Sampled(Motion):
         """The motion whose Xi'' is linear between samples.
 
         Args:
-            times: of the samples [s], increasing
+            times: times of the samples [s], increasing
             translation: accelerations [m/s2]
             rotation: second derivative of the rotation vector [rad/s2], which is the angular acceleration where the axis is constant
             initial_position: Xi at the first sample, 6 numbers [m, rad]
@@ -231,10 +232,10 @@ class Sampled(Motion):
 
 
 def as_motion(motion: Motion | Callable[[Array], Array], where: str = "motion") -> Motion:
-    """The Motion of a motion or of a Python function of time."""
+    """The Motion for a motion or for a Python function of time."""
     if not callable(motion) or isinstance(motion, type):
         hint = "Give a Motion or a function t -> Xi, 6 numbers."
-        raise JaxbodyError(Problem("WRONG_KIND", where, f"is {kind_of(motion)}", motion, "a Motion, as jb.Harmonic(...)", hint))
+        raise JaxbodyError(Problem("WRONG_KIND", where, f"is {kind_of(motion)}", motion, "a Motion, such as jb.Harmonic(...)", hint))
     return motion if isinstance(motion, Motion) else MotionFunction(motion)
 
 
@@ -247,7 +248,7 @@ def check_motion(motion: Motion, where: str, problems: Problems) -> None:
 
 
 def _parts(motion: Motion) -> list[Motion]:
-    """The elementary motions of a motion, with sums and delays taken apart."""
+    """The elementary motions that make up a motion, with sums and delays split into their parts."""
     inner = motion.terms if isinstance(motion, MotionSum) else (motion.motion,) if isinstance(motion, Delayed) else ()
     return [part for one in inner for part in _parts(one)] if inner else [motion]
 
@@ -260,7 +261,7 @@ def _faults(structure: Any, kinds: tuple[Any, ...]) -> list[Problem]:
 
 
 def _samples(times, translation, rotation, problems: Problems, minimum: int, turns: bool = True):
-    """Samples of translation and rotation as (times, (n, 6) values); raises all problems, earlier ones included."""
+    """Samples of translation and rotation as (times, (n, 6) values); raises all problems, including earlier ones."""
     times = check_times(times, problems, "Sampled.times", minimum)
     n = None if times is None else times.shape[0]
     columns = [
@@ -277,7 +278,7 @@ def _samples(times, translation, rotation, problems: Problems, minimum: int, tur
 
 
 def warn_of_jumps(values: Any, times: Any, where: str) -> None:
-    """Warn BASE_JUMP of a step between samples of more than 20 standard deviations of the steps."""
+    """Warn BASE_JUMP for a step between samples of more than 20 standard deviations of the steps."""
     known, t = concrete(values), concrete(times)
     if known is None or t is None:
         return
@@ -290,7 +291,7 @@ def warn_of_jumps(values: Any, times: Any, where: str) -> None:
 
 
 def _rows(value: Any, n: int | None, widths: tuple[int, ...], where: str, problems: Problems):
-    """Finite rows of numbers, one per time where their number n is known; zeros for None, and where a problem is added."""
+    """Finite rows of numbers, one per time if n is given; zeros for None and for invalid rows, for which a problem is added."""
     zeros = np.zeros((n or 0, 3))
     if value is None:
         return zeros

@@ -21,19 +21,19 @@ class Road(Motion):
 
         z_f(s) = 1/L int_{s - L/2}^{s + L/2} z ds,
 
-    the average over the contact patch of the tyre (its envelopment of short unevenness; Sayers uses L = 0.25 m), or z where L = 0.
+    the average over the contact patch of the tyre, which envelops short bumps (Sayers uses L = 0.25 m), or z if L = 0.
 
-    The model is in axes that travel with the vehicle, z up.
+    The axes of the model travel with the vehicle, with z up.
 
     Args:
         distances: along the road [m], increasing
         heights: z [m] at the distances, linear between them, constant before the first and after the last
-        speed: of the vehicle [m/s]
-        position: of the wheel ahead of the vehicle's origin [m], negative behind it: a rear wheel follows a wheelbase later
+        speed: speed of the vehicle [m/s]
+        position: distance of the wheel ahead of the vehicle's origin [m], negative behind it, as for a rear wheel
         footprint: L, length of the contact patch [m]; 0: a point
 
-    All numbers may be free in a fit. z_f is NaN where the footprint has since grown to more than twice its length and covers more than 16
-    pieces of the profile.
+    All numbers may be free in a fit. z_f is NaN if the footprint is later changed to more than twice its length and then covers more than
+    16 pieces of the profile.
 
     The profile has a kink at every point, which costs adaptive steps many rejected trials: for a rough road use constant steps, no longer
     than the time between points. Springs and dampers follow the profile exactly; a joint on the support would miss the jumps of velocity
@@ -76,11 +76,11 @@ class Road(Motion):
         """A level road with one step on a straight ramp.
 
         Args:
-            height: of the step [m], negative downwards
+            height: height of the step [m], negative downwards
             at: distance at which the ramp begins [m]
             ramp: its length [m]
-            speed: of the vehicle [m/s]
-            position: of the wheel ahead of the vehicle's origin [m]
+            speed: speed of the vehicle [m/s]
+            position: position of the wheel ahead of the vehicle's origin [m]
             footprint: length of the contact patch [m]
 
         >>> Road.kerb(0.1, at=5.0, ramp=0.02, speed=8.0).heights.tolist()
@@ -96,7 +96,7 @@ class Road(Motion):
 
     def felt(self, s: Float[Array, ""]) -> Float[Array, ""]:
         """z_f at the distance s [m] of the middle of the patch: the sum over the pieces of the profile in the patch of length times height
-        at the middle. Lengths are counted from s, as differences of antiderivatives lose all digits far along a long road."""
+        at the middle. Lengths are counted from s, because differences of antiderivatives lose all digits far along a long road."""
         last, half = len(self.distances) - 1, self.footprint / 2
         rear = jax.lax.stop_gradient(s - half)
         behind = jnp.searchsorted(self.distances, rear, side="right", method="scan_unrolled") - 1
@@ -125,7 +125,7 @@ def _window(distances, footprint) -> int:
 
 
 def _points(value, where: str, problems: Problems, n: int | None = None) -> Any:
-    """n finite numbers; without n, two or more."""
+    """A row of n finite numbers, or of two or more if n is None."""
     try:
         numbers = float_array(value, where)
     except JaxbodyError as error:

@@ -43,7 +43,7 @@ class Signal(eqx.Module):
         return -np.inf, np.inf
 
     def kinks(self) -> Array | None:
-        """Times [s] at which its slope jumps, where integration steps should end; None where there are none."""
+        """Times [s] at which its slope jumps, where integration steps should end; None if there are none."""
 
 
 class Constant(Signal):
@@ -86,9 +86,9 @@ class Samples(Signal):
 
     "hold"    each value holds until the next sample (a digital source)
     "linear"  straight lines
-    "cubic"   a C2 cubic spline, as in Sampled motions: nearest to a smooth signal sampled fast enough
+    "cubic"   a C2 cubic spline, as in Sampled motions: best for a smooth signal that is sampled fast enough
 
-    `values` (n,) or (n, k). Asking outside the samples is an error. Errors: times as in `simulate`, BAD_SHAPE, NON_FINITE, BAD_KIND.
+    `values` (n,) or (n, k). Times outside the samples are an error. Errors: times as in `simulate`, BAD_SHAPE, NON_FINITE, BAD_KIND.
 
     >>> float(Samples([0.0, 1.0, 2.0, 3.0], [0.0, 2.0, 4.0, 6.0], kind="linear")(jnp.array(0.25)))
     0.5
@@ -141,7 +141,7 @@ class Function(Signal):
 
 
 def as_signal(value: Any, where: str, problems: Problems, size: tuple[int, ...]) -> Signal:
-    """The Signal of a signal, of a Python function of time, or of constant numbers of this size."""
+    """The Signal for a signal, for a Python function of time, or for constant numbers of this size."""
     if isinstance(value, Signal):
         signal = value
     elif callable(value):

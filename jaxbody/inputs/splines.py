@@ -20,14 +20,15 @@ MOST = 100_000  # intervals
 
 class Spline(Motion):
     """Xi(t) = sum_j B_j(t) values_j . directions, with B_j the cubic B-splines on equal intervals from `start` to `stop` [s]. It is C2
-    for any values, and each value acts over four intervals only. In a fit "run1.base.values" may be free, where the motion of the base was
-    measured poorly or not at all. `values` (m, k) has a column [m or rad] for each direction. Times outside start to stop are an error.
+    for any values, and each value acts over four intervals only. In a fit, "run1.base.values" may be free, for a base whose motion was
+    measured poorly or not at all. `values` (m, k) has a column [m or rad] for each direction. Times before start or after stop are an
+    error.
 
     Args:
         start, stop: first and last time [s]
         interval: [s], about a third of the shortest period of interest; there must be fewer coefficients than samples
-        along: directions of translation, rows of three, world axes
-        about: axes of rotation, rows of three, world axes
+        along: directions of translation, rows of three, in world axes
+        about: axes of rotation, rows of three, in world axes
         like: motion that the initial values fit by least squares; None: they are zero
 
     Errors, all at once: BAD_SPAN, BAD_INTERVAL, NO_DIRECTION, BAD_SHAPE, NON_FINITE, TOO_LARGE.
@@ -116,7 +117,7 @@ def _design(spline: Spline, times: Float[Array, "n"]) -> Float[Array, "n m"]:
 
 
 def _near(spline: Spline, motion: Motion) -> Array:
-    """Values by least squares at four times per interval."""
+    """The values that fit the motion by least squares at four times per interval."""
     times = jnp.linspace(spline.start, spline.stop, 4 * spline.values.shape[0])
     targets = np.asarray(jax.jit(jax.vmap(motion))(times))
     components = np.linalg.lstsq(np.asarray(spline.directions).T, targets.T, rcond=None)[0].T

@@ -27,7 +27,7 @@ def read_columns(path: Path, *, largest: float, **text: Any) -> list[Any]:
         for (name, column), dimensions in zip(contents.columns.items(), (LENGTHS, FORCES), strict=True):
             if column.unit is None:
                 hint = "Write a line of names with units above the numbers."
-                problems.add("NO_UNIT", where, f"states no unit of column '{name}'", limit="elongation [mm], force [N]", hint=hint)
+                problems.add("NO_UNIT", where, f"states no unit for column '{name}'", limit="elongation [mm], force [N]", hint=hint)
                 continue
             unit = problems.gather(lambda column=column: units.parse(column.unit or "", where))
             if unit is not None and unit.dimension not in dimensions:

@@ -18,7 +18,7 @@ class Digressive(Law):
         fast: c1 [N s/m]
         knee: x0, the velocity about which the slope changes [m/s]
 
-    Errors: NEGATIVE, NOT_POSITIVE of the knee.
+    Errors: NEGATIVE, NOT_POSITIVE for the knee.
 
     >>> float(Digressive(slow=3000.0, fast=0.0, knee=0.3).force(jnp.array(0.4)))
     720.0
@@ -42,7 +42,7 @@ class Digressive(Law):
 class Friction(Law):
     """Dry friction, regularized: F = F0 x/sqrt(x^2 + v0^2), 71 % of F0 at the velocity v0, 99.5 % at 10 v0. It creeps instead of sticking.
 
-    `level` F0 [N], `velocity` v0 [m/s]. Errors: NEGATIVE, NOT_POSITIVE of the velocity.
+    `level` F0 [N], `velocity` v0 [m/s]. Errors: NEGATIVE, NOT_POSITIVE for the velocity.
 
     >>> round(float(Friction(level=50.0, velocity=1e-3).force(jnp.array(0.1))), 2)
     50.0

@@ -63,7 +63,7 @@ class Law(eqx.Module):
 
 
 def as_law(value: Any, where: str, problems: Problems) -> Law | None:
-    """The law of a law, of the coefficient of a linear one, or of a Python function x -> F; None for None."""
+    """The Law for a law, for the coefficient of a linear law, or for a Python function x -> F; None for None."""
     if value is None or isinstance(value, Law):
         return value
     if callable(value):
@@ -162,7 +162,7 @@ def force(law: Law | None, x: Number) -> Number:
 
 
 def slope(law: Law | None, x: Number) -> Number:
-    """dF/dx, 0 without a law."""
+    """dF/dx; 0 if there is no law."""
     return jnp.zeros_like(x) if law is None else law.slope(x)
 
 
@@ -172,7 +172,7 @@ def beyond(law: Law | None, x: Number) -> Bool[Array, ""]:
 
 
 def parts(law: Law) -> list[Any]:
-    """The elementary laws of a law, with sums and two-sided laws taken apart."""
+    """The elementary laws that make up a law, with sums and two-sided laws split into their parts."""
     return jax.tree.leaves(law, is_leaf=lambda part: isinstance(part, Law) and not isinstance(part, Sum | TwoSided))
 
 
@@ -180,7 +180,7 @@ def parts(law: Law) -> list[Any]:
 
 
 def _made(kind: type, **fields) -> Any:
-    """A law with these fields, which are already checked."""
+    """A law with these fields, which have been checked before."""
     law = object.__new__(kind)
     for name, value in fields.items():
         object.__setattr__(law, name, value)
@@ -188,7 +188,7 @@ def _made(kind: type, **fields) -> Any:
 
 
 def law_of(value: Any, where: str, problems: Problems) -> Law:
-    """A law of a law, a number or a function, where one is needed. Error: WRONG_KIND."""
+    """The Law for a law, a number or a function; anything else, also None, is an error. Error: WRONG_KIND."""
     law = as_law(value, where, problems)
     if law is None and not problems.collected:
         problems.add("WRONG_KIND", where, "is None", limit="a law or a number", hint="Give 0 for no force.")

@@ -22,8 +22,8 @@ class Table(Law):
 
         F = (1 + 2u)(1 - u)^2 F_i + u^2 (3 - 2u) F_{i+1} + h u (1 - u)^2 m_i - h u^2 (1 - u) m_{i+1}
 
-    U is its exact integral. Beyond the points F continues with the slope at the end, and results have the status TABLE_RANGE. At least
-    four points: `x` [m or m/s], increasing, and `forces` [N], not decreasing. `Table.read` reads them from a file with units.
+    U is its exact integral. Beyond the points F continues with the slope at the end, and results have the status TABLE_RANGE. It needs at
+    least four points: `x` [m or m/s], increasing, and `forces` [N], not decreasing. `Table.read` reads them from a file with units.
     Errors, all at once: TABLE_SHORT, TABLE_UNSORTED, TABLE_DUPLICATE, TABLE_FALLS, BAD_SHAPE, NON_FINITE.
 
     >>> float(Table([-1, 0, 1, 2], [-10, 0, 10, 40]).force(jnp.array(3.0))) > 70
@@ -31,7 +31,7 @@ class Table(Law):
     """
 
     x: Float[Array, "n"] = field("argument", "increasing", hint="Sort the points by x.")
-    forces: Float[Array, "n"] = field("force", "rising", hint="For a law that falls on purpose use a Polynomial or a function.")
+    forces: Float[Array, "n"] = field("force", "rising", hint="If the force is meant to decrease, use a Polynomial or a function.")
 
     def __init__(self, x, forces):
         with Problems() as problems:
@@ -53,13 +53,13 @@ class Table(Law):
         """The law in a text file of two columns below their names and units, `elongation [mm], force [kN]`.
 
         Args:
-            path: of the file; its lines that start with # are comments. Units: length or angle or their rates, then force or moment
-            separator: between the columns; None: that of the first line of numbers
+            path: path of the file; its lines that start with # are comments. Units: length or angle or their rates, then force or moment
+            separator: separator between the columns; None: that of the first line of numbers
             decimal: "," for decimal commas
-            encoding: of the text
+            encoding: encoding of the text
             skip: number of lines to leave out at the start
             footer: number of lines to leave out at the end
-            largest: size of the file that is still read [bytes]
+            largest: largest size of the file [bytes]
 
         Errors: those of text files in `read_record`, NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, BAD_SHAPE unless there are two columns, and
         those of the table.
@@ -152,5 +152,5 @@ def _check_table(x: Any, forces: Any, problems: Problems) -> None:
     if (steps > 0).all() and (rises < 0).any():
         i = int(np.flatnonzero(rises < 0)[0])
         message = f"falls from {F[i]:g} to {F[i + 1]:g} N between x = {x[i]:g} and {x[i + 1]:g}"
-        hint = "Is tension positive? Smooth a noisy record; for a law that falls on purpose use a Polynomial or a function."
+        hint = "Is tension positive? Smooth a noisy record; if the force is meant to decrease, use a Polynomial or a function."
         problems.add("TABLE_FALLS", "Table.forces", message, value=i + 1, limit="not falling", hint=hint)

@@ -60,14 +60,14 @@ class Stop(Law):
         engagement: w, over which the stiffness builds up [m]
         extension: a stop against extension; False: against compression
 
-    Errors: NEGATIVE of gap or stiffness, NOT_POSITIVE of the engagement.
+    Errors: NEGATIVE for gap or stiffness, NOT_POSITIVE for the engagement.
 
     >>> round(float(Stop(gap=0.06, stiffness=2e5, engagement=0.01).force(jnp.array(-0.1))))
     -7000
     """
 
     words: ClassVar[dict[str, str]] = {"force": "N", "argument": "m"}
-    gap: Number = field("argument", "nonnegative", hint="For a stop that is compressed at x = 0 change the free length.")
+    gap: Number = field("argument", "nonnegative", hint="For a stop that is compressed at x = 0, change the free length.")
     stiffness: Number = field("force/argument", "nonnegative")
     engagement: Number = field("argument", "positive", hint="A hundredth of the travel has little effect.")
     extension: bool = field(static=True)
@@ -159,8 +159,8 @@ class AirSpring(Law):
         Args:
             load: force at x = 0 [N]
             area: A [m2]
-            height: of the column of gas at x = 0 [m]
-            exponent: polytropic, 1 isothermal, 1.4 adiabatic
+            height: height of the column of gas at x = 0 [m]
+            exponent: polytropic exponent, 1 for isothermal, 1.4 for adiabatic
             ambient: pressure p_a [Pa]
         """
         return cls(pressure=ambient + load / area, area=area, height=height, exponent=exponent, ambient=ambient)

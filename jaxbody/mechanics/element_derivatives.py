@@ -1,4 +1,4 @@
-"""Derivatives of the elements at a state, for all that is linear: of their deformations in (Delta, Xi), and of their energies in these."""
+"""Derivatives of the elements at a state, for all linearizations: of their deformations in (Delta, Xi), and of their energies in these."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ElementDerivatives(NamedTuple):
 
 
 def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
-    """Table by table, at the speeds of the configuration."""
+    """The derivatives for each table of elements, at the speeds of the configuration."""
 
     def of(element, *frames: Frame):
         e, e_dot = element.rates(*frames)

@@ -27,7 +27,7 @@ Xi = Float[Array, "ns 6"] | None
 
 
 def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Frame:
-    """The table of frames in a state, supports displaced by Xi."""
+    """The table of frames in a state, with the supports displaced by Xi."""
     coordinates, zero = Coordinates(model), jnp.zeros((len(model.layout.supports), 6), state.q.dtype)
     xi, xi_dot = (zero if x is None else jnp.reshape(x, zero.shape) for x in (xi, xi_dot))
     return coordinates.frames(state.q, state.v, coordinates.supports_at(xi, xi_dot))
@@ -135,7 +135,7 @@ def end_rows(model: Model, table: KindTable) -> list[np.ndarray]:
 
 
 def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t: Any = 0.0) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Force and moment about its origin that elements, gravity and loads at time t exert on each frame, world axes.
+    """Force and moment about its origin that elements, gravity and loads at time t exert on each frame, in world axes.
 
     Forces on a frame are summed by padded gathers; adding into rows would split a compiled loop."""
     ends, forces, moments = [], [], []

@@ -1,10 +1,10 @@
-"""Equations of motion, structured: Newton and Euler for each body, projected on the motions that the joints allow.
+"""Structured equations of motion: those of Newton and Euler for each body, projected onto the motions that the joints allow.
 
-    about O, world axes:  m (a_O + alpha x c + w x (w x c)) = F,   J alpha + w x J w + m c x a_O = M        (16)-(19) of the paper
+    about O, in world axes:  m (a_O + alpha x c + w x (w x c)) = F,   J alpha + w x J w + m c x a_O = M        (16)-(19) of the paper
     speeds:               sum J_b' (inertia J_b v' + bias - wrench) = 0, J_b the velocity of body b per unit of each speed
 
-Tests hold it to the Lagrange equations of L = T - V with R. Where every body is free on the world the mass matrix is constant in body
-axes and is inverted once.
+Tests compare them with the Lagrange equations of L = T - V with R. Where every body is free on the world the mass matrix is constant in
+body axes and is inverted once.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from jaxbody.numerics.small_systems import solve_spd
 
 
 class Dynamics(eqx.Module):
-    """A model under imposed motions and loads as a first-order system y' = f(t, y), constants computed once.
+    """A model under imposed motions and loads as a first-order system y' = f(t, y), with its constants computed once.
 
-    y is (q, v) of the state; where all bodies are free on the world v is replaced by the velocities in body axes."""
+    y is (q, v) of the state; if all bodies are free on the world, v is replaced by the velocities in body axes."""
 
     coordinates: Coordinates
     motions: Motions
@@ -91,7 +91,7 @@ class Dynamics(eqx.Module):
         frames = frames_of_free_bodies(supports, Frame(p, R, v, w))
         F, M = (x[model.layout.first_body :] for x in wrenches(model, frames, self.loads, t))
         m, c = bodies.mass[:, None], bodies.com
-        P = m * (v_B + cross(w_B, c))  # momentum and angular momentum about O, body axes
+        P = m * (v_B + cross(w_B, c))  # momentum and angular momentum about O, in body axes
         H = rotate(bodies.inertia, w_B) + cross(c, P)
         F_B = rotate_back(R, F) - cross(w_B, P)
         M_B = rotate_back(R, M) - cross(w_B, H) - cross(v_B, P)
@@ -164,8 +164,8 @@ class Dynamics(eqx.Module):
         return Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *transmitted)
 
     def transmitted_wrenches(self, t, frames: Frame, a, alpha, extra: tuple[Array, Array] | None = None):
-        """F and M of an Instant for given accelerations: applied loads less the rates of momentum, summed over the bodies that a frame
-        carries by joints. `extra`: force and moment on each body about its origin, besides the loads."""
+        """F and M of an Instant for given accelerations: applied loads minus the rates of momentum, summed over the bodies that a frame
+        carries by joints. `extra`: force and moment on each body about its origin, in addition to the loads."""
         first = self.model.layout.first_body
         F, M = self._net(t, frames, a, alpha)
         if extra is not None:
@@ -199,7 +199,7 @@ class Dynamics(eqx.Module):
         return frames, a, jnp.concatenate([zero, alpha, rotate(R, w_rate)])
 
     def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
-        """Force and moment about its origin that the bodies and elements exert on each support, world axes."""
+        """Force and moment about its origin that the bodies and elements exert on each support, in world axes."""
         now, first = self.instant(t, State(q, v), reactions=True), self.model.layout.first_body
         assert now.F is not None and now.M is not None
         return now.F[1:first], now.M[1:first]
@@ -212,7 +212,8 @@ def frames_of_free_bodies(supports: Frame, bodies: Frame) -> Frame:
 
 
 def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
-    """The inverse of [[m I, -m [c]], [m [c], J_C - m [c][c]]], the mass of each body about O (42), by that of J_C: v_C = v_O - [c] w."""
+    """The inverse of [[m I, -m [c]], [m [c], J_C - m [c][c]]], the mass of each body about O (42), from the inverse of J_C, as v_C = v_O -
+    [c] w."""
     bodies = model.bodies.rows
     C = skew(bodies.com)
     G = inverse_of_three((bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2)
@@ -222,7 +223,7 @@ def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
 
 
 def outboard_mask(layout: Layout) -> np.ndarray:
-    """(n, nb): 1 where a frame carries a body by joints, or is its frame."""
+    """(n, nb): 1 where a frame carries a body by joints, or is the body's own frame."""
     parent = dict(zip(layout.bodies, layout.parents, strict=True))
     mask = np.zeros((len(layout.frames), len(layout.bodies)))
     for i, name in enumerate(layout.bodies):

@@ -74,7 +74,7 @@ def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
 
 
 def nonfinite_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Array, "nv"], size: float) -> list[str]:
-    """The elements whose energy, force or stiffness is not finite at q or, if all are there, a little down the slope."""
+    """The elements whose energy, force or stiffness is not finite at q or, if all are finite there, at a point slightly downhill."""
     down = np.where(np.isfinite(slope), -np.asarray(slope), 0.0)
     down = down * size / max(np.abs(down).max(initial=0.0), np.finfo(down.dtype).tiny)
     for far in DOWNHILL:
@@ -97,7 +97,7 @@ def _finite(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> d
 
 
 def force_jump_at(model: Model, motions: Motions, t: Array, state: State) -> str:
-    """The elements at a jump of their force, of zero length or turned by half a turn; empty without such."""
+    """The elements at a jump of their force, of zero length or turned by half a turn; empty if there are none."""
     sample = jax.tree.map(lambda x: np.asarray(x)[None], (t, state))
     near = [np.linalg.norm(x[0], axis=-1) < NEAR for x, _ in _away(model, motions, *sample)]
     return "; ".join(message for _, message in _messages(model, [["" if x else None for x in rows] for rows in near]))

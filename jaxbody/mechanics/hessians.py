@@ -1,12 +1,12 @@
-"""First and second derivatives of V, T and R in structured form, in closed form for line elements; jax.hessian remains their definition.
+"""First and second derivatives of V, T and R in structured form, in closed form for line elements; they equal those by jax.hessian.
 
-With delta_f = (displacement of its origin, rotation vector), world axes, of every frame f that moves, J = d delta/d(Delta, Xi), and G and H
-the gradient and the Hessian of V in the delta of all frames:
+With delta_f = (displacement of its origin, rotation vector), in world axes, of every frame f that moves, J = d delta/d(Delta, Xi), and G
+and H the gradient and the Hessian of V in the delta of all frames:
 
     slope     J' G
     K         J' H J + G d2 delta/dx dx,  where for x_i nearer to the root than x_j, n_i the axis about which x_i turns,
               d2 delta/dx_i dx_j = (n_i x J_j, n_i x J_j / 2) for displacement and rotation; (ij + ji)/2 for the turns of one joint
-              that act together, while of turns in series the earlier one is the nearer to the root
+              that act together; of turns in series, the earlier one is nearer to the root
     M         J' (inertias) J
     C         J' (R'' of the elements) J
 
@@ -37,8 +37,8 @@ Square = Float[Array, "n n"]
 
 
 class Configuration(NamedTuple):
-    """A model with its bodies at q, supports at rest in their reference poses: the table of frames; for each column of (Delta, Xi), or
-    without `base` of Delta, the rotation of its own frame per unit of it; and J, the motion of each frame, None for the identity."""
+    """A model with its bodies at q and its supports at rest in their reference poses: the table of frames; for each column of (Delta, Xi),
+    or without `base` of Delta, the rotation of its own frame per unit of it; and J, the motion of each frame, None for the identity."""
 
     model: Model
     q: Float[Array, "nq"]
@@ -125,7 +125,7 @@ def damping(at: Configuration) -> Square:
 
 @jit_unoptimized
 def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
-    """M, C and K at a state, supports at rest in their reference poses."""
+    """M, C and K at a state, with the supports at rest in their reference poses."""
     at = configuration_at(Coordinates(model), state.q, state.v, base=False)
     return mass(at), damping(at), stiffness(at)
 

@@ -39,7 +39,7 @@ class Chart(eqx.Module):
             yield table, jax.vmap(function)(table.rows, *parts)
 
     def _assemble(self, pieces: list[tuple[KindTable, Array]]) -> Array:
-        """Rows per body, back in the order of the bodies, as one vector."""
+        """The rows of each body as one vector, sorted by body."""
         if len(pieces) == 1 and pieces[0][0].names == self.model.layout.bodies:
             return pieces[0][1].reshape(-1)
         rows = {name: part[i] for table, part in pieces for i, name in enumerate(table.names)}
@@ -93,7 +93,7 @@ class Coordinates(Chart):
 
     def frames_and_axes(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame):
         """The table of frames, and for each speed the velocity (nv, 3) and angular velocity (nv, 3) of its own body per unit
-        of it, world axes."""
+        of it, in world axes."""
         layout, dtype = self.model.layout, q.dtype
         zero = jnp.zeros((1, 3), dtype)
         known = stack([Frame(zero, np.eye(3, dtype=dtype)[None], zero, zero), supports])
@@ -131,7 +131,7 @@ def frames_at_time(model: Model, motions: Motions, t, state: State) -> Frame:
 @eqx.filter_jit
 def retract(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
     """q (+) Delta: the coordinates after small displacements Delta, one for each speed; of a free body its displacement [m] and
-    rotation vector [rad], world axes.
+    rotation vector [rad], in world axes.
 
     >>> import jax.numpy as jnp
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])})

@@ -14,7 +14,7 @@ from jaxbody.models.states import Instant, State
 
 def reading_rows(lin: Any, sensors: list[Any], wrenches: Float[Array, "nu nb 6"]) -> tuple[Float[Array, "ny 3 n"], Float[Array, "ny nu"]]:
     """The derivatives of each reading in x = (Delta, Xi), x' and x'' about the equilibrium, and in forces u, with the `wrenches` per unit
-    of u: force and moment on each body about its origin, world axes. Accelerations are those of x'': no equation of motion is solved."""
+    of u: force and moment on each body about its origin, in world axes. Accelerations are those of x'': no equation of motion is solved."""
     model, q, layout = lin.model, lin.state.q, lin.model.layout
     dynamics, accelerated = Dynamics(model, (), lin.loads), any(sensor.accelerations for sensor in sensors)
     zero, t = jnp.zeros(layout.nv + layout.nxi, q.dtype), jnp.zeros((), q.dtype)

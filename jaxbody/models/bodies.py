@@ -24,8 +24,8 @@ class Body(eqx.Module):
         inertia: about the center of mass in body axes [kg m2]: three principal moments, six numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz: entries
             of the matrix, signs included) or the 3 x 3 matrix; default: a point mass
         com: the center of mass in body coordinates [m]
-        position: of the reference point O in the reference pose, where the search for equilibrium starts [m]
-        orientation: in the reference pose, body to world: unit quaternion w, x, y, z, rotation matrix or `jb.Euler`
+        position: position of the reference point O in the reference pose, where the search for equilibrium starts [m]
+        orientation: rotation from body to world in the reference pose: unit quaternion w, x, y, z, rotation matrix or `jb.Euler`
 
     A body of several parts: `Body.of_parts`.
 
@@ -36,7 +36,7 @@ class Body(eqx.Module):
     0.9
     """
 
-    mass: Float[Array, ""] = field("kg", "positive", code="BAD_MASS", hint="Leave out what has no mass, or give it a small one.")
+    mass: Float[Array, ""] = field("kg", "positive", code="BAD_MASS", hint="Leave out parts without mass, or give them a small mass.")
     inertia: Float[Array, "3 3"] = field("kg m2", "inertia")
     com: Float[Array, "3"] = field("m")
     position: Float[Array, "3"] = field("m")
@@ -52,7 +52,7 @@ class Body(eqx.Module):
 
     @classmethod
     def of_parts(cls, parts: Sequence[Body], *, position=(0, 0, 0), orientation=IDENTITY) -> Body:
-        """One rigid body made of several; `position` and `orientation` of each part are those in the whole.
+        """One rigid body made of several; `position` and `orientation` of each part are relative to the whole.
 
             m = sum m_i,   c = sum m_i c_i/m,   I = sum R_i I_i R_i' + m_i (|d_i|^2 - d_i d_i'),   d_i = c_i - c
 
@@ -99,8 +99,8 @@ def _mass(body: Body, value: Any, problems: Problems) -> Any:
 
 
 def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
-    """The symmetric part of the 3 x 3 matrix. Its round-off is taken relative to the inertia about the reference point,
-    I + m (c'c - c c'), as it was often computed from that."""
+    """The symmetric part of the 3 x 3 matrix. Its round-off is compared with the inertia about the reference point, I + m (c'c - c c'),
+    from which users often compute it."""
     where = "Body.inertia"
     hint = "Give three principal moments, (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or the matrix."
     array = checked(value, ((3,), (6,), (3, 3)), where, problems, hint)
@@ -123,7 +123,7 @@ def check_inertia(known: np.ndarray, round_off: float, where: str, problems: Pro
     moments = np.linalg.eigvalsh((known + known.T) / 2)
     shown = ", ".join(f"{m:.6g}" for m in moments)
     signs = "Are the signs of the products right?" + (
-        " With the other signs it is valid: give entries of the matrix, as Ixy = -sum m x y."
+        " With the other signs it is valid: give entries of the matrix, such as Ixy = -sum m x y."
         if _is_valid(2 * np.diag(np.diag(known)) - known, round_off)
         else ""
     )
@@ -174,14 +174,17 @@ def _matrix_of(array):
 
 
 def warn_of_tiny(names: tuple[str, ...], sizes: np.ndarray, what: str = "mass", unit: str = "kg") -> None:
-    """Warn TINY_MASS of a mass, or an inertia, below 1e-12 of the largest: it makes the equations stiff."""
+    """Warn TINY_MASS for a mass, or an inertia, below 1e-12 of the largest: it makes the equations stiff."""
     for name, size in zip(names, sizes, strict=True):
         if 0 < size < 1e-12 * sizes.max():
-            warn("TINY_MASS", f"{what} of '{name}' is {size:.3g} {unit}, {size / sizes.max():.1g} of the largest: its motion will be stiff")
+            warn(
+                "TINY_MASS",
+                f"{what} of '{name}' is {size:.3g} {unit}, {size / sizes.max():.1g} of the largest: its equations will be stiff",
+            )
 
 
 def warn_of_points(bodies: dict[str, Body]) -> None:
-    """Warn ZERO_MOMENT of those of these free bodies that have no inertia about an axis."""
+    """Warn ZERO_MOMENT for those of the given free bodies that have no inertia about an axis."""
     for name, body in bodies.items():
         known = concrete(body.inertia)
         if known is None:
@@ -192,5 +195,5 @@ def warn_of_points(bodies: dict[str, Body]) -> None:
         ]
         if massless_axes:
             axis = "any axis" if len(massless_axes) == 3 else f"{massless_axes[0]} of its axes"
-            remedy = "statics is right, modes and simulations need an inertia, or a joint that prevents this rotation"
+            remedy = "static results are valid; modes and simulations need an inertia, or a joint that prevents this rotation"
             warn("ZERO_MOMENT", f"'{name}' is free to turn and has no inertia about {axis}: {remedy}")

@@ -76,7 +76,7 @@ class Joint(eqx.Module):
 
     @abstractmethod
     def axes(self, q: Float[Array, "nq"], parent: Pose, body: Pose) -> Axes:
-        """Velocity of the body's origin, and angular velocity, per unit of each speed, relative to the parent, world axes."""
+        """Velocity of the body's origin, and angular velocity, per unit of each speed, relative to the parent, in world axes."""
 
 
 class Free(Joint):
@@ -131,7 +131,7 @@ class Fixed(Joint):
 
 
 class Guide(Joint):
-    """Sliding along a straight line: q the displacement [m] from the reference pose along `axis` (unit vector, parent's frame).
+    """Sliding along a straight line: q is the displacement [m] from the reference pose along `axis` (unit vector, parent's frame).
 
     >>> Guide("base", axis=[0, 0, 2.0]).axis.tolist()
     [0.0, 0.0, 1.0]
@@ -156,7 +156,7 @@ class Guide(Joint):
 
 
 class Hinge(Joint):
-    """Turning about a line: q the angle [rad] from the reference pose about `axis` (unit vector) through the point `at`,
+    """Turning about a line: q is the angle [rad] from the reference pose about `axis` (unit vector) through the point `at`,
     both in the parent's frame; without `at`, through the body's reference point O.
 
     >>> model = Model(bodies={"arm": Body(mass=1.0, inertia=[1, 1, 1], com=[1, 0, 0])}, joints={"arm": Hinge("world", axis=[0, 0, 1])})
@@ -256,7 +256,7 @@ class Series(Joint):
 
 
 class Translation(Series):
-    """Moving without turning: q the displacement [m] of the body along the parent's x, y and z from the reference pose.
+    """Moving without turning: q is the displacement [m] of the body along the parent's x, y and z from the reference pose.
 
     >>> Translation("base").motions
     ('move along x', 'move along y', 'move along z')

@@ -87,8 +87,8 @@ def _fields(numbers: Any, root: Any) -> list[tuple[str, int, Kind]]:
 def matching(
     leaves: list[Leaf], patterns: Iterable[str], where: str, problems: Problems | None = None, absent: dict[str, str] | None = None
 ) -> dict[str, list[Leaf]]:
-    """The leaves that match each pattern. A pattern without a match is a problem, with the nearest path, or the hint that `absent`
-    {path: hint} has for it; it is added to `problems`, or raised where there are none."""
+    """The leaves that match each pattern. For a pattern without a match, a problem is added to `problems`, or raised if that is None; its
+    hint is the nearest path, or that in `absent` {path: hint}."""
     collect, matches = problems is not None, {}
     problems = Problems() if problems is None else problems
     by_path = {leaf.path: leaf for leaf in leaves}
@@ -151,7 +151,7 @@ def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
 
 
 def replace(tree: Any, values: dict[str, Any]) -> Any:
-    """The model or experiment with other values: {path or pattern: value}.
+    """A copy of the model or experiment with other values: {path or pattern: value}.
 
     A value has the shape of one leaf, and is then used for every match, or one more leading axis with a value for each match, in the
     order of `paths`. As when a model is built, an axis may have any length, masses must be positive and quaternions of unit length.

@@ -22,7 +22,7 @@ LARGEST_TURN = 179.0  # degrees, of a bushing in the reference pose
 
 
 def check_names(problems: Problems, **groups: dict[str, Any]) -> None:
-    """One name, one thing. Errors: BAD_NAME, DUPLICATE_NAME; warns LOOK_ALIKE."""
+    """Check that every name belongs to one object. Errors: BAD_NAME, DUPLICATE_NAME; warns LOOK_ALIKE."""
     seen: dict[str, str] = {}
     folded: dict[str, str] = {}
     for group, things in groups.items():
@@ -51,7 +51,7 @@ def check_names(problems: Problems, **groups: dict[str, Any]) -> None:
                     where,
                     f"is also the name of one of the {seen[name]}",
                     value=name,
-                    limit="one name, one thing",
+                    limit="a different name for each object",
                     hint="Rename one of them.",
                 )
             alike = unicodedata.normalize("NFKC", name).casefold()
@@ -61,7 +61,7 @@ def check_names(problems: Problems, **groups: dict[str, Any]) -> None:
 
 
 def of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) -> dict[str, Any]:
-    """The things of the right kind; a problem is added for each of the others."""
+    """The objects of the right kind; a problem is added for each of the others."""
     for name, thing in things.items():
         check_kind(thing, kind, f"{group}[{name!r}]", f"a jb.{kind.__name__}", problems)
     if group == "bodies" and not things:
@@ -115,7 +115,7 @@ def check_reference(problems: Problems, bodies, supports, elements) -> None:
 
 
 def _check_length(problems: Problems, where: str, line, A, B) -> None:
-    """Check the length of a line: it may be zero where the free length is zero, there is no damper and the force is zero."""
+    """Check the length of a line: it may be zero if the free length is zero, there is no damper and the force is zero."""
     ends = [p + R @ point for (p, R), point in zip((A, B), (line.a, line.b), strict=True)]
     length, size = np.linalg.norm(ends[1] - ends[0]), np.abs(ends).max() or 1.0
     if length <= 1e-12 * size and not (line.free_length == 0 and line.has_no_direction()):

@@ -33,14 +33,14 @@ class Model(tables.Printed, eqx.Module):
     """Rigid bodies connected by elements and joints to each other, to `world` and to supports whose motion is imposed.
 
     Args:
-        bodies: by name
-        supports: by name
-        elements: by name
-        joints: by the name of the body that they carry; a body without a joint is free
-        gravity: [m/s2], world axes
+        bodies: {name: body}
+        supports: {name: support}
+        elements: {name: element}
+        joints: {name of the body that the joint carries: joint}; a body without a joint is free
+        gravity: [m/s2], in world axes
 
     `model["AB"]` is the element, body or support of that name, `model.joint("arm")` a body's joint, `model.reference` the state at rest in
-    the reference pose. A derivative with respect to a model is a model. All problems of an input are in one error.
+    the reference pose. A derivative with respect to a model is a model. All problems of an input are reported in one error.
 
     >>> model = Model(bodies={"plate": Body(mass=3.0, inertia=[0.3, 0.9, 1.2])},
     ...               elements={"AB": Spring(("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8)})
@@ -142,7 +142,8 @@ class Model(tables.Printed, eqx.Module):
         return shown
 
     def _columns(self, table: KindTable) -> dict[str, str]:
-        """Fields of elements that print, with their heads: laws, numbers and matrices of coefficients, but no points and directions."""
+        """Fields of elements that are printed, with their column headings: laws, numbers and matrices of coefficients, but no points and
+        directions."""
         row, heads, batch = table.row(table.names[0]), {}, self.gravity.ndim - 1
         for name in row.__dataclass_fields__:
             value: Any = getattr(row, name, None)
@@ -155,7 +156,7 @@ class Model(tables.Printed, eqx.Module):
 
 
 def _shown(value: Any) -> Any:
-    """The name of a law, with its coefficient where it has only one."""
+    """The name of a law, with its coefficient if it has only one."""
     if not isinstance(value, Law):
         return value
     if isinstance(value, Sum):
@@ -182,7 +183,7 @@ def _reference(model: Model) -> State:
 
 
 def at_rest_in(model: Model, rest: Pose) -> State:
-    """The state in which bodies are at rest in these poses on their parents."""
+    """The state in which bodies are at rest in these poses relative to their parents."""
     parts: dict[str, Array] = {}
     for table in model.joints:
         rows = _places(table.names, model.layout.bodies)

@@ -19,8 +19,8 @@ _warned_of_float32 = False
 
 
 def check_precision(where: str, model: Model, *, allow_float32: bool | None = True) -> None:
-    """Warn once of float32; refuse it where half the digits would be lost, unless allowed (None: it cannot be allowed). A change of the x64
-    switch after the model was built is an error."""
+    """Warn once about float32; refuse it where half the digits would be lost, unless allowed (None: it cannot be allowed). A change of the
+    x64 switch after the model was built is an error."""
     global _warned_of_float32
     if not isinstance(model, Model):
         raise JaxbodyError(
@@ -57,7 +57,7 @@ def check_memory(where: str, model: Model) -> None:
     needed = 10 * 8 * coordinates**2 + PER_ELEMENT * elements
     if needed > MOST_MEMORY:
         message = f"has {coordinates} coordinates and {elements} elements, whose matrices need about {needed / 1e9:.3g} GB"
-        hint = "Join bodies that move together (jb.Fixed, Body.of_parts), or raise jaxbody.models.preconditions.MOST_MEMORY."
+        hint = "Join bodies that move together (jb.Fixed, Body.of_parts), or increase jaxbody.models.preconditions.MOST_MEMORY."
         raise JaxbodyError(Problem("TOO_LARGE", f"{where}.model", message, needed, f"{MOST_MEMORY / 1e9:g} GB", hint))
 
 

@@ -1,4 +1,4 @@
-"""The size of a model: the length and the scales of the coordinates to which round-off is compared."""
+"""The size of a model: the length and the scales of the coordinates with which round-off is compared."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from jaxbody.models.models import Model
 
 
 def size_of(model: Model) -> Float[Array, ""]:
-    """A length of the model: the largest distance of a point of attachment or a center of mass from the origin of its body; where that is
-    zero, from the world's origin; else 1 m."""
+    """A length of the model: the largest distance of a point of attachment or a center of mass from the origin of its body; if that is
+    zero, the largest distance from the world's origin; if that is zero too, 1 m."""
     xp: Any = np if is_concrete(model) else jnp  # outside of compiled programs no operation of JAX is run
     on_bodies, anywhere = [np.zeros((1, 3), model.gravity.dtype), model.bodies.rows.com], [model.bodies.rows.position]
     for table in model.elements:

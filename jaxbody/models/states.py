@@ -13,7 +13,8 @@ from jaxbody.geometry.vectors import cross, rotate
 
 class State(eqx.Module):
     """Coordinates q and speeds v of the joints, in the order of the bodies, and internal states z of elements. For a free body
-    q = (position of O, unit quaternion w, x, y, z), v = (velocity of O, angular velocity), world axes. Leading axes are times or samples.
+    q = (position of O, unit quaternion w, x, y, z), v = (velocity of O, angular velocity), in world axes. Leading axes are times or
+    samples.
 
     >>> state = State(q=jnp.array([0.3]), v=jnp.array([0.0]))
     >>> state.z.shape
@@ -34,9 +35,9 @@ class State(eqx.Module):
 
 
 class Instant(Frame):
-    """The frames at one time and their state; where instruments need them, also the accelerations a of the origins, the angular
-    accelerations alpha, and the force F and moment M about the origin, world axes: on world and supports those of bodies and elements, for
-    a body those that it exerts on its joint, with all bodies that it carries."""
+    """The frames at one time and their state; if instruments need them, also the accelerations a of the origins, the angular
+    accelerations alpha, and the force F and moment M about the origin, in world axes: for world and supports those that bodies and elements
+    exert on them, for a body those that it and all bodies that it carries exert on its joint."""
 
     state: State
     a: Float[Array, "n 3"] | None = None

@@ -37,16 +37,16 @@ class KindTable(eqx.Module):
         return with_link(jax.tree.unflatten(treedef, picked), self.links[i])
 
     def _no_node(self, name: str) -> Problem:
-        """The problem of a row of leaves that are not arrays, as when equinox.tree_at calls its function."""
+        """The problem of a row of leaves that are not arrays, which occurs when equinox.tree_at calls its function."""
         paths = [jax.tree_util.keystr(keys, simple=True, separator=".") for keys, _ in jax.tree_util.tree_leaves_with_path(self.rows)]
         path = next((path for path in paths if path in inspect.get_annotations(type(self.rows))), paths[-1])
         message = "is a row of arrays and not a node of the tree, so equinox.tree_at cannot replace it"
         hint = f'Use jb.replace(model, {{"{name}.{path}": value}}); it has {", ".join(paths[:8])}{", ..." if len(paths) > 8 else ""}.'
-        return Problem("NO_NODE", f"model['{name}']", message, name, f"whole arrays, as model.elements[0].rows.{path}", hint)
+        return Problem("NO_NODE", f"model['{name}']", message, name, f"whole arrays, such as model.elements[0].rows.{path}", hint)
 
 
 def tabulate(things: dict[str, Any], template: Any = None) -> KindTable:
-    """One table of things of equal structure; `template` gives the structure where there are none."""
+    """One table of objects of equal structure; `template` gives the structure where there are none."""
     modules = list(things.values())
     bare = [with_link(module, None) for module in modules]
     leaves = [jax.tree.leaves(module) for module in bare]

@@ -7,7 +7,7 @@ Coefficients are those of diffrax (Prince, Dormand, J. Comp. Appl. Math. 7 (1981
 its steps, from which the samples in it are computed together at its end. Reverse mode keeps the start and the step lengths of each block,
 and repeats the block; its memory grows with the number of blocks. Both modes treat step lengths as constants. In a batch every member has
 its own steps; constant steps are the same for all, and functions of time alone are then computed once. Adaptive steps end at the samples of
-measured accelerations and of forces interpolated linearly, as a polynomial of high degree cannot cross their kinks.
+measured accelerations and of forces interpolated linearly, because a polynomial of high degree cannot cross their kinks.
 """
 
 from __future__ import annotations
@@ -73,7 +73,8 @@ class Steps(NamedTuple):
 
 
 class Begun(NamedTuple):
-    """The start of a block: time tau after t0, state and its rate, last step before, window of samples, time up to which it is filled."""
+    """The start of a block: time tau after t0, state and its rate, the step before it, the window of samples, and the time up to which that
+    is filled."""
 
     tau: Float[Array, ""]
     y: Float[Array, "ny"]
@@ -234,7 +235,7 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
 
 
 def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: Course, goal, end, size: int, starting: Bool[Array, ""]):
-    """Steps until `goal`, at most one block; `starting`: with a trial step before them."""
+    """Take steps until `goal`, at most one block of them; if `starting`, take a trial step first."""
     rows = jax.tree.map(lambda x: jnp.zeros((size, *x.shape), x.dtype), begun.last)._replace(h=jnp.full(size, jnp.inf, begun.y.dtype))
     steps = jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, rows)
     ends = None if problem.kinks is None else jnp.append(problem.kinks - t0, jnp.inf)

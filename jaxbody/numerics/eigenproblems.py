@@ -182,7 +182,7 @@ PARALLEL = 1e-9  # smallest 1 - |x' y| of unit vectors of one cluster; below it 
 
 
 def coincide(one: Complex[Array, "n"], other: Complex[Array, "n"]) -> Bool[Array, "n n"]:
-    """Whether two poles coincide; rounding splits a double pole with a single vector by the square root of its relative size."""
+    """Whether two poles coincide; rounding splits a double pole with a single vector by the square root of the relative rounding error."""
     top = jnp.max(jnp.abs(one), initial=0.0)
     size = jnp.maximum(jnp.abs(one)[:, None], jnp.abs(other)[None])
     return jnp.abs(one[:, None] - other[None]) <= CLUSTERED * size + CLUSTERED / 10 * top * (size <= CLUSTERED * top).astype(size.dtype)

@@ -42,8 +42,8 @@ class Gauss(AbstractSolver):
 
     Stages are iterated until their changes are round-off, which requires steps of less than 2 over the fastest rate [rad/s]; the status is
     NOT_CONVERGED where they do not converge. For vibrations start with 3 stages and steps of a tenth of the shortest period, or of a
-    twentieth for bodies that turn over. Violent motion needs steps that are short beside the time in which the ends of a spring pass one
-    another. For stiff models use diffrax.Kvaerno5() instead. Forward and reverse derivatives are supported.
+    twentieth for bodies that turn over. Violent motion needs steps much shorter than the time in which the ends of a spring pass each
+    other. For stiff models use diffrax.Kvaerno5() instead. Forward and reverse derivatives are supported.
 
     Error: BAD_VALUE unless stages is 1, 2 or 3.
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.3, IV.2.1, VI.4, IX.8.

@@ -62,7 +62,7 @@ def switched_off() -> Iterator[None]:
 
 
 def _no_lanes() -> str:
-    """The reason why lanes cannot be used; "" where they can."""
+    """The reason why lanes cannot be used; "" if they can."""
     platform = jax.default_backend()
     return "lanes are switched off" if SWITCHED_OFF.get() else "" if platform == "cpu" else f"lanes are for a CPU, this is a {platform}"
 
@@ -71,10 +71,10 @@ def in_lanes(function: Callable, *, reversible: bool = False, lanes: int = LANES
     """The function, rewritten in a batch for chunks on the last axis.
 
     Args:
-        function: from arrays to arrays
+        function: a function from arrays to arrays
         reversible: keep the derivatives of the function itself, for reverse mode; False: the forward derivative is in lanes too
         lanes: members of the batch in a chunk
-        name: in `compile_times`; "": module and name of the function
+        name: its name in `compile_times`; "": module and name of the function
     """
     name = name or f"{function.__module__.rpartition('.')[2]}.{function.__name__}"
 
@@ -235,10 +235,10 @@ class Lanes:
         """Results of a jaxpr.
 
         Args:
-            jaxpr: to be evaluated
+            jaxpr: the jaxpr to be evaluated
             on: True for arguments with a last axis of lanes
             args: its arguments
-            wanted: True for results that must have that axis; None: only those have it that depend on the lane
+            wanted: True for results that must have that axis; None: only those that depend on the lane have it
         """
         values: dict = dict(zip(jaxpr.jaxpr.constvars, jaxpr.consts, strict=True)) | dict(zip(jaxpr.jaxpr.invars, args, strict=True))
         lanes = dict(zip(jaxpr.jaxpr.invars, on, strict=True))
@@ -312,7 +312,7 @@ class Lanes:
         if name == "scan":
             return self._scan(eqn, on, x)
         if name not in APART:
-            note_left_to_vmap(self.name, f"no rule for {name}; only this operation is left")
+            note_left_to_vmap(self.name, f"no rule for {name}; only this operation is left to jax.vmap")
         return self._by_vmap(eqn, on, x)
 
     def _by_vmap(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Precision of numbers: tolerances within reach of it, and constants that JAX keeps in the precision of their first use."""
+"""Precision of numbers: tolerances that it can reach, and constants that JAX keeps in the precision of their first use."""
 
 from __future__ import annotations
 

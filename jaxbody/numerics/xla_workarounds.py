@@ -88,19 +88,19 @@ kept: Callable[[Array], Array] = _kept_p.bind
 
 
 def as_kept(x: Array) -> Array:
-    """x / 1, as XLA fuses no division into several users; the 1 must not be known to XLA."""
+    """x / 1, because XLA does not fuse a division into several users; XLA must not know that the divisor is 1."""
     return x / jnp.where(x == x, 1.0, jnp.nan)
 
 
 # Reducers that XLA does not recognize: it passes large reductions to a library, whose calls keep a loop from being compiled whole.
 # They must still be sums and maxima, as XLA merges sums of sums.
 def plain_sum(x: Array, axes: tuple) -> Array:
-    """The sum over axes, never by a library."""
+    """The sum over axes, never by a call of a library."""
     return lax.reduce(x, np.zeros((), x.dtype), lambda a, b: -(-a - b), axes)
 
 
 def plain_max(x: Array, axes: tuple) -> Array:
-    """The largest over axes, never by a library."""
+    """The maximum over axes, never by a call of a library."""
     return lax.reduce(x, np.array(-np.inf, x.dtype), lambda a, b: -lax.min(-a, -b), axes)
 
 

@@ -148,7 +148,7 @@ def _within(pairs: list[tuple[list[Any] | None, Factor]]) -> list[Any] | None:
 
 
 def at_value(space: Space, group: int, x: Any) -> np.ndarray:
-    """The u of a group at a value."""
+    """The u of a group for a value of its first leaf."""
     form: Any = space.groups[group].form
     return form.inverse(np.broadcast_to(x, form.start.shape))
 

@@ -1,4 +1,4 @@
-"""Free paths and patterns: leaves alone or tied, "left.k = right.k", also with factors, "left.a = right.a * [1, -1, 1]"."""
+"""Free paths and patterns: single leaves, or leaves tied by "left.k = right.k", also with factors, "left.a = right.a * [1, -1, 1]"."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def ties(leaves: list[Leaf], free: Iterable[str], where: str, problems: Problems
     Args:
         leaves: all leaves that paths may name.
         free: paths, patterns and ties.
-        where: the argument, for messages.
-        problems: to which errors are added.
+        where: name of the argument, for messages.
+        problems: collects the errors.
         absent: {path: hint} of leaves that do not exist but could, by default none.
     """
     sides = {str(entry): [_side(side, where, problems) for side in str(entry).split("=")] for entry in free}
@@ -66,7 +66,7 @@ def _side(text: str, where: str, problems: Problems) -> tuple[str, Any]:
     except (TypeError, ValueError):
         factor = np.zeros(())
     if factor.ndim > 1 or not (np.isfinite(factor) & (factor != 0)).all():
-        limit = "a number or a list of numbers, none 0"
+        limit = "a nonzero number or a list of nonzero numbers"
         problems.add("BAD_TIE", where, f"has the factor {parts[2]}", value=text, limit=limit, hint='Write "left.a = right.a * [1, -1, 1]".')
         return parts[1], 1.0
     return parts[1], factor
@@ -89,7 +89,7 @@ def bounds_of_first(ends: list[np.ndarray], factor: Factor) -> list[np.ndarray]:
 
 
 def check_alike(tie: Tie, starts: list[Any], form: Parametrization, problems: Problems) -> None:
-    """The starts of tied leaves must agree with the tie; only scalars and vectors may have factors. Errors: TIED_APART, BAD_TIE."""
+    """Check that the starts of tied leaves agree with the tie; only scalars and vectors may have factors. Errors: TIED_APART, BAD_TIE."""
     first, values = next(iter(tie)), [concrete(start) for start in starts]
     for (leaf, factor), start in zip(tie.items(), values, strict=True):
         if start is None or values[0] is None:

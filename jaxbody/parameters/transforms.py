@@ -336,8 +336,8 @@ def sound_bounds(form: Parametrization, ends: list[Any] | None, given: Any, wher
         form: the parametrization, with the start.
         ends: the bounds as a pair of arrays, None if they are not a pair.
         given: the bounds as the user gave them, for messages.
-        where: the argument, for messages.
-        problems: to which BAD_BOUNDS or START_OUTSIDE is added.
+        where: name of the argument, for messages.
+        problems: collects BAD_BOUNDS or START_OUTSIDE.
         slack: allowed distance of the start from the bounds, 0 by default.
     """
     start = np.asarray(form.start)

@@ -30,7 +30,7 @@ def tidy(ax: Any) -> None:
 
 
 def axes_below(ax: Any, *heights: float) -> list[Any]:
-    """Split the area of `ax` and add axes below it, one under another; `heights` are relative to the remaining height of `ax`."""
+    """Split the area of `ax` and add axes below it, one below the other; `heights` are relative to the remaining height of `ax`."""
     spec, shares = ax.get_subplotspec(), (1.0, *heights)
     if spec is None:
         box, room = ax.get_position(), sum(shares) + 0.15 * len(heights)

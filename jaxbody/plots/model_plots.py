@@ -47,8 +47,8 @@ def draw_model(
     Args:
         model, state: the model and its state; None draws the reference pose.
         displaced: {support: Xi}, displacements of supports.
-        view: two of x, y, z, right and up ("xy"), with axes in meters, or "oblique", with the three axes and their length. None points
-            gravity down and is oblique unless the model is flat.
+        view: the axes that point right and up, such as "xy", or "oblique". With None, gravity points down, and the view is oblique unless
+            the model is flat.
         names: whether to write the names of bodies and elements.
         ax: axes to draw into; None makes a new figure.
 
@@ -81,7 +81,7 @@ def draw_mode(
 
     Args:
         lin, modes: the linear system and its modes.
-        number: of the mode, from 1, by ascending frequency.
+        number: number of the mode, from 1, by ascending frequency.
         view: as in `draw_model`.
         ax: axes to draw into; None makes a new figure.
 
@@ -159,7 +159,14 @@ def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarra
     """The matrix (2, 3) that maps world coordinates to the drawing's right and up."""
     if view is not None and view != "oblique" and not (len(view) == 2 and view[0] != view[1] and set(view) <= set(AXES)):
         raise JaxbodyError(
-            Problem("BAD_VIEW", "view", f"is {view!r}", view, "two of x, y, z", "Give two axes, right and up, as 'xy', or 'oblique'.")
+            Problem(
+                "BAD_VIEW",
+                "view",
+                f"is {view!r}",
+                view,
+                "two of x, y, z",
+                "Give 'oblique', or the axes that point right and up, such as 'xy'.",
+            )
         )
     if view is not None and view != "oblique":
         return np.eye(3)[[AXES.index(axis) for axis in view]]

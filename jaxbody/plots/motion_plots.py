@@ -84,7 +84,9 @@ def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
     """
     if eq.path is None or np.all(eq.descended):
         how, hint = (
-            ("without loads", "Give an equilibrium(model, loads=...).") if eq.path is None else ("by descent", "Its path could not start.")
+            ("without loads", "Give an equilibrium(model, loads=...).")
+            if eq.path is None
+            else ("by descent", "Its load path could not be started.")
         )
         raise JaxbodyError(Problem("NO_PATH", "load_path.eq", f"was computed {how}", eq.path, "a load path", hint))
     ax = axes_or_new(ax, 5.0, 3.4)
@@ -103,7 +105,7 @@ def _lines(ax, t, lines: dict[str, np.ndarray], dashed: tuple[str, ...] = ()) ->
 
 
 def _moving(lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The lines that vary by more than a millionth of the one that varies most."""
+    """The lines whose variation exceeds a millionth of the largest variation."""
     widths = {name: np.ptp(values[np.isfinite(values)]) if np.isfinite(values).any() else 0.0 for name, values in lines.items()}
     return {name: values for name, values in lines.items() if widths[name] > 1e-6 * max(widths.values()) and widths[name] > 1e-12}
 

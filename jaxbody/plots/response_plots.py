@@ -52,7 +52,7 @@ def plot_transmissibility(response: FrequencyResponse, *, ax: Any = None) -> Any
     """
     ratios = [(i, j, name) for i, j, name in _pairs(response) if not response.unit(response.outputs[i], response.inputs[j])]
     if not ratios:
-        message, hint = "has no output in the unit of an input", "Ask for displacements of displacements, or forces of forces."
+        message, hint = "has no output in the unit of an input", "Use displacements for inputs and outputs, or forces for both."
         raise JaxbodyError(Problem("BAD_UNIT", "plot_transmissibility.response", message, response, "a ratio", hint))
     ax = axes_or_new(ax, 7.0 if len(ratios) <= MANY else 9.0, 3.4)
     f, size, _ = _above_0_hz(response)
@@ -77,7 +77,7 @@ def plot_psd(response: RandomResponse, *, outputs: tuple[str, ...] | None = None
     values = {name: float(response[name]) for name in names}
     units = {response.units[response.outputs.index(name)] for name in names}
     if len(units) > 1:
-        message, hint = f"are in {', '.join(sorted(units))}", "Draw those of one unit together."
+        message, hint = f"are in {', '.join(sorted(units))}", "Give outputs= with the names of outputs in one unit."
         raise JaxbodyError(Problem("BAD_UNIT", "plot_psd.outputs", message, units, "one unit", hint))
     ax = axes_or_new(ax, 7.0, 3.4)
     (unit,) = units

@@ -25,7 +25,7 @@ def quarter_car(*, sprung=375.0, unsprung=75.0, stiffness=35000.0, damping=0.0, 
 
     Args:
         sprung, unsprung: masses of the body and of the wheel [kg].
-        stiffness, damping: of the suspension [N/m, N s/m].
+        stiffness, damping: stiffness and damping of the suspension [N/m, N s/m].
         tyre, tyre_damping: stiffness and damping of the tyre [N/m, N s/m].
         gravity: [m/s2], downward.
 
@@ -63,12 +63,12 @@ def half_car(
     """Half a car, that is a car seen from the side: `body` heaves and pitches on two springs from the supports `front` and `rear`.
 
     Args:
-        mass: of the body [kg].
+        mass: mass of the body [kg].
         gyration: radius of gyration in pitch [m].
         front, rear: distances of the axles from the center of mass [m].
-        front_stiffness, rear_stiffness: of the two springs [N/m].
-        front_damping, rear_damping: of the two springs [N s/m].
-        height: of the center of mass above the road [m]. The pitch axis then lies on the road, so that braking at the deceleration a
+        front_stiffness, rear_stiffness: stiffnesses of the two springs [N/m].
+        front_damping, rear_damping: dampings of the two springs [N s/m].
+        height: height of the center of mass above the road [m]. The pitch axis then lies on the road, so that braking at the deceleration a
             loads the front axle by m a height/(front + rear). None puts the pitch axis through the center of mass, as in the source;
             braking then has no effect.
         gravity: [m/s2], downward.
@@ -113,14 +113,14 @@ def full_car(
     front axle, the second for the rear axle.
 
     Args:
-        mass, inertia: of the car without its wheels [kg, kg m2].
+        mass, inertia: mass and inertia of the car without its wheels [kg, kg m2].
         front, rear: distances of the axles from the center of mass [m].
         track: distance between the left and right wheels [m].
         unsprung: masses of one wheel [kg].
-        stiffness, damping: of the suspension at one wheel [N/m, N s/m].
+        stiffness, damping: stiffness and damping of the suspension at one wheel [N/m, N s/m].
         tyre: stiffnesses of one tyre [N/m].
         anti_roll: stiffnesses of the anti-roll bars [N/m at the wheels].
-        height: of the car's center of mass above the road [m]. The pitch and roll axes then lie on the road, so that braking and
+        height: height of the car's center of mass above the road [m]. The pitch and roll axes then lie on the road, so that braking and
             cornering transfer load between the wheels: braking at the deceleration a adds m a height/2(front + rear) to each front wheel.
             None puts the axes through the center of mass, as in the source; braking and cornering then have no effect.
         gravity: [m/s2], downward.
@@ -167,9 +167,9 @@ def engine_on_mounts(*, mass=139.5, inertia=ENGINE, points=MOUNTS, stiffness=MOU
     """An engine on n mounts, bushings between the body `engine` and the support `frame`.
 
     Args:
-        mass, inertia: of the engine [kg, kg m2], the inertia about its center of mass.
+        mass, inertia: mass and inertia of the engine [kg, kg m2], the inertia about its center of mass.
         points: positions of the mounts relative to the center of mass (n, 3) [m].
-        stiffness, damping: of the mounts along x, y, z (n, 3) [N/m, N s/m].
+        stiffness, damping: stiffness and damping of the mounts along x, y, z (n, 3) [N/m, N s/m].
         gravity: [m/s2], downward; zero by default, as in the source.
 
     Source: a powertrain on three mounts (github hojjatkarami/NVHteam; the stiffness of mount 1 includes its hydraulic branch):
@@ -193,9 +193,9 @@ def isolated_table(
     """A table with two planes of symmetry on four equal upright isolators at (+-ax, +-ay, -az) from its center, on the support `floor`.
 
     Args:
-        mass: of the table [kg].
+        mass: mass of the table [kg].
         gyration: radii of gyration about x, y, z [m].
-        stiffness, damping: of one isolator along x, y, z [N/m, N s/m].
+        stiffness, damping: stiffness and damping of one isolator along x, y, z [N/m, N s/m].
         at: ax, ay, az [m].
         gravity: [m/s2], downward; zero by default.
 
@@ -224,10 +224,10 @@ def stewart_table(
     The free length of the legs is such that the reference pose is the equilibrium under the weight.
 
     Args:
-        mass, inertia: of the table [kg, kg m2].
-        stiffness, damping: of one leg [N/m, N s/m].
+        mass, inertia: mass and inertia of the table [kg, kg m2].
+        stiffness, damping: stiffness and damping of one leg [N/m, N s/m].
         upper, lower: radii of the circles on which the legs end [m].
-        height: of the upper circle above the lower one [m].
+        height: height of the upper circle above the lower one [m].
         spread: half the angle between two neighboring leg ends [degrees].
         gravity: [m/s2], downward.
 
@@ -259,8 +259,8 @@ def elastic_pendulum(*, mass=1.0, stiffness=4 * np.pi**2, free_length=0.75, damp
     """A bob that hangs on a spring from the world, free to move but not to rotate; in equilibrium the bob is at z = 0, below the pivot.
 
     Args:
-        mass: of the bob [kg].
-        stiffness, free_length, damping: of the spring [N/m, m, N s/m].
+        mass: mass of the bob [kg].
+        stiffness, free_length, damping: stiffness, free length and damping of the spring [N/m, m, N s/m].
         gravity: [m/s2], downward.
 
     Source: P. Lynch, the swinging spring: in 2:1 resonance it alternates between bouncing and swinging, each time in another plane.
@@ -304,8 +304,8 @@ def coupled_gliders(*, masses=(0.3, 0.3), stiffness=(3.0, 3.0, 3.0), damping=(0.
     The springs are `left`, `middle` and `right`.
 
     Args:
-        masses: of the two gliders [kg].
-        stiffness, damping: of the three springs [N/m, N s/m].
+        masses: masses of the two gliders [kg].
+        stiffness, damping: stiffness and damping of the three springs [N/m, N s/m].
         span: length of the track [m]; in the reference pose each spring is a third of it long.
         length: free length of each spring [m].
 

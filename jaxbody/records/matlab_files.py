@@ -1,4 +1,4 @@
-"""MATLAB files of versions 5 to 7: the tags of all elements are checked before SciPy reads the file, as its C code trusts them.
+"""MATLAB files of versions 5 to 7: the tags of all elements are checked before SciPy reads the file, because SciPy's C code trusts them.
 
 An element is a tag (type, bytes) and its data, padded to 8 bytes; data of up to 4 bytes are in the tag itself. A matrix holds elements:
 flags, dimensions, name, then its numbers, or for a struct the names of its fields and a matrix for each.
@@ -66,7 +66,7 @@ def check(data: bytes, name: str, largest: float) -> None:
 
 
 def _elements(data: bytes, order: str, name: str, largest: float) -> list[tuple[int, bytes]]:
-    """(type, content) of the elements that fill the data."""
+    """(type, content) of the elements in the data."""
     elements, at = [], 0
     while at < len(data):
         check_numbers(name, ELEMENT * len(elements), largest)

@@ -9,8 +9,8 @@
     .mf4 .mdf                              asammdf      unit and times in the file
     .at2 .vt2 .dt2                         PEER ground motions
 
-Packages are imported when they are used, and named where they are missing. Nothing is unpickled, no network is used, and only the file
-itself is read. The number of values is compared with the limit before they are read, as a small file can hold many.
+Packages are imported when they are used; if one is missing, the message names it. Nothing is unpickled, no network is used, and only the
+file itself is read. The number of values is compared with the limit before they are read, because a small file can hold many.
 """
 
 from __future__ import annotations
@@ -209,7 +209,7 @@ def _peer(path: Path, pick: Pick, largest: float) -> Contents:
             values += [float(cell) for cell in line.split()]
         except ValueError:
             raise JaxbodyError(
-                Problem("BAD_LINE", f"{path.name}:{i}", f"is {line!r:.60}", i, "numbers", "Delete what is not a sample.")
+                Problem("BAD_LINE", f"{path.name}:{i}", f"is {line!r:.60}", i, "numbers", "Delete anything that is not a sample.")
             ) from None
     if len(values) != count:
         code, hint = ("TRUNCATED", "Copy it again.") if len(values) < count else ("RAGGED_LINE", "Is this the heading of another record?")

@@ -32,20 +32,20 @@ def read_record(
     """The Record in a file: CSV and other text tables (also .gz), Parquet, MATLAB, HDF5, UFF58, TDMS, MDF4, PEER AT2.
 
     Args:
-        path: of the file
+        path: path of the file
         channels: {name: columns} or {name: (columns, unit)}, with the name or number (from 0) of a column, or a list of them; "X[2]" is
             column 2 (from 0) of an array X; "1+Z" in a UFF file is node 1 along Z; a unique id line is a name too
         time: a column or (column, unit); None: the times that UFF, TDMS, MDF and AT2 files state, or those of `rate=`
-        format: text, parquet, mat, hdf5, uff, tdms, mdf or peer; None: according to the ending of the file
-        largest: size of a file, and of the numbers read from it, 8 bytes each [bytes]
-        encoding: of text
-        separator: between columns of text; None: that of the first line of numbers
+        format: text, parquet, mat, hdf5, uff, tdms, mdf or peer; None: according to the extension of the file
+        largest: largest size of a file, and of the numbers read from it at 8 bytes each [bytes]
+        encoding: encoding of text
+        separator: separator between columns of text; None: that of the first line of numbers
         decimal: decimal mark of text, "." or ","
         skip: number of lines to leave out at the start of text
         footer: number of lines to leave out at its end
         options: those of `Record`
 
-    Units come from the file, "acc [g]" or its own fields, or from you; where both state one they must agree. The channel of an AT2 file is
+    Units come from the file ("acc [g]" or its own fields) or from you; if both state one, they must agree. The channel of an AT2 file is
     called "motion".
 
     Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE (a pipe, a device), EMPTY_FILE, TOO_LARGE, UNKNOWN_FORMAT, WRONG_FORMAT, MISSING_EXTRA,
@@ -81,9 +81,7 @@ def read_record(
         parts = [_part(contents.columns[column], column) for column in columns]
         if len({len(part) for part in parts}) > 1 or (len(parts) > 1 and any(part.ndim > 1 for part in parts)):
             message = f"joins columns of shapes {[part.shape for part in parts]}"
-            problems.add(
-                "BAD_SHAPE", f"{name}['{key}']", message, limit="columns of one length", hint="Read them as channels of their own."
-            )
+            problems.add("BAD_SHAPE", f"{name}['{key}']", message, limit="columns of one length", hint="Read them as separate channels.")
             continue
         in_file = {contents.columns[column].unit for column in columns}
         agreed = _unit(unit, in_file, f"{name}['{key}']", problems, notes)
@@ -150,7 +148,7 @@ def _clock(columns: dict[Any, Column], clock: Any, rate: Any, name: str, problem
         if any(
             len(other) != len(own[0]) or np.abs(other - own[0]).max(initial=0.0) > 1e-9 * np.abs(np.diff(own[0])).sum() for other in own[1:]
         ):
-            hint = "Read them as records of their own, one experiment for each."
+            hint = "Read them as separate records, with one experiment for each."
             problems.add("DIFFERENT_TIMES", name, "has channels sampled at different times", limit="the same times", hint=hint)
         return own[0], "s"
     if rate is None:

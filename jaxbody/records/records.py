@@ -22,15 +22,15 @@ class Record(tables.Printed):
     Args:
         times: in `time_unit`; None: from `rate`, the first sample at 0
         channels: {name: (values, unit)}
-        time_unit: of the times
+        time_unit: unit of the times
         rate: sampling rate [Hz]; it must agree with the times within 0.1 % where both are given
         highest: the highest frequency of interest [Hz], compared with the rate; None: no comparison
         irregular: accept jitter above 5 % of a step and more than 5 % of missing samples
-        drop_duplicates: leave out rows that repeat the one before
+        drop_duplicates: leave out rows that repeat the previous one
         fill: "linear" or "spline", to fill gaps of up to `max_gap` samples, in a channel or of whole rows; None: gaps remain
         max_gap: longest gap that is filled [samples]
         drop: "all_nan" to leave out channels without a sample
-        name: of the record, in messages
+        name: name of the record, in messages
 
     Repairs are made on request only, and are listed in the notes.
 

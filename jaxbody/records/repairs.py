@@ -14,7 +14,8 @@ FILLS = ("linear", "spline")
 
 
 def without_duplicates(t: np.ndarray, given: dict[str, Any], name: str, notes: list[str]) -> tuple[np.ndarray, dict[str, Any]]:
-    """Times and channels without rows that repeat the one before in time and values; the check reports repeated times with other values."""
+    """Times and channels without rows that repeat the previous one in time and values; the check reports repeated times with other
+    values."""
     same = np.diff(t) == 0
     for x, _ in given.values():
         rows = x.reshape(len(x), -1)
@@ -35,7 +36,7 @@ def without_empty(given: dict[str, Any], notes: list[str], name: str) -> dict[st
 
 
 def filled(t: np.ndarray, given: dict[str, Any], fill: str, max_gap: int, notes: list[str]) -> tuple[np.ndarray, dict[str, Any]]:
-    """Times and channels with gaps of up to `max_gap` rows, or samples of one channel, filled; longer gaps remain."""
+    """Times and channels in which gaps of up to `max_gap` rows, or samples of one channel, are filled; longer gaps remain."""
     from scipy.interpolate import CubicSpline
 
     counts = counts_of(t).astype(int)
@@ -44,7 +45,7 @@ def filled(t: np.ndarray, given: dict[str, Any], fill: str, max_gap: int, notes:
     places = np.repeat(np.flatnonzero(fits) + 1, counts[fits] - 1)
     new = np.insert(t, places, np.concatenate(added)) if added else t
     if added:
-        notes.append(f"put in {counted(len(places), 'row')} that {'was' if len(places) == 1 else 'were'} missing")
+        notes.append(f"inserted {counted(len(places), 'row')} that {'was' if len(places) == 1 else 'were'} missing")
     out = {}
     for key, (x, unit) in given.items():
         rows = np.insert(x.reshape(len(x), -1), places, np.nan, axis=0)

@@ -17,7 +17,8 @@ def read_responses(
     """(frequencies [Hz], {(output, input): complex (nf,)}) of the frequency responses in a universal file (sets 58 of function type 4).
 
     `pairs` is {(output, input): "4+Z/1+Z"}, response over reference, each a node and a direction, +X to -Z or +RX to -RZ; or, where the
-    file states no units, {(output, input): ("4+Z/1+Z", "m/s2", "N")}. Units stated by both must agree. `largest`: size of the file [bytes].
+    file states no units, {(output, input): ("4+Z/1+Z", "m/s2", "N")}. If you and the file both state units, they must agree. `largest`:
+    largest size of the file [bytes].
 
     Errors: those of a file in `read_record`, NOT_A_RESPONSE, NO_UNIT, UNKNOWN_UNIT, UNIT_CONFLICT, DIFFERENT_FREQUENCIES.
 
@@ -32,7 +33,11 @@ def read_responses(
             grid = response.frequencies if grid is None else grid
             if grid.shape != response.frequencies.shape or np.abs(grid - response.frequencies).max() > 1e-9 * grid.max():
                 problems.add(
-                    "DIFFERENT_FREQUENCIES", where, "has other frequencies than the first", limit="one set", hint="Read it separately."
+                    "DIFFERENT_FREQUENCIES",
+                    where,
+                    "has different frequencies from the first one",
+                    limit="one set",
+                    hint="Read it separately.",
                 )
                 continue
             factors = [_factor(*both, where, problems) for both in ((above, response.above), (below, response.below))]

@@ -63,7 +63,7 @@ def check_sampling(
     s = sampling_of(np.asarray(known))
     message = f"jitters by {100 * s.jitter / s.step:.2g} % of a step (rms), {s.missing} of {len(known) + s.missing} samples missing"
     if rate is not None and abs(rate * s.step - 1) > MISMATCH:
-        hint = "Leave rate= out to use the times, or the times to use the rate."
+        hint = "Leave out rate= to use the times, or leave out the times to use the rate."
         problems.add("RATE_MISMATCH", where, f"has {s.rate:.6g} Hz, not the stated {rate:.6g} Hz", value=s.rate, limit="0.1 %", hint=hint)
     hint = "Give irregular=True if the times are correct."
     if not irregular and s.jitter > IRREGULAR * s.step:
@@ -103,7 +103,7 @@ def check_values(values: np.ndarray, unit: units.Unit, times: np.ndarray, proble
 
 
 def warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -> None:
-    """Warn DEAD of a channel that does not change, SATURATED of one that stays at its largest or smallest number."""
+    """Warn DEAD for a channel that does not change, SATURATED for one that stays at its largest or smallest number."""
     for k, x in enumerate(rows.T):
         name = where + (f"[{k}]" if rows.shape[1] > 1 else "")
         here = x[np.isfinite(x)]
@@ -134,7 +134,7 @@ def _turns(x: np.ndarray, i: int, j: int) -> bool:
 
 
 def _check_unit(rows: np.ndarray, unit: units.Unit, where: str) -> None:
-    """Warn UNIT of numbers that look like those of another unit than the stated one."""
+    """Warn UNIT for numbers that suggest a unit other than the stated one."""
     largest = float(np.nanmax(np.abs(rows))) if np.isfinite(rows).any() else 0.0
     if unit.dimension == units.ANGLE and unit.factor == 1.0 and largest > 2 * np.pi:
         warn("UNIT", f"{where} reaches {largest:.4g} rad, more than a turn; is it in degrees?")

@@ -39,20 +39,20 @@ def kind_of(path: Path, format: str | None, largest: float) -> str:
     kind = format or next((kind for kind, known in SUFFIXES.items() if suffix in known.split()), None)
     if kind is None:
         hint = f'If you know the format, give format="text", or another of {" ".join(SUFFIXES)}.'
-        raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the ending '{suffix}'", suffix, " ".join(SUFFIXES.values()), hint))
+        raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the extension '{suffix}'", suffix, " ".join(SUFFIXES.values()), hint))
     content = next((word for magic, word in MAGIC.items() if start.startswith(magic)), None)
     expected = {
         "text": {None, "gzip"} if suffixes[-1:] == [".gz"] else {None}, "uff": {None}, "peer": {None}, "mat": {"mat", "hdf5", None},
     }.get(kind, {kind})  # fmt: skip
     if content not in expected:
         message = f"is read as {kind}, but begins like {content or 'something else'}"
-        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, start, hint='Check the ending, or give format="...".'))
+        raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, start, hint='Check the extension, or give format="...".'))
     return kind
 
 
 def check_file(path: Path, largest: float = np.inf) -> None:
     """Check that a path is a regular file, not empty, of at most `largest` bytes, and readable. A pipe or a device is refused before it is
-    opened, as it might block or never end. Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
+    opened, because it might block or never end. Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
     try:
         status = path.stat()
         if stat.S_ISREG(status.st_mode):
@@ -78,13 +78,13 @@ def check_size(name: str, size: float, largest: float, what: str = "bytes") -> N
 
 
 def check_numbers(name: str, count: float, largest: float) -> None:
-    """Check that this many numbers to be read take at most `largest` bytes. Error: TOO_LARGE."""
+    """Check that `count` numbers, which are to be read, take at most `largest` bytes. Error: TOO_LARGE."""
     check_size(name, 8.0 * count, largest, f"bytes of numbers ({count:.4g})")
 
 
 def find_name(asked: str | int, names: list[str], where: str, aliases: list[str] | None = None) -> str:
-    """The name of the requested channel in the file, or its alias. A name matches as it is, without its unit, or without an index such as
-    [2]; a number counts the names from 0. Error: UNKNOWN_CHANNEL."""
+    """The name of the requested channel in the file, or its alias. A name matches in full, without its unit, or without an index such as
+    [2]; a number is the index of a name, from 0. Error: UNKNOWN_CHANNEL."""
     if isinstance(asked, int):
         if 0 <= asked < len(names):
             return names[asked]
@@ -118,7 +118,7 @@ def reader_errors(path: Path, kind: str) -> Iterator[None]:
     except Exception as error:
         message = f"cannot be read as {kind}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"[:200]
         raise JaxbodyError(
-            Problem("UNREADABLE", path.name, message, path, hint="Is it whole, and was it closed by the program that wrote it?")
+            Problem("UNREADABLE", path.name, message, path, hint="Is it complete, and was it closed by the program that wrote it?")
         ) from None
 
 

@@ -69,9 +69,9 @@ def read_text(
 
     Args:
         data: content of the file
-        name: of the file, in messages
-        encoding: of the text
-        separator: between columns; None: that of the first line of numbers
+        name: name of the file, in messages
+        encoding: encoding of the text
+        separator: separator between columns; None: that of the first line of numbers
         decimal: decimal mark
         skip: number of lines to leave out at the start
         footer: number of lines to leave out at the end
@@ -140,9 +140,9 @@ def _pointed(cell: str, decimal: str) -> str:
 
 
 def _thousands(cells: list[str]) -> str:
-    """The hint for a number with separators of thousands; "" where there is none."""
+    """The hint for a number with thousands separators; "" if there is none."""
     cell = next((cell for cell in cells if THOUSANDS.fullmatch(cell) and not NUMBER.fullmatch(cell)), None)
-    return "" if cell is None else f"{cell!r} has separators of thousands, or quotes around them: write numbers without them."
+    return "" if cell is None else f"{cell!r} has thousands separators, or quotes around them: write numbers without them."
 
 
 def _no_numbers(lines: list[tuple[int, str]], name: str, separator: str | None, decimal: str) -> JaxbodyError:
@@ -223,7 +223,7 @@ def _ragged_hint(cells: int, width: int, separator: str) -> str:
 
 
 def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], list[str | None], int]:
-    """Names and units from the lines above the numbers, and how many lines they took; numbers for names where there are none."""
+    """Names and units from the lines above the numbers, and the number of these lines; columns without names are numbered."""
     rows = []
     for line in reversed(lines[-2:]):
         row = _cells(line.lstrip("".join(COMMENTS)).strip(), separator)
@@ -247,7 +247,7 @@ def _heads(lines: list[str], separator: str, width: int) -> tuple[list[str], lis
 
 
 def _opening(head: str) -> int:
-    """The position of the bracket that is closed at the end; -1 where there is none."""
+    """The position of the bracket that is closed at the end; -1 if there is none."""
     opens = {"]": "[", ")": "("}.get(head[-1:])
     depth = 0
     for at in range(len(head) - 1, -1, -1) if opens else ():
@@ -258,7 +258,7 @@ def _opening(head: str) -> int:
 
 
 def split_unit(head: str) -> tuple[str, str | None]:
-    """Name and unit from a heading such as "acc [g]"; parentheses count only where they hold a unit.
+    """Name and unit from a heading such as "acc [g]"; parentheses are read only if they contain a unit.
 
     >>> split_unit("acc [g]"), split_unit("speed (m/s)"), split_unit("x (left)")
     (('acc', 'g'), ('speed', 'm/s'), ('x (left)', None))

@@ -25,9 +25,9 @@ def sets_of(path: Path) -> list[dict[str, Any]]:
         message = (
             f"has no function of time or response (set 58), only sets {sorted(set(kinds))}"
             if kinds
-            else "is no universal file: it has no sets"
+            else "is not a universal file: it has no sets"
         )
-        hint = "Export responses as functions (set 58)." if kinds else 'Check the ending, or give format="...".'
+        hint = "Export responses as functions (set 58)." if kinds else 'Check the extension, or give format="...".'
         raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, kinds, "sets 58", hint))
     return [file.read_sets(i) for i, kind in enumerate(kinds) if kind == 58]
 
@@ -58,7 +58,7 @@ def read_uff(path: Path, pick: Pick, largest: float) -> Contents:
     for asked, name in pick(names, list(places)).items():
         s = sets[names.index(name) if name in names else places[name]]
         if int(s["func_type"]) not in (0, 1) or np.iscomplexobj(s["data"]):
-            message = f"'{name}' is no function of time (function type {int(s['func_type'])})"
+            message = f"'{name}' is not a function of time (function type {int(s['func_type'])})"
             hint = "Read a time response; read_responses reads frequency responses."
             raise JaxbodyError(Problem("NOT_A_RECORD", path.name, message, s["func_type"], "0 or 1", hint))
         columns[asked] = Column(numeric(s["data"], name, path.name), _uff_unit(s, "ordinate"), np.asarray(s["x"], float))

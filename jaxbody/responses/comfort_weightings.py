@@ -96,9 +96,9 @@ def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
     Args:
         name: Wk (vertical, seated or standing), Wd (horizontal), Wf (motion sickness), Wc (seat back), We (rotation), Wj (head, recumbent),
             Wb (vertical, in trains).
-        frequencies: in one row [Hz].
+        frequencies: frequencies in one row [Hz].
 
-    Errors: BAD_WEIGHTING, BAD_FREQUENCY, BAD_SHAPE. Source: ISO 2631-1:1997, annex A; of Wb ISO 2631-4:2001; parameters as in ISO
+    Errors: BAD_WEIGHTING, BAD_FREQUENCY, BAD_SHAPE. Source: ISO 2631-1:1997, annex A; for Wb ISO 2631-4:2001; parameters as in ISO
     8041:2005, table 3.
 
     >>> [round(float(abs(w)), 3) for w in weighting("Wk", [1.0, 8.0])]
@@ -111,7 +111,7 @@ def weighting(name: str, frequencies: Any) -> Complex[Array, "nf"]:
 def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomResponse:
     """A random response with weighted accelerations, {output: "Wk", or another `weighting`}: densities times |W|^2, weighted rms.
 
-    Other outputs are omitted. Errors: UNKNOWN_NAME, BAD_WEIGHTING, BAD_UNIT of an output that is not an acceleration (angular for We, else
+    Other outputs are omitted. Errors: UNKNOWN_NAME, BAD_WEIGHTING, BAD_UNIT for an output that is not an acceleration (angular for We, else
     linear). Source: ISO 2631-1:1997.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
@@ -129,7 +129,7 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
                 problems.add("BAD_WEIGHTING", f"weighted[{output!r}]", f"is {name!r}", value=name, limit=" ".join(WEIGHTINGS), hint=HINT)
             unit, limit = response.units[response.outputs.index(output)], _unit(name)
             if unit != limit:
-                hint = 'Ask kind="acceleration" of it; We is for rotations, the others for translations.'
+                hint = 'Give its port kind="acceleration"; We is for rotations, the others for translations.'
                 problems.add("BAD_UNIT", f"weighted[{output!r}]", f"is in {unit}", value=unit, limit=limit, hint=hint)
     rows = np.array([response.outputs.index(output) for output in weights], dtype=int)
     factors = jnp.stack([jnp.abs(_weighting(name, response.frequencies)) ** 2 for name in weights.values()], -2)

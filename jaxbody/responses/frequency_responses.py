@@ -128,7 +128,8 @@ def frequency_response(
 
         D(w) Delta = (K~ + i w C~ - w^2 M~) Xi + F f,   D(w) = K + i w C - w^2 M
 
-    At 0 Hz it is static. Differentiable by both methods, also where modes coincide, in the model, points of ports, damping and frequencies.
+    At 0 Hz it is static. With both methods it is differentiable with respect to the model, points of ports, damping and frequencies, also
+    where modes coincide.
 
     Args:
         frequencies: 0 or more, in one row [Hz].
@@ -136,13 +137,13 @@ def frequency_response(
         outputs: {name: PointMotion, ElementForce, ElementDeformation, SupportReaction, or a sensor that reads one number, with no chain}.
         loss_factor: hysteretic damping, i eta times the stiffness V''(e) of elements, one number for all or {element: eta}; by default
             none. It exists for harmonic motion only, so it is an option here and not a property of a model.
-        modal_damping: damping ratios added to those of the dampers, one for all natural modes or one for each, ascending; by default none.
-            They damp the motion relative to the quasi-static one; ratios of coinciding modes are averaged.
-        method: "direct", by elimination at each frequency, or "modal", the sum over all complex modes, the same to rounding.
+        modal_damping: damping ratios added to those of the dampers, one for all natural modes or one for each, in ascending order; by
+            default none. They damp the motion relative to the quasi-static one; ratios of coinciding modes are averaged.
+        method: "direct", by elimination at each frequency, or "modal", the sum over all complex modes; both agree to rounding.
 
-    Errors: BAD_FREQUENCY below 0 Hz, and at 0 Hz of an input that is a velocity or an acceleration, UNKNOWN_NAME, WRONG_KIND,
-    BAD_COMPONENT, BAD_METHOD, BAD_SHAPE, NON_FINITE, NEGATIVE loss factors or damping ratios, BAD_OPTION of either with sensors of forces;
-    warns UNSTABLE, SINGULAR_K at 0 Hz, DEFECTIVE (modes), NONFINITE (an undamped resonance), and of modal damping NOT_SYMMETRIC,
+    Errors: BAD_FREQUENCY below 0 Hz, and at 0 Hz for an input that is a velocity or an acceleration, UNKNOWN_NAME, WRONG_KIND,
+    BAD_COMPONENT, BAD_METHOD, BAD_SHAPE, NON_FINITE, NEGATIVE loss factors or damping ratios, BAD_OPTION for either with sensors of forces;
+    warns UNSTABLE, SINGULAR_K at 0 Hz, DEFECTIVE (modes), NONFINITE (an undamped resonance), and for modal damping NOT_SYMMETRIC,
     SINGULAR_M.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
@@ -171,7 +172,7 @@ def frequency_response(
 
 
 def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:
-    """Frequencies in one row, positive, with `static` also 0."""
+    """Frequencies, after a check that they are in one row and positive (with `static`, 0 is allowed too)."""
     with Problems() as problems:
         array = float_array(given, where)
         array = checked(array, ((max(array.size, 1),),), where, problems, "Give frequencies [Hz] in one row.")
@@ -184,7 +185,7 @@ def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[
 
 
 def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> None:
-    """Refuses inputs given as velocity or acceleration at 0 Hz, whose displacement is unbounded."""
+    """Refuse inputs given as velocity or acceleration at 0 Hz, because their displacement is unbounded."""
     with Problems() as problems:
         for name, port in zip(names, inputs, strict=True):
             if (kind := getattr(port, "kind", "displacement")) != "displacement":
@@ -195,7 +196,8 @@ def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> N
 
 
 def check_without_force_sensors(given: Any, where: str, outputs: tuple[Any, ...]) -> None:
-    """Refuses force sensors with damping that is an option, as they read forces of the model only. Error: BAD_OPTION."""
+    """Refuse force sensors together with `loss_factor` or `modal_damping`, because they read forces of the model only. Error:
+    BAD_OPTION."""
     with Problems() as problems:
         for port in outputs if given is not None else ():
             if hasattr(port, "reading") and port.unit in ("N", "N m"):

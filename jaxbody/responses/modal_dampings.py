@@ -27,8 +27,8 @@ NO_MODES = (Status.UNSTABLE, Status.NOT_SYMMETRIC, Status.SINGULAR_M, Status.NON
 
 
 def with_modal_damping(lin: Linearization, ratios: Any, where: str) -> Linearization:
-    """The linearization with damping ratios added to its modes, one for all or one for each, ascending; its status is that of `modes` where
-    these fail.
+    """The linearization with damping ratios added to its modes, one for all or one for each, in ascending order; its status is that of
+    `modes` if these fail.
 
     Errors: BAD_SHAPE, NON_FINITE, NEGATIVE."""
     if ratios is None:

@@ -25,13 +25,13 @@ from jaxbody.responses.spectra import Band, CrossPSD, Spectrum, check_spectra, t
 from jaxbody.vibrations.linearizations import Linearization
 from jaxbody.vibrations.ports import KINDS, UNITS, PortMatrices, check_ports, port_matrices
 
-COARSE = 0.03  # relative change of an rms without every other frequency: nearly four times the error
+COARSE = 0.03  # relative change of an rms when every other frequency is left out: nearly four times the error
 
 
 class RandomResponse(Result):
     """One-sided power spectral densities `psd` (outputs, frequencies), per hertz, of outputs in their `units`, over `frequencies` [Hz], and
-    `rms` over these. `response["seat"]` is the rms of one. `status` COARSE if an rms changes by more than 3 % without every other
-    frequency, NOT_POSITIVE if the coherences are contradictory, or that of the frequency response."""
+    `rms` over these. `response["seat"]` is the rms of one. `status` COARSE if an rms changes by more than 3 % when every other frequency is
+    left out, NOT_POSITIVE if the coherences are contradictory, or that of the frequency response."""
 
     frequencies: Float[Array, "nf"]
     psd: Float[Array, "ny nf"]
@@ -89,7 +89,7 @@ def random_response(
             acceleration, whatever the kind of the port: powers of 2 pi f convert it.
         loss_factor, modal_damping: as in `frequency_response`; by default none.
 
-    Errors: those of `frequency_response`, UNKNOWN_NAME or NO_SPECTRUM (missing), BAD_UNIT of a spectrum that does not fit its input; warns
+    Errors: those of `frequency_response`, UNKNOWN_NAME or NO_SPECTRUM (missing), BAD_UNIT for a spectrum that does not fit its input; warns
     COARSE, NOT_POSITIVE, UNSTABLE.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0)
@@ -125,7 +125,7 @@ def root_mean_square(psd: Float[Array, "ny nf"], weights: Float[Array, "*w nf"])
 
 
 def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
-    """COARSE if an rms changes without every other frequency."""
+    """COARSE if an rms changes when every other frequency is left out."""
     fine, rough = root_mean_square(psd, weights), root_mean_square(psd, coarse)
     return jnp.where(jnp.any(jnp.abs(fine - rough) > COARSE * fine), Status.COARSE.value, Status.OK.value)
 
@@ -177,7 +177,7 @@ def _order(spectrum: Spectrum, port: Any) -> int:
 
 
 def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
-    """Each input, and no other, has a spectrum that fits it."""
+    """Check that each input has a spectrum that fits it, and that there are no other spectra."""
     with Problems() as problems:
         each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
         if not isinstance(each, dict):
@@ -194,7 +194,7 @@ def _check_match(inputs: dict[str, Any], spectra: Any) -> None:
             elif name in known:
                 family = (port.unit,) if not hasattr(port, "kind") else UNITS[len(port.direction) - 1]
                 if known[name].quantity not in family:
-                    message, limit = f"is of {known[name].quantity}, the input is in {port.unit}", " or ".join(family)
+                    message, limit = f"is of {known[name].quantity}, but the input is in {port.unit}", " or ".join(family)
                     problems.add(
                         "BAD_UNIT",
                         f"spectra[{name!r}]",

@@ -44,7 +44,7 @@ class Unevenness(eqx.Module):
 
     @classmethod
     def iso(cls, road_class: str) -> Unevenness:
-        """The geometric mean of a class, A (smooth) to H: 16e-6 m3 for A, each four times the one before. Error: BAD_CLASS."""
+        """The geometric mean of a class, A (smooth) to H: 16e-6 m3 for A, each four times the previous one. Error: BAD_CLASS."""
         if road_class not in tuple(CLASSES):
             raise JaxbodyError(
                 Problem("BAD_CLASS", "Unevenness.iso", f"is {road_class!r}", road_class, " ".join(CLASSES), "Give a letter.")
@@ -64,9 +64,9 @@ def road_profile(road: Unevenness, *, length, spacing, key: PRNGKeyArray) -> tup
 
     Args:
         road: its unevenness.
-        length: of the road [m].
+        length: length of the road [m].
         spacing: distance between its points [m].
-        key: of the random phases; the same key gives the same road.
+        key: random key for the phases; the same key gives the same road.
 
         z(s) = sum over k of sqrt(2 Gd(k/L)/L) cos(2 pi k s/L + p_k),   k/L up to 1/(2 spacing)
 

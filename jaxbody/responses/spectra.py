@@ -1,7 +1,7 @@
 """Power spectral densities with their units, correlated inputs, and frequency bands for integrals.
 
-Inside, all are one-sided and per hertz: the variance of a signal is int_0^inf S(f) df. A density per rad/s is multiplied by 2 pi, one per
-cycle/m divided by the speed, a two-sided one doubled.
+Inside, all are one-sided and per hertz: the variance of a signal is int_0^inf S(f) df. A density per rad/s is multiplied by 2 pi; one per
+cycle/m is divided by the speed; a two-sided one is doubled.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ class Spectrum(eqx.Module):
 
 
 class PowerLaw(Spectrum):
-    """S(x) = level (x/reference)^-exponent, with the frequency x in the measure of the unit: white noise with exponent 0, a road with 2.
+    """S(x) = level (x/reference)^-exponent, with the frequency x as in the unit (Hz, rad/s, cycle/m or rad/m): exponent 0 is white noise, 2
+    a road.
 
     Args:
         level: S at the reference [unit]
@@ -55,9 +56,9 @@ class PowerLaw(Spectrum):
         exponent: default 0, a constant
         reference: frequency x at which S is `level`
         sides: 1, or 2 where half of the power is at negative frequencies
-        speed: of travel, for a spectrum over distance [m/s]
+        speed: speed of travel, for a spectrum over distance [m/s]
 
-    Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY of a reference of 0 or less, BAD_SHAPE, NON_FINITE.
+    Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, NEGATIVE, BAD_FREQUENCY for a reference of 0 or less, BAD_SHAPE, NON_FINITE.
 
     >>> road = PowerLaw(64e-6, exponent=2.0, reference=0.1, unit="m2/(cycle/m)", speed=20.0)
     >>> round(float(road(jnp.array([2.0]))[0]) * 1e6, 9)
@@ -101,7 +102,7 @@ class PSD(Spectrum):
         values: densities at these [unit]
         unit: see PowerLaw
         sides: 1, or 2 where half of the power is at negative frequencies
-        speed: of travel, for a spectrum over distance [m/s]
+        speed: speed of travel, for a spectrum over distance [m/s]
 
     Errors: BAD_UNIT, NO_SPEED, BAD_SIDES, BAD_FREQUENCY, NEGATIVE, BAD_SHAPE, NON_FINITE.
 
@@ -136,7 +137,7 @@ class PSD(Spectrum):
 
     @classmethod
     def from_record(cls, times, values, *, unit: str, segment: int = 1024) -> PSD:
-        """Welch's estimate from a record, with scipy.signal.welch: Hann windows of `segment` samples, half overlapping.
+        """Welch's estimate from a record, with scipy.signal.welch: Hann windows of `segment` samples that overlap by half.
 
         Args:
             times: equally spaced [s].
@@ -172,7 +173,7 @@ class CrossPSD(eqx.Module):
         coherence: {(input, input): a number from 0 to 1, or a function of the frequencies [Hz]}, the ratio |S_ij|/sqrt(S_i S_j), which is
             the square root of the usual coherence estimate; other pairs are not correlated
 
-    The matrix S must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, BAD_PAIR of an input with itself or of a pair given twice,
+    The matrix S must be positive semidefinite. Errors: UNKNOWN_NAME, WRONG_KIND, BAD_PAIR for an input with itself or a pair given twice,
     NOT_POSITIVE, BAD_SHAPE, NON_FINITE.
 
     >>> road = PowerLaw(1e-6, unit="m2/Hz", exponent=2.0)
@@ -312,14 +313,15 @@ def sampling_step(times: Any, where: str, problems: Problems) -> Any:
 
 
 def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
-    """The quantity, the measure of frequency, and the factor to the squared quantity in SI per measure."""
+    """The quantity, the measure of frequency, and the factor from this unit to the squared quantity in SI units per unit of that
+    measure."""
     try:
         text = CYCLES.sub("1", str(unit))
         whole, last = parse(text, where), LAST.fullmatch(text)
         measure = whole if last is None else parse(last[1], where)
         if whole.dimension in DENSITIES and (measure if measure.dimension in MEASURES.values() else whole).factor == 1:
             return *DENSITIES[whole.dimension], whole.factor
-        hint = 'Such as "(m/s2)2/Hz", "m2/s4/Hz", "g2/Hz" or "m2/(cycle/m)"; square a density per root of Hz.'
+        hint = 'Such as "(m/s2)2/Hz", "m2/s4/Hz", "g2/Hz" or "m2/(cycle/m)"; square a density per square root of Hz.'
         problem = Problem(
             "BAD_UNIT", where, f"is {unit!r}", unit, f"the square of {', '.join(QUANTITIES)} over {', '.join(MEASURES)}", hint
         )
@@ -344,7 +346,7 @@ def _measure(per: str, sides: Any, speed: Any, where: str, problems: Problems) -
 
 
 def _in_hertz(f: Array, per: str, speed: Array) -> tuple[Array, Any]:
-    """The frequency in its own measure, and the density per hertz of a unit density per that measure."""
+    """The frequency in its own measure, and the factor from a density per that measure to a density per hertz."""
     rate = (2 * jnp.pi if per.startswith("rad") else 1.0) / (speed if per.endswith("/m") else 1.0)
     return f * rate, rate
 

@@ -22,8 +22,8 @@ BACK = np.array([1.0, -1, -1, -1])  # conjugates a quaternion
 class Attitude(Sensor):
     """The base class of readings that end in a unit quaternion w, x, y, z, after `places` other numbers.
 
-    The residual has a rotation vector in place of the quaternion, from the measured to the read orientation, in world axes. `bias` also has
-    a rotation vector in its place, which rotates the reading."""
+    The residual has a rotation vector in place of the quaternion, from the measured orientation to the reading, in world axes. `bias` also
+    has a rotation vector in its place, which rotates the reading."""
 
     places: ClassVar[int] = 0
     stages = {"bias": "0.0", "delay": "0.0"}  # noqa: RUF012
@@ -53,7 +53,7 @@ class Attitude(Sensor):
         return jnp.concatenate([reading[..., :n] + noise[..., :n], turned], -1)
 
     def delayed(self, times, x):
-        """The polynomial through quaternions with consistent signs, normalized."""
+        """Interpolated quaternions: the polynomial through samples with consistent signs, normalized."""
         n, q = self.places, x[..., self.places :]
         turns = jnp.where(jnp.sum(q[1:] * q[:-1], -1, keepdims=True) < 0, -1.0, 1.0)
         signs = jnp.concatenate([jnp.ones_like(q[:1, :1]), jax.lax.stop_gradient(jnp.cumprod(turns, 0))])
@@ -73,7 +73,7 @@ class Attitude(Sensor):
 class BodyPose(Attitude):
     """Pose of a body or support: position of its origin [m] and unit quaternion w, x, y, z, seven numbers.
 
-    The residual has six: position, and rotation vector from the measured to the read orientation, world axes. Noise is one number for
+    The residual has six: position, and rotation vector from the measured orientation to the reading, in world axes. Noise is one number for
     both, or two: meters for the position, radians for the orientation. `bias` (six numbers) and `delay` may be given.
 
     >>> BodyPose("plate").shape, BodyPose("plate").noise_shape
@@ -93,9 +93,10 @@ class BodyPose(Attitude):
 class Orientation(Attitude):
     """Orientation of an instrument on a body or support, as read by an attitude reference: unit quaternion w, x, y, z, instrument to world.
 
-    `orientation`: of the instrument in its body, a quaternion or a rotation matrix. The residual is the rotation vector [rad] from the
-    measured to the read orientation, in world axes. `bias` (three numbers) is a rotation vector by which the reading is turned; `delay` may
-    be given too. Errors: BAD_QUATERNION, BAD_ROTATION, BAD_SHAPE, NON_FINITE, BAD_CHAIN.
+    `orientation`: orientation of the instrument in its body, a quaternion or a rotation matrix. The residual is the rotation vector [rad]
+        from the
+    measured orientation to the reading, in world axes. `bias` (three numbers) is a rotation vector that rotates the reading; `delay`
+    may be given too. Errors: BAD_QUATERNION, BAD_ROTATION, BAD_SHAPE, NON_FINITE, BAD_CHAIN.
 
     >>> Orientation("plate").shape, Orientation("plate").noise_shape
     ((4,), (3,))

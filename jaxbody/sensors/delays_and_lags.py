@@ -20,7 +20,7 @@ SERIES, TERMS = 3.0, 28  # h/T below which moments come from their series, and i
 
 
 def between(times: Float[Array, "n"], x: Float[Array, "n k"], cells: Int[Array, "m"], t: Float[Array, "m q"]) -> Float[Array, "m q k"]:
-    """x at times t in (or about) cells, cell i from times[i] to times[i + 1], by Lagrange's formula."""
+    """x at times t in (or near) cells, cell i from times[i] to times[i + 1], by Lagrange's formula."""
     n = len(times)
     points = min(POINTS, n)
     first = jnp.clip(cells - (points // 2 - 1), 0, n - points)
@@ -53,7 +53,7 @@ def known(times: Float[Array, "n"], tau: Float[Array, ""]) -> Float[Array, "n"]:
 
 
 def lagged(times: Float[Array, "n"], x: Float[Array, "n *r"], T: Float[Array, ""], start: Float[Array, "*r"]) -> Float[Array, "n *r"]:
-    """y of T y' + y = x, y(t_0) = start, exactly for the polynomials through x:
+    """The solution y of T y' + y = x, y(t_0) = start, which is exact for the polynomials through x:
 
     y(t + h) = e^-z y(t) + sum_q W_q(z) x(t + s_q h),   W_q = z int_0^1 e^-z(1 - s) l_q(s) ds,   z = h/T
     """
@@ -74,7 +74,8 @@ def lagged(times: Float[Array, "n"], x: Float[Array, "n *r"], T: Float[Array, ""
 
 def _weights(z: Float[Array, "m"]) -> Float[Array, "m q"]:
     """W_q(z), exact for powers s^k, whose moments are m_k = z int_0^1 e^-z(1 - s) s^k ds. For small z these come from their series
-    m_k = z e^-z sum z^n/(n! (n + k + 1)), for larger z from the recursion m_k = 1 - k m_(k-1)/z, as the other would lose digits."""
+    m_k = z e^-z sum z^n/(n! (n + k + 1)), for larger z from the recursion m_k = 1 - k m_(k-1)/z, because each would lose digits where the
+    other is used."""
     near, far = jnp.minimum(z, SERIES), jnp.maximum(z, SERIES)
     series, recursion = [], [-jnp.expm1(-far)]
     for k in range(len(NODES)):

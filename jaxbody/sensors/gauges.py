@@ -70,7 +70,7 @@ class Displacement(Relative):
 
     Args:
         a: (name, point), or a name for its origin
-        b: likewise, the reference; default: the world
+        b: the reference point, likewise; default: the origin of the world
         axis: the sensitive direction in the axes of b, for one number; None: three numbers
         chain: `gain`, `bias` (sets the zero), `delay`, `lag`, `start`: see Sensor
 
@@ -201,10 +201,10 @@ class LaserVibrometer(LaserLine):
 
     Args:
         on: name of the body or support
-        point: in body axes [m]
-        axis: direction of the beam, world axes
-        origin: a point of the beam, world axes [m]
-        normal: of the plane surface through `point`, body axes
+        point: position in body axes [m]
+        axis: direction of the beam, in world axes
+        origin: a point of the beam, in world axes [m]
+        normal: normal of the plane surface through `point`, in body axes
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
     Errors: ZERO_AXIS, NO_SURFACE, GRAZING, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_LAG.

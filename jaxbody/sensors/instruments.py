@@ -58,7 +58,7 @@ class Accelerometer(Mounted):
 
     Args:
         on: name of the body or support
-        point: in body axes [m]
+        point: position in body axes [m]
         axis: the sensitive direction in body axes, for one number
         orientation: R_S of the instrument in its body (quaternion or matrix), for three numbers; None: body axes
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
@@ -83,12 +83,11 @@ class Accelerometer(Mounted):
 
 
 class Gyro(Mounted):
-    """Angular velocity [rad/s] of a body or support in the axes of the instrument, w_S = R_S' R' w.
+    """Angular velocity [rad/s] of a body or support in the axes of the instrument, w_S = R_S' R' w. Its arguments (except `point`) and
+    errors are those of an Accelerometer.
 
-    Its arguments, but for `point`, and its errors are those of an Accelerometer.
-
-    >>> Gyro("box", axis=[0, 0, 1]).shape, Gyro("box").shape
-    ((), (3,))
+        >>> Gyro("box", axis=[0, 0, 1]).shape, Gyro("box").shape
+        ((), (3,))
     """
 
     unit = "rad/s"
@@ -102,12 +101,12 @@ class Gyro(Mounted):
 
 
 class Tilt(Mounted):
-    """An inclinometer: the angles [rad] of its x and y axes above the horizontal plane, or of its one `axis`, positive upwards,
+    """An inclinometer: the angles [rad] of its x and y axes above the horizontal plane, or of its single `axis`, positive upwards,
 
         theta = atan2(e . u, |e x u|),   u = -g/|g|
 
-    It reads the direction of gravity only; for an instrument that also responds to accelerations use an Accelerometer. Its arguments, but
-    for `point`, and its errors are those of an Accelerometer, and NO_GRAVITY for a model without gravity.
+    It reads the direction of gravity only; for an instrument that also responds to accelerations use an Accelerometer. Its arguments
+    (except `point`) and errors are those of an Accelerometer, with NO_GRAVITY for a model without gravity.
 
     >>> Tilt("box").shape, Tilt("box", axis=[1, 0, 0]).shape
     ((2,), ())
@@ -239,7 +238,8 @@ class Reaction(WrenchSensor):
 
     Args:
         on: name of the body that the joint carries
-        point: about which the moment is taken, body axes [m]; None: the point `at` of a hinge or ball, or else the body's reference point O
+        point: point about which the moment is taken, in body axes [m]; None: the point `at` of a hinge or ball, or else the body's
+            reference point O
         component: 0 to 2 for one force, 3 to 5 for one moment; None: all six
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
@@ -280,7 +280,7 @@ class JointAngle(Sensor):
 
     A joint with several coordinates needs a `component`, the number (from 0) of one that is a rotation. `gain`, `bias`, `delay`, `lag`,
     `start`: see Sensor.
-    Errors: UNKNOWN_NAME, BAD_COMPONENT (a free body and a ball have no angle: use Orientation), BAD_SHAPE, NON_FINITE, BAD_LAG.
+    Errors: UNKNOWN_NAME, BAD_COMPONENT (free bodies and ball joints have no angle: use Orientation), BAD_SHAPE, NON_FINITE, BAD_LAG.
 
     >>> JointAngle("arm").unit
     'rad'
@@ -313,7 +313,7 @@ class JointAngle(Sensor):
 
 
 def _component_problem(component: int | None, size: int | None, what: str, where: str) -> Problem | None:
-    """The problem of a missing, superfluous or nonexistent component; None where there is none."""
+    """The problem of a missing, superfluous or nonexistent component; None if there is none."""
     if (component is None) == (size is None) and (component is None or component in range(size or 0)):
         return None
     limit = "no component" if size is None else f"0 to {size - 1}"

@@ -40,11 +40,11 @@ class Sensor(Channel):
     Args:
         gain: one number, or one for each component
         bias: likewise, in the unit of the residual
-        delay: of either sign [s]
+        delay: a delay, positive or negative [s]
         lag: time constant [s]
         start: initial value of the lag; None: x(t_0 - delay), as for an instrument that has settled
 
-    All of them are None, for no effect, by default. A record is extrapolated by at most one sample. Delayed samples further outside are
+    By default all of them are None, without effect. A record is extrapolated by at most one sample. Delayed samples further outside are
     unknown: `measure` returns NaN, and a fit treats them as missing, with a weight that decreases to zero over one sample.
 
     Class attributes: `shape` of a reading; `noise_shape` of a residual; `unit` of both, or several separated by commas, and noise then has
@@ -75,7 +75,7 @@ class Sensor(Channel):
     bias: Float[Array, "*b"] | None = field("unit", default=None, kw_only=True)
     delay: Float[Array, ""] | None = field("s", default=None, kw_only=True)
     lag: Float[Array, ""] | None = field(
-        "s", "positive", code="BAD_LAG", hint="Leave it out where there is none.", default=None, kw_only=True
+        "s", "positive", code="BAD_LAG", hint="Leave it out if there is no lag.", default=None, kw_only=True
     )
     start: Float[Array, "*r"] | None = field("unit", default=None, kw_only=True)
 
@@ -160,12 +160,12 @@ class Sensor(Channel):
         return (self.on,)
 
     def problem(self, model: Model, where: str) -> Problem | None:
-        """The problem of this sensor on this model; None where there is none."""
+        """The problem of this sensor on this model; None if there is none."""
         known = model.layout.frames
         return next((unknown(name, where, known) for name in self.names if name not in known), None)
 
     def misread(self, measured: np.ndarray, where: str) -> Problem | None:
-        """The problem of samples of the right shape; None where there is none."""
+        """The problem of samples of the right shape; None if there is none."""
         return None
 
 
@@ -174,7 +174,7 @@ class Position(Sensor):
 
     Args:
         on: name of the body or support
-        point: in its axes [m]
+        point: position in its axes [m]
         axis: a direction in world axes, for the component along it; None: three components
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
@@ -229,7 +229,7 @@ def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:
     """Check that all sensors are Sensors, on parts of the model."""
     with Problems() as problems:
         for name, sensor in checked_dict(sensors, where, "name: jb.Position(...)", problems).items():
-            check_kind(sensor, Sensor, f"{where}['{name}']", "a sensor, as jb.Position(...)", problems)
+            check_kind(sensor, Sensor, f"{where}['{name}']", "a sensor, such as jb.Position(...)", problems)
             problem = sensor.problem(model, f"{where}['{name}']") if isinstance(sensor, Sensor) else None
             problems.collected += [] if problem is None else [problem]
 

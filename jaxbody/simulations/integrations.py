@@ -23,7 +23,7 @@ from jaxbody.numerics.precisions import reachable
 from jaxbody.simulations.trajectories import Trajectory
 
 FINEST = {"float64": 0.0, "float32": 1.5e-5}  # least local error; below it float32 takes shorter steps without a gain
-SAFETY = 0.1  # local error over rtol, as the order between steps is lower than that of a step
+SAFETY = 0.1  # local error over rtol, because the order between steps is lower than that of a step
 CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
 OWN_STEPS = diffrax.ConstantStepSize | None
 STATUSES = (
@@ -67,7 +67,7 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
 
 @jax.custom_jvp
 def _nan_unless(valid: Bool[Array, "nt 1"], y: Float[Array, "nt ny"]) -> Float[Array, "nt ny"]:
-    """y where it is valid, else NaN; so are the derivatives, which `jnp.where` alone makes zero in reverse mode."""
+    """y where it is valid, else NaN. So are its derivatives; with `jnp.where` alone they would be zero in reverse mode."""
     return jnp.where(valid, y, jnp.nan)
 
 

@@ -61,9 +61,9 @@ def measure(
 
     Args:
         sensors: {name: sensor}.
-        noise: standard deviation in the unit of the sensor, one for all or {sensor: one}; default 0. For a pose one number, in meters for
-            the position and in radians for the orientation, or two.
-        key: of the noise, as jax.random.key(0); by default none, for readings without noise.
+        noise: standard deviation in the unit of the sensor, one for all or {sensor: one}; default 0. For a pose, one number (in meters for
+            the position and in radians for the orientation) or two.
+        key: random key of the noise, such as jax.random.key(0); by default none, for readings without noise.
 
     A delayed instrument reads NaN where the delayed time is outside the trajectory. Leading axes of a batch of trajectories are kept.
     Errors, all at once: WRONG_KIND, UNKNOWN_NAME, BAD_NOISE, BAD_SHAPE, NON_FINITE, NO_KEY.
@@ -76,7 +76,7 @@ def measure(
     (5, 3)
     """
     with Problems() as problems:
-        check_kind(trajectory, Trajectory, "measure.trajectory", "a Trajectory, as jb.simulate(...) returns", problems)
+        check_kind(trajectory, Trajectory, "measure.trajectory", "a Trajectory, the result of jb.simulate(...)", problems)
     check_sensors(sensors, trajectory.model, "sensors")
     levels = noise_levels(sensors, noise, "noise", problems, zero=True)
     noisy = any(concrete(level) is None or np.any(level) for level in levels.values())

@@ -59,15 +59,15 @@ def simulate(
         loads: {name: load} on bodies; by default none.
         initial: a State, or "rest": in equilibrium on the supports in their poses and motion at times[0], without loads; by default the
             reference pose at rest.
-        rtol: ten times the relative local error allowed in any component, so that samples between steps keep it too; at least 1.5e-4 in
+        rtol: ten times the relative local error allowed in any component, so that samples between steps also meet it; at least 1.5e-4 in
             float32. The absolute error is rtol/100 times the size of the model (for velocities, times its fastest frequency, roughly).
-        solver: of diffrax; by default Dopri8 in our own loops (`dormand_prince_steps`).
-        stepsize_controller: of diffrax; by default the error controls the steps; with diffrax.ConstantStepSize() they are dt0.
-        adjoint: of diffrax; by default both modes of differentiation work, and forward over reverse. For few parameters
-            diffrax.ForwardMode() is faster; with a `solver` forward mode needs it.
+        solver: a diffrax solver; by default Dopri8 in our own loops (`dormand_prince_steps`).
+        stepsize_controller: a diffrax controller; by default the error controls the steps; with diffrax.ConstantStepSize() they are dt0.
+        adjoint: a diffrax adjoint; by default forward and reverse mode work, and forward over reverse. For few parameters
+            diffrax.ForwardMode() is faster; forward mode needs it if you give a `solver`.
         dt0: the first step, or the constant step [s]; by default chosen.
         max_steps: the largest number of steps.
-        progress: the time taken, on a terminal or in a notebook after five seconds; False is silent, True shows diffrax's meter.
+        progress: None shows the time taken on a terminal or in a notebook after five seconds; False is silent, True shows diffrax's meter.
 
     With a solver, another stepsize_controller or adjoint, or progress=True, diffrax integrates. A batch by jax.vmap runs in chunks of 40,
     each member with its own steps; constant steps take half the time, but nothing controls the error: compare with a shorter dt0.
@@ -81,13 +81,13 @@ def simulate(
         derivative            2e-3   1e-4   1e-5   2e-6   2e-7   3e-8   4e-9   6e-10
         time                  0.3    0.35   0.45   0.6    0.8    1      1.3    1.7
 
-    For plots 1e-5 is sufficient. The default is for derivatives, whose errors are a hundred times as large, and for comparing runs: fits,
-    tuning, differences.
+    For plots 1e-5 is sufficient. The default is chosen for derivatives, whose errors are a hundred times as large, and for comparisons of
+    runs, as in fits, tuning and finite differences.
 
-    Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME of a support,
-    UNKNOWN_BODY of a load. An integration that ends early warns, and returns its samples with a status. Warns SPRING_COLLAPSED of a spring
-    that passes through zero length and HALF_TURN of a Bushing or Torsion past half a turn, with the time, where samples show it and many
-    steps were rejected; the `summary()` of a trajectory always shows it.
+    Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME for a support,
+    UNKNOWN_BODY for a load. An integration that ends early warns, and returns its samples with a status. Warns SPRING_COLLAPSED for a
+    spring that passes through zero length and HALF_TURN for a Bushing or Torsion past half a turn, with the time, if samples show it and
+    many steps were rejected; the `summary()` of a trajectory always shows it.
 
     >>> import jax.numpy as jnp
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
@@ -123,7 +123,8 @@ def simulate(
 
 
 def _with_jumps(result: Trajectory) -> Trajectory:
-    """Warn of springs through zero length and elements past half a turn, if as many steps were rejected as a jump of force costs."""
+    """Warn about springs that pass through zero length and elements past half a turn, if as many steps were rejected as a jump of force
+    costs."""
     if not is_concrete(result.statistics):
         return result
     accepted, rejected = (int(result.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
@@ -158,19 +159,19 @@ def check_steps(
     where: str,
     adjoint: diffrax.AbstractAdjoint | None = None,
 ) -> int:
-    """Solver, controller and adjoint are diffrax's objects, Gauss has constant steps with dt0, rtol and dt0 are positive. Returns
-    max_steps, an integer."""
+    """Check that solver, controller and adjoint are diffrax objects, that Gauss has constant steps with dt0, and that rtol and dt0 are
+    positive. Returns max_steps as an integer."""
     with Problems() as problems:
         given = {"solver": solver, "stepsize_controller": stepsize_controller, "adjoint": adjoint}
         for name, value in given.items():
             if value is not None:
-                check_kind(value, KINDS[name], f"{where}.{name}", f"an object of diffrax, as {EXAMPLES[name]}", problems)
+                check_kind(value, KINDS[name], f"{where}.{name}", f"a diffrax object, such as {EXAMPLES[name]}", problems)
         if isinstance(adjoint, diffrax.RecursiveCheckpointAdjoint) and isinstance(stepsize_controller, CONSTANT):
             words = "is RecursiveCheckpointAdjoint, which with constant steps gives wrong gradients where samples lie on steps"
             problems.add("WRONG_GRADIENT", f"{where}.adjoint", words, value=adjoint, hint="Use diffrax.DirectAdjoint() or ForwardMode().")
         if isinstance(solver, Gauss) and not isinstance(stepsize_controller, CONSTANT):
-            message = "is Gauss, which has no error estimate by which a controller could choose steps"
-            hint = "Give stepsize_controller=diffrax.ConstantStepSize() and dt0= a tenth of the shortest period."
+            message = "is Gauss, which has no error estimate for a controller"
+            hint = "Give stepsize_controller=diffrax.ConstantStepSize() and a dt0 of a tenth of the shortest period."
             problems.add("NO_ERROR_ESTIMATE", f"{where}.solver", message, value=solver, hint=hint)
         if isinstance(stepsize_controller, diffrax.ConstantStepSize) and dt0 is None:
             problems.add("NO_STEP", f"{where}.dt0", "is missing", hint="Constant steps need dt0=... seconds.")
@@ -182,18 +183,18 @@ def check_steps(
 
 
 def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None) -> None:
-    """Warn of constant steps that are too long for the fastest small motion about the initial state, y' = A y."""
+    """Warn about constant steps that are too long for the fastest small motion about the initial state, y' = A y."""
     fastest = np.abs(np.linalg.eigvals(companion(*map(np.asarray, matrices(model, initial))))).max(initial=0.0)
     if dt * fastest > STABLE and not isinstance(solver, diffrax.AbstractImplicitSolver):
         remedy = f"Take dt0 below {STABLE / fastest:.3g} s, leave the steps to the default controller, or use an implicit solver"
         warn(
             "STEP_TOO_LONG",
-            f"dt0 times the fastest rate, {fastest:.4g} rad/s, is {dt * fastest:.3g} > {STABLE}, where RK4 turns unstable. {remedy}",
+            f"dt0 times the fastest rate, {fastest:.4g} rad/s, is {dt * fastest:.3g} > {STABLE}, where RK4 becomes unstable. {remedy}",
         )
 
 
 def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion") -> Motions:
-    """One motion for each support, in their order."""
+    """One motion for each support, in the order of the supports."""
     supports = model.layout.supports
     with Problems() as problems:
         given = checked_dict(motion, where, "support: jb.Harmonic(...)", problems)
@@ -206,7 +207,7 @@ def motions_of(model: Model, motion: dict[str, Any] | None, where: str = "motion
 
 
 def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], initial: Any) -> Float[Array, "nt"]:
-    """The times, increasing and covered by motions and loads; the initial state has the right shape."""
+    """The times, after a check that they increase, that motions and loads cover them, and that the initial state has the right shape."""
     with Problems() as problems:
         checked = check_times(times, problems, "times", minimum=2)
     assert checked is not None

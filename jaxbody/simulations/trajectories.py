@@ -96,8 +96,8 @@ class Trajectory(Result):
         return by_name(tuple(table.names for table in self.model.elements), self.at_samples(function), axis=self.times.ndim)
 
     def at_samples(self, function: Callable, *more: Any, loads: bool = False) -> Any:
-        """function(model, motions, t, state, *more) at every sample, with `loads` (..., state, loads, *more); leading axes of a batch kept;
-        compiled once for each function."""
+        """function(model, motions, t, state, *more) at every sample, with `loads` (..., state, loads, *more); leading axes of a batch are
+        kept, and each function is compiled once."""
         with_loads = (self.loads,) if loads else ()
         return _evaluate(function, self.times.ndim - 1, self.model, self.motions, with_loads, self.times, self.state, more)
 

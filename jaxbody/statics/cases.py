@@ -1,4 +1,4 @@
-"""Quasi-static load cases, as of engine mounts: accelerations in g, torques and forces, all cases in one batch."""
+"""Quasi-static load cases, such as those of engine mounts: accelerations in g, torques and forces, all cases in one batch."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ from jaxbody.statics.load_paths import AppliedLoads, residual
 MAX_STEPS = 200  # of a search
 NEGLIGIBLE = 1e-9  # relative to the applied loads: less than this in every coordinate is round-off
 BY_JOINTS = (
-    "carried by the joints alone, so that no body moves and no spring is loaded; if it should tilt a body, put the point O, "
+    "carried by the joints alone, so that no body moves and no spring is loaded; if a case is meant to tilt a body, put the point O, "
     "about which that body turns, and its center of mass (com) at their true heights"
 )
 
 
 class LoadCase(eqx.Module):
-    """One case: a steady `acceleration` a of the whole rig in g = 9.80665 m/s2, world axes, with the inertia force -m a on every body
-    (braking, along -x, pushes bodies forward, +x; cornering to the left, +y, pushes them to the right), and `loads` {name: load}, as at
-    time 0.
+    """One case: a steady `acceleration` a of the whole rig in g = 9.80665 m/s2, in world axes, with the inertia force -m a on every body
+    (braking, along -x, pushes bodies forward, +x; cornering to the left, +y, pushes them to the right), and `loads` {name: load}, evaluated
+    at time 0.
 
     >>> LoadCase(acceleration=[0, 0, 3]).acceleration.tolist()
     [0.0, 0.0, 3.0]
@@ -59,8 +59,8 @@ class LoadCase(eqx.Module):
 class LoadCases(Result):
     """Results of load cases, relative to the equilibrium without them, `unloaded`.
 
-    By body `displacements` of its origin [m] and `rotations` (vectors [rad]), world axes, (cases, 3); by element `strokes`, the changes of
-    its deformation [m], and `forces`, the total [N] (six of a bushing), (cases, ...); `state`; and for each case `status`, `load_factor`
+    By body `displacements` of its origin [m] and `rotations` (vectors [rad]), in world axes, (cases, 3); by element `strokes`, the changes
+    of its deformation [m], and `forces`, the total [N] (six of a bushing), (cases, ...); `state`; and for each case `status`, `load_factor`
     and `descended` (as in an Equilibrium) and `by_joints`, whether joints alone carry it, so that nothing moves."""
 
     status: Int[Array, "nc"]
@@ -155,10 +155,10 @@ def _rounded(values: Any) -> str:
 
 
 def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | State | None = None) -> LoadCases:
-    """The equilibrium of every load case, in one batch: displacement and rotation of every body relative to the equilibrium without it,
-    stroke and force of every element.
+    """The equilibrium of every load case, in one batch: displacement and rotation of every body relative to the equilibrium without the
+    case, stroke and force of every element.
 
-        dV/dDelta = Q - m a,   loads raised from zero along the stable branch of each case
+        dV/dDelta = Q - m a, with loads raised from zero along the stable branch of each case
 
     `at`: where the search for the equilibrium without loads starts. A case that cannot be carried in full ends at the largest load factor
     that can, with status NO_EQUILIBRIUM or LIMIT_POINT; the report names cases that joints carry alone. Differentiable. Errors: NO_CASE,

@@ -4,7 +4,7 @@ function theorem.
     dV/dDelta = 0,    dq/dp = -K^-1 d2V/dDelta dp
 
 The search is by descent (descents). Loads, which may have no potential, are then raised step by step (load_paths); where that cannot start,
-as K is singular without them, the search descends the potential of dead loads and weights.
+because K is singular without them, the search descends the potential of dead loads and weights.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from jaxbody.statics.load_paths import AppliedLoads, Path, dead_forces, follow_l
 RUNAWAY = 20  # distance from the start, in sizes of the model, beyond which the model falls without limit
 NOT_AT_REST = (Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, Status.STALE)  # no linearization about such a state
 SOFTEST = 1e-7  # least ratio of eigenvalues of K at the start of a path; with only cubic springs a search ends at 1e-9
-DESCENDED = "by descent of the potential of the loads, as they cannot be raised step by step: K is singular without them"
+DESCENDED = "by descent of the potential of the loads, which cannot be raised step by step because K is singular without them"
 
 
 class Equilibrium(Result):
@@ -87,7 +87,7 @@ class Equilibrium(Result):
             return self._how_much()
         size = float(size_of(self.model))
         if status == Status.NOT_CONVERGED and (bad := nonfinite_downhill(self.model, self.state.q, self.residual, size)):
-            where = f"after {int(self.steps)} steps or just downhill; its law is not defined there"
+            where = f"after {int(self.steps)} steps or at a point slightly downhill; its law is not defined there"
             return f"energy, force or stiffness of element '{bad[0]}' is not finite {where}"
         return self._known()
 
@@ -112,14 +112,14 @@ class Equilibrium(Result):
             return ""
         if self.descended:
             return (
-                "none was found by raising the loads, as K is singular without them, nor by descent of their potential from the start, "
-                "which moments and loads that turn with their body do not have"
+                "none was found by raising the loads, as K is singular without them, or by descent of their potential from the start; "
+                "moments and loads that turn with their body have no potential"
             )
         if self.path is not None:
             smallest = np.asarray(self.path.smallest)
             last = smallest[np.isfinite(smallest)][-1]
             return (
-                f"none was found by raising the loads beyond load factor {float(self.load_factor):.4g} of 1, that of this state; "
+                f"none was found by raising the loads beyond load factor {float(self.load_factor):.4g} of 1, which this state carries; "
                 f"the smallest eigenvalue of K, relative to the largest without loads, went from {smallest[0]:.3g} to {last:.3g} "
                 "(plots.load_path draws it)"
             )
@@ -130,7 +130,7 @@ class Equilibrium(Result):
         weightless = with_gravity(self.model, -self.model.gravity)
         start = equilibrium_of(weightless, None, 200)
         if int(start.status) not in (Status.OK, Status.SINGULAR_K):
-            return "none was found by descent, nor without the weights"
+            return "none was found by descent, with the weights or without them"
         applied = AppliedLoads((), np.zeros(0), self.model.gravity)
         factor = float(_along_path(weightless, start, applied, False)[0].factor)
         return f"none was found by descent; {100 * factor:.4g} % of the weights is carried"
@@ -170,18 +170,19 @@ class Equilibrium(Result):
 
 
 def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Load] | None = None, max_steps: int = 200) -> Equilibrium:
-    """The stable equilibrium reached by descent from `start`, supports at their reference poses.
+    """The stable equilibrium reached by descent from `start`, with the supports at their reference poses.
 
         dV/dDelta = Q,   K = d2V/dDelta2 - dQ/dDelta positive definite
 
     Args:
         start: the state to start from; by default the reference pose.
-        loads: {name: load}, as at time 0, raised from zero along the stable branch; by default none. Where K is singular without loads (an
-            unstressed string pushed sideways) the search descends V minus the work of dead forces instead, and the result is `descended`.
-        max_steps: of the search.
+        loads: {name: load}, evaluated at time 0 and raised from zero along the stable branch; by default none. Where K is singular without
+            loads (an unstressed string pushed sideways) the search descends V minus the work of dead forces instead, and the result is
+            `descended`.
+        max_steps: largest number of steps of the search.
 
     Differentiable with respect to the model in forward and reverse mode, to any order; the derivative of a search that failed, or through a
-    singular K, is NaN. Errors: UNATTACHED, BAD_SHAPE, UNKNOWN_BODY of a load; warns by status. Source: (63) of the paper.
+    singular K, is NaN. Errors: UNATTACHED, BAD_SHAPE, UNKNOWN_BODY for a load; warns if the status is not OK. Source: (63) of the paper.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=981.0, free_length=1.0)
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -253,7 +254,7 @@ def search_under_loads(
 ) -> SearchResult:
     """The search under loads, by their path or by descent; `many`: for each row of the weights and changes of gravity.
 
-    Two programs, as few models need the second; inside a user's program both are part of it."""
+    There are two programs, because few models need the second; inside a user's program both are part of it."""
     search, settled = _along_path(model, unloaded, applied, many)
 
     def descended():
@@ -266,8 +267,8 @@ def search_under_loads(
 
 @jit_unoptimized
 def _along_path(model: Model, unloaded: Equilibrium, applied: AppliedLoads, many: bool) -> tuple[SearchResult, Bool[Array, "*n"]]:
-    """The search along the load path from the unloaded equilibrium, and whether its result stands: not where K is singular at the start,
-    unless the path reached its end or a limit point."""
+    """The search along the load path from the unloaded equilibrium, and whether its result is valid: it is not if K is singular at the
+    start, unless the path reached its end or a limit point."""
     frozen, loads, q0 = jax.lax.stop_gradient((Coordinates(model), applied, unloaded.state.q))
     size = size_of(frozen.model)
     usable = jnp.isin(unloaded.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
@@ -287,7 +288,7 @@ def _along_path(model: Model, unloaded: Equilibrium, applied: AppliedLoads, many
 def _by_descent(
     model: Model, start, applied: AppliedLoads, max_steps: int, many: bool, search: SearchResult, settled: Bool[Array, "*n"]
 ) -> SearchResult:
-    """The search by descent of the potential of model and loads, where the result of the path does not stand."""
+    """The search by descent of the potential of model and loads, where the result of the path is not valid."""
     coordinates = Coordinates(model)
 
     def one(applied, others):
@@ -361,7 +362,7 @@ def _stiffness(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nv nv"]:
 
 
 def zero_modes(model: Model, state: State) -> list[str]:
-    """The motions that K does not resist at a state, as text: "'plate' free to turn about z"; those of single coordinates first."""
+    """The motions that K does not resist at a state, as text: "'plate' free to turn about z". Motions of single coordinates come first."""
     layout = model.layout
     scale = np.asarray(scale_of(model, size_of(model)))
     K = np.asarray(_stiffness(model, state.q))
@@ -376,7 +377,7 @@ def massless_motions(layout: Layout, M: Any) -> list[str]:
 
 
 def describe_null_motions(layout: Layout, matrix: np.ndarray, tolerance: float, what: str) -> list[str]:
-    """The motions whose eigenvalues are zero, relative to the largest; those of single coordinates first."""
+    """The motions whose eigenvalues are zero, relative to the largest. Motions of single coordinates come first."""
     values, vectors = np.linalg.eigh(matrix)
     null = vectors[:, np.abs(values) <= tolerance * max(np.abs(values).max(initial=0.0), 1e-300)]
     texts, rest = [], null

@@ -1,4 +1,4 @@
-"""Several equilibria: searches from many starts at once, their results by rising energy, with the stability of each."""
+"""Several equilibria: searches from many starts at once, and their results in order of energy, with the stability of each."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
 
     Args:
         starts: number of configurations: the reference pose and random ones.
-        spread: standard deviation of the random displacements, in sizes of the model; of rotations 2 `spread` rad.
-        key: of the random configurations; by default jax.random.key(0).
+        spread: standard deviation of the random displacements, in units of the model's size; that of rotations is 2 `spread` rad.
+        key: random key of the configurations; by default jax.random.key(0).
 
     Nothing guarantees that all equilibria are found. Those connected by a free motion (singular K, equal energy) count as one.
-    Errors: UNATTACHED, WRONG_KIND of a key; warns NOT_CONVERGED if no search ends at an equilibrium.
+    Errors: UNATTACHED, WRONG_KIND for a key; warns NOT_CONVERGED if no search ends at an equilibrium.
 
     >>> rod = Body(mass=1.0, inertia=[0.1, 0.1, 0.01], com=[0, 0, -0.5])
     >>> model = Model(bodies={"rod": rod}, gravity=[0, 0, -9.81], joints={"rod": Hinge("world", axis=[0, 1, 0])})

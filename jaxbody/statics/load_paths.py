@@ -2,8 +2,8 @@
 
     dV/dDelta = lambda Q,   K = d2V/dDelta2 - lambda dQ/dDelta,   lambda from 0 to 1
 
-Q is the generalized force of the loads in the chart. A step is taken where Newton's method converges, with K positive at
-every iteration, so that the path stays on the stable branch of the unloaded equilibrium; otherwise the step is divided by four.
+Q is the generalized force of the loads in the chart. A step is taken if Newton's method converges, with K positive definite at every
+iteration, so that the path stays on the stable branch of the unloaded equilibrium; otherwise the step is divided by four.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SINGULAR = 1e-10
 
 
 class AppliedLoads(eqx.Module):
-    """The loads raised with lambda: each load, as at time 0, times its weight, and a change of gravity."""
+    """The loads raised with lambda: each load at time 0, times its weight, and a change of gravity."""
 
     loads: tuple[Load, ...]
     weights: Float[Array, "*cases n"]
@@ -67,7 +67,7 @@ def with_load_gravity(at: Configuration, applied: AppliedLoads, factor: Float[Ar
 def generalized_force(
     model: Model, q, loads: tuple[Load, ...], weights: Float[Array, "n"], delta: Float[Array, "nv"]
 ) -> Float[Array, "nv"]:
-    """Q at q (+) Delta, in the rates of Delta: the virtual power sum of F . v* + M . w*, supports at their reference poses."""
+    """Q at q (+) Delta, in the rates of Delta: the virtual power, sum of F . v* + M . w*, with the supports at their reference poses."""
     layout = model.layout
     if not loads:
         return jnp.zeros_like(delta)
@@ -96,13 +96,13 @@ def stiffness_of_loads(model: Model, q, loads: tuple[Load, ...], weights: Float[
 
 
 def residual(at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0) -> Float[Array, "nv"]:
-    """dV/dDelta - lambda Q; `at` without its base."""
+    """dV/dDelta - lambda Q; `at` has no columns for the base."""
     Q = generalized_force(at.model, at.q, applied.loads, applied.weights, jnp.zeros(at.model.layout.nv, at.q.dtype))
     return slope(with_load_gravity(at, applied, factor)) - factor * Q
 
 
 def tangent(at: Configuration, applied: AppliedLoads, factor: Float[Array, ""] | float = 1.0) -> Float[Array, "nv nv"]:
-    """K = d2V/dDelta2 - lambda dQ/dDelta; `at` without its base."""
+    """K = d2V/dDelta2 - lambda dQ/dDelta; `at` has no columns for the base."""
     return stiffness(with_load_gravity(at, applied, factor)) - factor * stiffness_of_loads(at.model, at.q, applied.loads, applied.weights)
 
 

@@ -3,7 +3,7 @@
     dV/dDelta(q; l) = 0,   least |l - l_0|,   by Gauss-Newton steps  l <- l - A^+ dV/dDelta,   A = d2V/dDelta dl
 
 With more springs than equations the change has least norm (pseudo-inverse); forces that no free length can balance are the residual.
-Coordinates that may move are further unknowns.
+Coordinates that may move are additional unknowns.
 """
 
 from __future__ import annotations
@@ -85,13 +85,14 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",),
     """The free lengths that make a pose an equilibrium, with the least change.
 
     Args:
-        pose: by default the reference pose.
+        pose: the pose that becomes an equilibrium; by default the reference pose.
         free: paths or patterns of the `free_length` (or `free_angle` of torsion springs) that may change; by default all free lengths.
-        moving: names or patterns of `model.layout.coordinates` that may change too, as the height of a wheel on a given tyre; by default
+        moving: names or patterns of `model.layout.coordinates` that may change too, such as the height of a wheel on a given tyre; by
+            default
         none.
 
     Use `preload(...).model`, whose equilibrium is at `preload(...).state`; `equilibrium` shows whether it is stable. Differentiable.
-    Errors: UNKNOWN_PATH, UNKNOWN_NAME of a coordinate, NOT_A_LENGTH, BAD_SHAPE of the pose; warns UNBALANCED, NEGATIVE_LENGTH.
+    Errors: UNKNOWN_PATH, UNKNOWN_NAME for a coordinate, NOT_A_LENGTH, BAD_SHAPE for the pose; warns UNBALANCED, NEGATIVE_LENGTH.
 
     >>> spring = Spring(("car", [0, 0, 0]), ("world", [0, 0, -0.5]), stiffness=2e4, free_length=0.5)
     >>> model = Model(bodies={"car": Body(mass=400.0, inertia=[1, 1, 1])}, joints={"car": Guide("world", axis=[0, 0, 1])},

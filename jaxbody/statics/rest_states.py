@@ -28,11 +28,11 @@ MAX_STEPS = 200
 
 
 class Rest(eqx.Module):
-    """In place of an initial state: "rest"."""
+    """The initial state given as "rest"."""
 
 
 def as_initial(initial: Any) -> Any:
-    """Rest() for "rest"; other values unchanged."""
+    """Rest() in place of "rest"; other values unchanged."""
     return Rest() if isinstance(initial, str) and initial == "rest" else initial
 
 
@@ -67,7 +67,7 @@ def _start(coordinates: Coordinates, on_supports: Coordinates):
 
 
 def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str) -> State | None:
-    """The initial state of a run. Error: the status of the equilibrium, where "rest" is given and there is none."""
+    """The initial state of a run. Error: the status of the equilibrium, if "rest" is given and no equilibrium is found."""
     if not isinstance(initial, Rest):
         return initial
     state, eq = rest_state(model, motions, t)

@@ -40,9 +40,9 @@ STEP = 1e-4  # of central differences, in standard errors
 class ResidualSeries(NamedTuple):
     """Residuals of one component of one channel of one run, without missing samples.
 
-    `rows`: their rows among all residuals, in the order of time; `group`: records with the same name have the same noise level; `run` and
-    `times` (sample numbers): records that agree in both are sampled together; `series`: False for numbers in no order; `known`: True where
-    the noise is stated, and the numbers are too few to estimate it."""
+    `rows`: their rows among all residuals, in order of time; `group`: records with the same name have the same noise level; `run` and
+    `times` (sample numbers): records that agree in both are sampled together; `series`: False for numbers that are not a sequence; `known`:
+    True where the noise is stated, and the numbers are too few to estimate it."""
 
     name: str
     group: str
@@ -57,8 +57,9 @@ class ResidualSeries(NamedTuple):
 class Noise:
     """The estimated noise.
 
-    `M`: covariance of Q'e; `parts`: changes of M when one of the estimates in it, all independent, changes by its standard error; `white`:
-    M if all noise were white; `orders`: of the autoregressions, by record; `pairs`: correlations of innovations, by pairs of records."""
+    `M`: covariance of Q'e; `parts`: changes of M when one of its estimates, which are independent, changes by its standard error; `white`:
+    M if all noise were white; `orders`: orders of the autoregressions, by record; `pairs`: correlations of innovations, by pairs of
+    records."""
 
     M: np.ndarray
     parts: np.ndarray
@@ -155,9 +156,10 @@ def noise_of(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> Noi
 
 
 def _variances(pieces: list[_Piece]) -> dict[str, tuple[float, float]]:
-    """{group: (variance r'r/(n - p), degrees of freedom n - p)}, where p is the number of those that the parameters use.
+    """{group: (variance r'r/(n - p), degrees of freedom n - p)}, where the parameters use p degrees of freedom.
 
-    A group with none left has the variance of all groups together; where these have none left either it is one, the stated noise."""
+    A group without degrees of freedom has the variance of all groups together; if these have none either, the variance is one, that of the
+    stated noise."""
     left = {group: [0.0, 0.0] for group in [*(one.record.group for one in pieces), ALL]}
     for one in pieces:
         for group in (one.record.group, ALL):

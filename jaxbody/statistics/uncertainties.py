@@ -4,8 +4,8 @@
 
 M is the covariance of Q'e (`noises`); for white noise of one level it is s^2 I with s^2 = r'r/(samples - parameters).
 A variance v that is estimated has 2 v^2/var(v) degrees of freedom (F. E. Satterthwaite, Biometrics Bull. 2 (1946) 110); intervals use
-Student's t with this number. Directions of u with a negligible singular value do not change the readings. Parameters that have a part
-in them have no standard error; nor has a parameter at its bound, where the others are estimated with it fixed.
+Student's t with this number. Directions of u with a negligible singular value do not change the readings. Parameters that such a direction
+changes have no standard error. Neither has a parameter at its bound; the others are estimated with it fixed.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ RANK = 1e-6  # singular values of the scaled Jacobian, relative to the largest, 
 class Uncertainty(eqx.Module):
     """The uncertainty of a fit.
 
-    `covariance`, `white_covariance`: of u, and for white noise; `parts`: changes of the covariance for standard errors of the noise
+    `covariance`: covariance of u; `white_covariance`: the same for white noise; `parts`: changes of the covariance for standard errors of
+        the noise
     estimates; `singular_values`, `rank`, `null` directions and these in `words`; `ineffective`: parameters without effect on the data.
     `whiteness`, `orders`, `correlation`: tests of residuals by record, orders of their autoregressions, pooled correlation at lag one;
     `pairs`: correlations between records. `at_bounds` {index of a u at its bound: slope of the cost, its curvature with all others free,
@@ -101,7 +102,9 @@ class Uncertainty(eqx.Module):
             remarks.append(f"residuals are correlated (lag one {self.correlation:.2f}){self._effect_of_correlation()}")
         if max((abs(x) for x in self.pairs.values()), default=0.0) > TOGETHER:
             (one, other), most = max(self.pairs.items(), key=lambda pair: abs(pair[1]))
-            remarks.append(f"residuals of channels are correlated, most {one} with {other} ({most:.2f}); standard errors include this")
+            remarks.append(
+                f"residuals of channels are correlated, most strongly {one} with {other} ({most:.2f}); standard errors include this"
+            )
         excesses = [f"{name} {ratio:.2g} times" for name, ratio in self.beyond_stated.items()]
         if excesses:
             remarks.append(f"residuals exceed the stated noise, which standard errors assume: {', '.join(excesses)}")
@@ -145,7 +148,7 @@ def assess(
     Args:
         r: residuals, in units of their noise
         J: Jacobian of r in the unknowns u
-        slopes: derivatives of the leaves by u
+        slopes: derivatives of the leaves with respect to u
         paths: names of the leaves
         labels: names of the unknowns
         records: series of residuals in r
@@ -239,7 +242,7 @@ def _echelon(rows: np.ndarray) -> np.ndarray:
 def lag_one(r: np.ndarray, Q: np.ndarray, records: list[ResidualSeries]) -> tuple[float, bool]:
     """The pooled lag-one correlation of all records, and whether it is significant and above CORRELATED.
 
-    It is compared with that of white noise after a fit, (I - QQ')e, as a fit of many parameters leaves white noise correlated."""
+    It is compared with that of white noise after a fit, (I - QQ')e, because a fit of many parameters leaves white noise correlated."""
     series = [(r[c.rows], Q[c.rows]) for c in records if c.series and r[c.rows].any()]
     n = sum(len(x) for x, _ in series)
     if n == 0:

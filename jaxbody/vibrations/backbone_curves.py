@@ -16,7 +16,7 @@ so that K c0 = B0, (K - 4 w^2 M) c2 = 2 B2, and with m = phi' M phi
 
 (B0 and B2 are (w^2 d - g)/4 and (4 w^2 p - w^2 d - g)/8 with d the gradient of phi' M(x) phi, p the derivative of M(x) phi along phi;
 t = d/2 + p and b = p - d/2.) Straight lines x = a u of the chart are motions at constant speeds u; all derivatives are taken along them.
-For x'' + w^2 x + alpha x^2 + beta x^3 = 0 gamma is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4). Source: Nayfeh and Mook, Nonlinear
+For x'' + w^2 x + alpha x^2 + beta x^3 = 0, gamma is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4). Source: Nayfeh and Mook, Nonlinear
 Oscillations (1979), 2.3.
 """
 
@@ -132,9 +132,9 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
 
         w(a) = w (1 + gamma a^2 + ...),   a the amplitude of the largest component of the mode [m or rad]
 
-    The coefficient is exact: quadratic forces and inertia act through all other modes. There is none where another mode has the same
-    frequency, or twice the frequency and is coupled (a 3:1 resonance is not detected); near such a resonance it holds for small amplitudes
-    only. Differentiable with respect to the model in forward and reverse mode.
+    The coefficient is exact: quadratic forces and inertia act through all other modes. The coefficient does not exist where another mode
+    has the same frequency, or has twice the frequency and is coupled (a 3:1 resonance is not detected); near such a resonance it is valid
+    for small amplitudes only. Differentiable with respect to the model in forward and reverse mode.
     Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE, and NOT_CONVERGED where the state is not an
     equilibrium. Source: Nayfeh and Mook, Nonlinear Oscillations (1979), 2.3 and 6.
 
@@ -202,7 +202,7 @@ def _backbones(lin: Linearization) -> Backbones:
 
 @jax.custom_jvp
 def _mode(K, M, phi, value, i, single):
-    """(phi, w^2) with the derivatives of a mode of single frequency with phi_i = 1:
+    """(phi, w^2) with the derivatives of a mode whose frequency is single, with phi_i = 1:
 
     (K - w^2 M) dphi - M phi dw^2 = -(dK - w^2 dM) phi,   dphi_i = 0. Those of `eigh` are NaN where other frequencies coincide."""
     return phi, value

@@ -36,7 +36,7 @@ GROWS = 1e-9  # relative to the largest pole: larger real parts are not rounding
 class ComplexModes(Result):
     """n modes, each a pair of poles s [1/s] of (s^2 M + s D + K) u = 0, by ascending natural frequency.
 
-    An oscillating mode has conjugate `poles`, s = -zeta w +- i w sqrt(1 - zeta^2); an overdamped mode two real ones, the slower first.
+    An oscillating mode has conjugate `poles`, s = -zeta w +- i w sqrt(1 - zeta^2); an overdamped mode has two real ones, the slower first.
     `frequency` [Hz], damped, |Im s|/(2 pi); `natural_frequency` [Hz], |s1 s2|^(1/2)/(2 pi); `damping_ratio` zeta = -(s1 + s2)/(2 |s1
     s2|^(1/2)), above 1 where overdamped; `decay_rate` -Re s [1/s] of the slower pole; `shapes` (columns, complex) of the first pole, u* M u
     = 1, the component of largest modulus real and positive. `cluster`: equal numbers for modes whose poles coincide (derivatives as in

@@ -41,8 +41,8 @@ from jaxbody.vibrations.state_spaces import StateSpace, state_space
 class Linearization(Result):
     """The matrices of small motions about `state`, rows and columns as in `coordinates` and `base_coordinates`.
 
-    The chart: Delta of a free body is the displacement of its O and a rotation vector, world axes; of other joints their coordinates, axes
-    of the parent. Away from equilibrium K depends on the chart; its split depends on it everywhere."""
+    The chart: Delta of a free body is the displacement of its O and a rotation vector, in world axes; for other joints, their coordinates,
+        in axes of the parent. Away from equilibrium K depends on the chart; its split depends on it everywhere."""
 
     M: Float[Array, "nv nv"]
     C: Float[Array, "nv nv"]
@@ -118,9 +118,9 @@ class Linearization(Result):
     def state_space(self, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
         """A, B, C, D from named inputs to named outputs, {name: port}, as python-control takes them.
 
-        States: Delta and Delta' less terms in u, so that no derivative of an input is needed; further the displacement of a base motion
-        given as velocity, and displacement and velocity of one given as acceleration. An output that depends on derivatives of u, as the
-        acceleration of a damped body does on the displacement of its base, has no state space: the status is IMPROPER, with NaN in
+        States: Delta and Delta' minus terms in u, so that no derivative of an input is needed; also the displacement of a base motion given
+        as velocity, and displacement and velocity of one given as acceleration. An output that depends on derivatives of u, such as the
+        acceleration of a damped body if the input is the displacement of its base, has no state space: the status is IMPROPER, with NaN in
         D; use kind="acceleration".
         Errors: WRONG_KIND, UNKNOWN_NAME, BAD_COMPONENT.
 
@@ -137,12 +137,12 @@ class Linearization(Result):
     def _tables(self) -> list[tables.PrintedTable]:
         units = {"M": "kg, kg m, kg m2", "C": "N s/m, ...", "K": "N/m, N, N m"}
         shown = [tables.of_matrix(f"{name} [{unit}]", getattr(self, name), self.coordinates) for name, unit in units.items()]
-        shown[-1].note = "chart: displacement of O and rotation vector, world axes (joints: their coordinates, axes of the parent)"
+        shown[-1].note = "chart: displacement of O and rotation vector, in world axes (joints: their coordinates, axes of the parent)"
         return shown
 
 
 def check_linearization(lin: Any, where: str) -> None:
-    """Refuses linearizations of another kind, such as about a spin."""
+    """Refuse linearizations of another kind, such as those about a spin."""
     if not isinstance(lin, Linearization):
         message = f"is a {type(lin).__name__}"
         hint = "Give linearize(model, equilibrium(model)); for a result of linearize_spin, use complex_modes."
@@ -150,10 +150,11 @@ def check_linearization(lin: Any, where: str) -> None:
 
 
 def linearize(model: Model, at: Equilibrium | State) -> Linearization:
-    """M, C, K and their blocks that couple to the supports, at an equilibrium or any state, supports at their reference poses.
+    """M, C, K and their blocks that couple to the supports, at an equilibrium or any state, with the supports at their reference poses.
 
-    Loads of the equilibrium are included: K = d2V/dDelta2 - dQ/dDelta. The status of a failed equilibrium is kept; STALE, with a warning,
-    where the numbers of the model have changed so that it is not at rest. Errors: BAD_SHAPE, NON_FINITE of a state, OTHER_MODEL.
+    Loads of the equilibrium are included: K = d2V/dDelta2 - dQ/dDelta. The status of a failed equilibrium is kept; it is STALE, with a
+    warning, if numbers of the model have changed so that the state is no longer an equilibrium. Errors: BAD_SHAPE, NON_FINITE for a state,
+    OTHER_MODEL.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
@@ -177,11 +178,11 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
 
 
 def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nv"]:
-    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, bodies held fixed:
+    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, with the bodies held fixed:
 
         F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
 
-    Errors: UNKNOWN_NAME of a support, BAD_SHAPE.
+    Errors: UNKNOWN_NAME for a support, BAD_SHAPE.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -208,7 +209,7 @@ def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
 
 @jit_unoptimized
 def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
-    """`status`: of the equilibrium; None for other states."""
+    """`status`: status of the equilibrium; None for other states."""
     n = model.layout.nv
     numbers, rest = eqx.partition(model, eqx.is_array)
 

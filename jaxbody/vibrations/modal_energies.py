@@ -35,10 +35,11 @@ MOST_MODES = 12  # of a table
 class ModeEnergies(Result):
     """Shares in percent, a column for each mode, ascending. Modes of coinciding frequencies each have the mean over their space.
 
-    `kinetic` {body: (6, n)}: translation of the center of mass and rotation, world axes; the sum is 100. `strain` {element: (n,)}: V''(e)
-    de de; with `other_strain`, {"tension", "gravity", "loads"}, the contributions of tension, weights and loads to K, the sum is 100 (NaN
-    for a mode of zero frequency). `dissipation` {element: (n,)}: the sum is 100, or 0 without dissipation. `velocities` (bodies, 6, n): of
-    centers of mass and angular, along the shape. `names`: each mode by the body and direction with most of its kinetic energy."""
+    `kinetic` {body: (6, n)}: translation of the center of mass and rotation, in world axes; the sum is 100. `strain` {element: (n,)}:
+    V''(e) de de; with `other_strain`, {"tension", "gravity", "loads"}, the contributions of tension, weights and loads to K, the sum is 100
+    (NaN for a mode of zero frequency). `dissipation` {element: (n,)}: the sum is 100, or 0 without dissipation. `velocities` (bodies, 6,
+    n): velocities of the centers of mass and angular velocities, along the shape. `names`: each mode by the body and direction with most of
+    its kinetic energy."""
 
     frequency: Float[Array, "n"]
     kinetic_shares: Float[Array, "nb 6 n"]
@@ -140,10 +141,10 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
 
     Args:
         forward: a world axis, such as "x", that names fore-aft, lateral, roll and pitch; by default these are named by their axes.
-        up: a world axis, such as "z", that names bounce and yaw; by default the axis against gravity, if it is one.
+        up: a world axis, such as "z", that names bounce and yaw; by default the axis opposite to gravity, if gravity is along a world axis.
         allow_float32: whether to compute in float32; by default an error.
 
-    Where frequencies coincide, energies are averaged over their space: this has derivatives, which single shapes have not.
+    Where frequencies coincide, energies are averaged over their space, because this average has derivatives and single shapes do not.
     Errors: BAD_DIRECTION, FLOAT32 unless `allow_float32`; warns as `modes` does.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -168,11 +169,13 @@ def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str,
                     f"is {axis!r}",
                     value=axis,
                     limit="x, y or z",
-                    hint="Give one axis of the world.",
+                    hint="Give one of the world axes.",
                 )
         up = up or upward_axis(model)
         if forward is not None and up is None:
-            problems.add("BAD_DIRECTION", "mode_energies.up", "is missing, and gravity is not along an axis", hint="Give it, as up='z'.")
+            problems.add(
+                "BAD_DIRECTION", "mode_energies.up", "is missing, and gravity is not along an axis", hint="Give it, for example up='z'."
+            )
         if forward is not None and forward == up:
             problems.add("BAD_DIRECTION", "mode_energies.forward", "is upwards", value=forward, limit="another axis than `up`")
     return direction_names(model, forward, up)
@@ -185,7 +188,7 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     cluster = clusters(values)
 
     def share(part, whole, least):
-        """In percent, averaged over clusters; zero where the whole is."""
+        """In percent, averaged over clusters; zero where the total is zero."""
         nonzero = jnp.broadcast_to(jnp.abs(whole) > least, part.shape)
         return 100 * averaged(part, cluster) / jnp.where(nonzero, averaged(whole, cluster), 1.0) * nonzero.astype(part.dtype)
 

@@ -1,4 +1,4 @@
-"""Modes compared, by the modal assurance criterion, and followed along a parameter, through crossings.
+"""Modes compared, by the modal assurance criterion, and followed along a parameter, including through crossings.
 
 MAC_ij = |x_i* W y_j|^2/((x_i* W x_i) (y_j* W y_j)),   1 for the same shape, 0 for shapes that are orthogonal in W
 """
@@ -34,8 +34,8 @@ class Branches(Result):
     """Modes along a parameter, each column one mode; their frequencies ascend at the first value.
 
     `frequency` [Hz] (damped about a spin), `damping_ratio`, `shapes` (value, coordinate, mode), `order`: the index of each among the
-    ascending modes, `mac` of each with itself at the value before, `names` of the modes at the first value. `status` of each value:
-    LOST_BRANCH where a MAC is below 0.8 (give values in between); otherwise that of its modes."""
+    ascending modes, `mac` of each with the same mode at the previous value, `names` of the modes at the first value. `status` of each
+    value: LOST_BRANCH where a MAC is below 0.8 (give values in between); otherwise that of its modes."""
 
     values: Float[Array, "k"]
     frequency: Float[Array, "k n"]
@@ -84,8 +84,8 @@ def mac(one: Modes | ComplexModes | Any, other: Modes | ComplexModes | Any, *, m
 
         MAC_ij = |x_i* W y_j|^2/((x_i* W x_i) (y_j* W y_j))
 
-    With W = `mass`, as lin.M, displacements and rotations are weighted by their energy and natural modes are orthogonal; by default W = 1,
-    which depends on units if shapes have both. Errors: BAD_SHAPE. Source: R. J. Allemang, Sound and Vibration 37 (2003) 14.
+    With W = `mass`, for example lin.M, displacements and rotations are weighted by their energy and natural modes are orthogonal; by
+    default W = 1, which depends on units if shapes have both. Errors: BAD_SHAPE. Source: R. J. Allemang, Sound and Vibration 37 (2003) 14.
 
     >>> mac([[1.0, 0.0], [0.0, 1.0]], [[1.0, 1.0], [0.0, 1.0]]).round(12).tolist()
     [[1.0, 0.5], [0.0, 0.5]]
@@ -113,9 +113,10 @@ def _mac(X: Array, Y: Array, W: Float[Array, "nv nv"]) -> Float[Array, "n m"]:
 def track(linearized: Callable[[Any], Linearization | SpinLinearization], values: Any) -> Branches:
     """Modes along a parameter, each followed by its shape; `linearized(value)` returns the linearization at each of `values`.
 
-    From one value to the next modes are matched by their MAC in M, the best pair first. Where frequencies coincide their space is matched
-    and the shapes before are kept, so that crossings are followed and veerings are not taken for crossings. About a steady spin the modes
-    are those of `complex_modes`. Differentiable where single modes are. Errors: BAD_SHAPE, NON_FINITE of values; warns LOST_BRANCH.
+    From each value to the next, modes are matched by their MAC in M, beginning with the best pair. Where frequencies coincide, the space of
+    their shapes is matched and the previous shapes are kept, so that crossings are followed and veerings are not mistaken for crossings.
+    About a steady spin the modes are those of `complex_modes`. Differentiable where single modes are. Errors: BAD_SHAPE, NON_FINITE for
+    values; warns LOST_BRANCH.
 
     >>> car = jb.presets.half_car()
     >>> def linearized(stiffness):

@@ -1,7 +1,7 @@
 """Names of modes: the bodies and the direction with most of the kinetic energy, and whether several move in phase or in opposition.
 
-The shares of a body in the energy of the shape phi, of its center of mass and its rotation, world axes: conj(v_i) (M_b v)_i/(phi* M phi), v
-its velocities along phi.
+The shares of a body in the energy of the shape phi, of its center of mass and its rotation, in world axes: conj(v_i) (M_b v)_i/(phi* M
+phi), v its velocities along phi.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ MARK_NOTE = (
 
 
 def direction_names(model: Model, forward: str | None = None, up: str | None = None) -> tuple[str, ...]:
-    """Names of three translations and three rotations along and about world axes; `up` is given or from gravity, `forward` given."""
+    """Names of three translations and three rotations along and about world axes; `up` is given or follows from gravity; `forward` is
+    given."""
     up = up or upward_axis(model)
     words = {up: ("bounce", "yaw")} if up else {}
     if forward:
@@ -42,7 +43,7 @@ def direction_names(model: Model, forward: str | None = None, up: str | None = N
 
 
 def upward_axis(model: Model) -> str | None:
-    """The axis against gravity, if gravity is known and along an axis."""
+    """The axis opposite to gravity, if gravity is known and along an axis."""
     g = concrete(model.gravity)
     if g is None or g.ndim > 1 or np.sum(np.abs(g) > 1e-9 * np.abs(g).max(initial=0.0)) != 1:
         return None
@@ -50,7 +51,7 @@ def upward_axis(model: Model) -> str | None:
 
 
 def names_of_shapes(model: Model, placed: Placed, shapes: Any, cluster: Any, values: Any) -> tuple[str, ...]:
-    """The names of shapes (columns, real or complex) with the bodies where they are placed; `values`: their frequencies or poles."""
+    """The names of shapes (columns, real or complex) with the bodies in their poses in `placed`; `values`: their frequencies or poles."""
     R, J = (None if x is None else np.asarray(x) for x in placed)
     assert R is not None
     bodies, shapes, cluster = model.bodies.rows, np.asarray(shapes), np.asarray(cluster)

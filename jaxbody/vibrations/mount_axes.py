@@ -24,12 +24,12 @@ from jaxbody.vibrations.linearizations import Linearization, check_linearization
 
 
 class ElasticAxes(Result):
-    """Elastic axes of a body on its mounts, world axes, the softest first.
+    """Elastic axes of a body on its mounts, in world axes, the softest first.
 
     `directions` (columns), `stiffness` [N/m] along each, `points` (rows): the point of each axis nearest to `center`, `pitch` [m]: moment
-    per force that accompanies the force, 0 for an elastic axis in the strict sense. `center`: of stiffness; all axes pass through it, and
-    pitches vanish, where the mounts decouple translation from rotation. `torsional_directions` (columns) and `torsional_stiffness` [N
-    m/rad]: axes along which a pure couple turns the body about a parallel axis."""
+    per force that accompanies the force, 0 for an elastic axis in the strict sense. `center`: center of stiffness; all axes pass through
+    it, and pitches vanish, where the mounts decouple translation from rotation. `torsional_directions` (columns) and `torsional_stiffness`
+    [N m/rad]: axes along which a pure couple turns the body about a parallel axis."""
 
     center: Float[Array, "3"]
     directions: Float[Array, "3 3"]
@@ -71,7 +71,7 @@ class ElasticAxes(Result):
 
 
 class TorqueRollAxis(Result):
-    """The axis through `point`, the center of mass, along `direction` (unit), about which a free body turns under a torque, world axes.
+    """The axis through `point`, the center of mass, along `direction` (unit), about which a free body turns under a torque, in world axes.
 
     `inertia` [kg m2] and `stiffness` [N m/rad] of rotation about it, `frequency` [Hz] from both, and `coupling`, 0 if this rotation is a
     mode, the only one that the torque excites."""
@@ -99,17 +99,17 @@ class TorqueRollAxis(Result):
 
 
 def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
-    """The elastic axes and the center of stiffness of a free body, all others held fixed, from its 6 x 6 stiffness [[A, B], [B', D]] about
-    its origin.
+    """The elastic axes and the center of stiffness of a free body, with all others held fixed, from its 6 x 6 stiffness [[A, B], [B', D]]
+    about its origin.
 
         A n = k n,   m = B' n:   force k n with moment m moves the body along n and does not turn it;
         it acts on the line through O + n x m/k, with pitch n . m/k
         center O + p, where B' - [p] A is symmetric:   (tr(A) I - A) p = axial vector of B' - B, (P32 - P23, P13 - P31, P21 - P12)
         D - B' A^-1 B = the torsional stiffness, about any point
 
-    Preload and gravity count as in K. Errors: UNKNOWN_NAME of the body, NOT_FREE; NaN with SINGULAR_K if the mounts do not resist every
-    translation. Source: J. Loncaric, IEEE Journal of Robotics and Automation 3 (1987) 567; T. Patterson, H. Lipkin, Journal of Mechanical
-    Design 115 (1993) 576.
+    Preload and gravity are included as in K. Errors: UNKNOWN_NAME for the body, NOT_FREE; NaN with SINGULAR_K if the mounts do not resist
+    every translation. Source: J. Loncaric, IEEE Journal of Robotics and Automation 3 (1987) 567; T. Patterson, H. Lipkin, Journal of
+    Mechanical Design 115 (1993) 576.
 
     >>> corners = [[1, 1, -0.2], [1, -1, -0.2], [-1, 1, -0.2], [-1, -1, -0.2]]
     >>> legs = {f"leg{i}": Bushing(("box", at), ("world", at), stiffness=[1e4, 2e4, 3e4]) for i, at in enumerate(corners)}
@@ -124,15 +124,15 @@ def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
 
 
 def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAxis:
-    """The axis about which a free body, without mounts or on very soft ones, turns under a torque (3,) of fixed direction (world axes), as
-    of the crankshaft.
+    """The axis about which a free body, without mounts or on very soft ones, turns under a torque (3,) of fixed direction (in world axes),
+    such as that of the crankshaft.
 
         J n ~ torque,   through the center of mass,   J: moment of inertia about it
         r = (displacement of O, n) of this rotation:   frequency = sqrt(r' K r/(r' M r))/(2 pi),
         coupling = |K r - w^2 M r|/(w^2 |M r|) in the norm of M^-1
 
-    If r is a mode, with coupling 0, the mounts are decoupled about this axis. Errors: UNKNOWN_NAME of the body, NOT_FREE, BAD_SHAPE,
-    NON_FINITE, ZERO_AXIS of the torque. Source: T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
+    If r is a mode, with coupling 0, the mounts are decoupled about this axis. Errors: UNKNOWN_NAME for the body, NOT_FREE, BAD_SHAPE,
+    NON_FINITE, ZERO_AXIS for the torque. Source: T. Jeong, R. Singh, Journal of Sound and Vibration 234 (2000) 85.
 
     >>> model = jb.presets.engine_on_mounts()
     >>> axis = torque_roll_axis(linearize(model, model.reference), "engine", [1, 0, 0])

@@ -29,13 +29,14 @@ SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is 
 class Modes(Result):
     """Natural modes, ascending: `frequency` [Hz], `shapes` (columns, phi' M phi = 1, largest component positive), `damping_ratio`,
     `eigenvalues` w^2 [rad2/s2], `cluster`, equal numbers for coinciding frequencies, and `names`, by the body and direction with most
-    kinetic energy. A negative eigenvalue has frequency NaN and status UNSTABLE, a zero one 0 and SINGULAR_K. All are NaN where a coordinate
-    has no inertia (SINGULAR_M; `M` is the mass matrix) or a matrix is not finite (NONFINITE).
+    kinetic energy. For a negative eigenvalue the frequency is NaN and the status UNSTABLE; for a zero eigenvalue the frequency is 0 and the
+    status SINGULAR_K. All are NaN where a coordinate has no inertia (SINGULAR_M; `M` is the mass matrix) or a matrix is not finite
+    (NONFINITE).
 
     Modes of coinciding frequencies have only a space: `shapes` are a basis of it, and each mode has the mean of the damping ratios. A
-    single frequency of a cluster has one-sided derivatives: `jax.jvp` and `jacfwd` give the one along the direction, `jax.grad` gives NaN,
-    as for functions of a single shape. Sums over a cluster and functions of its space have derivatives in both modes; second derivatives
-    exist for single modes."""
+    single frequency of a cluster has one-sided derivatives: `jax.jvp` and `jacfwd` give the one in the requested direction, `jax.grad`
+    gives NaN, as for functions of a single shape. Sums over a cluster and functions of its space have derivatives in both modes; second
+    derivatives exist for single modes."""
 
     frequency: Float[Array, "nv"]
     shapes: Float[Array, "nv nv"]
@@ -98,8 +99,8 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
 
         K phi = w^2 M phi,   frequency = w/(2 pi),   damping ratio = phi' C phi/(2 w)
 
-    The damping ratio is exact where C is diagonal in the modes, otherwise of first order in C. Errors: FLOAT32 unless `allow_float32`;
-    warns UNSTABLE, SINGULAR_K, SINGULAR_M, NONFINITE.
+    The damping ratio is exact where C is diagonal in the modes, otherwise accurate to first order in C. Errors: FLOAT32 unless
+    `allow_float32`; warns UNSTABLE, SINGULAR_K, SINGULAR_M, NONFINITE.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0)})

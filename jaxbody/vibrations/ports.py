@@ -61,7 +61,7 @@ class BaseMotion(eqx.Module):
 
 
 class PointForce(eqx.Module):
-    """An input: a force [N] at a point of a body along x, y, z or a vector, world axes; or a moment [N m] about them: rx, ry, rz.
+    """An input: a force [N] at a point of a body along x, y, z or a vector, in world axes; or a moment [N m] about them: rx, ry, rz.
 
     `point` is in the axes of the body. Errors: BAD_DIRECTION, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
 
@@ -89,11 +89,11 @@ class PointForce(eqx.Module):
 
 
 class PointMotion(eqx.Module):
-    """An output: the motion of a point of a body or support along x, y, z or a vector, world axes, or its rotation about rx, ry, rz.
+    """An output: the motion of a point of a body or support along x, y, z or a vector, in world axes, or its rotation about rx, ry, rz.
 
     Args:
         on: name of the body or support
-        point: in its axes [m]
+        point: position in its axes [m]
         direction: x, y, z, a vector in world axes, rx, ry or rz
         kind: displacement [m, rad], velocity or acceleration
         relative_to: a body or support, for the motion relative to its point that coincides with this one at equilibrium; None: absolute
@@ -129,8 +129,8 @@ class PointMotion(eqx.Module):
 
 
 class ElementForce(eqx.Module):
-    """An output: the force of an element, spring and damper, less its value at equilibrium: for a spring the tension [N], for a bushing its
-    `component`, one of three forces (0 to 2) [N] and moments (3 to 5) [N m] in its own axes, opposing the deformation.
+    """An output: the force of an element, spring and damper, minus its value at equilibrium: for a spring the tension [N], for a bushing
+    its `component`, one of three forces (0 to 2) [N] and moments (3 to 5) [N m] in its own axes, opposing the deformation.
 
     >>> ElementForce("mount", component=2).component
     2
@@ -147,7 +147,7 @@ class ElementForce(eqx.Module):
 
 
 class ElementDeformation(eqx.Module):
-    """An output: the deformation of an element less its value at equilibrium: for a spring its elongation [m], for a bushing the
+    """An output: the deformation of an element minus its value at equilibrium: for a spring its elongation [m], for a bushing the
     `component` (0 to 5) of its displacement [m] and rotation [rad].
 
     >>> ElementDeformation("AB").on
@@ -166,7 +166,7 @@ class ElementDeformation(eqx.Module):
 
 class SupportReaction(eqx.Module):
     """An output: the force [N] on a support along x, y, z, or the moment [N m] about its origin, rx, ry, rz, in world axes, exerted by all
-    that is attached to it, less its value at equilibrium.
+    that is attached to it, minus its value at equilibrium.
 
     >>> SupportReaction("base", "z").unit
     'N'

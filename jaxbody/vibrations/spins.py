@@ -63,7 +63,7 @@ class SpinLinearization(Result):
             return ""
         worst = int(np.argmax(np.abs(self.acceleration)))
         message = f"the largest change of speed is {float(self.acceleration[worst]):.3g} /s2 in '{self.coordinates[worst]}'"
-        return message + "; spin a body about its axis of symmetry, in equilibrium, with no load or damper that turns with it or brakes it"
+        return message + "; spin a body about its axis of symmetry, in equilibrium, without loads or dampers that turn with it or brake it"
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: M, C, G and K by named coordinates."""
@@ -88,12 +88,14 @@ class SpinLinearization(Result):
 
 
 def linearize_spin(model: Model, at: State) -> SpinLinearization:
-    """Mass, damping, gyroscopic and stiffness matrix of small motions about a steady motion, such as that of a rotor, supports at rest.
+    """Mass, damping, gyroscopic and stiffness matrix of small motions about a steady motion, such as that of a rotor, with the supports at
+    rest.
 
         M delta'' + (C + G) delta' + K delta = 0
 
-    The Jacobian of the equations of motion at (q, v). It must not depend on time: a spinning body must be of revolution about its axis,
-    free or on a hinge, and elements must be attached to it on that axis. Errors: BAD_SHAPE, NON_FINITE of the state; warns NOT_STEADY.
+    The Jacobian of the equations of motion at (q, v). It must not depend on time: a spinning body must be axisymmetric about its axis of
+    spin, free or on a hinge, and elements must be attached to it on that axis. Errors: BAD_SHAPE, NON_FINITE for the state; warns
+    NOT_STEADY.
     Source: G. Genta, Dynamics of Rotating Systems (2005), 2.3.
 
     A disk with 0.2 kg m2 about its axis z, spinning at 30 rad/s, has G = 0.2 x 30 between its transverse rotations:

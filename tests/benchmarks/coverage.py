@@ -1,9 +1,9 @@
 """How often 95 % intervals contain the true value, for white and AR(1) noise, by instrument; `--write` puts the table into coverage.md.
 
 A plate on five springs vibrates with its base; stiffnesses, a damping and a free length are fitted to readings of one kind of instrument.
-Most fits are linearized steps, not `jaxbody.fit`: Gauss-Newton steps from the truth, computed in batches, with Jacobians to second order
-in the changes. Noise levels are estimated, and uncertainties come from the functions that `jaxbody.fit` calls. Rows "by jb.fit" are whole
-fits, from a start 2 to 10 % off. The naive interval assumes white noise.
+Most fits are linearized steps, not `jaxbody.fit`: Gauss-Newton steps from the true values, computed in batches, with Jacobians that are
+accurate to second order in the steps. Noise levels are estimated, and uncertainties come from the functions that `jaxbody.fit` calls. Rows
+"by jb.fit" are whole fits, from a start 2 to 10 % off. The naive interval assumes white noise.
 """
 
 import argparse

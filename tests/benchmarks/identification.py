@@ -1,4 +1,4 @@
-"""A fit to instruments: 10 s at 1 kHz of three accelerometers and a gyro on a plate on six legs, twelve free parameters, start 30 % off.
+"""A fit to three accelerometers and a gyro on a plate on six legs, 10 s at 1 kHz: twelve free parameters that start 30 % off.
 
 `python tests/benchmarks/identification.py` prints the time of the first fit of a new process (cold) and the median of further fits
 (warm). The targets are 15 s and 1 s. `--fast` calls jaxbody.fast_loops(). `--peer` fits a free decay of the same plate, 10 s at 1 kHz,

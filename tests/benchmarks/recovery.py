@@ -4,8 +4,8 @@
 
 Every problem is a body on four spring-dampers under a base that translates and rotates. Four stiffnesses, four dampings and the mass are
 unknown; the data are the motion of one point. In every fourth problem two springs are parallel, so that the data determine only their
-sums. The singular values of a Jacobian by central differences of `simulate` at the truth show which problems can be solved; recovered
-means every parameter to 1e-8.
+sums. The singular values of a Jacobian by central differences of `simulate` at the true parameters show which problems can be solved;
+recovered means every parameter to 1e-8.
 """
 
 import argparse

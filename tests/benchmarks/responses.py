@@ -1,4 +1,5 @@
-"""Speed of responses: 1000 frequencies from six motions of a base to six of a plate, and the gradient of a band's rms by thirty parameters.
+"""Speed of responses: 1000 frequencies from six motions of a base to six of a plate, and the gradient of a band's rms with respect to
+thirty parameters.
 
 `python tests/benchmarks/responses.py` prints medians of warm calls in milliseconds. The targets are 2 ms, and 10 ms for the gradient with
 respect to the stiffness, damping, free length and one point of five springs.

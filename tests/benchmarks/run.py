@@ -11,7 +11,7 @@ Includes MuJoCo, Exudyn and SciPy if they are installed.
     --no-peers           C only
     --write              put the table into README.md, between its two marks
 
-Everything goes through the public functions, on a Model inside a jitted function of the stiffnesses.
+All tasks call the public functions on a Model, inside a jitted function of the stiffnesses.
 """
 
 import argparse
@@ -98,7 +98,7 @@ def starts_of(job: str, rounds: int = 3) -> dict[str, float]:
 
 def markdown(results: dict[str, dict[bool, dict]], starts: dict[str, dict[str, float]]) -> str:
     """The table that the README shows."""
-    shown = f"{machine()}; {datetime.date.today().isoformat()}. Milliseconds, medians; in brackets the ratio to C and the error reached."
+    shown = f"{machine()}; {datetime.date.today().isoformat()}. Median times in milliseconds; in parentheses the ratio to C and the error."
     lines = [shown, ""]
     for job, by_option in results.items():
         plain, fast = by_option[False], by_option[True]

@@ -403,7 +403,7 @@ BAD = {
     ),
     "BAD_TIE": (
         dict(free="spring.a = spring.b * [1, 0, 1]"),
-        r"has the factor \[1, 0, 1\] .allowed: a number or a list of numbers, none 0",
+        r"has the factor \[1, 0, 1\] .allowed: a nonzero number or a list of nonzero numbers",
     ),
     "START_OUTSIDE": (
         dict(bounds={"spring.stiffness": (60.0, 90.0)}),

@@ -1,4 +1,4 @@
-"""Hamilton's equations by the derivatives of H; a Gauss step is symplectic and conserves momenta, and energy in chaotic motion."""
+"""Hamilton's equations against derivatives of H; a Gauss step is symplectic and conserves momenta, and energy in chaotic motion."""
 
 from functools import partial
 

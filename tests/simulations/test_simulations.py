@@ -1,4 +1,4 @@
-"""Simulated motion: energy and work, independence of samples and shifts of time, and messages of failed integrations."""
+"""Simulated motion: energy and work, independence from sample times and shifts of time, and messages of failed integrations."""
 
 import inspect
 import os

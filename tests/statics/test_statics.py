@@ -426,7 +426,7 @@ def test_an_equilibrium_of_another_model_is_not_linearized(plate, hanging):
     with pytest.raises(jb.JaxbodyError, match=r"linearize.at: is of a model with other bodies.*OTHER_MODEL"):
         jb.linearize(bead(), hanging)
     for changed in ({"s0.stiffness": 1.01 * plate["s0"].stiffness}, {"plate.mass": 6.1}, {"gravity": [0, 0, -9.8]}):
-        with pytest.warns(jb.JaxbodyWarning, match=r"the equilibrium does not belong to this model.*again.*STALE"):
+        with pytest.warns(jb.JaxbodyWarning, match=r"the state is not an equilibrium of this model.*again.*STALE"):
             lin = jb.linearize(jb.replace(plate, changed), hanging)
         assert int(lin.status) == Status.STALE
     with pytest.warns(jb.JaxbodyWarning, match="STALE"):

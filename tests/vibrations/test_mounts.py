@@ -1,7 +1,7 @@
 """Which of the twelve stiffnesses of four parallel three-axis mounts the natural motions of a rigid body determine.
 
-The motions give the 6 x 6 stiffness matrix at most. Mounts at the corners of a rectangle in a plane leave 8 combinations of the
-stiffnesses, another plane quadrilateral 9, four points in general position all 12.
+The motions determine at most the 6 x 6 stiffness matrix. For mounts at the corners of a rectangle, 8 combinations of the stiffnesses are
+determined; for another plane quadrilateral 9; for four points in general position all 12.
 """
 
 import jax.numpy as jnp
