@@ -19,6 +19,7 @@ from jaxbody.core.results import Result
 from jaxbody.designs.kinks import at_kinks, jumping
 from jaxbody.designs.programs import NamedLimits, Program, Quantities
 from jaxbody.designs.searches import ACTIVE, CONVERGED, MET, Multipliers, Rows, Search, multipliers, scales
+from jaxbody.geometry.fields import units_of
 from jaxbody.models.models import Model
 from jaxbody.parameters.design_spaces import Space
 from jaxbody.parameters.transforms import Positive
@@ -94,12 +95,12 @@ class Tuning(Result):
         return dataset(variables, {"start": np.arange(len(runs.status))}, f"design with the least {self.minimize}")
 
     def _tables(self) -> list[tables.PrintedTable]:
-        start = {group.path: group.form.start for group in self.space.groups}
-        rows = [
-            (label, *pair, self.places.get(name, ""))
-            for group in self.space.groups
-            for name, label, *pair in _each(group.path, group.label, start[group.path], self.values[group.path])
-        ]
+        rows = []
+        for group in self.space.groups:
+            start = group.form.start
+            numbers = _each(group.path, group.label, start, self.values[group.path])
+            units = units_of(group.leaves[0].kind, start.shape)
+            rows += [(label, *pair, unit, self.places.get(name, "")) for (name, label, *pair), unit in zip(numbers, units, strict=True)]
         quantities = [
             (name, label, *pair, _limit(self.limits.get(name)), self.multipliers.get(label, ""))
             for name, before in self.before.items()
@@ -108,7 +109,7 @@ class Tuning(Result):
         note = "\n".join([*self.words, f"{self.evaluations} evaluations, best of {len(self.runs.status)} starts; {self.report()}"])
         heads = ("", "before", "after", "limit", f"{self.minimize} per unit of the limit")
         return [
-            tables.PrintedTable(f"Design with the least {self.minimize}", ("parameter", "before", "after", ""), rows),
+            tables.PrintedTable(f"Design with the least {self.minimize}", ("parameter", "before", "after", "unit", ""), rows),
             tables.PrintedTable("", heads, [row[1:] for row in quantities], note),
         ]
 

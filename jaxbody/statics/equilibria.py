@@ -158,7 +158,7 @@ class Equilibrium(Result):
             (name, kind.__name__.lower(), q[..., layout.q_slices[name]]) for name, kind in zip(layout.bodies, layout.kinds, strict=True)
         ]
         note = self.message(Equilibrium._known) if is_concrete(self.status) else ""
-        note += ", a local one" if note == "ok" else ""
+        note += "; there may be others" if note == "ok" else ""
         if is_concrete(self.descended) and np.any(self.descended):
             note += f"; {DESCENDED}"
         elements = [(name, tables.without_dust(e)) for name, e in self.elongations.items()]

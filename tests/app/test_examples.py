@@ -290,6 +290,16 @@ def test_a_pendulum_with_friction():
 
 
 @pytest.mark.long
+def test_an_element_of_ones_own(monkeypatch):
+    """The script asserts the estimates and the closed forms of distance, frequency and design; here: units and bounds of its fields."""
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    names, printed = run("magnet_mount.py")
+    assert re.search(r"magnets.strength +\S+ +N m4", printed) and re.search(r"magnets.strength( +\S+){2} +N m4", printed)
+    with pytest.raises(jb.JaxbodyError, match="NOT_POSITIVE"):
+        jb.replace(names["guess"], {"magnets.strength": -1.0})
+
+
+@pytest.mark.long
 def test_a_car_tuned_for_its_driver(monkeypatch):
     """The script asserts that differences give the same optimum; here: a new evaluation meets the limits, and the front is monotonic."""
     monkeypatch.setenv("MPLBACKEND", "Agg")
