@@ -109,6 +109,7 @@ def test_derivatives_to_the_fourth_are_exact_from_zero_to_three_turns(mode):
         assert error.max() <= LIMITS[n], n
 
 
+@pytest.mark.long
 def test_log_undoes_exp_with_all_derivatives_to_the_fourth():
     """log(exp(w)) = w: its first derivative is the identity, the next three vanish; also next to half a turn."""
     points = np.concatenate([SWEEP, LARGE[:6], (np.pi - 1e-7) * AXIS[None]])

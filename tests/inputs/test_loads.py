@@ -405,7 +405,12 @@ def test_preload_moves_the_height_of_a_wheel_too():
     eq = jb.equilibrium(result.model, start=result.state)
     np.testing.assert_allclose(eq.state.q, [0, wheel - 0.3], atol=1e-12)
     np.testing.assert_allclose(result.state.q, eq.state.q, atol=1e-12)
-    slopes = [jax.jit(mode(lambda tyre: (x := raised(tyre)[1]).moves[0] + 10 * x.values[0]))(0.36) for mode in (jax.jacfwd, jax.grad)]
+
+    def moves(tyre):
+        result = raised(tyre)[1]
+        return result.moves[0] + 10 * result.values[0]
+
+    slopes = jax.jit(lambda tyre: (jax.jacfwd(moves)(tyre), jax.grad(moves)(tyre)))(0.36)
     np.testing.assert_allclose(slopes, 1 - 10, rtol=1e-12)  # the wheel rises with its tyre, the spring is that much shorter
 
 

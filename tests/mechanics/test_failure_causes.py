@@ -103,6 +103,7 @@ def test_a_spring_that_passes_through_zero_length_is_named_with_the_time(rtol):
     assert f"ok; 's' has shrunk to a point at t = {THROUGH:.3f}" in repr(trajectory)
 
 
+@pytest.mark.long
 def test_a_spring_that_passes_through_zero_length_is_named_under_derivatives_too():
     with pytest.warns(jb.JaxbodyWarning, match="'s' has shrunk to a point at t = "):
         jax.grad(lambda k: jb.simulate(jb.replace(on_a_line(), {"s.stiffness": k}), TIMES, initial=TOWARDS).state.q[-1, 0])(50.0)

@@ -48,6 +48,7 @@ def test_one_step_is_that_of_diffrax(model):
 STEPS = {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 0.03}
 
 
+@pytest.mark.long
 def test_constant_steps_are_those_of_the_tableau(model):
     """Two steps and a shorter one, samples on them, and the derivative in reverse mode, against the method step by step."""
     tableau, ends = diffrax.Dopri8.tableau, jnp.array([0.0, 0.03, 0.06, 0.075])

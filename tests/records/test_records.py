@@ -569,14 +569,15 @@ def test_any_bytes_at_length(tmp_path, content, decimal, encoding):
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # asammdf's destructor, of files that it could not open
 @pytest.mark.parametrize("kind", [kind for kind in FORMATS if "csv" not in kind])
-def test_files_of_other_formats_with_bytes_changed(kind, tmp_path, rng):
-    """100 files cut off or with eight bytes changed."""
+@pytest.mark.parametrize("count", [20, pytest.param(300, marks=pytest.mark.long)])
+def test_files_of_other_formats_with_bytes_changed(kind, count, tmp_path, rng):
+    """Files cut off or with eight bytes changed."""
     file, write, package, time, columns, _ = FORMATS[kind]
     if package:
         pytest.importorskip(package, reason=f"{package} is not installed: pip install 'jaxbody[files,mdf]'")
     write(tmp_path / file)
     whole = np.frombuffer((tmp_path / file).read_bytes(), np.uint8)
-    for i in range(100):
+    for i in range(count):
         changed = whole[: rng.integers(len(whole))] if i % 2 else whole.copy()
         if len(changed) and not i % 2:
             changed[rng.integers(0, len(changed), 8)] = rng.integers(0, 256, 8)
