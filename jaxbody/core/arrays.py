@@ -37,10 +37,8 @@ def float_array(value: Any, where: str = "value") -> np.ndarray | jax.Array:
 
 def checked(value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problems: Problems, hint: str = "") -> Any:
     """A finite float array of one of the shapes; None if it is not, with a problem added."""
-    try:
-        array = float_array(value, where)
-    except JaxbodyError as error:
-        problems.collected += error.problems
+    array = problems.gather(lambda: float_array(value, where))
+    if array is None:
         return None
     if array.shape not in shapes:
         limit = " or ".join(map(str, shapes))
@@ -54,6 +52,17 @@ def checked(value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problem
         problems.add("NON_FINITE", where, message, value=known, limit="finite", hint="Give finite numbers.")
         return None
     return array
+
+
+def finite_rows(x: Any, where: str, problems: Problems) -> bool:
+    """Whether all rows, such as the samples of a record, are finite, as far as they are known; if not, a problem is added."""
+    known = concrete(x)
+    if known is None or np.isfinite(known).all():
+        return True
+    row = int(np.argwhere(~np.isfinite(known))[0][0])
+    hint = "Cut the record or fill the gap first."
+    problems.add("NON_FINITE", where, f"is {known[row].tolist()} at row {row}", value=known[row], limit="finite", hint=hint)
+    return False
 
 
 def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -> Any:
@@ -106,10 +115,8 @@ def vector(value: Any, where: str, problems: Problems) -> Any:
 
 def check_times(times, problems: Problems, where: str = "times", minimum: int = 1) -> np.ndarray | jax.Array | None:
     """Increasing, finite, one-dimensional times; None if they are not, with a problem added."""
-    try:
-        times = float_array(times, where)
-    except JaxbodyError as error:
-        problems.collected += error.problems
+    times = problems.gather(lambda given=times: float_array(given, where))
+    if times is None:
         return None
     known = concrete(times)
     if times.ndim != 1 or times.shape[0] < minimum:

@@ -251,7 +251,7 @@ def _warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) -
     warn_of_rails(rows if constant.all() else rows[:, ~constant], times, where, unit)
 
 
-def _samples(name: str, sensor: Sensor, value: Any, times, kept, problems: Problems):
+def _samples(name: str, sensor: Any, value: Any, times, kept, problems: Problems):
     """The measured array of a sensor, with NaN for samples that are left out; its errors are added to `problems`."""
     where = f"Experiment.measured['{name}']"
     if not isinstance(sensor, Sensor):
@@ -259,12 +259,8 @@ def _samples(name: str, sensor: Sensor, value: Any, times, kept, problems: Probl
             "WRONG_KIND", f"Experiment.sensors['{name}']", f"is a {type(sensor).__name__}", value=sensor, limit="a sensor such as Position"
         )
         return None
-    try:
-        array = float_array(value, where)
-    except JaxbodyError as error:
-        problems.collected += error.problems
-        return None
-    if times is None:
+    array = problems.gather(lambda: float_array(value, where))
+    if array is None or times is None:
         return array
     shape = (len(times), *sensor.shape)
     if array.size == 0:

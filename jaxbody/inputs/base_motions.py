@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxbody.core import tables, units
 from jaxbody.core.arrays import Array, Float, Int, checked, shaped
-from jaxbody.core.errors import JaxbodyError, Problems, Status
+from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result
 from jaxbody.core.tables import counted
 from jaxbody.geometry import rotations
@@ -131,10 +131,8 @@ def base_motion(
 def _channel(record: Record, name: str, dimension: units.Dimension, axis: Any, problems: Problems) -> np.ndarray:
     """A channel as (n, 3); zeros where it is not suitable, with a problem added."""
     where, zeros = f"Record['{name}']", np.zeros((len(record.times), 3))
-    try:
-        x = record[name]
-    except JaxbodyError as error:
-        problems.collected += error.problems
+    x = problems.gather(lambda: record[name])
+    if x is None:
         return zeros
     if record.units[name] != (expected := units.si_words(dimension)):
         problems.add(

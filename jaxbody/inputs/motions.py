@@ -17,7 +17,18 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import check_returned, is_own, kind_of, warn_of_degrees
-from jaxbody.core.arrays import Array, Float, check_times, checked, concrete, device_array, float_array, functions_as_nodes, shaped
+from jaxbody.core.arrays import (
+    Array,
+    Float,
+    check_times,
+    checked,
+    concrete,
+    device_array,
+    finite_rows,
+    float_array,
+    functions_as_nodes,
+    shaped,
+)
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
@@ -231,12 +242,12 @@ class Sampled(Motion):
         )
 
 
-def as_motion(motion: Motion | Callable[[Array], Array], where: str = "motion") -> Motion:
+def as_motion(motion: Any, where: str = "motion") -> Motion:
     """The Motion for a motion or for a Python function of time."""
     if not callable(motion) or isinstance(motion, type):
         hint = "Give a Motion or a function t -> Xi, 6 numbers."
         raise JaxbodyError(Problem("WRONG_KIND", where, f"is {kind_of(motion)}", motion, "a Motion, such as jb.Harmonic(...)", hint))
-    return motion if isinstance(motion, Motion) else MotionFunction(motion)
+    return motion if isinstance(motion, Motion) else MotionFunction(motion)  # pyright: ignore[reportArgumentType]  it may return anything
 
 
 def check_motion(motion: Motion, where: str, problems: Problems) -> None:
@@ -295,23 +306,15 @@ def _rows(value: Any, n: int | None, widths: tuple[int, ...], where: str, proble
     zeros = np.zeros((n or 0, 3))
     if value is None:
         return zeros
-    try:
-        array = float_array(value, where)
-    except JaxbodyError as error:
-        problems.collected += error.problems
+    array = problems.gather(lambda: float_array(value, where))
+    if array is None:
         return zeros
     if array.ndim != 2 or array.shape[1] not in widths or n not in (None, array.shape[0]):
         limit = " or ".join(f"({n or 'n'}, {width})" for width in widths)
         hint = "The array looks transposed." if array.ndim == 2 and array.shape[0] in widths else "One row per time."
         problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=limit, hint=hint)
         return zeros
-    known = concrete(array)
-    if known is not None and not np.isfinite(known).all():
-        row = int(np.argwhere(~np.isfinite(known))[0][0])
-        hint = "Cut the record or fill the gap first."
-        problems.add("NON_FINITE", where, f"is {known[row].tolist()} at row {row}", value=known[row], limit="finite", hint=hint)
-        return zeros
-    return array
+    return array if finite_rows(array, where, problems) else zeros
 
 
 def _continuous(samples, problems: Problems, where: str):

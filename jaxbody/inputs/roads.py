@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, float_array, shaped
-from jaxbody.core.errors import JaxbodyError, Problems
+from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import check_domain, field, kind_of
 from jaxbody.inputs.motions import Motion
 
@@ -126,10 +126,8 @@ def _window(distances, footprint) -> int:
 
 def _points(value, where: str, problems: Problems, n: int | None = None) -> Any:
     """A row of n finite numbers, or of two or more if n is None."""
-    try:
-        numbers = float_array(value, where)
-    except JaxbodyError as error:
-        problems.collected += error.problems
+    numbers = problems.gather(lambda: float_array(value, where))
+    if numbers is None:
         return None
     hint = "Give two points or more." if n is None else "Give one height for each distance."
     return checked(numbers, ((n or max(2, numbers.size),),), where, problems, hint)

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import check_returned, plain
-from jaxbody.core.arrays import Array, Float, check_times, checked, concrete, device_array, float_array
-from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.arrays import Array, Float, check_times, checked, device_array, finite_rows, float_array
+from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field
 from jaxbody.inputs.samples import cell, curvatures, is_uniform
 
@@ -159,19 +159,11 @@ def _number_or_vector(value: Any, where: str, problems: Problems) -> Any:
 
 
 def _rows(values: Any, times: Any, problems: Problems) -> Any:
-    try:
-        y = float_array(values, "Samples.values")
-    except JaxbodyError as error:
-        problems.collected += error.problems
-        return None
-    if times is None:
+    y = problems.gather(lambda: float_array(values, "Samples.values"))
+    if y is None or times is None:
         return y
     if y.ndim not in (1, 2) or y.shape[0] != len(times):
         limit = f"({len(times)},) or ({len(times)}, k)"
         problems.add("BAD_SHAPE", "Samples.values", f"has shape {y.shape}", value=y.shape, limit=limit, hint="One value per time.")
-    known = concrete(y)
-    if known is not None and not np.isfinite(known).all():
-        row = int(np.argwhere(~np.isfinite(known))[0][0])
-        hint = "Cut the record or fill the gap first."
-        problems.collected.append(Problem("NON_FINITE", "Samples.values", f"is {known[row]} at row {row}", known[row], "finite", hint))
+    finite_rows(y, "Samples.values", problems)
     return y

@@ -152,11 +152,10 @@ def _channels(channels: Any, name: str, problems: Problems) -> dict[str, tuple[n
         if not isinstance(pair, tuple) or len(pair) != 2 or not isinstance(pair[1], str):
             problems.add("NO_UNIT", where, "has no unit", limit='(values, "m/s2")', hint='State it, or "1" for numbers without a unit.')
             continue
-        try:
-            x, unit = np.asarray(float_array(pair[0], where)), units.parse(pair[1], where)
-        except JaxbodyError as error:
-            problems.collected += error.problems
+        read = problems.gather(lambda pair=pair, where=where: (np.asarray(float_array(pair[0], where)), units.parse(pair[1], where)))
+        if read is None:
             continue
+        x, unit = read
         if x.ndim not in (1, 2) or x.size == 0:
             code = "NO_DATA" if x.size == 0 else "BAD_SHAPE"
             problems.add(code, where, f"has shape {x.shape}", value=x.shape, limit="(n,) or (n, k)", hint="One row per time.")
@@ -172,11 +171,10 @@ def _times(times: Any, time_unit: str, rate: Any, given: dict[str, Any], name: s
             problems.add("NO_TIME", where, "are missing", limit="times or rate=", hint="Give one of them.")
         n = len(next(iter(given.values()))[0]) if given else 0
         return np.arange(n) / (rate or 1.0)
-    try:
-        t, unit = np.asarray(float_array(times, where)), units.parse(time_unit, where)
-    except JaxbodyError as error:
-        problems.collected += error.problems
+    read = problems.gather(lambda: (np.asarray(float_array(times, where)), units.parse(time_unit, where)))
+    if read is None:
         return np.zeros(0)
+    t, unit = read
     if unit.dimension != units.TIME:
         problems.add("WRONG_DIMENSION", where, f"is in '{time_unit}'", value=time_unit, limit="s ms us min h", hint="Give a unit of time.")
     if t.ndim != 1:

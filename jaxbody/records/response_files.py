@@ -49,13 +49,9 @@ def read_responses(
 
 def _factor(stated: str | None, in_file: str | None, where: str, problems: Problems) -> float:
     """The factor to SI of the unit stated by the user, by the file, or by both in agreement."""
-    parsed = []
-    for text in (stated, in_file):
-        try:
-            parsed += [] if text is None else [units.parse(text, where)]
-        except JaxbodyError as error:
-            problems.collected += error.problems
-            return 1.0
+    parsed = problems.gather(lambda: [units.parse(text, where) for text in (stated, in_file) if text is not None])
+    if parsed is None:
+        return 1.0
     if not parsed:
         problems.add(
             "NO_UNIT", where, "has no unit in the file", limit="one for output and input", hint='Give both: ("4+Z/1+Z", "m/s2", "N").'
