@@ -3,7 +3,9 @@
 import ctypes
 import gc
 import os
+import sys
 import tempfile
+import traceback
 from pathlib import Path
 
 import equinox as eqx
@@ -20,6 +22,7 @@ gc.set_threshold(50_000, 20, 50)
 
 STATM = Path("/proc/self/statm")
 MUCH, MUCH_BETWEEN_FILES = 1.2e9, 0.8e9  # bytes of memory that a worker has in use; a file shares what it compiles
+CHECKERS = {"jax", "jaxtyping", "beartype", "equinox", "numpy", "contextlib.py"}  # they raise where others are at fault
 beartyped = beartype(conf=BeartypeConf(is_pep484_tower=True))  # where a float is asked for, an int is one
 
 
@@ -29,8 +32,6 @@ def pytest_configure(config):
     Python, run what users run."""
     if config.option.typed:
         jaxtyping.install_import_hook("jaxbody", "conftest.beartyped")
-        jax.config.update("jax_numpy_dtype_promotion", "strict")
-        jax.config.update("jax_numpy_rank_promotion", "raise")
     flags = ["--xla_cpu_use_fusion_emitters=false"] if jaxlib.version.__version__.startswith("0.10.") else []
     if config.option.markexpr == "not long":
         flags += ["--xla_backend_optimization_level=0", "--xla_cpu_parallel_codegen_split_count=1"]
@@ -70,6 +71,27 @@ def batches(request):
             yield
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_pyfunc_call(pyfuncitem):
+    """With --typed, a test is skipped in which not jaxbody is at fault: it gives a wrong kind, to see it refused, or it or another library
+    promotes."""
+    if not pyfuncitem.config.option.typed:
+        return (yield)
+    try:
+        with jax.numpy_dtype_promotion("strict"), jax.numpy_rank_promotion("raise"):
+            return (yield)
+    except (jaxtyping.TypeCheckError, ValueError, pytest.fail.Exception) as raised:
+        error = raised.__context__ if isinstance(raised, pytest.fail.Exception) else raised  # which a `pytest.raises` did not expect
+        if error is None:
+            raise
+        files = [Path(frame.filename) for frame in traceback.extract_tb(error.__traceback__)]
+        last = [file for file in files if file.exists() and not CHECKERS & set(file.parts)][-1]
+        found = isinstance(error, jaxtyping.TypeCheckError) or "promotion" in str(error)
+        if found and not last.is_relative_to(Path(sys.modules["jaxbody"].__path__[0])):
+            pytest.skip("the test or another library gives another kind, or promotes")
+        raise
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item, nextitem):
     """Release compiled programs, which JAX would keep with their traces in mapped memory, and return the memory to the system."""
@@ -96,6 +118,10 @@ def pytest_addoption(parser):
 
 def pytest_collection_modifyitems(config, items):
     """Whole files, which share what they compile."""
+    if config.option.typed:
+        for item in items:
+            if item.get_closest_marker("untyped"):
+                item.add_marker(pytest.mark.skip(reason="not with --typed"))
     if third := config.getoption("third"):
         files = sorted({item.path for item in items})
         left_out = [item for item in items if files.index(item.path) % 3 != third - 1]

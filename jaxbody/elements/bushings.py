@@ -82,7 +82,7 @@ def _times(coefficients: Float[Array, "*k"], e: Float[Array, "6"]) -> Float[Arra
     """K e for a 6 x 6 matrix or for three translational coefficients."""
     if coefficients.shape == (3,):
         return jnp.concatenate([coefficients * e[:3], jnp.zeros_like(e[3:])])
-    return jnp.sum(coefficients * e, -1)
+    return jnp.sum(coefficients * e[None], -1)
 
 
 def _coefficients(value: Any, where: str, problems: Problems) -> Any:

@@ -16,7 +16,7 @@ def records_of(experiments: dict[str, Measurement]) -> list[ResidualSeries]:
         for name, channel in sorted(experiment.channels.items()):
             present = experiment.present(name)
             labels, present = indices(present.shape[1:]), present.reshape(len(present), -1)
-            units = np.broadcast_to(channel.spread(np.arange(channel.units)), present.shape[1:])
+            units = np.broadcast_to(channel.spread(np.arange(channel.units)), (1, present.shape[1]))[0]
             for i, (label, unit) in enumerate(zip(labels, units, strict=True)):
                 times = np.flatnonzero(present[:, i])
                 rows = first + times * present.shape[1] + i

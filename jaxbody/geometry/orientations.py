@@ -52,7 +52,7 @@ class Euler(eqx.Module):
     def _quaternion(self, xp):
         q = None
         for letter, angle in zip(self.sequence.lower(), self.angles, strict=True):
-            turn = [xp.cos(angle / 2), *(xp.sin(angle / 2) * (letter == axis) for axis in AXES)]
+            turn = [xp.cos(angle / 2), *(xp.sin(angle / 2) * float(letter == axis) for axis in AXES)]
             q = turn if q is None else _product(q, turn) if self.sequence.isupper() else _product(turn, q)
         return xp.stack(q)
 

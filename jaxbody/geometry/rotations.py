@@ -132,7 +132,7 @@ def inverse_left_jacobian(phi: Float[Array, "*n 3"], a: Float[Array, "*n 3"]) ->
     return a - turned / 2 + cotc(dot(phi, phi))[..., None] * cross(phi, turned)
 
 
-def multiply(p: Float[Array, "*n 4"], q: Float[Array, "*n 4"]) -> Float[Array, "*n 4"]:
+def multiply(p: Float[Array, "*#n 4"], q: Float[Array, "*#n 4"]) -> Float[Array, "*#n 4"]:
     """Quaternion product p q: the rotation q followed by p."""
     pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
     return jnp.concatenate([pw * qw - jnp.sum(pv * qv, -1, keepdims=True), pw * qv + qw * pv + cross(pv, qv)], -1)

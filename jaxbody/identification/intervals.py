@@ -45,7 +45,7 @@ def intervals_of(
         form = f.form
         if isinstance(form, Elementwise):
             with np.errstate(over="ignore"):
-                intervals[f.path] = tuple(form.value(end[own]) for end in (low, high))
+                intervals[f.path] = tuple(np.asarray(form.value(end[own])) for end in (low, high))
             continue
         error, freedom = uncertainty.spread(G.reshape(-1, len(u)))
         value, half_width = np.asarray(values[f.path]), (quantile(level, freedom) * error).reshape(G.shape[:-1])

@@ -122,7 +122,7 @@ def _drawn(fit: Fit, f: Callable, level: float, samples: int, key):
         raise JaxbodyError(Problem("UNDETERMINED", "fit", message, hint=hint))
     values, vectors = np.linalg.eigh(uncertainty.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    u: Float[Array, "samples n"] = fit.u + jax.random.normal(key, (samples, len(values))) @ root.T
+    u: Float[Array, "samples n"] = jnp.asarray(fit.u)[None] + jax.random.normal(key, (samples, len(values))) @ root.T
     drawn = np.asarray(jax.lax.map(f, u, batch_size=min(samples, 64)))
     finite = np.isfinite(drawn).all(0)
     low, high = np.nanquantile(drawn, [(1 - level) / 2, (1 + level) / 2], axis=0)

@@ -80,7 +80,8 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     for name, experiment in experiments.items():
         experiment.check(fit.model, name)
     noise: Levels = {
-        run: {name: jnp.ones(np.shape(channel.spread(0.0))) for name, channel in e.channels.items()} for run, e in experiments.items()
+        run: {name: jnp.ones((channel.units,) if channel.units > 1 else ()) for name, channel in e.channels.items()}
+        for run, e in experiments.items()
     }
     task = Task(fit.model, dict(experiments), (), noise, fit.task.integration)
     runs = _runs(task)

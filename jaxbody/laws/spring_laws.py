@@ -34,7 +34,7 @@ class Polynomial(Law):
         return ", ".join(f"force/argument^{i + 1}" for i in range(self.coefficients.shape[-1]))
 
     def _sum(self, x, divisors):
-        c = self.coefficients / np.asarray(divisors)
+        c = self.coefficients / np.asarray(divisors, self.coefficients.dtype)
         total = c[..., -1]
         for i in range(c.shape[-1] - 2, -1, -1):
             total = total * x + c[..., i]

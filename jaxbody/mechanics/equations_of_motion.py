@@ -249,6 +249,6 @@ def normalized(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     return jnp.concatenate(parts)
 
 
-def acceleration(model: Model, state: State, t: float = 0.0, motions: Motions = (), loads: tuple[Load, ...] = ()) -> Float[Array, "nv"]:
+def acceleration(model: Model, state: State, t: Any = 0.0, motions: Motions = (), loads: tuple[Load, ...] = ()) -> Float[Array, "nv"]:
     """dv/dt from the equations of motion, in the speeds of the state."""
     return Dynamics(model, motions, loads).acceleration(jnp.asarray(t, state.q.dtype), state.q, state.v)

@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.compile_options import jit_unoptimized
-from jaxbody.elements.second_derivatives import Block, Blocks, DeformationSlopes, dissipation_hessian, second_order, turning
+from jaxbody.elements.second_derivatives import Block, Blocks, dissipation_hessian, second_order, turning
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, product, rotate, skew
 from jaxbody.mechanics.energies import each_element, potential, wrenches
@@ -205,7 +205,9 @@ def _collected(parts: list[tuple[Array, list[int | None]]], n: int) -> Array:
     return sums(rows.reshape(len(rows), -1), groups).reshape(n, *rows.shape[1:])
 
 
-def _gradient(model: Model, bodies: Float[Array, "nb 6"], elements: list[DeformationSlopes], base: bool) -> Float[Array, "frames 6"]:
+def _gradient(
+    model: Model, bodies: Float[Array, "nb 6"], elements: list[tuple[Float[Array, "_ 6"], ...]], base: bool
+) -> Float[Array, "frames 6"]:
     """The gradients of bodies and elements, summed by frame."""
     places = _places(model.layout, base)
     ends = [

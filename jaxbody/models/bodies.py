@@ -71,7 +71,7 @@ class Body(eqx.Module):
         com = sum(part.mass * place for part, place in zip(parts, places, strict=True)) / mass
         inertia = 0.0
         for part, R, d in zip(parts, turns, [place - com for place in places], strict=True):
-            inertia = inertia + R @ part.inertia @ R.T + part.mass * (d @ d * np.eye(3) - d[:, None] * d)
+            inertia = inertia + R @ part.inertia @ R.T + part.mass * (d @ d * np.eye(3) - d[:, None] * d[None])
         return cls(mass, inertia, com=com, position=position, orientation=orientation)
 
 

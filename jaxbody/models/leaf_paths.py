@@ -124,7 +124,7 @@ def by_array(leaves: Iterable[Leaf]) -> dict[int, list[Leaf]]:
     return groups
 
 
-def _put(arrays: list[jax.Array], leaves: list[Leaf], block: jax.Array) -> None:
+def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
     """Write a block of rows into their array by one operation."""
     first, rows = leaves[0], [leaf.row for leaf in leaves]
     if first.row is None or rows == list(range(arrays[first.array].shape[first.axis(arrays)])):
@@ -136,7 +136,7 @@ def _put(arrays: list[jax.Array], leaves: list[Leaf], block: jax.Array) -> None:
             changed[where] = block
             arrays[first.array] = jnp.asarray(changed)
         else:
-            arrays[first.array] = array.at[where].set(block)
+            arrays[first.array] = jnp.asarray(array).at[where].set(block)
 
 
 def paths(tree: Any, pattern: str = "*") -> dict[str, Array]:
@@ -230,10 +230,10 @@ def _made(leaf: Leaf, value: Any, where: str, problems: Problems) -> Any:
     return known
 
 
-def by_name(names: tuple[tuple[str, ...], ...], tables: tuple[Array, ...], axis: int = 0) -> dict[str, Array]:
+def by_name(names: Sequence[tuple[str, ...]], tables: Sequence[Array], axis: int = 0) -> dict[str, Any]:
     """{name: row} of tables whose rows, along `axis`, have these names."""
     lead = (slice(None),) * axis
-    return {name: table[(*lead, i)] for group, table in zip(names, tables, strict=True) for i, name in enumerate(group)}
+    return {name: table[(*lead, i, ...)] for group, table in zip(names, tables, strict=True) for i, name in enumerate(group)}
 
 
 def springs_of(model: Any) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -84,7 +86,7 @@ def unattached(model: Model) -> list[str]:
     return [name for name in model.layout.bodies if name not in tied]
 
 
-def check_state(model: Model, state: State, where: str) -> None:
+def check_state(model: Model, state: Any, where: str) -> None:
     """Check that q and v have the model's shapes and precision, are finite and have unit quaternions; all problems in one error."""
     with Problems() as problems:
         if not isinstance(state, State):

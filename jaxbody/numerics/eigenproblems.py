@@ -58,8 +58,8 @@ def _alone(cluster: Array) -> Array:
 def _one_sided(W: Array, cluster: Array) -> Array:
     """The ascending eigenvalues of the block of W of each cluster; clusters are kept apart by a shift."""
     B = jnp.where(together(cluster), (W + jnp.swapaxes(W, -1, -2)) / 2, 0.0)
-    shift = 4 * jnp.max(jnp.sum(jnp.abs(B), -1), -1, initial=0.0)[..., None] * cluster
-    split = jnp.linalg.eigvalsh(B + shift[..., None] * np.eye(W.shape[-1], dtype=W.dtype)) - shift
+    shift = 4 * jnp.max(jnp.sum(jnp.abs(B), -1), -1, initial=0.0)[..., None] * cluster.astype(W.dtype)
+    split = jnp.linalg.eigvalsh(B + shift[..., None] * jnp.broadcast_to(np.eye(W.shape[-1], dtype=W.dtype), W.shape)) - shift
     return jnp.where(_alone(cluster), jnp.diagonal(W, axis1=-2, axis2=-1), split)
 
 
@@ -171,8 +171,8 @@ def _natural_jvp(primals, tangents):
     cluster = clusters(values)
     same = together(cluster)
     N = shapes.T @ (dM @ shapes)
-    W = shapes.T @ (dK @ shapes) - N * values
-    gap = jnp.where(same, 1.0, values - values[:, None])
+    W = shapes.T @ (dK @ shapes) - N * values[None]
+    gap = jnp.where(same, 1.0, values[None] - values[:, None])
     return (values, shapes), (slopes(W, cluster), shapes @ jnp.where(same, -N / 2, W / gap))
 
 
@@ -195,9 +195,9 @@ def _one_sided_poles(W: Array, cluster: Array, order: Array) -> Array:
         B = jnp.where(together(cluster), W, 0.0)
         size = 8 * jnp.max(jnp.sum(jnp.abs(B), -1), initial=0.0)
         size = jnp.where(size > 0, size, 1.0)
-        values = jnp.linalg.eigvals(B + size * jnp.diag(cluster).astype(W.dtype))
-        label = jnp.round(values.real / size).astype(int)
-        values = (values - size * label)[jnp.lexsort((values.imag, label))]
+        values = jnp.linalg.eigvals(B + (size * jnp.diag(cluster).astype(size.dtype)).astype(W.dtype))
+        label = jnp.round(values.real / size)
+        values = (values - (size * label).astype(values.dtype))[jnp.lexsort((values.imag, label))]
         members = jnp.lexsort((order, cluster))
         return jnp.where(_alone(cluster), jnp.diagonal(W), jnp.zeros_like(values).at[members].set(values))
 
@@ -242,12 +242,12 @@ def _poles_jvp(primals, tangents):
     overlap = jnp.abs(jnp.conj(X).T @ X) - 2 * np.eye(len(s), dtype=A.dtype)
     defective = jnp.any(same & (overlap > 1 - PARALLEL), axis=0)  # where derivatives are infinite
     match = coincide(left, s)
-    broken = jnp.any(match & defective, axis=1)
-    stand_in = (jnp.cumsum(broken)[:, None] == jnp.cumsum(defective)) & broken[:, None] & defective
-    G = jnp.where(match & ~defective & ~broken[:, None], Y.T @ X, stand_in)
-    W = jnp.linalg.solve(G, Y.T @ (dA @ X))
-    W = jnp.where(defective[:, None] | defective, 0.0, W)
-    gap = jnp.where(same, 1.0, s - s[:, None])
+    broken = jnp.any(match & defective[None], axis=1)
+    stand_in = (jnp.cumsum(broken)[:, None] == jnp.cumsum(defective)[None]) & broken[:, None] & defective[None]
+    G = jnp.where(match & ~defective[None] & ~broken[:, None], Y.T @ X, stand_in.astype(X.dtype))
+    W = jnp.linalg.solve(G, Y.T @ (dA.astype(X.dtype) @ X))
+    W = jnp.where(defective[:, None] | defective[None], 0.0, W)
+    gap = jnp.where(same, 1.0, s[None] - s[:, None])
     ds = pole_slopes(W, cluster, jax.lax.stop_gradient(jnp.imag(s)))
     ds = jnp.where(defective, jnp.nan, ds)
     return (s, X), (ds, X @ jnp.where(same, 0.0, W / gap))

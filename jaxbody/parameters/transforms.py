@@ -279,7 +279,7 @@ def parametrize(leaf: Leaf, start: Array, model: Model, size: Array) -> Parametr
 def _thick(inertia: np.ndarray) -> bool:
     """Whether the body is neither flat nor thin, so that its second moments are positive."""
     moments = np.linalg.eigvalsh(inertia)
-    return moments[0] + moments[1] - moments[2] > 1e-9 * moments.sum()
+    return bool(moments[0] + moments[1] - moments[2] > 1e-9 * moments.sum())
 
 
 UNBOUNDED = {"rotation": Rotation, "direction": Direction}

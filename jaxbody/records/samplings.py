@@ -116,7 +116,7 @@ def warn_of_rails(rows: np.ndarray, times: np.ndarray, where: str, unit: str) ->
 def _warn_of_rails(x: np.ndarray, unit: str, times: np.ndarray, where: str) -> None:
     for rail in (np.nanmax(x), np.nanmin(x)):
         edges = np.flatnonzero(np.diff(np.concatenate([[0], (x == rail).astype(int), [0]]))).reshape(-1, 2)
-        runs = [(i, j) for i, j in edges if j - i >= RUN and not _turns(x, i, j)]
+        runs = [(i, j) for i, j in edges.tolist() if j - i >= RUN and not _turns(x, i, j)]
         if (count := sum(j - i for i, j in runs)) > AT_THE_RAILS * len(x):
             when = ", ".join(f"{times[i]:.6g} to {times[j - 1]:.6g} s" for i, j in runs[:3]) + (", ..." if len(runs) > 3 else "")
             warn("SATURATED", f"{where} stays at {rail:.6g} {unit} for {count} of {len(x)} samples: {when}")
@@ -130,7 +130,7 @@ def _turns(x: np.ndarray, i: int, j: int) -> bool:
         return False
     resolution, middle = np.diff(np.unique(x[np.isfinite(x)])).min(), (i + j - 1) / 2
     beyond = np.polyfit(np.array(beside) - middle, x[beside], 2)[2] - x[i]
-    return abs(beyond) < 2 * resolution
+    return bool(abs(beyond) < 2 * resolution)
 
 
 def _check_unit(rows: np.ndarray, unit: units.Unit, where: str) -> None:

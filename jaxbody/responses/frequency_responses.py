@@ -333,12 +333,12 @@ def _complex_modes(A: _Matrices):
     n = len(A.M)
     matrix = companion(A.M, A.C, A.K if A.H is None else A.K + 1j * A.H)
     unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n:, :n])))  # of frequency, so that displacements and rates have the same scale
-    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)])
-    balanced = matrix * scale / scale[:, None]
+    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)]).astype(matrix.dtype)
+    balanced = matrix * scale[None] / scale[:, None]
     poles, vectors = jnp.linalg.eig(balanced)
     inverse = jnp.linalg.inv(vectors)
-    error = jnp.max(jnp.abs((vectors * poles) @ inverse - balanced)) / jnp.max(jnp.abs(balanced))
-    right = inverse[:, n:] @ jnp.linalg.inv(A.M) / unit
+    error = jnp.max(jnp.abs((vectors * poles[None]) @ inverse - balanced.astype(inverse.dtype))) / jnp.max(jnp.abs(balanced))
+    right = inverse[:, n:] @ (jnp.linalg.inv(A.M) / unit).astype(inverse.dtype)
     return vectors[:n], poles, right, error < reachable(INVERTED, error.dtype, 1024)
 
 

@@ -51,16 +51,16 @@ def _added(lin: Linearization, ratios: Float[Array, "nv"]) -> tuple[Array, ...]:
     oscillates = values > ZERO * top
     zeta = averaged(ratios, cluster)
     fixed, phi = jax.lax.stop_gradient((values, shapes))
-    shared = together(cluster) & (jnp.sum(together(cluster), 0) > 1)
+    shared = together(cluster) & (jnp.sum(together(cluster), 0) > 1)[None]
     # zero, with the derivative of phi' K phi - w^2 phi' M phi within a cluster, which that of its eigenvalues lacks
-    coupling = jnp.where(shared, phi.T @ (lin.K @ phi) - phi.T @ (lin.M @ phi) * fixed, 0.0)
+    coupling = jnp.where(shared, phi.T @ (lin.K @ phi) - phi.T @ (lin.M @ phi) * fixed[None], 0.0)
     coupling = coupling - jax.lax.stop_gradient(coupling)
 
     def weights(power: float) -> Float[Array, "nv nv"]:
         """2 zeta w^power of the modes, as a matrix between those that coincide."""
         w2 = jnp.where(oscillates, jnp.where(shared.any(0), fixed, values), 1.0)
         slope = zeta * power * w2 ** (power / 2 - 1)
-        return jnp.where(oscillates, jnp.diag(2 * zeta * w2 ** (power / 2)) + slope * coupling, 0.0)
+        return jnp.where(oscillates[None], jnp.diag(2 * zeta * w2 ** (power / 2)) + slope[None] * coupling, 0.0)
 
     left, right = lin.M @ shapes, lin.K_tilde.T @ shapes
     C, C_tilde, C_bb = (a @ weights(p) @ b.T for a, p, b in ((left, 1.0, left), (left, -1.0, right), (right, -3.0, right)))

@@ -162,7 +162,7 @@ def _hermitian_form_jvp(primals, tangents):
 
 
 def _weighted(R, x):
-    return sum((R[:, j] * x[:, j, None].conj() for j in range(x.shape[1])), jnp.zeros_like(x))
+    return sum((R[None, :, j] * x[:, j, None].conj() for j in range(x.shape[1])), jnp.zeros_like(x))
 
 
 def _real_sum(x, w):

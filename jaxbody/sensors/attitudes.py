@@ -13,7 +13,7 @@ from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
-from jaxbody.geometry.vectors import product
+from jaxbody.geometry.vectors import product, to_rank
 from jaxbody.sensors.sensors import Chain, Sensor
 
 BACK = np.array([1.0, -1, -1, -1])  # conjugates a quaternion
@@ -39,7 +39,7 @@ class Attitude(Sensor):
     def residual(self, reading, measured):
         n, gone = self.places, self.missing(measured)
         q = rotations.normalize(jnp.where(gone[..., n : n + 1], reading[..., n:], measured[..., n:]))
-        turn = rotations.log_quaternion(rotations.multiply(reading[..., n:], q * BACK))
+        turn = rotations.log_quaternion(rotations.multiply(reading[..., n:], q * to_rank(BACK, q.ndim)))
         return jnp.where(gone, 0.0, jnp.concatenate([reading[..., :n] - measured[..., :n], turn], -1))
 
     def missing(self, measured):

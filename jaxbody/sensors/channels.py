@@ -29,8 +29,8 @@ class Channel(eqx.Module):
         return np.isnan(measured) if isinstance(measured, np.ndarray) else jnp.isnan(measured)
 
     def spread(self, level: Any) -> Any:
-        """Noise levels of the components of a residual, from one number or one for each unit."""
-        return level if self.units == 1 else jnp.repeat(jnp.broadcast_to(level, (self.units,)), self.noise_shape[-1] // self.units)
+        """Noise levels of the components of a residual, from one number or one for each unit; several as a row of the samples."""
+        return level if self.units == 1 else jnp.repeat(jnp.broadcast_to(level, (self.units,)), self.noise_shape[-1] // self.units)[None]
 
     def pooled(self, x: Any) -> Any:
         """The sum of the components of residuals over all samples: one number for each unit."""

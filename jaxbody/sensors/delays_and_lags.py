@@ -24,11 +24,11 @@ def between(times: Float[Array, "n"], x: Float[Array, "n k"], cells: Int[Array, 
     n = len(times)
     points = min(POINTS, n)
     first = jnp.clip(cells - (points // 2 - 1), 0, n - points)
-    near = first[:, None] + np.arange(points)
+    near = first[:, None] + np.arange(points, dtype=first.dtype)[None]
     nodes = times[near]
     span = nodes[:, -1:] - nodes[:, :1]
     apart = (nodes[:, :, None] - nodes[:, None]) / span[..., None]
-    below = jnp.prod(jnp.where(np.eye(points, dtype=bool), 1.0, apart), -1)[:, None]
+    below = jnp.prod(jnp.where(np.eye(points, dtype=bool)[None], 1.0, apart), -1)[:, None]
     away = (t[:, :, None] - nodes[:, None]) / span[..., None]
     left, right = [jnp.ones_like(t)], [jnp.ones_like(t)]  # products of the factors before and after each node
     for j in range(points - 1):
@@ -59,7 +59,7 @@ def lagged(times: Float[Array, "n"], x: Float[Array, "n *r"], T: Float[Array, ""
     """
     n = len(times)
     h = jnp.diff(times)
-    inside = between(times, x.reshape(n, -1), jnp.arange(n - 1), times[:-1, None] + NODES * h[:, None])
+    inside = between(times, x.reshape(n, -1), jnp.arange(n - 1), times[:-1, None] + NODES[None] * h[:, None])
     z = h / T
     drive = jnp.sum(_weights(z)[..., None] * inside, 1)
 
@@ -86,4 +86,4 @@ def _weights(z: Float[Array, "m"]) -> Float[Array, "m q"]:
         recursion.append(1 - (k + 1) / far * recursion[-1])
     moments = jnp.where(z[:, None] < SERIES, jnp.stack(series, -1), jnp.stack(recursion[:-1], -1))
     powers = NODES[None] ** np.arange(len(NODES))[:, None]
-    return jnp.sum(moments[:, None] * np.linalg.inv(powers), -1)
+    return jnp.sum(moments[:, None] * np.linalg.inv(powers)[None], -1)

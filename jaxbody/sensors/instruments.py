@@ -137,7 +137,8 @@ class Tilt(Mounted):
 
 def _elevation(e: Float[Array, "*n 3"], u: Float[Array, "3"]) -> Float[Array, "*n"]:
     """The angle of e above the plane normal to u; its derivatives are finite where e is parallel to u."""
-    across = cross(e, jnp.broadcast_to(u, e.shape))
+    u = jnp.broadcast_to(u, e.shape)
+    across = cross(e, u)
     return jnp.arctan2(dot(e, u), jnp.sqrt(jnp.maximum(dot(across, across), 1e-24)))
 
 

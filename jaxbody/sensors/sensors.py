@@ -13,7 +13,7 @@ from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.elements.elements import Element
 from jaxbody.geometry.fields import check_domain, field, kind_of
 from jaxbody.geometry.places import unit_vector
-from jaxbody.geometry.vectors import dot, rotate
+from jaxbody.geometry.vectors import dot, rotate, to_rank
 from jaxbody.models.models import Model
 from jaxbody.models.states import Instant
 from jaxbody.sensors import delays_and_lags
@@ -119,8 +119,8 @@ class Sensor(Channel):
         if self.lag is not None:
             x = delays_and_lags.lagged(times, x, self.lag, x[0] if self.start is None else self.start)
         if self.gain is not None:
-            x = self.gain * x
-        return x if self.bias is None else self.disturbed(x, self.bias)
+            x = to_rank(self.gain, x.ndim) * x
+        return x if self.bias is None else self.disturbed(x, to_rank(self.bias, x.ndim))
 
     def delayed(self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
         """x(t - delay)."""
@@ -130,7 +130,7 @@ class Sensor(Channel):
         """The weight of each sample: 0 where a delayed one is unknown."""
         return jnp.ones_like(times) if self.delay is None else delays_and_lags.known(times, self.delay)
 
-    def misfit(self, times: Float[Array, "nt"], reading: Float[Array, "nt *r"], measured: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
+    def misfit(self, times: Float[Array, "nt"], reading: Float[Array, "nt *r"], measured: Float[Array, "nt *r"]) -> Float[Array, "nt *s"]:
         """Weighted residuals of a record."""
         r = self.residual(reading, measured)
         if self.delay is None:
@@ -138,7 +138,7 @@ class Sensor(Channel):
         weight = self.weight(times).reshape(-1, *[1] * (r.ndim - 1))
         return jnp.where(weight > 0, weight * r, 0.0)
 
-    def disturbed(self, reading: Reading, noise: Float[Array, "*r"]) -> Reading:
+    def disturbed(self, reading: Float[Array, "*#r"], noise: Float[Array, "*#r"]) -> Float[Array, "*#r"]:
         """A reading with noise added."""
         return reading + noise
 

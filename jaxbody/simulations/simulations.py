@@ -44,11 +44,11 @@ def simulate(
     motion: dict[str, Motion | Callable] | None = None,
     loads: dict[str, Load] | None = None,
     initial: State | Rest | str | None = None,
-    rtol: float = 1e-8,
+    rtol: float | Array = 1e-8,
     solver: diffrax.AbstractSolver | None = None,
     stepsize_controller: diffrax.AbstractStepSizeController | None = None,
     adjoint: diffrax.AbstractAdjoint | None = None,
-    dt0: float | None = None,
+    dt0: float | Array | None = None,
     max_steps: int = MAX_STEPS,
     progress: bool | None = None,
 ) -> Trajectory:

@@ -54,15 +54,15 @@ class Preload(Result):
 
     @property
     def free_lengths(self) -> dict[str, Array]:
-        return dict(zip(self.paths, self.values, strict=True))
+        return {path: self.values[i, ...] for i, path in enumerate(self.paths)}
 
     @property
     def changes(self) -> dict[str, Array]:
-        return dict(zip(self.paths, self.change, strict=True))
+        return {path: self.change[i, ...] for i, path in enumerate(self.paths)}
 
     @property
     def moved(self) -> dict[str, Array]:
-        return dict(zip(self.moving, self.moves, strict=True))
+        return {name: self.moves[i, ...] for i, name in enumerate(self.moving)}
 
     def explain(self) -> str:
         if int(self.status) == Status.NEGATIVE_LENGTH:

@@ -31,7 +31,7 @@ def check_loss(loss: str | None, where: str) -> None:
         raise JaxbodyError(Problem("UNKNOWN_LOSS", where, f"is {loss!r:.60}", loss, "None, " + ", ".join(LOSSES)))
 
 
-def root(r: Float[Array, "m"], loss: str | None) -> Float[Array, "m"]:
+def root(r: Float[Array, "*m"], loss: str | None) -> Float[Array, "*m"]:
     """sign(r) sqrt(2 rho(r))."""
     if loss is None:
         return r

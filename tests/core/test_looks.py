@@ -81,7 +81,7 @@ def made():
         jb.torque_roll_axis(lin, "box", [1, 0, 0]),
         Backbones(o, lin.K, 0 * i, o, lin.K, lin.K, o, o, o, i, model.layout),
         SpinLinearization(lin.M, lin.C, lin.C, lin.K, lin.K, lin.K[0], lin.status, lin.state, model),
-        Branches(jnp.ones(2), *(jnp.ones((2, *shape)) for shape in [(nv,), (nv,), (nv, nv), (nv,), (nv,)]), jnp.zeros(2, int), modes),
+        Branches(o[:2], *(jnp.ones((2, *shape)) for shape in [(nv,), (nv,), (nv, nv)]), jnp.array([i, i]), jnp.array([o, o]), i[:2], modes),
         jb.frequency_response(small, [1.0, 2.0], shaken, moved),
         jb.random_response(small, jb.Band(0.5, 5.0), shaken, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}),
         jb.weighted_signal(np.arange(400) / 400, np.cos(np.arange(400)), "Wk"), jb.base_motion(acceleration, "acc", axis=[1, 0, 0]),

@@ -119,6 +119,20 @@ def test_validation_on_a_run_held_out(result):
     assert message.whiteness["later.x"].lags > 5 and f"{100 * (1 - expected):.2f} %" in str(message)
 
 
+def test_a_pose_is_validated_component_by_component(result):
+    """Of a sensor with two units; small rotations were read with noise."""
+    noise = np.random.default_rng(9).normal(size=(len(TIMES), 6)) * np.repeat([SIGMA, 1e-3], 3)
+    turn = np.concatenate([np.ones((len(TIMES), 1)), noise[:, 3:] / 2], axis=1)
+    position = np.array([1.0, 0, 0]) + motion(*TRUTH)[:, None] * [1, 0, 0] + noise[:, :3]
+    measured = {"pose": np.concatenate([position, turn / np.linalg.norm(turn, axis=1)[:, None]], axis=1)}
+    start = jb.State(jnp.array([X0]), jnp.array([0.0]))
+    posed = jb.Experiment(TIMES, initial=start, sensors={"pose": jb.BodyPose("mass")}, measured=measured)
+    message = jb.validate(result, {"posed": posed})
+    along = 1 + motion(*map(float, result.estimates.values())) - position[:, 0]
+    for channel, expected in (("posed.pose[0]", along), ("posed.pose[1]", noise[:, 1]), ("posed.pose[5]", noise[:, 5])):
+        assert message.rms[channel] == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-4), channel
+
+
 def test_a_run_that_cannot_be_simulated_has_a_status(result):
     """A run so long that it needs more steps than the fit was allowed."""
     with pytest.warns(jb.JaxbodyWarning, match="NONFINITE"):

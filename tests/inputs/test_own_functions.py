@@ -67,6 +67,7 @@ MOTIONS = {
 }
 
 
+@pytest.mark.untyped
 @pytest.mark.parametrize("case", MOTIONS)
 def test_a_motion_that_jax_cannot_trace_or_of_another_shape_is_refused_by_its_support(case):
     motion, code = MOTIONS[case]

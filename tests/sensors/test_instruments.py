@@ -236,7 +236,7 @@ def test_zero_length_has_derivatives_of_zero_and_is_refused_as_a_beginning(pendu
 
     def length(q, a):
         moved = jb.StringPotentiometer(("rod", a), ("world", [0, 0, 0]))
-        return read(pendulum, (), 0.0, jb.State(q, jnp.zeros(1)), {"wire": moved})["wire"]
+        return read(pendulum, (), jnp.array(0.0), jb.State(q, jnp.zeros(1)), {"wire": moved})["wire"]
 
     value, slopes = jax.value_and_grad(length, (0, 1))(jnp.array([0.3]), jnp.zeros(3))
     assert value == 0 and not np.any(slopes[0]) and not np.any(slopes[1])

@@ -14,7 +14,9 @@ from jaxbody.simulations.readings import read
 
 G = 9.81
 RANDOM = np.random.default_rng(19)
-read_all = jax.jit(lambda model, q, v, sensors, motions=(), loads=(), t=0.0: read(model, motions, t, jb.State(q, v), sensors, loads))
+read_all = jax.jit(
+    lambda model, q, v, sensors, motions=(), loads=(), t=0.0: read(model, motions, jnp.asarray(t), jb.State(q, v), sensors, loads)
+)
 
 
 def at(model, q, v, sensors, *more):
