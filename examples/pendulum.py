@@ -86,7 +86,7 @@ def pendulum(damper) -> jb.Model:
 def run_of(part: jb.Record, start: jb.State | None = None, bias=0.0) -> jb.Experiment:
     """One part of the record as an experiment; the bias is the unknown zero of the encoder."""
     start = start or jb.State(q=jnp.asarray(part["angle"][:1]), v=jnp.asarray(part["rate"][:1]))
-    return jb.Experiment(part.times, initial=start, sensors={"angle": jb.JointAngle("rod", bias=bias)}, measured={"angle": part["angle"]})
+    return jb.Experiment(initial=start, sensors={"angle": jb.JointAngle("rod", bias=bias)}, measured=part)
 
 
 def fitted(damper, free) -> jb.Fit:

@@ -20,7 +20,7 @@ from jaxbody.core.arrays import Array, Int
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
-from jaxbody.experiments.experiments import Experiment
+from jaxbody.experiments.experiments import Experiment, check_measurements
 from jaxbody.models.models import Model
 from jaxbody.sensors.instruments import Accelerometer
 from jaxbody.simulations.readings import measure
@@ -85,7 +85,7 @@ def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool
     4 standard errors of white noise; SWAPPED for two channels whose cost is 30 % lower when exchanged; LEFT_HANDED for three axes that
     agree with the model only after a reflection; GRAVITY for an accelerometer's record without gravity, or with gravity that the model does
     not have.
-    Errors: those of `simulate`.
+    Errors: those of `simulate`, WRONG_KIND, NO_DATA.
 
     >>> times = jnp.linspace(0, 1, 50)
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=40.0)
@@ -95,6 +95,7 @@ def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool
     >>> diagnose(model, {"run": run}).words
     ()
     """
+    check_measurements(experiments, "diagnose.experiments").raise_if_any()
     compared, words = [], []
     with working("diagnose", progress) as line:
         for name, experiment in experiments.items():

@@ -1,5 +1,6 @@
 """Experiments: the sample times, base motions, loads, initial state and sensor records of one run."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import diffrax
@@ -11,17 +12,19 @@ import numpy as np
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, warn
+from jaxbody.core.units import parse
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.inputs.loads import Load, loads_by_name, loads_of
 from jaxbody.inputs.motions import Motion, as_motion
 from jaxbody.mechanics.kinematics import Motions
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
+from jaxbody.records.records import Record
 from jaxbody.records.samplings import warn_of_rails
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations.integrations import integrate
 from jaxbody.simulations.readings import readings
-from jaxbody.simulations.simulations import check_run, motions_of
+from jaxbody.simulations.simulations import check_covered, check_run, motions_of
 from jaxbody.simulations.trajectories import Trajectory
 from jaxbody.statics.rest_states import Rest, as_initial, initial_state_of, rest_state
 
@@ -45,12 +48,14 @@ class Integration(eqx.Module):
 
 
 class Experiment(Measurement):
-    """One measured run.
+    """One measured run, or the plan of one.
 
     Args:
-        times: [s] (nt,).
+        times: [s] (nt,); None: those of the record.
         sensors: {name: sensor}.
-        measured: {name: array (nt, ...)} for every sensor, NaN for missing samples.
+        measured: {name: array (nt, ...)} for every sensor, NaN for missing samples; or a Record, as `read_record` returns it, which has a
+            channel for every sensor, under the same name and in a unit of the same quantity; its other channels are not used. None: a
+            plan, without data.
         motion: {support: motion}; a support without an entry is at rest.
         loads: {name: load}; by default none.
         initial: the state at times[0], or "rest", the equilibrium on the supports with their positions and velocities at times[0], which
@@ -59,12 +64,16 @@ class Experiment(Measurement):
             estimated from the residuals.
         leave_out: duration of the initial transient [s], whose samples become NaN.
 
-    Errors, all at once: times as in `simulate`, BAD_SHAPE, NO_DATA, ALL_NAN for a channel, NON_FINITE, BAD_QUATERNION, BAD_NOISE,
-    UNKNOWN_NAME, BAD_NAME, DUPLICATE_NAME, WRONG_KIND; warns MISSING above 20 %, DEAD, SATURATED.
+    Errors, all at once: times as in `simulate`, T_RANGE for times that a motion does not cover, NO_TIME, BAD_SHAPE, NO_DATA, ALL_NAN for a
+    channel, NON_FINITE, BAD_QUATERNION, BAD_NOISE, UNKNOWN_NAME, UNKNOWN_CHANNEL and WRONG_DIMENSION of a record, BAD_NAME,
+    DUPLICATE_NAME, WRONG_KIND; warns MISSING above 20 %, DEAD, SATURATED.
 
     >>> height = Position("mass", axis=[0, 1, 0])
     >>> Experiment([0.0, 0.1, 0.2], sensors={"height": height}, measured={"height": [0, -0.049, -0.196]}).measured["height"].shape
     (3,)
+    >>> fall = Record([0.0, 0.1, 0.2], {"height": ([0, -49, -196], "mm"), "temperature": ([20.0, 20.5, 20.2], "1")})
+    >>> Experiment(sensors={"height": height}, measured=fall).measured["height"].tolist()
+    [0.0, -0.049, -0.196]
     """
 
     times: Float[Array, "nt"]
@@ -77,10 +86,10 @@ class Experiment(Measurement):
 
     def __init__(
         self,
-        times,
+        times=None,
         *,
         sensors: dict[str, Sensor],
-        measured: dict[str, Any],
+        measured: dict[str, Any] | Record | None = None,
         motion: dict[str, Any] | None = None,
         loads: dict[str, Load] | None = None,
         initial: State | str | None = None,
@@ -89,6 +98,11 @@ class Experiment(Measurement):
     ):
         with Problems() as problems:
             sensors = checked_dict(sensors, "Experiment.sensors", "name: jb.Position(...)", problems)
+            plan = measured is None
+            if isinstance(measured, Record):
+                times, measured = _of_record(measured, times, sensors, problems)
+            elif times is None:
+                problems.add("NO_TIME", "Experiment.times", "are missing", hint="Give them, or measured=record.")
             measured = checked_dict(measured, "Experiment.measured", "name: array", problems)
             motion = checked_dict(motion, "Experiment.motion", "support: jb.Harmonic(...)", problems)
             motions = {
@@ -96,9 +110,10 @@ class Experiment(Measurement):
             }
             loads = loads_by_name(loads, "Experiment.loads", problems)
         checked = check_times(times, problems, "Experiment.times", minimum=2)
+        check_covered(checked, [(f"Experiment.motion['{name}']", m) for name, m in motions.items() if m is not None], problems)
         if not sensors:
             problems.add("NO_DATA", "Experiment.sensors", "is empty", limit="at least one sensor")
-        for name in [n for n in (*sensors, *measured) if (n in sensors) != (n in measured)]:
+        for name in [n for n in (*sensors, *measured) if (n in sensors) != (n in measured) and not plan]:
             which = "measured" if name in sensors else "sensors"
             problems.add(
                 "UNKNOWN_NAME",
@@ -150,7 +165,7 @@ class Experiment(Measurement):
         motions = motions_of(model, self.motion)
         return integration.trajectory(model, self.times, motions, tuple(self.loads.values()), self.start(model, motions))
 
-    def readings(self, model, integration):
+    def readings(self, model, integration, lin):
         return readings(self.trajectory(model, integration), self.sensors)
 
     def residual(self, name, reading):
@@ -213,7 +228,7 @@ class Experiment(Measurement):
         return Problem("BAD_DELAY", f"sensors['{name}'].delay", message, float(sensor.delay), f"-{length:.6g} to {length:.6g} s", hint)
 
 
-def check_measurements(experiments: dict[str, Measurement], where: str) -> Problems:
+def check_measurements(experiments: Mapping[str, Measurement], where: str) -> Problems:
     """Problems of measurements by name, to which the caller may add others. Error: WRONG_KIND if they are not a dict."""
     problems = Problems()
     if not isinstance(experiments, dict):
@@ -226,7 +241,31 @@ def check_measurements(experiments: dict[str, Measurement], where: str) -> Probl
     for name, experiment in experiments.items():
         if not isinstance(experiment, Measurement):
             problems.add("WRONG_KIND", f"experiments[{name!r}]", f"is a {type(experiment).__name__}", value=experiment, limit="Experiment")
+        elif not experiment.measured:
+            hint = "Give measured=, a record or arrays; `measure` of a simulated motion makes some."
+            problems.add("NO_DATA", f"experiments[{name!r}]", "is a plan, without measured data", hint=hint)
     return problems
+
+
+def _of_record(record: Record, times: Any, sensors: dict[str, Any], problems: Problems) -> tuple[Any, dict[str, Any]]:
+    """The times and channels of a record for these sensors, each of the quantity that its sensor reads, unless a gain changes it."""
+    if times is not None:
+        hint = "Leave them out; record.part(0, 2) is a part of it."
+        problems.add("BAD_OPTION", "Experiment.times", "are given besides a record, which has its own", value=times, hint=hint)
+    for name, sensor in sensors.items():
+        where = f"Experiment.measured['{name}']"
+        if name not in record.channels:
+            hint = f"Name the sensor as its channel: {', '.join(record.channels)}."
+            problems.add("UNKNOWN_CHANNEL", where, "is no channel of the record", value=name, hint=hint)
+        elif isinstance(sensor, Sensor) and sensor.gain is None and record.units[name] != (expected := _si(sensor.unit)):
+            message, hint = f"is in '{record.units[name]}'", "Give a sensor that reads this quantity, or a gain that converts to it."
+            problems.add("WRONG_DIMENSION", where, message, value=record.units[name], limit=f"'{expected}'", hint=hint)
+    return record.times, {name: record.channels[name] for name in sensors if name in record.channels}
+
+
+def _si(unit: str) -> str:
+    """The name of a sensor's unit as records write it; several units stay as they are."""
+    return unit if "," in unit else parse(unit or "1", "unit").si
 
 
 def _under(where: str, problem):

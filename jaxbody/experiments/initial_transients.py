@@ -78,4 +78,4 @@ def _sizes(experiment: Experiment, readings: dict[str, Any], noise: dict[str, An
 
 @jit_optimized
 def _readings(model: Model, experiment: Experiment, integration: Integration):
-    return experiment.readings(model, integration)
+    return experiment.readings(model, integration, None)

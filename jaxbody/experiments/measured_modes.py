@@ -11,7 +11,7 @@ from equinox import field
 
 from jaxbody.core.arrays import Array, Float, concrete, device_array, float_array
 from jaxbody.core.errors import Problems
-from jaxbody.experiments.measured_responses import equilibrium_status, linearized
+from jaxbody.experiments.measured_responses import equilibrium_status
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.sensors.channels import Channel
 from jaxbody.vibrations.mode_branches import mac
@@ -51,6 +51,7 @@ class MeasuredModes(Measurement):
     ['frequency', 'damping_ratio']
     """
 
+    linear = True
     measured: dict[str, Float[Array, "nm ..."]]
     noise: dict[str, Float[Array, "..."]] | None
     sensors: dict[str, PointMotion]
@@ -126,8 +127,7 @@ class MeasuredModes(Measurement):
                 message = "has more modes than the model" if self.number is None else "is compared with a mode that the model does not have"
                 problems.add("BAD_SHAPE", f"{where}.frequency", message, value=self.number, limit=f"{count} modes")
 
-    def readings(self, model, integration):
-        lin = linearized(model)
+    def readings(self, model, integration, lin):
         predicted = modes(lin)
         at_sensors = None
         if self.sensors:

@@ -63,6 +63,7 @@ class MeasuredResponse(Measurement):
     inputs: dict[str, Any]
     outputs: dict[str, Any]
     loss_factor: dict[str, Array] | None
+    linear = True
     measured: dict[str, Complex[Array, "nf"]]
     noise: dict[str, Float[Array, "..."]] | None
     pairs: tuple[tuple[str, str], ...] = eqx.field(static=True)
@@ -119,8 +120,8 @@ class MeasuredResponse(Measurement):
             check_loss_factors(self._loss_factors(), model, f"{where}.loss_factor")
             check_without_force_sensors(self.loss_factor, f"{where}.loss_factor", tuple(self.outputs.values()))
 
-    def readings(self, model, integration):
-        responses = frequency_response(linearized(model), self.frequencies, self.inputs, self.outputs, loss_factor=self._loss_factors())
+    def readings(self, model, integration, lin):
+        responses = frequency_response(lin, self.frequencies, self.inputs, self.outputs, loss_factor=self._loss_factors())
         return {_name(pair): responses[pair] for pair in self.pairs}
 
     def explain(self, model, integration):
@@ -136,14 +137,14 @@ class MeasuredResponse(Measurement):
         return self.loss_factor if self.loss_factor is None or "all" not in self.loss_factor else self.loss_factor["all"]
 
 
-def linearized(model: Model) -> Linearization:
+def small_motions(model: Model) -> Linearization:
     """Small motions about the equilibrium that a search from the reference pose reaches."""
     return linearize(model, equilibrium(model))
 
 
 def equilibrium_status(model: Model) -> str:
     """The status of this linearization, for messages."""
-    return Status(int(linearized(model).status)).name + " at the equilibrium"
+    return Status(int(small_motions(model).status)).name + " at the equilibrium"
 
 
 def _name(pair: tuple[str, str]) -> str:

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import numpy as np
@@ -13,8 +13,9 @@ from jaxbody.sensors.channels import Channel
 
 class Measurement(eqx.Module):
     """Base class of measurements: `measured` numbers by channel, `noise`, their standard deviations if stated, and `readings`, the
-    predictions of a model for them."""
+    predictions of a model for them; `linear`: from small motions about its equilibrium, which all measurements of a model share."""
 
+    linear: ClassVar[bool] = False
     measured: eqx.AbstractVar[dict[str, Array]]
     noise: eqx.AbstractVar[dict[str, Array] | None]
 
@@ -23,8 +24,8 @@ class Measurement(eqx.Module):
     def channels(self) -> Mapping[str, Channel]: ...
 
     @abstractmethod
-    def readings(self, model: Any, integration: Any) -> dict[str, Array]:
-        """{channel: array like `measured`}, NaN where the model has no prediction."""
+    def readings(self, model: Any, integration: Any, lin: Any) -> dict[str, Array]:
+        """{channel: array like `measured`}, NaN where the model has no prediction. `lin`: its linearization if `linear`."""
 
     def residual(self, name: str, reading: Array) -> Array:
         """Reading minus measured value of a channel, zero for missing samples."""

@@ -15,6 +15,7 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.experiments.experiments import Integration
+from jaxbody.experiments.measured_responses import small_motions
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.colorings import PRIORS, colors_of, moved_rows
 from jaxbody.identification.fit_parameters import FreeParameter
@@ -23,6 +24,7 @@ from jaxbody.models.models import Model
 from jaxbody.parameters.transforms import parts_of
 from jaxbody.sensors.channels import Channel
 from jaxbody.statistics.losses import linearized, robust_level, root
+from jaxbody.vibrations.linearizations import Linearization
 
 PROPORTION = 0.01  # relative change of the ratio of two noise levels above which the fit is repeated
 
@@ -65,10 +67,10 @@ class Task(eqx.Module):
         return write(self.model, new[""]), {name: write(measurement, new[name]) for name, measurement in self.experiments.items()}
 
     def readings_and_residuals(
-        self, model: Model, experiment: Measurement, noise: dict[str, Array]
+        self, model: Model, lin: Linearization | None, experiment: Measurement, noise: dict[str, Array]
     ) -> tuple[dict[str, Array], dict[str, Array]]:
         """Readings of one measurement, and its residuals over noise, zero for missing samples."""
-        readings = experiment.readings(model, self.integration)
+        readings = experiment.readings(model, self.integration, lin)
         residuals = {
             name: experiment.residual(name, readings[name]) / channel.spread(noise[name]) for name, channel in experiment.channels.items()
         }
@@ -77,13 +79,14 @@ class Task(eqx.Module):
     def runs(self, u: Float[Array, "n"]) -> ReadingsAndResiduals:
         """Readings and residuals of every measurement; measurements of equal structure are evaluated in one batch."""
         model, runs = self.scatter(u)
+        lin = small_motions(model) if any(measurement.linear for measurement in runs.values()) else None
         results = {}
         for names in shared_structure(runs):
             if len(names) == 1:
-                results[names[0]] = self.readings_and_residuals(model, runs[names[0]], self.noise[names[0]])
+                results[names[0]] = self.readings_and_residuals(model, lin, runs[names[0]], self.noise[names[0]])
                 continue
             group, noise = (jax.tree.map(lambda *x: jnp.stack(x), *(tree[name] for name in names)) for tree in (runs, self.noise))
-            both = jax.vmap(self.readings_and_residuals, in_axes=(None, 0, 0))(model, group, noise)
+            both = jax.vmap(self.readings_and_residuals, in_axes=(None, None, 0, 0))(model, lin, group, noise)
             results |= {name: jax.tree.map(lambda x, i=i: x[i], both) for i, name in enumerate(names)}
         if self.priors:
             values = dict(zip((f.path for f in self.free), self.values(u), strict=True))

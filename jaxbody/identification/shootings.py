@@ -105,7 +105,7 @@ class Segments(Measurement):
     def explain(self, model, integration):
         return self.whole.explain(model, integration)
 
-    def readings(self, model, integration: Integration):
+    def readings(self, model, integration: Integration, lin):
         starts, rows = cuts(len(self.whole.times), self.count)
         motions, loads = motions_of(model, self.whole.motion), tuple(self.whole.loads.values())
         first = first_state(self.whole, model)
@@ -162,7 +162,7 @@ def multiple_shooting(
     >>> round(float(multiple_shooting(model, {"track": track}, free="spring.stiffness", segments=4).estimates["spring.stiffness"]), 4)
     39.4784
     """
-    check_measurements(experiments, "multiple_shooting.experiments").raise_if_any()  # pyright: ignore[reportArgumentType]
+    check_measurements(experiments, "multiple_shooting.experiments").raise_if_any()
     shortest = min((len(experiment.times) for experiment in experiments.values()), default=2)
     if not 2 <= segments < shortest:
         raise JaxbodyError(Problem("BAD_NUMBER", "multiple_shooting.segments", f"is {segments}", segments, f"2 to {shortest - 1}"))

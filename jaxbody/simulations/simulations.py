@@ -211,10 +211,18 @@ def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], ini
     with Problems() as problems:
         checked = check_times(times, problems, "times", minimum=2)
     assert checked is not None
-    requested = concrete(checked)
-    timed = [(f"motion['{name}']", motion) for name, motion in zip(model.layout.supports, motions, strict=False)]
-    timed += [(f"loads['{name}']", signal) for name, load in loads.items() for signal in load.signals()]
-    for where, function in timed:
+    check_covered(checked, [(f"motion['{name}']", motion) for name, motion in zip(model.layout.supports, motions, strict=False)], problems)
+    check_covered(checked, [(f"loads['{name}']", signal) for name, load in loads.items() for signal in load.signals()], problems)
+    problems.raise_if_any()
+    if initial is not None and not isinstance(initial, Rest):
+        check_state(model, initial, "initial")
+    return device_array(checked)
+
+
+def check_covered(times, functions: list[tuple[str, Any]], problems: Problems) -> None:
+    """Check that these motions and signals, each with its place in messages, cover the times."""
+    requested = None if times is None else concrete(times)
+    for where, function in functions:
         span = [concrete(t) for t in function.covers()]
         if requested is None or any(t is None for t in span):
             continue
@@ -229,7 +237,3 @@ def check_run(model: Model, times, motions: Motions, loads: dict[str, Load], ini
                 limit=f"{first:.9g} to {last:.9g} s",
                 hint="Simulate a shorter time, or give longer samples.",
             )
-    problems.raise_if_any()
-    if initial is not None and not isinstance(initial, Rest):
-        check_state(model, initial, "initial")
-    return device_array(checked)

@@ -58,7 +58,7 @@ class Study:
         run = jb.Experiment(times, motion={"base": base}, initial=start, sensors=sensors, measured=clean, noise=level)
         how = Integration(jnp.asarray(1e-8), None, diffrax.ConstantStepSize(), jnp.asarray(STEP), 10 * n)
         self.task = Task(model, {"run": run}, choose(model, {"run": run}, FREE), {"run": run.noise}, how)
-        again = self.task.experiments["run"].readings(model, how)  # of these steps, so that the truth is where residuals are noise
+        again = self.task.experiments["run"].readings(model, how, None)  # of these steps, so that the truth is where residuals are noise
         self.task = eqx.tree_at(lambda t: t.experiments["run"].measured, self.task, again)
         self.records = records_of(self.task.experiments)
         J = [

@@ -41,7 +41,7 @@ class Given(Measurement):
     def named(self):
         return {"own": self.own}
 
-    def readings(self, model, integration):
+    def readings(self, model, integration, lin):
         return {"numbers": self.function(model, self.own)}
 
     def axis(self, channel):

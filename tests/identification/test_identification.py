@@ -368,7 +368,7 @@ class Weighed(Measurement):
     noise: dict | None = None
     channels: ClassVar = {"force": jb.ForcePlate("base")}  # pyright: ignore[reportIncompatibleMethodOverride]
 
-    def readings(self, model, integration):
+    def readings(self, model, integration, lin):
         along = model["s"].stiffness * model.joint("cart").axis
         return {"force": jnp.arange(1.0, 5.0)[:, None] * jnp.concatenate([along, along])}
 
