@@ -8,12 +8,15 @@ iteration, so that the path stays on the stable branch of the unloaded equilibri
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Bool, Float
+from jaxbody.core.arrays import Array, Bool, Float, stack
 from jaxbody.elements.second_derivatives import turning
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import cross, dot, product, rotate, skew
@@ -32,10 +35,13 @@ SINGULAR = 1e-10
 
 
 class AppliedLoads(eqx.Module):
-    """The loads raised with lambda: each load at time 0, times its weight, and a change of gravity."""
+    """The loads raised with lambda: each load at time 0, times its weight, and a change of gravity.
+
+    Alike loads, of one class on one body, may stand in `loads` as one whose numbers have a further axis, with a row of weights: so they are
+    traced once."""
 
     loads: tuple[Load, ...]
-    weights: Float[Array, "*cases n"]
+    weights: Float[Array, "n"] | tuple[Float[Array, "..."], ...]
     gravity: Float[Array, "*cases 3"]
 
     def each(self, function, *more):
@@ -45,6 +51,23 @@ class AppliedLoads(eqx.Module):
             return function(AppliedLoads(self.loads, weights, gravity), *more)
 
         return jax.vmap(one)(self.weights, self.gravity, *more)
+
+
+def alike(loads: Sequence[Load]) -> tuple[tuple[Load, ...], list[list[int]]]:
+    """Groups of alike loads, and the numbers of the loads in each."""
+    groups: dict[Any, list[int]] = {}
+    for i, load in enumerate(loads):
+        numbers, structure = jax.tree.flatten(load)
+        groups.setdefault((structure, *map(np.shape, numbers)), []).append(i)
+    stacked = tuple(jax.tree.map(lambda *rows: stack(list(rows)), *(loads[i] for i in group)) for group in groups.values())
+    return stacked, list(groups.values())
+
+
+def weighted(function: Callable, load: Load, weight: Float[Array, "*k"]) -> Any:
+    """function(load) times its weight, summed over alike loads."""
+    if weight.ndim == 0:
+        return jax.tree.map(lambda x: weight * x, function(load))
+    return jax.tree.map(lambda x: jnp.tensordot(weight, x, 1), jax.vmap(function)(load))
 
 
 class Path(eqx.Module):
@@ -64,9 +87,7 @@ def with_load_gravity(at: Configuration, applied: AppliedLoads, factor: Float[Ar
     return at._replace(model=with_gravity(at.model, factor * applied.gravity))
 
 
-def generalized_force(
-    model: Model, q, loads: tuple[Load, ...], weights: Float[Array, "n"], delta: Float[Array, "nv"]
-) -> Float[Array, "nv"]:
+def generalized_force(model: Model, q, loads: tuple[Load, ...], weights: Any, delta: Float[Array, "nv"]) -> Float[Array, "nv"]:
     """Q at q (+) Delta, in the rates of Delta: the virtual power, sum of F . v* + M . w*, with the supports at their reference poses."""
     layout = model.layout
     if not loads:
@@ -81,13 +102,13 @@ def generalized_force(
     t = jnp.zeros((), q.dtype)
     for load, weight in zip(loads, weights, strict=True):
         i = layout.frame(load.on)
-        F, M = load.wrench(t, Pose(at.p[i], at.R[i]).at_rest())
-        p = p.at[i].add(weight * F)
-        R = R.at[i].add(weight * product(skew(M), at.R[i]) / 2)  # as <[M] R, [w] R>/2 = M . w
+        F, M = weighted(lambda load, i=i: load.wrench(t, Pose(at.p[i], at.R[i]).at_rest()), load, weight)
+        p = p.at[i].add(F)
+        R = R.at[i].add(product(skew(M), at.R[i]) / 2)  # as <[M] R, [w] R>/2 = M . w
     return pull(Pose(p, R))[0]
 
 
-def stiffness_of_loads(model: Model, q, loads: tuple[Load, ...], weights: Float[Array, "n"]) -> Float[Array, "nv nv"]:
+def stiffness_of_loads(model: Model, q, loads: tuple[Load, ...], weights: Any) -> Float[Array, "nv nv"]:
     """dQ/dDelta."""
     zero = jnp.zeros(model.layout.nv, q.dtype)
     if not loads:
@@ -112,10 +133,13 @@ def dead_forces(at: Configuration, applied: AppliedLoads) -> DeadForces:
     V, G, Q = t, [jnp.zeros(6, t.dtype)] * len(layout.bodies), [jnp.zeros((3, 3), t.dtype)] * len(layout.bodies)
     for load, weight in zip(applied.loads, applied.weights, strict=True):
         i, frame = layout.bodies.index(load.on), at.frames[layout.frame(load.on)]
-        arm, pull = rotate(frame.R, load.point), jnp.where(weight == 0, 0.0, -weight * load.dead_force(t))
-        V = V + dot(pull, frame.p + arm)
-        G[i] = G[i] + jnp.concatenate([pull, cross(arm, pull)])
-        Q[i] = Q[i] + turning(arm, pull)
+
+        def of(load, weight, frame=frame):
+            arm, pull = rotate(frame.R, load.point), jnp.where(weight == 0, 0.0, -weight * load.dead_force(t))
+            return dot(pull, frame.p + arm), jnp.concatenate([pull, cross(arm, pull)]), turning(arm, pull)
+
+        parts = of(load, weight) if weight.ndim == 0 else jax.tree.map(lambda x: jnp.sum(x, 0), jax.vmap(of)(load, weight))
+        V, G[i], Q[i] = V + parts[0], G[i] + parts[1], Q[i] + parts[2]
     return DeadForces(V, jnp.stack(G), jnp.stack(Q))
 
 
