@@ -28,7 +28,7 @@ from jaxbody.models.preconditions import check_attached, check_memory, check_pre
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.statics.equilibria import DESCENDED, Equilibrium, SearchResult, equilibrium_at, equilibrium_of, search_under_loads
-from jaxbody.statics.load_paths import AppliedLoads, alike, residual, weighted
+from jaxbody.statics.load_paths import AppliedLoads, alike, residual, summed
 
 MAX_STEPS = 200  # of a search
 NEGLIGIBLE = 1e-9  # relative to the applied loads: less than this in every coordinate is round-off
@@ -209,17 +209,17 @@ def _load_cases(model: Model, unloaded: Equilibrium, searches: SearchResult, app
     rest = configuration_at(coordinates, unloaded.state.q, base=False)
     scale = scale_of(model, size_of(model))
 
-    def largest_of(load):
+    def largest_of(load, weight):
         """Of a load at rest: force, or moment over the size of the model."""
         force, moment = load.wrench(jnp.zeros((), scale.dtype), rest.frames[model.layout.frame(load.on)])
-        return jnp.maximum(jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment)) / size_of(model))
+        return weight * jnp.maximum(jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment)) / size_of(model))
 
     def one(applied, search):
         eq = equilibrium_at(coordinates, search, applied)
         largest = jnp.max(jnp.abs(residual(rest, applied) - residual(rest, applied, 0.0)) * scale, initial=0.0)
         total = jnp.sum(model.bodies.rows.mass) * jnp.max(jnp.abs(applied.gravity))
         for load, weight in zip(applied.loads, applied.weights, strict=True):
-            total = total + weighted(largest_of, load, weight)
+            total = total + summed(largest_of, load, weight)
         by_joints = (largest <= NEGLIGIBLE * total) & (total > 0)
         return eq.status, eq.load_factor, eq.state, _deformed(model, eq.state), eq.descended, by_joints
 

@@ -63,11 +63,11 @@ def alike(loads: Sequence[Load]) -> tuple[tuple[Load, ...], list[list[int]]]:
     return stacked, list(groups.values())
 
 
-def weighted(function: Callable, load: Load, weight: Float[Array, "*k"]) -> Any:
-    """function(load) times its weight, summed over alike loads."""
+def summed(function: Callable, load: Load, weight: Float[Array, "*k"]) -> Any:
+    """function(load, weight), summed over alike loads."""
     if weight.ndim == 0:
-        return jax.tree.map(lambda x: weight * x, function(load))
-    return jax.tree.map(lambda x: jnp.tensordot(weight, x, 1), jax.vmap(function)(load))
+        return function(load, weight)
+    return jax.tree.map(lambda x: jnp.sum(x, 0), jax.vmap(function)(load, weight))
 
 
 class Path(eqx.Module):
@@ -102,7 +102,8 @@ def generalized_force(model: Model, q, loads: tuple[Load, ...], weights: Any, de
     t = jnp.zeros((), q.dtype)
     for load, weight in zip(loads, weights, strict=True):
         i = layout.frame(load.on)
-        F, M = weighted(lambda load, i=i: load.wrench(t, Pose(at.p[i], at.R[i]).at_rest()), load, weight)
+        frame = Pose(at.p[i], at.R[i]).at_rest()
+        F, M = summed(lambda load, weight, frame=frame: tuple(weight * x for x in load.wrench(t, frame)), load, weight)
         p = p.at[i].add(F)
         R = R.at[i].add(product(skew(M), at.R[i]) / 2)  # as <[M] R, [w] R>/2 = M . w
     return pull(Pose(p, R))[0]
@@ -138,8 +139,8 @@ def dead_forces(at: Configuration, applied: AppliedLoads) -> DeadForces:
             arm, pull = rotate(frame.R, load.point), jnp.where(weight == 0, 0.0, -weight * load.dead_force(t))
             return dot(pull, frame.p + arm), jnp.concatenate([pull, cross(arm, pull)]), turning(arm, pull)
 
-        parts = of(load, weight) if weight.ndim == 0 else jax.tree.map(lambda x: jnp.sum(x, 0), jax.vmap(of)(load, weight))
-        V, G[i], Q[i] = V + parts[0], G[i] + parts[1], Q[i] + parts[2]
+        dV, dG, dQ = summed(of, load, weight)
+        V, G[i], Q[i] = V + dV, G[i] + dG, Q[i] + dQ
     return DeadForces(V, jnp.stack(G), jnp.stack(Q))
 
 
