@@ -86,7 +86,7 @@ def pytest_pyfunc_call(pyfuncitem):
             raise
         files = [Path(frame.filename) for frame in traceback.extract_tb(error.__traceback__)]
         last = [file for file in files if file.exists() and not CHECKERS & set(file.parts)][-1]
-        found = isinstance(error, jaxtyping.TypeCheckError) or "promotion" in str(error)
+        found = "checking the parameters of" in str(error) or "promotion" in str(error)  # a wrong return value is always jaxbody's
         if found and not last.is_relative_to(Path(sys.modules["jaxbody"].__path__[0])):
             pytest.skip("the test or another library gives another kind, or promotes")
         raise
