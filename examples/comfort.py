@@ -21,9 +21,9 @@ ms, mu, ks, kt = 375.0, 75.0, 35000.0, 193000.0
 quarter = jb.presets.quarter_car(sprung=ms, unsprung=mu, stiffness=ks, tyre=kt)
 at_road = {"road": jb.BaseMotion("road", "z")}
 outputs = {
-    "body": jb.PointMotion("body", kind="acceleration"),
-    "travel": jb.ElementDeformation("suspension"),
-    "tyre": jb.ElementDeformation("tyre"),
+    "body": jb.Acceleration("body", axis="z"),
+    "travel": jb.Elongation("suspension"),
+    "tyre": jb.Elongation("tyre"),
 }
 
 
@@ -62,7 +62,7 @@ np.testing.assert_allclose(w, [5.8593, 9.4341], rtol=2e-5)  # undamped, as print
 axles = {axle: jb.BaseMotion(axle, "z") for axle in ("front", "rear")}
 at_axles = jb.CrossPSD(dict.fromkeys(axles, road.at_speed(speed)), delays={"rear": 2.5 / speed}, coherence={("front", "rear"): 1.0})
 places = {"over the front axle": 1.0, "center of mass": 0.0, "over the rear axle": -1.5}
-seats = {name: jb.PointMotion("body", [x, 0, 0], kind="acceleration") for name, x in places.items()}
+seats = {name: jb.Acceleration("body", [x, 0, 0], axis="z") for name, x in places.items()}
 shaken = jb.random_response(lin, jb.Band(0.1, 100.0, points=4001), axles, seats, at_axles)
 passengers = jb.weighted(shaken, dict.fromkeys(seats, "Wk"))
 print(passengers)

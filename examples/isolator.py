@@ -23,17 +23,15 @@ print(modes)
 instrument = [0.1, 0.05, 0.3]
 f = jnp.geomspace(0.5, 60.0, 1000)
 floor = {"floor x": jb.BaseMotion("floor", "x"), "floor z": jb.BaseMotion("floor", "z")}
-at_instrument = {"instrument x": jb.PointMotion("table", instrument, "x"), "instrument z": jb.PointMotion("table", instrument, "z")}
+at_instrument = {"instrument x": jb.Position("table", instrument, axis="x"), "instrument z": jb.Position("table", instrument, axis="z")}
 response = jb.frequency_response(lin, f, floor, at_instrument)
 rubber = jb.frequency_response(lin, f, floor, at_instrument, loss_factor=0.1)  # rubber isolators add hysteretic damping
 print(response)
 
 # 2. Random vibration of the floor, 1e-6 (m/s2)2/Hz from 2 to 40 Hz, equal and uncorrelated in x and z
 shaking = jb.PSD([2.0, 40.0], [1e-6, 1e-6], unit="(m/s2)2/Hz")
-accelerations = {
-    f"acceleration {name}": jb.PointMotion("table", instrument, d, kind="acceleration") for name, d in (("x", "x"), ("z", "z"))
-}
-stroke = {"stroke": jb.ElementDeformation("isolator 1", component=2)}
+accelerations = {f"acceleration {name}": jb.Acceleration("table", instrument, axis=d) for name, d in (("x", "x"), ("z", "z"))}
+stroke = {"stroke": jb.Elongation("isolator 1", component=2)}
 band = jb.Band(2.0, 40.0, points=2001)
 
 

@@ -14,7 +14,7 @@ The packages, in reading order; each imports only from those before it:
     mechanics       T, V and R, their derivatives, and the equations of motion.
     statics         Equilibria and their stability, load paths, load cases, preload, rest on a moving base.
     simulations     Trajectories by the equations of motion, and what sensors read along them.
-    vibrations      Small motions: matrices, ports, state space, modes of every kind.
+    vibrations      Small motions: matrices, inputs and outputs, state space, modes of every kind.
     responses       Responses to harmonic and random excitation, spectra, roads and comfort.
     statistics      Uncertainty of estimates from residuals: noise models, covariance, robust losses. No mechanics.
     parameters      Free parameters of fit and tune: ties, transforms, bounds, design spaces.
@@ -73,6 +73,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.inputs.base_motions": ("base_motion",),
     "jaxbody.inputs.loads": ("EngineTorque", "Force", "Load", "Unbalance"),
     "jaxbody.inputs.motions": ("AtRest", "Delayed", "Harmonic", "Motion", "Sampled"),
+    "jaxbody.inputs.port_inputs": ("BaseMotion", "PointForce"),
     "jaxbody.inputs.roads": ("Road",),
     "jaxbody.inputs.splines": ("Spline",),
     "jaxbody.mechanics.energies": ("dissipation", "kinetic_energy", "lagrangian", "potential_energy"),
@@ -92,9 +93,10 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.responses.road_spectra": ("Unevenness", "road_profile"),
     "jaxbody.responses.spectra": ("Band", "CrossPSD", "PSD", "PowerLaw", "Spectrum"),
     "jaxbody.sensors.attitudes": ("BodyPose", "Orientation"),
-    "jaxbody.sensors.gauges": ("Displacement", "LaserDistance", "LaserVibrometer", "StringPotentiometer", "Velocity"),
-    "jaxbody.sensors.instruments": ("Accelerometer", "ForcePlate", "Gyro", "JointAngle", "LoadCell", "Reaction", "Tilt"),
-    "jaxbody.sensors.sensors": ("Elongation", "Position", "Sensor"),
+    "jaxbody.sensors.gauges": ("Displacement", "LaserDistance", "LaserVibrometer", "StringPotentiometer"),
+    "jaxbody.sensors.instruments": ("Accelerometer", "Elongation", "ForcePlate", "Gyro", "JointAngle", "LoadCell", "Reaction", "Tilt"),
+    "jaxbody.sensors.kinematic_sensors": ("Acceleration", "AngularAcceleration", "AngularVelocity", "Position", "Rotation", "Velocity"),
+    "jaxbody.sensors.sensors": ("Sensor",),
     "jaxbody.simulations.readings": ("measure",),
     "jaxbody.simulations.simulations": ("simulate",),
     "jaxbody.statics.cases": ("LoadCase", "load_cases"),
@@ -108,8 +110,13 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.vibrations.mode_branches": ("mac", "track"),
     "jaxbody.vibrations.mount_axes": ("elastic_axes", "torque_roll_axis"),
     "jaxbody.vibrations.natural_modes": ("modes",),
-    "jaxbody.vibrations.ports": ("BaseMotion", "ElementDeformation", "ElementForce", "PointForce", "PointMotion", "SupportReaction"),
     "jaxbody.vibrations.spins": ("linearize_spin",),
+}
+_SUCCESSORS = {  # of names that were public
+    "ElementDeformation": "Elongation",
+    "ElementForce": "LoadCell",
+    "PointMotion": "Position, Velocity or Acceleration, and of rotations Rotation, AngularVelocity or AngularAcceleration",
+    "SupportReaction": "Reaction",
 }
 _PLACES = {name: module for module, names in _NAMES.items() for name in names}
 __all__ = sorted(_MODULES | _PLACES)  # pyright: ignore[reportUnsupportedDunderAll]
@@ -122,7 +129,8 @@ def __getattr__(name):
     elif name in _PLACES:
         thing = getattr(import_module(_PLACES[name]), name)
     else:
-        raise AttributeError(f"module 'jaxbody' has no attribute '{name}'")
+        instead = f"; outputs are sensors: use {_SUCCESSORS[name]}" if name in _SUCCESSORS else ""
+        raise AttributeError(f"module 'jaxbody' has no attribute '{name}'{instead}")
     globals()[name] = thing
     return thing
 

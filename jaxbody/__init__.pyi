@@ -54,6 +54,8 @@ from jaxbody.inputs.motions import Delayed as Delayed
 from jaxbody.inputs.motions import Harmonic as Harmonic
 from jaxbody.inputs.motions import Motion as Motion
 from jaxbody.inputs.motions import Sampled as Sampled
+from jaxbody.inputs.port_inputs import BaseMotion as BaseMotion
+from jaxbody.inputs.port_inputs import PointForce as PointForce
 from jaxbody.inputs.roads import Road as Road
 from jaxbody.inputs.splines import Spline as Spline
 from jaxbody.mechanics.energies import dissipation as dissipation
@@ -98,16 +100,20 @@ from jaxbody.sensors.gauges import Displacement as Displacement
 from jaxbody.sensors.gauges import LaserDistance as LaserDistance
 from jaxbody.sensors.gauges import LaserVibrometer as LaserVibrometer
 from jaxbody.sensors.gauges import StringPotentiometer as StringPotentiometer
-from jaxbody.sensors.gauges import Velocity as Velocity
 from jaxbody.sensors.instruments import Accelerometer as Accelerometer
+from jaxbody.sensors.instruments import Elongation as Elongation
 from jaxbody.sensors.instruments import ForcePlate as ForcePlate
 from jaxbody.sensors.instruments import Gyro as Gyro
 from jaxbody.sensors.instruments import JointAngle as JointAngle
 from jaxbody.sensors.instruments import LoadCell as LoadCell
 from jaxbody.sensors.instruments import Reaction as Reaction
 from jaxbody.sensors.instruments import Tilt as Tilt
-from jaxbody.sensors.sensors import Elongation as Elongation
-from jaxbody.sensors.sensors import Position as Position
+from jaxbody.sensors.kinematic_sensors import Acceleration as Acceleration
+from jaxbody.sensors.kinematic_sensors import AngularAcceleration as AngularAcceleration
+from jaxbody.sensors.kinematic_sensors import AngularVelocity as AngularVelocity
+from jaxbody.sensors.kinematic_sensors import Position as Position
+from jaxbody.sensors.kinematic_sensors import Rotation as Rotation
+from jaxbody.sensors.kinematic_sensors import Velocity as Velocity
 from jaxbody.sensors.sensors import Sensor as Sensor
 from jaxbody.simulations.readings import measure as measure
 from jaxbody.simulations.simulations import simulate as simulate
@@ -127,12 +133,6 @@ from jaxbody.vibrations.mode_branches import track as track
 from jaxbody.vibrations.mount_axes import elastic_axes as elastic_axes
 from jaxbody.vibrations.mount_axes import torque_roll_axis as torque_roll_axis
 from jaxbody.vibrations.natural_modes import modes as modes
-from jaxbody.vibrations.ports import BaseMotion as BaseMotion
-from jaxbody.vibrations.ports import ElementDeformation as ElementDeformation
-from jaxbody.vibrations.ports import ElementForce as ElementForce
-from jaxbody.vibrations.ports import PointForce as PointForce
-from jaxbody.vibrations.ports import PointMotion as PointMotion
-from jaxbody.vibrations.ports import SupportReaction as SupportReaction
 from jaxbody.vibrations.spins import linearize_spin as linearize_spin
 
 __version__: str

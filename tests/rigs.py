@@ -13,6 +13,13 @@ def hung(body, to=(0, 0, 0), gravity=(0, 0, 0), at=(0, 0, 0), **spring):
     return jb.Model(bodies={"body": body}, elements={"spring": jb.Spring(("body", at), ("world", to), **spring)}, gravity=gravity)
 
 
+def motion(on, point=(0, 0, 0), direction="z"):
+    """A sensor of the displacement of a point along x, y, z or a vector, or of the rotation about rx, ry or rz."""
+    if isinstance(direction, str) and direction[0] == "r":
+        return jb.Rotation(on, axis=direction[1])
+    return jb.Position(on, point, axis=direction)
+
+
 CORNERS = np.array([[0.4, 0.3, 0.05], [-0.4, 0.3, 0.05], [-0.35, -0.3, 0.05], [0.45, -0.3, 0.05], [0.02, -0.03, -0.05]])
 ON_BASE = np.array([[0.6, 0.5, 1.0], [-0.6, 0.5, 1.05], [-0.6, -0.4, 0.95], [0.6, -0.5, 1.0], [0.0, 0.05, -1.0]])
 

@@ -153,7 +153,7 @@ def transmitted(response: FrequencyResponse, output: str, name: str) -> Float[Ar
     For the largest magnitude instead take peak(response[output, name]). Errors: UNKNOWN_NAME, BAD_FREQUENCY if a frequency is 0 Hz.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"body": PointMotion("body")}
+    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
     >>> response = frequency_response(linearize(model, model.reference), jnp.geomspace(5, 50, 100), inputs, outputs)
     >>> round(float(transmitted(response, "body", "road")), 3)
     0.106
@@ -174,7 +174,7 @@ def comfort(ride: RandomResponse, weights: dict[str, str]) -> Float[Array, ""]:
     weights: {output: "Wk" for z or "Wd" for x and y}. Errors: those of `weighted`. Source: ISO 2631-1:1997, 6.5.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> outputs = {"body": PointMotion("body", kind="acceleration")}
+    >>> outputs = {"body": Acceleration("body", axis="z")}
     >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
     >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), {"road": BaseMotion("road", "z")}, outputs, road)
     >>> round(float(comfort(ride, {"body": "Wk"})), 2)
@@ -192,7 +192,7 @@ def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, "
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
-    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"tyre": ElementForce("tyre")}
+    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"tyre": LoadCell("tyre")}
     >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), inputs, outputs, road)
     >>> round(float(road_holding(ride, {"tyre": 450 * 9.81})), 2)
     0.23
@@ -200,9 +200,7 @@ def road_holding(ride: RandomResponse, forces: dict[str, Any]) -> Float[Array, "
     for name in forces:
         unit = ride.units[ride.outputs.index(name)] if name in ride.outputs else "N"
         if unit != "N":
-            raise JaxbodyError(
-                Problem("BAD_UNIT", f"road_holding[{name!r}]", f"is in {unit}", unit, "N", "Use the ElementForce of a tyre.")
-            )
+            raise JaxbodyError(Problem("BAD_UNIT", f"road_holding[{name!r}]", f"is in {unit}", unit, "N", "Use the LoadCell of a tyre."))
     shares = jnp.stack([ride[name] / jnp.asarray(load, float) for name, load in forces.items()])
     return _root(jnp.mean(shares**2))
 
@@ -214,7 +212,7 @@ def stroke(ride: RandomResponse, output: str, *, static: Any = 0.0) -> Float[Arr
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> road = {"road": Unevenness.iso("C").at_speed(20.0)}
-    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"travel": ElementDeformation("suspension")}
+    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"travel": Elongation("suspension")}
     >>> ride = random_response(linearize(model, model.reference), Band(0.1, 100.0), inputs, outputs, road)
     >>> round(float(stroke(ride, "travel")), 3)
     0.037

@@ -14,9 +14,10 @@ from jaxbody.core.errors import Problems
 from jaxbody.experiments.measured_responses import equilibrium_status
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.sensors.channels import Channel
+from jaxbody.sensors.sensors import Sensor
 from jaxbody.vibrations.mode_branches import mac
 from jaxbody.vibrations.natural_modes import modes
-from jaxbody.vibrations.ports import PointMotion, port_matrices, ports_of
+from jaxbody.vibrations.ports import component_units, outputs_of, port_matrices
 
 UNITS = {"frequency": "Hz", "damping_ratio": "", "shapes": ""}
 
@@ -36,7 +37,7 @@ class MeasuredModes(Measurement):
         frequency: [Hz] (nm,); NaN for a missing number here and below.
         damping_ratio: (nm,); by default not measured.
         shapes: real mode shapes (nm, ns) at the `sensors`, in their order; by default not measured.
-        sensors: {name: PointMotion of a displacement}.
+        sensors: {name: sensor} of positions or rotations; of several numbers each component is a column of `shapes`.
         number: the mode of the model that each measured mode is compared with, 0 for the lowest; by default 0 to nm - 1.
         pairing: "order" for the modes of `number`; "mac" for the mode with the highest modal assurance criterion at the sensors.
         noise: standard deviations {"frequency": [Hz], "damping_ratio": ..., "shapes": ...}, each one number or one for each measured
@@ -54,7 +55,7 @@ class MeasuredModes(Measurement):
     linear = True
     measured: dict[str, Float[Array, "nm ..."]]
     noise: dict[str, Float[Array, "..."]] | None
-    sensors: dict[str, PointMotion]
+    sensors: dict[str, Sensor]
     number: tuple[int, ...] | None = field(static=True)
 
     def __init__(self, *, frequency, damping_ratio=None, shapes=None, sensors=None, number=None, pairing: str = "order", noise=None):
@@ -63,7 +64,7 @@ class MeasuredModes(Measurement):
             given = {"frequency": frequency, "damping_ratio": damping_ratio, "shapes": shapes}
             arrays = {name: float_array(x, f"MeasuredModes.{name}") for name, x in given.items() if x is not None}
             count = arrays["frequency"].shape[0] if arrays["frequency"].ndim else 0
-            expected = {"frequency": (count,), "damping_ratio": (count,), "shapes": (count, len(self.sensors))}
+            expected = {"frequency": (count,), "damping_ratio": (count,), "shapes": (count, len(component_units(self.sensors)))}
             if not count:
                 problems.add("NO_DATA", "MeasuredModes.frequency", "is empty", limit="one number for each mode")
             for name, array in arrays.items():
@@ -117,11 +118,11 @@ class MeasuredModes(Measurement):
     def check(self, model, where):
         with Problems() as problems:
             if self.sensors:
-                ports_of(model, self.sensors, "outputs", where, problems)
-            for name, port in self.sensors.items():
-                if not isinstance(port, PointMotion) or port.kind != "displacement":
-                    limit = "a PointMotion of a displacement"
-                    problems.add("WRONG_KIND", f"{where}.sensors['{name}']", f"is a {type(port).__name__}", value=port, limit=limit)
+                outputs = outputs_of(model, self.sensors, where, problems)
+                for name, unit in zip(outputs.names, outputs.units, strict=True):
+                    if unit not in ("m", "rad"):
+                        limit = "positions and rotations, such as jb.Position"
+                        problems.add("WRONG_KIND", f"{where}.sensors['{name}']", f"reads {unit}", value=unit, limit=limit)
             count = model.layout.nv
             if max(self.number or (len(self.measured["frequency"]) - 1,)) >= count:
                 message = "has more modes than the model" if self.number is None else "is compared with a mode that the model does not have"
@@ -131,7 +132,9 @@ class MeasuredModes(Measurement):
         predicted = modes(lin)
         at_sensors = None
         if self.sensors:
-            at_sensors = port_matrices(lin, (), tuple(self.sensors.values())).Y[0][:, : model.layout.nv] @ predicted.shapes
+            ports = port_matrices(lin, (), tuple(self.sensors.values()))
+            at_sensors = ports.Y[0][:, : len(predicted.shapes)] @ predicted.shapes
+            at_sensors = at_sensors if ports.chains is None else at_sensors * ports.chains.gain[:, None]
         if self.number is not None:
             which: Any = np.array(self.number)
         else:

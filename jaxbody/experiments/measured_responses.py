@@ -16,7 +16,7 @@ from jaxbody.responses.frequency_responses import check_frequencies, check_loss_
 from jaxbody.sensors.channels import Channel
 from jaxbody.statics.equilibria import equilibrium
 from jaxbody.vibrations.linearizations import Linearization, linearize
-from jaxbody.vibrations.ports import ports_of
+from jaxbody.vibrations.ports import component_units, inputs_of, outputs_of
 
 
 class ResponseChannel(Channel):
@@ -52,7 +52,7 @@ class MeasuredResponse(Measurement):
 
     Errors, all at once: BAD_FREQUENCY, BAD_SHAPE, NO_DATA, NON_FINITE, ALL_NAN, BAD_NOISE, UNKNOWN_NAME, WRONG_KIND.
 
-    >>> force, motion = PointForce("mass", direction="y"), PointMotion("mass", direction="y")
+    >>> force, motion = PointForce("mass", direction="y"), Position("mass", axis="y")
     >>> measured = {("y", "f"): [0.02 + 0j, -0.01 - 0.001j]}
     >>> hammer = MeasuredResponse([1.0, 2.0], inputs={"f": force}, outputs={"y": motion}, measured=measured)
     >>> list(hammer.channels)
@@ -74,12 +74,11 @@ class MeasuredResponse(Measurement):
             shape = np.shape(frequencies if checked is None else checked)
             if not measured:
                 problems.add("NO_DATA", "MeasuredResponse.measured", "is empty", limit="at least one pair (output, input)")
-            arrays, levels = {}, {}
+            arrays, levels, known = {}, {}, component_units(outputs)
             for pair, value in measured.items():
                 where = f"MeasuredResponse.measured[{pair!r}]"
-                for name, ports in zip(
-                    pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, pair), (outputs, inputs), strict=True
-                ):
+                output, source = pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, pair)
+                for name, ports in ((output, known), (source, inputs)):
                     if name not in ports:
                         problems.collected.append(unknown(str(name), where, tuple(ports)))
                 arrays[pair] = _complex(value, shape, where, problems)
@@ -106,7 +105,8 @@ class MeasuredResponse(Measurement):
 
     @property
     def channels(self):
-        units = {pair: _unit(self.outputs[pair[0]], self.inputs[pair[1]]) for pair in self.pairs}
+        outputs = component_units(self.outputs)
+        units = {pair: _unit(outputs[pair[0]], self.inputs[pair[1]].unit) for pair in self.pairs}
         return {_name(pair): ResponseChannel(unit=unit) for pair, unit in units.items()}  # pyright: ignore[reportCallIssue]  the class states the shape
 
     def named(self):
@@ -114,11 +114,11 @@ class MeasuredResponse(Measurement):
 
     def check(self, model, where):
         with Problems() as problems:
-            for given, what in ((self.inputs, "inputs"), (self.outputs, "outputs")):
-                ports_of(model, given, what, where, problems)
+            inputs_of(model, self.inputs, where, problems)
+            outputs_of(model, self.outputs, where, problems)
         if self.loss_factor is not None:
             check_loss_factors(self._loss_factors(), model, f"{where}.loss_factor")
-            check_without_force_sensors(self.loss_factor, f"{where}.loss_factor", tuple(self.outputs.values()))
+            check_without_force_sensors(self.loss_factor, f"{where}.loss_factor", tuple(self.outputs.values()), model)
 
     def readings(self, model, integration, lin):
         responses = frequency_response(lin, self.frequencies, self.inputs, self.outputs, loss_factor=self._loss_factors())
@@ -151,10 +151,9 @@ def _name(pair: tuple[str, str]) -> str:
     return f"{pair[0]}/{pair[1]}"
 
 
-def _unit(output: Any, source: Any) -> str:
-    """The unit of a response, "m/N", if both ports have units; "" for a ratio."""
-    above, below = getattr(output, "unit", ""), getattr(source, "unit", "")
-    if not above or not below or above == below:
+def _unit(above: str, below: str) -> str:
+    """The unit of a response, "m/N"; "" for a ratio."""
+    if above == below:
         return ""
     return f"{f'({above})' if '/' in above else above}/{f'({below})' if set(below) & set('/ ') else below}"
 

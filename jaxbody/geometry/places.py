@@ -11,6 +11,7 @@ from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import checked, concrete, vector
 from jaxbody.core.errors import Problems
 
+DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  # along and about axes
 ORDER = ("first", "second", "third")
 
 
@@ -26,6 +27,15 @@ def unit_vector(axis, where: str, problems: Problems) -> Any:
         problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give a direction, such as [0, 0, 1].")
         return n
     return n / np.linalg.norm(known)
+
+
+def direction(given, where: str, problems: Problems) -> Any:
+    """The unit vector along x, y or z, given by name, or along a direction of any length. Errors: BAD_DIRECTION, ZERO_AXIS."""
+    if not isinstance(given, str):
+        return unit_vector(given, where, problems)
+    if given not in tuple("xyz"):
+        problems.add("BAD_DIRECTION", where, f"is {given!r}", value=given, limit="x y z", hint="Give one of these, or three numbers.")
+    return np.eye(3)["xyz".find(given)]
 
 
 def ends(given, kind: str, problems: Problems, *, points: bool = True):

@@ -17,7 +17,7 @@ from jaxbody.identification.intervals import FEW, Interval, freedoms_of, interva
 from jaxbody.identification.residuals import Task
 from jaxbody.models.models import Model
 from jaxbody.parameters.field_units import units_of
-from jaxbody.parameters.transforms import Direction, Rotation, parts_of
+from jaxbody.parameters.transforms import Direction, Rotated, parts_of
 from jaxbody.statistics.quantiles import check_level
 from jaxbody.statistics.uncertainties import Uncertainty
 
@@ -91,7 +91,7 @@ class Fit(Result):
         unknown = {}
         for f, slopes, own in zip(self.task.free, u.slopes, parts_of(self.task.free), strict=True):
             unknown[f.path] = np.zeros(f.form.start.shape, bool)
-            if isinstance(f.form, Direction | Rotation) and not np.isfinite(error[own]).all():
+            if isinstance(f.form, Direction | Rotated) and not np.isfinite(error[own]).all():
                 size = np.linalg.norm(slopes[..., own], axis=-1)
                 unknown[f.path] = size <= FLAT * size.max()
         return unknown

@@ -23,7 +23,7 @@ from jaxbody.geometry.frames import Pose
 from jaxbody.laws.laws import Law, Sum
 from jaxbody.models.bodies import Body, Support, warn_of_points
 from jaxbody.models.joints import Free, Joint
-from jaxbody.models.layouts import Layout
+from jaxbody.models.layouts import WORLD, Layout
 from jaxbody.models.model_checks import check_links, check_names, check_reference, of_kind, warn_of_oddities
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable, tabulate, tabulate_by_structure
@@ -203,3 +203,13 @@ def body_poses(model: Model) -> Pose:
     """Poses of the bodies in the reference pose."""
     bodies = model.bodies.rows
     return Pose(bodies.position, rotations.matrix(bodies.orientation))
+
+
+def pose_at_reference(model: Model, name: str) -> Pose:
+    """The pose of a body, of a support or of the world in the reference pose."""
+    layout = model.layout
+    if name == WORLD:
+        return Pose(jnp.zeros(3, model.gravity.dtype), jnp.eye(3, dtype=model.gravity.dtype))
+    poses, names = (support_poses(model), layout.supports) if name in layout.supports else (body_poses(model), layout.bodies)
+    i = names.index(name)
+    return Pose(poses.p[i], poses.R[i])

@@ -21,7 +21,7 @@ from jaxbody.parameters.transforms import (
     Fraction,
     Parametrization,
     Positive,
-    Rotation,
+    Rotated,
     Shifted,
     pair_of,
     parametrize,
@@ -160,7 +160,7 @@ def drawn(space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any,
         rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
         u = np.zeros((count, space.size))
         for group, at in zip(space.groups, space.ends, strict=True):
-            if isinstance(group.form, Rotation):
+            if isinstance(group.form, Rotated):
                 q = rng.normal(size=(count, 4))
                 q = q / np.linalg.norm(q, axis=1, keepdims=True)
                 angle = 2 * np.arctan2(np.linalg.norm(q[:, 1:], axis=1), q[:, 0])

@@ -32,6 +32,7 @@ from jaxbody.models.leaf_paths import Leaf
 from jaxbody.models.models import Model
 
 FAR = 5.0  # in u: less than a hundredth of the start, which counts as zero if it has no effect
+ROUNDING = 1e-15  # relative to its start, of a value at a bound of zero
 LEAST = -25.0  # of the u of a step in a row: 1e-11 of its start, so that rounding does not make two numbers equal
 
 
@@ -108,7 +109,9 @@ class Shifted(Elementwise):
     scale: Float[Array, ""]
 
     def value(self, u):
-        return self.start + self.scale * u.reshape(self.start.shape)
+        x = self.start + self.scale * u.reshape(self.start.shape)
+        rounding = abs(x) < ROUNDING * abs(self.start)  # at a bound of zero
+        return x - jax.lax.stop_gradient(module_of(u).where(rounding, x, 0.0))
 
     def inverse(self, x):
         return ((np.asarray(x, float) - np.asarray(self.start)) / float(self.scale)).ravel()
@@ -208,7 +211,7 @@ class Inertia(Parametrization):
     ended = Definite.ended
 
 
-class Rotation(Parametrization):
+class Rotated(Parametrization):
     """q = exp(u) q0."""
 
     @property
@@ -282,7 +285,7 @@ def _thick(inertia: np.ndarray) -> bool:
     return bool(moments[0] + moments[1] - moments[2] > 1e-9 * moments.sum())
 
 
-UNBOUNDED = {"rotation": Rotation, "direction": Direction}
+UNBOUNDED = {"rotation": Rotated, "direction": Direction}
 NUMBER = (Positive, lambda x: (x > 0).all(), "which has no logarithm", "> 0", "Start at a small positive number.")
 ROW = (
     lambda x: Ordered(x, jnp.max(jnp.abs(x))),

@@ -18,7 +18,7 @@ def plot_frequency_response(response: FrequencyResponse, *, ax: Any = None) -> A
     """Magnitudes over frequency, both on logarithmic scales, one panel per unit, with the phases below; returns the top axes.
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
-    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"body": PointMotion("body")}
+    >>> inputs, outputs = {"road": BaseMotion("road", "z")}, {"body": Position("body", axis="z")}
     >>> response = frequency_response(linearize(model, equilibrium(model)), jnp.geomspace(0.1, 50, 100), inputs, outputs)
     >>> ax = plot_frequency_response(response)
     >>> ax.get_ylabel()

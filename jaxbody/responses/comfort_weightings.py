@@ -116,7 +116,7 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
 
     >>> model = jb.presets.quarter_car(damping=1500.0)
     >>> response = random_response(linearize(model, equilibrium(model)), Band(0.1, 100.0), {"road": BaseMotion("road", "z")},
-    ...                            {"body": PointMotion("body", kind="acceleration")}, {"road": Unevenness.iso("C").at_speed(20.0)})
+    ...                            {"body": Acceleration("body", axis="z")}, {"road": Unevenness.iso("C").at_speed(20.0)})
     >>> bool(weighted(response, {"body": "Wk"})["body"] < response["body"])
     True
     """
@@ -129,7 +129,7 @@ def weighted(response: RandomResponse, weights: dict[str, str]) -> RandomRespons
                 problems.add("BAD_WEIGHTING", f"weighted[{output!r}]", f"is {name!r}", value=name, limit=" ".join(WEIGHTINGS), hint=HINT)
             unit, limit = response.units[response.outputs.index(output)], _unit(name)
             if unit != limit:
-                hint = 'Give its port kind="acceleration"; We is for rotations, the others for translations.'
+                hint = "Give an Acceleration; We is for an AngularAcceleration."
                 problems.add("BAD_UNIT", f"weighted[{output!r}]", f"is in {unit}", value=unit, limit=limit, hint=hint)
     rows = np.array([response.outputs.index(output) for output in weights], dtype=int)
     factors = jnp.stack([jnp.abs(_weighting(name, response.frequencies)) ** 2 for name in weights.values()], -2)

@@ -30,9 +30,11 @@ from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import ZERO, companion, natural
 from jaxbody.numerics.precisions import reachable
 from jaxbody.responses.modal_dampings import NO_MODES, with_modal_damping
+from jaxbody.sensors.instruments import LoadCell
+from jaxbody.sensors.sensors import Sensor
 from jaxbody.statics.equilibria import NOT_AT_REST
 from jaxbody.vibrations.linearizations import Linearization
-from jaxbody.vibrations.ports import PortMatrices, check_ports, full_matrices, port_matrices
+from jaxbody.vibrations.ports import Ports, check_ports, full_matrices, port_matrices, reads_matrices
 
 LARGEST_UNROLLED = 16  # coordinates; beyond them LAPACK at each frequency costs less than compiling this elimination
 GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, above which it is not rounding
@@ -134,7 +136,8 @@ def frequency_response(
     Args:
         frequencies: 0 or more, in one row [Hz].
         inputs: {name: BaseMotion or PointForce}.
-        outputs: {name: PointMotion, ElementForce, ElementDeformation, SupportReaction, or a sensor that reads one number, with no chain}.
+        outputs: {name: sensor}, such as Position, Acceleration, Elongation, LoadCell or Reaction; of several numbers the outputs are
+            "seat.x", "seat.y", "seat.z". A chain multiplies by gain exp(-i w delay)/(1 + i w lag).
         loss_factor: hysteretic damping, i eta times the stiffness V''(e) of elements, one number for all or {element: eta}; by default
             none. It exists for harmonic motion only, so it is an option here and not a property of a model.
         modal_damping: damping ratios added to those of the dampers, one for all natural modes or one for each, in ascending order; by
@@ -150,15 +153,15 @@ def frequency_response(
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               supports={"base": Support()}, elements={"s": spring})
     >>> lin = linearize(model, equilibrium(model))
-    >>> response = frequency_response(lin, [2.0], {"base": BaseMotion("base", "y")}, {"mass": PointMotion("mass", direction="y")})
+    >>> response = frequency_response(lin, [2.0], {"base": BaseMotion("base", "y")}, {"mass": Position("mass", axis="y")})
     >>> round(float(response["mass", "base"][0].real * (1 - (2.0 * 2 * jnp.pi) ** 2 / 25)), 12)
     1.0
     """
     check_precision("frequency_response", lin.model)
     f = check_frequencies(frequencies, "frequency_response.frequencies", static=True)
-    (u, ins, u_units), (y, outs, y_units) = check_ports(lin, inputs, outputs, "frequency_response")
+    (u, ins, u_units), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "frequency_response")
     for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
-        check_without_force_sensors(option, f"frequency_response.{what}", outs)
+        check_without_force_sensors(option, f"frequency_response.{what}", sensors, lin.model)
     eta = check_loss_factors(loss_factor, lin.model, "frequency_response.loss_factor")
     if method not in METHODS:
         with Problems() as problems:
@@ -167,7 +170,7 @@ def frequency_response(
     if static:
         _check_bounded_at_rest(u, ins)
     lin = with_modal_damping(lin, modal_damping, "frequency_response.modal_damping")
-    values, status = response_values(lin, f, port_matrices(lin, ins, outs), eta, method, static)
+    values, status = response_values(lin, f, port_matrices(lin, ins, sensors), eta, method, static)
     return warn_if_failed(FrequencyResponse(f, values, status, u, y, u_units, y_units))
 
 
@@ -195,14 +198,14 @@ def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> N
                 )
 
 
-def check_without_force_sensors(given: Any, where: str, outputs: tuple[Any, ...]) -> None:
-    """Refuse force sensors together with `loss_factor` or `modal_damping`, because they read forces of the model only. Error:
-    BAD_OPTION."""
+def check_without_force_sensors(given: Any, where: str, sensors: tuple[Sensor, ...], model: Model) -> None:
+    """Refuse sensors of forces together with `loss_factor` or `modal_damping`, because they read forces of the model only; but not those
+    whose rows follow from matrices. Error: BAD_OPTION."""
     with Problems() as problems:
-        for port in outputs if given is not None else ():
-            if hasattr(port, "reading") and port.unit in ("N", "N m"):
-                hint = "Use ElementForce or SupportReaction, or give the model dampers."
-                message = f"is not read by a {type(port).__name__} on '{port.on}'"
+        for sensor in sensors if given is not None else ():
+            if sensor.unit[0] == "N" and not (isinstance(sensor, LoadCell) or reads_matrices(sensor, model)):
+                hint = "Use LoadCell or the Reaction of a support, or give the model dampers."
+                message = f"is not read by a {type(sensor).__name__} on '{sensor.on}'"
                 problems.add("BAD_OPTION", where, message, value=given, limit="sensors of motion", hint=hint)
 
 
@@ -227,7 +230,7 @@ def check_loss_factors(given: Any, model: Model, where: str) -> Float[Array, "ne
 def response_values(
     lin: Linearization,
     f: Float[Array, "nf"],
-    ports: PortMatrices,
+    ports: Ports,
     eta: Float[Array, "ne"] | None,
     method: str = "direct",
     static: bool = False,
@@ -244,6 +247,7 @@ def response_values(
     rows = _Matrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, ports, lin, eta))
     on_bodies, on_supports = jax.tree.map(lambda A: A[:, :nv], rows), jax.tree.map(lambda A: A[:, nv:] @ X, rows)
     values = on_bodies.times(s, Delta) + on_supports.at(s) * scale[None] + ports.G[:, :, None].astype(s.dtype)
+    values = values if ports.chains is None else values * ports.chains.at(s)[:, None]
     free = jnp.array(False)
     if static:
         squares = jnp.abs(jax.lax.stop_gradient(natural(lin.K, lin.M)[0]))
@@ -355,7 +359,7 @@ def hysteretic_damping(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Arr
     return jnp.tensordot(eta, jnp.concatenate(H), 1) if H else jnp.zeros((len(at.turns),) * 2)
 
 
-def _elastic_rows(Y, H, ports: PortMatrices, lin: Linearization, eta) -> Float[Array, "ny n"]:
+def _elastic_rows(Y, H, ports: Ports, lin: Linearization, eta) -> Float[Array, "ny n"]:
     """The rows that i H adds to outputs: eta times the elastic part of an element's force, -H of a reaction."""
     nv = lin.M.shape[-1]
     rows = [jnp.zeros(Y.shape[-1], Y.dtype)] * Y.shape[1]

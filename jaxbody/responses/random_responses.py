@@ -18,12 +18,13 @@ from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.inputs.port_inputs import KINDS, UNITS
 from jaxbody.models.preconditions import check_precision
 from jaxbody.responses.frequency_responses import check_frequencies, check_loss_factors, check_without_force_sensors, response_values
 from jaxbody.responses.modal_dampings import with_modal_damping
 from jaxbody.responses.spectra import Band, CrossPSD, Spectrum, check_spectra, trapezoids
 from jaxbody.vibrations.linearizations import Linearization
-from jaxbody.vibrations.ports import KINDS, UNITS, PortMatrices, check_ports, port_matrices
+from jaxbody.vibrations.ports import Ports, check_ports, port_matrices
 
 COARSE = 0.03  # relative change of an rms when every other frequency is left out: nearly four times the error
 
@@ -83,7 +84,7 @@ def random_response(
 
     Args:
         frequencies: a Band, or frequencies [Hz] for the trapezoidal rule, close enough to resolve each resonance.
-        inputs, outputs: {name: port}, as in `frequency_response`.
+        inputs, outputs: as in `frequency_response`.
         spectra: {input: PSD or PowerLaw}, uncorrelated, or a CrossPSD. The spectrum of a motion may be that of its displacement, velocity
         or
             acceleration, whatever the kind of the port: powers of 2 pi f convert it.
@@ -96,12 +97,12 @@ def random_response(
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               supports={"base": Support()}, elements={"s": spring})
     >>> response = random_response(linearize(model, equilibrium(model)), Band(1e-7, 1e3), {"pull": PointForce("mass", direction="y")},
-    ...                            {"stroke": ElementDeformation("s")}, {"pull": PowerLaw(3.0, unit="N2/Hz")})
+    ...                            {"stroke": Elongation("s")}, {"pull": PowerLaw(3.0, unit="N2/Hz")})
     >>> round(float(response["stroke"] ** 2 / (3.0 / (4 * 2.0 * 50.0))), 6)
     1.0
     """
     check_precision("random_response", lin.model)
-    (names, ins, _), (y, outs, y_units) = check_ports(lin, inputs, outputs, "random_response")
+    (names, ins, _), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "random_response")
     _check_match(inputs, spectra)
     if isinstance(frequencies, Band):
         f, weights, coarse = frequencies.frequencies, frequencies.weights, frequencies.coarse
@@ -110,10 +111,10 @@ def random_response(
         _check_band(f)
         weights, coarse = trapezoids(f)
     for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
-        check_without_force_sensors(option, f"random_response.{what}", outs)
+        check_without_force_sensors(option, f"random_response.{what}", sensors, lin.model)
     eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor")
     lin = with_modal_damping(lin, modal_damping, "random_response.modal_damping")
-    psd, rms, status = _random_response(lin, f, weights, coarse, port_matrices(lin, ins, outs), ins, names, spectra, eta)
+    psd, rms, status = _random_response(lin, f, weights, coarse, port_matrices(lin, ins, sensors), ins, names, spectra, eta)
     return warn_if_failed(RandomResponse(f, psd, rms, weights, coarse, status, y, y_units))
 
 
@@ -131,7 +132,7 @@ def resolution(psd: Float[Array, "ny nf"], weights, coarse) -> Int[Array, ""]:
 
 
 @jit_optimized
-def _random_response(lin: Linearization, f, weights, coarse, ports: PortMatrices, inputs: tuple, names, spectra, eta):
+def _random_response(lin: Linearization, f, weights, coarse, ports: Ports, inputs: tuple, names, spectra, eta):
     H, status = response_values(lin, f, ports, eta)
     each = spectra.spectra if isinstance(spectra, CrossPSD) else spectra
     S = jnp.stack([each[name](f) * (2 * jnp.pi * f) ** _order(each[name], port) for name, port in zip(names, inputs, strict=True)])

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float
+from jaxbody.geometry.places import DIRECTIONS
 
 
 class Channel(eqx.Module):
@@ -39,6 +40,16 @@ class Channel(eqx.Module):
     @property
     def noise_shape(self) -> tuple[int, ...]:
         return self.shape
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The names of the components of a residual: "" for a single number, "x" to "rz" for up to six, else their numbers."""
+        count = int(np.prod(self.noise_shape))
+        return ("",) if self.noise_shape == () else DIRECTIONS[:count] if count <= len(DIRECTIONS) else tuple(map(str, range(count)))
+
+    def unit_on(self, model: Any) -> str:
+        """The unit on a model, where it depends on the kind of an element."""
+        return self.unit
 
     @property
     def units(self) -> int:

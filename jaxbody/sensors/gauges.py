@@ -1,9 +1,8 @@
-"""Instruments between two points (displacement, velocity, length of a wire) and with laser beams from the world (velocity, distance)."""
+"""Instruments between two points (displacement, length of a wire) and with laser beams from the world (velocity, distance)."""
 
 from typing import Any, Unpack
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -12,10 +11,10 @@ from jaxbody.core.arrays import Array, Float, concrete, vector
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Pose
-from jaxbody.geometry.places import ends, unit_vector
+from jaxbody.geometry.places import direction, ends, unit_vector
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
 from jaxbody.models.layouts import WORLD
-from jaxbody.models.models import Model, body_poses, support_poses
+from jaxbody.models.models import Model, pose_at_reference
 from jaxbody.sensors.sensors import Chain, Sensor
 
 GRAZING = 1e-6  # smallest cosine between the beam and the normal of the surface at which they meet
@@ -33,7 +32,7 @@ class Gauge(Sensor):
         kind = type(self).__name__
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), kind, problems, points=False)
-            self.axis = None if axis is None else unit_vector(axis, f"{kind}.axis", problems)
+            self.axis = None if axis is None else direction(axis, f"{kind}.axis", problems)
             self.chained(problems, **chain)
 
     @property
@@ -49,8 +48,23 @@ class Gauge(Sensor):
         return A, B
 
 
-class Relative(Gauge):
-    """The base class of instruments on B that read a point of A, in the axes of B."""
+class Displacement(Gauge):
+    """Displacement [m] of a point relative to a body or support, in the axes of the latter: R_B' (p_a - p_B) - b, as read by an LVDT or a
+    ruler.
+
+    Args:
+        a: (name, point), or a name for its origin
+        b: the reference point, likewise; default: the origin of the world
+        axis: the sensitive direction in the axes of b, for one number; None: three numbers
+        chain: `gain`, `bias` (sets the zero), `delay`, `lag`, `start`: see Sensor
+
+    Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, BAD_DIRECTION, ZERO_AXIS, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> Displacement(("plate", [0.1, 0, 0]), "base", axis=[0, 0, 1]).shape
+    ()
+    """
+
+    unit = "m"
 
     def __init__(self, a, b=WORLD, *, axis=None, **chain: Unpack[Chain]):
         self.spanned(a, b, axis, chain)
@@ -59,48 +73,10 @@ class Relative(Gauge):
     def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         return (3,) if self.axis is None else ()
 
-    def seen(self, A: Pose, B: Pose) -> Float[Array, "*r"]:
-        """The displacement in the axes of B."""
+    def reading(self, model, frames):
+        A, B = self.ends_of(model, frames)
         d = rotate_back(B.R, A.point(self.a) - B.p) - self.b
         return d if self.axis is None else dot(jnp.asarray(self.axis), d)
-
-
-class Displacement(Relative):
-    """Displacement [m] of a point relative to a body or support, in the axes of the latter: R_B' (a - b), as read by an LVDT or a ruler.
-
-    Args:
-        a: (name, point), or a name for its origin
-        b: the reference point, likewise; default: the origin of the world
-        axis: the sensitive direction in the axes of b, for one number; None: three numbers
-        chain: `gain`, `bias` (sets the zero), `delay`, `lag`, `start`: see Sensor
-
-    Errors: UNKNOWN_NAME, SELF_SPRING, BAD_END, ZERO_AXIS, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
-
-    >>> Displacement(("plate", [0.1, 0, 0]), "base", axis=[0, 0, 1]).shape
-    ()
-    """
-
-    unit = "m"
-
-    def reading(self, model, frames):
-        A, B = self.ends_of(model, frames)
-        return self.seen(A.pose(), B.pose())
-
-
-class Velocity(Relative):
-    """Velocity [m/s] of a point relative to a body or support, in the axes of the latter: the time derivative of a Displacement.
-
-    Its arguments and errors are those of Displacement. Relative to the world it is the ideal record of a geophone or velocity transducer.
-
-    >>> Velocity(("plate", [0.1, 0, 0])).unit
-    'm/s'
-    """
-
-    unit = "m/s"
-
-    def reading(self, model, frames):
-        A, B = self.ends_of(model, frames)
-        return jax.jvp(self.seen, (A.pose(), B.pose()), (A.rates(), B.rates()))[1]
 
 
 class StringPotentiometer(Gauge):
@@ -126,10 +102,12 @@ class StringPotentiometer(Gauge):
     def problem(self, model, where):
         if (problem := super().problem(model, where)) is not None:
             return problem
-        known = [concrete(x) for x in (*_at_reference(model, self.between[0], self.a), *_at_reference(model, self.between[1], self.b))]
-        if any(x is None for x in known):
+        p, other = (
+            concrete(pose_at_reference(model, name).point(jnp.asarray(point)))
+            for name, point in zip(self.between, (self.a, self.b), strict=True)
+        )
+        if p is None or other is None:
             return None
-        p, _, other, _ = map(np.asarray, known)
         length, size = np.linalg.norm(p - other), np.abs(p).max()
         message = f"has length {length:.3g} m in the reference pose, which gives it no direction"
         return None if length > 1e-12 * size else Problem("ZERO_LENGTH", where, message, length, "> 0", "Move one of its points.")
@@ -139,16 +117,6 @@ def _length(d: Float[Array, "3"]) -> Float[Array, ""]:
     square = dot(d, d)
     long = square > 1e-80
     return jnp.where(long, jnp.sqrt(jnp.where(long, square, 1.0)), 0.0)
-
-
-def _at_reference(model: Model, name: str, point) -> tuple[Array, Array]:
-    """The position of a point and the orientation of its frame in the reference pose."""
-    if name == WORLD:
-        return jnp.asarray(point), jnp.eye(3)
-    layout = model.layout
-    poses, names = (support_poses(model), layout.supports) if name in layout.supports else (body_poses(model), layout.bodies)
-    i = names.index(name)
-    return poses.p[i] + rotate(poses.R[i], point), poses.R[i]
 
 
 class LaserLine(Sensor):
@@ -170,7 +138,7 @@ class LaserLine(Sensor):
         kind = type(self).__name__
         with Problems() as problems:
             self.on, self.point = on, vector(point, f"{kind}.point", problems)
-            self.axis = unit_vector(axis, f"{kind}.axis", problems)
+            self.axis = direction(axis, f"{kind}.axis", problems)
             if (origin is None) != (normal is None):
                 problems.add("NO_SURFACE", kind, "has only one of `origin` and `normal`", hint="Give both or neither.")
             self.origin = None if origin is None else vector(origin, f"{kind}.origin", problems)
@@ -185,7 +153,7 @@ class LaserLine(Sensor):
     def problem(self, model, where):
         if (problem := super().problem(model, where)) is not None or self.normal is None:
             return problem
-        R = concrete(_at_reference(model, self.on, self.point)[1])
+        R = concrete(pose_at_reference(model, self.on).R)
         axis, normal = concrete(self.axis), concrete(self.normal)
         if R is None or axis is None or normal is None or abs(cosine := axis @ R @ normal) > GRAZING:
             return None

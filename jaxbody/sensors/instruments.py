@@ -1,6 +1,7 @@
-"""Instruments mounted on bodies: accelerometer, gyro, inclinometer; and sensors of forces and joints."""
+"""Instruments mounted on bodies: accelerometer, gyro, inclinometer; and sensors of elements, forces and joints."""
 
-from typing import Any, Unpack
+from collections.abc import Callable
+from typing import Any, ClassVar, Unpack
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -8,12 +9,15 @@ import jax.numpy as jnp
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, concrete, vector
 from jaxbody.core.errors import Problem, Problems, unknown
+from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
-from jaxbody.geometry.places import unit_vector
-from jaxbody.geometry.vectors import cross, dot, rotate_back
+from jaxbody.geometry.places import direction
+from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
 from jaxbody.models.joints import Free
+from jaxbody.models.models import Model
+from jaxbody.models.states import Instant
 from jaxbody.sensors.sensors import Chain, Sensor
 
 
@@ -32,7 +36,7 @@ class Mounted(Sensor):
             self.on, self.point = on, vector(point, f"{kind}.point", problems)
             if axis is not None and orientation is not None:
                 problems.add("TWO_AXES", kind, "has an axis and an orientation", value=axis, hint="Give one of them: one number or three.")
-            self.axis = None if axis is None else unit_vector(axis, f"{kind}.axis", problems)
+            self.axis = None if axis is None else direction(axis, f"{kind}.axis", problems)
             turned = IDENTITY if orientation is None else orientation
             self.orientation = None if axis is not None else as_quaternion(turned, f"{kind}.orientation", problems)
             self.chained(problems, **chain)
@@ -59,7 +63,7 @@ class Accelerometer(Mounted):
     Args:
         on: name of the body or support
         point: position in body axes [m]
-        axis: the sensitive direction in body axes, for one number
+        axis: the sensitive direction in body axes, or x, y or z, for one number
         orientation: R_S of the instrument in its body (quaternion or matrix), for three numbers; None: body axes
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
@@ -154,8 +158,52 @@ class Components(Sensor):
             self.chained(problems, **chain)
 
 
-class LoadCell(Components):
-    """The force in an element [N], tension positive, its damper included. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
+class OfElement(Components):
+    """The base class of sensors of an element: one number; of a bushing a `component`, 0 to 2 along and 3 to 5 about the axes of its end
+    a."""
+
+    shape = ()
+    units_of_parts: ClassVar[tuple[str, str]]  # along and about an axis
+
+    @property
+    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.units_of_parts[(self.component or 0) >= 3]
+
+    def unit_on(self, model):
+        return self.units_of_parts[1] if isinstance(model[self.on], Torsion) else self.unit
+
+    def read(self, model: Model, frames: Instant, of: Callable[..., Any]) -> Float[Array, ""]:
+        element = model[self.on]
+        value = of(element, *(frames[model.layout.frame(end)] for end in element.between))
+        return value if self.component is None else value[self.component]
+
+    def problem(self, model, where):
+        if self.on not in model.element_names:
+            return unknown(self.on, where, model.element_names)
+        size = model[self.on].size
+        return _component_problem(self.component, None if size == 1 else size, f"'{self.on}'", where)
+
+
+class Elongation(OfElement):
+    """Deformation of an element: elongation [m] of a spring, tension positive; the angle [rad] of a Torsion; as an output of responses its
+    change from equilibrium. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
+
+    A bushing needs a `component`: 0 to 2 for its displacements [m], 3 to 5 for its rotations [rad], in the axes of its end a.
+    Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_LAG.
+
+    >>> Elongation("AB").unit, Elongation("mount", component=5).unit
+    ('m', 'rad')
+    """
+
+    units_of_parts = ("m", "rad")
+
+    def reading(self, model, frames):
+        return self.read(model, frames, lambda element, *ends: element.deformation(*(end.pose() for end in ends)))
+
+
+class LoadCell(OfElement):
+    """The force in an element [N], tension positive, its damper included; the moment [N m] of a Torsion. `gain`, `bias`, `delay`, `lag`,
+    `start`: see Sensor.
 
     A bushing needs a `component`: 0 to 2 for its forces [N], 3 to 5 for its moments [N m], in the axes of its end a.
     Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_LAG.
@@ -164,22 +212,10 @@ class LoadCell(Components):
     ('N', 'N m')
     """
 
-    shape = ()
-
-    @property
-    def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return "N" if (self.component or 0) < 3 else "N m"
+    units_of_parts = ("N", "N m")
 
     def reading(self, model, frames):
-        element = model[self.on]
-        force = element.force(*(frames[model.layout.frame(end)] for end in element.between))
-        return force if self.component is None else force[self.component]
-
-    def problem(self, model, where):
-        if self.on not in model.element_names:
-            return unknown(self.on, where, model.element_names)
-        size = model[self.on].size
-        return _component_problem(self.component, None if size == 1 else size, f"'{self.on}'", where)
+        return self.read(model, frames, lambda element, *ends: element.force(*ends))
 
 
 class WrenchSensor(Components):
@@ -211,9 +247,8 @@ class WrenchSensor(Components):
 class ForcePlate(WrenchSensor):
     """Total force [N] on a support, or `world`, and moment [N m] about its origin, in its axes: six numbers, or `component` 0 to 5 of them.
 
-    It is the sum of all that bodies, springs and loads exert on the base, as read by a force plate or a shaker table. As an output of
-    responses it needs a component. Noise is one number, or two: for forces [N] and moments [N m]. `gain`, `bias`, `delay`, `lag`, `start`:
-    see Sensor.
+    It is the sum of all that bodies, springs and loads exert on the base, as read by a force plate or a shaker table. A Reaction reads it
+    in world axes. Noise is one number, or two: for forces [N] and moments [N m]. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
     Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
 
     >>> ForcePlate("base").shape, ForcePlate("base", component=2).unit
@@ -230,17 +265,17 @@ class ForcePlate(WrenchSensor):
 
 
 class Reaction(WrenchSensor):
-    """Force [N] and moment [N m] of a joint on the body that it carries, in the axes of its parent: six numbers, or `component` 0 to 5.
+    """Force [N] and moment [N m] of a joint on the body that it carries, in the axes of its parent, or on a support by all that is attached
+    to it, in world axes: six numbers, or `component` 0 to 5.
 
         F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;  M likewise, about the joint
 
-    It is zero along the joint's degrees of freedom. For the total load on a support or `world`, elements included, use ForcePlate. As an
-    output of responses it needs a component. Noise is one number, or two: for forces [N] and moments [N m].
+    It is zero along the joint's degrees of freedom. Noise is one number, or two: for forces [N] and moments [N m].
 
     Args:
-        on: name of the body that the joint carries
-        point: point about which the moment is taken, in body axes [m]; None: the point `at` of a hinge or ball, or else the body's
-            reference point O
+        on: name of the body that the joint carries, or of a support
+        point: point about which the moment is taken, in axes of the body or support [m]; None: the point `at` of a hinge or ball, or else
+            the reference point O
         component: 0 to 2 for one force, 3 to 5 for one moment; None: all six
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
@@ -260,23 +295,28 @@ class Reaction(WrenchSensor):
             problems.gather(lambda: Components.__init__(self, on, component=component, **chain))
 
     def reading(self, model, frames):
-        row, joint = model.layout.frame(self.on), model.joint(self.on)
-        parent, at, point = model.layout.frame(joint.parent), joint.at, self.point
-        body = frames[row]
+        row, point = model.layout.frame(self.on), self.point
+        if self.on in model.layout.supports:
+            F, M = (jnp.asarray(x)[row] for x in (frames.F, frames.M))
+            return self.picked(frames.R[0], F, M if point is None else M - cross(rotate(frames.R[row], point), F))
+        joint = model.joint(self.on)
+        parent, at, body = model.layout.frame(joint.parent), joint.at, frames[row]
         place = body.point(point) if point is not None else body.p if at is None else frames[parent].point(at)
         F, M = (-jnp.asarray(x)[row] for x in (frames.F, frames.M))
         return self.picked(frames.R[parent], F, M + cross(body.p - place, F))
 
     def problem(self, model, where):
         layout = model.layout
+        if self.on in layout.supports:
+            return super().problem(model, where)
         if self.on not in layout.bodies:
-            return unknown(self.on, where, layout.bodies)
+            return unknown(self.on, where, layout.supports + layout.bodies)
         if layout.kinds[layout.bodies.index(self.on)] is Free:
             return Problem("NO_JOINT", where, f"is on '{self.on}', a free body", self.on, "a body on a joint", "LoadCell reads elements.")
         return super().problem(model, where)
 
 
-class JointAngle(Sensor):
+class JointAngle(Components):
     """An encoder: the angle [rad] of the joint that carries a body, from its reference pose, whole turns included.
 
     A joint with several coordinates needs a `component`, the number (from 0) of one that is a rotation. `gain`, `bias`, `delay`, `lag`,
@@ -287,15 +327,8 @@ class JointAngle(Sensor):
     'rad'
     """
 
-    on: str = eqx.field(static=True, converter=plain)
-    component: int | None = field(static=True)
     shape = ()
     unit = "rad"
-
-    def __init__(self, on: str, *, component: int | None = None, **chain: Unpack[Chain]):
-        with Problems() as problems:
-            self.on, self.component = on, component
-            self.chained(problems, **chain)
 
     def reading(self, model, frames):
         return frames.state.q[model.layout.q_slices[self.on]][self.component or 0]

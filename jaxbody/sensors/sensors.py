@@ -7,13 +7,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arguments import check_kind, checked_dict, plain
-from jaxbody.core.arrays import Array, Float, checked, concrete, vector
+from jaxbody.core.arguments import check_kind, checked_dict
+from jaxbody.core.arrays import Array, Float, checked, concrete
 from jaxbody.core.errors import Problem, Problems, unknown
-from jaxbody.elements.elements import Element
 from jaxbody.geometry.fields import check_domain, field, kind_of
-from jaxbody.geometry.places import unit_vector
-from jaxbody.geometry.vectors import dot, rotate, to_rank
+from jaxbody.geometry.vectors import to_rank
 from jaxbody.models.models import Model
 from jaxbody.models.states import Instant
 from jaxbody.sensors import delays_and_lags
@@ -112,6 +110,11 @@ class Sensor(Channel):
     def reading(self, model: Model, frames: Instant) -> Reading:
         """The measured quantity at one time, before the chain."""
 
+    def change(self, model: Model, frames: Instant, rest: Instant) -> Float[Array, "*s"]:
+        """The residual from a reading at rest, whose derivatives are the rows of an output of responses."""
+        now, before = (self.reading(model, instant) for instant in (frames, rest))
+        return self.residual(*(x if self.bias is None else self.disturbed(x, self.bias) for x in (now, before)))
+
     def transduced(self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:
         """The record of a measured quantity x after the chain."""
         if self.delay is not None:
@@ -167,62 +170,6 @@ class Sensor(Channel):
     def misread(self, measured: np.ndarray, where: str) -> Problem | None:
         """The problem of samples of the right shape; None if there is none."""
         return None
-
-
-class Position(Sensor):
-    """World position [m] of a point of a body or support.
-
-    Args:
-        on: name of the body or support
-        point: position in its axes [m]
-        axis: a direction in world axes, for the component along it; None: three components
-        chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
-
-    Errors: ZERO_AXIS, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
-
-    >>> Position("plate", [0.1, 0, 0]).shape, Position("plate", axis=[1, 0, 0]).shape
-    ((3,), ())
-    """
-
-    on: str = eqx.field(static=True, converter=plain)
-    point: Float[Array, "3"] = field("m")
-    axis: Float[Array, "3"] | None = field("", "direction")
-    unit = "m"
-
-    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, **chain: Unpack[Chain]):
-        with Problems() as problems:
-            self.on, self.point = on, vector(point, "Position.point", problems)
-            self.axis = None if axis is None else unit_vector(axis, "Position.axis", problems)
-            self.chained(problems, **chain)
-
-    @property
-    def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return (3,) if self.axis is None else ()
-
-    def reading(self, model, frames):
-        row = model.layout.frame(self.on)
-        p = frames.p[row] + rotate(frames.R[row], self.point)
-        return p if self.axis is None else dot(self.axis, p)
-
-
-class Elongation(Sensor):
-    """Elongation [m] of a spring, tension positive.
-
-    >>> Elongation("AB").unit
-    'm'
-    """
-
-    on: str = eqx.field(static=True, converter=plain)
-    shape = ()
-    unit = "m"
-
-    def reading(self, model, frames):
-        element: Element = model[self.on]
-        return element.deformation(*(frames[model.layout.frame(end)].pose() for end in element.between))
-
-    def problem(self, model, where):
-        names = tuple(name for table in model.elements if table.rows.size == 1 for name in table.names)
-        return None if self.on in names else unknown(self.on, where, names)
 
 
 def check_sensors(sensors: dict[str, Sensor], model: Model, where: str) -> None:

@@ -1,1 +1,1 @@
-"""Small motions: matrices, ports, state space, modes of every kind."""
+"""Small motions: matrices, inputs and outputs, state space, modes of every kind."""

@@ -128,7 +128,7 @@ class Linearization(Result):
         >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
         ...               supports={"base": Support()}, elements={"s": spring})
         >>> lin = linearize(model, equilibrium(model))
-        >>> s = lin.state_space({"base": BaseMotion("base", "y")}, {"mass": PointMotion("mass", direction="y")})
+        >>> s = lin.state_space({"base": BaseMotion("base", "y")}, {"mass": Position("mass", axis="y")})
         >>> s.A.tolist(), s.B.tolist()
         ([[0.0, 1.0], [-25.0, 0.0]], [[0.0], [25.0]])
         """

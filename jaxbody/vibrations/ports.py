@@ -1,260 +1,212 @@
-"""Ports: inputs and outputs of small motions: motions of supports and forces; motions of points, elements, reactions.
+"""The matrices between inputs and outputs of small motions. With x = (Delta, Xi), motions of supports are Xi = X u, forces enter as F u,
+and sensors read, to first order, y = Y0 x + Y1 x' + Y2 x'' + G u.
 
-About an equilibrium, with x = (Delta, Xi), outputs are y = Y0 x + Y1 x' + Y2 x'' + G f and forces enter as F f. The rows of a point are its
-Jacobian, those of an element the derivatives of its force or deformation, those of a reaction the rows of K, C and M of its support.
+About rest each frame is displaced by J x and has the velocity J x' and the acceleration J x'', J its twists, so that the rows of a sensor
+are the derivatives of its reading along these. Three kinds have them in closed form: kinematic sensors by the twists themselves, a LoadCell
+by V'' J and R'' J of its element, a Reaction on a support by the rows of K, C and M of its motion. The chain of a sensor multiplies its
+response by
+
+    gain exp(-s delay)/(1 + s lag)
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arguments import plain
-from jaxbody.core.arrays import Array, Float, float_array, vector
+from jaxbody.core.arrays import Array, Complex, Float
 from jaxbody.core.compile_options import jit_unoptimized
-from jaxbody.core.errors import Problem, Problems, unknown
-from jaxbody.elements.torsions import Torsion
-from jaxbody.geometry.fields import field
+from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame
-from jaxbody.geometry.places import unit_vector
+from jaxbody.geometry.places import DIRECTIONS
 from jaxbody.geometry.vectors import cross, skew
+from jaxbody.inputs.port_inputs import KINDS, BaseMotion, Input, PointForce
 from jaxbody.mechanics.element_derivatives import ElementDerivatives, element_derivatives
-from jaxbody.mechanics.hessians import configuration_at, frame_twists, slope
+from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists, slope
 from jaxbody.mechanics.kinematics import Coordinates
-from jaxbody.mechanics.linear_readings import reading_rows
 from jaxbody.models.models import Model
-
-DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  # along and about world axes
-KINDS = ("displacement", "velocity", "acceleration")
-UNITS = (("m", "m/s", "m/s2"), ("rad", "rad/s", "rad/s2"))
-
-
-class BaseMotion(eqx.Module):
-    """An input: the motion of a support along or about a world axis through its origin, `direction` x, y, z, rx, ry or rz.
-
-    `kind` of the input: displacement [m, rad], velocity or acceleration. Errors: BAD_DIRECTION, BAD_KIND.
-
-    >>> BaseMotion("base", "z", kind="acceleration").unit
-    'm/s2'
-    """
-
-    on: str = eqx.field(static=True, converter=plain)
-    direction: str = eqx.field(static=True, converter=plain)
-    kind: str = eqx.field(static=True, converter=plain)
-
-    def __init__(self, on: str, direction: str, *, kind: str = "displacement"):
-        with Problems() as problems:
-            _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", "BaseMotion.direction", problems)
-            _check_one_of(kind, KINDS, "BAD_KIND", "BaseMotion.kind", problems)
-        self.on, self.direction, self.kind = on, direction, kind
-
-    @property
-    def unit(self) -> str:
-        return UNITS[len(self.direction) - 1][KINDS.index(self.kind)]
-
-    def problem(self, model: Model, where: str) -> Problem | None:
-        known = model.layout.supports
-        return None if self.on in known else unknown(self.on, where, known)
+from jaxbody.models.states import Instant, State
+from jaxbody.sensors.instruments import LoadCell, Reaction
+from jaxbody.sensors.kinematic_sensors import Kinematic
+from jaxbody.sensors.sensors import Sensor
 
 
-class PointForce(eqx.Module):
-    """An input: a force [N] at a point of a body along x, y, z or a vector, in world axes; or a moment [N m] about them: rx, ry, rz.
-
-    `point` is in the axes of the body. Errors: BAD_DIRECTION, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
-
-    >>> PointForce("engine", [0, 0, 0.2], "z").unit, PointForce("engine", direction="rx").unit
-    ('N', 'N m')
-    """
-
-    on: str = eqx.field(static=True, converter=plain)
-    point: Float[Array, "3"] = field("m")
-    axis: Float[Array, "3"] = field("", "direction")
-    turns: bool = field(static=True)
-
-    def __init__(self, on: str, point=(0, 0, 0), direction: Any = "z"):
-        with Problems() as problems:
-            self.on, self.point = on, vector(point, "PointForce.point", problems)
-            self.axis, self.turns = _direction(direction, "PointForce.direction", problems)
-
-    @property
-    def unit(self) -> str:
-        return "N m" if self.turns else "N"
-
-    def problem(self, model: Model, where: str) -> Problem | None:
-        known = model.layout.bodies
-        return None if self.on in known else unknown(self.on, where, known)
-
-
-class PointMotion(eqx.Module):
-    """An output: the motion of a point of a body or support along x, y, z or a vector, in world axes, or its rotation about rx, ry, rz.
-
-    Args:
-        on: name of the body or support
-        point: position in its axes [m]
-        direction: x, y, z, a vector in world axes, rx, ry or rz
-        kind: displacement [m, rad], velocity or acceleration
-        relative_to: a body or support, for the motion relative to its point that coincides with this one at equilibrium; None: absolute
-
-    Errors: BAD_DIRECTION, BAD_KIND, ZERO_AXIS, BAD_SHAPE, NON_FINITE.
-
-    >>> PointMotion("cabin", [0.1, 0, 0], "z", kind="acceleration").unit
-    'm/s2'
-    """
-
-    on: str = eqx.field(static=True, converter=plain)
-    point: Float[Array, "3"] = field("m")
-    axis: Float[Array, "3"] = field("", "direction")
-    turns: bool = field(static=True)
-    kind: str = field(static=True, converter=plain)
-    relative_to: str | None = field(static=True, converter=plain)
-
-    def __init__(self, on: str, point=(0, 0, 0), direction: Any = "z", *, kind: str = "displacement", relative_to: str | None = None):
-        with Problems() as problems:
-            self.on, self.point = on, vector(point, "PointMotion.point", problems)
-            self.axis, self.turns = _direction(direction, "PointMotion.direction", problems)
-            _check_one_of(kind, KINDS, "BAD_KIND", "PointMotion.kind", problems)
-        self.kind, self.relative_to = kind, relative_to
-
-    @property
-    def unit(self) -> str:
-        return UNITS[self.turns][KINDS.index(self.kind)]
-
-    def problem(self, model: Model, where: str) -> Problem | None:
-        known = model.layout.frames
-        wrong = [name for name in (self.on, self.relative_to) if name is not None and name not in known]
-        return unknown(wrong[0], where, known) if wrong else None
-
-
-class ElementForce(eqx.Module):
-    """An output: the force of an element, spring and damper, minus its value at equilibrium: for a spring the tension [N], for a bushing
-    its `component`, one of three forces (0 to 2) [N] and moments (3 to 5) [N m] in its own axes, opposing the deformation.
-
-    >>> ElementForce("mount", component=2).component
-    2
-    """
-
-    on: str = eqx.field(static=True, converter=plain)
-    component: int | None = eqx.field(static=True, default=None)
-
-    def unit_on(self, model: Model) -> str:
-        return "N m" if _turning(self, model) else "N"
-
-    def problem(self, model: Model, where: str) -> Problem | None:
-        return _element_problem(self, model, where)
-
-
-class ElementDeformation(eqx.Module):
-    """An output: the deformation of an element minus its value at equilibrium: for a spring its elongation [m], for a bushing the
-    `component` (0 to 5) of its displacement [m] and rotation [rad].
-
-    >>> ElementDeformation("AB").on
-    'AB'
-    """
-
-    on: str = eqx.field(static=True, converter=plain)
-    component: int | None = eqx.field(static=True, default=None)
-
-    def unit_on(self, model: Model) -> str:
-        return "rad" if _turning(self, model) else "m"
-
-    def problem(self, model: Model, where: str) -> Problem | None:
-        return _element_problem(self, model, where)
-
-
-class SupportReaction(eqx.Module):
-    """An output: the force [N] on a support along x, y, z, or the moment [N m] about its origin, rx, ry, rz, in world axes, exerted by all
-    that is attached to it, minus its value at equilibrium.
-
-    >>> SupportReaction("base", "z").unit
-    'N'
-    """
-
-    on: str = eqx.field(static=True, converter=plain)
-    direction: str = eqx.field(static=True, converter=plain)
-
-    def __init__(self, on: str, direction: str):
-        with Problems() as problems:
-            _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", "SupportReaction.direction", problems)
-        self.on, self.direction = on, direction
-
-    @property
-    def unit(self) -> str:
-        return "N m" if len(self.direction) == 2 else "N"
-
-    def problem(self, model: Model, where: str) -> Problem | None:
-        known = model.layout.supports
-        return None if self.on in known else unknown(self.on, where, known)
-
-
-Input = BaseMotion | PointForce
-OUTPUTS = (PointMotion, ElementForce, ElementDeformation, SupportReaction)
-
-
-class PortMatrices(eqx.Module):
-    """The matrices of ports: forces enter (Delta, Xi) as F f, motions are Xi = X u; outputs are Y0 x + Y1 x' + Y2 x'' + G f.
-    `orders`: the order of the derivative of Xi for each input (0 for forces); `elements`: for each output the index of the element if it is
-    a force; `reactions`: the index of the component of Xi if it is a reaction; -1 for others."""
+class Ports(eqx.Module):
+    """The matrices of inputs and outputs. `orders`: the order of the derivative of Xi for each input (0 for forces); `chains` of outputs;
+    `elements`: for each output the index of the element whose force it is; `reactions`: the index of the component of Xi whose reaction it
+    is; -1 for others."""
 
     F: Float[Array, "n nu"]
     X: Float[Array, "nxi nu"]
     Y: Float[Array, "3 ny n"]
     G: Float[Array, "ny nu"]
+    chains: Chains | None
     orders: tuple[int, ...] = eqx.field(static=True)
     elements: tuple[int, ...] = eqx.field(static=True)
     reactions: tuple[int, ...] = eqx.field(static=True)
 
 
-@jit_unoptimized
-def port_matrices(lin: Any, inputs: tuple[Input, ...], outputs: tuple[Any, ...]) -> PortMatrices:
-    """The matrices of these ports on a linearization."""
-    model, layout, q = lin.model, lin.model.layout, lin.state.q
-    n, dtype = layout.nv + layout.nxi, q.dtype
-    zero = jnp.zeros(n, dtype)
-    at = configuration_at(Coordinates(model), q)
-    frames, twists = at.frames, frame_twists(at)
-    points = iter(
-        [_point_row(port, frames, twists, layout.frame) for port in (*inputs, *outputs) if isinstance(port, PointForce | PointMotion)]
-    )
-    of_elements = {}
-    if any(isinstance(port, ElementForce | ElementDeformation) for port in outputs):
-        for table, derivatives in zip(model.elements, element_derivatives(at), strict=True):
-            of_elements |= {name: ElementDerivatives(*(x[i] for x in derivatives)) for i, name in enumerate(table.names)}
-    turned = any(isinstance(port, SupportReaction) and len(port.direction) == 2 for port in outputs)
-    reaction_at_rest = slope(at)[layout.nv :] if turned else zero
-    sensors = [port for port in outputs if hasattr(port, "reading")]
-    readings = iter(zip(*reading_rows(lin, sensors, _input_wrenches(inputs, frames, layout)), strict=True) if sensors else ())
-    forces = [next(points) if isinstance(port, PointForce) else zero for port in inputs]
-    moved = [_unit(layout, port, dtype) if isinstance(port, BaseMotion) else jnp.zeros(layout.nxi, dtype) for port in inputs]
-    F, X = (jnp.reshape(jnp.asarray(cols, dtype), (len(inputs), size)).T for cols, size in ((forces, n), (moved, layout.nxi)))
-    whole, rows, direct = full_matrices(lin), [], []
-    for port in outputs:
-        G = jnp.zeros(len(inputs), dtype)
-        if isinstance(port, PointMotion):
-            place = jnp.asarray(np.eye(3)[KINDS.index(port.kind)], dtype)
-            row = place[:, None] * next(points)[None]
-        elif isinstance(port, SupportReaction):
-            unit = jnp.concatenate([jnp.zeros(layout.nv, dtype), _unit(layout, port, dtype)])
-            K, C, M = (unit @ matrix for matrix in whole)
-            row, G = -jnp.stack([K + _turned_moment(layout, reaction_at_rest, port), C, M]), unit @ F
-        elif isinstance(port, ElementForce):
-            J, *second = of_elements[port.on]
-            row = jnp.stack([H[port.component or 0] @ J for H in second] + [zero])
-        elif isinstance(port, ElementDeformation):
-            row = jnp.stack([of_elements[port.on].J[port.component or 0], zero, zero])
+class Outputs(NamedTuple):
+    """The sensors, and the names and units of all components of their readings: "seat", or "seat.x", "seat.y", "seat.z"."""
+
+    names: tuple[str, ...]
+    sensors: tuple[Sensor, ...]
+    units: tuple[str, ...]
+
+
+class Chains(eqx.Module):
+    """Gain, delay [s] and lag [s] of each output."""
+
+    gain: Float[Array, "ny"]
+    delay: Float[Array, "ny"]
+    lag: Float[Array, "ny"]
+    lagged: tuple[int, ...] = eqx.field(static=True)  # the outputs that have a lag
+
+    def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "ny nf"]:
+        """gain exp(-s delay)/(1 + s lag)."""
+        gain, delay, lag = (x.astype(s.dtype)[:, None] for x in (self.gain, self.delay, self.lag))
+        return gain * jnp.exp(-s[None] * delay) / (1 + s[None] * lag)
+
+
+def outputs_of(model: Model, given: Any, where: str, problems: Problems) -> Outputs:
+    """The outputs of a dict of sensors; errors go to `problems`."""
+    limit = "{name: sensor}, such as jb.Position(...)"
+    if not isinstance(given, dict) or not given:
+        problems.add("WRONG_KIND", f"{where}.outputs", f"is {given!r:.60}", value=given, limit=limit, hint="Name each output.")
+        return Outputs((), (), ())
+    for name, sensor in given.items():
+        path = f"{where}.outputs[{name!r}]"
+        if not isinstance(sensor, Sensor):
+            problems.add("WRONG_KIND", path, f"is a {type(sensor).__name__}", value=sensor, limit=limit)
+        elif (problem := sensor.problem(model, path)) is not None:
+            problems.collected.append(problem)
+    if problems.collected:
+        return Outputs((), (), ())
+    units = component_units(given, model)
+    return Outputs(tuple(units), tuple(given.values()), tuple(units.values()))
+
+
+def component_units(sensors: dict[str, Any], model: Model | None = None) -> dict[str, str]:
+    """{"seat.x": unit} of all components, those of sensors on elements as on the model."""
+    units = {}
+    for name, sensor in sensors.items():
+        if not isinstance(sensor, Sensor):
+            units[name] = ""
+            continue
+        each = (sensor.unit if model is None else sensor.unit_on(model)).split(",")
+        repeated = [unit.strip() for unit in each for _ in range(len(sensor.components) // len(each))]
+        units |= {f"{name}.{part}" if part else name: unit for part, unit in zip(sensor.components, repeated, strict=True)}
+    return units
+
+
+def chains_of(sensors: tuple[Sensor, ...]) -> Chains | None:
+    """The chains of all components; None if there is none."""
+    if all(getattr(sensor, stage) is None for sensor in sensors for stage in ("gain", "delay", "lag")):
+        return None
+
+    def each(stage: str, none: float) -> Float[Array, "ny"]:
+        given = [none if getattr(sensor, stage) is None else getattr(sensor, stage) for sensor in sensors]
+        return jnp.concatenate([jnp.broadcast_to(x, (len(sensor.components),)) for sensor, x in zip(sensors, given, strict=True)])
+
+    with_lag = [sensor.lag is not None for sensor in sensors for _ in sensor.components]
+    return Chains(each("gain", 1.0), each("delay", 0.0), each("lag", 0.0), tuple(np.flatnonzero(with_lag).tolist()))
+
+
+class _Rows(NamedTuple):
+    """The rows of one sensor, and of each component the index of its element and of its reaction, -1 for none."""
+
+    Y: Float[Array, "3 k n"]
+    G: Float[Array, "k nu"]
+    element: int = -1
+    reactions: tuple[int, ...] = ()
+
+
+def rows_of(lin: Any, at: Configuration, twists, sensors: tuple[Sensor, ...], F: Float[Array, "n nu"], wrenches: Float[Array, "nu nb 6"]):
+    """Y and G of all outputs, and the indices of elements and reactions. Each input exerts, per unit, the generalized force F and the
+    `wrenches`: force and moment on each body about its origin, in world axes."""
+    model, zero = lin.model, jnp.zeros(len(F), F.dtype)
+    others = [sensor for sensor in sensors if not (isinstance(sensor, Kinematic | LoadCell) or reads_matrices(sensor, model))]
+    elements = _by_name(model, at) if any(isinstance(sensor, LoadCell) for sensor in sensors) else {}
+    readings = iter(_read_rows(lin, at, twists, others, wrenches) if others else ())
+    held = slope(at)[model.layout.nv :] if any(reads_matrices(sensor, model) for sensor in sensors) else zero
+    rows = []
+    for sensor in sensors:
+        if isinstance(sensor, Kinematic):
+            moved = sensor.rows(model, at.frames, twists).reshape(len(F), -1).T
+            Y = jnp.zeros((3, *moved.shape), F.dtype).at[sensor.order].set(moved)
+            rows.append(_Rows(Y, jnp.zeros((len(moved), F.shape[1]), F.dtype)))
+        elif isinstance(sensor, LoadCell):
+            i, derivatives = elements[sensor.on]
+            k = sensor.component or 0
+            Y = jnp.stack([derivatives.stiffness[k] @ derivatives.J, derivatives.damping[k] @ derivatives.J, zero])[:, None]
+            rows.append(_Rows(Y, jnp.zeros((1, F.shape[1]), F.dtype), i))
+        elif isinstance(sensor, Reaction) and reads_matrices(sensor, model):
+            rows.append(_reaction_rows(lin, sensor, held, F))
         else:
-            row, G = next(readings)
-        rows.append(row)
-        direct.append(G)
-    names = model.element_names
-    return PortMatrices(
-        F, X, jnp.stack(rows, 1), jnp.stack(direct),
-        tuple(KINDS.index(port.kind) if isinstance(port, BaseMotion) else 0 for port in inputs),
-        tuple(names.index(port.on) if isinstance(port, ElementForce) else -1 for port in outputs),
-        tuple(_place(layout, port) if isinstance(port, SupportReaction) else -1 for port in outputs),
-    )  # fmt: skip
+            rows.append(next(readings))
+    counts = [len(row.G) for row in rows]
+    by_element = tuple(row.element for row, count in zip(rows, counts, strict=True) for _ in range(count))
+    by_reaction = tuple(i for row, count in zip(rows, counts, strict=True) for i in row.reactions or (-1,) * count)
+    return jnp.concatenate([row.Y for row in rows], 1), jnp.concatenate([row.G for row in rows]), by_element, by_reaction
+
+
+def reads_matrices(sensor: Any, model: Model) -> bool:
+    """Whether a sensor reads its rows from the matrices of a support's motion."""
+    return isinstance(sensor, Reaction) and sensor.on in model.layout.supports and sensor.point is None
+
+
+def _by_name(model: Model, at: Configuration) -> dict[str, tuple[int, ElementDerivatives]]:
+    """{element: (its index, its derivatives)}."""
+    named = [
+        (name, ElementDerivatives(*(x[i] for x in derivatives)))
+        for table, derivatives in zip(model.elements, element_derivatives(at), strict=True)
+        for i, name in enumerate(table.names)
+    ]
+    return {name: (i, derivatives) for i, (name, derivatives) in enumerate(named)}
+
+
+def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sensors: list[Sensor], wrenches) -> list[_Rows]:
+    """The rows of sensors by the derivatives of their readings; accelerations are those of x'': no equation of motion is solved."""
+    model, q, layout, frames = lin.model, lin.state.q, lin.model.layout, at.frames
+    dynamics, zero = Dynamics(model, (), lin.loads), jnp.zeros(twists.shape[1], q.dtype)
+
+    def moved(x, rate, change, u) -> Instant:
+        (dp, turn), (v, w), (a, alpha) = (jnp.split(jnp.einsum("fni,n->fi", twists, y), 2, -1) for y in (x, rate, change))
+        step = Frame(frames.p, frames.R, dp, turn).rates()
+        now = Frame(frames.p + step.p, frames.R + step.R, v, w)
+        state = State(dynamics.coordinates.retract(q, x[: layout.nv]), rate[: layout.nv])
+        transmitted = (None, None)
+        if any(sensor.reactions for sensor in sensors):
+            extra = jnp.tensordot(u, wrenches, 1)
+            transmitted = dynamics.transmitted_wrenches(jnp.zeros((), q.dtype), now, a, alpha, (extra[:, :3], extra[:, 3:]))
+        return Instant(now.p, now.R, now.v, now.w, state, a, alpha, *transmitted)
+
+    start = (zero, zero, zero, jnp.zeros(len(wrenches), q.dtype))
+    rest = jax.lax.stop_gradient(moved(*start))
+
+    def readings(*motion):
+        instant = moved(*motion)
+        return jnp.concatenate([jnp.ravel(sensor.change(model, instant, rest)) for sensor in sensors])
+
+    ends = np.cumsum([len(sensor.components) for sensor in sensors])[:-1]
+    *rows, direct = jax.jacfwd(readings, (0, 1, 2, 3))(*start)
+    return [_Rows(Y, G) for Y, G in zip(jnp.split(jnp.stack(rows), ends, 1), jnp.split(direct, ends), strict=True)]
+
+
+def _reaction_rows(lin: Any, sensor: Reaction, held: Float[Array, "nxi"], F: Float[Array, "n nu"]) -> _Rows:
+    """Minus the rows of K, C and M of a support's motion; and the forces on it. Of a moment also phi x m/2: the moment m at equilibrium
+    equals dV/dphi at the rotation vector phi = 0 only; in general m = J(phi)^-T dV/dphi."""
+    nv, first = lin.M.shape[-1], 6 * lin.model.layout.supports.index(sensor.on)
+    places = tuple(range(first, first + 6)) if sensor.component is None else (first + sensor.component,)
+    own = nv + np.array(places)
+    turned = jnp.zeros((6, len(F)), F.dtype).at[3:, nv + first + 3 : nv + first + 6].set(-skew(held[first + 3 : first + 6]) / 2)
+    K, C, M = (A[own] for A in full_matrices(lin))
+    return _Rows(-jnp.stack([K + turned[np.array(places) - first], C, M]), F[own], reactions=places)
 
 
 def full_matrices(lin: Any) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, "n n"]]:
@@ -263,53 +215,55 @@ def full_matrices(lin: Any) -> tuple[Float[Array, "n n"], Float[Array, "n n"], F
     return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)  # pyright: ignore[reportReturnType]  of three
 
 
-def ports_of(
-    model: Model, given: Any, what: str, where: str, problems: Problems
-) -> tuple[tuple[str, ...], tuple[Any, ...], tuple[str, ...]]:
-    """Names, ports and units of a dict of ports; errors go to `problems`."""
-    limit = "{name: BaseMotion or PointForce}" if what == "inputs" else "{name: PointMotion, ElementForce, ...}"
+@jit_unoptimized
+def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ...]) -> Ports:
+    """The matrices between these inputs and outputs on a linearization."""
+    model, layout = lin.model, lin.model.layout
+    at = configuration_at(Coordinates(model), lin.state.q)
+    twists = frame_twists(at)
+    zero, still = jnp.zeros(layout.nv + layout.nxi, lin.M.dtype), jnp.zeros(layout.nxi, lin.M.dtype)
+    forces = [_force_row(port, at.frames, twists, layout.frame) if isinstance(port, PointForce) else zero for port in inputs]
+    moved = [still.at[_place(port, layout)].set(1.0) if isinstance(port, BaseMotion) else still for port in inputs]
+    F, X = (jnp.reshape(jnp.asarray(rows, still.dtype), (len(inputs), n)).T for rows, n in ((forces, len(zero)), (moved, len(still))))
+    rows, direct, elements, reactions = rows_of(lin, at, twists, sensors, F, _input_wrenches(inputs, at.frames, layout))
+    orders = tuple(KINDS.index(port.kind) if isinstance(port, BaseMotion) else 0 for port in inputs)
+    return Ports(F, X, rows, direct, chains_of(sensors), orders, elements, reactions)
+
+
+def check_ports(lin: Any, inputs: Any, outputs: Any, where: str) -> tuple[tuple[Any, ...], Outputs]:
+    """(names, inputs, units) and outputs; raises all errors at once."""
+    with Problems() as problems:
+        checked = inputs_of(lin.model, inputs, where, problems), outputs_of(lin.model, outputs, where, problems)
+    return checked
+
+
+def inputs_of(model: Model, given: Any, where: str, problems: Problems) -> tuple[tuple[str, ...], tuple[Input, ...], tuple[str, ...]]:
+    """Names, inputs and units of a dict of inputs; errors go to `problems`."""
+    limit = "{name: BaseMotion or PointForce}"
     if not isinstance(given, dict) or not given:
-        problems.add("WRONG_KIND", f"{where}.{what}", f"is {given!r:.60}", value=given, limit=limit, hint="Name each port.")
+        problems.add("WRONG_KIND", f"{where}.inputs", f"is {given!r:.60}", value=given, limit=limit, hint="Name each input.")
         return (), (), ()
     for name, port in given.items():
-        path = f"{where}.{what}[{name!r}]"
-        scalar_sensor = hasattr(port, "reading") and getattr(port, "shape", None) == () and port.plain
-        if not (isinstance(port, Input) if what == "inputs" else isinstance(port, OUTPUTS) or scalar_sensor):
-            hint = "A sensor must read one number, with no chain."
-            problems.add("WRONG_KIND", path, f"is a {type(port).__name__}", value=port, limit=limit, hint=hint)
+        path = f"{where}.inputs[{name!r}]"
+        if not isinstance(port, Input):
+            problems.add("WRONG_KIND", path, f"is a {type(port).__name__}", value=port, limit=limit)
         elif (problem := port.problem(model, path)) is not None:
             problems.collected.append(problem)
-    if problems.collected:
-        return (), (), ()
-    ports = tuple(given.values())
-    return tuple(given), ports, tuple(port.unit_on(model) if hasattr(port, "unit_on") else port.unit for port in ports)
+    ports = tuple(port for port in given.values() if isinstance(port, Input))
+    return tuple(given), ports, tuple(port.unit for port in ports)
 
 
-def _check_one_of(value: Any, known: tuple[str, ...], code: str, where: str, problems: Problems) -> None:
-    if value not in known:
-        problems.add(code, where, f"is {value!r}", value=value, limit=" ".join(known), hint="Give one of these.")
+def _place(port: BaseMotion, layout) -> int:
+    return 6 * layout.supports.index(port.on) + DIRECTIONS.index(port.direction)
 
 
-def _direction(direction: Any, where: str, problems: Problems) -> tuple[Any, bool]:
-    """A unit vector, and whether the direction is a rotation about it."""
-    if not isinstance(direction, str):
-        return unit_vector(float_array(direction, where), where, problems), False
-    _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", where, problems)
-    return np.eye(3)["xyz".find(direction[-1:])], len(direction) == 2
-
-
-def _point_row(port: PointForce | PointMotion, frames: Frame, twists, row_of) -> Float[Array, "n"]:
-    """The displacement or rotation of a port's point per unit of each of (Delta, Xi)."""
-    place, axis = frames[row_of(port.on)].point(port.point), jnp.asarray(port.axis)
-
-    def moved(name: str):
-        row = row_of(name)
-        if port.turns:
-            return twists[row, :, 3:] @ axis
-        return twists[row, :, :3] @ axis + twists[row, :, 3:] @ cross(place - frames.p[row], axis)
-
-    other = getattr(port, "relative_to", None)
-    return moved(port.on) if other is None else moved(port.on) - moved(other)
+def _force_row(port: PointForce, frames: Frame, twists, row_of) -> Float[Array, "n"]:
+    """The work of a unit force or moment per unit of each of (Delta, Xi)."""
+    row, axis = row_of(port.on), jnp.asarray(port.axis)
+    if port.turns:
+        return twists[row, :, 3:] @ axis
+    arm = frames[row].point(port.point) - frames.p[row]
+    return twists[row, :, :3] @ axis + twists[row, :, 3:] @ cross(arm, axis)
 
 
 def _input_wrenches(inputs: tuple[Input, ...], frames: Frame, layout) -> Float[Array, "nu nb 6"]:
@@ -322,42 +276,3 @@ def _input_wrenches(inputs: tuple[Input, ...], frames: Frame, layout) -> Float[A
             M = axis if port.turns else cross(frames[row].point(port.point) - frames.p[row], axis)
             wrenches = wrenches.at[i, row - layout.first_body].set(jnp.concatenate([F, M]))
     return wrenches
-
-
-def _place(layout, port: Any) -> int:
-    return 6 * layout.supports.index(port.on) + DIRECTIONS.index(port.direction)
-
-
-def _unit(layout, port: Any, dtype) -> Float[Array, "nxi"]:
-    return jnp.zeros(layout.nxi, dtype).at[_place(layout, port)].set(1.0)
-
-
-def _turned_moment(layout, held: Float[Array, "nxi"], port: SupportReaction) -> Float[Array, "n"]:
-    """phi x m/2: the moment m at equilibrium equals dV/dphi at the rotation vector phi = 0 only; in general m = J(phi)^-T dV/dphi."""
-    first = 6 * layout.supports.index(port.on) + 3
-    row = jnp.zeros(layout.nv + layout.nxi, held.dtype)
-    if len(port.direction) == 1:
-        return row
-    turned = -skew(held[first : first + 3])[DIRECTIONS.index(port.direction) - 3] / 2
-    return row.at[layout.nv + first : layout.nv + first + 3].set(turned)
-
-
-def _turning(port: Any, model: Model) -> bool:
-    return isinstance(model[port.on], Torsion) or (port.component or 0) >= 3
-
-
-def _element_problem(port: Any, model: Model, where: str) -> Problem | None:
-    if port.on not in model.element_names:
-        return unknown(port.on, where, model.element_names)
-    size = model[port.on].size
-    if (size == 1) == (port.component is None) and (port.component is None or 0 <= port.component < size):
-        return None
-    limit = "no component" if size == 1 else f"0 to {size - 1}"
-    return Problem("BAD_COMPONENT", where, f"is component {port.component} of '{port.on}'", port.component, limit, "Say which one.")
-
-
-def check_ports(lin: Any, inputs: Any, outputs: Any, where: str):
-    """(names, ports, units) of inputs and outputs; raises all errors at once."""
-    with Problems() as problems:
-        ports = [ports_of(lin.model, given, what, where, problems) for given, what in ((inputs, "inputs"), (outputs, "outputs"))]
-    return ports

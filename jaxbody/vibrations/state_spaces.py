@@ -11,10 +11,10 @@ from equinox import field
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.compile_options import jit_unoptimized
-from jaxbody.core.errors import Status
+from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.statics.equilibria import NOT_AT_REST
-from jaxbody.vibrations.ports import PortMatrices, check_ports, port_matrices
+from jaxbody.vibrations.ports import Chains, Ports, check_ports, port_matrices
 
 
 class StateSpace(Result):
@@ -53,21 +53,33 @@ class StateSpace(Result):
 
 def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
     """See `Linearization.state_space`."""
-    (u, ins, u_units), (y, outs, y_units) = check_ports(lin, inputs, outputs, "state_space")
-    A, B, C, D, status = _state_space(lin, port_matrices(lin, ins, outs))
-    own = lin.model.layout.coordinates
+    (u, ins, u_units), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "state_space")
+    _check_without_delay(outputs)
+    ports = port_matrices(lin, ins, sensors)
+    A, B, C, D, status = _state_space(lin, ports)
+    own = lin.coordinates
     integrated = [(name, port.kind) for name, port in zip(u, ins, strict=True) if getattr(port, "kind", "displacement") != "displacement"]
     states = (
         *own,
         *(f"rate of {name}" for name in own),
         *(f"displacement of {name}" for name, _ in integrated),
         *(f"velocity of {name}" for name, kind in integrated if kind == "acceleration"),
+        *(f"lagged {y[i]}" for i in (() if ports.chains is None else ports.chains.lagged)),
     )
     return warn_if_failed(StateSpace(A, B, C, D, status, u, y, states, u_units, y_units))
 
 
+def _check_without_delay(outputs: dict[str, Any]) -> None:
+    """A delay has no state space. Error: BAD_CHAIN."""
+    with Problems() as problems:
+        for name, sensor in outputs.items():
+            if sensor.delay is not None:
+                hint = "Leave it out; frequency_response includes delays."
+                problems.add("BAD_CHAIN", f"state_space.outputs[{name!r}]", "has a delay", value=sensor.delay, limit="no delay", hint=hint)
+
+
 @jit_unoptimized
-def _state_space(lin: Any, ports: PortMatrices):
+def _state_space(lin: Any, ports: Ports):
     """The states are p = Delta - g u and r = Delta' - g u' - h u, so that no derivative of u is needed, then Xi and Xi' of inputs that are
     velocities (Xi) and accelerations (both):
 
@@ -84,13 +96,25 @@ def _state_space(lin: Any, ports: PortMatrices):
     improper = (jnp.abs(first) > size) | (jnp.abs(second) > size)
     status = jnp.where(improper.any(), Status.IMPROPER.value, Status.OK.value)
     failed = jnp.isin(lin.status, jnp.array([*NOT_AT_REST, Status.NONFINITE]))
-    return slopes[:, :n], slopes[:, n : n + m], C, jnp.where(improper, jnp.nan, D), jnp.where(failed, lin.status, status)
+    A, B, D = slopes[:, :n], slopes[:, n : n + m], jnp.where(improper, jnp.nan, D)
+    matrices = (A, B, C, D) if ports.chains is None else _chained(ports.chains, A, B, C, D)
+    return *matrices, jnp.where(failed, lin.status, status)
+
+
+def _chained(chains: Chains, A, B, C, D):
+    """The matrices with gains, and a state x_l of each output y with a lag: lag x_l' = y - x_l."""
+    which = np.array(chains.lagged, dtype=int)
+    rate, k = 1 / chains.lag[which], len(which)
+    A = jnp.block([[A, jnp.zeros((len(A), k), A.dtype)], [rate[:, None] * C[which], -jnp.diag(rate)]])
+    B = jnp.concatenate([B, rate[:, None] * D[which]])
+    C = jnp.concatenate([C.at[which].set(0.0), jnp.zeros((len(C), k), C.dtype).at[which, np.arange(k)].set(1.0)], 1)
+    return A, B, chains.gain[:, None] * C, chains.gain[:, None] * D.at[which].set(0.0)
 
 
 class _Signals:
     """Signals as rows of coefficients of (states, u, u', u'')."""
 
-    def __init__(self, lin: Any, ports: PortMatrices):
+    def __init__(self, lin: Any, ports: Ports):
         self.lin, self.ports = lin, ports
         self.nv, self.m = lin.M.shape[-1], len(ports.orders)
         orders = ports.orders

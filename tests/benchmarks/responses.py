@@ -39,14 +39,14 @@ def main():
     lin = jb.linearize(model, jb.equilibrium(model))
     f = jnp.linspace(0.1, 20.0, 1000)
     inputs = {d: jb.BaseMotion("base", d) for d in DIRECTIONS}
-    outputs = {d: jb.PointMotion("plate", direction=d) for d in DIRECTIONS}
+    outputs = {d: rigs.motion("plate", direction=d) for d in DIRECTIONS}
     rows = [
         (f"response by {method}", *warm(lambda m=method: jb.frequency_response(lin, f, inputs, outputs, method=m).values), "2 ms")
         for method in ("direct", "modal")
     ]
     band = jb.Band(0.1, 20.0, points=1000)
     white = {d: jb.PowerLaw(1e-4, unit="(m/s)2/Hz" if len(d) == 1 else "(rad/s)2/Hz") for d in DIRECTIONS}
-    felt = {"corner": jb.PointMotion("plate", [0.4, 0.3, 0.05], "z", kind="acceleration")}
+    felt = {"corner": jb.Acceleration("plate", [0.4, 0.3, 0.05], axis="z")}
     names = [f"s{i}" for i in range(5)]
 
     def rms(parameters):

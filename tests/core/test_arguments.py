@@ -186,7 +186,7 @@ def test_names_of_numpy_are_names():
             jb.Position(mass).on,
             jb.ForcePlate(base).on,
             jb.Reaction(mass).on,
-            jb.PointMotion(mass).on,
+            jb.Position(mass, axis="z").on,
             jb.BaseMotion(base, np.str_("z"), kind=np.str_("velocity")).kind,
         ]
     assert built.layout == model().layout and built.elements[0].names == ("s",) and built.elements[0].links == (("mass", "base"),)

@@ -31,7 +31,7 @@ def by_themselves(model, amplitude, times):
     jb.simulate(model, times, motion=motion)
     lin = jb.linearize(model, jb.equilibrium(model))
     jb.modes(lin)
-    inputs, outputs = {"floor": jb.BaseMotion("base", "z")}, {"plate": jb.PointMotion("plate", direction="z")}
+    inputs, outputs = {"floor": jb.BaseMotion("base", "z")}, {"plate": jb.Position("plate", axis="z")}
     jb.frequency_response(lin, 1 + times, inputs, outputs)
 
 

@@ -64,7 +64,7 @@ def made():
     still, small, nv = jb.equilibrium(one), jb.linearize(one, one.reference), lin.K.shape[0]
     shaken, moved, bounds = (
         {"base": jb.BaseMotion("base", "x")},
-        {"mass": jb.PointMotion("mass", direction="x")},
+        {"mass": jb.Position("mass", axis="x")},
         {"*.stiffness": (3.0, 300.0)},
     )
     result, modes = jb.fit(one, {"run": measured(TIMES)}, free=free), jb.modes(lin)

@@ -132,7 +132,7 @@ def test_the_tuned_damper_of_a_quarter_car():
     band, road = jb.Band(1e-6, 1e7, points=1001), jb.Unevenness.iso("C").at_speed(20.0)
 
     def felt(model):
-        seat = {"body": jb.PointMotion("body", kind="acceleration")}
+        seat = {"body": jb.Acceleration("body", axis="z")}
         return jb.random_response(jb.linearize(model, model.reference), band, {"road": jb.BaseMotion("road", "z")}, seat, {"road": road})[
             "body"
         ]
@@ -160,7 +160,7 @@ def test_den_hartogs_absorber():
         g = jnp.sqrt(jnp.stack([(b - s * jnp.sqrt(b**2 - 2 * (2 + mu) * f2)) / (2 + mu) for s in (1, -1)]))
         hertz = g * jnp.sqrt(k) / (2 * jnp.pi)
         response = jb.frequency_response(
-            jb.linearize(model, model.reference), hertz, {"F": jb.PointForce("main")}, {"x": jb.PointMotion("main")}
+            jb.linearize(model, model.reference), hertz, {"F": jb.PointForce("main")}, {"x": jb.Position("main", axis="z")}
         )
         return jb.objectives.smooth_max(k * jnp.abs(response["x", "F"]), 1e-4)
 

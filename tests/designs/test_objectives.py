@@ -82,9 +82,9 @@ def ride():
     model = jb.presets.quarter_car(damping=C)
     lin = jb.linearize(model, model.reference)
     asked = {
-        "body": jb.PointMotion("body", kind="acceleration"),
-        "travel": jb.ElementDeformation("suspension"),
-        "tyre": jb.ElementForce("tyre"),
+        "body": jb.Acceleration("body", axis="z"),
+        "travel": jb.Elongation("suspension"),
+        "tyre": jb.LoadCell("tyre"),
     }
     road = {"road": jb.Unevenness.iso("C").at_speed(20.0)}
     return jb.random_response(lin, jb.Band(1e-4, 1e5, points=2001), {"road": jb.BaseMotion("road", "z")}, asked, road)
@@ -131,7 +131,7 @@ def test_what_arrives_over_a_band():
     )
     f = jnp.geomspace(100.0, 1000.0, 2001)
     H = jb.frequency_response(
-        jb.linearize(model, model.reference), f, {"floor": jb.BaseMotion("floor", "z")}, {"mass": jb.PointMotion("mass")}
+        jb.linearize(model, model.reference), f, {"floor": jb.BaseMotion("floor", "z")}, {"mass": jb.Position("mass", axis="z")}
     )
     w = 2 * np.pi * 100.0
     expected = np.sqrt((1 - 1e-4) / 4 / np.log(10)) / w**2  # int r^-4 d ln r from r0 to 10 r0

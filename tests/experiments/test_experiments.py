@@ -85,7 +85,7 @@ def test_a_plan_has_no_data_to_fit(use):
 
 def test_measurements_of_one_model_share_its_linearization(monkeypatch):
     """Two responses and two modal tests of other structure; nothing is compiled here."""
-    inputs, outputs = {"f": jb.PointForce("box", direction="z")}, {"z": jb.PointMotion("box", direction="z")}
+    inputs, outputs = {"f": jb.PointForce("box", direction="z")}, {"z": jb.Position("box", axis="z")}
 
     def hammer(count):
         return jb.MeasuredResponse(np.linspace(0.5, 2, count), inputs=inputs, outputs=outputs, measured={("z", "f"): np.ones(count) + 0j})

@@ -59,7 +59,7 @@ def modal(p):
 
 
 def port(name, **options):
-    return jb.PointMotion(name, direction="x", **options)
+    return jb.Position(name, axis="x", **options)
 
 
 def hammer(measured, noise=None, **options):

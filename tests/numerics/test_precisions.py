@@ -35,7 +35,7 @@ def results():
     frequency = jb.modes(lin, allow_float32=True).frequency[0]
     times = np.array([0.0, np.pi / 20])
     q = [jb.simulate(model, times, rtol=1e-4, solver=solver).state.q[-1, 0] for solver in (None, diffrax.Tsit5())]
-    H = jb.frequency_response(lin, [1.0], {"base": jb.BaseMotion("base", "x")}, {"mass": jb.PointMotion("mass", direction="x")}).values
+    H = jb.frequency_response(lin, [1.0], {"base": jb.BaseMotion("base", "x")}, {"mass": jb.Position("mass", axis="x")}).values
     found = np.array([eq.state.q[0], frequency, *q, H.real.ravel()[0]])
     assert H.dtype == (np.complex128 if jax.config.jax_enable_x64 else np.complex64)
     sag = 9.81 / 400  # half a period from rest at 0 leads to twice the sag
@@ -86,7 +86,7 @@ with warnings.catch_warnings(record=True) as warned:
         loaded = jb.equilibrium(model, loads={"f": jb.Force(body, force=[10.0 * (along == "x"), 0, 10.0 * (along == "z")])})
         lin = jb.linearize(model, eq)
         moved = jb.simulate(model, np.linspace(0, 1, 11), initial=jb.State(eq.state.q + 0.01, eq.state.v))
-        u, y = {"u": jb.BaseMotion(base, along)}, {"y": jb.PointMotion(body, direction=along)}
+        u, y = {"u": jb.BaseMotion(base, along)}, {"y": jb.Position(body, axis=along)}
         H = [jb.frequency_response(lin, [1.0, 5.0], u, y, method=method) for method in ("direct", "modal")]
         few = int(moved.statistics["num_accepted_steps"]) < 200
         print(*(int(result.status) for result in (eq, loaded, moved, *H)), few, jb.preload(model).ok)

@@ -24,8 +24,8 @@ def car():
 def response(car):
     lin = jb.linearize(car, car.reference)
     roads = {f"road {wheel}": jb.BaseMotion(f"road {wheel}", "z") for wheel in WHEELS}
-    outputs = {name: jb.PointMotion(name, direction="z") for name in ("car", *WHEELS)}
-    outputs |= {f"force {wheel}": jb.ElementForce(f"tyre {wheel}") for wheel in WHEELS}
+    outputs = {name: jb.Position(name, axis="z") for name in ("car", *WHEELS)}
+    outputs |= {f"force {wheel}": jb.LoadCell(f"tyre {wheel}") for wheel in WHEELS}
     return jb.frequency_response(lin, jnp.geomspace(0.2, 30.0, 12), roads, outputs)
 
 

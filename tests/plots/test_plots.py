@@ -158,7 +158,7 @@ def test_measured_quaternions_are_drawn_with_the_sign_of_those_fitted_and_their_
 
 def test_a_response_is_drawn_by_magnitude_and_phase(ax):
     f = np.linspace(1.0, 20.0, 30)
-    ports = {"inputs": {"f": jb.PointForce("mass", direction="z")}, "outputs": {"y": jb.PointMotion("mass", direction="z")}}
+    ports = {"inputs": {"f": jb.PointForce("mass", direction="z")}, "outputs": {"y": jb.Position("mass", axis="z")}}
     H = 1 / (25.0 - f**2 + 2j * f)
     fit = fitted(jb.MeasuredResponse(f, measured={("y", "f"): H * np.exp(0.3j)}, **ports), **{"y/f": H})
     plots.plot_fit(fit, ax=ax)

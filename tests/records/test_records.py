@@ -235,7 +235,7 @@ def test_frequency_responses_of_a_universal_file(tmp_path):
     np.testing.assert_allclose(measured["x", "f"], H, rtol=0, atol=1e-5)
     inputs, outputs = (
         {"f": jb.PointForce("plate", direction="z")},
-        {k: jb.PointMotion("plate", direction=k, kind="acceleration") for k in "xz"},
+        {k: jb.Acceleration("plate", axis=k) for k in "xz"},
     )
     assert set(jb.MeasuredResponse(frequencies, inputs=inputs, outputs=outputs, measured=measured).channels) == {"z/f", "x/f"}
     for bad, code in (("4+Y/1-Z", "UNKNOWN_CHANNEL"), ("4+X/1-Z", "NO_UNIT"), (("4+Z/1-Z", "m/s2", "N"), "UNIT_CONFLICT")):

@@ -18,7 +18,7 @@ POINT = [0.1, 0.2, -0.1]
 RATIOS = 0.02 + 0.01 * np.arange(7)
 FORCES = {a: jb.PointForce("box", POINT, a) for a in "xyz"}
 MOTIONS = {f"base {d}": jb.BaseMotion("base", d) for d in ("x", "y", "z", "ry")}
-OUTPUTS = {a: jb.PointMotion("box", POINT, a) for a in "xyz"}
+OUTPUTS = {a: jb.Position("box", POINT, axis=a) for a in "xyz"}
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def on_a_spring(damping):
 def test_a_ratio_acts_as_a_damper_on_body_and_support():
     """zeta = c/(2 m w): the same motion and the same reaction of forces and of the base in motion; what a damper has is added to."""
     inputs = {"pull": jb.PointForce("mass"), "base": jb.BaseMotion("base", "z")}
-    outputs = {"mass": jb.PointMotion("mass"), "reaction": jb.SupportReaction("base", "z")}
+    outputs = {"mass": jb.Position("mass", axis="z"), "reaction": jb.Reaction("base", component=2)}
     damped = jb.frequency_response(on_a_spring(3.0), F, inputs, outputs)
     for c in (0.0, 1.0):
         result = jb.frequency_response(on_a_spring(c), F, inputs, outputs, modal_damping=(3.0 - c) / (2 * 2.0 * 5.0))
@@ -102,7 +102,7 @@ def test_derivatives_where_modes_coincide_are_those_of_the_matrix_function():
     """With one ratio for all C = 2 zeta M^(1/2) (M^(-1/2) K M^(-1/2))^(1/2) M^(1/2), smooth where modes meet: forward and reverse against
     differences of SciPy's."""
     zeta, f = 0.1, np.array([0.7, 1.3])
-    inputs, outputs = {"x": jb.PointForce("bob", direction="x")}, {"y": jb.PointMotion("bob", direction="y")}
+    inputs, outputs = {"x": jb.PointForce("bob", direction="x")}, {"y": jb.Position("bob", axis="y")}
 
     def response(k):
         H = jb.frequency_response(equal_ways(k), f, inputs, outputs, modal_damping=zeta)["y", "x"]
@@ -167,7 +167,7 @@ def test_at_0_hz_the_response_is_the_static_one(rig, method):
     )
     assert max_difference(result.values[..., 0], result.values[..., 1]) < 1e-9  # of the inertia at 1e-6 Hz
     hard = jb.frequency_response(
-        on_a_spring(3.0), [0.0], {"pull": jb.PointForce("mass")}, {"mass": jb.PointMotion("mass")}, loss_factor=0.2
+        on_a_spring(3.0), [0.0], {"pull": jb.PointForce("mass")}, {"mass": jb.Position("mass", axis="z")}, loss_factor=0.2
     )
     np.testing.assert_allclose(hard.values[0, 0, 0], 1 / (50.0 * (1 + 0.2j)), rtol=1e-13)
 
@@ -184,13 +184,15 @@ def test_free_motions_have_no_static_response_and_are_reported():
     expected = np.linalg.inv(50.0 * np.array([[1, -1], [-1, 1]]) + 1j * w * np.diag([3.0, 0.0]) - 2.0 * w**2 * np.eye(2))[1, 0]
     for method in ("direct", "modal"):
         with pytest.warns(jb.JaxbodyWarning, match=r"singular: a motion is not resisted; NaN at 0 Hz.*\[SINGULAR_K\]"):
-            result = jb.frequency_response(lin, [0.0, 1.0], {"pull": jb.PointForce("one")}, {"two": jb.PointMotion("two")}, method=method)
+            result = jb.frequency_response(
+                lin, [0.0, 1.0], {"pull": jb.PointForce("one")}, {"two": jb.Position("two", axis="z")}, method=method
+            )
         assert np.isnan(result.values[0, 0, 0]) and not result.ok
         np.testing.assert_allclose(result.values[0, 0, 1], expected, rtol=1e-11)
 
 
 def test_at_0_hz_velocities_and_accelerations_are_refused_as_inputs():
-    lin, outputs = on_a_spring(0.0), {"mass": jb.PointMotion("mass", kind="acceleration")}
+    lin, outputs = on_a_spring(0.0), {"mass": jb.Acceleration("mass", axis="z")}
     for kind in ("velocity", "acceleration"):
         with pytest.raises(jb.JaxbodyError, match=f'given as {kind}.*Take kind="displacement"') as refused:
             jb.frequency_response(lin, [1.0, 0.0], {"base": jb.BaseMotion("base", "z", kind=kind)}, outputs)
@@ -203,7 +205,7 @@ def test_pictures_tables_and_objectives_of_a_response_with_0_hz():
     from matplotlib.figure import Figure
 
     f = np.array([0.0, 0.5, 1.0, 2.0])
-    inputs, outputs = {"base": jb.BaseMotion("base", "z")}, {"mass": jb.PointMotion("mass")}
+    inputs, outputs = {"base": jb.BaseMotion("base", "z")}, {"mass": jb.Position("mass", axis="z")}
     result = jb.frequency_response(on_a_spring(3.0), f, inputs, outputs)
     ax = jb.plots.plot_frequency_response(result, ax=Figure().subplots())
     np.testing.assert_array_equal(ax.lines[0].get_xdata(), f[1:])

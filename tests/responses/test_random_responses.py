@@ -14,9 +14,9 @@ SPEED = 20.0
 CAR = jb.presets.quarter_car(sprung=MS, unsprung=MU, stiffness=KS, damping=C, tyre=KT)
 ROAD = {"road": jb.BaseMotion("road", "z")}
 OUTPUTS = {
-    "acceleration": jb.PointMotion("body", kind="acceleration"),
-    "stroke": jb.ElementDeformation("suspension"),
-    "tyre": jb.ElementDeformation("tyre"),
+    "acceleration": jb.Acceleration("body", axis="z"),
+    "stroke": jb.Elongation("suspension"),
+    "tyre": jb.Elongation("tyre"),
 }
 BAND = jb.Band(0.1, 100.0, points=801)
 
@@ -111,7 +111,7 @@ def test_a_wheelbase_filters_the_excitation_of_both_axles():
     car = jb.presets.half_car(front=1.25, rear=1.25, front_stiffness=2e4, rear_stiffness=2e4, front_damping=1500.0, rear_damping=1500.0)
     lin = jb.linearize(car, jb.equilibrium(car))
     inputs = {axle: jb.BaseMotion(axle, "z") for axle in ("front", "rear")}
-    outputs = {"heave": jb.PointMotion("body"), "pitch": jb.PointMotion("body", direction="ry")}
+    outputs = {"heave": jb.Position("body", axis="z"), "pitch": jb.Rotation("body", axis="y")}
     road = jb.Unevenness.iso("B").at_speed(SPEED)
     f, delay = np.array([0.7, 1.3, 2.9, 7.0]), 2.5 / SPEED
     both = {"front": road, "rear": road}
@@ -231,15 +231,16 @@ def test_contradictory_coherences_are_refused(lin):
         ("NEGATIVE", lambda lin: jb.frequency_response(lin, [1.0], ROAD, OUTPUTS, loss_factor=-0.1)),
         ("UNKNOWN_NAME", lambda lin: jb.frequency_response(lin, [1.0], ROAD, OUTPUTS, loss_factor={"tire": 0.1})),
         ("UNKNOWN_NAME", lambda lin: jb.frequency_response(lin, [1.0], {"r": jb.BaseMotion("rood", "z")}, OUTPUTS)),
-        ("UNKNOWN_NAME", lambda lin: jb.frequency_response(lin, [1.0], ROAD, {"t": jb.ElementForce("tire")})),
+        ("UNKNOWN_NAME", lambda lin: jb.frequency_response(lin, [1.0], ROAD, {"t": jb.LoadCell("tire")})),
         ("UNKNOWN_NAME", lambda lin: jb.frequency_response(lin, [1.0], ROAD, OUTPUTS)["axle", "road"]),
-        ("BAD_COMPONENT", lambda lin: jb.frequency_response(lin, [1.0], ROAD, {"t": jb.ElementForce("tyre", component=2)})),
+        ("BAD_COMPONENT", lambda lin: jb.frequency_response(lin, [1.0], ROAD, {"t": jb.LoadCell("tyre", component=2)})),
         ("WRONG_KIND", lambda lin: jb.frequency_response(lin, [1.0], OUTPUTS, ROAD)),
         ("WRONG_KIND", lambda lin: jb.frequency_response(lin, [1.0], {}, OUTPUTS)),
-        ("WRONG_KIND", lambda lin: jb.frequency_response(lin, [1.0], ROAD, {"p": jb.Position("body")})),
+        ("WRONG_KIND", lambda lin: jb.frequency_response(lin, [1.0], ROAD, {"p": jb.BaseMotion("road", "z")})),
         ("BAD_DIRECTION", lambda lin: jb.BaseMotion("road", "up")),
-        ("BAD_DIRECTION", lambda lin: jb.PointMotion("body", direction="rw")),
-        ("BAD_KIND", lambda lin: jb.PointMotion("body", kind="jerk")),
+        ("BAD_DIRECTION", lambda lin: jb.Rotation("body", axis="w")),
+        ("BAD_KIND", lambda lin: jb.BaseMotion("road", "z", kind="jerk")),
+        ("BAD_CHAIN", lambda lin: lin.state_space(ROAD, {"p": jb.Position("body", delay=0.1)})),
         ("ZERO_AXIS", lambda lin: jb.PointForce("body", direction=[0, 0, 0])),
         ("BAD_CLASS", lambda lin: jb.Unevenness.iso("Z")),
         ("BAD_LENGTH", lambda lin: jb.road_profile(jb.Unevenness.iso("A"), length=1.0, spacing=2.0, key=jax.random.key(0))),
@@ -280,7 +281,7 @@ def test_pictures_show_their_data(lin, ride, monkeypatch):
 
     from jaxbody import plots
 
-    outputs = {"body": jb.PointMotion("body"), "wheel": jb.PointMotion("wheel"), "stroke": OUTPUTS["stroke"]}
+    outputs = {"body": jb.Position("body", axis="z"), "wheel": jb.Position("wheel", axis="z"), "stroke": OUTPUTS["stroke"]}
     response = jb.frequency_response(lin, np.geomspace(0.1, 50, 200), ROAD, outputs)
     _, axes = plt.subplots(3, 1)
     ax = plots.plot_frequency_response(response, ax=axes[0])
@@ -298,7 +299,7 @@ def test_pictures_show_their_data(lin, ride, monkeypatch):
     ):
         with pytest.raises(jb.JaxbodyError):
             call()
-    forces = jb.frequency_response(lin, [1.0, 2.0], ROAD, {"tyre": jb.ElementForce("tyre")})
+    forces = jb.frequency_response(lin, [1.0, 2.0], ROAD, {"tyre": jb.LoadCell("tyre")})
     with pytest.raises(jb.JaxbodyError, match="BAD_UNIT"):
         plots.plot_transmissibility(forces)
     plt.close("all")

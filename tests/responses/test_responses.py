@@ -37,29 +37,29 @@ def rig():
 
 
 OUTPUTS = {
-    "point": jb.PointMotion("box", POINT, [1, 1, 0]),
-    "turn": jb.PointMotion("arm", direction="rx"),
-    "relative": jb.PointMotion("arm", [0.1, 0, 0.2], "y", relative_to="box"),
+    "point": jb.Position("box", POINT, axis=[1, 1, 0]),
+    "turn": jb.Rotation("arm", axis="x"),
+    "relative": jb.Position("arm", [0.1, 0, 0.2], axis="y", relative_to="box"),
     "elongation": jb.Elongation("s2"),
-    "deformation": jb.ElementDeformation("mount", component=4),
-    "tension": jb.ElementForce("s3"),
-    "bushing": jb.ElementForce("mount", component=1),
-    "force": jb.SupportReaction("base", "x"),
-    "moment": jb.SupportReaction("base", "ry"),
+    "deformation": jb.Elongation("mount", component=4),
+    "tension": jb.LoadCell("s3"),
+    "bushing": jb.LoadCell("mount", component=1),
+    "force": jb.Reaction("base", component=0),
+    "moment": jb.Reaction("base", component=4),
 }
 
 
 def test_slow_translation_of_the_base_carries_everything_along():
     """Base translation at zero frequency is the identity, gravity or not."""
     _, lin = at_rest(rigs.plate(damping=2.0))
-    outputs = {d: jb.PointMotion("plate", POINT, d) for d in DIRECTIONS}
+    outputs = {d: rigs.motion("plate", POINT, d) for d in DIRECTIONS}
     result = jb.frequency_response(lin, [LOW], BASE, outputs).values[:, :3, 0]
     assert max_difference(result, np.eye(6)[:, :3]) < 1e-9
 
 
 def test_slow_rotation_of_the_base_carries_everything_along_without_gravity_only():
     """A point at r follows phi x r; under gravity the plate hangs as it did, so it does not."""
-    outputs = {d: jb.PointMotion("plate", POINT, d) for d in DIRECTIONS}
+    outputs = {d: rigs.motion("plate", POINT, d) for d in DIRECTIONS}
     for gravity in (0.0, 9.81):
         eq, lin = at_rest(rigs.plate(damping=2.0, gravity=[0, 0, -gravity]))
         q = np.asarray(eq.state.q)
@@ -79,7 +79,7 @@ def test_bodies_attached_to_the_world_do_not_follow_the_base():
         bodies={"mass": uniform(1.0)}, supports={"base": jb.Support()}, joints={"mass": jb.Guide("world", axis=[0, 1, 0])}, elements=springs
     )
     _, lin = at_rest(model)
-    result = jb.frequency_response(lin, [LOW], {d: BASE[d] for d in ("y", "rz")}, {"mass": jb.PointMotion("mass", direction="y")})
+    result = jb.frequency_response(lin, [LOW], {d: BASE[d] for d in ("y", "rz")}, {"mass": jb.Position("mass", axis="y")})
     assert max_difference(result.values[0, :, 0], [0.75, 0.0]) < 1e-12
 
 
@@ -145,7 +145,7 @@ def test_modal_sum_and_state_space_agree(rig):
         inputs = {d: jb.BaseMotion("base", d, kind=kind) for d in ("x", "rx")} | {"pull": jb.PointForce("arm", POINT, "y")}
         outputs = {name: OUTPUTS[name] for name in names}
         if kind == "acceleration":
-            outputs["felt"] = jb.PointMotion("box", POINT, "z", kind="acceleration")
+            outputs["felt"] = jb.Acceleration("box", POINT, axis="z")
         result = jb.frequency_response(lin, f, inputs, outputs)
         modal = jb.frequency_response(lin, f, inputs, outputs, method="modal")
         s = lin.state_space(inputs, outputs)
@@ -159,7 +159,7 @@ def test_modal_sum_and_state_space_agree(rig):
 
 def test_an_output_of_derivatives_of_the_input_has_no_state_space(rig):
     _, _, lin = rig
-    felt = {"felt": jb.PointMotion("box", POINT, "z", kind="acceleration")}
+    felt = {"felt": jb.Acceleration("box", POINT, axis="z")}
     with pytest.warns(jb.JaxbodyWarning, match=r"'felt' of 'x'.*acceleration of the support"):
         s = lin.state_space({"x": BASE["x"]}, felt)
     assert jb.Status(int(s.status)).name == "IMPROPER" and np.isnan(s.D).all()
@@ -176,7 +176,7 @@ def test_receptance_is_symmetric(rig):
         ("box", -POINT, [1, 2, 3]),
     ]
     inputs = {str(i): jb.PointForce(*place) for i, place in enumerate(places)}
-    outputs = {str(i): jb.PointMotion(*place) for i, place in enumerate(places)}
+    outputs = {str(i): rigs.motion(*place) for i, place in enumerate(places)}
     H = np.asarray(jb.frequency_response(lin, np.linspace(0.2, 5, 40), inputs, outputs, loss_factor=0.1).values)
     assert (np.abs(H - H.swapaxes(0, 1)).max((0, 1)) / np.abs(H).max((0, 1))).max() < 1e-12
     assert np.all(H.imag[0, 0] < 0)  # power is lost
@@ -194,7 +194,7 @@ def test_a_loss_factor_makes_the_stiffness_complex():
     _, lin = at_rest(model)
     r = np.array([0.3, 1.0, 1.7])
     f, eta = r * np.sqrt(50.0) / (2 * np.pi), 0.2
-    outputs = {"mass": jb.PointMotion("mass", direction="y"), "force": jb.ElementForce("s"), "reaction": jb.SupportReaction("base", "y")}
+    outputs = {"mass": jb.Position("mass", axis="y"), "force": jb.LoadCell("s"), "reaction": jb.Reaction("base", component=1)}
     T = (1 + 1j * eta) / (1 + 1j * eta - r**2)
     for given, method in ((eta, "direct"), ({"s": eta}, "modal")):
         result = jb.frequency_response(lin, f, {"y": BASE["y"]}, outputs, loss_factor=given, method=method)
@@ -214,7 +214,7 @@ def test_a_car_on_a_wavy_road():
     )
     f = 20 / 3.6 / 6
     assert abs(2 * np.pi * f / np.sqrt(k / m) - 0.318652) < 1e-6
-    result = jb.frequency_response(at_rest(model)[1], [f], {"z": BASE["z"]}, {"car": jb.PointMotion("car", direction="z")})
+    result = jb.frequency_response(at_rest(model)[1], [f], {"z": BASE["z"]}, {"car": jb.Position("car", axis="z")})
     assert abs(float(result.magnitude[0, 0, 0]) - 1.100963) < 1e-6
 
 
@@ -236,7 +236,7 @@ def test_fixed_points_of_an_absorber():
     @jax.vmap
     def heights(c):
         lin = jb.linearize(jb.replace(model, {"own.damping": c}), model.reference)
-        result = jb.frequency_response(lin, f, {"F": jb.PointForce("main")}, {"X": jb.PointMotion("main")})
+        result = jb.frequency_response(lin, f, {"F": jb.PointForce("main")}, {"X": jb.Position("main", axis="z")})
         return result.magnitude[0, 0] * k
 
     best = 2 * mu * np.sqrt(k) * np.sqrt(3 * mu / (8 * (1 + mu) ** 3))
@@ -246,7 +246,7 @@ def test_fixed_points_of_an_absorber():
 PLATE = rigs.plate(damping=2.0)
 FOUR = np.array([0.6, 1.9, 2.7, 4.0])
 UP = {"base": jb.BaseMotion("base", "z")}
-CORNER = {"corner": jb.PointMotion("plate", [0.4, 0.3, 0.05], "z", kind="acceleration"), "s1": jb.ElementForce("s1")}
+CORNER = {"corner": jb.Acceleration("plate", [0.4, 0.3, 0.05], axis="z"), "s1": jb.LoadCell("s1")}
 
 
 def measures(model):
@@ -290,7 +290,7 @@ def test_responses_have_derivatives_where_modes_coincide():
     table = jb.presets.isolated_table(gyration=(0.4, 0.4, 0.5), stiffness=(3e4, 3e4, 8e4), at=(0.4, 0.4, 0.25), damping=(60.0, 60.0, 100.0))
     inputs, outputs = (
         {"x": jb.BaseMotion("floor", "x"), "z": jb.BaseMotion("floor", "z")},
-        {"edge": jb.PointMotion("table", [0.5, 0.2, 0], [1, 2, 1])},
+        {"edge": jb.Position("table", [0.5, 0.2, 0], axis=[1, 2, 1])},
     )
     f = np.array([3.0, 5.0, 8.0])
 
@@ -315,7 +315,9 @@ def test_second_derivatives():
 
     def height(c):
         lin = jb.linearize(jb.replace(model, {"suspension.damping": c}), model.reference)
-        return jb.frequency_response(lin, [1.4], {"road": jb.BaseMotion("road", "z")}, {"body": jb.PointMotion("body")}).magnitude[0, 0, 0]
+        return jb.frequency_response(lin, [1.4], {"road": jb.BaseMotion("road", "z")}, {"body": jb.Position("body", axis="z")}).magnitude[
+            0, 0, 0
+        ]
 
     slope = jax.jit(jax.grad(height))
     second = float(jax.jit(jax.hessian(height))(1800.0))
@@ -332,11 +334,11 @@ def test_an_unstable_equilibrium_has_no_response():
     )
     lin = jb.linearize(up, up.reference)
     with pytest.warns(jb.JaxbodyWarning, match="UNSTABLE"):
-        result = jb.frequency_response(lin, [1.0], {"x": BASE["x"]}, {"bob": jb.PointMotion("bob")})
+        result = jb.frequency_response(lin, [1.0], {"x": BASE["x"]}, {"bob": jb.Position("bob", axis="z")})
     assert np.isnan(result.values).all() and not result.ok
     with pytest.warns(jb.JaxbodyWarning, match="UNSTABLE"):
         ride = jb.random_response(
-            lin, jb.Band(1, 2, points=17), {"x": BASE["x"]}, {"bob": jb.PointMotion("bob")}, {"x": jb.PowerLaw(1.0, unit="m2/Hz")}
+            lin, jb.Band(1, 2, points=17), {"x": BASE["x"]}, {"bob": jb.Position("bob", axis="z")}, {"x": jb.PowerLaw(1.0, unit="m2/Hz")}
         )
     assert np.isnan(ride.rms).all()
     with pytest.raises(jb.JaxbodyError, match="UNSTABLE"):
@@ -353,7 +355,7 @@ def test_modes_that_coincide_and_are_damped_critically_are_flagged():
         elements={"s": spring},
     )
     _, lin = at_rest(model)
-    f, outputs = np.array([0.5, 2.0]), {"mass": jb.PointMotion("mass", direction="y")}
+    f, outputs = np.array([0.5, 2.0]), {"mass": jb.Position("mass", axis="y")}
     s, w = 2j * np.pi * f, np.sqrt(50.0)
     exact = (2 * w * s + w**2) / (s + w) ** 2
     assert max_difference(jb.frequency_response(lin, f, {"y": BASE["y"]}, outputs).values[0, 0], exact) < 1e-13

@@ -98,7 +98,7 @@ def test_a_delayed_input_lags():
     white = jb.PowerLaw(1.0, unit="m2/Hz")
     spectra = jb.CrossPSD({"a": white, "b": white}, delays={"b": d}, coherence={("a", "b"): 1.0})
     inputs, f = {name: jb.BaseMotion(name, "z") for name in ("a", "b")}, np.linspace(1.0, 6.0, 201)
-    result = jb.random_response(jb.linearize(model, model.reference), f, inputs, {"mass": jb.PointMotion("mass")}, spectra)
+    result = jb.random_response(jb.linearize(model, model.reference), f, inputs, {"mass": jb.Position("mass", axis="z")}, spectra)
     w = 2 * np.pi * f
     H = (ka + 1j * w * c + kb * np.exp(-1j * w * d)) / (ka + kb + 1j * w * c - m * w**2)
     np.testing.assert_allclose(result.psd[0], np.abs(H) ** 2, rtol=1e-11)

@@ -77,7 +77,7 @@ def test_only_accelerations_of_the_right_kind_are_weighted():
         supports={"floor": jb.Support()},
         elements={"m": jb.Bushing(("box", [0, 0, 0]), ("floor", [0, 0, 0]), stiffness=900.0 * np.eye(6), damping=9.0 * np.eye(6))},
     )  # fmt: skip
-    outputs = {"z": jb.PointMotion("box", kind="acceleration"), "pitch": jb.PointMotion("box", direction="ry", kind="acceleration")}
+    outputs = {"z": jb.Acceleration("box", axis="z"), "pitch": jb.AngularAcceleration("box", axis="y")}
     shaken = {"floor": jb.BaseMotion("floor", "z")}
     ride = jb.random_response(
         jb.linearize(box, box.reference), np.linspace(1, 9, 81), shaken, outputs, {"floor": jb.PowerLaw(1e-3, unit="m2/s4/Hz")}

@@ -113,8 +113,8 @@ GENERAL = {
     "gyro": jb.Gyro("arm"),
     "seen": jb.Displacement(("box", P), ("arm", [0.1, 0, 0.2])),
     "ruler": jb.Displacement(("box", P), ("base", [0.1, 0, 0.2]), axis=[3, 0, 4]),
-    "velocity": jb.Velocity(("box", P), ("arm", [0.1, 0, 0.2])),
-    "geophone": jb.Velocity(("box", P), axis=[0, 3, 4]),
+    "velocity": jb.Velocity("box", P, relative_to="arm"),
+    "geophone": jb.Velocity("box", P, axis=[0, 3, 4]),
     "wire": jb.StringPotentiometer(("box", P), ("base", [0.1, 0, 0.2])),
     "laser": jb.LaserVibrometer("box", P, axis=[0, 3, 4]),
     "beam": jb.LaserVibrometer("box", P, axis=[0, 3, 4], origin=[0.1, -3, -4], normal=[0.2, 0.3, 1]),
@@ -123,6 +123,19 @@ GENERAL = {
     "cell": jb.LoadCell("s0"),
     "table": jb.ForcePlate("base"),
     "angle": jb.JointAngle("arm"),
+    **{
+        f"{kind.__name__} {to}": kind("box", *point, relative_to=to)
+        for to in ("world", "arm", "base")
+        for kind, point in (
+            (jb.Position, (P,)),
+            (jb.Velocity, (P,)),
+            (jb.Acceleration, (P,)),
+            (jb.Rotation, ()),
+            (jb.AngularVelocity, ()),
+            (jb.AngularAcceleration, ()),
+        )
+    },
+    "rolled": jb.AngularAcceleration("box", axis="y", relative_to="arm"),
 }
 CENTERS, H = np.array([0.4, 0.9]), 2e-3
 STENCIL = np.arange(-4, 5)
@@ -169,6 +182,31 @@ def test_accelerations_and_angular_velocities_are_the_derivatives_of_poses(fligh
     R = np.asarray(flight.poses["arm"].R)
     spin = np.einsum("nji,njk->nik", center(R), rate(R))
     np.testing.assert_allclose(center(recorded["gyro"]), np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], -1), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("to", ["world", "arm", "base"])
+def test_kinematic_sensors_are_derivatives_of_each_other_as_seen_from_a_body(flight, recorded, to):
+    """Seen from B, in its axes: of R_B' (p - p_B) and of R_B' R, whose rate is [w] R_B' R."""
+    R, B = (np.asarray(flight.poses[name].R) if name != "world" else np.eye(3)[None] for name in ("box", to))
+    origin = np.zeros(3) if to == "world" else np.asarray(flight.poses[to].p)
+    seen = np.einsum("nji,nj->ni", np.broadcast_to(B, R.shape), points(flight, "box", P) - origin)
+    np.testing.assert_allclose(recorded[f"Position {to}"], seen, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(center(recorded[f"Velocity {to}"]), rate(seen), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(center(recorded[f"Acceleration {to}"]), rate(seen, 2), rtol=0, atol=1e-6)
+    Q = np.einsum("nji,njk->nik", np.broadcast_to(B, R.shape), R)
+    spin = np.einsum("nij,nkj->nik", rate(Q), center(Q))
+    np.testing.assert_allclose(
+        center(recorded[f"AngularVelocity {to}"]), np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], -1), rtol=0, atol=1e-9
+    )
+    np.testing.assert_allclose(center(recorded[f"AngularAcceleration {to}"]), rate(recorded[f"AngularVelocity {to}"]), rtol=0, atol=1e-6)
+    turns = {"world": np.eye(3), **{name: rigs.turned(flight.model[name].orientation) for name in ("box", "arm", "base")}}
+    Q_0 = turns[to].T @ turns["box"]
+    for phi, now in zip(recorded[f"Rotation {to}"][1::4], Q[1::4], strict=True):
+        np.testing.assert_allclose(rigs.rodrigues(phi), now @ Q_0.T, rtol=0, atol=1e-12)
+
+
+def test_one_component_of_a_kinematic_sensor_is_along_its_axis(recorded):
+    np.testing.assert_allclose(recorded["rolled"], recorded["AngularAcceleration arm"][:, 1], rtol=1e-14)
 
 
 def test_gauges_and_beams_are_those_of_points_and_their_derivatives(flight, recorded):
@@ -361,7 +399,7 @@ def problems_of(function, *arguments, **options):
         (lambda: jb.Gyro("rod", orientation=[1, 0, 0, 1], bias=[0, 0]), ["BAD_QUATERNION", "BAD_SHAPE"]),
         (lambda: jb.Tilt("rod", orientation=2 * np.eye(3), delay=[0.1, 0.1]), ["BAD_ROTATION", "BAD_SHAPE"]),
         (lambda: jb.Displacement("rod", "rod", axis=[0, 0, np.inf]), ["SELF_SPRING", "NON_FINITE"]),
-        (lambda: jb.Velocity(3.0, gain="loud"), ["BAD_END", "NOT_A_NUMBER"]),
+        (lambda: jb.Velocity(3.0, gain="loud"), ["WRONG_KIND", "NOT_A_NUMBER"]),
         (lambda: jb.LaserVibrometer("rod", axis=[0, 0, 1], normal=[0, 0, 1]), ["NO_SURFACE"]),
         (lambda: jb.LoadCell("s", start=1.0), ["BAD_CHAIN"]),
         (lambda: jb.Orientation("rod", gain=2.0, lag=0.1, bias=1.0), ["BAD_CHAIN", "BAD_CHAIN", "BAD_SHAPE"]),

@@ -262,9 +262,9 @@ def test_responses_of_reactions_are_those_of_supports_and_of_accelerations(chain
         "shake": jb.BaseMotion("base", "x", kind="acceleration"), "turn": jb.BaseMotion("base", "ry"),
     }  # fmt: skip
     joints = {f"{name} {k}": jb.Reaction(name, component=k) for name in ("upper", "lower") for k in (0, 2, 4)}
-    others = {d: jb.SupportReaction("base", d) for d in ("x", "z", "ry")}
-    com = {d: jb.PointMotion("lower", chain["lower"].com, d, kind="acceleration") for d in ("x", "z")}
-    turned = {"phi": jb.PointMotion("upper", direction="ry")}
+    others = {d: jb.Reaction("base", component=k) for d, k in (("x", 0), ("z", 2), ("ry", 4))}
+    com = {d: jb.Acceleration("lower", chain["lower"].com, axis=d) for d in ("x", "z")}
+    turned = {"phi": jb.Rotation("upper", axis="y")}
     outputs = {**joints, **others, **{f"com {d}": port for d, port in com.items()}, **turned}
     H = jb.frequency_response(lin, [0.3, 1.1, 2.7, 9.0], inputs, outputs)
     rest = at(chain, lin.state.q, np.zeros(2), {name: jb.Reaction(name) for name in ("upper", "lower")})
@@ -310,9 +310,9 @@ def test_an_accelerometer_is_an_output_of_responses(chain):
     lin = jb.linearize(chain, jb.equilibrium(chain))
     x, z = np.eye(3)[[0, 2]]
     outputs = {
-        "read": jb.Accelerometer("lower", [0, 0, -0.5], axis=x), "phi": jb.PointMotion("lower", direction="ry"),
-        "along x": jb.PointMotion("lower", [0, 0, -0.5], x, kind="acceleration"),
-        "along z": jb.PointMotion("lower", [0, 0, -0.5], z, kind="acceleration"),
+        "read": jb.Accelerometer("lower", [0, 0, -0.5], axis=x), "phi": jb.Rotation("lower", axis="y"),
+        "along x": jb.Acceleration("lower", [0, 0, -0.5], axis=x),
+        "along z": jb.Acceleration("lower", [0, 0, -0.5], axis=z),
     }  # fmt: skip
     H = jb.frequency_response(lin, [0.3, 2.0], {"shake": jb.BaseMotion("base", "x")}, outputs)
     angle = float(lin.state.q.sum())
@@ -327,10 +327,10 @@ def test_an_accelerometer_is_an_output_of_responses(chain):
 def test_a_loss_factor_with_a_sensor_of_forces_is_refused(chain):
     """Hysteresis is no part of what such a sensor reads: its force would silently be that of the spring alone."""
     lin = jb.linearize(chain, jb.equilibrium(chain))
-    for sensor in (jb.Reaction("lower", component=0), jb.LoadCell("spring")):
+    for sensor in (jb.Reaction("lower", component=0), jb.ForcePlate("base", component=0)):
         with pytest.raises(jb.JaxbodyError, match="BAD_OPTION") as refused:
             jb.frequency_response(lin, [1.0], {"shake": jb.BaseMotion("base", "x")}, {"force": sensor}, loss_factor=0.1)
-        assert type(sensor).__name__ in str(refused.value) and "ElementForce" in str(refused.value)
+        assert type(sensor).__name__ in str(refused.value) and "LoadCell" in str(refused.value)
 
 
 def test_a_fit_takes_a_mass_from_a_hinge():
@@ -349,11 +349,22 @@ def test_a_fit_takes_a_mass_from_a_hinge():
     np.testing.assert_allclose(result.model["rod"].mass, 2.0, rtol=1e-7)
 
 
+def test_a_reaction_on_a_support_is_what_a_force_plate_reads_in_world_axes(chain):
+    """The base is turned by 0.3 rad about y; the moment about another point of it is M - r x F."""
+    turned = jb.replace(chain, {"base.orientation": [np.cos(0.15), 0, np.sin(0.15), 0]})
+    r = np.array([0.1, -0.2, 0.3])
+    sensors = {"plate": jb.ForcePlate("base"), "force": jb.Reaction("base"), "about r": jb.Reaction("base", r)}
+    read = {name: np.asarray(x)[-1] for name, x in jb.measure(jb.simulate(turned, [0.0, 0.3]), sensors).items()}
+    R = rigs.turned([np.cos(0.15), 0, np.sin(0.15), 0])
+    F, M = R @ read["plate"][:3], R @ read["plate"][3:]
+    np.testing.assert_allclose(read["force"], [*F, *M], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(read["about r"], [*F, *(M - np.cross(R @ r, F))], rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("sensor", "code", "words"),
     [
         (jb.Reaction("nobody"), "UNKNOWN_NAME", "nobody upper lower"),
-        (jb.Reaction("base"), "UNKNOWN_NAME", "base upper"),
         (jb.Reaction("box"), "NO_JOINT", "box free joint LoadCell"),
         (jb.Reaction("upper", component=6), "BAD_COMPONENT", "component 6 upper"),
     ],

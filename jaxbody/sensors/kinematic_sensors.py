@@ -1,0 +1,254 @@
+"""The motion of a point or of a body, without an instrument: position, velocity, acceleration; rotation, angular velocity and acceleration.
+
+With p, v, a those of the point and R, w, alpha those of its body, relative to B and in the axes of B; r = p - p_B, u = v - v_B - w_B x r:
+
+    position               R_B' r
+    velocity               R_B' u
+    acceleration           R_B' (a - a_B - alpha_B x r - w_B x (w_B x r) - 2 w_B x u)
+    rotation               log(Q Q_0'), Q = R_B' R, Q_0 its value in the reference pose
+    angular velocity       R_B' (w - w_B)
+    angular acceleration   R_B' (alpha - alpha_B - w_B x w)
+
+Velocities and accelerations are time derivatives of positions and velocities. Relative to the world the axes are those of the world.
+"""
+
+from abc import abstractmethod
+from typing import Any, ClassVar, Unpack
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from jaxbody.core.arguments import plain
+from jaxbody.core.arrays import Array, Float, vector
+from jaxbody.core.errors import Problems
+from jaxbody.geometry import rotations
+from jaxbody.geometry.fields import field
+from jaxbody.geometry.frames import Frame
+from jaxbody.geometry.places import direction
+from jaxbody.geometry.vectors import cross, dot, product, rotate_back
+from jaxbody.models.layouts import WORLD
+from jaxbody.models.models import Model, pose_at_reference
+from jaxbody.models.states import Instant
+from jaxbody.sensors.sensors import Chain, Sensor
+
+
+class Kinematic(Sensor):
+    """The base class of kinematic sensors, with three components in the axes of `relative_to` or one.
+
+    Class attribute: `order`, 0 for a displacement, 1 for a velocity, 2 for an acceleration."""
+
+    order: ClassVar[int] = 0
+    on: str = eqx.field(static=True, converter=plain)
+    axis: Float[Array, "3"] | None = field("", "direction")
+    relative_to: str = field(static=True, converter=plain)
+
+    def __init__(self, on: str, *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+        with Problems() as problems:
+            self._attached(problems, on, axis, relative_to, chain)
+
+    def _attached(self, problems: Problems, on: Any, axis: Any, relative_to: Any, chain: Chain) -> None:
+        kind = type(self).__name__
+        for name, given in (("on", on), ("relative_to", relative_to)):
+            if not isinstance(given, str):
+                hint = f'Write {kind}("plate", ..., relative_to="base").'
+                problems.add("WRONG_KIND", f"{kind}.{name}", f"is {given!r:.60}", value=given, limit="a name", hint=hint)
+        self.on, self.relative_to = on, relative_to
+        self.axis = None if axis is None else direction(axis, f"{kind}.axis", problems)
+        self.chained(problems, **chain)
+
+    @property
+    def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return (3,) if self.axis is None else ()
+
+    @property
+    def names(self):
+        return (self.on, self.relative_to)
+
+    def along(self, x: Float[Array, "*n 3"]) -> Float[Array, "*r"]:
+        """All components, or the one along the axis."""
+        return x if self.axis is None else dot(jnp.asarray(self.axis), x)
+
+    def rows(self, model: Model, frames: Frame, twists: Float[Array, "nf n 6"]) -> Float[Array, "n *r"]:
+        """The change of the displacement, or of the rotation, per unit of each of n coordinates that move the frames by their `twists`."""
+        row, other = (model.layout.frame(name) for name in self.names)
+        moved = self.moved(frames, row, twists[row])
+        if self.relative_to != WORLD:
+            moved = rotate_back(frames.R[other], moved - self.moved(frames, row, twists[other], other))
+        return self.along(moved)
+
+    def moved(self, frames: Frame, row: int, twist: Float[Array, "n 6"], carried_by: int | None = None) -> Float[Array, "n 3"]:
+        """The rotation of a frame in world axes, or the displacement of the point when carried along by a frame."""
+        return twist[:, 3:]
+
+
+class KinematicVector(Kinematic):
+    """The base class of those whose reading is a world vector: `absolute`, or `relative` to that of the frame in another row."""
+
+    @abstractmethod
+    def absolute(self, model: Model, frames: Instant, row: int) -> Float[Array, "3"]: ...
+
+    @abstractmethod
+    def relative(self, model: Model, frames: Instant, row: int, other: int) -> Float[Array, "3"]: ...
+
+    def reading(self, model, frames):
+        row, other = (model.layout.frame(name) for name in self.names)
+        if self.relative_to == WORLD:
+            return self.along(self.absolute(model, frames, row))
+        return self.along(rotate_back(frames.R[other], self.relative(model, frames, row, other)))
+
+
+class KinematicOfPoint(KinematicVector):
+    """The base class of kinematic sensors of a point."""
+
+    point: Float[Array, "3"] = field("m")
+
+    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+        with Problems() as problems:
+            self.point = vector(point, f"{type(self).__name__}.point", problems)
+            self._attached(problems, on, axis, relative_to, chain)
+
+    def moved(self, frames, row, twist, carried_by=None):
+        arm = frames[row].point(self.point) - frames.p[row if carried_by is None else carried_by]
+        return twist[:, :3] + cross(twist[:, 3:], arm)
+
+
+class Position(KinematicOfPoint):
+    """Position [m] of a point of a body or support, in world axes; as an output of responses its displacement from equilibrium.
+
+    Args:
+        on: name of the body or support
+        point: position in its axes [m]
+        axis: for one component, x, y, z or a direction; None: three components
+        relative_to: a body or support B, for the position from its origin, as seen by an observer on B, in the axes of B
+        chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
+
+    Errors: BAD_DIRECTION, ZERO_AXIS, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> Position("plate", [0.1, 0, 0]).shape, Position("plate", axis="x").shape
+    ((3,), ())
+    """
+
+    unit = "m"
+
+    def absolute(self, model, frames, row):
+        return frames[row].point(self.point)
+
+    def relative(self, model, frames, row, other):
+        return self.absolute(model, frames, row) - frames.p[other]
+
+
+class Velocity(KinematicOfPoint):
+    """Velocity [m/s] of a point of a body or support. Relative to the world it is the ideal record of a geophone.
+
+    Its arguments and errors are those of Position.
+
+    >>> Velocity("plate", [0.1, 0, 0], relative_to="base").unit
+    'm/s'
+    """
+
+    unit = "m/s"
+    order = 1
+
+    def absolute(self, model, frames, row):
+        return frames[row].velocity(self.point)
+
+    def relative(self, model, frames, row, other):
+        r = frames[row].point(self.point) - frames.p[other]
+        return self.absolute(model, frames, row) - frames.v[other] - cross(frames.w[other], r)
+
+
+class Acceleration(KinematicOfPoint):
+    """Acceleration [m/s2] of a point of a body or support, d2p/dt2, without gravity: what comfort values are of. An Accelerometer reads the
+    specific force in its own axes, which contains gravity.
+
+    Its arguments and errors are those of Position. A stone that falls:
+
+    >>> guide = Guide("world", axis=[0, 0, 1])
+    >>> model = Model(bodies={"stone": Body(mass=1, inertia=[1, 1, 1])}, joints={"stone": guide}, gravity=[0, 0, -10])
+    >>> measure(simulate(model, [0.0, 0.5]), {"a": Acceleration("stone", axis="z")})["a"].tolist()
+    [-10.0, -10.0]
+    """
+
+    unit = "m/s2"
+    order = 2
+    accelerations = True
+
+    def absolute(self, model, frames, row):
+        return frames.acceleration(row, self.point)
+
+    def relative(self, model, frames, row, other):
+        assert frames.a is not None and frames.alpha is not None
+        r, w = frames[row].point(self.point) - frames.p[other], frames.w[other]
+        u = frames[row].velocity(self.point) - frames.v[other] - cross(w, r)
+        return self.absolute(model, frames, row) - frames.a[other] - cross(frames.alpha[other], r) - cross(w, cross(w, r) + 2 * u)
+
+
+class Rotation(Kinematic):
+    """Rotation vector [rad] of a body or support from its reference pose, below half a turn; as an output of responses that from
+    equilibrium.
+
+    Args:
+        on: name of the body or support
+        axis: for one component, x, y, z or a direction; None: three components
+        relative_to: a body or support B, for the rotation as seen by an observer on B, in the axes of B
+        chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
+
+    Errors: BAD_DIRECTION, ZERO_AXIS, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_CHAIN, BAD_LAG.
+
+    >>> Rotation("plate", axis="z").unit
+    'rad'
+    """
+
+    unit = "rad"
+
+    def reading(self, model, frames):
+        R_0, B_0 = (pose_at_reference(model, name).R for name in self.names)
+        return self._turned(self._seen(model, frames), product(B_0.T, R_0))
+
+    def change(self, model, frames, rest):
+        return self._turned(self._seen(model, frames), self._seen(model, rest))
+
+    def _seen(self, model: Model, frames: Instant) -> Float[Array, "3 3"]:
+        """Q = R_B' R."""
+        R, B = (frames.R[model.layout.frame(name)] for name in self.names)
+        return product(B.T, R)
+
+    def _turned(self, Q: Float[Array, "3 3"], Q_0: Float[Array, "3 3"]) -> Float[Array, "*r"]:
+        return self.along(rotations.log(product(Q, Q_0.T)))
+
+
+class AngularVelocity(KinematicVector):
+    """Angular velocity [rad/s] of a body or support. Its arguments and errors are those of Rotation; a Gyro reads it in its own axes.
+
+    >>> AngularVelocity("plate").shape
+    (3,)
+    """
+
+    unit = "rad/s"
+    order = 1
+
+    def absolute(self, model, frames, row):
+        return frames.w[row]
+
+    def relative(self, model, frames, row, other):
+        return frames.w[row] - frames.w[other]
+
+
+class AngularAcceleration(KinematicVector):
+    """Angular acceleration [rad/s2] of a body or support. Its arguments and errors are those of Rotation.
+
+    >>> AngularAcceleration("plate", axis="y").unit
+    'rad/s2'
+    """
+
+    unit = "rad/s2"
+    order = 2
+    accelerations = True
+
+    def absolute(self, model, frames, row):
+        assert frames.alpha is not None
+        return frames.alpha[row]
+
+    def relative(self, model, frames, row, other):
+        assert frames.alpha is not None
+        return frames.alpha[row] - frames.alpha[other] - cross(frames.w[other], frames.w[row])
