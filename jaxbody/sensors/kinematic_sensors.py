@@ -42,19 +42,18 @@ class Kinematic(Sensor):
     axis: Float[Array, "3"] | None = field("", "direction")
     relative_to: str = field(static=True, converter=plain)
 
-    def __init__(self, on: str, *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
-        with Problems() as problems:
-            self._attached(problems, on, axis, relative_to, chain)
-
-    def _attached(self, problems: Problems, on: Any, axis: Any, relative_to: Any, chain: Chain) -> None:
+    def placed(self, on: Any, axis: Any, relative_to: Any, chain: Chain, point: Any = None) -> None:
         kind = type(self).__name__
-        for name, given in (("on", on), ("relative_to", relative_to)):
-            if not isinstance(given, str):
-                hint = f'Write {kind}("plate", ..., relative_to="base").'
-                problems.add("WRONG_KIND", f"{kind}.{name}", f"is {given!r:.60}", value=given, limit="a name", hint=hint)
-        self.on, self.relative_to = on, relative_to
-        self.axis = None if axis is None else direction(axis, f"{kind}.axis", problems)
-        self.chained(problems, **chain)
+        with Problems() as problems:
+            for name, given in (("on", on), ("relative_to", relative_to)):
+                if not isinstance(given, str):
+                    hint = f'Write {kind}("plate", ..., relative_to="base").'
+                    problems.add("WRONG_KIND", f"{kind}.{name}", f"is {given!r:.60}", value=given, limit="a name", hint=hint)
+            self.on, self.relative_to = on, relative_to
+            if isinstance(self, KinematicOfPoint):
+                self.point = vector(point, f"{kind}.point", problems)
+            self.axis = None if axis is None else direction(axis, f"{kind}.axis", problems)
+            self.chained(problems, **chain)
 
     @property
     def shape(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -102,11 +101,6 @@ class KinematicOfPoint(KinematicVector):
 
     point: Float[Array, "3"] = field("m")
 
-    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
-        with Problems() as problems:
-            self.point = vector(point, f"{type(self).__name__}.point", problems)
-            self._attached(problems, on, axis, relative_to, chain)
-
     def moved(self, frames, row, twist, carried_by=None):
         arm = frames[row].point(self.point) - frames.p[row if carried_by is None else carried_by]
         return twist[:, :3] + cross(twist[:, 3:], arm)
@@ -130,6 +124,9 @@ class Position(KinematicOfPoint):
 
     unit = "m"
 
+    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+        self.placed(on, axis, relative_to, chain, point)
+
     def absolute(self, model, frames, row):
         return frames[row].point(self.point)
 
@@ -148,6 +145,9 @@ class Velocity(KinematicOfPoint):
 
     unit = "m/s"
     order = 1
+
+    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+        self.placed(on, axis, relative_to, chain, point)
 
     def absolute(self, model, frames, row):
         return frames[row].velocity(self.point)
@@ -172,6 +172,9 @@ class Acceleration(KinematicOfPoint):
     unit = "m/s2"
     order = 2
     accelerations = True
+
+    def __init__(self, on: str, point=(0, 0, 0), *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+        self.placed(on, axis, relative_to, chain, point)
 
     def absolute(self, model, frames, row):
         return frames.acceleration(row, self.point)
@@ -201,6 +204,9 @@ class Rotation(Kinematic):
 
     unit = "rad"
 
+    def __init__(self, on: str, *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+        self.placed(on, axis, relative_to, chain)
+
     def reading(self, model, frames):
         R_0, B_0 = (pose_at_reference(model, name).R for name in self.names)
         return self._turned(self._seen(model, frames), product(B_0.T, R_0))
@@ -227,6 +233,9 @@ class AngularVelocity(KinematicVector):
     unit = "rad/s"
     order = 1
 
+    def __init__(self, on: str, *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+        self.placed(on, axis, relative_to, chain)
+
     def absolute(self, model, frames, row):
         return frames.w[row]
 
@@ -244,6 +253,9 @@ class AngularAcceleration(KinematicVector):
     unit = "rad/s2"
     order = 2
     accelerations = True
+
+    def __init__(self, on: str, *, axis=None, relative_to: str = WORLD, **chain: Unpack[Chain]):
+        self.placed(on, axis, relative_to, chain)
 
     def absolute(self, model, frames, row):
         assert frames.alpha is not None
