@@ -21,10 +21,11 @@ from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, stack
 from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.energies import wrenches
+from jaxbody.mechanics.energies import each_element, wrenches
 from jaxbody.mechanics.kinematics import Coordinates, Motions
 from jaxbody.models.layouts import Layout
 from jaxbody.models.models import Model
+from jaxbody.models.sizes import size_of
 from jaxbody.models.states import Instant, State
 from jaxbody.numerics.small_systems import solve_spd
 
@@ -197,6 +198,27 @@ class Dynamics(eqx.Module):
         frames = frames_of_free_bodies(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B)))
         a = jnp.concatenate([zero, a, rotate(R, v_rate + cross(w_B, v_B))])
         return frames, a, jnp.concatenate([zero, alpha, rotate(R, w_rate)])
+
+    def scales(self, span: Float[Array, ""]) -> Float[Array, "ny"]:
+        """The scale of each component of y: the size of the model, 1 for angles; for velocities these times a fast frequency."""
+        model, layout = self.model, self.model.layout
+        size = size_of(model)
+        rate = jnp.sqrt(self._stiffness_sum() / jnp.sum(model.bodies.rows.mass) + jnp.linalg.norm(model.gravity) / size) + 1 / span
+        if not layout.floating:
+            return jnp.concatenate([jnp.where(layout.angular, 1.0, size), rate * jnp.where(layout.turns, 1.0, size)])
+        n = len(layout.bodies)
+        return jnp.concatenate([jnp.full(3 * n, size), jnp.ones(4 * n, size.dtype), jnp.full(3 * n, rate * size), jnp.full(3 * n, rate)])
+
+    def _stiffness_sum(self) -> Float[Array, ""]:
+        """The sum over the elements of the largest second derivative of V(e) in the reference pose."""
+
+        def stiffest(element, *frames):
+            e = element.deformation(*(f.pose() for f in frames))
+            return jnp.max(jnp.abs(jax.hessian(element.energy)(e)))
+
+        reference = frames_of_free_bodies(self.coordinates.supports.at_rest(), self.coordinates.bodies.at_rest())
+        largest = each_element(self.model, reference, stiffest)
+        return sum((jnp.sum(k) for k in largest), jnp.zeros((), self.model.gravity.dtype))
 
     def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
         """Force and moment about its origin that the bodies and elements exert on each support, in world axes."""

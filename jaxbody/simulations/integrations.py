@@ -13,10 +13,9 @@ from jaxbody.core.errors import Status
 from jaxbody.inputs.samples import kinks_of
 from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.canonical_equations import Canonical
-from jaxbody.mechanics.energies import each_element, outside_law_range
-from jaxbody.mechanics.equations_of_motion import Dynamics, frames_of_free_bodies
-from jaxbody.mechanics.kinematics import Coordinates, frames_at_time
-from jaxbody.models.sizes import size_of
+from jaxbody.mechanics.energies import outside_law_range
+from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.kinematics import frames_at_time
 from jaxbody.numerics import dormand_prince_steps
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.precisions import reachable
@@ -82,16 +81,16 @@ def _nan_unless_jvp(primals, tangents):
     return _nan_unless(valid, y), change
 
 
-def _tolerances(coordinates: Coordinates, span, rtol):
+def _tolerances(dynamics: Dynamics, span, rtol):
     """rtol and atol of the local error, and the shortest step: constants for both modes of differentiation."""
-    coordinates, span, local = jax.lax.stop_gradient((coordinates, span, SAFETY * rtol))
+    dynamics, span, local = jax.lax.stop_gradient((dynamics, span, SAFETY * rtol))
     local = jnp.maximum(local, FINEST[local.dtype.name])
-    return local, local / 100 * _scales(coordinates, span), reachable(1e-13, span.dtype, 1) * span
+    return local, local / 100 * dynamics.scales(span), reachable(1e-13, span.dtype, 1) * span
 
 
 def _by_blocks(dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
     """Integration by our own loops (`dormand_prince_steps`)."""
-    limits = _tolerances(dynamics.coordinates, times[-1] - times[0], rtol)
+    limits = _tolerances(dynamics, times[-1] - times[0], rtol)
     signals = [signal for load in dynamics.loads for signal in load.signals()]
     constant = isinstance(controller, diffrax.ConstantStepSize)
     kinks = None if constant else kinks_of((*dynamics.motions, *signals))
@@ -112,7 +111,7 @@ def _by_diffrax(dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max
     """Integration by diffrax, with the user's objects and defaults for the others."""
     adjoint = adjoint or (diffrax.DirectAdjoint() if isinstance(controller, CONSTANT) else diffrax.RecursiveCheckpointAdjoint())
     if controller is None:
-        local, atol, shortest = _tolerances(dynamics.coordinates, times[-1] - times[0], rtol)
+        local, atol, shortest = _tolerances(dynamics, times[-1] - times[0], rtol)
         controller = diffrax.PIDController(rtol=local, atol=atol, norm=optimistix.max_norm, dtmin=shortest, force_dtmin=False)
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, dynamics: dynamics.rate(t, y)),
@@ -138,27 +137,3 @@ def _by_diffrax(dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max
     stuck = (code != Status.OK.value) & ~jnp.isfinite(jax.vmap(lambda t: dynamics.rate(t, y_end))(ahead)).all()
     steps = (solution.stats[f"num_{kind}_steps"] for kind in ("accepted", "rejected"))
     return solution.ys[0].at[0].set(y0), t_end, y_end, jnp.where(stuck, Status.NONFINITE.value, code), *steps
-
-
-def _scales(coordinates: Coordinates, span) -> Float[Array, "ny"]:
-    """The scale of each component of y: the size of the model, 1 for angles; for velocities these times a fast frequency."""
-    model = coordinates.model
-    layout = model.layout
-    size = size_of(model)
-    rate = jnp.sqrt(_stiffness_sum(coordinates) / jnp.sum(model.bodies.rows.mass) + jnp.linalg.norm(model.gravity) / size) + 1 / span
-    if not layout.floating:
-        return jnp.concatenate([jnp.where(layout.angular, 1.0, size), rate * jnp.where(layout.turns, 1.0, size)])
-    n = len(layout.bodies)
-    return jnp.concatenate([jnp.full(3 * n, size), jnp.ones(4 * n, size.dtype), jnp.full(3 * n, rate * size), jnp.full(3 * n, rate)])
-
-
-def _stiffness_sum(coordinates: Coordinates) -> Float[Array, ""]:
-    """The sum over the elements of the largest second derivative of V(e) in the reference pose."""
-
-    def stiffest(element, *frames):
-        e = element.deformation(*(f.pose() for f in frames))
-        return jnp.max(jnp.abs(jax.hessian(element.energy)(e)))
-
-    reference = frames_of_free_bodies(coordinates.supports.at_rest(), coordinates.bodies.at_rest())
-    largest = each_element(coordinates.model, reference, stiffest)
-    return sum((jnp.sum(k) for k in largest), jnp.zeros((), coordinates.model.gravity.dtype))
