@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import is_concrete
+from jaxbody.geometry.vectors import to_rank
 from jaxbody.models.models import Model
 
 
@@ -30,3 +31,8 @@ def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
     """Delta per scaled increment: 1 for translations, 1/size for rotations, so that all increments are in meters."""
     xp: Any = np if is_concrete(size) else jnp
     return xp.where(model.layout.turns, 1 / size, 1.0)
+
+
+def scaled(A: Any, scale: Any) -> Any:
+    """A matrix, or several, of scaled increments: A_ij scale_i scale_j."""
+    return A * to_rank(scale[None] * scale[:, None], A.ndim)

@@ -32,14 +32,12 @@ from jaxbody.numerics.precisions import reachable
 from jaxbody.responses.modal_dampings import NO_MODES, with_modal_damping
 from jaxbody.sensors.instruments import LoadCell
 from jaxbody.sensors.sensors import Sensor
-from jaxbody.statics.equilibria import NOT_AT_REST
 from jaxbody.vibrations.linearizations import Linearization
-from jaxbody.vibrations.ports import Ports, check_ports, full_matrices, port_matrices, reads_matrices
+from jaxbody.vibrations.ports import Ports, check_ports, port_matrices, reads_matrices
 
 LARGEST_UNROLLED = 16  # coordinates; beyond them LAPACK at each frequency costs less than compiling this elimination
 GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, above which it is not rounding
 INVERTED = 1e-7  # relative error of the inverse of the modes, above which the modal sum is inaccurate
-FAILED = (*NOT_AT_REST, *NO_MODES)
 METHODS = ("direct", "modal")
 
 
@@ -238,7 +236,7 @@ def response_values(
     """(values (ny, nu, nf), status); `static` where 0 Hz is among the frequencies."""
     nv, X = lin.M.shape[-1], ports.X
     s = jax.lax.complex(jnp.zeros_like(f), 2 * jnp.pi * f)
-    whole = _Matrices(*full_matrices(lin), None if eta is None else hysteretic_damping(lin, eta))
+    whole = _Matrices(*lin.whole, None if eta is None else hysteretic_damping(lin, eta))
     scale = s[None] ** -jnp.array(ports.orders, s.dtype)[:, None] if any(ports.orders) else jnp.ones((len(ports.orders), 1), s.dtype)
     own = jax.tree.map(lambda A: A[:nv, :nv], whole)
     right = ports.F[:nv, :, None].astype(s.dtype) - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale[None]
@@ -253,11 +251,11 @@ def response_values(
         squares = jnp.abs(jax.lax.stop_gradient(natural(lin.K, lin.M)[0]))
         free = jnp.min(squares, initial=jnp.inf) <= ZERO * jnp.max(squares, initial=0.0)
         values = jnp.where(free & (f == 0), jnp.nan, values)
-    status = jnp.select(
-        [jnp.isin(lin.status, jnp.array(FAILED)), is_unstable(own), ~complete, free, ~jnp.isfinite(values).all()],
-        [lin.status, Status.UNSTABLE.value, Status.DEFECTIVE.value, Status.SINGULAR_K.value, Status.NONFINITE.value],
+    status = lin.kept_status(jnp.select(
+        [is_unstable(own), ~complete, free, ~jnp.isfinite(values).all()],
+        [Status.UNSTABLE.value, Status.DEFECTIVE.value, Status.SINGULAR_K.value, Status.NONFINITE.value],
         Status.OK.value,
-    )
+    ), NO_MODES)  # fmt: skip
     failed = (status != Status.OK) & (status != Status.NONFINITE) & (status != Status.SINGULAR_K)
     return values * jnp.where(failed, jnp.nan, 1.0), status
 

@@ -13,6 +13,7 @@ import numpy as np
 from jaxbody.core.arrays import Array, Bool, Float, Int
 from jaxbody.mechanics.hessians import configuration_at, expansion
 from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.sizes import scaled
 from jaxbody.numerics.lanes import LANES, in_lanes
 from jaxbody.numerics.precisions import NEWTON, reachable
 from jaxbody.numerics.small_systems import is_definite, solve_if_definite
@@ -46,7 +47,7 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
         # below `tiny` rounding of the energy hides its decrease
         falls = (expected > 0) & (best[1] - value >= 1e-4 * expected)
         accept = jnp.isfinite(value) & (falls | tiny | (n == 0))
-        best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (trial, value, slope * scale, K * scale[None] * scale[:, None]), best)
+        best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (trial, value, slope * scale, scaled(K, scale)), best)
         shift = jnp.where(accept, jnp.where(shift > 1e-3, shift / 10, 0.0), jnp.maximum(4 * shift, 0.1))
         _, _, slope, K = best
         unit = jnp.max(jnp.abs(K), initial=0.0)

@@ -33,7 +33,7 @@ from jaxbody.models.layouts import Layout
 from jaxbody.models.leaf_paths import by_name, springs_of
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
-from jaxbody.models.sizes import scale_of, size_of
+from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.eigenproblems import MASSLESS
 from jaxbody.numerics.precisions import in_float64, reachable
@@ -366,7 +366,7 @@ def zero_modes(model: Model, state: State) -> list[str]:
     layout = model.layout
     scale = np.asarray(scale_of(model, size_of(model)))
     K = np.asarray(_stiffness(model, state.q))
-    return describe_null_motions(layout, K * scale[None] * scale[:, None], reachable(SINGULAR, K.dtype), "free to")
+    return describe_null_motions(layout, scaled(K, scale), reachable(SINGULAR, K.dtype), "free to")
 
 
 def massless_motions(layout: Layout, M: Any) -> list[str]:

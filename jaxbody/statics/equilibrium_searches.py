@@ -19,7 +19,7 @@ from jaxbody.mechanics.hessians import configuration_at, expansion, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision
-from jaxbody.models.sizes import scale_of, size_of
+from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.statics.descents import SINGULAR, descend, eigenvalue_signs
 from jaxbody.statics.equilibria import Equilibrium, SearchResult, equilibrium_at, no_loads
 
@@ -134,7 +134,7 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
         def step(carry, _):
             q, _ = carry
             _, g, K = expansion(configuration_at(coordinates, q, base=False))
-            K, g = K * scale[None] * scale[:, None], g * scale
+            K, g = scaled(K, scale), g * scale
             y = -jnp.linalg.pinv(K, rtol=SINGULAR, hermitian=True) @ g
             longest = jnp.max(jnp.abs(y), initial=0.0)
             y = y * jnp.where(longest > size / 4, size / 4 / longest, 1.0)
@@ -144,7 +144,7 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
 
         (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=NEWTON_STEPS)
         K = stiffness(configuration_at(coordinates, q, base=False))
-        return q, eigenvalue_signs(K * scale[None] * scale[:, None]), done, jnp.array(NEWTON_STEPS)
+        return q, eigenvalue_signs(scaled(K, scale)), done, jnp.array(NEWTON_STEPS)
 
     def equilibrium(q, signs, converged, steps):
         status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)

@@ -24,6 +24,7 @@ from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.hessians import Configuration, DeadForces, configuration_at, slope, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
+from jaxbody.models.sizes import scaled
 from jaxbody.numerics.precisions import NEWTON, reachable
 
 FIRST, LEAST, MOST = 0.25, 1e-5, 64  # steps of lambda: the first, the smallest, their largest number
@@ -161,7 +162,7 @@ def follow_load_path(coordinates: Coordinates, q, applied: AppliedLoads, scale: 
 
     def nondimensional(q, factor):
         at = configuration_at(coordinates, q, base=False)
-        return residual(at, applied, factor) * scale, tangent(at, applied, factor) * scale[None] * scale[:, None]
+        return residual(at, applied, factor) * scale, scaled(tangent(at, applied, factor), scale)
 
     def iterate(carry):
         at, q, target, length, iteration, steps, top, path = carry

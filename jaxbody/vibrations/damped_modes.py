@@ -15,17 +15,15 @@ from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import cross
-from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
-from jaxbody.models.sizes import scale_of, size_of
+from jaxbody.models.sizes import scaled
 from jaxbody.numerics.eigenproblems import cholesky_of_mass, companion, pole_clusters, poles, refused_if_shared
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.descents import SINGULAR
-from jaxbody.statics.equilibria import NOT_AT_REST
-from jaxbody.vibrations.linearizations import Linearization, check_linearization
-from jaxbody.vibrations.mode_names import Placed, mark_note, names_of_shapes, placed_bodies
+from jaxbody.vibrations.linearizations import Linearization, LinearSystem, check_linearization
+from jaxbody.vibrations.mode_names import Basis, basis_at, mark_note, names_of_shapes
 from jaxbody.vibrations.natural_modes import details_of
 from jaxbody.vibrations.spins import SpinLinearization
 
@@ -52,7 +50,7 @@ class ComplexModes(Result):
     status: Int[Array, ""]
     M: Float[Array, "nv nv"]
     model: Model
-    placed: Placed
+    basis: Basis
 
     @property
     def layout(self) -> Layout:
@@ -61,7 +59,7 @@ class ComplexModes(Result):
     @property
     def names(self) -> tuple[str, ...]:
         """Each mode by the body and direction with most of its kinetic energy (the mean over a period), or several bodies that share it."""
-        return names_of_shapes(self.model, self.placed, self.shapes, self.cluster, np.asarray(self.poles)[:, 0])
+        return names_of_shapes(self.model, self.basis, self.shapes, self.cluster, np.asarray(self.poles)[:, 0])
 
     def explain(self) -> str:
         return details_of(self, np.asarray(self.decay_rate) < 0, np.asarray(self.natural_frequency) == 0)
@@ -109,23 +107,13 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     if not isinstance(lin, SpinLinearization):
         check_linearization(lin, "complex_modes")
     check_precision("complex_modes", lin.model, allow_float32=allow_float32)
-    spins = isinstance(lin, SpinLinearization)
-    D = lin.C + lin.G if isinstance(lin, SpinLinearization) else lin.C
-    unit = jax.lax.stop_gradient(scale_of(lin.model, size_of(lin.model)))  # nondimensional; results do not depend on it
-    return warn_if_failed(
-        ComplexModes(
-            *_complex_modes(lin.M, D, lin.K, unit, lin.status, spins),
-            M=lin.M,
-            model=lin.model,
-            placed=placed_bodies(lin.model, lin.state.q),
-        )
-    )
+    return warn_if_failed(ComplexModes(*_complex_modes(lin), M=lin.M, model=lin.model, basis=basis_at(lin.model, lin.state.q)))
 
 
 @jit_unoptimized
-def _complex_modes(M, D, K, unit, lin_status, spins: bool) -> tuple[Array, ...]:
-    n = len(M)
-    M, D, K = (X * unit[None] * unit[:, None] for X in (M, D, K))
+def _complex_modes(lin: LinearSystem) -> tuple[Array, ...]:
+    n, unit = len(lin.M), jax.lax.stop_gradient(lin.scale)  # nondimensional; results do not depend on it
+    M, D, K = (scaled(X, unit) for X in (lin.M, lin.D, lin.K))
     finite, massless = jnp.isfinite(jnp.stack([M, D, K])).all(), jnp.isnan(cholesky_of_mass(M)).any()
     M, D, K = (jnp.where(finite & ~massless, X, np.eye(n)) for X in (M, D, K))  # LAPACK may not terminate on NaN
     A = companion((M + M.T) / 2, D, K)
@@ -142,16 +130,15 @@ def _complex_modes(M, D, K, unit, lin_status, spins: bool) -> tuple[Array, ...]:
     w = jnp.sqrt(jnp.where(product > 0, product, 1.0))
     natural = jnp.where(product > 0, w, jnp.where(rigid, 0.0, jnp.nan)) / (2 * jnp.pi)
     ratio = jnp.where(product > 0, -(one + other).real / (2 * w), jnp.nan)
-    failed = jnp.isin(lin_status, jnp.array([*NOT_AT_REST, Status.NOT_STEADY]))
     own_status = jnp.select(
         # a change of the spin is a motion that nothing resists
         [~finite, massless, jnp.any(jnp.maximum(one.real, other.real) > reachable(GROWS, largest.dtype, 256) * largest),
-         jnp.sum(rigid) > int(spins)],
+         jnp.sum(rigid) > int(isinstance(lin, SpinLinearization))],
         [Status.NONFINITE.value, Status.SINGULAR_M.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,
     )  # fmt: skip
     shapes = refused_if_shared(X[:n] * unit[:, None].astype(X.dtype), pole_clusters(frozen))[:, pairs[:, 0]]
     shapes = _normalized(shapes, M / unit[None] / unit[:, None])
-    status = jnp.where(failed, lin_status, own_status)
+    status = lin.kept_status(own_status)
     valid = jnp.where(finite & ~massless, 1.0, jnp.nan)
     steady = jnp.where(status == Status.NOT_STEADY, jnp.nan, valid)
     frequency, natural, ratio, decay = (
@@ -211,21 +198,15 @@ def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:
 
 @jit_unoptimized
 def _whirl(lin: SpinLinearization, shapes: Complex[Array, "nv n"]) -> Float[Array, "n"]:
-    model, layout = lin.model, lin.model.layout
-    bodies = model.bodies.rows
-
-    def velocities(v):
-        frames = Coordinates(model).at_rest(lin.state.q, v)[layout.first_body :]
-        return frames.velocity(bodies.com), frames.w
-
-    spin = velocities(lin.state.v)[1]
+    bodies, V = lin.model.bodies.rows, basis_at(lin.model, lin.state.q).velocities
+    spin = (V @ lin.state.v)[:, 3:]
     fastest = spin[jnp.argmax(jnp.sum(spin**2, -1))]
     n = fastest / jnp.maximum(jnp.linalg.norm(fastest), 1e-300)
     weights = bodies.mass, jnp.trace(bodies.inertia, axis1=-2, axis2=-1) / 2
 
     def one(u):
         whirling = size = jnp.zeros(())
-        for weight, a, b in zip(weights, velocities(u.real), velocities(-u.imag), strict=True):
+        for weight, a, b in zip(weights, *(jnp.split(V @ x, 2, -1) for x in (u.real, -u.imag)), strict=True):
             a, b = (x - jnp.sum(x * n[None], -1, keepdims=True) * n[None] for x in (a, b))
             whirling += jnp.sum(weight * (cross(a, b) @ n))
             size += jnp.sum(weight * jnp.sum(a * a + b * b, -1))

@@ -7,7 +7,8 @@ K | -K~ | K_bb   Hessian of V in (Delta, Xi)      (41), (42), (49), (66) of the 
 
 from __future__ import annotations
 
-from typing import Any
+from abc import abstractmethod
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -30,33 +31,29 @@ from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_memory, check_precision, check_state
-from jaxbody.models.sizes import scale_of, size_of
+from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.statics.equilibria import NOT_AT_REST, Equilibrium, zero_modes
 from jaxbody.statics.load_paths import generalized_force, stiffness_of_loads
+from jaxbody.vibrations.mode_names import Basis, basis_at
 from jaxbody.vibrations.state_spaces import StateSpace, state_space
 
+UNITS = {"M": "kg, kg m, kg m2", "C": "N s/m, N s, N m s", "G": "N s/m, N s, N m s", "K": "N/m, N, N m"}
 
-class Linearization(Result):
-    """The matrices of small motions about `state`, rows and columns as in `coordinates` and `base_coordinates`.
 
-    The chart: Delta of a free body is the displacement of its O and a rotation vector, in world axes; for other joints, their coordinates,
-        in axes of the parent. Away from equilibrium K depends on the chart; its split depends on it everywhere."""
+class LinearSystem(Result):
+    """M Delta'' + D Delta' + K Delta = 0 of small motions about `state`, with D = C for a rest: what modes, poles, responses and state
+    spaces read. `coordinates` names the rows, `basis` says which motion of which body each is."""
 
     M: Float[Array, "nv nv"]
     C: Float[Array, "nv nv"]
     K: Float[Array, "nv nv"]
-    M_tilde: Float[Array, "nv nxi"]
-    C_tilde: Float[Array, "nv nxi"]
-    K_tilde: Float[Array, "nv nxi"]
-    M_bb: Float[Array, "nxi nxi"]
-    C_bb: Float[Array, "nxi nxi"]
-    K_bb: Float[Array, "nxi nxi"]
     status: Int[Array, ""]
     state: State
     model: Model
-    loads: tuple[Load, ...]
+    printed: ClassVar[tuple[str, ...]] = ("M", "C", "K")  # the matrices that are printed
+    exported: ClassVar[tuple[str, ...]] = ()  # those of a dataset
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -67,6 +64,67 @@ class Linearization(Result):
     def base_coordinates(self) -> tuple[str, ...]:
         """The names of the components of Xi."""
         return self.model.layout.base_coordinates
+
+    @property
+    def D(self) -> Float[Array, "nv nv"]:
+        """The matrix of Delta': C, and about a spin C + G."""
+        return self.C
+
+    @property
+    def basis(self) -> Basis:
+        """The motions of the bodies per unit of each coordinate."""
+        return basis_at(self.model, self.state.q)
+
+    @property
+    def scale(self) -> Float[Array, "nv"]:
+        """The change of each coordinate of one meter."""
+        return scale_of(self.model, size_of(self.model))
+
+    def kept_status(self, own: Array, failures: tuple[Status, ...] = ()) -> Int[Array, ""]:
+        """The status of a result: that of the system where it is about no rest or steady motion, or one of `failures`; else its `own`."""
+        return jnp.where(jnp.isin(self.status, jnp.array((*NOT_AT_REST, Status.NOT_STEADY, *failures))), self.status, own)
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: the matrices and their blocks that couple to the base, by named coordinates."""
+        own, base = list(self.coordinates), list(self.base_coordinates)
+        blocks = {"tilde": ("coordinate", "base"), "bb": ("base", "base_2")}
+        axes = {name: blocks.get(name.partition("_")[2], ("coordinate", "coordinate_2")) for name in self.exported}
+        variables: dict[str, Any] = {
+            name: (dims, getattr(self, name), UNITS[name[0]]) for name, dims in axes.items() if base or "base" not in dims
+        }
+        coordinates = {"coordinate": own, "coordinate_2": own} | ({"base": base, "base_2": base} if base else {})
+        return dataset(variables | {"status": ((), self.status, "")}, coordinates, type(self).__name__)
+
+    def _tables(self) -> list[tables.PrintedTable]:
+        shown = [tables.of_matrix(f"{name} [{UNITS[name]}]", getattr(self, name), self.coordinates) for name in self.printed]
+        shown[-1].note = self.note()
+        return shown
+
+    @abstractmethod
+    def note(self) -> str:
+        """What is printed below the matrices."""
+
+
+class Linearization(LinearSystem):
+    """The matrices of small motions about `state`, rows and columns as in `coordinates` and `base_coordinates`.
+
+    The chart: Delta of a free body is the displacement of its O and a rotation vector, in world axes; for other joints, their coordinates,
+        in axes of the parent. Away from equilibrium K depends on the chart; its split depends on it everywhere."""
+
+    M_tilde: Float[Array, "nv nxi"]
+    C_tilde: Float[Array, "nv nxi"]
+    K_tilde: Float[Array, "nv nxi"]
+    M_bb: Float[Array, "nxi nxi"]
+    C_bb: Float[Array, "nxi nxi"]
+    K_bb: Float[Array, "nxi nxi"]
+    loads: tuple[Load, ...]
+    exported = tuple(f"{name}{block}" for name in "MCK" for block in ("", "_tilde", "_bb"))
+
+    @property
+    def whole(self) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, "n n"]]:
+        """K, C and M of (Delta, Xi)."""
+        blocks = ((self.K, self.K_tilde, self.K_bb), (self.C, self.C_tilde, self.C_bb), (self.M, self.M_tilde, self.M_bb))
+        return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)  # pyright: ignore[reportReturnType]  of three
 
     @property
     def K_elastic(self) -> Float[Array, "nv nv"]:
@@ -96,24 +154,15 @@ class Linearization(Result):
     def K_geometric_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
         return by_name(_names(self.model), _split(self.model, self.state)[1])
 
+    def note(self):
+        return "chart: displacement of O and rotation vector, in world axes (joints: their coordinates, axes of the parent)"
+
     def explain(self) -> str:
         if int(self.status) == Status.SINGULAR_K:
             return "; ".join(zero_modes(self.model, self.state))
         if int(self.status) == Status.STALE:
             return "compute the equilibrium of the changed model again"
         return "the state is not an equilibrium" if int(self.status) else ""
-
-    def to_xarray(self) -> Any:
-        """An xarray.Dataset: M, C, K and their blocks that couple to the base, by named coordinates."""
-        own, base = list(self.coordinates), list(self.base_coordinates)
-        variables = {}
-        for name, unit in (("M", "kg, kg m, kg m2"), ("C", "N s/m, N s, N m s"), ("K", "N/m, N, N m")):
-            variables[name] = (("coordinate", "coordinate_2"), getattr(self, name), unit)
-            if base:
-                variables[f"{name}_tilde"] = (("coordinate", "base"), getattr(self, f"{name}_tilde"), unit)
-                variables[f"{name}_bb"] = (("base", "base_2"), getattr(self, f"{name}_bb"), unit)
-        coordinates = {"coordinate": own, "coordinate_2": own} | ({"base": base, "base_2": base} if base else {})
-        return dataset(variables | {"status": ((), self.status, "")}, coordinates, "linearization")
 
     def state_space(self, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
         """A, B, C, D from named inputs to named outputs, {name: port}, as python-control takes them.
@@ -133,12 +182,6 @@ class Linearization(Result):
         ([[0.0, 1.0], [-25.0, 0.0]], [[0.0], [25.0]])
         """
         return state_space(self, inputs, outputs)
-
-    def _tables(self) -> list[tables.PrintedTable]:
-        units = {"M": "kg, kg m, kg m2", "C": "N s/m, ...", "K": "N/m, N, N m"}
-        shown = [tables.of_matrix(f"{name} [{unit}]", getattr(self, name), self.coordinates) for name, unit in units.items()]
-        shown[-1].note = "chart: displacement of O and rotation vector, in world axes (joints: their coordinates, axes of the parent)"
-        return shown
 
 
 def check_linearization(lin: Any, where: str) -> None:
@@ -226,10 +269,10 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
         size = size_of(model)
         scale = scale_of(model, size)
         unbalanced = slope - generalized_force(model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros_like(slope))
-        largest = jnp.max(jnp.abs(K * scale[None] * scale[:, None]), initial=0.0) * size
+        largest = jnp.max(jnp.abs(scaled(K, scale)), initial=0.0) * size
         stale = jnp.max(jnp.abs(unbalanced * scale), initial=0.0) > jnp.finfo(unbalanced.dtype).eps ** 0.5 * largest
         status = jnp.where(stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status)
-    return Linearization(M, C, K, M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, status, state, model, loads)
+    return Linearization(M, C, K, status, state, model, M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, loads)
 
 
 @jit_unoptimized

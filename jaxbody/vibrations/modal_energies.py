@@ -15,8 +15,6 @@ from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems, is_concrete
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.geometry.frames import Frame
-from jaxbody.geometry.vectors import rotate, rotate_back
 from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
@@ -24,7 +22,7 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.vibrations.linearizations import Linearization, check_linearization
-from jaxbody.vibrations.mode_names import AXES, direction_names, mark_note, mode_names, upward_axis
+from jaxbody.vibrations.mode_names import AXES, basis_at, direction_names, mark_note, mode_names, upward_axis
 from jaxbody.vibrations.natural_modes import modes_of
 
 LEAST_LOSS = 1e-12  # relative to the largest loss of a mode, below which a mode has no dissipation
@@ -192,7 +190,9 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
         nonzero = jnp.broadcast_to(jnp.abs(whole) > least, part.shape)
         return 100 * averaged(part, cluster) / jnp.where(nonzero, averaged(whole, cluster), 1.0) * nonzero.astype(part.dtype)
 
-    kinetic, moving = jax.vmap(lambda phi: _kinetic(lin.model, _moving(lin, phi)), in_axes=1, out_axes=-1)(shapes)
+    basis = basis_at(lin.model, lin.state.q)
+    moving = basis.velocities @ shapes
+    kinetic = moving * (basis.momenta @ shapes)
     elements = element_derivatives(configuration_at(Coordinates(lin.model), lin.state.q, lin.state.v))
     changes = [x.J[..., : len(shapes)] @ shapes for x in elements]
     none = jnp.zeros((0, len(values)), shapes.dtype)
@@ -217,20 +217,6 @@ def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
     the coordinates by small increases of the diagonal of K, up to SEPARATION, different for each coordinate."""
     increase = SEPARATION * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))
     _, shapes = natural(lin.K + jnp.diag(increase), lin.M)
-    kinetic = jax.vmap(lambda phi: _kinetic(lin.model, _moving(lin, phi))[0], in_axes=1, out_axes=-1)(shapes)
+    basis = basis_at(lin.model, lin.state.q)
+    kinetic = (basis.velocities @ shapes) * (basis.momenta @ shapes)
     return kinetic.reshape(-1, kinetic.shape[-1])  # phi' M phi = 1
-
-
-def _moving(lin: Linearization, phi: Float[Array, "nv"]) -> Frame:
-    return Coordinates(lin.model).at_rest(lin.state.q, phi)
-
-
-def _kinetic(model: Model, frames: Frame) -> tuple[Float[Array, "nb 6"], Float[Array, "nb 6"]]:
-    """Twice the kinetic energy by body and direction, and the velocities of centers of mass and angular velocities."""
-    bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
-    v_C = moving.velocity(bodies.com)
-    w_B = rotate_back(moving.R, moving.w)
-    inertia = (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2
-    momenta = jnp.concatenate([bodies.mass[:, None] * v_C, rotate(moving.R, rotate(inertia, w_B))], -1)
-    velocities = jnp.concatenate([v_C, moving.w], -1)
-    return velocities * momenta, velocities

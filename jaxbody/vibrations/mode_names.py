@@ -8,15 +8,17 @@ from __future__ import annotations
 
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float, concrete
 from jaxbody.core.compile_options import jit_unoptimized
+from jaxbody.geometry.vectors import cross, product, rotate
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 
-Placed = tuple[Float[Array, "nb 3 3"], Float[Array, "frames nv 6"] | None]  # orientations of bodies, and how coordinates move frames
 AXES = "xyz"
 ALIKE = 0.5  # relative to the largest share: another body above it in the same direction is named too
 MOST_NAMED = 4  # bodies; if more move alike they are counted
@@ -29,6 +31,28 @@ MARK_NOTE = (
     f"~ frequencies within {100 * NEAR:g} % of each other: "
     "equally small changes of the model mix these shapes and energies; consider them together"
 )
+
+
+class Basis(eqx.Module):
+    """What the coordinates of a linear system move: per unit of each speed the velocity of the center of mass and the angular velocity of
+    every body, in world axes, and the momenta that belong to these; so that M = sum over the bodies of velocities' momenta."""
+
+    velocities: Float[Array, "*b nb 6 nv"]
+    momenta: Float[Array, "*b nb 6 nv"]
+
+
+@jit_unoptimized
+def basis_at(model: Model, q: Float[Array, "nq"]) -> Basis:
+    """The basis of small motions about q."""
+    at, bodies = configuration_at(Coordinates(model), q, base=False), model.bodies.rows
+    nb, nv = len(model.layout.bodies), model.layout.nv
+    twists = (jnp.eye(nv, dtype=q.dtype).reshape(nb, 6, nv) if at.J is None else jnp.swapaxes(at.J[:nb], 1, 2)).swapaxes(1, 2)
+    R = at.frames.R[model.layout.first_body :]
+    linear, angular = jnp.split(twists, 2, -1)
+    v_C = linear + cross(angular, rotate(R, bodies.com)[:, None])
+    turned = product(product(R, (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2), jnp.swapaxes(R, -1, -2))
+    momenta = jnp.concatenate([bodies.mass[:, None, None] * v_C, rotate(turned[:, None], angular)], -1)
+    return Basis(*(jnp.swapaxes(x, 1, 2) for x in (jnp.concatenate([v_C, angular], -1), momenta)))
 
 
 def direction_names(model: Model, forward: str | None = None, up: str | None = None) -> tuple[str, ...]:
@@ -50,41 +74,25 @@ def upward_axis(model: Model) -> str | None:
     return AXES[int(np.argmax(np.abs(g)))]
 
 
-def names_of_shapes(model: Model, placed: Placed, shapes: Any, cluster: Any, values: Any) -> tuple[str, ...]:
-    """The names of shapes (columns, real or complex) with the bodies in their poses in `placed`; `values`: their frequencies or poles."""
-    R, J = (None if x is None else np.asarray(x) for x in placed)
-    assert R is not None
-    bodies, shapes, cluster = model.bodies.rows, np.asarray(shapes), np.asarray(cluster)
-    nb, nv = len(model.layout.bodies), model.layout.nv
-    J = np.eye(nv).reshape(nb, 6, nv) if J is None else J[:nb].swapaxes(1, 2)
-    arms = np.einsum("bij,bj->bi", R, bodies.com)
-    V = np.concatenate([J[:, :3] + np.cross(J[:, 3:], arms[:, :, None], axis=1), J[:, 3:]], 1)
-    inertia = np.asarray(bodies.inertia)
-    inertia = R @ ((inertia + inertia.swapaxes(1, 2)) / 2) @ R.swapaxes(1, 2)
-    P = np.concatenate([np.asarray(bodies.mass)[:, None, None] * V[:, :3], inertia @ V[:, 3:]], 1)
+def names_of_shapes(model: Model, basis: Basis, shapes: Any, cluster: Any, values: Any) -> tuple[str, ...]:
+    """The names of shapes (columns, real or complex) of small motions with this basis; `values`: their frequencies or poles."""
+    V, P, shapes, cluster = map(np.asarray, (basis.velocities, basis.momenta, shapes, cluster))
 
     def shares(x: np.ndarray) -> np.ndarray:
         """Shares of energy [%], summed over the columns."""
-        energies = ((V @ x).conj() * (P @ x)).real.sum(-1)
+        energies = np.real((V @ x).conj() * (P @ x)).sum(-1)
         return 100 * energies / energies.sum()
 
     spaces = [shapes[:, cluster == c] for c in cluster]
-    each = [shares(_basis(x, np.einsum("bik,bil->kl", V, P)) if x.shape[1] > 1 and np.isfinite(x).all() else x) for x in spaces]
+    each = [shares(_orthonormal(x, np.einsum("bik,bil->kl", V, P)) if x.shape[1] > 1 and np.isfinite(x).all() else x) for x in spaces]
     return mode_names(model.layout.bodies, direction_names(model), np.stack(each, -1), V @ shapes, cluster, values)
 
 
-def _basis(shapes: np.ndarray, M: np.ndarray) -> np.ndarray:
+def _orthonormal(shapes: np.ndarray, M: np.ndarray) -> np.ndarray:
     """A basis of the same space, orthonormal in M; shapes of coinciding poles are not."""
     values, vectors = np.linalg.eigh(shapes.conj().T @ M @ shapes)
     independent = values > PARALLEL * values[-1]
     return shapes @ vectors[:, independent] / np.sqrt(values[independent])
-
-
-@jit_unoptimized
-def placed_bodies(model: Model, q: Float[Array, "nq"]) -> Placed:
-    """The orientations of the bodies and J of `hessians`."""
-    at = configuration_at(Coordinates(model), q, base=False)
-    return at.frames.R[model.layout.first_body :], at.J
 
 
 def mode_names(

@@ -19,9 +19,9 @@ from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import reachable
-from jaxbody.statics.equilibria import NOT_AT_REST, massless_motions
+from jaxbody.statics.equilibria import massless_motions
 from jaxbody.vibrations.linearizations import Linearization, check_linearization
-from jaxbody.vibrations.mode_names import Placed, mark_note, names_of_shapes, placed_bodies
+from jaxbody.vibrations.mode_names import Basis, basis_at, mark_note, names_of_shapes
 
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
 
@@ -46,7 +46,7 @@ class Modes(Result):
     status: Int[Array, ""]
     M: Float[Array, "nv nv"]
     model: Model
-    placed: Placed
+    basis: Basis
 
     @property
     def layout(self) -> Layout:
@@ -55,7 +55,7 @@ class Modes(Result):
     @property
     def names(self) -> tuple[str, ...]:
         """Each mode by the body and direction with most of its kinetic energy, or several bodies that share it, as in `mode_energies`."""
-        return names_of_shapes(self.model, self.placed, self.shapes, self.cluster, self.frequency)
+        return names_of_shapes(self.model, self.basis, self.shapes, self.cluster, self.frequency)
 
     def explain(self) -> str:
         return details_of(self, np.isnan(self.frequency), np.asarray(self.frequency) == 0)
@@ -116,7 +116,7 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
 @jit_unoptimized
 def _modes(lin: Linearization) -> tuple[Any, ...]:
     """The fields of Modes."""
-    return *modes_of(lin), lin.M, lin.model, placed_bodies(lin.model, lin.state.q)
+    return *modes_of(lin), lin.M, lin.model, basis_at(lin.model, lin.state.q)
 
 
 @jit_unoptimized
@@ -138,6 +138,4 @@ def modes_of(lin: Linearization) -> tuple[Array, ...]:
     skew = in_lanes(lambda K: jnp.max(jnp.abs(K - K.T), initial=0.0) > SYMMETRIC * jnp.max(jnp.abs(K), initial=0.0))(lin.K)
     frequency = jnp.where(skew, jnp.nan, frequency)
     status = jnp.where(skew, Status.NOT_SYMMETRIC.value, status)
-    failed = jnp.isin(lin.status, jnp.array(NOT_AT_REST))
-    status = jnp.where(failed, lin.status, status)
-    return frequency, refused_in_clusters(shapes, cluster), damping, values, cluster, status
+    return frequency, refused_in_clusters(shapes, cluster), damping, values, cluster, lin.kept_status(status)

@@ -205,14 +205,8 @@ def _reaction_rows(lin: Any, sensor: Reaction, held: Float[Array, "nxi"], F: Flo
     places = tuple(range(first, first + 6)) if sensor.component is None else (first + sensor.component,)
     own = nv + np.array(places)
     turned = jnp.zeros((6, len(F)), F.dtype).at[3:, nv + first + 3 : nv + first + 6].set(-skew(held[first + 3 : first + 6]) / 2)
-    K, C, M = (A[own] for A in full_matrices(lin))
+    K, C, M = (A[own] for A in lin.whole)
     return _Rows(-jnp.stack([K + turned[np.array(places) - first], C, M]), F[own], reactions=places)
-
-
-def full_matrices(lin: Any) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, "n n"]]:
-    """K, C and M of (Delta, Xi)."""
-    blocks = ((lin.K, lin.K_tilde, lin.K_bb), (lin.C, lin.C_tilde, lin.C_bb), (lin.M, lin.M_tilde, lin.M_bb))
-    return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)  # pyright: ignore[reportReturnType]  of three
 
 
 @jit_unoptimized

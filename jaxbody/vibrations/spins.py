@@ -11,52 +11,46 @@ it.
 
 from __future__ import annotations
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int
+from jaxbody.core.arrays import Array, Float
 from jaxbody.core.compile_options import jit_unoptimized
-from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
-from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.geometry.vectors import to_rank
+from jaxbody.core.results import warn_if_failed
 from jaxbody.inputs.motions import AtRest
 from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.mechanics.hessians import configuration_at, damping, mass, stiffness
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, check_state
-from jaxbody.models.sizes import scale_of, size_of
+from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.precisions import reachable
+from jaxbody.vibrations.linearizations import LinearSystem
 
 STEADY = 1e-8  # change of speeds and of matrices, relative to their terms, below which it is round-off
 ALONG = (0.7, 1.9, 4.1)  # rad of spin at which the matrices must be the same; no two in a simple ratio
 
 
-class SpinLinearization(Result):
+class SpinLinearization(LinearSystem):
     """M delta'' + (C + G) delta' + K delta = 0 about a steady motion `state`; rows and columns as in `coordinates`.
 
     The chart is that of `linearize`, about the moving body. `G`: gyroscopic, skew; `K`: the total stiffness, `K_centrifugal` its part due
     to the motion. `status` NOT_STEADY if the state is not a steady motion; the matrices are then those of an instant."""
 
-    M: Float[Array, "nv nv"]
-    C: Float[Array, "nv nv"]
     G: Float[Array, "nv nv"]
-    K: Float[Array, "nv nv"]
     K_centrifugal: Float[Array, "nv nv"]
     acceleration: Float[Array, "nv"]
-    status: Int[Array, ""]
-    state: State
-    model: Model
+    printed = ("M", "C", "G", "K")
+    exported = ("M", "C", "G", "K", "K_centrifugal")
 
     @property
-    def coordinates(self) -> tuple[str, ...]:
-        """The names of the rows of M, C, G, K."""
-        return self.model.layout.coordinates
+    def D(self) -> Float[Array, "nv nv"]:
+        return self.C + self.G
+
+    def note(self):
+        return self.report()
 
     def explain(self) -> str:
         if not int(self.status):
@@ -64,27 +58,6 @@ class SpinLinearization(Result):
         worst = int(np.argmax(np.abs(self.acceleration)))
         message = f"the largest change of speed is {float(self.acceleration[worst]):.3g} /s2 in '{self.coordinates[worst]}'"
         return message + "; spin a body about its axis of symmetry, in equilibrium, without loads or dampers that turn with it or brake it"
-
-    def to_xarray(self) -> Any:
-        """An xarray.Dataset: M, C, G and K by named coordinates."""
-        units = {
-            "M": "kg, kg m, kg m2",
-            "C": "N s/m, N s, N m s",
-            "G": "N s/m, N s, N m s",
-            "K": "N/m, N, N m",
-            "K_centrifugal": "N/m, N, N m",
-        }
-        variables: dict[str, Any] = {name: (("coordinate", "coordinate_2"), getattr(self, name), unit) for name, unit in units.items()}
-        names = list(self.coordinates)
-        return dataset(
-            variables | {"status": ((), self.status, "")}, {"coordinate": names, "coordinate_2": names}, "linearization about a spin"
-        )
-
-    def _tables(self) -> list[tables.PrintedTable]:
-        units = {"M": "kg, kg m, kg m2", "C": "N s/m, ...", "G": "N s/m, ...", "K": "N/m, N, N m"}
-        shown = [tables.of_matrix(f"{name} [{unit}]", getattr(self, name), self.coordinates) for name, unit in units.items()]
-        shown[-1].note = self.report()
-        return shown
 
 
 def linearize_spin(model: Model, at: State) -> SpinLinearization:
@@ -127,7 +100,7 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
         return _second_order(dynamics, dynamics.coordinates.retract(q, v * period * angle), v)[1:3]
 
     def largest(X):
-        return jnp.max(jnp.abs(X * to_rank(scale[None] * scale[:, None], X.ndim)), (-2, -1), initial=0.0)
+        return jnp.max(jnp.abs(scaled(X, scale)), (-2, -1), initial=0.0)
 
     later_D, later_K = jax.vmap(matrices)(jnp.array(ALONG, q.dtype))
     inertia = largest(M)
@@ -136,7 +109,7 @@ def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     changes = (largest(later_D - D[None]) > steady * (largest(D) + inertia * fastest)) | (largest(later_K - K[None]) > steady * stiff)
     accelerates = jnp.max(jnp.abs(M @ v_dot * scale), initial=0.0) > steady * stiff * size
     status = jnp.where(accelerates | changes.any(), Status.NOT_STEADY.value, Status.OK.value)
-    return SpinLinearization(M, C, D - C, K, K - K_rest, v_dot, status, state, model)
+    return SpinLinearization(M, C, K, status, state, model, D - C, K - K_rest, v_dot)
 
 
 def _second_order(dynamics: Dynamics, q: Float[Array, "nq"], v: Float[Array, "nv"]):

@@ -13,7 +13,6 @@ from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.statics.equilibria import NOT_AT_REST
 from jaxbody.vibrations.ports import Chains, Ports, check_ports, port_matrices
 
 
@@ -95,10 +94,9 @@ def _state_space(lin: Any, ports: Ports):
     size = jnp.max(jnp.abs(ports.Y), axis=(0, 2))[:, None] * 1e-12
     improper = (jnp.abs(first) > size) | (jnp.abs(second) > size)
     status = jnp.where(improper.any(), Status.IMPROPER.value, Status.OK.value)
-    failed = jnp.isin(lin.status, jnp.array([*NOT_AT_REST, Status.NONFINITE]))
     A, B, D = slopes[:, :n], slopes[:, n : n + m], jnp.where(improper, jnp.nan, D)
     matrices = (A, B, C, D) if ports.chains is None else _chained(ports.chains, A, B, C, D)
-    return *matrices, jnp.where(failed, lin.status, status)
+    return *matrices, lin.kept_status(status, (Status.NONFINITE,))
 
 
 def _chained(chains: Chains, A, B, C, D):
