@@ -1,5 +1,6 @@
 """Measured channels: residuals between readings and measured values, missing samples, components of the noise."""
 
+import math
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -44,8 +45,11 @@ class Channel(eqx.Module):
     @property
     def components(self) -> tuple[str, ...]:
         """The names of the components of a residual: "" for a single number, "x" to "rz" for up to six, else their numbers."""
-        count = int(np.prod(self.noise_shape))
-        return ("",) if self.noise_shape == () else DIRECTIONS[:count] if count <= len(DIRECTIONS) else tuple(map(str, range(count)))
+        shape = self.noise_shape
+        if not shape:
+            return ("",)
+        count = math.prod(shape)
+        return DIRECTIONS[:count] if count <= len(DIRECTIONS) else tuple(map(str, range(count)))
 
     def unit_on(self, model: Any) -> str:
         """The unit on a model, where it depends on the kind of an element."""

@@ -83,7 +83,7 @@ def outputs_of(model: Model, given: Any, where: str, problems: Problems) -> Outp
         path = f"{where}.outputs[{name!r}]"
         if not isinstance(sensor, Sensor):
             problems.add("WRONG_KIND", path, f"is a {type(sensor).__name__}", value=sensor, limit=limit)
-        elif (problem := sensor.problem(model, path)) is not None:
+        elif (problem := type(sensor).problem(sensor, model, path)) is not None:  # Equinox takes long to bind a method
             problems.collected.append(problem)
     if problems.collected:
         return Outputs((), (), ())
@@ -98,9 +98,9 @@ def component_units(sensors: dict[str, Any], model: Model | None = None) -> dict
         if not isinstance(sensor, Sensor):
             units[name] = ""
             continue
-        each = (sensor.unit if model is None else sensor.unit_on(model)).split(",")
-        repeated = [unit.strip() for unit in each for _ in range(len(sensor.components) // len(each))]
-        units |= {f"{name}.{part}" if part else name: unit for part, unit in zip(sensor.components, repeated, strict=True)}
+        unit, parts = sensor.unit if model is None else type(sensor).unit_on(sensor, model), sensor.components
+        each = [part.strip() for part in unit.split(",")] if "," in unit else [unit]
+        units |= {f"{name}.{part}" if part else name: each[i * len(each) // len(parts)] for i, part in enumerate(parts)}
     return units
 
 
@@ -241,7 +241,7 @@ def inputs_of(model: Model, given: Any, where: str, problems: Problems) -> tuple
         path = f"{where}.inputs[{name!r}]"
         if not isinstance(port, Input):
             problems.add("WRONG_KIND", path, f"is a {type(port).__name__}", value=port, limit=limit)
-        elif (problem := port.problem(model, path)) is not None:
+        elif (problem := type(port).problem(port, model, path)) is not None:
             problems.collected.append(problem)
     ports = tuple(port for port in given.values() if isinstance(port, Input))
     return tuple(given), ports, tuple(port.unit for port in ports)
