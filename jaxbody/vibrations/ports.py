@@ -73,22 +73,32 @@ class Chains(eqx.Module):
         return gain * jnp.exp(-s[None] * delay) / (1 + s[None] * lag)
 
 
+def inputs_of(model: Model, given: Any, where: str, problems: Problems) -> tuple[tuple[str, ...], tuple[Input, ...], tuple[str, ...]]:
+    """Names, inputs and units of a dict of inputs; errors go to `problems`."""
+    ports = _checked(model, given, Input, f"{where}.inputs", "{name: BaseMotion or PointForce}", problems)
+    return tuple(ports), tuple(ports.values()), tuple(port.unit for port in ports.values())
+
+
 def outputs_of(model: Model, given: Any, where: str, problems: Problems) -> Outputs:
     """The outputs of a dict of sensors; errors go to `problems`."""
-    limit = "{name: sensor}, such as jb.Position(...)"
+    sensors = _checked(model, given, Sensor, f"{where}.outputs", "{name: sensor}, such as jb.Position(...)", problems)
+    units = component_units(sensors, model)
+    return Outputs(tuple(units), tuple(sensors.values()), tuple(units.values()))
+
+
+def _checked(model: Model, given: Any, kinds: Any, where: str, limit: str, problems: Problems) -> dict[str, Any]:
+    """The dict, if all in it are of these kinds and fit the model, else an empty one."""
     if not isinstance(given, dict) or not given:
-        problems.add("WRONG_KIND", f"{where}.outputs", f"is {given!r:.60}", value=given, limit=limit, hint="Name each output.")
-        return Outputs((), (), ())
-    for name, sensor in given.items():
-        path = f"{where}.outputs[{name!r}]"
-        if not isinstance(sensor, Sensor):
-            problems.add("WRONG_KIND", path, f"is a {type(sensor).__name__}", value=sensor, limit=limit)
-        elif (problem := type(sensor).problem(sensor, model, path)) is not None:  # Equinox takes long to bind a method
+        problems.add("WRONG_KIND", where, f"is {given!r:.60}", value=given, limit=limit, hint="Name each of them.")
+        return {}
+    found = len(problems.collected)
+    for name, port in given.items():
+        path = f"{where}[{name!r}]"
+        if not isinstance(port, kinds):
+            problems.add("WRONG_KIND", path, f"is a {type(port).__name__}", value=port, limit=limit)
+        elif (problem := type(port).problem(port, model, path)) is not None:  # Equinox takes long to bind a method
             problems.collected.append(problem)
-    if problems.collected:
-        return Outputs((), (), ())
-    units = component_units(given, model)
-    return Outputs(tuple(units), tuple(given.values()), tuple(units.values()))
+    return {} if len(problems.collected) > found else given
 
 
 def component_units(sensors: dict[str, Any], model: Model | None = None) -> dict[str, str]:
@@ -229,22 +239,6 @@ def check_ports(lin: Any, inputs: Any, outputs: Any, where: str) -> tuple[tuple[
     with Problems() as problems:
         checked = inputs_of(lin.model, inputs, where, problems), outputs_of(lin.model, outputs, where, problems)
     return checked
-
-
-def inputs_of(model: Model, given: Any, where: str, problems: Problems) -> tuple[tuple[str, ...], tuple[Input, ...], tuple[str, ...]]:
-    """Names, inputs and units of a dict of inputs; errors go to `problems`."""
-    limit = "{name: BaseMotion or PointForce}"
-    if not isinstance(given, dict) or not given:
-        problems.add("WRONG_KIND", f"{where}.inputs", f"is {given!r:.60}", value=given, limit=limit, hint="Name each input.")
-        return (), (), ()
-    for name, port in given.items():
-        path = f"{where}.inputs[{name!r}]"
-        if not isinstance(port, Input):
-            problems.add("WRONG_KIND", path, f"is a {type(port).__name__}", value=port, limit=limit)
-        elif (problem := type(port).problem(port, model, path)) is not None:
-            problems.collected.append(problem)
-    ports = tuple(port for port in given.values() if isinstance(port, Input))
-    return tuple(given), ports, tuple(port.unit for port in ports)
 
 
 def _place(port: BaseMotion, layout) -> int:
