@@ -84,14 +84,28 @@ def _state_space(lin: Any, ports: Ports):
 
     Delta'' = M^-1 (F f + K~ Xi + C~ Xi' + M~ Xi'' - C Delta' - K Delta),   u = Xi:   g = M^-1 M~,  h = M^-1 (C~ - C g)
                                                                             u = Xi':  g = 0,        h = M^-1 M~"""
-    signals = _Signals(lin, ports)
-    x, rate, acceleration, slopes = signals.motion()
-    whole = [jnp.concatenate(pair) for pair in zip((x, rate, acceleration), signals.base, strict=True)]
-    y = jnp.einsum("kyn,knw->yw", ports.Y, jnp.stack(whole))
-    n = signals.n_states
-    m = len(ports.orders)
-    C, D, first, second = y[:, :n], y[:, n : n + m] + ports.G, y[:, n + m : n + 2 * m], y[:, n + 2 * m :]
-    size = jnp.max(jnp.abs(ports.Y), axis=(0, 2))[:, None] * 1e-12
+    orders, nv, m = ports.orders, lin.M.shape[-1], len(ports.orders)
+    integrated = [(k, j) for k in (0, 1) for j in range(m) if orders[j] > k]  # the k-th derivative of Xi of input j is a state
+    n = 2 * nv + len(integrated)
+    rows = np.eye(n + 3 * m, dtype=lin.M.dtype)  # of the states p and r, those of Xi, and of u, u', u''
+    p, r, u, du, ddu = rows[:nv], rows[nv : 2 * nv], *np.split(rows[n:], 3)
+    chains = np.array([  # each derivative of the motion of each input: a state below the order of the input, then u, u', u''
+        [rows[2 * nv + integrated.index((k, j))] if k < orders[j] else (u, du, ddu)[k - orders[j]][j] for j in range(m)] for k in range(3)
+    ])  # fmt: skip
+    Xi = ports.X @ chains
+    stiffness, damping, driven = (
+        jnp.linalg.solve(lin.M, A)
+        for A in (lin.K, lin.C, lin.K_tilde @ Xi[0] + lin.C_tilde @ Xi[1] + lin.M_tilde @ Xi[2] + ports.F[:nv] @ u)
+    )
+    g = driven @ ddu.T
+    h = driven @ du.T - damping @ g
+    Delta = p + g @ u
+    rate = r + h @ u + g @ du
+    acceleration = driven - damping @ rate - stiffness @ Delta
+    slopes = jnp.concatenate([rate - g @ du, acceleration - h @ du - g @ ddu, *(chains[k + 1, j][None] for k, j in integrated)])
+    x = jnp.stack([jnp.concatenate(pair) for pair in zip((Delta, rate, acceleration), Xi, strict=True)])
+    C, D, first, second = jnp.split(jnp.einsum("kyn,knw->yw", ports.Y, x), [n, n + m, n + 2 * m], 1)
+    D, size = D + ports.G, jnp.max(jnp.abs(ports.Y), axis=(0, 2))[:, None] * 1e-12
     improper = (jnp.abs(first) > size) | (jnp.abs(second) > size)
     status = jnp.where(improper.any(), Status.IMPROPER.value, Status.OK.value)
     A, B, D = slopes[:, :n], slopes[:, n : n + m], jnp.where(improper, jnp.nan, D)
@@ -107,56 +121,3 @@ def _chained(chains: Chains, A, B, C, D):
     B = jnp.concatenate([B, rate[:, None] * D[which]])
     C = jnp.concatenate([C.at[which].set(0.0), jnp.zeros((len(C), k), C.dtype).at[which, np.arange(k)].set(1.0)], 1)
     return A, B, chains.gain[:, None] * C, chains.gain[:, None] * D.at[which].set(0.0)
-
-
-class _Signals:
-    """Signals as rows of coefficients of (states, u, u', u'')."""
-
-    def __init__(self, lin: Any, ports: Ports):
-        self.lin, self.ports = lin, ports
-        self.nv, self.m = lin.M.shape[-1], len(ports.orders)
-        orders = ports.orders
-        integrated = [(j, k) for k in (1, 2) for j in range(self.m) if orders[j] >= k]  # columns of Xi, then of Xi'
-        self.n_states = 2 * self.nv + len(integrated)
-        self.width = self.n_states + 3 * self.m
-        place = {pair: 2 * self.nv + i for i, pair in enumerate(integrated)}
-        u = [self.n_states + i * self.m for i in range(3)]
-        # the derivatives of Xi of input j: states below the order of the input, then u, u', u''
-        self.chain = [
-            [place[j, k + 1] if k < orders[j] else u[k - orders[j]] + j for k in range(3)]  # Xi, Xi', Xi''
-            for j in range(self.m)
-        ]
-        self.integrated, self.place = integrated, place
-        self.base = [self._base(k) for k in range(3)]
-
-    def _base(self, k: int) -> Float[Array, "nxi width"]:
-        rows = jnp.zeros((self.ports.X.shape[0], self.width), self.ports.X.dtype)
-        for j in range(self.m):
-            rows = rows.at[:, self.chain[j][k]].add(self.ports.X[:, j])
-        return rows
-
-    def motion(self):
-        """Delta, Delta', Delta'' and the rates of the states."""
-        lin, nv, n, m = self.lin, self.nv, self.n_states, self.m
-        dtype = lin.M.dtype
-
-        def solved(B):
-            return jnp.linalg.solve(lin.M, B)
-
-        eye, zero = jnp.eye(nv, dtype=dtype), jnp.zeros((nv, self.width), dtype)
-        driven = lin.K_tilde @ self.base[0] + lin.C_tilde @ self.base[1] + lin.M_tilde @ self.base[2]
-        driven = solved(driven.at[:, n : n + m].add(self.ports.F[:nv]))
-        damping = solved(lin.C)
-        # M^-1 (K~ Xi + ...) = ... + d0 u + d1 u' + d2 u'';  g = d2, h = d1 - M^-1 C g
-        g = driven[:, n + 2 * m :]
-        h = driven[:, n + m : n + 2 * m] - damping @ g
-        p, r, u, du, ddu = (slice(i, j) for i, j in ((0, nv), (nv, 2 * nv), (n, n + m), (n + m, n + 2 * m), (n + 2 * m, n + 3 * m)))
-        x = zero.at[:, p].set(eye).at[:, u].set(g)
-        rate = zero.at[:, r].set(eye).at[:, u].set(h).at[:, du].set(g)
-        acceleration = driven - damping @ rate - solved(lin.K) @ x
-        slopes = jnp.concatenate([
-            rate.at[:, du].set(0.0),  # p' = Delta' - g u'
-            acceleration.at[:, du].add(-h).at[:, ddu].add(-g),
-            *(jnp.zeros((1, self.width), dtype).at[0, self.chain[j][k]].set(1.0) for j, k in self.integrated),
-        ])  # fmt: skip
-        return x, rate, acceleration, slopes
