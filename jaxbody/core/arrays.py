@@ -7,7 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Complex, Float, Int, PRNGKeyArray  # noqa: F401  for annotations, with Array
+from jaxtyping import Bool, Complex, Float, Inexact, Int, PRNGKeyArray  # noqa: F401  for annotations, with Array
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.jax_internals import Tracer

@@ -32,6 +32,11 @@ class Result(tables.Printed, eqx.Module):
         """The status with its message and details; for a batch, the number of samples of each status; "traced" inside jit or vmap."""
         return self.message(type(self).explain)
 
+    @property
+    def failure(self) -> str:
+        """The report of a result that failed, for a note below its table; "" if it is ok or traced."""
+        return self.report() if is_concrete(self.status) and np.any(self.status) else ""
+
     def message(self, details: Callable[[Any], str]) -> str:
         """The same text as `report`, with other details than those of `explain`."""
         if not is_concrete(self.status):

@@ -53,7 +53,7 @@ class Sensitivities(Result):
                 first = (name, self.nominal[row]) if not k else ("", "")
                 rows.append((*first, self.parameters[i], self.slopes[row, i], self.low[row, i], self.high[row, i]))
         heads = ("quantity", "value", "parameter", "slope", f"{100 * self.change:g} % less", f"{100 * self.change:g} % more")
-        return [tables.PrintedTable("Sensitivities, the strongest first", heads, rows, self.report() if int(self.status) else "")]
+        return [tables.PrintedTable("Sensitivities, the strongest first", heads, rows, self.failure)]
 
 
 def sensitivities(

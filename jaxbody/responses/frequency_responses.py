@@ -110,8 +110,7 @@ class FrequencyResponse(Result):
             for i, y in enumerate(self.outputs)
             for j, u in enumerate(self.inputs)
         ]
-        note = "" if int(self.status) == 0 else self.report()
-        return [tables.PrintedTable(f"Frequency response, {f[0]:.6g} to {f[-1]:.6g} Hz", heads, rows, note)]
+        return [tables.PrintedTable(f"Frequency response, {f[0]:.6g} to {f[-1]:.6g} Hz", heads, rows, self.failure)]
 
 
 def frequency_response(

@@ -64,8 +64,7 @@ class RandomResponse(Result):
     def _tables(self) -> list[tables.PrintedTable]:
         f = np.asarray(self.frequencies)
         rows = [(name, value, unit) for name, value, unit in zip(self.outputs, self.rms, self.units, strict=True)]
-        note = "" if int(self.status) == 0 else self.report()
-        return [tables.PrintedTable(f"Random response, {f[0]:.6g} to {f[-1]:.6g} Hz", ("output", "rms", "unit"), rows, note)]
+        return [tables.PrintedTable(f"Random response, {f[0]:.6g} to {f[-1]:.6g} Hz", ("output", "rms", "unit"), rows, self.failure)]
 
 
 def random_response(

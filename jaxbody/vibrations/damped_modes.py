@@ -11,27 +11,24 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int
 from jaxbody.core.compile_options import jit_unoptimized
-from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
-from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.results import warn_if_failed
 from jaxbody.geometry.vectors import cross
-from jaxbody.models.layouts import Layout
-from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import scaled
 from jaxbody.numerics.eigenproblems import cholesky_of_mass, companion, pole_clusters, poles, refused_if_shared
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.descents import SINGULAR
 from jaxbody.vibrations.linearizations import Linearization, LinearSystem, check_linearization
-from jaxbody.vibrations.mode_names import Basis, basis_at, mark_note, names_of_shapes
-from jaxbody.vibrations.natural_modes import details_of
+from jaxbody.vibrations.mode_names import basis_at
+from jaxbody.vibrations.natural_modes import ModalResult
 from jaxbody.vibrations.spins import SpinLinearization
 
 REST = 1e-7  # relative to the largest pole: the root of rounding, the error of a double pole at zero
 GROWS = 1e-9  # relative to the largest pole: larger real parts are not rounding
 
 
-class ComplexModes(Result):
+class ComplexModes(ModalResult):
     """n modes, each a pair of poles s [1/s] of (s^2 M + s D + K) u = 0, by ascending natural frequency.
 
     An oscillating mode has conjugate `poles`, s = -zeta w +- i w sqrt(1 - zeta^2); an overdamped mode has two real ones, the slower first.
@@ -40,53 +37,33 @@ class ComplexModes(Result):
     = 1, the component of largest modulus real and positive. `cluster`: equal numbers for modes whose poles coincide (derivatives as in
     `modes`). `status`: UNSTABLE if a mode grows, SINGULAR_K if one has a pole at zero; SINGULAR_M, NONFINITE as in `modes`."""
 
-    frequency: Float[Array, "n"]
     natural_frequency: Float[Array, "n"]
-    damping_ratio: Float[Array, "n"]
     decay_rate: Float[Array, "n"]
     poles: Complex[Array, "n 2"]
-    shapes: Complex[Array, "nv n"]
-    cluster: Int[Array, "n"]
-    status: Int[Array, ""]
-    M: Float[Array, "nv nv"]
-    model: Model
-    basis: Basis
 
-    @property
-    def layout(self) -> Layout:
-        return self.model.layout
+    def roots(self):
+        return np.asarray(self.poles)[:, 0]
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Each mode by the body and direction with most of its kinetic energy (the mean over a period), or several bodies that share it."""
-        return names_of_shapes(self.model, self.basis, self.shapes, self.cluster, np.asarray(self.poles)[:, 0])
-
-    def explain(self) -> str:
-        return details_of(self, np.asarray(self.decay_rate) < 0, np.asarray(self.natural_frequency) == 0)
+    def growing_and_still(self):
+        return np.asarray(self.decay_rate) < 0, np.asarray(self.natural_frequency) == 0
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: frequencies, damping ratio, decay rate, poles and shapes by mode."""
-        variables = {
-            "frequency": (("mode",), self.frequency, "Hz"),
-            "natural_frequency": (("mode",), self.natural_frequency, "Hz"),
-            "damping_ratio": (("mode",), self.damping_ratio, ""),
-            "decay_rate": (("mode",), self.decay_rate, "1/s"),
-            "pole": (("mode", "pair"), self.poles, "1/s"),
-            "shape": (("coordinate", "mode"), self.shapes, "mass-normalized"),
-            "cluster": (("mode",), self.cluster, ""),
-            "status": ((), self.status, ""),
-        }
-        count = np.shape(self.frequency)[-1]
-        return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(self.layout.coordinates)}, "complex modes")
+        return self.labeled(
+            "complex modes",
+            natural_frequency=(("mode",), self.natural_frequency, "Hz"),
+            decay_rate=(("mode",), self.decay_rate, "1/s"),
+            pole=(("mode", "pair"), self.poles, "1/s"),
+        )
 
     @tables.summarized("Complex modes", 1, frequency="frequency [Hz]", damping_ratio="damping ratio")
     def _tables(self) -> list[tables.PrintedTable]:
-        heads = ("mode", "frequency [Hz]", "natural frequency [Hz]", "damping ratio", "decay rate [1/s]", "most energy in")
-        natural, names = np.asarray(self.natural_frequency), self.names
-        ratio, decay = tables.without_dust(self.damping_ratio, 1.0), tables.without_dust(self.decay_rate, natural.max(initial=0.0)) + 0.0
-        rows = [(str(i + 1), *row) for i, row in enumerate(zip(np.asarray(self.frequency), natural, ratio, decay, names, strict=True))]
-        notes = [self.report() if int(self.status) else "", mark_note(names)]
-        return [tables.PrintedTable("Complex modes", heads, rows, "; ".join(filter(None, notes)))]
+        natural = np.asarray(self.natural_frequency)
+        decay = tables.without_dust(self.decay_rate, natural.max(initial=0.0)) + 0.0
+        return self.table("Complex modes", {
+            "frequency [Hz]": self.frequency, "natural frequency [Hz]": natural,
+            "damping ratio": tables.without_dust(self.damping_ratio, 1.0), "decay rate [1/s]": decay,
+        })  # fmt: skip
 
 
 def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool = False) -> ComplexModes:
@@ -107,11 +84,11 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     if not isinstance(lin, SpinLinearization):
         check_linearization(lin, "complex_modes")
     check_precision("complex_modes", lin.model, allow_float32=allow_float32)
-    return warn_if_failed(ComplexModes(*_complex_modes(lin), M=lin.M, model=lin.model, basis=basis_at(lin.model, lin.state.q)))
+    return warn_if_failed(_complex_modes(lin))
 
 
 @jit_unoptimized
-def _complex_modes(lin: LinearSystem) -> tuple[Array, ...]:
+def _complex_modes(lin: LinearSystem) -> ComplexModes:
     n, unit = len(lin.M), jax.lax.stop_gradient(lin.scale)  # nondimensional; results do not depend on it
     M, D, K = (scaled(X, unit) for X in (lin.M, lin.D, lin.K))
     finite, massless = jnp.isfinite(jnp.stack([M, D, K])).all(), jnp.isnan(cholesky_of_mass(M)).any()
@@ -145,7 +122,7 @@ def _complex_modes(lin: LinearSystem) -> tuple[Array, ...]:
         x * steady for x in (jnp.abs(one.imag) / (2 * jnp.pi), natural, ratio, -jnp.maximum(one.real, other.real))
     )
     cluster, both = pole_clusters(frozen[pairs[:, 0]]), jnp.stack([one, other], -1) * valid
-    return frequency, natural, ratio, decay, both, shapes * valid, cluster, status
+    return ComplexModes(frequency, ratio, shapes * valid, cluster, status, lin.M, lin.model, lin.basis, natural, decay, both)
 
 
 def _paired(s: Complex[Array, "m"], U: Complex[Array, "n m"], M, K) -> Int[Array, "n 2"]:

@@ -122,7 +122,7 @@ class ModeEnergies(Result):
             for title, rows in parts.items()
             if rows
         ]
-        notes = [*(f"{i + 1}: {name}" for i, name in enumerate(self.names)), self.report() if self.status else "", mark_note(self.names)]
+        notes = [*(f"{i + 1}: {name}" for i, name in enumerate(self.names)), self.failure, mark_note(self.names)]
         shown[-1].note = "; ".join(filter(None, notes))
         return shown
 

@@ -94,8 +94,7 @@ class TorqueRollAxis(Result):
             ("frequency", self.frequency, "Hz"),
             ("coupling", self.coupling, "-"),
         ]
-        note = self.report() if is_concrete(self.status) and np.any(self.status) else ""
-        return [tables.PrintedTable(f"Torque roll axis of {self.body}", ("quantity", "value", "unit"), rows, note)]
+        return [tables.PrintedTable(f"Torque roll axis of {self.body}", ("quantity", "value", "unit"), rows, self.failure)]
 
 
 def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:

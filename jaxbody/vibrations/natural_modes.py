@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int
+from jaxbody.core.arrays import Array, Float, Inexact, Int
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
@@ -21,28 +22,18 @@ from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.equilibria import massless_motions
 from jaxbody.vibrations.linearizations import Linearization, check_linearization
-from jaxbody.vibrations.mode_names import Basis, basis_at, mark_note, names_of_shapes
+from jaxbody.vibrations.mode_names import Basis, mark_note, names_of_shapes
 
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
 
 
-class Modes(Result):
-    """Natural modes, ascending: `frequency` [Hz], `shapes` (columns, phi' M phi = 1, largest component positive), `damping_ratio`,
-    `eigenvalues` w^2 [rad2/s2], `cluster`, equal numbers for coinciding frequencies, and `names`, by the body and direction with most
-    kinetic energy. For a negative eigenvalue the frequency is NaN and the status UNSTABLE; for a zero eigenvalue the frequency is 0 and the
-    status SINGULAR_K. All are NaN where a coordinate has no inertia (SINGULAR_M; `M` is the mass matrix) or a matrix is not finite
-    (NONFINITE).
+class ModalResult(Result):
+    """The base class of natural and complex modes: `shapes` (columns) in the coordinates of a linear system with the mass matrix `M`."""
 
-    Modes of coinciding frequencies have only a space: `shapes` are a basis of it, and each mode has the mean of the damping ratios. A
-    single frequency of a cluster has one-sided derivatives: `jax.jvp` and `jacfwd` give the one in the requested direction, `jax.grad`
-    gives NaN, as for functions of a single shape. Sums over a cluster and functions of its space have derivatives in both modes; second
-    derivatives exist for single modes."""
-
-    frequency: Float[Array, "nv"]
-    shapes: Float[Array, "nv nv"]
-    damping_ratio: Float[Array, "nv"]
-    eigenvalues: Float[Array, "nv"]
-    cluster: Int[Array, "nv"]
+    frequency: Float[Array, "n"]
+    damping_ratio: Float[Array, "n"]
+    shapes: Inexact[Array, "nv n"]
+    cluster: Int[Array, "n"]
     status: Int[Array, ""]
     M: Float[Array, "nv nv"]
     model: Model
@@ -54,44 +45,72 @@ class Modes(Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Each mode by the body and direction with most of its kinetic energy, or several bodies that share it, as in `mode_energies`."""
-        return names_of_shapes(self.model, self.basis, self.shapes, self.cluster, self.frequency)
+        """Each mode by the body and direction with most of its kinetic energy (of complex modes the mean over a period), or several bodies
+        that share it, as in `mode_energies`."""
+        return names_of_shapes(self.model, self.basis, self.shapes, self.cluster, self.roots())
+
+    @abstractmethod
+    def roots(self) -> np.ndarray:
+        """The frequency or pole of each mode."""
+
+    @abstractmethod
+    def growing_and_still(self) -> tuple[np.ndarray, np.ndarray]:
+        """Which modes grow, and which have no frequency."""
 
     def explain(self) -> str:
-        return details_of(self, np.isnan(self.frequency), np.asarray(self.frequency) == 0)
+        status, (growing, still) = Status(int(self.status)), self.growing_and_still()
+        if status == Status.SINGULAR_M:
+            return "; ".join(massless_motions(self.layout, self.M))
+        marked = {Status.UNSTABLE: (growing, "growing motion"), Status.SINGULAR_K: (still, "zero frequency")}.get(status)
+        return f"{tables.counted(int(marked[0].sum()), 'mode')} of {marked[1]}" if marked else ""
 
-    def to_xarray(self) -> Any:
-        """An xarray.Dataset: frequency, damping ratio and shape by mode and named coordinate."""
+    def labeled(self, kind: str, **own: tuple[tuple[str, ...], Any, str]) -> Any:
+        """A dataset of what all modes have, and of `own` variables."""
         variables = {
             "frequency": (("mode",), self.frequency, "Hz"),
             "damping_ratio": (("mode",), self.damping_ratio, ""),
-            "eigenvalue": (("mode",), self.eigenvalues, "rad2/s2"),
             "shape": (("coordinate", "mode"), self.shapes, "mass-normalized"),
             "cluster": (("mode",), self.cluster, ""),
             "status": ((), self.status, ""),
         }
-        count = np.shape(self.frequency)[-1]
-        return dataset(variables, {"mode": list(range(1, count + 1)), "coordinate": list(self.layout.coordinates)}, "modes")
+        numbers = list(range(1, 1 + np.shape(self.frequency)[-1]))
+        return dataset(variables | own, {"mode": numbers, "coordinate": list(self.layout.coordinates)}, kind)
+
+    def table(self, title: str, columns: dict[str, Any]) -> list[tables.PrintedTable]:
+        """A row for each mode, with its name."""
+        names = self.names
+        rows = [(str(i + 1), *row) for i, row in enumerate(zip(*columns.values(), names, strict=True))]
+        note = "; ".join(filter(None, [self.failure, mark_note(names)]))
+        return [tables.PrintedTable(title, ("mode", *columns, "most energy in"), rows, note)]
+
+
+class Modes(ModalResult):
+    """Natural modes, ascending: `frequency` [Hz], `shapes` (columns, phi' M phi = 1, largest component positive), `damping_ratio`,
+    `eigenvalues` w^2 [rad2/s2], `cluster`, equal numbers for coinciding frequencies, and `names`, by the body and direction with most
+    kinetic energy. For a negative eigenvalue the frequency is NaN and the status UNSTABLE; for a zero eigenvalue the frequency is 0 and the
+    status SINGULAR_K. All are NaN where a coordinate has no inertia (SINGULAR_M; `M` is the mass matrix) or a matrix is not finite
+    (NONFINITE).
+
+    Modes of coinciding frequencies have only a space: `shapes` are a basis of it, and each mode has the mean of the damping ratios. A
+    single frequency of a cluster has one-sided derivatives: `jax.jvp` and `jacfwd` give the one in the requested direction, `jax.grad`
+    gives NaN, as for functions of a single shape. Sums over a cluster and functions of its space have derivatives in both modes; second
+    derivatives exist for single modes."""
+
+    eigenvalues: Float[Array, "nv"]
+
+    def roots(self):
+        return np.asarray(self.frequency)
+
+    def growing_and_still(self):
+        return np.isnan(self.frequency), np.asarray(self.frequency) == 0
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset: frequency, damping ratio and shape by mode and named coordinate."""
+        return self.labeled("modes", eigenvalue=(("mode",), self.eigenvalues, "rad2/s2"))
 
     @tables.summarized("Modes", 1, frequency="frequency [Hz]")
     def _tables(self) -> list[tables.PrintedTable]:
-        names, ratio = self.names, tables.without_dust(self.damping_ratio, 1.0)
-        rows = [(str(i + 1), *row) for i, row in enumerate(zip(np.asarray(self.frequency), ratio, names, strict=True))]
-        notes = [self.report() if int(self.status) else "", mark_note(names)]
-        return [
-            tables.PrintedTable(
-                "Modes", ("mode", "frequency [Hz]", "damping ratio", "most energy in"), rows, "; ".join(filter(None, notes))
-            )
-        ]
-
-
-def details_of(modes: Any, growing: np.ndarray, still: np.ndarray) -> str:
-    """Details of the status of natural or complex modes: those that grow, and those without a frequency."""
-    status = Status(int(modes.status))
-    if status == Status.SINGULAR_M:
-        return "; ".join(massless_motions(modes.layout, modes.M))
-    marked = {Status.UNSTABLE: (growing, "growing motion"), Status.SINGULAR_K: (still, "zero frequency")}.get(status)
-    return f"{tables.counted(int(marked[0].sum()), 'mode')} of {marked[1]}" if marked else ""
+        return self.table("Modes", {"frequency [Hz]": self.frequency, "damping ratio": tables.without_dust(self.damping_ratio, 1.0)})
 
 
 def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
@@ -110,13 +129,13 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     """
     check_linearization(lin, "modes")
     check_precision("modes", lin.model, allow_float32=allow_float32)
-    return warn_if_failed(Modes(*_modes(lin)))
+    return warn_if_failed(_modes(lin))
 
 
 @jit_unoptimized
-def _modes(lin: Linearization) -> tuple[Any, ...]:
-    """The fields of Modes."""
-    return *modes_of(lin), lin.M, lin.model, basis_at(lin.model, lin.state.q)
+def _modes(lin: Linearization) -> Modes:
+    frequency, shapes, damping_ratio, eigenvalues, cluster, status = modes_of(lin)
+    return Modes(frequency, damping_ratio, shapes, cluster, status, lin.M, lin.model, lin.basis, eigenvalues)
 
 
 @jit_unoptimized
