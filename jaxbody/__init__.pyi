@@ -50,13 +50,13 @@ from jaxbody.inputs.loads import Force as Force
 from jaxbody.inputs.loads import Load as Load
 from jaxbody.inputs.loads import Unbalance as Unbalance
 from jaxbody.inputs.motions import AtRest as AtRest
-from jaxbody.inputs.motions import Delayed as Delayed
 from jaxbody.inputs.motions import Harmonic as Harmonic
 from jaxbody.inputs.motions import Motion as Motion
 from jaxbody.inputs.motions import Sampled as Sampled
 from jaxbody.inputs.port_inputs import BaseMotion as BaseMotion
 from jaxbody.inputs.port_inputs import PointForce as PointForce
 from jaxbody.inputs.roads import Road as Road
+from jaxbody.inputs.signals import Delayed as Delayed
 from jaxbody.inputs.splines import Spline as Spline
 from jaxbody.mechanics.energies import dissipation as dissipation
 from jaxbody.mechanics.energies import kinetic_energy as kinetic_energy

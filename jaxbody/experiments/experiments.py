@@ -15,7 +15,8 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, wa
 from jaxbody.core.units import parse
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.inputs.loads import Load, loads_by_name, loads_of
-from jaxbody.inputs.motions import Motion, as_motion
+from jaxbody.inputs.motions import as_motion
+from jaxbody.inputs.signals import Signal
 from jaxbody.mechanics.kinematics import Motions
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
@@ -77,7 +78,7 @@ class Experiment(Measurement):
     """
 
     times: Float[Array, "nt"]
-    motion: dict[str, Motion]
+    motion: dict[str, Signal]
     loads: dict[str, Load]
     initial: State | Rest | None
     sensors: dict[str, Sensor]

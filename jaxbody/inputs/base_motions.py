@@ -23,6 +23,7 @@ from jaxbody.core.results import Result
 from jaxbody.core.tables import counted
 from jaxbody.geometry import rotations
 from jaxbody.inputs.motions import Sampled
+from jaxbody.inputs.samples import integrals
 from jaxbody.records.records import Record
 
 NAMES = ("x", "y", "z", "about x", "about y", "about z")
@@ -187,19 +188,6 @@ def _slow(t: np.ndarray, degree: int | None, cutoff: float | None) -> np.ndarray
     return np.hstack([np.polynomial.legendre.legvander(2 * s - 1, degree), np.cos(np.pi * s[:, None] * np.arange(1, highest + 1))])
 
 
-def _integral(t: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Integral from zero of a function that is linear between samples."""
-    h = np.diff(t)[:, None]
-    return np.concatenate([np.zeros((1, a.shape[1])), np.cumsum(h * (a[1:] + a[:-1]) / 2, 0)])
-
-
-def _double_integral(t: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Double integral from zero, at zero speed, of a function that is linear between samples."""
-    h = np.diff(t)[:, None]
-    steps = h * _integral(t, a)[:-1] + h**2 * (2 * a[:-1] + a[1:]) / 6
-    return np.concatenate([np.zeros((1, a.shape[1])), np.cumsum(steps, 0)])
-
-
 def _least(basis: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Least-squares coefficients, with scaled columns."""
     scale = np.linalg.norm(basis, axis=0)
@@ -211,8 +199,8 @@ def _drift(t: np.ndarray, a: np.ndarray, slow: np.ndarray) -> tuple[np.ndarray, 
     if not slow.shape[1]:
         return np.zeros(3), np.zeros(3), np.zeros_like(a)
     mean = a.mean(0)
-    basis = np.hstack([np.ones((len(t), 1)), t[:, None], _double_integral(t, slow)])
-    c = _least(basis, _double_integral(t, a - mean))
+    basis = np.hstack([np.ones((len(t), 1)), t[:, None], integrals(t, slow)[1]])
+    c = _least(basis, integrals(t, a - mean)[1])
     return -c[0], -c[1], mean + slow @ c[2:]
 
 
@@ -221,7 +209,7 @@ def _turned(t: np.ndarray, w: np.ndarray, slow: np.ndarray) -> tuple[np.ndarray,
 
     R_{i+1} = R_i exp(h (w_i + w_{i+1})/2 + h^2/12 w_i x w_{i+1}), w linear between samples; the mean rotation vector is zero.
     """
-    basis = np.hstack([np.ones((len(t), 1)), _integral(t, slow)])
+    basis = np.hstack([np.ones((len(t), 1)), integrals(t, slow)[0]])
     drift, start = np.zeros_like(w), np.zeros(3)
     if slow.shape[1]:
         for _ in range(3):  # first the drift of small turns, then the effect of their order

@@ -45,7 +45,7 @@ class Load(eqx.Module):
 
     def signals(self) -> tuple[Signal, ...]:
         """The functions of time (signals) that it contains."""
-        return ()
+        return tuple(part for part in vars(self).values() if isinstance(part, Signal))
 
     def dead_force(self, t: Float[Array, ""]) -> Float[Array, "3"]:
         """The force [N] at the point, in world axes, of a load that does not depend on the motion of its body; NaN for other loads."""
@@ -87,14 +87,12 @@ class Force(Load):
                 )
             self.axes = axes
 
-    def signals(self):
-        return self.force, self.moment
-
     def dead_force(self, t):
-        return jnp.where((self.axes == "world") & ~jnp.any(self.moment(t) != 0), self.force(t), jnp.nan)
+        F, M = jnp.asarray(self.force(t)), jnp.asarray(self.moment(t))
+        return jnp.where((self.axes == "world") & ~jnp.any(M != 0), F, jnp.nan)
 
     def at_point(self, t, frame):
-        F, M = self.force(t), self.moment(t)
+        F, M = jnp.asarray(self.force(t)), jnp.asarray(self.moment(t))
         return (F, M) if self.axes == "world" else (rotate(frame.R, F), rotate(frame.R, M))
 
 

@@ -5,43 +5,29 @@ Velocity and acceleration are derivatives of this function, and so always consis
 
 from __future__ import annotations
 
-import functools
 from abc import abstractmethod
-from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arguments import check_returned, is_own, kind_of, warn_of_degrees
-from jaxbody.core.arrays import (
-    Array,
-    Float,
-    check_times,
-    checked,
-    concrete,
-    device_array,
-    finite_rows,
-    float_array,
-    functions_as_nodes,
-    shaped,
-)
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
+from jaxbody.core.arguments import is_own, warn_of_degrees
+from jaxbody.core.arrays import Array, Float, check_times, checked, concrete, device_array, shaped
+from jaxbody.core.errors import Problems, warn
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
-from jaxbody.inputs.samples import cell, curvatures, is_uniform, kinks_of
+from jaxbody.inputs.samples import checked_rows, curvatures, integrals, interpolated, is_uniform
+from jaxbody.inputs.signals import Signal, check_signal, function_of_time
 from jaxbody.numerics.elementary_functions import sincos
 
 JUMP = 20  # standard deviations of the steps from sample to sample
 LARGEST_TURN = np.deg2rad(30)  # from sample to sample
 
 
-class Motion(eqx.Module):
-    """An imposed motion: `motion(t)` is Xi = (xi, phi), translation [m] and rotation vector [rad] in world axes. Motions can be added to
-    each other and to functions of time.
+class Motion(Signal):
+    """An imposed motion: `motion(t)` is Xi = (xi, phi), translation [m] and rotation vector [rad] in world axes. It is a signal of six
+    numbers with this chart. Where a motion is asked for, any signal of six numbers and any function that returns them will do.
 
     >>> (Harmonic(frequency=1.0, translation=[0.1, 0, 0]) + AtRest())(jnp.array(0.0)).tolist()
     [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -49,19 +35,6 @@ class Motion(eqx.Module):
 
     @abstractmethod
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]: ...
-
-    def covers(self) -> tuple[Any, Any]:
-        """First and last time [s] at which the motion is known."""
-        return -np.inf, np.inf
-
-    def kinks(self) -> Array | None:
-        """Times [s] at which the motion is not smooth, where integration steps should end; None if there are none."""
-
-    def __add__(self, other: Motion | Callable[[Array], Array]) -> MotionSum:
-        return MotionSum((self, as_motion(other)))
-
-    def __radd__(self, other: Any) -> Motion:
-        return self if other == 0 else MotionSum((as_motion(other), self))  # sum() starts from 0
 
 
 class AtRest(Motion):
@@ -118,61 +91,6 @@ class Harmonic(Motion):
         return amplitude * jnp.cos(phase) * c - amplitude * jnp.sin(phase) * s
 
 
-class MotionSum(Motion):
-    """Xi = the sum of the Xi of its terms: translations and rotation vectors add."""
-
-    terms: tuple[Motion, ...] = field()
-
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
-        return sum((term(t) for term in self.terms[1:]), self.terms[0](t))
-
-    def covers(self) -> tuple[Any, Any]:
-        spans = [term.covers() for term in self.terms]
-        return max(s[0] for s in spans), min(s[1] for s in spans)
-
-    def kinks(self) -> Array | None:
-        return kinks_of(self.terms)
-
-
-class Delayed(Motion):
-    """Xi(t) = motion(t - delay): the same motion `delay` [s] later, such as that of a rear wheel that follows the front wheel on the same
-    road.
-
-    >>> import jax.numpy as jnp
-    >>> motion = Delayed(Harmonic(frequency=2.0, translation=[0.01, 0, 0]), 0.25)
-    >>> motion(jnp.array(0.25)).tolist()[0]
-    0.01
-    """
-
-    motion: Motion = field()
-    delay: Float[Array, ""] = field("s")
-
-    def __init__(self, motion, delay):
-        with Problems() as problems:
-            delay = shaped(delay, (), "Delayed.delay", problems)
-        self.motion, self.delay = as_motion(motion), device_array(delay)
-
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
-        return self.motion(t - self.delay)
-
-    def covers(self) -> tuple[Any, Any]:
-        first, last = self.motion.covers()
-        return first + self.delay, last + self.delay
-
-    def kinks(self) -> Array | None:
-        known = self.motion.kinks()
-        return None if known is None else known + self.delay
-
-
-class MotionFunction(Motion):
-    """Any JAX function of time that returns Xi. Each new function object is compiled again; a Motion with array leaves avoids that."""
-
-    function: Callable[[Array], Array] = eqx.field(static=True)
-
-    def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
-        return self.function(t)
-
-
 class Sampled(Motion):
     """A C2 cubic spline through samples of translation [m] and rotation vectors [rad] (or unit quaternions w, x, y, z) at times [s].
 
@@ -221,10 +139,7 @@ class Sampled(Motion):
         times, m = _samples(times, translation, rotation, problems, minimum=2, turns=False)
         self = object.__new__(cls)
         t, m = device_array(times), device_array(m)
-        h = jnp.diff(t)[:, None]
-        velocity = v0[None] + jnp.concatenate([jnp.zeros((1, 6), m.dtype), jnp.cumsum(h * (m[1:] + m[:-1]) / 2, 0)])
-        steps = h * velocity[:-1] + h**2 * (2 * m[:-1] + m[1:]) / 6
-        values = x0[None] + jnp.concatenate([jnp.zeros((1, 6), m.dtype), jnp.cumsum(steps, 0)])
+        _, values = integrals(t, m, x0[None], v0[None])
         for name, value in dict(times=t, values=values, curvatures=m, uniform=is_uniform(times), rough=True).items():
             object.__setattr__(self, name, value)
         return self
@@ -236,39 +151,18 @@ class Sampled(Motion):
         return self.times if self.rough else None
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
-        i, h, a, b = cell(self.times, self.uniform, t)
-        return (
-            a * self.values[i] + b * self.values[i + 1] + h**2 / 6 * ((a**3 - a) * self.curvatures[i] + (b**3 - b) * self.curvatures[i + 1])
-        )
+        return interpolated(self, t)
 
 
-def as_motion(motion: Any, where: str = "motion") -> Motion:
-    """The Motion for a motion or for a Python function of time."""
-    if not callable(motion) or isinstance(motion, type):
-        hint = "Give a Motion or a function t -> Xi, 6 numbers."
-        raise JaxbodyError(Problem("WRONG_KIND", where, f"is {kind_of(motion)}", motion, "a Motion, such as jb.Harmonic(...)", hint))
-    return motion if isinstance(motion, Motion) else MotionFunction(motion)  # pyright: ignore[reportArgumentType]  it may return anything
+def as_motion(motion: Any, where: str = "motion") -> Signal:
+    """The motion for a motion, for another signal or for a Python function of time."""
+    return function_of_time(motion, where, "a Motion, such as jb.Harmonic(...)", "Give a Motion or a function t -> Xi, 6 numbers.")
 
 
-def check_motion(motion: Motion, where: str, problems: Problems) -> None:
-    """Check that JAX can trace the user's parts of a motion and that they return six numbers; each structure is traced once."""
-    if any(map(is_own, _parts(motion))):
-        leaves, structure = jax.tree.flatten(functions_as_nodes(motion))
-        kinds = tuple(jax.ShapeDtypeStruct(np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
-        problems.collected += [replace(problem, where=where) for problem in _faults(structure, kinds)]
-
-
-def _parts(motion: Motion) -> list[Motion]:
-    """The elementary motions that make up a motion, with sums and delays split into their parts."""
-    inner = motion.terms if isinstance(motion, MotionSum) else (motion.motion,) if isinstance(motion, Delayed) else ()
-    return [part for one in inner for part in _parts(one)] if inner else [motion]
-
-
-@functools.lru_cache(maxsize=64)
-def _faults(structure: Any, kinds: tuple[Any, ...]) -> list[Problem]:
-    problems = Problems()
-    check_returned(lambda motion, t: motion(t), structure.unflatten(kinds), (6,), "motion", problems)
-    return problems.collected
+def check_motion(motion: Signal, where: str, problems: Problems) -> None:
+    """Check that JAX can trace a motion that is not one of this package and that it returns six numbers."""
+    if is_own(motion) or not isinstance(motion, Motion):
+        check_signal(motion, where, problems, (6,))
 
 
 def _samples(times, translation, rotation, problems: Problems, minimum: int, turns: bool = True):
@@ -276,8 +170,8 @@ def _samples(times, translation, rotation, problems: Problems, minimum: int, tur
     times = check_times(times, problems, "Sampled.times", minimum)
     n = None if times is None else times.shape[0]
     columns = [
-        _rows(translation, n, (3,), "Sampled.translation", problems),
-        _rows(rotation, n, (3, 4) if turns else (3,), "Sampled.rotation", problems),
+        _columns(translation, n, (3,), "Sampled.translation", problems),
+        _columns(rotation, n, (3, 4) if turns else (3,), "Sampled.rotation", problems),
     ]
     if turns:
         columns[1] = _continuous(columns[1], problems, "Sampled.rotation")
@@ -301,20 +195,10 @@ def warn_of_jumps(values: Any, times: Any, where: str) -> None:
         warn("BASE_JUMP", message)
 
 
-def _rows(value: Any, n: int | None, widths: tuple[int, ...], where: str, problems: Problems):
+def _columns(value: Any, n: int | None, widths: tuple[int, ...], where: str, problems: Problems):
     """Finite rows of numbers, one per time if n is given; zeros for None and for invalid rows, for which a problem is added."""
-    zeros = np.zeros((n or 0, 3))
-    if value is None:
-        return zeros
-    array = problems.gather(lambda: float_array(value, where))
-    if array is None:
-        return zeros
-    if array.ndim != 2 or array.shape[1] not in widths or n not in (None, array.shape[0]):
-        limit = " or ".join(f"({n or 'n'}, {width})" for width in widths)
-        hint = "The array looks transposed." if array.ndim == 2 and array.shape[0] in widths else "One row per time."
-        problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=limit, hint=hint)
-        return zeros
-    return array if finite_rows(array, where, problems) else zeros
+    rows = None if value is None else checked_rows(value, n, widths, where, problems)
+    return np.zeros((n or 0, 3)) if rows is None else rows
 
 
 def _continuous(samples, problems: Problems, where: str):

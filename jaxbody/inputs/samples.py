@@ -1,21 +1,52 @@
-"""Samples in time: cells, slopes and curvatures of cubic splines, and the kinks of functions of time."""
+"""Functions through samples in time: checked rows, straight lines and cubic splines between them, integrals of broken lines."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, concrete
+from jaxbody.core.arrays import Array, Float, concrete, finite_rows, float_array, module_of
+from jaxbody.core.errors import Problems
 
 
-def kinks_of(functions: Iterable[Any]) -> Array | None:
-    """The kinks of several functions of time, in order."""
-    known = [kinks for function in functions if (kinks := function.kinks()) is not None]
-    return jnp.sort(jnp.concatenate(known)) if known else None
+def checked_rows(value: Any, n: int | None, widths: tuple[int | str | None, ...], where: str, problems: Problems) -> Any:
+    """Finite numbers, one row for each of n times, or for any number of times if n is None; None if they are not, with a problem added.
+
+    `widths` of a row: a number, "k" for any number, None for a single number that is no row."""
+    array = problems.gather(lambda: float_array(value, where))
+    if array is None:
+        return None
+    width = {1: {None}, 2: {"k", array.shape[-1]}}.get(array.ndim, set()) if array.ndim else set()
+    if not width & set(widths) or n not in (None, array.shape[0]):
+        limit = " or ".join(f"({n or 'n'},)" if width is None else f"({n or 'n'}, {width})" for width in widths)
+        hint = "The array looks transposed." if array.ndim == 2 and array.shape[0] in widths else "One row per time."
+        problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=limit, hint=hint)
+        return None
+    return array if finite_rows(array, where, problems) else None
+
+
+def interpolated(samples: Any, t: Float[Array, ""]) -> Array:
+    """The straight line a y_i + b y_{i+1} between `samples.values` y, plus h^2/6 ((a^3 - a) m_i + (b^3 - b) m_{i+1}) where they have
+    `curvatures` m."""
+    i, h, a, b = cell(samples.times, samples.uniform, t)
+    y, m = samples.values, samples.curvatures
+    line = a * y[i] + b * y[i + 1]
+    return line if m is None else line + h**2 / 6 * ((a**3 - a) * m[i] + (b**3 - b) * m[i + 1])
+
+
+def integrals(t: Float[Array, "n"], a: Float[Array, "n k"], x0: Any = 0.0, v0: Any = 0.0) -> tuple[Any, Any]:
+    """The integral v of a function that is linear between samples a, and the integral x of v, from their values at the first time."""
+    xp = module_of(a)
+    h = xp.diff(t)[:, None]
+
+    def summed(steps):
+        return xp.concatenate([xp.zeros_like(steps[:1]), xp.cumsum(steps, 0)])
+
+    v = v0 + summed(h * (a[1:] + a[:-1]) / 2)
+    return v, x0 + summed(h * v[:-1] + h**2 * (2 * a[:-1] + a[1:]) / 6)
 
 
 def cell(times: Float[Array, "n"], uniform: bool, t: Float[Array, ""]):
@@ -41,15 +72,15 @@ def is_uniform(times) -> bool:
 
 
 @jax.jit
-def curvatures(t: Float[Array, "n"], y: Float[Array, "n k"]) -> Float[Array, "n k"]:
+def curvatures(t: Float[Array, "n"], y: Float[Array, "n *k"]) -> Float[Array, "n *k"]:
     """Second derivatives at the knots: h_{i-1} m_{i-1} + 2 (h_{i-1} + h_i) m_i + h_i m_{i+1} = 6 (d_i - d_{i-1}), d the slopes of the
     chords; at the ends 2 h m_0 + h m_1 = 6 (d_0 - s_0), s the slope of the cubic through four samples."""
-    h = jnp.diff(t)
+    h, shape, y = jnp.diff(t), y.shape, y.reshape(len(y), -1)
     d = jnp.diff(y, axis=0) / h[:, None]
     zero = jnp.zeros(1, t.dtype)
     diagonal = 2 * (jnp.concatenate([zero, h]) + jnp.concatenate([h, zero]))
     right = 6 * jnp.concatenate([d[:1] - _end_slope(t[:4], y[:4]), jnp.diff(d, axis=0), _end_slope(t[::-1][:4], y[::-1][:4]) - d[-1:]])
-    return jax.lax.linalg.tridiagonal_solve(jnp.concatenate([zero, h]), diagonal, jnp.concatenate([h, zero]), right)
+    return jax.lax.linalg.tridiagonal_solve(jnp.concatenate([zero, h]), diagonal, jnp.concatenate([h, zero]), right).reshape(shape)
 
 
 def _end_slope(t: Float[Array, "4"], y: Float[Array, "4 k"]) -> Float[Array, "1 k"]:

@@ -1,23 +1,27 @@
-"""Signals: numbers or vectors that vary with time, of a load or an instrument, as one function of time."""
+"""Signals: numbers or vectors as functions of time, with sums and delays; of a load, an instrument or, six of them, a motion."""
 
 from __future__ import annotations
 
+import functools
 from abc import abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arguments import check_returned, plain
-from jaxbody.core.arrays import Array, Float, check_times, checked, device_array, finite_rows, float_array
-from jaxbody.core.errors import Problems
+from jaxbody.core.arguments import check_returned, kind_of, plain
+from jaxbody.core.arrays import Array, Float, check_times, device_array, functions_as_nodes, shaped
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.fields import field
-from jaxbody.inputs.samples import cell, curvatures, is_uniform
+from jaxbody.inputs.samples import cell, checked_rows, curvatures, interpolated, is_uniform
 
 __all__ = [
     "Constant",
+    "Delayed",
     "Function",
     "Samples",
     "Signal",
@@ -29,10 +33,12 @@ KINDS = ("hold", "linear", "cubic")
 
 
 class Signal(eqx.Module):
-    """A number or a vector as a function of time.
+    """A number or a vector as a function of time. Signals can be added to each other and to functions of time.
 
     >>> Sine(amplitude=[0, 0, 5.0], frequency=2.0, phase=0.0)(jnp.array(0.25)).tolist()[2]
     -5.0
+    >>> (Sine(amplitude=2.0, frequency=1.0) + (lambda t: 3.0 * t))(jnp.array(1.0)).item()
+    5.0
     """
 
     @abstractmethod
@@ -43,7 +49,58 @@ class Signal(eqx.Module):
         return -np.inf, np.inf
 
     def kinks(self) -> Array | None:
-        """Times [s] at which its slope jumps, where integration steps should end; None if there are none."""
+        """Times [s] at which it is not smooth, where integration steps should end; None if there are none."""
+
+    def __add__(self, other: Signal | Callable[[Array], Array]) -> SignalSum:
+        return SignalSum((self, function_of_time(other)))
+
+    def __radd__(self, other: Any) -> Signal:
+        return self if isinstance(other, int) and other == 0 else SignalSum((function_of_time(other), self))  # sum() starts from 0
+
+
+class SignalSum(Signal):
+    """The sum of its terms, which are numbers or vectors of one size; of motions: translations and rotation vectors add."""
+
+    terms: tuple[Signal, ...] = field()
+
+    def __call__(self, t):
+        return sum((term(t) for term in self.terms[1:]), self.terms[0](t))
+
+    def covers(self) -> tuple[Any, Any]:
+        first, last = zip(*(term.covers() for term in self.terms), strict=True)
+        return max(first), min(last)
+
+    def kinks(self) -> Array | None:
+        return kinks_of(self.terms)
+
+
+class Delayed(Signal):
+    """signal(t - delay): the same signal `delay` [s] later, such as the motion of a rear wheel that follows the front wheel on the same
+    road.
+
+    >>> motion = Delayed(Harmonic(frequency=2.0, translation=[0.01, 0, 0]), 0.25)
+    >>> motion(jnp.array(0.25)).tolist()[0]
+    0.01
+    """
+
+    signal: Signal = field()
+    delay: Float[Array, ""] = field("s")
+
+    def __init__(self, signal, delay):
+        with Problems() as problems:
+            delay = shaped(delay, (), "Delayed.delay", problems)
+        self.signal, self.delay = function_of_time(signal, "Delayed.signal"), device_array(delay)
+
+    def __call__(self, t):
+        return self.signal(t - self.delay)
+
+    def covers(self) -> tuple[Any, Any]:
+        first, last = self.signal.covers()
+        return first + self.delay, last + self.delay
+
+    def kinks(self) -> Array | None:
+        known = self.signal.kinks()
+        return None if known is None else known + self.delay
 
 
 class Constant(Signal):
@@ -72,10 +129,9 @@ class Sine(Signal):
 
     def __init__(self, *, amplitude, frequency, phase=0.0):
         with Problems() as problems:
-            self.amplitude = device_array(_number_or_vector(amplitude, "Sine.amplitude", problems))
+            self.amplitude = device_array(shaped(amplitude, np.shape(amplitude)[:1], "Sine.amplitude", problems))
             for name, value in (("frequency", frequency), ("phase", phase)):
-                array = checked(value, ((),), f"Sine.{name}", problems)
-                setattr(self, name, device_array(np.zeros(()) if array is None else array))
+                setattr(self, name, device_array(shaped(value, (), f"Sine.{name}", problems)))
 
     def __call__(self, t):
         return self.amplitude * jnp.cos(2 * jnp.pi * self.frequency * t + self.phase)
@@ -105,11 +161,10 @@ class Samples(Signal):
             if kind not in KINDS:
                 problems.add("BAD_KIND", "Samples.kind", f"is {kind!r}", value=kind, limit=" ".join(KINDS), hint="Give one of these.")
             known = check_times(times, problems, "Samples.times", minimum=4 if kind == "cubic" else 2)
-            y = _rows(values, known, problems)
+            y = checked_rows(values, None if known is None else len(known), (None, "k"), "Samples.values", problems)
         self.times, self.values = device_array(known), device_array(y)
         self.kind, self.uniform = kind, is_uniform(known)
-        flat = self.values.reshape(len(self.values), -1)
-        self.curvatures = curvatures(self.times, flat).reshape(self.values.shape) if kind == "cubic" else None
+        self.curvatures = curvatures(self.times, self.values) if kind == "cubic" else None
 
     def covers(self) -> tuple[Any, Any]:
         return self.times[0], self.times[-1]
@@ -118,52 +173,59 @@ class Samples(Signal):
         return self.times if self.kind == "linear" else None
 
     def __call__(self, t):
-        i, h, a, b = cell(self.times, self.uniform, t)
-        if self.kind == "hold":
-            return jnp.where(b < 1, self.values[i], self.values[i + 1])
-        line = a * self.values[i] + b * self.values[i + 1]
-        if self.curvatures is None:
-            return line
-        return line + h**2 / 6 * ((a**3 - a) * self.curvatures[i] + (b**3 - b) * self.curvatures[i + 1])
+        if self.kind != "hold":
+            return interpolated(self, t)
+        i, _, _, b = cell(self.times, self.uniform, t)
+        return jnp.where(b < 1, self.values[i], self.values[i + 1])
 
 
 class Function(Signal):
     """Any JAX function of time. Each new function object is compiled again; a Signal with array leaves avoids that.
 
-    >>> Function(lambda t: 3.0 * t)(0.5).item()
+    >>> Function(lambda t: 3.0 * t)(0.5)
     1.5
     """
 
     function: Callable[..., Any] = eqx.field(static=True)
 
     def __call__(self, t):
-        return jnp.asarray(self.function(t))
+        return self.function(t)
+
+
+def kinks_of(signals: Iterable[Signal]) -> Array | None:
+    """The kinks of several signals, in order."""
+    known = [kinks for signal in signals if (kinks := signal.kinks()) is not None]
+    return jnp.sort(jnp.concatenate(known)) if known else None
+
+
+def function_of_time(
+    value: Any,
+    where: str = "signal",
+    wanted: str = "a Signal, such as jb.signals.Sine(...)",
+    hint: str = "Give a Signal or a function of time.",
+) -> Signal:
+    """The Signal for a signal or for a Python function of time. Error: WRONG_KIND."""
+    if not callable(value) or isinstance(value, type):
+        raise JaxbodyError(Problem("WRONG_KIND", where, f"is {kind_of(value)}", value, wanted, hint))
+    return value if isinstance(value, Signal) else Function(value)
 
 
 def as_signal(value: Any, where: str, problems: Problems, size: tuple[int, ...]) -> Signal:
     """The Signal for a signal, for a Python function of time, or for constant numbers of this size."""
-    if isinstance(value, Signal):
-        signal = value
-    elif callable(value):
-        signal = Function(value)
-    else:
-        array = checked(value, (size,), where, problems)
-        return Constant(np.zeros(size) if array is None else array)
-    check_returned(lambda signal, t: signal(t), signal, size, where, problems)
+    signal = function_of_time(value, where) if callable(value) else Constant(shaped(value, size, where, problems))
+    check_signal(signal, where, problems, size, lists=True)
     return signal
 
 
-def _number_or_vector(value: Any, where: str, problems: Problems) -> Any:
-    array = checked(value, ((), (np.size(value),)), where, problems)
-    return np.zeros(()) if array is None else array
+def check_signal(signal: Signal, where: str, problems: Problems, size: tuple[int, ...], lists: bool = False) -> None:
+    """Check that JAX can trace a signal and that it returns an array of this size, or a list if `lists`; each structure is traced once."""
+    leaves, structure = jax.tree.flatten(functions_as_nodes(signal))
+    kinds = tuple(jax.ShapeDtypeStruct(np.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+    problems.collected += [replace(problem, where=where) for problem in _faults(structure, kinds, size, lists)]
 
 
-def _rows(values: Any, times: Any, problems: Problems) -> Any:
-    y = problems.gather(lambda: float_array(values, "Samples.values"))
-    if y is None or times is None:
-        return y
-    if y.ndim not in (1, 2) or y.shape[0] != len(times):
-        limit = f"({len(times)},) or ({len(times)}, k)"
-        problems.add("BAD_SHAPE", "Samples.values", f"has shape {y.shape}", value=y.shape, limit=limit, hint="One value per time.")
-    finite_rows(y, "Samples.values", problems)
-    return y
+@functools.lru_cache(maxsize=64)
+def _faults(structure: Any, kinds: tuple[Any, ...], size: tuple[int, ...], lists: bool) -> list[Problem]:
+    problems = Problems()
+    check_returned(lambda signal, t: jnp.asarray(signal(t)) if lists else signal(t), structure.unflatten(kinds), size, "signal", problems)
+    return problems.collected

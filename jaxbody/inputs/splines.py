@@ -13,6 +13,7 @@ from jaxbody.core.arrays import Array, Float, checked, device_array, shaped
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field
 from jaxbody.inputs.motions import Motion, as_motion
+from jaxbody.inputs.signals import Signal
 
 AXES = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 MOST = 100_000  # intervals
@@ -116,7 +117,7 @@ def _design(spline: Spline, times: Float[Array, "n"]) -> Float[Array, "n m"]:
     return jax.vmap(row)(times)
 
 
-def _near(spline: Spline, motion: Motion) -> Array:
+def _near(spline: Spline, motion: Signal) -> Array:
     """The values that fit the motion by least squares at four times per interval."""
     times = jnp.linspace(spline.start, spline.stop, 4 * spline.values.shape[0])
     targets = np.asarray(jax.jit(jax.vmap(motion))(times))

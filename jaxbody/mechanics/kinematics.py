@@ -11,13 +11,13 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Pose, stack
 from jaxbody.geometry.vectors import cross, rotate
-from jaxbody.inputs.motions import Motion
+from jaxbody.inputs.signals import Signal
 from jaxbody.models.models import Model, at_rest_in, body_poses, rest_poses, support_poses
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable
 from jaxbody.numerics.xla_workarounds import take
 
-Motions = tuple[Motion, ...]  # one per support, in their order
+Motions = tuple[Signal, ...]  # of six numbers, one per support, in their order
 
 
 class Chart(eqx.Module):

@@ -10,7 +10,7 @@ import optimistix
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Status
-from jaxbody.inputs.samples import kinks_of
+from jaxbody.inputs.signals import kinks_of
 from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.canonical_equations import Canonical
 from jaxbody.mechanics.energies import outside_law_range

@@ -282,7 +282,7 @@ BAD = {
     "two amplitudes": (lambda: jb.Harmonic(frequency=1.0, rotation=[0, 1]), "BAD_SHAPE", "Harmonic.rotation", (2,)),
     "three frequencies": (lambda: jb.Harmonic(frequency=[1, 2, 3], rotation=[0, 1, 0]), "BAD_SHAPE", "Harmonic.frequency", (3,)),
     "two delays": (lambda: jb.Delayed(jb.AtRest(), [0, 1]), "BAD_SHAPE", "Delayed.delay", (2,)),
-    "no delayed motion": (lambda: jb.Delayed(3.0, 0.1), "WRONG_KIND", "motion", 3.0),
+    "no delayed motion": (lambda: jb.Delayed(3.0, 0.1), "WRONG_KIND", "Delayed.signal", 3.0),
     "no function": (lambda: as_motion(3.0), "WRONG_KIND", "motion", 3.0),
 }
 
