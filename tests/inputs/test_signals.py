@@ -40,13 +40,14 @@ def test_a_motion_is_a_signal():
     np.testing.assert_allclose(both(t), exact, rtol=0, atol=2e-15)
 
 
-MOTIONS = {  # u = 0.01 cos(4 t) along z, in four words
-    "a motion": jb.Harmonic(frequency=4 / (2 * np.pi), translation=0.01 * UP),
-    "a sine": Sine(amplitude=[0, 0, 0.01, 0, 0, 0], frequency=4 / (2 * np.pi)),
-    "a sum": Sine(amplitude=[0, 0, 0.004, 0, 0, 0], frequency=4 / (2 * np.pi)) + jb.Harmonic(frequency=4 / (2 * np.pi), translation=0.006 * UP),
-    "a delay": Delayed(Sine(amplitude=[0, 0, 0.01, 0, 0, 0], frequency=4 / (2 * np.pi), phase=1.2), 0.3),
+F = 4 / (2 * np.pi)
+MOTIONS = {  # u = 0.01 cos(4 t) along z, in five words
+    "a motion": jb.Harmonic(frequency=F, translation=0.01 * UP),
+    "a sine": Sine(amplitude=[0, 0, 0.01, 0, 0, 0], frequency=F),
+    "a sum": Sine(amplitude=[0, 0, 0.004, 0, 0, 0], frequency=F) + jb.Harmonic(frequency=F, translation=0.006 * UP),
+    "a delay": Delayed(Sine(amplitude=[0, 0, 0.01, 0, 0, 0], frequency=F, phase=1.2), 0.3),
     "a function": Function(lambda t: 0.01 * jnp.cos(4 * t) * jnp.array([0, 0, 1.0, 0, 0, 0])),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", MOTIONS)
