@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import check_key
-from jaxbody.core.arrays import Array, Float, PRNGKeyArray, concrete, scalar
+from jaxbody.core.arrays import Array, Float, PRNGKeyArray, scalar
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.responses.spectra import PowerLaw
+from jaxbody.responses.spectra import PowerLaw, check_not_negative
 
 CLASSES = "ABCDEFGH"
 SMOOTHEST = 16e-6  # m3, the geometric mean of class A
@@ -36,11 +36,7 @@ class Unevenness(eqx.Module):
     def __init__(self, level, *, exponent=2.0):
         with Problems() as problems:
             self.level, self.exponent = scalar(level, "Unevenness.level", problems), scalar(exponent, "Unevenness.exponent", problems)
-            known = concrete(self.level)
-            if known is not None and known < 0:
-                problems.add(
-                    "NEGATIVE", "Unevenness.level", f"is {known:g} m3", value=float(known), limit=">= 0", hint="Give Gd(0.1 cycle/m)."
-                )
+            check_not_negative(self.level, "Unevenness.level", problems)
 
     @classmethod
     def iso(cls, road_class: str) -> Unevenness:

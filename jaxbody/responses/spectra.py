@@ -45,7 +45,41 @@ class Spectrum(eqx.Module):
     def __call__(self, f: Float[Array, "nf"]) -> Float[Array, "nf"]: ...
 
 
-class PowerLaw(Spectrum):
+class Density(Spectrum):
+    """The base class of densities stated in a unit, over time or, at a speed, over distance."""
+
+    speed: Float[Array, ""]
+    quantity: str = eqx.field(static=True)
+    factor: float = eqx.field(static=True)  # from the unit to the square of the quantity in SI units
+    per: str = eqx.field(static=True)
+    sides: int = eqx.field(static=True)
+
+    def stated(self, unit: Any, sides: Any, speed: Any, problems: Problems) -> None:
+        """Check and set unit, sides and speed."""
+        kind, hint = type(self).__name__, "Give the speed in m/s."
+        self.quantity, self.per, self.factor = _unit(unit, f"{kind}.unit", problems)
+        if sides not in (1, 2):
+            problems.add("BAD_SIDES", f"{kind}.sides", f"is {sides!r}", value=sides, limit="1 or 2", hint="Give 2 for a two-sided density.")
+        if self.per.endswith("/m") != (speed is not None):
+            message = "is missing" if speed is None else "is given, but the spectrum is over time"
+            problems.add(
+                "NO_SPEED", f"{kind}.speed", message, value=speed, limit="for cycle/m and rad/m only", hint="Give the speed in m/s."
+            )
+        self.sides, self.speed = sides, scalar(1.0 if speed is None else speed, f"{kind}.speed", problems)
+        known = concrete(self.speed)
+        if known is not None and known <= 0:
+            problems.add("NO_SPEED", f"{kind}.speed", f"is {known:g} m/s", value=float(known), limit="> 0", hint=hint)
+
+    @abstractmethod
+    def at(self, x: Float[Array, "nf"]) -> Float[Array, "nf"]:
+        """The density as stated, at frequencies in the measure of its unit."""
+
+    def __call__(self, f):
+        rate = (2 * jnp.pi if self.per.startswith("rad") else 1.0) / (self.speed if self.per.endswith("/m") else 1.0)
+        return self.factor * self.sides * rate * self.at(f * rate)
+
+
+class PowerLaw(Density):
     """S(x) = level (x/reference)^-exponent, with the frequency x as in the unit (Hz, rad/s, cycle/m or rad/m): exponent 0 is white noise, 2
     a road.
 
@@ -68,31 +102,24 @@ class PowerLaw(Spectrum):
     level: Float[Array, ""]
     exponent: Float[Array, ""]
     reference: Float[Array, ""]
-    speed: Float[Array, ""]
-    quantity: str = eqx.field(static=True)
-    factor: float = eqx.field(static=True)  # from the unit to the square of the quantity in SI units
-    per: str = eqx.field(static=True)
-    sides: int = eqx.field(static=True)
 
     def __init__(self, level, *, unit: str, exponent: Any = 0.0, reference=1.0, sides: int = 1, speed=None):
         with Problems() as problems:
-            self.quantity, self.per, self.factor = _unit(unit, "PowerLaw.unit", problems)
-            self.sides, self.speed = _measure(self.per, sides, speed, "PowerLaw", problems)
+            self.stated(unit, sides, speed, problems)
             self.level = scalar(level, "PowerLaw.level", problems)
             self.exponent = scalar(exponent, "PowerLaw.exponent", problems)
             self.reference = scalar(reference, "PowerLaw.reference", problems)
-            _check_not_negative(self.level, "PowerLaw.level", problems)
+            check_not_negative(self.level, "PowerLaw.level", problems)
             known = concrete(self.reference)
             if known is not None and known <= 0:
                 hint = "Give the frequency at which the density is `level`."
                 problems.add("BAD_FREQUENCY", "PowerLaw.reference", f"is {known:g}", value=float(known), limit="> 0", hint=hint)
 
-    def __call__(self, f):
-        x, density = _in_hertz(f, self.per, self.speed)
-        return self.factor * self.sides * density * self.level * (x / self.reference) ** -self.exponent
+    def at(self, x):
+        return self.level * (x / self.reference) ** -self.exponent
 
 
-class PSD(Spectrum):
+class PSD(Density):
     """A power spectral density through points, interpolated linearly in log-log scale, as in test specifications; zero outside the points.
 
     `PSD.from_record` estimates one from a record.
@@ -113,16 +140,10 @@ class PSD(Spectrum):
 
     frequencies: Float[Array, "n"]
     values: Float[Array, "n"]
-    speed: Float[Array, ""]
-    quantity: str = eqx.field(static=True)
-    factor: float = eqx.field(static=True)  # from the unit to the square of the quantity in SI units
-    per: str = eqx.field(static=True)
-    sides: int = eqx.field(static=True)
 
     def __init__(self, frequencies, values, *, unit: str, sides: int = 1, speed=None):
         with Problems() as problems:
-            self.quantity, self.per, self.factor = _unit(unit, "PSD.unit", problems)
-            self.sides, self.speed = _measure(self.per, sides, speed, "PSD", problems)
+            self.stated(unit, sides, speed, problems)
             count = max(2, np.size(frequencies))
             x = checked(frequencies, ((count,),), "PSD.frequencies", problems, "Give two points or more.")
             y = checked(values, ((count,),), "PSD.values", problems, "One value for each frequency.")
@@ -132,7 +153,7 @@ class PSD(Spectrum):
                     "BAD_FREQUENCY", "PSD.frequencies", f"is {known}", value=known, limit="positive, increasing", hint="Leave 0 out."
                 )
             if y is not None:
-                _check_not_negative(y, "PSD.values", problems)
+                check_not_negative(y, "PSD.values", problems)
         self.frequencies, self.values = device_array(x), device_array(y)
 
     @classmethod
@@ -154,14 +175,13 @@ class PSD(Spectrum):
         f, S = welch(np.asarray(y), 1 / float(step), nperseg=min(segment, np.size(times)))
         return cls(f[1:], S[1:], unit=f"({unit})2/Hz")
 
-    def __call__(self, f):
-        x, density = _in_hertz(f, self.per, self.speed)
+    def at(self, x):
         positive = self.values > 0
         logarithms = jnp.where(positive, jnp.log(jnp.where(positive, self.values, 1.0)), LOWEST)
         interpolated = jnp.exp(jnp.interp(jnp.log(x), jnp.log(self.frequencies), logarithms))
         margin = 1e-12 * x
         known = (x >= self.frequencies[0] - margin) & (x <= self.frequencies[-1] + margin)
-        return self.factor * self.sides * density * jnp.where(known, interpolated, 0.0)
+        return jnp.where(known, interpolated, 0.0)
 
 
 class CrossPSD(eqx.Module):
@@ -331,27 +351,7 @@ def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
     return "", "Hz", 1.0
 
 
-def _measure(per: str, sides: Any, speed: Any, where: str, problems: Problems) -> tuple[int, Any]:
-    """The checked sides and speed."""
-    if sides not in (1, 2):
-        problems.add("BAD_SIDES", f"{where}.sides", f"is {sides!r}", value=sides, limit="1 or 2", hint="Give 2 for a two-sided density.")
-    if per.endswith("/m") != (speed is not None):
-        message = "is missing" if speed is None else "is given, but the spectrum is over time"
-        problems.add("NO_SPEED", f"{where}.speed", message, value=speed, limit="for cycle/m and rad/m only", hint="Give the speed in m/s.")
-    U = scalar(1.0 if speed is None else speed, f"{where}.speed", problems)
-    known = concrete(U)
-    if known is not None and known <= 0:
-        problems.add("NO_SPEED", f"{where}.speed", f"is {known:g} m/s", value=float(known), limit="> 0", hint="Give the speed in m/s.")
-    return sides, U
-
-
-def _in_hertz(f: Array, per: str, speed: Array) -> tuple[Array, Any]:
-    """The frequency in its own measure, and the factor from a density per that measure to a density per hertz."""
-    rate = (2 * jnp.pi if per.startswith("rad") else 1.0) / (speed if per.endswith("/m") else 1.0)
-    return f * rate, rate
-
-
-def _check_not_negative(value: Any, where: str, problems: Problems) -> None:
+def check_not_negative(value: Any, where: str, problems: Problems) -> None:
     known = concrete(value)
     if known is not None and (known < 0).any():
         problems.add("NEGATIVE", where, f"is {known.min():g}", value=float(known.min()), limit=">= 0", hint="A density is not negative.")
