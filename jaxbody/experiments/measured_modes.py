@@ -12,7 +12,7 @@ from equinox import field
 from jaxbody.core.arrays import Array, Float, concrete, device_array, float_array
 from jaxbody.core.errors import Problems
 from jaxbody.experiments.measured_responses import equilibrium_status
-from jaxbody.experiments.measurements import Measurement
+from jaxbody.experiments.measurements import Measurement, noise_of
 from jaxbody.sensors.channels import Channel
 from jaxbody.sensors.sensors import Sensor
 from jaxbody.vibrations.mode_branches import mac
@@ -89,19 +89,7 @@ class MeasuredModes(Measurement):
                 problems.add(
                     "BAD_SHAPE", "MeasuredModes.number", f"is {number}", value=number, limit=f"{count} different numbers from 0 up"
                 )
-            levels = {}
-            for name, level in (noise or {}).items():
-                where, deviation = f"MeasuredModes.noise['{name}']", np.asarray(level, float)
-                if name not in arrays:
-                    problems.add("UNKNOWN_NAME", where, "is not measured", value=name, limit=", ".join(arrays))
-                elif deviation.shape not in ((), arrays[name].shape):
-                    problems.add("BAD_SHAPE", where, f"has shape {deviation.shape}", value=deviation, limit=f"() or {arrays[name].shape}")
-                elif not (np.isfinite(deviation) & (deviation > 0)).all():
-                    problems.add(
-                        "BAD_NOISE", where, "is not positive", value=deviation, limit="> 0", hint="Leave out noise= to estimate it."
-                    )
-                else:
-                    levels[name] = device_array(deviation)
+            levels = noise_of(noise or {}, arrays, "MeasuredModes.noise", problems)
         if "shapes" in arrays:
             arrays["shapes"] = arrays["shapes"] / np.sqrt(np.nansum(arrays["shapes"] ** 2, 1, keepdims=True))
         self.measured = {name: device_array(array) for name, array in arrays.items()}

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Complex, Float, concrete, device_array
 from jaxbody.core.errors import Problems, Status, unknown
-from jaxbody.experiments.measurements import Measurement
+from jaxbody.experiments.measurements import Measurement, noise_of
 from jaxbody.models.models import Model
 from jaxbody.responses.frequency_responses import check_frequencies, check_loss_factors, check_without_force_sensors, frequency_response
 from jaxbody.sensors.channels import Channel
@@ -74,7 +74,7 @@ class MeasuredResponse(Measurement):
             shape = np.shape(frequencies if checked is None else checked)
             if not measured:
                 problems.add("NO_DATA", "MeasuredResponse.measured", "is empty", limit="at least one pair (output, input)")
-            arrays, levels, known = {}, {}, component_units(outputs)
+            arrays, known = {}, component_units(outputs)
             for pair, value in measured.items():
                 where = f"MeasuredResponse.measured[{pair!r}]"
                 output, source = pair if isinstance(pair, tuple) and len(pair) == 2 else (pair, pair)
@@ -82,25 +82,14 @@ class MeasuredResponse(Measurement):
                     if name not in ports:
                         problems.collected.append(unknown(str(name), where, tuple(ports)))
                 arrays[pair] = _complex(value, shape, where, problems)
-            for pair, value in (noise if isinstance(noise, dict) else {} if noise is None else dict.fromkeys(measured, noise)).items():
-                where = f"MeasuredResponse.noise[{pair!r}]"
-                deviation: Any = np.asarray(value, float) if concrete(value) is not None else value
-                if pair not in measured:
-                    problems.add("UNKNOWN_NAME", where, "is not a measured pair", value=pair, limit=", ".join(map(str, measured)))
-                elif np.shape(deviation) not in ((), shape):
-                    problems.add("BAD_SHAPE", where, f"has shape {np.shape(deviation)}", value=deviation, limit=f"() or {shape}")
-                elif isinstance(deviation, np.ndarray) and not (np.isfinite(deviation) & (deviation > 0)).all():
-                    problems.add(
-                        "BAD_NOISE", where, "is not positive", value=deviation, limit="> 0", hint="Leave out noise= to estimate it."
-                    )
-                else:
-                    levels[_name(pair)] = device_array(deviation)
+            given = noise if isinstance(noise, dict) else {} if noise is None else dict.fromkeys(measured, noise)
+            levels = noise_of(given, arrays, "MeasuredResponse.noise", problems)
         self.frequencies = checked  # pyright: ignore[reportAttributeAccessIssue]
         self.inputs, self.outputs = dict(inputs), dict(outputs)
         by_element = loss_factor if isinstance(loss_factor, dict) else {"all": loss_factor}
         self.loss_factor = None if loss_factor is None else {name: device_array(x) for name, x in by_element.items()}
         self.measured = {_name(pair): jnp.asarray(x) for pair, x in arrays.items()}
-        self.noise = levels if noise is not None else None
+        self.noise = {_name(pair): level for pair, level in levels.items()} if noise is not None else None
         self.pairs = tuple(arrays)
 
     @property

@@ -7,7 +7,8 @@ from typing import Any, ClassVar
 import equinox as eqx
 import numpy as np
 
-from jaxbody.core.arrays import Array
+from jaxbody.core.arrays import Array, concrete, device_array
+from jaxbody.core.errors import Problems
 from jaxbody.sensors.channels import Channel
 
 
@@ -61,3 +62,21 @@ class Measurement(eqx.Module):
     def present(self, name: str) -> np.ndarray:
         """Which components of the residuals of a channel have samples."""
         return ~self.channels[name].missing(np.asarray(self.measured[name]))
+
+
+def noise_of(given: dict[Any, Any], measured: dict[Any, Any], where: str, problems: Problems) -> dict[Any, Any]:
+    """Standard deviations of measured quantities, each one number or one for each measured number; errors go to `problems`."""
+    levels = {}
+    for name, level in given.items():
+        place, deviation = f"{where}[{name!r}]", level if concrete(level) is None else np.asarray(level, float)
+        shapes = ((), np.shape(measured[name]) if name in measured else ())
+        if name not in measured:
+            problems.add("UNKNOWN_NAME", place, "is not measured", value=name, limit=", ".join(map(str, measured)))
+        elif np.shape(deviation) not in shapes:
+            limit = " or ".join(map(str, dict.fromkeys(shapes)))
+            problems.add("BAD_SHAPE", place, f"has shape {np.shape(deviation)}", value=deviation, limit=limit)
+        elif isinstance(deviation, np.ndarray) and not (np.isfinite(deviation) & (deviation > 0)).all():
+            problems.add("BAD_NOISE", place, "is not positive", value=deviation, limit="> 0", hint="Leave out noise= to estimate it.")
+        else:
+            levels[name] = device_array(deviation)
+    return levels
