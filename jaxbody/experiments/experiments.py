@@ -258,9 +258,13 @@ def _of_record(record: Record, times: Any, sensors: dict[str, Any], problems: Pr
         if name not in record.channels:
             hint = f"Name the sensor as its channel: {', '.join(record.channels)}."
             problems.add("UNKNOWN_CHANNEL", where, "is no channel of the record", value=name, hint=hint)
-        elif isinstance(sensor, Sensor) and sensor.gain is None and record.units[name] != (expected := _si(sensor.unit)):
+        elif (
+            isinstance(sensor, Sensor)
+            and sensor.gain is None
+            and record.units[name] not in (expected := [*map(_si, sensor.possible_units)])
+        ):
             message, hint = f"is in '{record.units[name]}'", "Give a sensor that reads this quantity, or a gain that converts to it."
-            problems.add("WRONG_DIMENSION", where, message, value=record.units[name], limit=f"'{expected}'", hint=hint)
+            problems.add("WRONG_DIMENSION", where, message, value=record.units[name], limit=" or ".join(map(repr, expected)), hint=hint)
     return record.times, {name: record.channels[name] for name in sensors if name in record.channels}
 
 

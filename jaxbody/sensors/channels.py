@@ -56,6 +56,11 @@ class Channel(eqx.Module):
         return self.unit
 
     @property
+    def possible_units(self) -> tuple[str, ...]:
+        """The units that it may have, depending on the kind of an element."""
+        return (self.unit,)
+
+    @property
     def units(self) -> int:
         """The number of units, each of the same number of consecutive components."""
         return self.unit.count(",") + 1

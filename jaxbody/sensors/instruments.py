@@ -169,6 +169,10 @@ class OfElement(Components):
     def unit(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.units_of_parts[(self.component or 0) >= 3]
 
+    @property
+    def possible_units(self):
+        return self.units_of_parts if self.component is None else (self.unit,)
+
     def unit_on(self, model):
         return self.units_of_parts[1] if isinstance(model[self.on], Torsion) else self.unit
 

@@ -59,6 +59,26 @@ def test_what_does_not_fit_a_record_is_said_at_once(record):
     assert jb.Experiment(sensors=volts, measured=record).measured["temperature"].shape == (8,)
 
 
+def test_a_torsion_spring_reads_an_angle_and_a_moment():
+    """Records in rad and N m fit its sensors; its outputs have these units; the moment is the stiffness times the angle."""
+    arm = jb.Body(mass=1.0, inertia=[1, 1, 1])
+    bar = jb.Torsion("arm", "world", axis=[0, 0, 1], spring=30.0)
+    model = jb.Model(bodies={"arm": arm}, joints={"arm": jb.Hinge("world", axis=[0, 0, 1])}, elements={"bar": bar})
+    sensors = {"angle": jb.Elongation("bar"), "moment": jb.LoadCell("bar")}
+    times = np.linspace(0, 0.5, 11)
+    turned = 0.1 * np.cos(30**0.5 * times)
+    start = jb.State(np.array([0.1]), np.zeros(1))
+    angle = np.asarray(jb.measure(jb.simulate(model, times, initial=start, rtol=1e-11), sensors)["angle"])
+    np.testing.assert_allclose(np.abs(angle), np.abs(turned), rtol=0, atol=1e-9)
+    record = jb.Record(times, {"angle": (np.rad2deg(angle), "deg"), "moment": (30 * angle, "N m")})
+    run = jb.Experiment(sensors=sensors, measured=record, initial=start)
+    np.testing.assert_allclose(run.measured["angle"], angle, rtol=1e-12)
+    lin = jb.linearize(model, model.reference)
+    H = jb.frequency_response(lin, [0.5], {"push": jb.PointForce("arm", direction="rz")}, sensors)
+    assert H.output_units == ("rad", "N m")
+    np.testing.assert_allclose(H.values[1], 30 * H.values[0], rtol=1e-12)
+
+
 def test_a_motion_that_ends_before_the_record_is_refused_before_a_model_is_there(record):
     times = np.linspace(0, 0.05, 6)
     shaken = {"floor": jb.Sampled(times, translation=np.zeros((6, 3)))}
