@@ -26,13 +26,12 @@ from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import ZERO, companion, natural
 from jaxbody.numerics.precisions import reachable
 from jaxbody.responses.modal_dampings import NO_MODES, with_modal_damping
 from jaxbody.sensors.instruments import LoadCell
 from jaxbody.sensors.sensors import Sensor
-from jaxbody.vibrations.linearizations import Linearization
+from jaxbody.vibrations.linearizations import Linearization, check_system
 from jaxbody.vibrations.ports import Ports, check_ports, port_matrices, reads_matrices
 
 LARGEST_UNROLLED = 16  # coordinates; beyond them LAPACK at each frequency costs less than compiling this elimination
@@ -154,7 +153,7 @@ def frequency_response(
     >>> round(float(response["mass", "base"][0].real * (1 - (2.0 * 2 * jnp.pi) ** 2 / 25)), 12)
     1.0
     """
-    check_precision("frequency_response", lin.model)
+    check_system(lin, "frequency_response")
     f = check_frequencies(frequencies, "frequency_response.frequencies", static=True)
     (u, ins, u_units), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "frequency_response")
     for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):

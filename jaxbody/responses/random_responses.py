@@ -19,11 +19,10 @@ from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.port_inputs import KINDS, UNITS
-from jaxbody.models.preconditions import check_precision
 from jaxbody.responses.frequency_responses import check_frequencies, check_loss_factors, check_without_force_sensors, response_values
 from jaxbody.responses.modal_dampings import with_modal_damping
 from jaxbody.responses.spectra import Band, CrossPSD, Spectrum, check_spectra, trapezoids
-from jaxbody.vibrations.linearizations import Linearization
+from jaxbody.vibrations.linearizations import Linearization, check_system
 from jaxbody.vibrations.ports import Ports, check_ports, port_matrices
 
 COARSE = 0.03  # relative change of an rms when every other frequency is left out: nearly four times the error
@@ -100,7 +99,7 @@ def random_response(
     >>> round(float(response["stroke"] ** 2 / (3.0 / (4 * 2.0 * 50.0))), 6)
     1.0
     """
-    check_precision("random_response", lin.model)
+    check_system(lin, "random_response")
     (names, ins, _), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "random_response")
     _check_match(inputs, spectra)
     if isinstance(frequencies, Band):

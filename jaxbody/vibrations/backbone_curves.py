@@ -39,10 +39,9 @@ from jaxbody.geometry.vectors import rotate, rotate_back
 from jaxbody.mechanics.energies import kinetic, potential
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
-from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.numerics.eigenproblems import ZERO
-from jaxbody.vibrations.linearizations import Linearization
+from jaxbody.vibrations.linearizations import Linearization, check_system
 from jaxbody.vibrations.natural_modes import modes_of
 
 RESONANT = 1e-3  # relative distance of w_j^2 from 4 w^2 below which mode j resonates with the second harmonic
@@ -146,7 +145,7 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
     >>> round(float(curves.curvature[0]), 12), round(float(curves.frequency_within(1.0)[0]), 12)
     (-0.0625, 0.4)
     """
-    check_precision("backbones", lin.model, allow_float32=allow_float32)
+    check_system(lin, "backbones", allow_float32=allow_float32)
     return warn_if_failed(_backbones(lin))
 
 

@@ -14,12 +14,11 @@ from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Status
 from jaxbody.core.results import warn_if_failed
 from jaxbody.geometry.vectors import cross
-from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import scaled
 from jaxbody.numerics.eigenproblems import cholesky_of_mass, companion, pole_clusters, poles, refused_if_shared
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.descents import SINGULAR
-from jaxbody.vibrations.linearizations import Linearization, LinearSystem, check_linearization
+from jaxbody.vibrations.linearizations import Linearization, LinearSystem, check_system
 from jaxbody.vibrations.mode_names import basis_at
 from jaxbody.vibrations.natural_modes import ModalResult
 from jaxbody.vibrations.spins import SpinLinearization
@@ -81,9 +80,7 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     >>> round(float(damped.decay_rate[0]), 9), round(float(damped.damping_ratio[0]), 9), round(float(damped.frequency[0] * 2 * jnp.pi), 9)
     (3.0, 0.6, 4.0)
     """
-    if not isinstance(lin, SpinLinearization):
-        check_linearization(lin, "complex_modes")
-    check_precision("complex_modes", lin.model, allow_float32=allow_float32)
+    check_system(lin, "complex_modes", LinearSystem, allow_float32=allow_float32)
     return warn_if_failed(_complex_modes(lin))
 
 

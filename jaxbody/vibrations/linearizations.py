@@ -184,12 +184,13 @@ class Linearization(LinearSystem):
         return state_space(self, inputs, outputs)
 
 
-def check_linearization(lin: Any, where: str) -> None:
-    """Refuse linearizations of another kind, such as those about a spin."""
-    if not isinstance(lin, Linearization):
+def check_system(lin: Any, where: str, kind: type[LinearSystem] = Linearization, *, allow_float32: bool | None = True) -> None:
+    """Refuse what is no linear system of this kind, such as one about a spin, and float32 where it would lose half the digits."""
+    if not isinstance(lin, kind):
         message = f"is a {type(lin).__name__}"
         hint = "Give linearize(model, equilibrium(model)); for a result of linearize_spin, use complex_modes."
         raise JaxbodyError(Problem("WRONG_KIND", f"{where}.lin", message, lin, "a Linearization", hint))
+    check_precision(where, lin.model, allow_float32=allow_float32)
 
 
 def linearize(model: Model, at: Equilibrium | State) -> Linearization:

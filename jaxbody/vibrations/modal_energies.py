@@ -19,9 +19,8 @@ from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
-from jaxbody.vibrations.linearizations import Linearization, check_linearization
+from jaxbody.vibrations.linearizations import Linearization, check_system
 from jaxbody.vibrations.mode_names import AXES, basis_at, direction_names, mark_note, mode_names, upward_axis
 from jaxbody.vibrations.natural_modes import modes_of
 
@@ -150,8 +149,7 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
     >>> mode_energies(linearize(model, equilibrium(model)), up="y").names
     ('mass bounce 100 %',)
     """
-    check_linearization(lin, "mode_energies")
-    check_precision("mode_energies", lin.model, allow_float32=allow_float32)
+    check_system(lin, "mode_energies", allow_float32=allow_float32)
     directions = _directions(lin.model, forward, up)
     return warn_if_failed(ModeEnergies(*_energies(lin), model=lin.model, directions=directions))
 

@@ -18,9 +18,8 @@ from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back, skew
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.joints import Free
-from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import natural
-from jaxbody.vibrations.linearizations import Linearization, check_linearization
+from jaxbody.vibrations.linearizations import Linearization, check_system
 
 
 class ElasticAxes(Result):
@@ -117,8 +116,7 @@ def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     >>> axes.stiffness.tolist(), [round(float(x), 9) for x in axes.center]
     ([40000.0, 80000.0, 120000.0], [0.0, 0.0, -0.2])
     """
-    check_linearization(lin, "elastic_axes")
-    check_precision("elastic_axes", lin.model)
+    check_system(lin, "elastic_axes")
     return warn_if_failed(_elastic_axes(lin, _free(lin, body, "elastic_axes")))
 
 
@@ -138,8 +136,7 @@ def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAx
     >>> [round(float(x), 4) for x in axis.direction]
     [0.9445, 0.3279, -0.0191]
     """
-    check_linearization(lin, "torque_roll_axis")
-    check_precision("torque_roll_axis", lin.model)
+    check_system(lin, "torque_roll_axis")
     with Problems() as problems:
         along = shaped(torque, (3,), "torque_roll_axis.torque", problems)
     if is_concrete(along) and not np.any(along):

@@ -16,12 +16,11 @@ from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.models.layouts import Layout
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import check_precision
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.equilibria import massless_motions
-from jaxbody.vibrations.linearizations import Linearization, check_linearization
+from jaxbody.vibrations.linearizations import Linearization, check_system
 from jaxbody.vibrations.mode_names import Basis, mark_note, names_of_shapes
 
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
@@ -127,8 +126,7 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     >>> round(float(natural.frequency[0]), 6), round(float(natural.damping_ratio[0]), 6)
     (0.795775, 0.1)
     """
-    check_linearization(lin, "modes")
-    check_precision("modes", lin.model, allow_float32=allow_float32)
+    check_system(lin, "modes", allow_float32=allow_float32)
     return warn_if_failed(_modes(lin))
 
 

@@ -236,6 +236,7 @@ def test_contradictory_coherences_are_refused(lin):
         ("BAD_COMPONENT", lambda lin: jb.frequency_response(lin, [1.0], ROAD, {"t": jb.LoadCell("tyre", component=2)})),
         ("WRONG_KIND", lambda lin: jb.frequency_response(lin, [1.0], OUTPUTS, ROAD)),
         ("WRONG_KIND", lambda lin: jb.frequency_response(lin, [1.0], {}, OUTPUTS)),
+        ("WRONG_KIND", lambda lin: jb.frequency_response(jb.linearize_spin(lin.model, lin.state), [1.0], ROAD, OUTPUTS)),
         ("WRONG_KIND", lambda lin: jb.frequency_response(lin, [1.0], ROAD, {"p": jb.BaseMotion("road", "z")})),
         ("BAD_DIRECTION", lambda lin: jb.BaseMotion("road", "up")),
         ("BAD_DIRECTION", lambda lin: jb.Rotation("body", axis="w")),
