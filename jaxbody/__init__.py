@@ -17,7 +17,7 @@ The packages, in reading order; each imports only from those before it:
     vibrations      Small motions: matrices, inputs and outputs, state space, modes of every kind.
     responses       Responses to harmonic and random excitation, spectra, roads and comfort.
     statistics      Uncertainty of estimates from residuals: noise models, covariance, robust losses. No mechanics.
-    parameters      Free parameters of fit and tune: ties, transforms, bounds, design spaces.
+    parameters      Free parameters of fit and tune: ties, transforms, bounds, priors, units, random starts.
     experiments     Measurements, and the predictions of a model for them; checks of records and models before a fit.
     identification  Fits: residuals, searches, results, several initial guesses, multiple shooting.
     inference       Uncertainty of fits: profiles, bands, validation.

@@ -15,7 +15,7 @@ from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
 from jaxbody.designs.searches import Rows, Search
-from jaxbody.parameters.design_spaces import Space
+from jaxbody.parameters.spaces import Space
 
 MOST_FORWARD = 30  # free numbers up to which forward mode is faster
 
@@ -116,7 +116,7 @@ def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u:
     shapes: list[tuple[str, tuple[int, ...]]] = []
 
     def flat(u):
-        quantities = evaluated(evaluate, space.place(u), *(() if key is None else (key,)))
+        quantities = evaluated(evaluate, space.place(u)[0], *(() if key is None else (key,)))
         shapes[:] = [(name, x.shape) for name, x in quantities.items()]
         return jnp.concatenate([x.ravel() for x in quantities.values()])
 
@@ -230,7 +230,7 @@ def check_start(program: Program, U: np.ndarray) -> None:
 
 def check_slopes(program: Program, search: Search) -> None:
     """Report derivatives that are not finite at any start. Error: NONFINITE_START."""
-    labels, names = program.labels(), program.space.labels()
+    labels, names = program.labels(), program.space.labels
     rows = np.r_[program.rows.objective, program.rows.limited]
     bad = [
         f"'{labels[i]}' by '{name}'"

@@ -15,7 +15,7 @@ from jaxbody.designs.programs import Evaluate, Program
 from jaxbody.designs.searches import one_thread
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
-from jaxbody.parameters.design_spaces import space_of
+from jaxbody.parameters.spaces import space_of
 
 SHOWN = 5  # parameters printed for each quantity
 
@@ -79,8 +79,8 @@ def sensitivities(
     check_precision("sensitivities", model)
     if not 0 < change < 1:
         raise JaxbodyError(Problem("BAD_CHANGE", "sensitivities.change", f"is {change}", change, "between 0 and 1", "0.1 is ten percent."))
-    space, *_ = space_of(model, free, {}, "sensitivities")
-    up, down = (np.concatenate([group.form.changed(fraction) for group in space.groups]) for fraction in (change, -change))
+    space = space_of(model, free, "sensitivities")
+    up, down = (np.concatenate([parameter.form.changed(part) for parameter in space.parameters]) for part in (change, -change))
     U = np.concatenate([np.zeros((1, space.size)), np.diag(down), np.diag(up)])
     program = Program(space, evaluate, "", {}, width=1, progress=progress)  # the program of `tune` from one start
     with one_thread(), working("sensitivities", progress) as program.line:
@@ -89,5 +89,5 @@ def sensitivities(
     bad = not (np.isfinite(values).all() and np.isfinite(slopes[0]).all())
     return warn_if_failed(Sensitivities(
         values[0], slopes[0] / space.numbers(U[0])[1], low, high, np.asarray(Status.NONFINITE.value if bad else 0), tuple(program.labels()),
-        tuple(space.labels()), change,
+        tuple(space.labels), change,
     ))  # fmt: skip

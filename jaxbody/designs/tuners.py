@@ -28,7 +28,8 @@ from jaxbody.designs.tunings import Tuning, tuning_of
 from jaxbody.models.leaf_paths import matching
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
-from jaxbody.parameters.design_spaces import Space, at_value, drawn, space_of
+from jaxbody.parameters.spaces import Space, space_of
+from jaxbody.parameters.starts import drawn
 
 MOST_NEIGHBORS = 6  # largest number of catalogue parameters for which all combinations of neighbors are tried
 
@@ -89,17 +90,15 @@ def tune(
     if not is_concrete(model):
         raise JaxbodyError(Problem("TRACED", "tune.model", "is being traced", hint="Tune outside of jit, vmap and grad."))
     with Problems() as problems:
-        bounds, catalogues = (
-            checked_dict(bounds, "tune.bounds", "path: (lower, upper)", problems),
-            checked_dict(catalogues, "tune.catalogues", "path: [values]", problems),
-        )
+        catalogues = checked_dict(catalogues, "tune.catalogues", "path: [values]", problems)
         whole_number(starts, "tune.starts", problems, code="BAD_STARTS")
         max_iterations = whole_number(max_iterations, "tune.max_iterations", problems)
         positive_number(tolerance, "tune.tolerance", problems)
         check_key(key, "tune.key", problems)
+        limited = problems.gather(lambda: limits_of(limits or {}))
+        space = problems.gather(lambda: space_of(model, free, "tune", bounds=bounds, between=True))
     key = jax.random.key(0) if key is None else key
-    limited = limits_of(limits or {})
-    space, low, high = space_of(model, free, bounds, "tune")
+    low, high = space.bounds
     catalogs = _catalogs(space, catalogues, low, high)
     _check_options(method, limited, catalogs)
     U = drawn(space, low, high, starts, key, "tune.bounds")
@@ -127,18 +126,18 @@ def _catalogs(space: Space, catalogues: dict[str, Any], low: np.ndarray, high: n
     """The available values {group: u}; the bounds `low` and `high` are narrowed to them."""
     catalogs = {}
     with Problems() as problems:
-        owner = {leaf: i for i, group in enumerate(space.groups) for leaf in group.leaves}
+        owner = {leaf: i for i, parameter in enumerate(space.parameters) for _, leaf in parameter.places}
         for pattern, leaves in matching(list(owner), catalogues, "tune.catalogues").items():
             values = problems.gather(lambda path=pattern: _values(catalogues[path], f"tune.catalogues['{path}']"))
             if values is None:
                 continue
             for i in dict.fromkeys(owner[leaf] for leaf in leaves):
-                group, at = space.groups[i], space.ends[i]
-                where = f"tune.catalogues['{group.path}']"
-                if group.form.start.ndim or values.ndim != 1 or not values.size or not np.isfinite(values).all() or (values <= 0).any():
+                (parameter, at), where = space.parts[i], f"tune.catalogues['{space.parameters[i].path}']"
+                form: Any = parameter.form
+                if form.start.ndim or values.ndim != 1 or not values.size or not np.isfinite(values).all() or (values <= 0).any():
                     problems.add("BAD_CATALOGUE", where, f"is {values.tolist()}", value=values, limit="positive numbers, for one number")
                     continue
-                catalog = np.array([at_value(space, i, x)[0] for x in values])
+                catalog = np.array([form.inverse(x)[0] for x in values])
                 inside = (catalog >= low[at] - 1e-12) & (catalog <= high[at] + 1e-12)
                 if not inside.any():
                     problems.add("BAD_CATALOGUE", where, "has no value within the bounds", value=values, hint="Widen the bounds.")
@@ -176,7 +175,7 @@ def _check_options(method: Any, limits: dict[str, Any], catalogs: dict[int, Any]
 def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> list[Search]:
     """Starts at all combinations of neighbors in the catalogues; of more than MOST_NEIGHBORS parameters, only those between two values that
     are about equally near try both."""
-    places = [space.ends[i].start for i in catalogs]
+    places = [space.parts[i][1].start for i in catalogs]
     pairs = [_neighbors_of(catalog, best.u[at]) for at, catalog in zip(places, catalogs.values(), strict=True)]
     clear = [abs(np.diff(np.abs(pair - best.u[at])).sum()) if len(pair) > 1 else np.inf for at, pair in zip(places, pairs, strict=True)]
     trial = np.argsort(clear)[:MOST_NEIGHBORS]
@@ -218,7 +217,7 @@ def _descend(space: Space, evaluate: Evaluate, minimize: str, method, steps: int
 
     def one(u, key):
         def value(u, key):
-            return evaluated(evaluate, space.place(u), *((key,) if stochastic else ()))[minimize]
+            return evaluated(evaluate, space.place(u)[0], *((key,) if stochastic else ()))[minimize]
 
         def step(carry, key):
             u, state = carry

@@ -19,9 +19,8 @@ from jaxbody.core.results import Result
 from jaxbody.designs.kinks import at_kinks, jumping
 from jaxbody.designs.programs import NamedLimits, Program, Quantities
 from jaxbody.designs.searches import ACTIVE, CONVERGED, MET, Multipliers, Rows, Search, multipliers, scales
-from jaxbody.geometry.fields import units_of
 from jaxbody.models.models import Model
-from jaxbody.parameters.design_spaces import Space
+from jaxbody.parameters.spaces import Space
 from jaxbody.parameters.transforms import Positive
 
 DUST = 1e-12  # values below this, relative to the value before, print as zero
@@ -96,10 +95,9 @@ class Tuning(Result):
 
     def _tables(self) -> list[tables.PrintedTable]:
         rows = []
-        for group in self.space.groups:
-            start = group.form.start
-            numbers = _each(group.path, group.label, start, self.values[group.path])
-            units = units_of(group.leaves[0].kind, start.shape)
+        for parameter in self.space.parameters:
+            numbers = _each(parameter.path, parameter.name(2), parameter.form.start, self.values[parameter.path])
+            units = self.space.units(parameter)
             rows += [(label, *pair, unit, self.places.get(name, "")) for (name, label, *pair), unit in zip(numbers, units, strict=True)]
         quantities = [
             (name, label, *pair, _limit(self.limits.get(name)), self.multipliers.get(label, ""))
@@ -133,11 +131,11 @@ def _limit(limit: tuple[float, float] | None) -> str:
 def _places(space: Space, search: Search) -> dict[str, str]:
     """Parameters at a bound, from a catalogue, or unbounded; a number of a row in order, "[2]", at the number before."""
     at = np.minimum(np.abs(search.u - search.low), np.abs(search.u - search.high)) <= ACTIVE
-    positive = np.concatenate([np.full(group.form.size, isinstance(group.form, Positive)) for group in space.groups])
-    ended = np.concatenate([group.form.ended(search.u[part]) for group, part in zip(space.groups, space.ends, strict=True)]) != ""
+    positive = np.concatenate([np.full(parameter.form.size, isinstance(parameter.form, Positive)) for parameter in space.parameters])
+    ended = space.ended(search.u) != ""
     far = (np.abs(search.u) > FAR) & np.isinf(np.where(search.u < 0, search.low, search.high))
     words = np.select([search.low == search.high, at | (far & ended & ~positive), far & positive], [CHOSEN, BOUND, UNBOUNDED], "")
-    return {name.partition(" - [")[0]: str(word) for name, word in zip(space.labels(), words, strict=True) if word}
+    return {name.partition(" - [")[0]: str(word) for name, word in zip(space.labels, words, strict=True) if word}
 
 
 def _status_and_multipliers(search: Search, rows: Rows, space: Space) -> tuple[int, Multipliers | None]:
@@ -207,7 +205,7 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
 
 @jit_optimized
 def _placed(space: Space, u: Float[Array, "n"]):
-    return space.place(u), space.values(u)
+    return space.place(u)[0], space.values(u)
 
 
 @jit_optimized
@@ -242,7 +240,7 @@ def _active_constraints(program: Program, best: Search, prices: Multipliers) -> 
             sign = "=" if lower == upper else ">=" if price > 0 else "<="
             constraints.append(ActiveConstraint(labels[row], float(lower if price > 0 else upper), float(price), sign))
     numbers, slopes = space.numbers(best.u)
-    for name, x, slope, price, chosen in zip(space.labels(), numbers, slopes, prices.bounds, best.low == best.high, strict=True):
+    for name, x, slope, price, chosen in zip(space.labels, numbers, slopes, prices.bounds, best.low == best.high, strict=True):
         if price and not chosen:
             constraints.append(ActiveConstraint(name, float(x), float(price / slope), ">=" if price > 0 else "<="))
     return constraints

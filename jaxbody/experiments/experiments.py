@@ -205,6 +205,16 @@ class Experiment(Measurement):
                 missing[f"{name}.{stage}"] = f"Sensor '{name}' has no {stage}: construct it with {option}."
         return missing
 
+    def scale_of(self, path, unit):
+        """1 for a gain, which may have either sign, the sampling interval for a delay, the rms of the record for a bias or a start."""
+        name, _, stage = path.rpartition(".")
+        if name not in self.sensors or stage not in self.sensors[name].stages:
+            return None
+        if unit == "s":
+            return (self.times[-1] - self.times[0]) / (len(self.times) - 1)
+        rms = jnp.sqrt(jnp.nanmean(self.measured[name] ** 2)) if unit else jnp.ones(())
+        return jnp.where(rms > 0, rms, 1.0)
+
     def check(self, model: Model, where: str) -> None:
         with Problems() as problems:
             problems.gather(lambda: loads_of(self.loads, model.layout.bodies))

@@ -40,6 +40,9 @@ class Measurement(eqx.Module):
         """{path: hint} of optional parts that are not given."""
         return {}
 
+    def scale_of(self, path: str, unit: str) -> Any:
+        """The scale s in x0 + s u of a number of this measurement in a fit; None for its own size."""
+
     def moved_rows(self, path: str, channel: str) -> Array | None:
         """(rows, parts) of booleans: which rows of a channel depend on each part of a leaf of this measurement, at most two consecutive
         parts for a row. None: all rows depend on all parts."""

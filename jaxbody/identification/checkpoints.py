@@ -19,7 +19,7 @@ RESTART = "Leave out resume= to start again."
 
 def _names(task: Task) -> list[str]:
     """The names of all numbers of a checkpoint, in order."""
-    return [*task.labels, *(f"noise of {run}.{name}" for run, levels in task.noise.items() for name in levels)]
+    return [*task.space.names, *(f"noise of {run}.{name}" for run, levels in task.noise.items() for name in levels)]
 
 
 def save(path: str | os.PathLike, task: Task, u: np.ndarray) -> None:
@@ -63,7 +63,7 @@ def load(path: str | os.PathLike, task: Task) -> tuple[np.ndarray, Levels]:
     for i, (run, name) in enumerate((run, name) for run, levels in task.noise.items() for name in levels):
         level = _numbers(arrays.get(f"noise{i}"), np.shape(task.noise[run][name]), f"{where}: noise of {run}.{name}", positive=True)
         noise[run][name] = jnp.asarray(level)
-    return _numbers(arrays["u"], (task.size,), f"{where}: u"), noise
+    return _numbers(arrays["u"], (task.space.size,), f"{where}: u"), noise
 
 
 def _numbers(value: Any, shape: tuple[int, ...], where: str, *, positive: bool = False) -> np.ndarray:
@@ -94,4 +94,4 @@ def resumed(earlier, task: Task) -> tuple[np.ndarray, Levels]:
         limit, hint = "a fit, or the path of its checkpoint", "Give the result of fit(...) or the path given as checkpoint=."
         raise JaxbodyError(Problem("WRONG_KIND", "fit.resume", f"is a {type(earlier).__name__}", earlier, limit, hint))
     check_same(_names(earlier.task), task, "fit.resume")
-    return _numbers(np.asarray(earlier.u), (task.size,), "fit.resume: u"), earlier.task.noise
+    return _numbers(np.asarray(earlier.u), (task.space.size,), "fit.resume: u"), earlier.task.noise

@@ -9,46 +9,41 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Int
 from jaxbody.experiments.measurements import Measurement
-from jaxbody.identification.fit_parameters import FreeParameter
+from jaxbody.parameters.spaces import Parameter, Space
 
 PRIORS = "priors"  # in place of a measurement's name for residuals of priors
 
 
-def colors_of(free: tuple[FreeParameter, ...], experiments: dict[str, Measurement]) -> Int[np.ndarray, "n"]:
+def colors_of(space: Space) -> Int[np.ndarray, "n"]:
     """The color of each u: parameters of one measurement reuse the colors of the others, shared parameters have colors of their own."""
-    used = dict.fromkeys(experiments, 0)
-    colors: dict[str, np.ndarray] = {}
-    for f in (f for f in free if f.run):
-        row = f.form.size // _parts(f, experiments)
-        i = np.arange(f.form.size)
-        colors[f.path] = used[f.run] + i % row + row * (i // row % 2)
-        used[f.run] = colors[f.path].max() + 1
-    shared = max(used.values(), default=0)
-    for f in (f for f in free if not f.run):
-        colors[f.path] = shared + np.arange(f.form.size)
-        shared += f.form.size
-    return np.concatenate([np.zeros(0, int), *(colors[f.path] for f in free)])
+    used = dict.fromkeys(space.runs, 0)
+    colors = np.zeros(space.size, int)
+    for parameter, part in space.parts:
+        if parameter.run:
+            i, row = np.arange(parameter.form.size), parameter.form.size // _parts(parameter, space.runs[parameter.run])
+            colors[part] = used[parameter.run] + i % row + row * (i // row % 2)
+            used[parameter.run] = colors[part].max() + 1
+    shared = np.concatenate([np.zeros(0, int), *(np.r_[part] for parameter, part in space.parts if not parameter.run)])
+    colors[shared] = max(used.values(), default=0) + np.arange(len(shared))
+    return colors
 
 
-def moved_rows(
-    free: tuple[FreeParameter, ...], experiments: dict[str, Measurement], run: str, channel: str, size: int
-) -> Bool[Array, "{size} n"]:
+def moved_rows(space: Space, run: str, channel: str, size: int) -> Bool[Array, "{size} n"]:
     """Which residuals of a channel depend on each u."""
 
-    def rows_of(f: FreeParameter) -> Array:
-        n = f.form.size
+    def rows_of(parameter: Parameter) -> Array:
+        n = parameter.form.size
         if run == PRIORS:
-            return jnp.full((size, n), channel == f.path)
-        rows = experiments[run].moved_rows(f.path, channel) if f.run == run else None
+            return jnp.full((size, n), channel == parameter.path)
+        rows = space.runs[run].moved_rows(parameter.path, channel) if parameter.run == run else None
         if rows is None:
-            return jnp.full((size, n), f.run in ("", run))
+            return jnp.full((size, n), parameter.run in ("", run))
         return jnp.repeat(jnp.repeat(rows, size // rows.shape[0], 0), n // rows.shape[1], 1)
 
-    return jnp.concatenate([rows_of(f) for f in free], 1)
+    return jnp.concatenate([rows_of(parameter) for parameter in space.parameters], 1)
 
 
-def _parts(f: FreeParameter, experiments: dict[str, Measurement]) -> int:
+def _parts(parameter: Parameter, run: Measurement) -> int:
     """The number of parts of a parameter that change different rows, such as the initial states of segments."""
-    experiment = experiments[f.run]
-    masks = [experiment.moved_rows(f.path, channel) for channel in experiment.channels]
+    masks = [run.moved_rows(parameter.path, channel) for channel in run.channels]
     return max(1 if rows is None else rows.shape[1] for rows in masks)

@@ -16,8 +16,7 @@ from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.intervals import FEW, Interval, freedoms_of, intervals_of, widening
 from jaxbody.identification.residuals import Task
 from jaxbody.models.models import Model
-from jaxbody.parameters.field_units import units_of
-from jaxbody.parameters.transforms import Direction, Rotated, parts_of
+from jaxbody.parameters.transforms import Direction, Rotated
 from jaxbody.statistics.quantiles import check_level
 from jaxbody.statistics.uncertainties import Uncertainty
 
@@ -56,19 +55,22 @@ class Fit(Result):
     history: list[float]
     failed: int
     at_bound: list[str]
-    limits: tuple[np.ndarray, np.ndarray] | None = None
     rounds: tuple[int, ...] = ()
     remarks: tuple[str, ...] = ()
 
     @property
     def paths(self) -> tuple[str, ...]:
-        return tuple(f.path for f in self.task.free)
+        return tuple(parameter.path for parameter in self.task.space.parameters)
+
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.task.space.bounds
 
     @property
     def estimates(self) -> dict[str, Array]:
         """{path: value}."""
         arrays = {run: jax.tree.leaves(tree) for run, tree in {"": self.model, **self.experiments}.items()}
-        return {f.path: leaf.read(arrays[run]) for f in self.task.free for run, leaf in f.places[:1]}
+        return {leaf.path: leaf.read(arrays[run]) for parameter in self.task.space.parameters for run, leaf in parameter.places[:1]}
 
     def _assessed(self) -> Uncertainty:
         if self.uncertainty is None:
@@ -89,17 +91,17 @@ class Fit(Result):
         u = self._assessed()
         error, _ = u.spread(np.eye(self.u.size))
         unknown = {}
-        for f, slopes, own in zip(self.task.free, u.slopes, parts_of(self.task.free), strict=True):
-            unknown[f.path] = np.zeros(f.form.start.shape, bool)
-            if isinstance(f.form, Direction | Rotated) and not np.isfinite(error[own]).all():
+        for (parameter, own), slopes in zip(self.task.space.parts, u.slopes, strict=True):
+            unknown[parameter.path] = np.zeros(parameter.form.start.shape, bool)
+            if isinstance(parameter.form, Direction | Rotated) and not np.isfinite(error[own]).all():
                 size = np.linalg.norm(slopes[..., own], axis=-1)
-                unknown[f.path] = size <= FLAT * size.max()
+                unknown[parameter.path] = size <= FLAT * size.max()
         return unknown
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Confidence intervals {path: (lower, upper)}: by logarithms for positive parameters, one-sided at a bound. Error: BAD_LEVEL."""
         check_level(level, "fit.intervals.level")
-        intervals = intervals_of(self.task.free, np.asarray(self.u), self.estimates, self._assessed(), level)
+        intervals = intervals_of(self.task.space, np.asarray(self.u), self.estimates, self._assessed(), level)
         unknown = self._unknown_to_second_order()
         return {
             path: (np.where(unknown[path], -np.inf, low), np.where(unknown[path], np.inf, high)) for path, (low, high) in intervals.items()
@@ -108,7 +110,7 @@ class Fit(Result):
     @property
     def degrees_of_freedom(self) -> dict[str, np.ndarray]:
         """{path: degrees of freedom} of Student's t in the intervals: few if samples are few or noise is correlated over many samples."""
-        return freedoms_of(self.task.free, self._assessed())
+        return freedoms_of(self.task.space, self._assessed())
 
     @property
     def covariance(self) -> np.ndarray:
@@ -178,12 +180,11 @@ class Fit(Result):
             return [tables.PrintedTable("Fit", ("", ""), [(path, value) for path, value in self.estimates.items()])]
         rows, printed_freedoms = [], []
         ends, errors, freedoms = self.intervals(LEVEL), self.standard_errors, self.degrees_of_freedom
-        for f, (path, value) in zip(self.task.free, self.estimates.items(), strict=True):
-            value = np.asarray(value)
-            units = units_of(f.places[0][1], self.model, value)
+        for parameter, (path, value) in zip(self.task.space.parameters, self.estimates.items(), strict=True):
+            value, units = np.asarray(value), self.task.space.units(parameter)
             columns = (np.asarray(x).ravel() for x in (value, errors[path], freedoms[path], *ends[path]))
             for index, unit, x, e, freedom, low, high in zip(indices(value.shape), units, *columns, strict=True):
-                label = f.name + index
+                label = parameter.name() + index
                 bounded = bool(np.isfinite(high - low))
                 printed_freedoms.append(float(freedom) if bounded else np.inf)
                 ended = f"{label} (zero)" in self.at_bound or (not np.isfinite(e) and bounded)

@@ -6,7 +6,7 @@ r = (reading(u) - measured)/noise,    minimize 1/2 r'r over u
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
@@ -28,15 +28,14 @@ from jaxbody.experiments.plausibilities import first_frequency
 from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.checkpoints import resumed, save
 from jaxbody.identification.colorings import PRIORS
-from jaxbody.identification.fit_parameters import choose, limits_of, priors_of
 from jaxbody.identification.fits import Fit
-from jaxbody.identification.least_squares import AT_BOUND, Bounds, Evaluations, by_optax, by_scipy
+from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_optax, by_scipy
 from jaxbody.identification.residuals import Task, first_noise, residual_and_jacobian, rms_residuals, with_estimated_noise
 from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import size_of
-from jaxbody.parameters.transforms import parts_of
+from jaxbody.parameters.spaces import space_of
 from jaxbody.simulations.simulations import check_steps
 from jaxbody.statistics.losses import check_loss
 from jaxbody.statistics.uncertainties import RANK, assess, decomposed
@@ -115,25 +114,16 @@ def fit(
     with Problems() as problems:
         max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit"))
         max_evaluations = whole_number(max_evaluations, "fit.max_evaluations", problems)
+        _check_method(method, bounds, problems)
     _check_runs(model, experiments)
-    parameters = choose(model, experiments, _patterns(free))
-    limits = limits_of(parameters, {} if bounds is None else bounds, method)
-    search = _search(method, limits)
-    prior_values = priors_of(parameters, {} if priors is None else priors)
-    noise, estimated = first_noise(experiments, absolute=bool(prior_values) or loss is not None)
-    task = Task(
-        model,
-        dict(experiments),
-        parameters,
-        noise,
-        Integration(rtol, solver, stepsize_controller, dt0, max_steps),
-        prior_values,
-        loss,
-    )
-    u = np.zeros(task.size)
+    space = space_of(model, free, "fit", runs=dict(experiments), bounds=bounds, priors=priors)
+    noise, estimated = first_noise(experiments, absolute=bool(priors) or loss is not None)
+    task = Task(space, noise, Integration(rtol, solver, stepsize_controller, dt0, max_steps), loss)
+    u = np.zeros(space.size)
     if resume is not None:
         u, levels = resumed(resume, task)
         task = eqx.tree_at(lambda t: t.noise, task, levels)
+    u = np.clip(u, *space.bounds)  # a tuned model may be outside by round-off
     if not is_concrete(model, experiments):
         return _fit_traced(task, u, method, max_evaluations, estimated)
     save_improved = (lambda u: None) if checkpoint is None else lambda u: save(checkpoint, task, u)
@@ -151,7 +141,7 @@ def fit(
         try:
             _check_start(task, *evaluate(u))
             for _ in range((ROUNDS if not task.absolute else 2 * ROUNDS) if estimated else 1):
-                u, converged = search(evaluate, task, u)
+                u, converged = _search(evaluate, task, u, method)
                 status = Status.OK if converged else Status.NOT_CONVERGED
                 if not estimated:
                     break
@@ -161,7 +151,7 @@ def fit(
                 evaluate.replace_function(partial(residual_and_jacobian, task), _floor(task))
         except KeyboardInterrupt:
             u, status = u if evaluate.best is None else evaluate.best, Status.INTERRUPTED
-        result = _finish(evaluate, task, u, status, limits)
+        result = _finish(evaluate, task, u, status)
     warn_if_failed(result)
     if result.ok and result.uncertainty is not None and result.uncertainty.correlated:
         warn("CORRELATED_RESIDUALS", result.uncertainty.about_noise()[0])
@@ -172,40 +162,33 @@ def fit(
     return result
 
 
-def _patterns(free: Any) -> list[str]:
-    """One pattern, or several, as a list."""
-    if isinstance(free, str):
-        return [free]
-    if not isinstance(free, Iterable):
-        limit, hint = "paths or patterns", 'Name the unknowns: free=["*.stiffness", "mass.mass"].'
-        raise JaxbodyError(Problem("WRONG_KIND", "fit.free", f"is {free!r:.60}", free, limit, hint))
-    return list(free)
-
-
 def _floor(task: Task) -> float:
     """The norm of a column of the Jacobian below which it is only integration error: an error of rtol times the size of the model in every
     residual."""
     weights = [(e.measured[name].size, task.noise[run][name]) for run, e in task.experiments.items() for name in e.channels]
     weight = np.sqrt(sum(n * np.mean(1 / np.asarray(level) ** 2) for n, level in weights))
-    return float(task.integration.rtol * size_of(task.model) * weight)
+    return float(task.integration.rtol * size_of(task.space.model) * weight)
 
 
-def _search(method: Any, limits: Bounds) -> Callable:
-    """The method as a function of Evaluations, the task and the start, which returns the best u and whether it converged."""
-    if isinstance(method, str) and method == "least_squares":
-        return lambda evaluate, task, u: by_scipy(evaluate, u, limits)
-    if isinstance(method, optimistix.AbstractLeastSquaresSolver):
-        return lambda evaluate, task, u: _by_optimistix(evaluate, task, u, method)
-    if hasattr(method, "init") and hasattr(method, "update"):
-        return lambda evaluate, task, u: by_optax(evaluate, u, method, limits)
-    allowed = 'an optax optimizer, "least_squares" or an optimistix least-squares solver'
-    raise JaxbodyError(Problem("UNKNOWN_METHOD", "fit.method", f"is {method!r:.60}", method, allowed))
+def _check_method(method: Any, bounds: Any, problems: Problems) -> None:
+    least_squares = isinstance(method, str) and method == "least_squares"
+    if bounds and not least_squares:
+        problems.add("BAD_BOUNDS", "fit.bounds", 'are supported by method="least_squares" only', value=method)
+    known = isinstance(method, optimistix.AbstractLeastSquaresSolver) or (hasattr(method, "init") and hasattr(method, "update"))
+    if not (least_squares or known):
+        allowed = 'an optax optimizer, "least_squares" or an optimistix least-squares solver'
+        problems.add("UNKNOWN_METHOD", "fit.method", f"is {method!r:.60}", value=method, limit=allowed)
 
 
-def _by_optimistix(evaluate: Evaluations, task: Task, u, method) -> tuple[np.ndarray, bool]:
-    u, status, steps = solve(task, u, method, max(evaluate.max_evaluations - evaluate.count, 1))
+def _search(evaluate: Evaluations, task: Task, u: np.ndarray, method: Any) -> tuple[np.ndarray, bool]:
+    """The best u by the method, and whether it converged."""
+    if isinstance(method, str):
+        return by_scipy(evaluate, u, task.space.bounds)
+    if not isinstance(method, optimistix.AbstractLeastSquaresSolver):
+        return by_optax(evaluate, u, method, task.space.bounds)
+    best, status, steps = solve(task, u, method, max(evaluate.max_evaluations - evaluate.count, 1))
     evaluate.count += int(steps)
-    return np.asarray(u), int(status) == Status.OK
+    return np.asarray(best), int(status) == Status.OK
 
 
 def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
@@ -217,7 +200,7 @@ def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
         hint = "Give the noise of every measurement: it is estimated outside of jit, vmap and grad only."
         raise JaxbodyError(Problem("NO_NOISE", "fit.experiments", "do not state the noise of all channels", hint=hint))
     u, status, steps = solve(task, u, method, max_steps)
-    model, experiments = task.scatter(u)
+    model, experiments = task.space.place(u)
     r = task.residual(u)
     return Fit(
         model=model,
@@ -236,33 +219,32 @@ def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
     )
 
 
-def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds) -> Fit:
+def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
     r, J = evaluate(u)
     runs = evaluate.auxiliary(u)
-    G = [np.asarray(g) for g in jax.jacfwd(task.values)(jnp.asarray(u))]
+    space, limits, slopes = task.space, task.space.bounds, jax.jacfwd(task.space.values)(jnp.asarray(u))
     inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
-    paths, exact = [f.path for f in task.free], EXACT * _floor(task)
+    paths, exact = [parameter.path for parameter in space.parameters], EXACT * _floor(task)
     ends = _ends(task, np.asarray(u), r, J)
-    uncertainty = assess(
-        *task.linearized(runs, J), G, paths, task.labels, records_of(task.experiments), inside=inside, ended=ends != "", exact=exact
-    )
+    G, linearized = [np.asarray(slopes[path]) for path in paths], task.linearized(runs, J)
+    uncertainty = assess(*linearized, G, paths, space.names, records_of(space.runs), inside=inside, ended=ends != "", exact=exact)
     at_bound = [
         f"{label} ({side})"
         for side, limit in zip(("lower", "upper"), limits, strict=True)
-        for label, near in zip(task.labels, np.abs(np.asarray(u) - limit) < AT_BOUND, strict=True)
+        for label, near in zip(space.names, np.abs(np.asarray(u) - limit) < AT_BOUND, strict=True)
         if near
     ]
-    at_bound += [f"{label} ({end})" for label, end in zip(task.labels, ends, strict=True) if end]
+    at_bound += [f"{label} ({end})" for label, end in zip(space.names, ends, strict=True) if end]
     if status == Status.OK:
         rank = uncertainty.rank + np.count_nonzero(ends != "")
         conditions = (
             (uncertainty.ineffective, Status.NEVER_MOVED),
-            (rank < task.size, Status.NOT_IDENTIFIABLE),
+            (rank < space.size, Status.NOT_IDENTIFIABLE),
             (at_bound, Status.AT_BOUND),
         )
         status = next((code for condition, code in conditions if condition), Status.OK)
     remarks = () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
-    model, experiments = task.scatter(jnp.asarray(u))
+    model, experiments = task.space.place(jnp.asarray(u))
     predicted = {run: runs[run][0] for run in task.experiments}
     if np.linalg.norm(r) > exact:
         remarks += tuple(far_off(model, experiments, predicted, task.noise, task.integration))
@@ -280,7 +262,6 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds
         history=evaluate.history,
         failed=evaluate.failed,
         at_bound=at_bound,
-        limits=limits,
         rounds=tuple(evaluate.rounds),
         remarks=remarks,
     )
@@ -289,7 +270,7 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status, limits: Bounds
 def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray:
     """The limit of its domain that each u is near, as a word, if moving closer to the limit has no effect on the readings; "" for the
     others."""
-    ends = np.concatenate([f.form.ended(u[part]) for f, part in zip(task.free, parts_of(task.free), strict=True)])
+    ends = task.space.ended(u)
     _, S, Vt, _ = decomposed(J)
     size = max(np.linalg.norm(r), S.max()) or 1.0
     alone = 1 / np.linalg.norm(Vt.T / np.maximum(S, 0.1 * ZERO * size), axis=1)
@@ -299,7 +280,7 @@ def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray
 def _remedies(evaluate: Evaluations, task: Task, status: Status) -> tuple[str, ...]:
     """Remedies for records that are too short, or else for a search that did not converge."""
     runs = {name: run for name, run in task.experiments.items() if isinstance(run, Experiment)}
-    period = 1 / first_frequency(task.model) if runs else np.nan
+    period = 1 / first_frequency(task.space.model) if runs else np.nan
     durations = {name: float(np.ptp(run.times)) for name, run in runs.items()}
     short = [f"'{name}' lasts {duration:.3g} s" for name, duration in durations.items() if duration < SHORT * period]
     if short:
@@ -332,7 +313,7 @@ def _check_start(task: Task, r: np.ndarray, J: np.ndarray) -> None:
     """Check that the residuals are finite at the start. Error: NONFINITE_START, with the first residual that is not."""
     if np.isfinite(r).all():
         return
-    runs = residual_and_jacobian(task, jnp.zeros(task.size))[2]
+    runs = residual_and_jacobian(task, jnp.zeros(task.space.size))[2]
     hint = "Start with parameters for which the model can be simulated."
     for run, (_, residuals) in runs.items():
         experiment = task.experiments[run]
@@ -341,7 +322,7 @@ def _check_start(task: Task, r: np.ndarray, J: np.ndarray) -> None:
             if len(bad):
                 place, value = experiment.place(int(bad[0][0]))
                 component = f", component {bad[0][1]}" if bad.shape[1] > 1 else ""
-                why = experiment.explain(task.model, task.integration)
+                why = experiment.explain(task.space.model, task.integration)
                 message = f"is not finite from {place} on{component}, at the start of the fit: {why}"
                 raise JaxbodyError(Problem("NONFINITE_START", f"{run}.{name}", message, value, "finite", hint))
     raise JaxbodyError(Problem("NONFINITE_START", "fit", "has derivatives that are not finite at the start", hint=hint))

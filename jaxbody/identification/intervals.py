@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.identification.fit_parameters import FreeParameter
-from jaxbody.parameters.transforms import Elementwise, parts_of
+from jaxbody.parameters.spaces import Space
+from jaxbody.parameters.transforms import Elementwise
 from jaxbody.statistics.quantiles import quantile
 from jaxbody.statistics.uncertainties import Uncertainty
 
@@ -35,32 +35,29 @@ def interval_of_u(u: np.ndarray, uncertainty: Uncertainty, level: float) -> Inte
     return low, high
 
 
-def intervals_of(
-    free: tuple[FreeParameter, ...], u: np.ndarray, values: dict[str, Any], uncertainty: Uncertainty, level: float
-) -> dict[str, Interval]:
+def intervals_of(space: Space, u: np.ndarray, values: dict[str, Any], uncertainty: Uncertainty, level: float) -> dict[str, Interval]:
     """{path: (lower, upper)}, arrays like the leaf; for the elements of a matrix or a direction from their standard errors."""
     low, high = interval_of_u(u, uncertainty, level)
     intervals = {}
-    for f, G, own in zip(free, uncertainty.slopes, parts_of(free), strict=True):
-        form = f.form
-        if isinstance(form, Elementwise):
+    for (parameter, own), G in zip(space.parts, uncertainty.slopes, strict=True):
+        if isinstance(parameter.form, Elementwise):
             with np.errstate(over="ignore"):
-                intervals[f.path] = tuple(np.asarray(form.value(end[own])) for end in (low, high))
-            continue
-        error, freedom = uncertainty.spread(G.reshape(-1, len(u)))
-        value, half_width = np.asarray(values[f.path]), (quantile(level, freedom) * error).reshape(G.shape[:-1])
-        intervals[f.path] = (value - half_width, value + half_width)
+                intervals[parameter.path] = tuple(np.asarray(parameter.form.value(end[own])) for end in (low, high))
+        else:
+            error, freedom = uncertainty.spread(G.reshape(-1, len(u)))
+            value, half_width = np.asarray(values[parameter.path]), (quantile(level, freedom) * error).reshape(G.shape[:-1])
+            intervals[parameter.path] = (value - half_width, value + half_width)
     return intervals
 
 
-def freedoms_of(free: tuple[FreeParameter, ...], uncertainty: Uncertainty) -> dict[str, np.ndarray]:
+def freedoms_of(space: Space, uncertainty: Uncertainty) -> dict[str, np.ndarray]:
     """{path: degrees of freedom} of Student's t in these intervals, arrays like the leaf."""
     freedoms = {}
-    for f, G, own in zip(free, uncertainty.slopes, parts_of(free), strict=True):
+    for (parameter, own), G in zip(space.parts, uncertainty.slopes, strict=True):
         _, freedom = uncertainty.spread(G.reshape(-1, G.shape[-1]))
-        if isinstance(f.form, Elementwise):
+        if isinstance(parameter.form, Elementwise):
             freedom = np.array([uncertainty.at_bounds[i][3] if i in uncertainty.at_bounds else x for i, x in enumerate(freedom, own.start)])
-        freedoms[f.path] = freedom.reshape(G.shape[:-1])
+        freedoms[parameter.path] = freedom.reshape(G.shape[:-1])
     return freedoms
 
 

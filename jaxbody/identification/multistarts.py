@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Iterable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -21,12 +20,12 @@ from jaxbody.core.errors import Problems, Status, warn, warn_of
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
 from jaxbody.experiments.measurements import Measurement
-from jaxbody.identification.fit_parameters import limits_of
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.fitters import fit
 from jaxbody.identification.residuals import Task
 from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
+from jaxbody.parameters.starts import around
 
 SAME = 1e-3  # largest distance in u, and of costs relative to 1 + cost, of results that count as one optimum
 CLOSE = 2.0  # largest difference of costs (negative log-likelihoods) at which another optimum explains the data about as well
@@ -116,7 +115,7 @@ def multistart(
             warnings.simplefilter("always")
             first = fit(model, experiments, free=free, bounds=bounds, progress=progress, **options)
         task = first.task
-        points = _points(limits_of(task.free, bounds or {}, "least_squares"), starts, spread, seed)
+        points = around(task.space, starts, spread, seed)
         ends, costs = [np.asarray(first.u)], [float(first.cost)]
         failures = 0
         try:
@@ -143,19 +142,10 @@ def multistart(
     cost = np.array([costs[group[0]] for group in groups])
     if len(cost) > 1 and cost[1] - cost[0] < CLOSE:
         warn("SEVERAL_OPTIMA", f"another optimum explains the data about as well: costs {cost[0]:.6g} and {cost[1]:.6g}")
-    values = eqx.filter_vmap(task.values)(jnp.asarray(np.array([ends[group[0]] for group in groups])))
-    estimates = dict(zip((f.path for f in task.free), values, strict=True))
+    values = jax.vmap(task.space.values)(jnp.asarray(np.array([ends[group[0]] for group in groups])))
+    estimates = {path: values[path] for path in first.paths}
     hits = np.array([len(group) for group in groups])
     return Multistart(best=best, cost=cost, hits=hits, estimates=estimates, starts=starts + 1, failures=failures, status=best.status)
-
-
-def _points(limits, starts: int, spread: float, seed: int) -> np.ndarray:
-    """Points of a Sobol sequence between bounds of u: `limits`, or -spread to spread."""
-    from scipy.stats import qmc
-
-    low, high = (np.where(np.isfinite(limit), limit, sign * spread) for limit, sign in zip(limits, (-1, 1), strict=True))
-    unit = qmc.Sobol(len(low), rng=np.random.default_rng(seed)).random_base2(int(np.ceil(np.log2(starts))))[:starts]
-    return low + (high - low) * unit
 
 
 @jit_optimized

@@ -18,10 +18,8 @@ from jaxbody.experiments.experiments import Integration
 from jaxbody.experiments.measured_responses import small_motions
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.colorings import PRIORS, colors_of, moved_rows
-from jaxbody.identification.fit_parameters import FreeParameter
-from jaxbody.models.leaf_paths import write
 from jaxbody.models.models import Model
-from jaxbody.parameters.transforms import parts_of
+from jaxbody.parameters.spaces import Space
 from jaxbody.sensors.channels import Channel
 from jaxbody.statistics.losses import linearized, robust_level, root
 from jaxbody.vibrations.linearizations import Linearization
@@ -33,38 +31,26 @@ ReadingsAndResiduals = dict[str, tuple[dict[str, Array], dict[str, Array]]]  # {
 
 
 class Task(eqx.Module):
-    """A least-squares problem: `runs(u)` and `residual(u)` of all measurements; `scatter(u)`, the model and the measurements at u."""
+    """A least-squares problem: `runs(u)` and `residual(u)` of all measurements of a space."""
 
-    model: Model
-    experiments: dict[str, Measurement]
-    free: tuple[FreeParameter, ...]
+    space: Space
     noise: Levels
     integration: Integration
-    priors: dict[str, tuple[Array, Array]] = eqx.field(default_factory=dict)
     loss: str | None = eqx.field(static=True, default=None)
 
     @property
-    def size(self) -> int:
-        return sum(f.form.size for f in self.free)
+    def experiments(self) -> dict[str, Measurement]:
+        return self.space.runs
+
+    @property
+    def priors(self) -> dict[str, tuple[Array, Array]]:
+        """{path: (mean, standard deviation)}."""
+        return {parameter.path: parameter.prior for parameter in self.space.parameters if parameter.prior is not None}
 
     @property
     def absolute(self) -> bool:
         """Whether the optimum depends on the noise levels themselves and not only on their ratios."""
         return self.loss is not None or bool(self.priors)
-
-    @property
-    def labels(self) -> list[str]:
-        """The name of each u."""
-        return [f.name + label for f in self.free for label in f.form.labels()]
-
-    def values(self, u: Float[Array, "n"]) -> list[Array]:
-        """The value of each free parameter."""
-        return [f.form.value(u[part]) for f, part in zip(self.free, parts_of(self.free), strict=True)]
-
-    def scatter(self, u: Float[Array, "n"]) -> tuple[Model, dict[str, Measurement]]:
-        values = list(zip(self.free, self.values(u), strict=True))
-        new = {run: {leaf: x for f, value in values for leaf, x in f.spread(value, run).items()} for run in ("", *self.experiments)}
-        return write(self.model, new[""]), {name: write(measurement, new[name]) for name, measurement in self.experiments.items()}
 
     def readings_and_residuals(
         self, model: Model, lin: Linearization | None, experiment: Measurement, noise: dict[str, Array]
@@ -78,7 +64,7 @@ class Task(eqx.Module):
 
     def runs(self, u: Float[Array, "n"]) -> ReadingsAndResiduals:
         """Readings and residuals of every measurement; measurements of equal structure are evaluated in one batch."""
-        model, runs = self.scatter(u)
+        model, runs = self.space.place(u)
         lin = small_motions(model) if any(measurement.linear for measurement in runs.values()) else None
         results = {}
         for names in shared_structure(runs):
@@ -89,7 +75,7 @@ class Task(eqx.Module):
             both = jax.vmap(self.readings_and_residuals, in_axes=(None, None, 0, 0))(model, lin, group, noise)
             results |= {name: jax.tree.map(lambda x, i=i: x[i], both) for i, name in enumerate(names)}
         if self.priors:
-            values = dict(zip((f.path for f in self.free), self.values(u), strict=True))
+            values = self.space.values(u)
             results[PRIORS] = values, {path: (values[path] - mean) / deviation for path, (mean, deviation) in self.priors.items()}
         return results
 
@@ -128,12 +114,10 @@ def residual_and_jacobian(task: Task, u: Float[Array, "n"]) -> tuple[Array, Arra
         runs = task.runs(u)
         return task.losses(runs), runs
 
-    colors = colors_of(task.free, task.experiments)
+    colors = colors_of(task.space)
     seeds = jnp.asarray(colors[:, None] == np.arange(colors.max(initial=-1) + 1), float)
     r, sums, runs = jax.vmap(lambda seed: jax.jvp(evaluate, (u,), (seed,), has_aux=True), 1, (None, 1, None))(seeds)
-    blocks = [
-        moved_rows(task.free, task.experiments, run, name, runs[run][1][name].size) for run in _order(runs) for name in sorted(runs[run][1])
-    ]
+    blocks = [moved_rows(task.space, run, name, runs[run][1][name].size) for run in _order(runs) for name in sorted(runs[run][1])]
     return r, jnp.where(jnp.concatenate(blocks), sums[:, colors], 0.0), runs
 
 

@@ -68,7 +68,7 @@ def solve(task: Task, u, method, max_steps: int) -> tuple[Array, Array, Array]:
             r, J, _ = residual_and_jacobian(eqx.combine(moved, static), u + along[:-1])
             return J.T @ r
 
-        slopes = jax.jacfwd(gradient)(jnp.zeros(task.size + 1))
+        slopes = jax.jacfwd(gradient)(jnp.zeros(task.space.size + 1))
         H, change = slopes[:, :-1], slopes[:, -1]
         zeros: list[Any] = [np.zeros(jnp.shape(x), jax.dtypes.float0) for x in (status, steps)]
         return (u, status, steps), (-jnp.linalg.solve(jnp.where(status == 0, H, jnp.nan), change), zeros[0], zeros[1])

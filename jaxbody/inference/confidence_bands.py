@@ -82,7 +82,7 @@ def bands(
     with Problems() as problems:
         check_key(key, "bands.key", problems, "" if samples is None else "Draws need")
     uncertainty = fit._assessed()
-    f = eqx.filter_jit(lambda u: function(fit.task.scatter(u)[0]))
+    f = eqx.filter_jit(lambda u: function(fit.task.space.place(u)[0]))
     value = f(fit.u)
     if not isinstance(value, jax.Array | np.ndarray) or jnp.iscomplexobj(value):
         hint = "Return one array; for complex numbers, magnitude and phase or real and imaginary parts."

@@ -23,7 +23,7 @@ from jaxbody.identification.fits import Fit
 from jaxbody.identification.intervals import widening
 from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_scipy
 from jaxbody.identification.residuals import residual_and_jacobian
-from jaxbody.parameters.transforms import Elementwise, parts_of
+from jaxbody.parameters.transforms import Elementwise
 from jaxbody.statistics.quantiles import check_level, quantile
 
 STEPS = 4  # from the optimum to each end of the interval
@@ -125,15 +125,14 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
 def _place(fit: Fit, path: str) -> tuple[int, Any]:
     """The index of the parameter in u, and its value as a function of that u."""
     fit._assessed()
-    for f, part in zip(fit.task.free, parts_of(fit.task.free), strict=True):
-        labels = [f.path + label for label in f.form.labels()]
-        if path in labels and not isinstance(f.form, Elementwise):
+    for parameter, part in fit.task.space.parts:
+        labels = [parameter.path + label for label in parameter.form.labels()]
+        if path in labels and not isinstance(parameter.form, Elementwise):
             message, hint = f"'{path}' does not vary independently", "Give a scalar, such as a stiffness, or a number of a vector."
             raise JaxbodyError(Problem("WRONG_KIND", "profile.path", message, path, hint=hint))
         if path in labels:
-            return part.start + labels.index(path), partial(_value, f.form, labels.index(path))
-    paths = tuple(f.path + label for f in fit.task.free for label in f.form.labels())
-    problem = unknown(path, "profile.path", paths)
+            return part.start + labels.index(path), partial(_value, parameter.form, labels.index(path))
+    problem = unknown(path, "profile.path", tuple(fit.task.space.labels))
     raise JaxbodyError(Problem("UNKNOWN_PATH", "profile.path", problem.message, path, hint=problem.hint))
 
 
@@ -148,7 +147,7 @@ class _ProfileSearch:
     def __init__(self, fit: Fit, i: int, level: float):
         self.fit, self.i, uncertainty = fit, i, fit._assessed()
         self.evaluate = partial(residual_and_jacobian, fit.task)
-        self.limits = fit.limits or (np.full(len(fit.u), -np.inf), np.full(len(fit.u), np.inf))
+        self.limits = fit.task.space.bounds
         at_bound = uncertainty.at_bounds.get(i)
         if at_bound is None:
             (self.error,), (freedom,) = uncertainty.spread(np.eye(len(fit.u))[[i]])

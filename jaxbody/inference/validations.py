@@ -20,6 +20,7 @@ from jaxbody.experiments.measurements import Measurement
 from jaxbody.experiments.residual_series import records_of
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.residuals import Levels, Task, residuals_of_mean
+from jaxbody.parameters.spaces import Space
 from jaxbody.statistics.autocorrelations import Whiteness, whiteness
 
 WHITE = 0.01  # p-value from which residuals are reported as white
@@ -83,7 +84,7 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
         run: {name: jnp.ones((channel.units,) if channel.units > 1 else ()) for name, channel in e.channels.items()}
         for run, e in experiments.items()
     }
-    task = Task(fit.model, dict(experiments), (), noise, fit.task.integration)
+    task = Task(Space(fit.model, (), dict(experiments)), noise, fit.task.integration)
     runs = _runs(task)
     means = {run: ({}, {name: residuals_of_mean(e, name) for name in e.channels}) for run, e in experiments.items()}
     r, signal = np.asarray(task.losses(runs)), np.asarray(task.losses(means))

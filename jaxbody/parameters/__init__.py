@@ -1,1 +1,1 @@
-"""Free parameters of fit and tune: ties, transforms, bounds, design spaces."""
+"""Free parameters of fit and tune: ties, transforms, bounds, priors, units, spaces."""

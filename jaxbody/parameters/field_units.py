@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
+from jaxbody.core.arrays import Array
 from jaxbody.geometry import fields
 from jaxbody.models.leaf_paths import Leaf
 from jaxbody.models.models import Model
 
 
-def units_of(leaf: Leaf, model: Model, value: np.ndarray) -> list[str]:
+def units_of(leaf: Leaf, model: Model, value: Array) -> list[str]:
     """The unit of each number of a leaf; "" for none, or if it is unknown."""
     if leaf.kind.domain not in ("configuration", "speeds"):
         return fields.units_of(leaf.kind, value.shape)

@@ -82,12 +82,6 @@ def times(x: Any, factor: Factor) -> Any:
     return x if factor == 1.0 else x * np.asarray(factor)
 
 
-def bounds_of_first(ends: list[np.ndarray], factor: Factor) -> list[np.ndarray]:
-    """Bounds of the first leaf of a tie from those of another."""
-    (low, high), negative = (end / np.asarray(factor) for end in ends), np.asarray(factor) < 0
-    return [np.where(negative, high, low), np.where(negative, low, high)]
-
-
 def check_alike(tie: Tie, starts: list[Any], form: Parametrization, problems: Problems) -> None:
     """Check that the starts of tied leaves agree with the tie; only scalars and vectors may have factors. Errors: TIED_APART, BAD_TIE."""
     first, values = next(iter(tie)), [concrete(start) for start in starts]

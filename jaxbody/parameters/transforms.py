@@ -14,8 +14,6 @@ others                 x = x0 + s u                    s the largest of |x0|, or
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable
-from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -24,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float, concrete, indices, module_of
-from jaxbody.core.errors import Problem, Problems
+from jaxbody.core.errors import Problem
 from jaxbody.geometry import rotations
 from jaxbody.geometry.vectors import cross, dot
 from jaxbody.mechanics.kinematics import Chart
@@ -60,6 +58,10 @@ class Parametrization(eqx.Module):
     def changed(self, fraction: float) -> np.ndarray:
         """The u that changes each number by this fraction of itself, or of its scale if it may have either sign."""
         return np.full(self.size, fraction)
+
+    def unbounded(self) -> tuple[np.ndarray, np.ndarray]:
+        """The bounds of u where none are given."""
+        return np.full(self.size, -np.inf), np.full(self.size, np.inf)
 
     def ended(self, u: np.ndarray) -> np.ndarray:
         """The limit of the domain that each u is near, as a word: "zero" for a value far below the start; "" for the others."""
@@ -315,49 +317,3 @@ STARTS = {  # form, whether a start is inside the domain, the message if it is n
         "Give the body some thickness, with masses on both sides of its plane or line.",
     ),
 }
-
-
-def parts_of(parameters: Iterable[Any]) -> list[slice]:
-    """The part of u of each of these, which have a `form`."""
-    ends = np.cumsum([0, *(parameter.form.size for parameter in parameters)]).tolist()
-    return [slice(i, j) for i, j in pairwise(ends)]
-
-
-def pair_of(given: Any, shape: tuple[int, ...]) -> list[np.ndarray] | None:
-    """A pair (lower, upper) or (mean, deviation) as arrays of this shape; None if it is not a pair of numbers."""
-    try:
-        lower, upper = given
-        return [np.broadcast_to(np.asarray(end, float), shape) for end in (lower, upper)]
-    except (TypeError, ValueError):
-        return None
-
-
-def sound_bounds(form: Parametrization, ends: list[Any] | None, given: Any, where: str, problems: Problems, slack: float = 0.0) -> bool:
-    """Whether bounds are valid and contain the start, apart from a slack; else a problem is added to `problems`.
-
-    Args:
-        form: the parametrization, with the start.
-        ends: the bounds as a pair of arrays, None if they are not a pair.
-        given: the bounds as the user gave them, for messages.
-        where: name of the argument, for messages.
-        problems: collects BAD_BOUNDS or START_OUTSIDE.
-        slack: allowed distance of the start from the bounds, 0 by default.
-    """
-    start = np.asarray(form.start)
-    if not isinstance(form, Elementwise):
-        hint = "Give bounds for scalars, and for vectors whose numbers do not depend on each other."
-        problems.add("BAD_BOUNDS", where, "cannot have bounds", hint=hint)
-    elif ends is None:
-        problems.add("BAD_BOUNDS", where, f"is {given!r:.60}", value=given, limit="(lower, upper)")
-    elif np.isnan(ends).any():
-        hint = "Give -inf or inf for a side without a bound."
-        problems.add("BAD_BOUNDS", where, f"is {given!r:.60}, which has a NaN", value=given, limit="numbers", hint=hint)
-    elif not (ends[0] < ends[1]).all():
-        problems.add("BAD_BOUNDS", where, f"has lower {given[0]} >= upper {given[1]}", value=given, limit="lower < upper")
-    elif ((start < ends[0] - slack) | (start > ends[1] + slack)).any():
-        distance = np.maximum(ends[0] - start, start - ends[1]).max()
-        message, limit = f"excludes the start {start}, which is outside by {distance:.4g}", f"{given[0]} to {given[1]}"
-        problems.add("START_OUTSIDE", where, message, value=start, limit=limit, hint="Change the start or the bound.")
-    else:
-        return True
-    return False

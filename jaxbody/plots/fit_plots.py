@@ -48,7 +48,7 @@ def plot_correlations(fit: Fit, *, ax: Any = None) -> Any:
     """Correlations of the estimates as a heat map; parameters that the data do not determine are left out.
 
     Near 1 or -1 the data determine a combination of the two parameters better than each of them."""
-    names, C = fit.task.labels, fit.covariance
+    names, C = fit.task.space.names, fit.covariance
     known = np.flatnonzero((np.diag(C) > 0) & np.isfinite(fit._assessed().spread(np.eye(len(C)))[0]))
     deviation = np.sqrt(np.diag(C))[known]
     rho = C[np.ix_(known, known)] / np.outer(deviation, deviation)

@@ -28,9 +28,9 @@ import rigs
 import jaxbody as jb
 from jaxbody.experiments.experiments import Integration
 from jaxbody.experiments.residual_series import records_of
-from jaxbody.identification.fit_parameters import choose
 from jaxbody.identification.intervals import interval_of_u
 from jaxbody.identification.residuals import Task, residual_and_jacobian
+from jaxbody.parameters.spaces import space_of
 from jaxbody.statistics.quantiles import quantile
 from jaxbody.statistics.uncertainties import assess
 
@@ -57,13 +57,13 @@ class Study:
         clean = jb.measure(jb.simulate(model, times, motion={"base": base}, initial=start), sensors)
         run = jb.Experiment(times, motion={"base": base}, initial=start, sensors=sensors, measured=clean, noise=level)
         how = Integration(jnp.asarray(1e-8), None, diffrax.ConstantStepSize(), jnp.asarray(STEP), 10 * n)
-        self.task = Task(model, {"run": run}, choose(model, {"run": run}, FREE), {"run": run.noise}, how)
+        self.task = Task(space_of(model, FREE, "fit", runs={"run": run}), {"run": run.noise}, how)
         again = self.task.experiments["run"].readings(model, how, None)  # of these steps, so that the truth is where residuals are noise
-        self.task = eqx.tree_at(lambda t: t.experiments["run"].measured, self.task, again)
+        self.task = eqx.tree_at(lambda t: t.space.runs["run"].measured, self.task, again)
         self.records = records_of(self.task.experiments)
         J = [
             np.asarray(residual_and_jacobian(self.task, u)[1])
-            for u in CHANGE * np.array([*np.eye(self.task.size), *-np.eye(self.task.size)])
+            for u in CHANGE * np.array([*np.eye(self.task.space.size), *-np.eye(self.task.space.size)])
         ]
         self.J, self.H = (
             sum(J) / len(J),
@@ -75,8 +75,8 @@ class Study:
     def _fit(self, noise: dict):
         run = self.task.experiments["run"]
         new = {s: run.sensors[s].disturbed(run.measured[s], run.sensors[s].spread(run.noise[s]) * e) for s, e in noise.items()}
-        task = eqx.tree_at(lambda t: t.experiments["run"].measured, self.task, new)
-        start = jnp.zeros(task.size)
+        task = eqx.tree_at(lambda t: t.space.runs["run"].measured, self.task, new)
+        start = jnp.zeros(task.space.size)
         u = start - jnp.linalg.lstsq(self.J, task.residual(start))[0]
         return u, task.residual(u), self.J + self.H @ u
 
@@ -94,8 +94,8 @@ class Study:
 
     def run_by_fit(self, rho: float, replicates: int, seed: int) -> dict:
         """By `jb.fit` itself, intervals as it prints them; noise levels estimated."""
-        truth = {f.path: np.asarray(f.form.start) for f in self.task.free}
-        start = jb.replace(self.task.model, {path: x * START[i % len(START)] for i, (path, x) in enumerate(truth.items())})
+        truth = {parameter.path: np.asarray(parameter.form.start) for parameter in self.task.space.parameters}
+        start = jb.replace(self.task.space.model, {path: x * START[i % len(START)] for i, (path, x) in enumerate(truth.items())})
         run, held, naive, flagged, distances = self.task.experiments["run"], [], [], [], []
         noises = self.noises(rho, replicates, self._rng(rho, seed))
         for i in range(replicates):
@@ -126,7 +126,7 @@ class Study:
         held, naive, flagged, distances = [], [], [], []
         while len(held) < replicates:
             for u, r, J in zip(*map(np.asarray, self.fits(self.noises(rho, TOGETHER, rng))), strict=True):
-                u, uncertainty = assessed(u, r, J, self.task.labels, self.records)
+                u, uncertainty = assessed(u, r, J, self.task.space.names, self.records)
                 low, high = interval_of_u(u, uncertainty, 0.95)
                 held.append((low <= 0) & (high >= 0))
                 far = quantile(0.95, len(r) - len(u)) * np.sqrt(np.diag(uncertainty.white_covariance))

@@ -9,9 +9,9 @@ from scipy.integrate import solve_ivp
 import jaxbody as jb
 from jaxbody.experiments.experiments import Integration
 from jaxbody.identification.colorings import colors_of
-from jaxbody.identification.fit_parameters import choose, priors_of
 from jaxbody.identification.residuals import Task, first_noise, residual_and_jacobian
 from jaxbody.identification.shootings import Segments, cuts
+from jaxbody.parameters.spaces import space_of
 
 # A pendulum, pulled by a spring whose foot shakes hard: theta'' = -(g/l) sin(theta) - ..., chaotic with little damping.
 MASS, LENGTH, G, FOOT = 1.0, 1.0, 9.81, np.array([1.5, -1.0])
@@ -84,12 +84,12 @@ def test_columns_that_touch_different_residuals_share_a_tangent():
     """Two runs in six segments each: two columns of the model, four of the states between, one of each run, in place of 24."""
     runs = {"a": segments(31, 6), "b": segments(31, 6)}
     model = model_of(TRUTH)
-    free = choose(model, runs, ["spring.stiffness", "spring.free_length", "*.nodes.*", "a.initial.v", "b.foot.frequency"])
-    priors = priors_of(free, {"spring.stiffness": (11.0, 1.0), "b.foot.frequency": (0.7, 0.1)})
-    task = Task(model, runs, free, first_noise(runs, False)[0], Integration(max_steps=500), priors)
-    u = jnp.asarray(np.random.default_rng(2).normal(size=task.size)) * 0.01
+    free = ["spring.stiffness", "spring.free_length", "*.nodes.*", "a.initial.v", "b.foot.frequency"]
+    space = space_of(model, free, "fit", runs=runs, priors={"spring.stiffness": (11.0, 1.0), "b.foot.frequency": (0.7, 0.1)})
+    task = Task(space, first_noise(runs, False)[0], Integration(max_steps=500))
+    u = jnp.asarray(np.random.default_rng(2).normal(size=space.size)) * 0.01
     r, J, _ = residual_and_jacobian(task, u)
-    assert task.size == 24 and len(set(colors_of(free, runs))) == 7
+    assert space.size == 24 and len(set(colors_of(space))) == 7
     all_columns, same = jax.jit(jax.jacfwd(lambda u: 2 * (task.residual(u),), has_aux=True))(u)
     np.testing.assert_allclose(r, same, rtol=1e-13)
     np.testing.assert_allclose(J, all_columns, rtol=1e-12, atol=1e-12 * np.abs(J).max())

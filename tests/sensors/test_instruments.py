@@ -14,7 +14,7 @@ from rigs import turned
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody.identification.fit_parameters import choose
+from jaxbody.parameters.spaces import space_of
 from jaxbody.sensors import delays_and_lags
 from jaxbody.sensors.sensors import check_sensors
 from jaxbody.simulations.readings import read, readings
@@ -515,7 +515,7 @@ def test_what_is_free_of_a_chain_moves_by_what_it_is_about_and_unknown_samples_d
     chain = {"gain": 1.0, "bias": 0.0, "delay": 0.025, "lag": 0.02}
     run = jb.Experiment(0.01 * np.arange(50), sensors={"acc": jb.Accelerometer("cart", axis=[1, 0, 0], **chain)}, measured={"acc": x})
     run = jb.replace(run, {"acc.delay": 0.0})
-    forms = {f.path: f.form for f in choose(cart[0], {"run": run}, ["run.acc.*"])}
+    forms = {parameter.path: parameter.form for parameter in space_of(cart[0], "run.acc.*", "fit", runs={"run": run}).parameters}
     moved = [forms[f"run.acc.{name}"].value(jnp.ones(1)) for name in ("gain", "bias", "delay", "lag")]
     np.testing.assert_allclose(moved, [2.0, np.sqrt(np.mean(x**2)), 0.01, 0.02 * np.e], rtol=1e-9)
     assert set(forms) == {f"run.acc.{name}" for name in ("gain", "bias", "delay", "lag", "point", "axis")}
