@@ -90,14 +90,14 @@ def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Pla
 def _gyration_ratios(model: Model) -> dict[str, float]:
     """sqrt(largest moment/mass) over the distance from center of mass to farthest attachment point, of bodies that can rotate."""
     ratios = {}
-    for name, kind in zip(model.layout.bodies, model.layout.kinds, strict=True):
+    for name in model.layout.bodies:
         body = model[name]
         reach = [0.0]
         for table in model.elements:
             for i, link in enumerate(table.links):
                 points = [np.asarray(end[i]) for end, on in zip(table.rows.points, link, strict=True) if on == name]
                 reach += [float(np.linalg.norm(point - body.com)) for point in points]
-        if any(kind.turns) and max(reach) > 0:
+        if model.layout.turns[model.layout.v_slices[name]].any() and max(reach) > 0:
             ratios[name] = float(np.sqrt(np.linalg.eigvalsh(body.inertia)[-1] / body.mass) / max(reach))
     return ratios
 

@@ -26,7 +26,8 @@ from jaxbody.elements.second_derivatives import Block, Blocks, dissipation_hessi
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, product, rotate, skew
 from jaxbody.mechanics.energies import each_element, potential, wrenches
-from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.mechanics.equations_of_motion import equations_for
+from jaxbody.mechanics.kinematics import Coordinates, jacobian
 from jaxbody.models.layouts import Layout
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
@@ -58,7 +59,8 @@ def configuration_at(
     if base:
         own = np.tile(np.eye(6), (len(layout.supports), 1))
         linear, angular = jnp.concatenate([linear, own[:, :3]]), jnp.concatenate([angular, own[:, 3:]])
-    return Configuration(model, q, frames, angular, _jacobian(layout, frames, linear, angular, base), base)
+    J = None if equations_for(layout).identity else jnp.concatenate(jacobian(layout, frames, linear, angular), -1)
+    return Configuration(model, q, frames, angular, J, base)
 
 
 def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:
@@ -70,7 +72,7 @@ def frame_twists(at: Configuration) -> Float[Array, "nf n 6"]:
 
 def slope(at: Configuration) -> Vector:
     """dV/d(Delta, Xi) at rest."""
-    G = -jnp.concatenate(wrenches(at.model, at.frames), -1)[_rows(at.model.layout, at.base)]
+    G = -jnp.concatenate(wrenches(at.model, at.frames), -1)[at.model.layout.moving(base=at.base)]
     return _pulled_back(at.J, G)
 
 
@@ -133,51 +135,20 @@ def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
 # From frames to coordinates. The frames that move are in the order of the columns: bodies, then, with `base`, supports
 
 
-def _rows(layout: Layout, base: bool) -> np.ndarray:
-    """The rows of the moving frames in the table of frames."""
-    return np.concatenate([np.arange(layout.first_body, len(layout.frames)), np.arange(1, layout.first_body if base else 1)])
-
-
 def _places(layout: Layout, base: bool) -> dict[str, int | None]:
     """Name of a frame -> its index among the moving frames, None for others."""
-    rows = list(_rows(layout, base))
+    rows = list(layout.moving(base=base))
     return {name: rows.index(row) if row in rows else None for row, name in enumerate(layout.frames)}
-
-
-def _owners(layout: Layout) -> np.ndarray:
-    """For each column the index of the first frame that it moves."""
-    widths = [kind.nv for kind in layout.kinds] + [6] * len(layout.supports)
-    return np.repeat(np.arange(len(widths)), widths)
-
-
-def _moves(layout: Layout) -> np.ndarray:
-    """(frames, n): 1 where a column moves a frame."""
-    supports = np.arange(len(layout.supports))
-    on_bodies = np.repeat(layout.roots[:, None] - 1 == supports, 6, axis=1)
-    on_supports = np.repeat(supports[:, None] == supports, 6, axis=1)
-    return np.block([[layout.carries, on_bodies], [np.zeros((len(supports), layout.nv)), on_supports]])
 
 
 def _precedence(layout: Layout) -> np.ndarray:
     """(n, n): 1 where column i turns the axis of column j, 1/2 where both turn one joint together, or are one."""
-    owners = _owners(layout)
-    of_one_joint = owners[:, None] == owners
+    movers, n = layout.movers, len(layout.movers)
     turns = np.concatenate([layout.turns, np.tile([0, 0, 0, 1, 1, 1], len(layout.supports))])
-    in_series = np.array([kind.in_series for kind in layout.kinds] + [False] * len(layout.supports), dtype=bool)[owners]
-    earlier = np.triu(np.ones((len(owners), len(owners))), 1) + np.eye(len(owners)) / 2
-    return np.where(of_one_joint, turns[:, None] * turns * np.where(in_series, earlier, 0.5), _moves(layout)[owners].T)
-
-
-def _jacobian(layout: Layout, frames: Frame, linear, angular, base: bool) -> Float[Array, "frames n 6"] | None:
-    """The motion of each frame per unit of each column; None for the identity."""
-    if layout.floating:
-        return None
-    rows, n = _rows(layout, base), len(linear)
-    p = frames.p[rows]
-    mask = jnp.asarray(_moves(layout)[: len(rows), :n], p.dtype)[..., None]
-    return mask * jnp.concatenate(
-        jnp.broadcast_arrays(linear[None] + cross(angular[None], p[:, None] - p[_owners(layout)[:n]][None]), angular), -1
-    )
+    in_series = np.array([block.kind.in_series for block in layout.blocks for _ in block.motions] + [False] * layout.nxi, dtype=bool)
+    earlier = np.triu(np.ones((n, n)), 1) + np.eye(n) / 2
+    of_one_joint = turns[:, None] * turns * np.where(in_series, earlier, 0.5)
+    return np.where(movers[:, None] == movers, of_one_joint, layout.carries[np.ix_(movers, movers)])
 
 
 def _pulled_back(J: Array | None, G: Array) -> Vector:
@@ -215,12 +186,12 @@ def _gradient(
         for table, parts in zip(model.elements, elements, strict=True)
         for end, part in enumerate(parts)
     ]
-    return _collected([(bodies, list(range(len(bodies)))), *ends], len(_rows(model.layout, base)))
+    return _collected([(bodies, list(range(len(bodies)))), *ends], len(model.layout.moving(base=base)))
 
 
 def _hessian(model: Model, bodies: Block, elements: list[Blocks], base: bool) -> Float[Array, "frames 6 frames 6"]:
     """The Hessians of bodies and elements, summed by pairs of frames."""
-    places, n = _places(model.layout, base), len(_rows(model.layout, base))
+    places, n = _places(model.layout, base), len(model.layout.moving(base=base))
 
     def cells(table, one: int, other: int):
         pairs = [(places[link[one]], places[link[other]]) for link in table.links]

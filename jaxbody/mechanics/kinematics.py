@@ -12,9 +12,9 @@ from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Pose, stack
 from jaxbody.geometry.vectors import cross, rotate
 from jaxbody.inputs.signals import Signal
+from jaxbody.models.layouts import Layout
 from jaxbody.models.models import Model, at_rest_in, body_poses, rest_poses, support_poses
 from jaxbody.models.states import State
-from jaxbody.models.storage import KindTable
 from jaxbody.numerics.xla_workarounds import take
 
 Motions = tuple[Signal, ...]  # of six numbers, one per support, in their order
@@ -25,33 +25,28 @@ class Chart(eqx.Module):
 
     model: Model
 
-    def _each(self, function, *tables: tuple[Array, str]):
-        """Apply function(joint, row, ...) to each body; `tables` are vectors ("q" or "v") split by body."""
-        layout = self.model.layout
+    def _each(self, function, *vectors: tuple[Array, dict[str, slice]]):
+        """(names, function(joint, row, ...)) of each table of joints; `vectors` are q or v with their slices."""
         for table in self.model.joints:
-            kind = type(table.rows)
-            parts = []
-            for vector, which in tables:
-                slices = layout.q_slices if which == "q" else layout.v_slices
-                width = kind.nq if which == "q" else kind.nv
-                rows = np.array([np.arange(slices[name].start, slices[name].stop) for name in table.names], dtype=int)
-                parts.append(take(vector, rows.ravel()).reshape(len(table), width))
-            yield table, jax.vmap(function)(table.rows, *parts)
+            yield table, jax.vmap(function)(table.rows, *(self.model.layout.rows_of(table.names, *vector) for vector in vectors))
 
-    def _assemble(self, pieces: list[tuple[KindTable, Array]]) -> Array:
-        """The rows of each body as one vector, sorted by body."""
-        if len(pieces) == 1 and pieces[0][0].names == self.model.layout.bodies:
-            return pieces[0][1].reshape(-1)
-        rows = {name: part[i] for table, part in pieces for i, name in enumerate(table.names)}
-        return jnp.concatenate([rows[name] for name in self.model.layout.bodies])
+    def _joined(self, function, *vectors: tuple[Array, dict[str, slice]]) -> Array:
+        return self.model.layout.joined([(table.names, row) for table, row in self._each(function, *vectors)])
 
     def retract(self, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
         """q (+) Delta, joint by joint."""
-        return self._assemble(list(self._each(lambda joint, q, d: joint.retract(q, d), (q, "q"), (delta, "v"))))
+        layout = self.model.layout
+        return self._joined(lambda joint, q, d: joint.retract(q, d), (q, layout.q_slices), (delta, layout.v_slices))
 
     def rate(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nq"]:
         """dq/dt for the speeds v."""
-        return self._assemble(list(self._each(lambda joint, q, v: joint.rate(q, v), (q, "q"), (v, "v"))))
+        layout = self.model.layout
+        return self._joined(lambda joint, q, v: joint.rate(q, v), (q, layout.q_slices), (v, layout.v_slices))
+
+    def rate_transposed(self, q: Float[Array, "nq"], p: Float[Array, "nq"]) -> Float[Array, "nv"]:
+        """B' p, where dq/dt = B v."""
+        zero = jnp.zeros(self.model.layout.nv, q.dtype)
+        return jax.linear_transpose(lambda v: self.rate(q, v), zero)(p)[0]
 
 
 class Coordinates(Chart):
@@ -94,23 +89,37 @@ class Coordinates(Chart):
     def frames_and_axes(self, q: Float[Array, "nq"], v: Float[Array, "nv"], supports: Frame):
         """The table of frames, and for each speed the velocity (nv, 3) and angular velocity (nv, 3) of its own body per unit
         of it, in world axes."""
-        layout, dtype = self.model.layout, q.dtype
-        zero = jnp.zeros((1, 3), dtype)
-        known = stack([Frame(zero, np.eye(3, dtype=dtype)[None], zero, zero), supports])
-        order = list(layout.frames[: layout.first_body])
-        linear, angular = [], []
-        for table, (q_rows, v_rows) in self._each(lambda joint, q, v: (q, v), (q, "q"), (v, "v")):
-            parent = Frame(*(take(x, np.array([order.index(name) for name in table.links])) for x in (known.p, known.R, known.v, known.w)))
+        layout, known = self.model.layout, with_world(supports)
+        order, linear, angular = list(layout.frames[: layout.first_body]), [], []
+        for table, (q_rows, v_rows) in self._each(lambda joint, q, v: (q, v), (q, layout.q_slices), (v, layout.v_slices)):
+            parent = _rows(known, [order.index(name) for name in table.links])
             bodies = np.array([layout.bodies.index(name) for name in table.names])
             rest = Pose(take(self.rest.p, bodies), take(self.rest.R, bodies))
             frame, axes = jax.vmap(_joint_frame)(table.rows, q_rows, v_rows, parent, rest)
             known = stack([known, frame])
             order += table.names
-            linear.append((table, axes[0]))
-            angular.append((table, axes[1]))
-        rows = np.array([order.index(name) for name in layout.frames])
-        frames = Frame(*(take(x, rows) for x in (known.p, known.R, known.v, known.w)))
-        return frames, (self._assemble(linear).reshape(-1, 3), self._assemble(angular).reshape(-1, 3))
+            linear.append((table.names, axes[0]))
+            angular.append((table.names, axes[1]))
+        return _rows(known, [order.index(name) for name in layout.frames]), (layout.joined(linear), layout.joined(angular))
+
+
+def with_world(*frames: Frame) -> Frame:
+    """The table of frames of the world and of others: supports, bodies."""
+    zero = jnp.zeros((1, 3), frames[0].p.dtype)
+    return stack([Frame(zero, np.eye(3, dtype=zero.dtype)[None], zero, zero), *frames])
+
+
+def jacobian(layout: Layout, frames: Frame, linear: Float[Array, "n 3"], angular: Float[Array, "n 3"]):
+    """(frames, n, 3) velocity of each moving frame's origin, and its angular velocity, per unit of each speed, from the velocities of the
+    frame that the speed moves first: of the bodies alone or, with six columns for each support, of bodies and supports."""
+    rows, movers = layout.moving(base=len(linear) > layout.nv), layout.movers[: len(linear)]
+    mask = jnp.asarray(layout.carries[np.ix_(movers, rows)].T, frames.p.dtype)[..., None]
+    arms = take(frames.p, rows)[:, None] - take(frames.p, movers)[None]
+    return mask * (linear[None] + cross(angular[None], arms)), mask * angular[None]
+
+
+def _rows(frames: Frame, rows: list[int]) -> Frame:
+    return Frame(*(take(x, np.array(rows)) for x in (frames.p, frames.R, frames.v, frames.w)))
 
 
 def _joint_frame(joint, q, v, parent: Frame, rest: Pose):

@@ -20,10 +20,9 @@ from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.places import unit_vector
 from jaxbody.geometry.vectors import cross, product, rotate
+from jaxbody.models.layouts import MOVES, TURNS, CoordinateBlock
 
 Axes = tuple[Float[Array, "nv 3"], Float[Array, "nv 3"]]
-TURNS = ("turn about x", "turn about y", "turn about z")
-MOVES = ("move along x", "move along y", "move along z")
 
 
 class Joint(eqx.Module):
@@ -57,6 +56,12 @@ class Joint(eqx.Module):
     turns: eqx.AbstractClassVar[tuple[bool, ...]]
     in_series: ClassVar[bool] = False
     at: ClassVar[Any] = None  # the point of its parent at which it is, where that is not the body's O in the reference pose
+
+    def block(self, body: str) -> CoordinateBlock:
+        """The coordinates of the joint of a body; with one more in q than in v, the last four are a quaternion."""
+        units, quaternion = tuple("rad" if turn else "m" for turn in self.turns), self.nq > self.nv
+        q_units = (*units[:-3], *[""] * 4) if quaternion else units
+        return CoordinateBlock(body, type(self), self.motions, q_units, tuple(f"{unit}/s" for unit in units), quaternion)
 
     def rest(self, rest: Pose) -> Float[Array, "nq"]:
         """Coordinates of the reference pose."""

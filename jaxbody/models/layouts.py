@@ -1,15 +1,44 @@
-"""Layout of the coordinates: which belong to which joint, with names, slices, units and descriptions."""
+"""Layout of the coordinates: a row of blocks, one for each owner of coordinates, with names, slices, units and descriptions."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.models.joints import Free, Joint
+from jaxbody.core.arrays import Array, Float
+from jaxbody.geometry import rotations
+from jaxbody.models.states import State
+from jaxbody.numerics.xla_workarounds import take
 
 WORLD = "world"
+MOVES = ("move along x", "move along y", "move along z")
+TURNS = ("turn about x", "turn about y", "turn about z")
+
+
+@dataclass(frozen=True)
+class CoordinateBlock:
+    """The coordinates of one owner, such as the joint of a body: nq numbers in q, nv in v, nz in z. A motion in m is small compared with
+    the size of the model, any other compared with 1. The value at rest is a function of the owner's parameters, and so the owner's."""
+
+    owner: str
+    kind: type[Any]  # the owner's class
+    motions: tuple[str, ...]  # a description of each speed
+    q_units: tuple[str, ...]
+    v_units: tuple[str, ...]
+    quaternion: bool = False  # whether the last four numbers of q are one
+    nz: int = 0
+
+    @property
+    def nq(self) -> int:
+        return len(self.q_units)
+
+    @property
+    def nv(self) -> int:
+        return len(self.v_units)
 
 
 @dataclass(frozen=True)
@@ -18,8 +47,15 @@ class Layout:
 
     bodies: tuple[str, ...]
     supports: tuple[str, ...]
-    kinds: tuple[type[Joint], ...]  # of each body's joint, in the order of bodies
     parents: tuple[str, ...]
+    blocks: tuple[CoordinateBlock, ...]  # first those of the joints, in the order of the bodies
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.bodies, self.supports, self.parents, self.blocks))
+
+    def __hash__(self) -> int:  # once for each layout: every call of a compiled program asks for it
+        return self._hash
 
     @cached_property
     def frames(self) -> tuple[str, ...]:
@@ -35,66 +71,79 @@ class Layout:
 
     @cached_property
     def q_slices(self) -> dict[str, slice]:
-        ends = np.cumsum([0] + [kind.nq for kind in self.kinds])
-        return {name: slice(int(i), int(j)) for name, i, j in zip(self.bodies, ends[:-1], ends[1:], strict=True)}
+        return self._slices([block.nq for block in self.blocks])
 
     @cached_property
     def v_slices(self) -> dict[str, slice]:
-        ends = np.cumsum([0] + [kind.nv for kind in self.kinds])
-        return {name: slice(int(i), int(j)) for name, i, j in zip(self.bodies, ends[:-1], ends[1:], strict=True)}
+        return self._slices([block.nv for block in self.blocks])
+
+    def _slices(self, widths: list[int]) -> dict[str, slice]:
+        ends = np.cumsum([0, *widths]).tolist()
+        return {block.owner: slice(i, j) for block, i, j in zip(self.blocks, ends[:-1], ends[1:], strict=True)}
 
     @cached_property
     def nq(self) -> int:
-        return sum(kind.nq for kind in self.kinds)
+        return len(self.q_units)
 
     @cached_property
     def nv(self) -> int:
-        return sum(kind.nv for kind in self.kinds)
+        return len(self.v_units)
+
+    @cached_property
+    def nz(self) -> int:
+        return sum(block.nz for block in self.blocks)
 
     @cached_property
     def nxi(self) -> int:
         return 6 * len(self.supports)
 
-    @cached_property
-    def floating(self) -> bool:
-        """True when every body is free on the world: the mass matrix is then constant in body axes."""
-        return all(kind is Free for kind in self.kinds) and set(self.parents) <= {WORLD}
+    def block(self, owner: str) -> CoordinateBlock:
+        """The coordinates of an owner, such as a body's joint."""
+        return next(block for block in self.blocks if block.owner == owner)
 
-    @cached_property
-    def depths(self) -> dict[str, int]:
-        """The number of joints between a body and the joint on the world or a support."""
-        parent = dict(zip(self.bodies, self.parents, strict=True))
+    # From states to vectors and back
 
-        def depth(name: str) -> int:
-            return 0 if name not in parent else 1 + depth(parent[name])
+    def pack(self, state: State) -> Float[Array, "ny"]:
+        """(q, v, z) as one vector."""
+        return jnp.concatenate([state.q, state.v, state.z])
 
-        return {name: depth(name) for name in self.bodies}
+    def unpack(self, y: Float[Array, "ny"]) -> State:
+        """The state of (q, v, z), with normalized quaternions."""
+        q, v, z = self.split(y)
+        return State(self.normalized(q), v, z)
 
-    @cached_property
-    def carries(self) -> np.ndarray:
-        """(nb, nv): 1 where a speed of a body's own joint, or of a joint below it, moves the body."""
-        parent = dict(zip(self.bodies, self.parents, strict=True))
-        mask = np.zeros((len(self.bodies), self.nv))
-        for i, name in enumerate(self.bodies):
-            while name in parent:
-                mask[i, self.v_slices[name]] = 1
-                name = parent[name]
-        return mask
+    def split(self, y: Float[Array, "ny"]) -> tuple[Array, Array, Array]:
+        """q, v and z of (q, v, z)."""
+        return y[: self.nq], y[self.nq : self.nq + self.nv], y[self.nq + self.nv :]
 
-    @cached_property
-    def roots(self) -> np.ndarray:
-        """For each body the frame row of the support (or world) at the root of its tree."""
-        parent = dict(zip(self.bodies, self.parents, strict=True))
+    def normalized(self, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
+        """q with its quaternions normalized."""
+        parts = [q[self.q_slices[block.owner]] for block in self.blocks]
+        normal = [
+            jnp.concatenate([part[:-4], rotations.normalize(part[-4:])]) if block.quaternion else part
+            for block, part in zip(self.blocks, parts, strict=True)
+        ]
+        return jnp.concatenate(normal)
 
-        def root(name: str) -> str:
-            return root(parent[name]) if name in parent else name
+    def rows_of(self, owners: tuple[str, ...], x: Array, slices: dict[str, slice]) -> Array:
+        """The numbers of some owners of one kind, a row for each, from a vector with these slices."""
+        rows = np.array([np.arange(slices[name].start, slices[name].stop) for name in owners], dtype=int)
+        return take(x, rows.ravel()).reshape(rows.shape)
 
-        return np.array([self.frame(root(name)) for name in self.bodies], dtype=int)
+    def joined(self, pieces: list[tuple[tuple[str, ...], Array]]) -> Array:
+        """The rows of all owners, given for some at a time, in the order of the blocks."""
+        order = tuple(block.owner for block in self.blocks)
+        if len(pieces) == 1 and pieces[0][0] == order:
+            return pieces[0][1].reshape(-1, *pieces[0][1].shape[2:])
+        rows = {name: part[i] for owners, part in pieces for i, name in enumerate(owners)}
+        return jnp.concatenate([rows[name] for name in order])
+
+    # Descriptions
 
     @cached_property
     def motions(self) -> tuple[tuple[str, str], ...]:
-        """For each speed its body and motion: ("plate", "turn about z")."""
-        return tuple((name, motion) for name, kind in zip(self.bodies, self.kinds, strict=True) for motion in kind.motions)
+        """For each speed its owner and motion: ("plate", "turn about z")."""
+        return tuple((block.owner, motion) for block in self.blocks for motion in block.motions)
 
     @cached_property
     def coordinates(self) -> tuple[str, ...]:
@@ -103,14 +152,56 @@ class Layout:
 
     @cached_property
     def base_coordinates(self) -> tuple[str, ...]:
-        return tuple(f"{name} {motion}" for name in self.supports for motion in Free.motions)
+        return tuple(f"{name} {motion}" for name in self.supports for motion in MOVES + TURNS)
+
+    @cached_property
+    def q_units(self) -> tuple[str, ...]:
+        return tuple(unit for block in self.blocks for unit in block.q_units)
+
+    @cached_property
+    def v_units(self) -> tuple[str, ...]:
+        return tuple(unit for block in self.blocks for unit in block.v_units)
 
     @cached_property
     def turns(self) -> np.ndarray:
         """(nv,): True for speeds in rad/s."""
-        return np.array([turn for kind in self.kinds for turn in kind.turns], dtype=bool)
+        return np.array([unit != "m/s" for unit in self.v_units], dtype=bool)
 
     @cached_property
     def angular(self) -> np.ndarray:
         """(nq,): True for angles and for the four numbers of a quaternion, which describe three rotations."""
-        return np.array([turn for kind in self.kinds for turn in (*kind.turns, *[True] * (kind.nq - kind.nv))], dtype=bool)
+        return np.array([unit != "m" for unit in self.q_units], dtype=bool)
+
+    # The tree of the joints
+
+    @cached_property
+    def chains(self) -> dict[str, tuple[str, ...]]:
+        """Each frame, then the frames that carry it by joints: {"hand": ("hand", "arm", "base")}."""
+        parent = dict(zip(self.bodies, self.parents, strict=True))
+
+        def chain(name: str) -> tuple[str, ...]:
+            return (name, *chain(parent[name])) if name in parent else (name,)
+
+        return {name: chain(name) for name in self.frames}
+
+    @cached_property
+    def depths(self) -> dict[str, int]:
+        """The number of joints between a body and the joint on the world or a support."""
+        return {name: len(self.chains[name]) - 2 for name in self.bodies}
+
+    @cached_property
+    def carries(self) -> np.ndarray:
+        """(frames, frames): 1 where the first frame carries the second by joints, or is it."""
+        mask = np.zeros((len(self.frames), len(self.frames)))
+        for row, chain in enumerate(self.chains.values()):
+            mask[[self.frame(name) for name in chain], row] = 1
+        return mask
+
+    @cached_property
+    def movers(self) -> np.ndarray:
+        """For each speed, then for each of the six numbers of each support, the row of the first frame that it moves."""
+        return np.array([self.frame(name) for name, _ in self.motions] + [1 + i // 6 for i in range(self.nxi)], dtype=int)
+
+    def moving(self, *, base: bool) -> np.ndarray:
+        """The rows of the frames that move: bodies, then, with `base`, supports."""
+        return np.r_[self.first_body : len(self.frames), 1 : self.first_body if base else 1]

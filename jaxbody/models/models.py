@@ -84,9 +84,8 @@ class Model(tables.Printed, eqx.Module):
         check_reference(problems, bodies, supports, elements)
         problems.raise_if_any()
         every_joint = {name: joints.get(name, Free()) for name in bodies}
-        self.layout = Layout(
-            tuple(bodies), tuple(supports), tuple(type(j) for j in every_joint.values()), tuple(j.parent for j in every_joint.values())
-        )  # fmt: skip
+        parents, blocks = zip(*((joint.parent, joint.block(name)) for name, joint in every_joint.items()), strict=True)
+        self.layout = Layout(tuple(bodies), tuple(supports), parents, blocks)
         by_depth = {name: every_joint[name] for name in sorted(bodies, key=lambda name: self.layout.depths[name])}
         self.bodies = tabulate(bodies)
         self.supports = tabulate(supports, Support())
@@ -127,8 +126,8 @@ class Model(tables.Printed, eqx.Module):
     def _tables(self) -> list[tables.PrintedTable]:
         layout = self.layout
         rows = [
-            (name, kind.__name__.lower(), parent, self[name].mass, self[name].position)
-            for name, kind, parent in zip(layout.bodies, layout.kinds, layout.parents, strict=True)
+            (name, layout.block(name).kind.__name__.lower(), parent, self[name].mass, self[name].position)
+            for name, parent in zip(layout.bodies, layout.parents, strict=True)
         ]
         shown = [tables.PrintedTable("Model", ("body", "joint", "on", "mass [kg]", "position [m]"), rows)]
         for table in self.elements:
@@ -184,12 +183,12 @@ def _reference(model: Model) -> State:
 
 def at_rest_in(model: Model, rest: Pose) -> State:
     """The state in which bodies are at rest in these poses relative to their parents."""
-    parts: dict[str, Array] = {}
-    for table in model.joints:
+
+    def of(table: KindTable) -> tuple[tuple[str, ...], Array]:
         rows = _places(table.names, model.layout.bodies)
-        q = jax.vmap(lambda joint, pose: joint.rest(pose))(table.rows, Pose(rest.p[rows], rest.R[rows]))
-        parts |= {name: q[i] for i, name in enumerate(table.names)}
-    q = jnp.concatenate([parts[name] for name in model.layout.bodies])
+        return table.names, jax.vmap(lambda joint, pose: joint.rest(pose))(table.rows, Pose(rest.p[rows], rest.R[rows]))
+
+    q = model.layout.joined([of(table) for table in model.joints])
     return State(q, jnp.zeros(model.layout.nv, q.dtype))
 
 

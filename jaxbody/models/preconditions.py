@@ -74,11 +74,7 @@ def check_attached(model: Model) -> None:
 def unattached(model: Model) -> list[str]:
     """Bodies without a path of elements and joints to the world or a support."""
     links = [link for table in model.elements for link in table.links]
-    links += [
-        (name, parent)
-        for name, kind, parent in zip(model.layout.bodies, model.layout.kinds, model.layout.parents, strict=True)
-        if kind.nv < 6
-    ]
+    links += [link for link in zip(model.layout.bodies, model.layout.parents, strict=True) if model.layout.block(link[0]).nv < 6]
     tied, frontier = set(), {WORLD, *model.layout.supports}
     while frontier:
         tied |= frontier
@@ -104,7 +100,7 @@ def check_state(model: Model, state: Any, where: str) -> None:
         for name, count in (("q", layout.nq), ("v", layout.nv)):
             value = getattr(state, name)
             if np.shape(value) != (count,):
-                parts = ", ".join(f"{body} {getattr(kind, 'n' + name)}" for body, kind in zip(layout.bodies, layout.kinds, strict=True))
+                parts = ", ".join(f"{block.owner} {getattr(block, 'n' + name)}" for block in layout.blocks)
                 problems.add(
                     "BAD_SHAPE",
                     f"{where}.{name}",
@@ -131,13 +127,13 @@ def check_state(model: Model, state: Any, where: str) -> None:
                     limit="finite",
                 )
             elif known is not None and name == "q":
-                for body, kind in zip(layout.bodies, layout.kinds, strict=True):
-                    part = known[layout.q_slices[body]][-4:]
-                    if kind.nq - kind.nv == 1 and abs(np.linalg.norm(part) - 1) > 1e-3:
+                for block in layout.blocks:
+                    part = known[layout.q_slices[block.owner]][-4:]
+                    if block.quaternion and abs(np.linalg.norm(part) - 1) > 1e-3:
                         problems.add(
                             "BAD_QUATERNION",
                             f"{where}.q",
-                            f"of '{body}' has a quaternion of length {np.linalg.norm(part):.6g}",
+                            f"of '{block.owner}' has a quaternion of length {np.linalg.norm(part):.6g}",
                             value=part,
                             limit="1 within 1e-3",
                         )

@@ -135,11 +135,11 @@ class Scene:
                 self.ends[name] = (A, B)
                 points[link[0]].append(A)
                 points[link[1]].append(B)
-        for name, kind, parent in zip(layout.bodies, layout.kinds, layout.parents, strict=True):
+        for name, parent in zip(layout.bodies, layout.parents, strict=True):
             p, R = pose[name]
             self.centers[name] = p + R @ np.asarray(self.model[name].com)
             points[name].append(self.centers[name])
-            if kind.nv < 6:
+            if layout.block(name).nv < 6:
                 at = self.model.joint(name).at
                 pivot = p if at is None else pose[parent][0] + pose[parent][1] @ np.asarray(at)
                 self.pivots[name] = (pivot, parent)

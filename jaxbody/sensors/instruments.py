@@ -315,7 +315,7 @@ class Reaction(WrenchSensor):
             return super().problem(model, where)
         if self.on not in layout.bodies:
             return unknown(self.on, where, layout.supports + layout.bodies)
-        if layout.kinds[layout.bodies.index(self.on)] is Free:
+        if layout.block(self.on).kind is Free:
             return Problem("NO_JOINT", where, f"is on '{self.on}', a free body", self.on, "a body on a joint", "LoadCell reads elements.")
         return super().problem(model, where)
 
@@ -341,11 +341,11 @@ class JointAngle(Components):
         layout = model.layout
         if self.on not in layout.bodies:
             return unknown(self.on, where, layout.bodies)
-        kind = layout.kinds[layout.bodies.index(self.on)]
-        turns = [i for i in range(kind.nv) if kind.turns[i]] if kind.nq == kind.nv else []
-        if (self.component is None and kind.nv == 1 and turns) or self.component in turns:
+        block = layout.block(self.on)
+        turns = [i for i, unit in enumerate(block.q_units) if unit == "rad"]
+        if (self.component is None and block.nv == 1 and turns) or self.component in turns:
             return None
-        message = f"reads component {self.component} of the joint of '{self.on}', a {kind.__name__}"
+        message = f"reads component {self.component} of the joint of '{self.on}', a {block.kind.__name__}"
         limit = f"one of {turns}" if turns else "a joint that turns"
         return Problem("BAD_COMPONENT", where, message, self.component, limit, "Give the number of a rotation.")
 

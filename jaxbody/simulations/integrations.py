@@ -14,7 +14,7 @@ from jaxbody.inputs.signals import kinks_of
 from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.canonical_equations import Canonical
 from jaxbody.mechanics.energies import outside_law_range
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.equations_of_motion import Dynamics, dynamics_of
 from jaxbody.mechanics.kinematics import frames_at_time
 from jaxbody.numerics import dormand_prince_steps
 from jaxbody.numerics.gauss_collocations import Gauss
@@ -35,7 +35,7 @@ STATUSES = (
 @jit_optimized
 def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
     """The jitted core of `simulate`: arrays only, never raises."""
-    dynamics = Dynamics(model, motions, loads)
+    dynamics = dynamics_of(model, motions, loads)
     initial = dynamics.coordinates.reference if initial is None else initial
     own_loops = (
         solver is None
@@ -96,7 +96,7 @@ def _by_blocks(dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_
     kinks = None if constant else kinks_of((*dynamics.motions, *signals))
     most = max_steps + (0 if kinks is None else len(kinks))
     first, kinks = jax.lax.stop_gradient((dt0, kinks))
-    problem = dormand_prince_steps.InitialValueProblem(Dynamics.drive, Dynamics.driven, *limits, first, most, kinks, constant)
+    problem = dormand_prince_steps.InitialValueProblem(type(dynamics).drive, type(dynamics).driven, *limits, first, most, kinks, constant)
     forward = isinstance(adjoint, diffrax.ForwardMode)
     result = (
         dormand_prince_steps.solve(problem, dynamics, y0, times)

@@ -12,7 +12,7 @@ from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.models import Model
 from jaxbody.models.states import Instant, State
@@ -23,7 +23,7 @@ from jaxbody.simulations.trajectories import Trajectory
 def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sensor], loads: tuple[Load, ...] = ()) -> dict[str, Array]:
     """The readings of all sensors at one time, before their chains; accelerations are computed once, if any sensor needs them."""
     if any(sensor.accelerations for sensor in sensors.values()):
-        instant = Dynamics(model, motions, loads).instant(t, state, reactions=any(sensor.reactions for sensor in sensors.values()))
+        instant = dynamics_of(model, motions, loads).instant(t, state, reactions=any(sensor.reactions for sensor in sensors.values()))
     else:
         instant = at_instant(frames_at_time(model, motions, t, state), state)
     return {name: sensor.reading(model, instant) for name, sensor in sensors.items()}

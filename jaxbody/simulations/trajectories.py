@@ -20,7 +20,7 @@ from jaxbody.core.results import Result
 from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.energies import damping_power, each_element, kinetic, outside_law_range, potential
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.failure_causes import force_jump_at, force_jump_messages, force_jumps_along, nonfinite_ahead
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions, frames_at_time
@@ -222,7 +222,7 @@ def _damping_power(model, motions, t, state):
 
 
 def _reactions(model, motions, t, state, loads):
-    return Dynamics(model, motions, loads).reactions(t, state.q, state.v)
+    return dynamics_of(model, motions, loads).reactions(t, state.q, state.v)
 
 
 def _load_power(model, motions, t, state, loads):
@@ -233,7 +233,7 @@ def _load_power(model, motions, t, state, loads):
 
 
 def _support_power(model, motions, t, state, loads):
-    dynamics = Dynamics(model, motions, loads)
+    dynamics = dynamics_of(model, motions, loads)
     force, moment = dynamics.reactions(t, state.q, state.v)
     supports = dynamics.coordinates.supports_moving(motions, t)
     return -jnp.sum(force * supports.v) - jnp.sum(moment * supports.w)

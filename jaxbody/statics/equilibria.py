@@ -138,7 +138,7 @@ class Equilibrium(Result):
     def to_xarray(self) -> Any:
         """An xarray.Dataset: q by part, residual by coordinate, elongation by spring, energy, status."""
         layout, springs = self.model.layout, springs_of(self.model)
-        parts = [f"{name} {i}" for name, kind in zip(layout.bodies, layout.kinds, strict=True) for i in range(kind.nq)]
+        parts = [f"{block.owner} {i}" for block in layout.blocks for i in range(block.nq)]
         variables = {
             "q": (("part",), self.state.q, ""),
             "residual": (("coordinate",), self.residual, "N or N m"),
@@ -154,9 +154,7 @@ class Equilibrium(Result):
 
     def _tables(self) -> list[tables.PrintedTable]:
         q, layout = tables.without_dust(self.state.q), self.layout
-        rows = [
-            (name, kind.__name__.lower(), q[..., layout.q_slices[name]]) for name, kind in zip(layout.bodies, layout.kinds, strict=True)
-        ]
+        rows = [(block.owner, block.kind.__name__.lower(), q[..., layout.q_slices[block.owner]]) for block in layout.blocks]
         note = self.message(Equilibrium._known) if is_concrete(self.status) else ""
         note += "; there may be others" if note == "ok" else ""
         if is_concrete(self.descended) and np.any(self.descended):

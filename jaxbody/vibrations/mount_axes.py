@@ -148,7 +148,7 @@ def _free(lin: Linearization, body: str, where: str) -> str:
     layout = lin.model.layout
     if body not in layout.bodies:
         raise JaxbodyError(unknown(body, where, layout.bodies))
-    if layout.kinds[layout.bodies.index(body)] is not Free:
+    if layout.block(body).kind is not Free:
         raise JaxbodyError(
             Problem(
                 "NOT_FREE",

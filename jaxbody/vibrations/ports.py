@@ -26,7 +26,7 @@ from jaxbody.geometry.places import DIRECTIONS
 from jaxbody.geometry.vectors import cross, skew
 from jaxbody.inputs.port_inputs import KINDS, BaseMotion, Input, PointForce
 from jaxbody.mechanics.element_derivatives import ElementDerivatives, element_derivatives
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists, slope
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
@@ -183,7 +183,7 @@ def _by_name(model: Model, at: Configuration) -> dict[str, tuple[int, ElementDer
 def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sensors: list[Sensor], wrenches) -> list[_Rows]:
     """The rows of sensors by the derivatives of their readings; accelerations are those of x'': no equation of motion is solved."""
     model, q, layout, frames = lin.model, lin.state.q, lin.model.layout, at.frames
-    dynamics, zero = Dynamics(model, (), lin.loads), jnp.zeros(twists.shape[1], q.dtype)
+    dynamics, zero = dynamics_of(model, (), lin.loads), jnp.zeros(twists.shape[1], q.dtype)
 
     def moved(x, rate, change, u) -> Instant:
         (dp, turn), (v, w), (a, alpha) = (jnp.split(jnp.einsum("fni,n->fi", twists, y), 2, -1) for y in (x, rate, change))

@@ -20,7 +20,7 @@ from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Status
 from jaxbody.core.results import warn_if_failed
 from jaxbody.inputs.motions import AtRest
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.equations_of_motion import Dynamics, dynamics_of
 from jaxbody.mechanics.hessians import configuration_at, damping, mass, stiffness
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, check_state
@@ -87,7 +87,7 @@ def linearize_spin(model: Model, at: State) -> SpinLinearization:
 @jit_unoptimized
 def _linearize_spin(model: Model, state: State) -> SpinLinearization:
     q, v = state.q, state.v
-    dynamics = Dynamics(model, tuple(AtRest() for _ in model.layout.supports))
+    dynamics = dynamics_of(model, tuple(AtRest() for _ in model.layout.supports))
     M, D, K, v_dot = _second_order(dynamics, q, v)
     at = configuration_at(dynamics.coordinates, q, v, base=False)
     C, K_rest = damping(at), stiffness(at)

@@ -14,7 +14,7 @@ from jaxbody.elements.second_derivatives import second_order
 from jaxbody.geometry import rotations, vectors
 from jaxbody.geometry.frames import Frame, Pose, Wrench
 from jaxbody.mechanics.energies import frames_of, wrenches
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.equations_of_motion import dynamics_of
 
 RNG = np.random.default_rng(42)
 N = 200
@@ -412,7 +412,7 @@ def test_a_damper_to_a_moving_base_feels_its_velocity():
     def felt(velocity, spin):
         """Dissipation, and the accelerations of the body, whose axes are those of the world."""
         sine = {"frequency": 1 / (2 * np.pi), "translation_phase": -np.pi / 2, "rotation_phase": -np.pi / 2}
-        dynamics = Dynamics(model, (jb.Harmonic(translation=velocity, rotation=spin, **sine),))
+        dynamics = dynamics_of(model, (jb.Harmonic(translation=velocity, rotation=spin, **sine),))
         R = jb.dissipation(model, model.reference, None, jnp.concatenate([velocity, spin])[None])
         return R, dynamics.rate(jnp.array(0.0), dynamics.pack(model.reference))[7:]
 

@@ -11,7 +11,7 @@ import pytest
 import jaxbody as jb
 from jaxbody.core.compile_options import UNOPTIMIZED
 from jaxbody.geometry import rotations
-from jaxbody.mechanics.equations_of_motion import Dynamics, acceleration
+from jaxbody.mechanics.equations_of_motion import FreeBodies, JointedBodies, acceleration, dynamics_of, equations_for
 from jaxbody.mechanics.kinematics import Coordinates
 
 SAMPLES = 100
@@ -24,9 +24,9 @@ jit_once = functools.partial(jax.jit, compiler_options=UNOPTIMIZED)  # compiling
 def chart(model, x):
     """q of x: a rotation vector for a ball, (position, rotation vector) for a free joint, the same numbers for all others."""
     parts, i = [], 0
-    for kind in model.layout.kinds:
-        part, i = x[i : i + kind.nv], i + kind.nv
-        if kind.nq > kind.nv:
+    for block in model.layout.blocks:
+        part, i = x[i : i + block.nv], i + block.nv
+        if block.nq > block.nv:
             part = jnp.concatenate([part[:-3], exp_quaternion(part[-3:])])
         parts.append(part)
     return jnp.concatenate(parts)
@@ -41,9 +41,9 @@ def exp_quaternion(phi):
 def speeds(model, q, q_dot):
     """v of q and q': the angular velocity is the vector part of 2 q' q*."""
     parts, i = [], 0
-    for kind in model.layout.kinds:
-        part, rate, i = q[i : i + kind.nq], q_dot[i : i + kind.nq], i + kind.nq
-        if kind.nq > kind.nv:
+    for block in model.layout.blocks:
+        part, rate, i = q[i : i + block.nq], q_dot[i : i + block.nq], i + block.nq
+        if block.nq > block.nv:
             conjugate = part[-4:] * jnp.array([1, -1, -1, -1])
             rate = jnp.concatenate([rate[:-4], 2 * rotations.multiply(rate[-4:], conjugate)[1:]])
         parts.append(rate)
@@ -160,12 +160,12 @@ MODELS = {
 @jit_once
 def by_library(model, motions, times, states):
     """v' by the path that is integrated and by that of trees, and the reactions."""
-    dynamics = Dynamics(model, motions)
+    dynamics = dynamics_of(model, motions)
 
     def one(t, state):
         y = dynamics.pack(state)
         along = jax.jvp(dynamics.unpack, (y,), (dynamics.rate(t, y),))[1].v
-        tree = acceleration(model, state, t, motions) if model.layout.floating else along
+        tree = JointedBodies(model, motions).acceleration(t, state.q, state.v) if isinstance(dynamics, FreeBodies) else along
         return along, tree, dynamics.reactions(t, state.q, state.v)
 
     return jax.vmap(one)(times, states)
@@ -220,7 +220,7 @@ def test_free_bodies_move_as_by_euler_lagrange_and_the_paper(name):
 
     floating, tree, reactions = by_library(model, motions, times, state)
     lagrange, lagrange_reactions = by_lagrange(model, motions, times, x, jnp.concatenate(x_dot, 1))
-    assert model.layout.floating
+    assert equations_for(model.layout) is FreeBodies
     assert relative_difference(floating, expected) < 1e-10
     assert relative_difference(tree, expected) < 1e-10
     assert relative_difference(lagrange, expected) < 1e-10
@@ -322,7 +322,7 @@ def test_every_joint_on_a_support_and_on_a_body_moves_and_reacts_as_by_euler_lag
         "wheel": jb.Hinge("car", axis=rng.normal(size=3), at=rng.normal(size=3)),
     }
     tree = tree_model(rng, on_supports | on_bodies, bushing=True)
-    assert not tree.layout.floating
+    assert equations_for(tree.layout) is JointedBodies
     assert_moves_as_by_euler_lagrange(tree, (shaking(rng), shaking(rng)), rng)
 
 

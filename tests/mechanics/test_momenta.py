@@ -15,7 +15,7 @@ from test_collocations import STEPS, has_no_trend
 import jaxbody as jb
 from jaxbody.geometry import rotations
 from jaxbody.mechanics.canonical_equations import Canonical
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.kinematics import Coordinates
 
 
@@ -42,7 +42,7 @@ def model_and_state(name):
 
 
 def form_of(model, motions=None, loads=()):
-    return Canonical(Dynamics(model, motions or tuple(jb.AtRest() for _ in model.layout.supports), loads))
+    return Canonical(dynamics_of(model, motions or tuple(jb.AtRest() for _ in model.layout.supports), loads))
 
 
 def quaternion_at(name):
@@ -75,7 +75,7 @@ def test_momenta_move_as_velocities_do():
     """With dampers, a load and a support in motion: the rate of the state by its momenta is that of the equations of motion."""
     model, t = rigs.rig(), jnp.array(0.3)
     load = jb.Force(("box", [0.1, 0.2, 0.0]), force=[1.0, 2.0, -1.0], axes="body")
-    dynamics = Dynamics(model, (jb.Harmonic(**rigs.SHAKING),), (load,))
+    dynamics = dynamics_of(model, (jb.Harmonic(**rigs.SHAKING),), (load,))
     state = jb.State(model.reference.q, jnp.array([0.5, 0.2, -0.3, 1.0, 2.0, -0.7, 0.4]))
     form = Canonical(dynamics)
 

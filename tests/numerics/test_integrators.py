@@ -11,7 +11,7 @@ import scipy.linalg
 
 import jaxbody as jb
 from jaxbody.core.compile_options import UNOPTIMIZED
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.numerics import dormand_prince_steps
 from jaxbody.simulations.simulations import motions_of
 
@@ -56,7 +56,7 @@ def test_constant_steps_are_those_of_the_tableau(model):
 
     def dynamics(factor):
         stiffer = jb.replace(model, {"*.stiffness": factor * 40.0})
-        return Dynamics(stiffer, motions_of(stiffer, MOTION))
+        return dynamics_of(stiffer, motions_of(stiffer, MOTION))
 
     def by_hand(factor):
         y = dynamics(factor).pack(model.reference)

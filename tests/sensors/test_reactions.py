@@ -9,7 +9,7 @@ import pytest
 import rigs
 
 import jaxbody as jb
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.simulations.readings import read
 
 G = 9.81
@@ -151,7 +151,7 @@ SHAKEN = (jb.Harmonic(**rigs.SHAKING),)
 
 def momenta(model, t, q, v):
     """Momentum and moment of momentum about the world's origin of box and arm."""
-    coordinates = Dynamics(model, SHAKEN).coordinates
+    coordinates = dynamics_of(model, SHAKEN).coordinates
     frames = coordinates.frames(q, v, coordinates.supports_moving(SHAKEN, t))
     bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
     P = bodies.mass[:, None] * moving.velocity(bodies.com)
@@ -166,7 +166,7 @@ def test_what_joints_and_all_else_exert_is_the_rate_of_momentum(kind):
     model = tree(KINDS[kind])
     layout = model.layout
     q0, v = model.reference.q, jnp.asarray(RANDOM.normal(size=layout.nv))
-    dynamics, t = Dynamics(model, SHAKEN, PUSH), jnp.array(0.3)
+    dynamics, t = dynamics_of(model, SHAKEN, PUSH), jnp.array(0.3)
 
     @jax.jit
     def quantities(delta):

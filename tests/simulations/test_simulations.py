@@ -17,7 +17,7 @@ from rigs import max_difference
 
 import jaxbody as jb
 from jaxbody import Status
-from jaxbody.mechanics.equations_of_motion import Dynamics
+from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.kinematics import Coordinates
 
 PANELS, NODES = 50, 8
@@ -179,7 +179,7 @@ def test_the_motion_conserves_the_length_of_quaternions():
 
     @jax.jit
     def rate(q, v):
-        dynamics = Dynamics(model, ())
+        dynamics = dynamics_of(model, ())
         return dynamics.rate(jnp.array(0.0), dynamics.pack(jb.State(q, v)))
 
     for length in (1.0, 1.1):
