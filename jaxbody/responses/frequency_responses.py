@@ -285,18 +285,7 @@ class _Matrices(Module):
 def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tuple[Complex[Array, "n m nf"], Bool[Array, ""]]:
     """D(s)^-1 b, with the derivatives of linear systems for both methods; and whether the modes, if used, are complete."""
     frozen, at = jax.lax.stop_gradient((own, s))
-    if method == "modal":
-        left, poles, right, complete = _complex_modes(frozen)
-
-        def solve(b, transposed):
-            L, R = (right.T, left.T) if transposed else (left, right)
-            return jnp.tensordot(L, jnp.tensordot(R, b, 1) / (at[None] - poles[:, None])[:, None], 1)
-    else:
-        complete, eliminated = jnp.array(True), _eliminated(frozen, at)
-
-        def solve(b, transposed):
-            return eliminated(b, transposed)
-
+    solve, complete = _modal_sum(frozen, at) if method == "modal" else (_eliminated(frozen, at), jnp.array(True))
     return jax.lax.custom_linear_solve(lambda x: own.times(s, x), b, lambda _, b: solve(b, False), lambda _, b: solve(b, True)), complete
 
 
@@ -307,10 +296,7 @@ def _eliminated(A: _Matrices, s) -> Callable[[jax.Array, bool], jax.Array]:
     if n > LARGEST_UNROLLED:
         factors = jax.scipy.linalg.lu_factor(jnp.moveaxis(A.at(s), -1, 0))
         return lambda b, transposed: jax.vmap(lambda LU, b: jax.scipy.linalg.lu_solve(LU, b, int(transposed)), (0, -1), -1)(factors, b)
-    L = jnp.linalg.cholesky((A.M + A.M.T) / 2)
-    half = jax.scipy.linalg.solve_triangular(L, (A.K + A.K.T) / 2, lower=True)
-    whitened = jax.scipy.linalg.solve_triangular(L, half.T, lower=True)
-    shapes = jax.scipy.linalg.solve_triangular(L, jnp.linalg.eigh((whitened + whitened.T) / 2)[1], lower=True, trans=1)
+    shapes = natural(A.K, A.M)[1]
     D = A.moved(shapes.T, shapes).at(s)
     D = jnp.concatenate([D, jnp.broadcast_to(shapes.T[:, :, None].astype(D.dtype), D.shape)], 1)
     for i in range(n):  # the first column is eliminated and dropped
@@ -328,8 +314,8 @@ def _product(A: Complex[jax.Array, "k n nf"], x: Complex[jax.Array, "n m nf"]) -
     return jax.lax.complex(re, sum((a.real * b.imag + a.imag * b.real for a, b in pairs), none))
 
 
-def _complex_modes(A: _Matrices):
-    """D(s)^-1 = left diag(1/(s - pole)) right, and whether the modes are a basis."""
+def _modal_sum(A: _Matrices, s) -> tuple[Callable[[jax.Array, bool], jax.Array], Bool[Array, ""]]:
+    """The map b -> D^-1 b or its transpose, D^-1 = left diag(1/(s - pole)) right; and whether the modes are a basis."""
     n = len(A.M)
     matrix = companion(A.M, A.C, A.K if A.H is None else A.K + 1j * A.H)
     unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n:, :n])))  # of frequency, so that displacements and rates have the same scale
@@ -339,7 +325,12 @@ def _complex_modes(A: _Matrices):
     inverse = jnp.linalg.inv(vectors)
     error = jnp.max(jnp.abs((vectors * poles[None]) @ inverse - balanced.astype(inverse.dtype))) / jnp.max(jnp.abs(balanced))
     right = inverse[:, n:] @ (jnp.linalg.inv(A.M) / unit).astype(inverse.dtype)
-    return vectors[:n], poles, right, error < reachable(INVERTED, error.dtype, 1024)
+
+    def solve(b, transposed):
+        L, R = (right.T, vectors[:n].T) if transposed else (vectors[:n], right)
+        return jnp.tensordot(L, jnp.tensordot(R, b, 1) / (s[None] - poles[:, None])[:, None], 1)
+
+    return solve, error < reachable(INVERTED, error.dtype, 1024)
 
 
 def is_unstable(A: _Matrices) -> Bool[Array, ""]:

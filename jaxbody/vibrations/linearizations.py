@@ -40,6 +40,7 @@ from jaxbody.vibrations.mode_names import Basis, basis_at
 from jaxbody.vibrations.state_spaces import StateSpace, state_space
 
 UNITS = {"M": "kg, kg m, kg m2", "C": "N s/m, N s, N m s", "G": "N s/m, N s, N m s", "K": "N/m, N, N m"}
+HEADINGS = UNITS | dict.fromkeys(("C", "G"), "N s/m, ...")
 
 
 class LinearSystem(Result):
@@ -96,7 +97,7 @@ class LinearSystem(Result):
         return dataset(variables | {"status": ((), self.status, "")}, coordinates, type(self).__name__)
 
     def _tables(self) -> list[tables.PrintedTable]:
-        shown = [tables.of_matrix(f"{name} [{UNITS[name]}]", getattr(self, name), self.coordinates) for name in self.printed]
+        shown = [tables.of_matrix(f"{name} [{HEADINGS[name]}]", getattr(self, name), self.coordinates) for name in self.printed]
         shown[-1].note = self.note()
         return shown
 
@@ -118,7 +119,7 @@ class Linearization(LinearSystem):
     C_bb: Float[Array, "nxi nxi"]
     K_bb: Float[Array, "nxi nxi"]
     loads: tuple[Load, ...]
-    exported = tuple(f"{name}{block}" for name in "MCK" for block in ("", "_tilde", "_bb"))
+    exported = tuple(f"{name}{block}" for name in ("M", "C", "K") for block in ("", "_tilde", "_bb"))
 
     @property
     def whole(self) -> tuple[Float[Array, "n n"], Float[Array, "n n"], Float[Array, "n n"]]:
