@@ -3,7 +3,7 @@
 The packages, in reading order; each imports only from those before it:
 
     core            Shared foundations: errors and statuses, numbers from users, results that print, units, compilation. No mechanics.
-    numerics        Computing without physics: batches in lanes, eigenproblems, Dormand-Prince, Gauss collocation.
+    numerics        Computing without physics: batches in lanes, eigenproblems, blocks of Runge-Kutta steps, Gauss collocation.
     geometry        Rotations, poses and frames; points, directions and orientations as users give them.
     records         Measured data: files, formats, units, sampling, repairs.
     laws            Force laws F(x) of one number, of springs and dampers.
@@ -84,6 +84,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.models.leaf_paths": ("paths", "replace"),
     "jaxbody.models.models": ("Model",),
     "jaxbody.models.states": ("State",),
+    "jaxbody.numerics.adjoints": ("Blocks",),
     "jaxbody.numerics.gauss_collocations": ("Gauss",),
     "jaxbody.records.record_files": ("read_record",),
     "jaxbody.records.records": ("Record",),

@@ -78,6 +78,7 @@ from jaxbody.models.leaf_paths import paths as paths
 from jaxbody.models.leaf_paths import replace as replace
 from jaxbody.models.models import Model as Model
 from jaxbody.models.states import State as State
+from jaxbody.numerics.adjoints import Blocks as Blocks
 from jaxbody.numerics.gauss_collocations import Gauss as Gauss
 from jaxbody.records.record_files import read_record as read_record
 from jaxbody.records.records import Record as Record

@@ -55,11 +55,11 @@ class Block(NamedTuple):
         return sum(parts, 0.0)
 
 
-Blocks = dict[tuple[int, int], Block]  # for each pair (i, j) of an element's frames, i <= j
+PairBlocks = dict[tuple[int, int], Block]  # for each pair (i, j) of an element's frames, i <= j
 
 
 @singledispatch
-def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, Blocks]:
+def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, PairBlocks]:
     """Gradient and Hessian of V; the Hessian is the symmetric part of the derivative of the wrenches, because rotations only add a skew
     part."""
     n = 6 * len(frames)
@@ -77,7 +77,7 @@ def second_order(element: Element, *frames: Frame) -> tuple[DeformationSlopes, B
 
 
 @second_order.register
-def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, Blocks]:
+def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlocks]:
     """With V'' = h I + c d d' for the vector d between the points, h the tension over the length."""
     a, b = rotate(A.R, line.a), rotate(B.R, line.b)
     d = (B.p - A.p) + (b - a)
@@ -100,7 +100,7 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, Blocks]
 
 
 @second_order.register
-def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[DeformationSlopes, Blocks]:
+def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlocks]:
     """V depends on the relative pose, in the axes of the bushing on A: position t of the end on B and orientation R = exp([theta]), which
     change as t -> t + tau, R -> exp([psi]) R. In world axes, to second order in the displacements of the frames, with b the arm of B and P
     the vector from A's origin to B's end,
@@ -183,7 +183,7 @@ def turning(arm: Float[Array, "*n 3"], force: Float[Array, "*n 3"]) -> Float[Arr
 
 
 @singledispatch
-def dissipation_hessian(element: Element, *frames: Frame) -> Blocks:
+def dissipation_hessian(element: Element, *frames: Frame) -> PairBlocks:
     """Hessian of R in the velocities of the frames: J' R'' J, with J the derivative of e_dot in these velocities."""
     e, e_dot = element.rates(*frames)
     n = 6 * len(frames)
@@ -198,7 +198,7 @@ def dissipation_hessian(element: Element, *frames: Frame) -> Blocks:
 
 
 @dissipation_hessian.register
-def _(line: LineElement, A: Frame, B: Frame) -> Blocks:
+def _(line: LineElement, A: Frame, B: Frame) -> PairBlocks:
     """c g g', c the slope of the damper's tension, g = (u, arm x u) along the unit vector u from a to b."""
     a, b = rotate(A.R, line.a), rotate(B.R, line.b)
     L, u = length_and_direction((B.p - A.p) + (b - a))
@@ -212,7 +212,7 @@ def _(line: LineElement, A: Frame, B: Frame) -> Blocks:
     }
 
 
-def _blocks(H: Float[Array, "m m"]) -> Blocks:
+def _blocks(H: Float[Array, "m m"]) -> PairBlocks:
     n = len(H) // 6
     return {(i, j): Block(H[6 * i : 6 * i + 6, 6 * j : 6 * j + 6]) for i in range(n) for j in range(i, n)}
 

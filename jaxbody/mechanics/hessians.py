@@ -22,7 +22,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.compile_options import jit_unoptimized
-from jaxbody.elements.second_derivatives import Block, Blocks, dissipation_hessian, second_order, turning
+from jaxbody.elements.second_derivatives import Block, PairBlocks, dissipation_hessian, second_order, turning
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, product, rotate, skew
 from jaxbody.mechanics.energies import each_element, potential, wrenches
@@ -189,7 +189,7 @@ def _gradient(
     return _collected([(bodies, list(range(len(bodies)))), *ends], len(model.layout.moving(base=base)))
 
 
-def _hessian(model: Model, bodies: Block, elements: list[Blocks], base: bool) -> Float[Array, "frames 6 frames 6"]:
+def _hessian(model: Model, bodies: Block, elements: list[PairBlocks], base: bool) -> Float[Array, "frames 6 frames 6"]:
     """The Hessians of bodies and elements, summed by pairs of frames."""
     places, n = _places(model.layout, base), len(model.layout.moving(base=base))
 

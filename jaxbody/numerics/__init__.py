@@ -1,1 +1,1 @@
-"""Computing without physics: batches in lanes, eigenproblems, Dormand-Prince, Gauss collocation."""
+"""Computing without physics: batches in lanes, eigenproblems, blocks of Runge-Kutta steps, Gauss collocation."""

@@ -28,8 +28,9 @@ numerics/lanes.py
     LANES = 32 [64]                   fusions beyond a cost are split between threads: T3 without fast_loops 15 to 10
 numerics/eigenproblems.py
     SWEPT = 128 [32]                  short loops take longer to call than to run: eigenvalues of T4 63 to 40 ms without fast_loops
-numerics/dormand_prince_steps.py
+numerics/step_blocks.py
     LANES = 40 [32]                   loops over 32 or fewer are unrolled before they become vector instructions: see inverse_root
+numerics/runge_kutta_steps.py
     _sum [jnp.tensordot]              a sum over stages is not a vector instruction: with drives of all stages at once T3 49 to 31
 elements/second_derivatives.py
     Block [6 x 6 matrices]            sums of parts instead of joined blocks: T4 1.6 to 1.4

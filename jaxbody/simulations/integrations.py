@@ -1,6 +1,8 @@
-"""The integration, by our own loops in blocks or by diffrax: tolerances, statuses, samples."""
+"""The integration by diffrax, in blocks of steps or by its own loop: tolerances, statuses, samples."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import diffrax
 import jax
@@ -16,7 +18,7 @@ from jaxbody.mechanics.canonical_equations import Canonical
 from jaxbody.mechanics.energies import outside_law_range
 from jaxbody.mechanics.equations_of_motion import Dynamics, dynamics_of
 from jaxbody.mechanics.kinematics import frames_at_time
-from jaxbody.numerics import dormand_prince_steps
+from jaxbody.numerics.adjoints import Blocks, Driven, Unstarted
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.precisions import reachable
 from jaxbody.simulations.trajectories import Trajectory
@@ -24,7 +26,6 @@ from jaxbody.simulations.trajectories import Trajectory
 FINEST = {"float64": 0.0, "float32": 1.5e-5}  # least local error; below it float32 takes shorter steps without a gain
 SAFETY = 0.1  # local error over rtol, because the order between steps is lower than that of a step
 CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
-OWN_STEPS = diffrax.ConstantStepSize | None
 STATUSES = (
     (diffrax.RESULTS.successful, Status.OK),
     (diffrax.RESULTS.max_steps_reached, Status.MAX_STEPS),
@@ -32,21 +33,43 @@ STATUSES = (
 )
 
 
+def _drive(t, dynamics: Dynamics) -> Any:
+    return dynamics.drive(t)
+
+
+def _driven(u, y, dynamics: Dynamics) -> Array:
+    return dynamics.driven(u, y)
+
+
+def _canonical(t, y, canonical: Canonical) -> Array:
+    return canonical.rate(t, y)
+
+
+MOTION, CANONICAL = Driven(_drive, _driven), diffrax.ODETerm(_canonical)
+
+
 @jit_optimized
 def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
     """The jitted core of `simulate`: arrays only, never raises."""
     dynamics = dynamics_of(model, motions, loads)
     initial = dynamics.coordinates.reference if initial is None else initial
-    own_loops = (
+    by_default = (
         solver is None
-        and isinstance(stepsize_controller, OWN_STEPS)
+        and isinstance(stepsize_controller, diffrax.ConstantStepSize | None)
         and isinstance(adjoint, diffrax.ForwardMode | None)
         and isinstance(meter, diffrax.NoProgressMeter)
     )
-    by = _by_blocks if own_loops else _by_diffrax
-    form = Canonical(dynamics) if isinstance(solver, Gauss) else dynamics
+    in_blocks = by_default or isinstance(adjoint, Blocks)
+    form, term = (Canonical(dynamics), CANONICAL) if isinstance(solver, Gauss) else (dynamics, MOTION)
     y0 = form.pack(initial, times[0])
-    samples, t_end, y_end, code, accepted, rejected = by(form, y0, times, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter)
+    chosen = _in_blocks if in_blocks else _as_given
+    options = chosen(dynamics, times, rtol, stepsize_controller, adjoint, dt0, max_steps)
+    solution = diffrax.diffeqsolve(
+        term, solver or diffrax.Dopri8(), times[0], times[-1], y0=y0, args=form, throw=False, progress_meter=meter, **options
+    )
+    ts, ys = (jnp.concatenate(jax.tree.leaves(x)) for x in (solution.ts, solution.ys))
+    samples, t_end, y_end = ys[:-1].at[0].set(y0), ts[-1], ys[-1]
+    code = solution.stats["status"] if in_blocks else _status(solution.result, form, t_end, y_end, times[-1] - times[0])
     finite = jnp.isfinite(samples).all(1)
     overflow = (code == Status.OK.value) & ~finite.all()  # which constant steps do not detect
     last = jnp.maximum(jnp.argmin(finite) - 1, 0)
@@ -59,7 +82,7 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     if has_range(model.elements):
         beyond = jax.vmap(lambda t, state: jnp.any(outside_law_range(model, frames_at_time(model, motions, t, state))))(times, state)
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
-    statistics = {"num_accepted_steps": accepted, "num_rejected_steps": rejected}
+    statistics = {name: solution.stats[name] for name in ("num_accepted_steps", "num_rejected_steps")}
     end = (t_end, final)
     return Trajectory(times=times, state=state, status=code, statistics=statistics, end=end, model=model, motions=motions, loads=loads)
 
@@ -81,59 +104,52 @@ def _nan_unless_jvp(primals, tangents):
     return _nan_unless(valid, y), change
 
 
-def _tolerances(dynamics: Dynamics, span, rtol):
-    """rtol and atol of the local error, and the shortest step: constants for both modes of differentiation."""
-    dynamics, span, local = jax.lax.stop_gradient((dynamics, span, SAFETY * rtol))
-    local = jnp.maximum(local, FINEST[local.dtype.name])
-    return local, local / 100 * dynamics.scales(span), reachable(1e-13, span.dtype, 1) * span
-
-
-def _by_blocks(dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
-    """Integration by our own loops (`dormand_prince_steps`)."""
-    limits = _tolerances(dynamics, times[-1] - times[0], rtol)
-    signals = [signal for load in dynamics.loads for signal in load.signals()]
-    constant = isinstance(controller, diffrax.ConstantStepSize)
-    kinks = None if constant else kinks_of((*dynamics.motions, *signals))
-    most = max_steps + (0 if kinks is None else len(kinks))
-    first, kinks = jax.lax.stop_gradient((dt0, kinks))
-    problem = dormand_prince_steps.InitialValueProblem(type(dynamics).drive, type(dynamics).driven, *limits, first, most, kinks, constant)
-    forward = isinstance(adjoint, diffrax.ForwardMode)
-    result = (
-        dormand_prince_steps.solve(problem, dynamics, y0, times)
-        if forward
-        else dormand_prince_steps.solve_both_ways((dynamics, y0, times), problem=problem)
-    )
-    course = result.course
-    return result.samples, times[0] + result.tau, result.y, course.code, course.accepted, course.rejected
-
-
-def _by_diffrax(dynamics, y0, times, rtol, solver, controller, adjoint, dt0, max_steps, meter):
-    """Integration by diffrax, with the user's objects and defaults for the others."""
-    adjoint = adjoint or (diffrax.DirectAdjoint() if isinstance(controller, CONSTANT) else diffrax.RecursiveCheckpointAdjoint())
+def _in_blocks(dynamics: Dynamics, times, rtol, controller, adjoint, dt0, max_steps) -> dict[str, Any]:
+    """Options of diffeqsolve for `Blocks`, which have the times and the first step; steps end at kinks of motions and loads."""
+    kinks = kinks_of((*dynamics.motions, *(signal for load in dynamics.loads for signal in load.signals())))
     if controller is None:
-        local, atol, shortest = _tolerances(dynamics, times[-1] - times[0], rtol)
-        controller = diffrax.PIDController(rtol=local, atol=atol, norm=optimistix.max_norm, dtmin=shortest, force_dtmin=False)
-    solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, dynamics: dynamics.rate(t, y)),
-        solver or diffrax.Dopri8(),
-        times[0],
-        times[-1],
-        dt0,
-        y0,
-        dynamics,
-        saveat=diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)]),
-        stepsize_controller=controller,
-        adjoint=adjoint,
-        max_steps=max_steps,
-        throw=False,
-        progress_meter=meter,
-    )
-    assert solution.ys is not None and solution.ts is not None
-    code = jnp.select(
-        [solution.result == result for result, _ in STATUSES], [status.value for _, status in STATUSES], Status.NOT_CONVERGED.value
-    )
-    t_end, y_end = solution.ts[1][-1], solution.ys[1][-1]
-    ahead = t_end + (times[-1] - times[0]) * jnp.array([0.0, 1e-12, 1e-9, 1e-6])
-    stuck = (code != Status.OK.value) & ~jnp.isfinite(jax.vmap(lambda t: dynamics.rate(t, y_end))(ahead)).all()
-    steps = (solution.stats[f"num_{kind}_steps"] for kind in ("accepted", "rejected"))
-    return solution.ys[0].at[0].set(y0), t_end, y_end, jnp.where(stuck, Status.NONFINITE.value, code), *steps
+        controller = diffrax.PIDController(**_tolerances(dynamics, times, rtol))
+        if kinks is not None:
+            controller, max_steps = diffrax.ClipStepSizeController(controller, step_ts=jnp.asarray(kinks)), max_steps + len(kinks)
+    one_way = isinstance(adjoint, diffrax.ForwardMode) or (isinstance(adjoint, Blocks) and adjoint.forward_only)
+    return {
+        "dt0": None,
+        "saveat": diffrax.SaveAt(t1=True),
+        "stepsize_controller": Unstarted(controller),
+        "adjoint": Blocks(times, dt0, forward_only=one_way),
+        "max_steps": max_steps,
+    }
+
+
+def _as_given(dynamics: Dynamics, times, rtol, controller, adjoint, dt0, max_steps) -> dict[str, Any]:
+    """Options of diffeqsolve for its own loop: the user's objects, with defaults for the others."""
+    by_default = diffrax.DirectAdjoint() if isinstance(controller, CONSTANT) else diffrax.RecursiveCheckpointAdjoint()
+    return {
+        "dt0": dt0,
+        "saveat": diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)]),
+        "stepsize_controller": controller or diffrax.PIDController(**_tolerances(dynamics, times, rtol)),
+        "adjoint": adjoint or by_default,
+        "max_steps": max_steps,
+    }
+
+
+def _tolerances(dynamics: Dynamics, times, rtol) -> dict[str, Any]:
+    """The local error allowed, and the shortest step: constants for both modes of differentiation."""
+    dynamics, span, local = jax.lax.stop_gradient((dynamics, times[-1] - times[0], SAFETY * rtol))
+    local = jnp.maximum(local, FINEST[local.dtype.name])
+    shortest = reachable(1e-13, span.dtype, 1) * span
+    return {
+        "rtol": local,
+        "atol": local / 100 * dynamics.scales(span),
+        "norm": optimistix.max_norm,
+        "dtmin": shortest,
+        "force_dtmin": False,
+    }
+
+
+def _status(result, form: Dynamics | Canonical, t, y, span) -> Array:
+    """The status of diffrax's own loop, which ends as at the shortest step where the rate is not finite."""
+    code = jnp.select([result == of for of, _ in STATUSES], [status.value for _, status in STATUSES], Status.NOT_CONVERGED.value)
+    ahead = t + span * jnp.array([0.0, 1e-12, 1e-9, 1e-6])
+    stuck = (code != Status.OK.value) & ~jnp.isfinite(jax.vmap(lambda t: form.rate(t, y))(ahead)).all()
+    return jnp.where(stuck, Status.NONFINITE.value, code)

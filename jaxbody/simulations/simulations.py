@@ -61,16 +61,17 @@ def simulate(
             reference pose at rest.
         rtol: ten times the relative local error allowed in any component, so that samples between steps also meet it; at least 1.5e-4 in
             float32. The absolute error is rtol/100 times the size of the model (for velocities, times its fastest frequency, roughly).
-        solver: a diffrax solver; by default Dopri8 in our own loops (`dormand_prince_steps`).
+        solver: a diffrax solver; by default Dopri8.
         stepsize_controller: a diffrax controller; by default the error controls the steps; with diffrax.ConstantStepSize() they are dt0.
-        adjoint: a diffrax adjoint; by default forward and reverse mode work, and forward over reverse. For few parameters
-            diffrax.ForwardMode() is faster; forward mode needs it if you give a `solver`.
+        adjoint: a diffrax adjoint; by default jb.Blocks(), in which forward and reverse mode work, and forward over reverse. For few
+            parameters diffrax.ForwardMode() is faster; forward mode needs it, or jb.Blocks(), if you give a `solver`.
         dt0: the first step, or the constant step [s]; by default chosen.
         max_steps: the largest number of steps.
         progress: None shows the time taken on a terminal or in a notebook after five seconds; False is silent, True shows diffrax's meter.
 
-    With a solver, another stepsize_controller or adjoint, or progress=True, diffrax integrates. A batch by jax.vmap runs in chunks of 40,
-    each member with its own steps; constant steps take half the time, but nothing controls the error: compare with a shorter dt0.
+    diffrax's own loop takes the place of the blocks with a solver, another stepsize_controller or adjoint, or progress=True. A batch by
+    jax.vmap runs in chunks of 40, each member with its own steps; constant steps take half the time, but nothing controls the error:
+    compare with a shorter dt0.
 
     Errors by rtol after 10 s on a shaking base, of a plate on 5 springs and three boxes on 14: the largest error [m, rad], the relative
     error of a derivative by reverse mode, and the time (tests/benchmarks/tolerances.py):

@@ -12,7 +12,7 @@ import scipy.linalg
 import jaxbody as jb
 from jaxbody.core.compile_options import UNOPTIMIZED
 from jaxbody.mechanics.equations_of_motion import dynamics_of
-from jaxbody.numerics import dormand_prince_steps
+from jaxbody.numerics import step_blocks
 from jaxbody.simulations.simulations import motions_of
 
 pytestmark = pytest.mark.everywhere
@@ -78,7 +78,7 @@ def test_constant_steps_are_those_of_the_tableau(model):
 @pytest.mark.usefixtures("batches")
 def test_a_batch_of_constant_steps_is_a_loop(model):
     """More than a chunk, and with fewer steps than it takes."""
-    factors = jnp.linspace(0.5, 2.0, dormand_prince_steps.LANES + 1)
+    factors = jnp.linspace(0.5, 2.0, step_blocks.LANES + 1)
     alone = jax.jit(lambda f: path(model, f, **STEPS))
     batch = jax.jit(jax.vmap(alone))(factors)
     for i in (0, 7, -1):
@@ -119,8 +119,8 @@ def test_reverse_is_forward(model, small, monkeypatch):
     times = TIMES[:30] if small else TIMES
     whole = loss(model, 1.0, times=times)
     if small:
-        monkeypatch.setattr(dormand_prince_steps, "BLOCK", 4)
-        monkeypatch.setattr(dormand_prince_steps, "WINDOW", 8)
+        monkeypatch.setattr(step_blocks, "BLOCK", 4)
+        monkeypatch.setattr(step_blocks, "WINDOW", 8)
         jax.clear_caches()
     reverse = jax.jit(jax.grad(lambda f: loss(model, f, times=times)))(1.0)
     value, forward = jax.jit(lambda f: jax.jvp(lambda f: loss(model, f, times=times, adjoint=diffrax.ForwardMode()), (f,), (1.0,)))(1.0)
@@ -304,11 +304,9 @@ def bytes_of(function, *shapes):
 
 def decaying(y0, most=1000):
     """Samples of y' = -y, many numbers side by side."""
-    drive, rate = (lambda a, t: t), (lambda a, u, y: a * y)
-    problem = dormand_prince_steps.InitialValueProblem(
-        drive, rate, jnp.array(1e-9), jnp.full(y0.shape, 1e-12), jnp.array(1e-12), None, most
-    )
-    return dormand_prince_steps.solve_both_ways((jnp.array(-1.0), y0, jnp.linspace(0.0, 1.0, 5)), problem=problem).samples
+    options = {"saveat": diffrax.SaveAt(t1=True), "stepsize_controller": diffrax.PIDController(rtol=1e-9, atol=1e-12), "throw": False}
+    term, blocks = diffrax.ODETerm(lambda t, y, args: -y), jb.Blocks(jnp.linspace(0.0, 1.0, 5))
+    return diffrax.diffeqsolve(term, diffrax.Dopri8(), 0.0, 1.0, None, y0, adjoint=blocks, max_steps=most, **options).ys[:-1]
 
 
 def test_reverse_mode_keeps_a_state_for_128_steps():
@@ -325,8 +323,8 @@ def test_reverse_mode_keeps_a_state_for_128_steps():
 
 def test_the_memory_of_a_batch_is_that_of_its_results_and_of_one_chunk():
     """Per member no more than three times its samples: a chunk's members need a hundred times that."""
-    ny, few, many = 3, 2 * dormand_prince_steps.LANES, 20 * dormand_prince_steps.LANES
+    ny, few, many = 3, 2 * step_blocks.LANES, 20 * step_blocks.LANES
     (one, _), (two, _) = (bytes_of(jax.vmap(decaying), (n, ny)) for n in (few, many))
     samples = 8 * 5 * ny
-    print((two - one) / (many - few), "bytes a member;", samples, "of samples;", one / dormand_prince_steps.LANES, "in a chunk")
-    assert two - one < 3 * samples * (many - few) and one / dormand_prince_steps.LANES > 20 * samples
+    print((two - one) / (many - few), "bytes a member;", samples, "of samples;", one / step_blocks.LANES, "in a chunk")
+    assert two - one < 3 * samples * (many - few) and one / step_blocks.LANES > 20 * samples

@@ -509,3 +509,31 @@ def test_float32_warns_once_is_refused_for_modes_and_never_mixed():
         "advised True True",
         "switched X64_CHANGED X64_CHANGED",
     ]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 0.01}, {"adjoint": diffrax.ForwardMode()}],
+    ids=["adaptive", "constant", "forward"],
+)
+def test_the_program_of_a_simulation_calls_no_host(rig, options):
+    """JAX keeps no program in its persistent cache that does, and exports none. diffrax's own loop with the same samples does."""
+    times = jnp.linspace(0.0, 0.1, 5)
+
+    def lowered(**options):
+        return (
+            jax.jit(lambda k: jb.simulate(jb.replace(rig, {"s1.stiffness": k}), times, motion=SHAKEN, **options).state.q)
+            .lower(40.0)
+            .as_text()
+        )
+
+    assert "callback" not in lowered(**options)
+    assert options or "callback" in lowered(solver=diffrax.Tsit5())
+
+
+def test_a_solver_in_blocks_is_that_solver(rig):
+    """Another method with the same tolerances: near the default's path, and differentiable in forward mode."""
+    times = jnp.linspace(0.0, 0.1, 5)
+    paths = [jb.simulate(rig, times, motion=SHAKEN, **options) for options in ({}, {"solver": diffrax.Tsit5(), "adjoint": jb.Blocks()})]
+    np.testing.assert_allclose(paths[1].state.q, paths[0].state.q, rtol=0, atol=1e-8)
+    assert int(paths[1].statistics["num_accepted_steps"]) > int(paths[0].statistics["num_accepted_steps"])

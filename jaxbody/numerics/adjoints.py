@@ -1,0 +1,186 @@
+"""Blocks: explicit Runge-Kutta steps of `diffrax.diffeqsolve` in fast loops, with derivatives in both modes."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.flatten_util import ravel_pytree
+
+from jaxbody.core.arguments import kind_of
+from jaxbody.core.arrays import Array, Float
+from jaxbody.core.errors import Problems, Status
+from jaxbody.numerics import step_blocks
+from jaxbody.numerics.precisions import reachable
+from jaxbody.numerics.runge_kutta_steps import InitialValueProblem, method_of
+
+RESULTS = diffrax.RESULTS
+
+
+class Driven(diffrax.ODETerm):
+    """y' = driven(u, y, args) with u = drive(t, args), the part that depends on time alone. `Blocks` compute u for all stages of a step at
+    once. Both are traced once for each shape, also where diffeqsolve looks at their shapes only; give functions of a module."""
+
+    drive: Callable[[Any, Any], Any]
+    driven: Callable[[Any, Any, Any], Any]
+
+    def __init__(self, drive: Callable[[Any, Any], Any], driven: Callable[[Any, Any, Any], Any]):
+        self.drive, self.driven = (eqx.filter_jit(part, inline=True) for part in (drive, driven))  # pyright: ignore
+        self.vector_field = jax.tree_util.Partial(_whole, self.drive, self.driven)
+
+
+def _whole(drive, driven, t, y, args):
+    return driven(drive(t, args), y, args)
+
+
+class Unstarted(diffrax.AbstractStepSizeController):
+    """A controller that leaves the first step to `Blocks`: diffeqsolve then neither evaluates the rate nor checks dt0."""
+
+    controller: diffrax.AbstractStepSizeController
+
+    def wrap(self, direction):
+        return Unstarted(self.controller.wrap(direction))
+
+    def init(self, terms, t0, t1, y0, dt0, args, func, error_order):
+        return t1, None
+
+    def adapt_step_size(self, *args, **kwargs):
+        return self.controller.adapt_step_size(*args, **kwargs)
+
+
+class Blocks(diffrax.AbstractAdjoint):
+    """An adjoint of `diffrax.diffeqsolve` for small systems on a CPU: explicit Runge-Kutta steps in blocks of 128, in loops that XLA
+    compiles to fast code. Reverse mode, forward mode and forward over reverse work.
+
+        k_i = h f(t + c_i h, y + sum_j a_ij k_j),   y(t + h) = y + sum_i b_i k_i,   y(t + theta h) = y + sum_i p_i(theta) k_i
+        error = norm(sum_i e_i k_i / (atol + rtol |y|)),   next h = safety h error^(-1/order), within its limits
+
+    f is the vector field of the term, a, b, c, e and p are those of the solver. A block keeps the polynomials of its steps and computes the
+    samples between them at its end. Reverse mode keeps the state at the start of each block with the lengths of its steps, and repeats the
+    block; step lengths are constants in both modes. In a batch by jax.vmap every member has its own steps.
+
+    Args:
+        times: sample times, ascending from t0 to t1, in place of `SaveAt(ts=times)`; by default those of saveat. diffrax checks these while
+            the program runs, by calls of the host, and JAX never stores a program that calls the host.
+        first: the first or the constant step, in place of dt0 for the same reason; by default dt0 or, without it, chosen.
+        forward_only: True for forward mode only, as by diffrax.ForwardMode(), at less cost.
+
+    Solvers are explicit Runge-Kutta methods of diffrax, such as Dopri8, Tsit5 or Heun; stepsize_controller is ConstantStepSize() or
+    PIDController(rtol, atol), also with a norm, safety and limits, and in ClipStepSizeController(step_ts=...); saveat may have t0, t1, ts
+    and fn. Samples after an early end are NaN. `stats["status"]` is a jb.Status and tells NONFINITE from DT_MIN.
+
+    Errors, all at once: WRONG_KIND for a solver, controller, saveat, event or progress meter that blocks do not know, and for
+    max_steps=None; TOO_LARGE for derivatives that would reserve more than 8 GB for max_steps.
+
+    >>> import diffrax, jax, jax.numpy as jnp
+    >>> def end(k):
+    ...     oscillator = diffrax.ODETerm(lambda t, y, k: jnp.stack([y[1], -k * y[0]]))
+    ...     y0, steps = jnp.array([1.0, 0.0]), diffrax.PIDController(rtol=1e-10, atol=1e-12)
+    ...     path = diffrax.diffeqsolve(
+    ...         oscillator, diffrax.Dopri8(), 0.0, 1.0, None, y0, k, stepsize_controller=steps, adjoint=Blocks()
+    ...     )
+    ...     return path.ys[-1, 0]
+    >>> print(f"{end(4.0):.6f} {jax.grad(end)(4.0):.6f} {jax.jacfwd(end)(4.0):.6f}")  # cos 2 and -sin 2 / 4
+    -0.416147 -0.227324 -0.227324
+    """
+
+    times: Float[Array, "nt"] | None = None
+    first: Float[Array, ""] | None = None
+    forward_only: bool = eqx.field(static=True, default=False)
+
+    def loop(self, *, args, terms, solver, stepsize_controller, event, saveat, t0, t1, dt0, max_steps, init_state, progress_meter, **_):
+        control, kinks = _steps_of(stepsize_controller)
+        _check(solver, control, event, saveat, max_steps, progress_meter)
+        sub = saveat.subs
+        times: Any = jnp.concatenate([x for x in (t0[None], sub.ts, t1[None]) if x is not None]) if self.times is None else self.times
+        y0, unravel = ravel_pytree(init_state.y)
+        if control is not None and control.dtmin is None:
+            control = dataclasses.replace(control, dtmin=reachable(1e-13, times.dtype, 1) * (times[-1] - times[0]))
+        if self.times is not None and isinstance(within(terms), Driven):
+            drive, rate, arguments = within(terms).drive, within(terms).driven, args
+        else:
+            drive, rate, arguments = _time, _rate, (_field(terms, t0, y0, unravel, args), args)
+        first = dt0 if self.first is None else self.first
+        problem, rest = eqx.partition(InitialValueProblem(drive, rate, method_of(solver), max_steps, control, first, kinks), eqx.is_array)
+        problem = eqx.combine(lax.stop_gradient(problem), rest)
+        if self.forward_only:
+            ended = step_blocks.solve(problem, arguments, y0, times)
+        else:
+            ended = step_blocks.solve_both_ways((arguments, y0, times), problem=problem)
+        t_end, course = times[0] + ended.tau, ended.course
+        asked = slice(1, -1) if self.times is None else slice(None)  # without those added at t0 and t1
+        saved = [(t0[None], y0[None])] * sub.t0 + [(times[asked], ended.samples[asked])] + [(t_end[None], ended.y[None])] * sub.t1
+        ts, ys = (jnp.concatenate(x) for x in zip(*saved, strict=True))
+        good, at_most = course.code == Status.OK.value, course.code == Status.MAX_STEPS.value
+        short = RESULTS.where(at_most, RESULTS.max_steps_reached, RESULTS.dt_min_reached)  # pyright: ignore
+        final = dataclasses.replace(
+            init_state,
+            y=unravel(ended.y),  # pyright: ignore
+            tprev=t_end,
+            result=RESULTS.where(good, RESULTS.successful, short),  # pyright: ignore
+            num_steps=course.accepted + course.rejected,
+            num_accepted_steps=course.accepted,
+            num_rejected_steps=course.rejected,
+            save_state=dataclasses.replace(init_state.save_state, ts=ts, ys=jax.vmap(lambda t, y: sub.fn(t, unravel(y), args))(ts, ys)),
+        )
+        return final, {"status": course.code}
+
+
+def within(terms: Any) -> Any:
+    """The term that the user gave: diffeqsolve wraps it in another, for integration backward in time."""
+    return getattr(terms, "term", terms)
+
+
+def _field(terms, t0, y0, unravel, args) -> Callable[[Array, Array, Any], Array]:
+    """The vector field of vectors, with what it closes over as arrays of its own, which can have derivatives."""
+
+    def field(t, y, args):
+        return ravel_pytree(terms.vf_prod(t, unravel(y), args, terms.contr(jnp.zeros_like(t), jnp.ones_like(t))))[0]
+
+    return eqx.filter_closure_convert(field, t0, y0, args)
+
+
+def _time(t, arguments):
+    return t
+
+
+def _rate(t, y, arguments):
+    field, args = arguments
+    return field(t, y, args)
+
+
+def _steps_of(controller: Any) -> tuple[Any, Array | None]:
+    """A PIDController, None for constant steps, or any other controller; and times at which steps end."""
+    kinks, controller = None, controller.controller if isinstance(controller, Unstarted) else controller
+    if isinstance(controller, diffrax.ClipStepSizeController) and controller.jump_ts is None and controller.store_rejected_steps is None:
+        controller, kinks = controller.controller, controller.step_ts
+    return None if isinstance(controller, diffrax.ConstantStepSize) else controller, kinks
+
+
+def _check(solver, control, event, saveat, max_steps, meter) -> None:
+    """Check that Blocks can do what is asked. Errors, all at once: WRONG_KIND."""
+    explicit = isinstance(solver, diffrax.AbstractERK) and len(solver.tableau.c) > 0  # pyright: ignore
+    integral = isinstance(control, diffrax.PIDController) and (
+        (control.pcoeff, control.icoeff, control.dcoeff, control.dtmax) == (0, 1, 0, None)
+        and not (control.dtmin is not None and control.force_dtmin)
+    )
+    steps = "diffrax.ConstantStepSize() or PIDController(rtol=..., atol=...), with default coefficients, no dtmax and no force_dtmin"
+    plain = not (saveat.dense or saveat.solver_state or saveat.controller_state or saveat.made_jump)
+    saved = plain and isinstance(saveat.subs, diffrax.SubSaveAt) and not saveat.subs.steps
+    with Problems() as problems:
+        for name, value, fits, limit in (
+            ("solver", solver, explicit, "an explicit Runge-Kutta method of diffrax with two stages or more"),
+            ("stepsize_controller", control, control is None or integral, steps),
+            ("saveat", saveat, saved, "diffrax.SaveAt of t0, t1, ts and fn alone"),
+            ("event", event, event is None, "None"),
+            ("max_steps", max_steps, max_steps is not None, "a number"),
+            ("progress_meter", meter, isinstance(meter, diffrax.NoProgressMeter), "diffrax.NoProgressMeter()"),
+        ):
+            if not fits:
+                problems.add("WRONG_KIND", f"Blocks.{name}", f"is {kind_of(value)}", value=value, limit=limit)
