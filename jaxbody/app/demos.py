@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+import jaxbody as jb
+from jaxbody.core.tables import PrintedTable, text
 
 NOISE = 2e-3  # m, of the simulated camera
 LIKELY = 4.0  # largest accepted error of an estimate, in standard errors
@@ -43,11 +47,9 @@ PRINTED = (
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """`jaxbody` prints its help; `jaxbody demo` returns exit code 0 when the fitted stiffnesses agree with the true ones."""
-    from jaxbody import __version__
-
     form = argparse.RawDescriptionHelpFormatter
     parser = argparse.ArgumentParser(prog="jaxbody", description=DESCRIPTION, epilog=EPILOG, formatter_class=form)
-    parser.add_argument("--version", action="version", version=f"jaxbody {__version__}")
+    parser.add_argument("--version", action="version", version=f"jaxbody {jb.__version__}")
     commands = parser.add_subparsers(dest="command", title="commands")
     demo = commands.add_parser("demo", help="a plate on three springs and a shaking base, from the drawing to fitted stiffnesses")
     demo.add_argument("--out", type=Path, default=Path("jaxbody-demo"), help="folder for the figures (default: ./jaxbody-demo)")
@@ -68,8 +70,6 @@ def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
     import jax.numpy as jnp
     import optax
 
-    import jaxbody as jb
-
     l, m, g, kt = 0.7, 3.0, 9.81, 120.0
     k = m * g / l
     report("The plate of N.-D. Stanescu and S. Mihalcea, 13th IFToMM World Congress, 2011, A14_316, section 7:")
@@ -83,7 +83,7 @@ def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
     report("Computing the equilibrium ...")
     pending = executor.submit(jb.equilibrium, plate)
     out.mkdir(parents=True, exist_ok=True)
-    figures = [draw_plate(plate, out)]
+    figures = [draw_plate(plate, out / "plate.png")]
     eq = pending.result()
     print(eq)
 
@@ -97,7 +97,7 @@ def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
     lin = jb.linearize(plate, eq)
     modes = jb.modes(lin)
     print(modes)
-    figures.append(draw_modes(lin, modes, out))
+    figures.append(draw_modes(lin, modes, out / "modes.png"))
     trajectory = pending.result()
     report("The simulated motion:")
     print(trajectory)
@@ -110,9 +110,9 @@ def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:
     experiment = jb.Experiment(times, motion=motion, initial=eq.state, sensors=sensors, measured=measured)
     guess = jb.replace(plate, {"*.stiffness": 1.3 * jnp.array([k, k, kt])})
     pending = executor.submit(jb.fit, guess, {"run1": experiment}, free=["*.stiffness"], method=optax.lbfgs())
-    figures.append(draw_motion(trajectory, out))
+    figures.append(draw_motion(trajectory, out / "motion.png"))
     fit = pending.result()
-    figures.append(draw_fit(fit, out))
+    figures.append(draw_fit(fit, out / "fit.png"))
     agree = compare_stiffnesses(fit, {"AB": k, "CD": k, "EF": kt})
     report("Figures: " + ", ".join(map(str, figures)))
     report("Done." if agree else "The estimates are too far from the true values.")
@@ -126,8 +126,6 @@ def report(step: str) -> None:
 
 def model(l: float, m: float, g: float, k: float, kt: float) -> Any:
     """The plate on its lightly damped springs; O at the origin of the world, gravity along -y."""
-    import jaxbody as jb
-
     free = 1.5 * 2**0.5 * l  # L - s of AB and CD (67)
     return jb.Model(
         bodies={"plate": jb.Body(mass=m, inertia=[0.3, 0.9, 1.2])},
@@ -156,8 +154,6 @@ def printed_force(k: float, l: float, xi0: float, phi0: float) -> np.ndarray:
 
 def compare_K_tilde(K_tilde: np.ndarray, k: float, kt: float, l: float) -> None:
     """Print K~ and the paper's (77)."""
-    from jaxbody.core.tables import PrintedTable, text
-
     printed, axes = printed_K_tilde(k, kt, l), ("x", "y", "z", "about x", "about y", "about z")
     rows = [(f"plate {axes[i]}", f"base {axes[j]}", K_tilde[i, j], printed[i, j], formula) for i, j, formula, _ in PRINTED]
     note = f"the other {36 - len(rows)} entries are zero; largest difference {np.abs(K_tilde - printed).max():.1g}"
@@ -167,8 +163,6 @@ def compare_K_tilde(K_tilde: np.ndarray, k: float, kt: float, l: float) -> None:
 
 def compare_forces(linear: np.ndarray, exact: np.ndarray, k: float, l: float) -> None:
     """Print the force due to a displaced base: the linear one, the one by the paper's (79), and the exact one."""
-    from jaxbody.core.tables import PrintedTable, text
-
     report("The force due to a base displaced by 10 mm along x and turned by 20 mrad about z:")
     printed = printed_force(k, l, 0.01, 0.02)
     rows = [(axis, linear[i], printed[i], exact[i]) for i, axis in ((0, "along x [N]"), (1, "along y [N]"), (5, "about z [N m]"))]
@@ -177,8 +171,6 @@ def compare_forces(linear: np.ndarray, exact: np.ndarray, k: float, l: float) ->
 
 def compare_stiffnesses(fit: Any, truth: dict[str, float]) -> bool:
     """Print true values, estimates and standard errors; True when the fit succeeded and all errors are within LIKELY standard errors."""
-    from jaxbody.core.tables import PrintedTable, text
-
     rows, agree = [], bool(fit.ok)
     for name, true in truth.items():
         estimate, error = (float(x[f"{name}.stiffness"]) for x in (fit.estimates, fit.standard_errors))
@@ -190,55 +182,43 @@ def compare_stiffnesses(fit: Any, truth: dict[str, float]) -> bool:
     return agree
 
 
-def figure(width: float, height: float, rows: int, columns: int, **ratios: Any) -> tuple[Any, Any]:
-    """A figure and its axes, created without a window or global state."""
+@contextmanager
+def figure(path: Path, width: float, height: float, rows: int = 1, columns: int = 1, **ratios: Any) -> Iterator[Any]:
+    """The axes of a figure, created without a window or global state and saved at the end."""
     from matplotlib.figure import Figure
 
     new = Figure(figsize=(width, height), layout="constrained")
-    return new, new.subplots(rows, columns, squeeze=False, gridspec_kw=ratios).ravel()
+    yield new.subplots(rows, columns, squeeze=False, gridspec_kw=ratios).ravel()
+    new.savefig(path, dpi=130)
 
 
-def save(drawn: Any, path: Path) -> Path:
-    """Save a figure; returns its path."""
-    drawn.savefig(path, dpi=130)
+def draw_plate(plate: Any, path: Path) -> Path:
+    """Draw the plate at rest."""
+    with figure(path, 6.5, 4.6) as (ax,):
+        jb.plots.draw_model(plate, ax=ax).set_title("the plate, its springs and the base", fontsize=9)
     return path
 
 
-def draw_plate(plate: Any, out: Path) -> Path:
-    """Draw the plate at rest into plate.png."""
-    from jaxbody.plots import draw_model
-
-    drawn, (ax,) = figure(6.5, 4.6, 1, 1)
-    draw_model(plate, ax=ax).set_title("the plate, its springs and the base", fontsize=9)
-    return save(drawn, out / "plate.png")
-
-
-def draw_modes(lin: Any, modes: Any, out: Path) -> Path:
-    """Draw all six modes into modes.png."""
-    from jaxbody.plots import draw_mode
-
-    drawn, axes = figure(11.0, 6.2, 2, 3)
-    for i, ax in enumerate(axes):
-        draw_mode(lin, modes, i + 1, ax=ax)
-    return save(drawn, out / "modes.png")
+def draw_modes(lin: Any, modes: Any, path: Path) -> Path:
+    """Draw all six modes."""
+    with figure(path, 11.0, 6.2, 2, 3) as axes:
+        for i, ax in enumerate(axes):
+            jb.plots.draw_mode(lin, modes, i + 1, ax=ax)
+    return path
 
 
-def draw_motion(trajectory: Any, out: Path) -> Path:
-    """Draw positions and tensions over time into motion.png."""
-    from jaxbody.plots import plot_forces, plot_trajectory
-
-    drawn, (above, below) = figure(8.0, 7.0, 2, 1, height_ratios=(1.6, 1.0))
-    plot_trajectory(trajectory, ax=above)
-    plot_forces(trajectory, ax=below)
-    return save(drawn, out / "motion.png")
+def draw_motion(trajectory: Any, path: Path) -> Path:
+    """Draw positions and tensions over time."""
+    with figure(path, 8.0, 7.0, 2, 1, height_ratios=(1.6, 1.0)) as (above, below):
+        jb.plots.plot_trajectory(trajectory, ax=above)
+        jb.plots.plot_forces(trajectory, ax=below)
+    return path
 
 
-def draw_fit(fit: Any, out: Path) -> Path:
-    """Draw the model, the record with the fit, and the history of the cost into fit.png."""
-    from jaxbody.plots import draw_model, plot_fit, plot_history
-
-    drawn, (left, middle, right) = figure(14.0, 4.4, 1, 3, width_ratios=(1.0, 1.25, 0.65))
-    draw_model(fit.model, ax=left).set_title("the plate on its vibrating base", fontsize=9)
-    plot_fit(fit, ax=middle).set_title("motion of its upper right corner, measured and fitted", fontsize=9)
-    plot_history(fit, ax=right).set_title("cost of the fit", fontsize=9)
-    return save(drawn, out / "fit.png")
+def draw_fit(fit: Any, path: Path) -> Path:
+    """Draw the model, the record with the fit, and the history of the cost."""
+    with figure(path, 14.0, 4.4, 1, 3, width_ratios=(1.0, 1.25, 0.65)) as (left, middle, right):
+        jb.plots.draw_model(fit.model, ax=left).set_title("the plate on its vibrating base", fontsize=9)
+        jb.plots.plot_fit(fit, ax=middle).set_title("motion of its upper right corner, measured and fitted", fontsize=9)
+        jb.plots.plot_history(fit, ax=right).set_title("cost of the fit", fontsize=9)
+    return path

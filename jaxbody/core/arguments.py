@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import jax
@@ -66,6 +66,12 @@ def positive_number(value: Any, where: str, problems: Problems, code: str = "BAD
         problems.add(code, where, f"is {value}", value=value, limit="> 0")
         return None
     return number
+
+
+def check_one_of(value: Any, known: Collection[str], code: str, where: str, problems: Problems, hint: str = "Give one of these.") -> None:
+    """Check that a word is one of those that are known."""
+    if value not in known:
+        problems.add(code, where, f"is {value!r:.60}", value=value, limit=" ".join(known), hint=hint)
 
 
 def check_key(key: Any, where: str, problems: Problems, needed: str = "") -> None:

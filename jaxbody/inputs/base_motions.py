@@ -239,13 +239,8 @@ def _swing(times: np.ndarray, turn: np.ndarray, r: np.ndarray) -> np.ndarray:
     """The acceleration of R r [m/s2] at the samples, from a spline through the rotations."""
     motion = Sampled(times, rotation=turn)
 
-    def place(t):
-        return rotations.exp(motion(t)[3:]) @ jnp.asarray(r)
-
-    def speed(t):
-        return jax.jvp(place, (t,), (jnp.ones_like(t),))[1]
-
-    return np.asarray(jax.jit(jax.vmap(lambda t: jax.jvp(speed, (t,), (jnp.ones_like(t),))[1]))(jnp.asarray(times)))
+    second = jax.jacfwd(jax.jacfwd(lambda t: rotations.exp(motion(t)[3:]) @ jnp.asarray(r)))
+    return np.asarray(jax.jit(jax.vmap(second))(jnp.asarray(times)))
 
 
 def _words(t: np.ndarray, degree: int | None, cutoff: float | None, slow: np.ndarray, turns: bool) -> tuple[str, ...]:

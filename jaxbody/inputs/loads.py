@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arguments import check_kind, checked_dict, plain
-from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, scalar
+from jaxbody.core.arguments import check_kind, check_one_of, checked_dict, plain
+from jaxbody.core.arrays import Array, Float, checked, concrete, device_array
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.fields import field
+from jaxbody.geometry.fields import field, take
 from jaxbody.geometry.frames import Frame, Wrench
 from jaxbody.geometry.places import ends, unit_vector
 from jaxbody.geometry.vectors import cross, dot, rotate
@@ -81,10 +81,7 @@ class Force(Load):
         with Problems() as problems:
             self.on, self.point = _place(on, "Force", problems)
             self.force, self.moment = (as_signal(x, f"Force.{name}", problems, (3,)) for name, x in (("force", force), ("moment", moment)))
-            if axes not in ("world", "body"):
-                problems.add(
-                    "BAD_AXES", "Force.axes", f"is {axes!r}", value=axes, limit="world or body", hint="Name the axes in which it is given."
-                )
+            check_one_of(axes, ("world", "body"), "BAD_AXES", "Force.axes", problems, "Name the axes in which it is given.")
             self.axes = axes
 
     def dead_force(self, t):
@@ -133,9 +130,7 @@ class Unbalance(Load):
             self.axis = unit_vector(axis, "Unbalance.axis", problems)
             known = concrete(self.axis)
             self.across = 1 if known is not None and abs(known[0]) > 0.9 else 0
-            given = {"unbalance": unbalance, "frequency": frequency, "run_up": run_up, "phase": phase}
-            for name, value in given.items():
-                setattr(self, name, scalar(value, f"Unbalance.{name}", problems))
+            take(self, problems, unbalance=unbalance, frequency=frequency, run_up=run_up, phase=phase)
 
     def at_point(self, t, frame):
         phi = 2 * jnp.pi * (self.frequency * t + 0.5 * self.run_up * t**2) + self.phase
@@ -183,7 +178,7 @@ class EngineTorque(Load):
         with Problems() as problems:
             self.on, self.point = _place(on, "EngineTorque", problems)
             self.axis = unit_vector(axis, "EngineTorque.axis", problems)
-            self.frequency, self.mean = (scalar(v, f"EngineTorque.{n}", problems) for n, v in (("frequency", frequency), ("mean", mean)))
+            take(self, problems, frequency=frequency, mean=mean)
             n = np.size(orders)
             rows = {"orders": orders, "amplitudes": amplitudes, "phases": np.zeros(n) if phases is None else phases}
             for name, value in rows.items():

@@ -72,16 +72,17 @@ class Harmonic(Motion):
     rotation_phase: Float[Array, "3"] = field("rad")
 
     def __init__(self, *, frequency, translation=(0, 0, 0), rotation=(0, 0, 0), translation_phase=0.0, rotation_phase=0.0):
+        given = {
+            "frequency": (frequency, ((), (6,))),
+            "translation": (translation, ((3,),)),
+            "rotation": (rotation, ((3,),)),
+            "translation_phase": (translation_phase, ((), (3,))),
+            "rotation_phase": (rotation_phase, ((), (3,))),
+        }
         with Problems() as problems:
-            f = checked(frequency, ((), (6,)), "Harmonic.frequency", problems)
-            arrays = {}
-            for name, value in dict(translation=translation, rotation=rotation).items():
-                arrays[name] = shaped(value, (3,), f"Harmonic.{name}", problems)
-            for name, value in dict(translation_phase=translation_phase, rotation_phase=rotation_phase).items():
-                arrays[name] = checked(value, ((), (3,)), f"Harmonic.{name}", problems)
-        self.frequency = device_array(f)
+            arrays = {name: checked(value, shapes, f"Harmonic.{name}", problems) for name, (value, shapes) in given.items()}
         for name, array in arrays.items():
-            setattr(self, name, device_array(array * np.ones(3)))
+            setattr(self, name, device_array(array if name == "frequency" else array * np.ones(3)))
         warn_of_degrees(rotation, "Harmonic.rotation")
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:

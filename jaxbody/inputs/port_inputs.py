@@ -6,7 +6,7 @@ from typing import Any
 
 import equinox as eqx
 
-from jaxbody.core.arguments import plain
+from jaxbody.core.arguments import check_one_of, plain
 from jaxbody.core.arrays import Array, Float, vector
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.geometry.fields import field
@@ -32,8 +32,8 @@ class BaseMotion(eqx.Module):
 
     def __init__(self, on: str, direction: str, *, kind: str = "displacement"):
         with Problems() as problems:
-            _check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", "BaseMotion.direction", problems)
-            _check_one_of(kind, KINDS, "BAD_KIND", "BaseMotion.kind", problems)
+            check_one_of(direction, DIRECTIONS, "BAD_DIRECTION", "BaseMotion.direction", problems)
+            check_one_of(kind, KINDS, "BAD_KIND", "BaseMotion.kind", problems)
         self.on, self.direction, self.kind = on, direction, kind
 
     @property
@@ -75,8 +75,3 @@ class PointForce(eqx.Module):
 
 
 Input = BaseMotion | PointForce
-
-
-def _check_one_of(value: Any, known: tuple[str, ...], code: str, where: str, problems: Problems) -> None:
-    if value not in known:
-        problems.add(code, where, f"is {value!r}", value=value, limit=" ".join(known), hint="Give one of these.")

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arguments import check_returned, kind_of, plain
+from jaxbody.core.arguments import check_one_of, check_returned, kind_of, plain
 from jaxbody.core.arrays import Array, Float, check_times, device_array, functions_as_nodes, shaped
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.fields import field
@@ -158,8 +158,7 @@ class Samples(Signal):
 
     def __init__(self, times, values, *, kind: str = "cubic"):
         with Problems() as problems:
-            if kind not in KINDS:
-                problems.add("BAD_KIND", "Samples.kind", f"is {kind!r}", value=kind, limit=" ".join(KINDS), hint="Give one of these.")
+            check_one_of(kind, KINDS, "BAD_KIND", "Samples.kind", problems)
             known = check_times(times, problems, "Samples.times", minimum=4 if kind == "cubic" else 2)
             y = checked_rows(values, None if known is None else len(known), (None, "k"), "Samples.values", problems)
         self.times, self.values = device_array(known), device_array(y)

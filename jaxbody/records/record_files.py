@@ -84,7 +84,7 @@ def read_record(
             problems.add("BAD_SHAPE", f"{name}['{key}']", message, limit="columns of one length", hint="Read them as separate channels.")
             continue
         in_file = {contents.columns[column].unit for column in columns}
-        agreed = _unit(unit, in_file, f"{name}['{key}']", problems, notes)
+        agreed = agreed_unit(unit, in_file, f"{name}['{key}']", problems, notes)
         given[key] = (parts[0] if len(parts) == 1 else np.stack(parts, 1), agreed)
     problems.raise_if_any()
     record = Record(times, given, time_unit=time_unit, name=name, **options)
@@ -115,12 +115,18 @@ def _part(column: Column, asked: Asked) -> np.ndarray:
     return column.values[:, int(index[1])]
 
 
-def _unit(stated: str | None, in_file: set[str | None], where: str, problems: Problems, notes: list[str]) -> str:
-    """The unit stated by the user, by the file, or by both in agreement."""
+def agreed_unit(
+    stated: str | None,
+    in_file: set[str | None],
+    where: str,
+    problems: Problems,
+    notes: list[str],
+    hint: str = 'State it: ("column", "m/s2"), or "1" for numbers without a unit.',
+) -> str:
+    """The unit stated by the user, by the file, or by both in agreement. A unit in the file that is unknown is noted."""
     known = in_file - {None}
     if stated is None and (len(in_file) != 1 or not known):
         what = "no unit" if not known else f"different units {sorted(map(str, in_file))}"
-        hint = 'State it: ("column", "m/s2"), or "1" for numbers without a unit.'
         problems.add("NO_UNIT", where, f"has {what} in the file", limit="one unit", hint=hint)
         return "1"
     if stated is None:
@@ -142,7 +148,7 @@ def _clock(columns: dict[Any, Column], clock: Any, rate: Any, name: str, problem
     """Times and their unit: from a column, from the file, or None where a rate is given."""
     if clock is not None:
         column = columns[clock[0][0]]
-        return _part(column, clock[0][0]), _unit(clock[1], {column.unit}, f"{name}.times", problems, notes)
+        return _part(column, clock[0][0]), agreed_unit(clock[1], {column.unit}, f"{name}.times", problems, notes)
     own = [column.times for column in columns.values() if column.times is not None]
     if len(own) == len(columns) and not (rate is not None and not own):
         if any(

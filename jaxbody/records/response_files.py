@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxbody.core import units
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.records.record_files import agreed_unit
 from jaxbody.records.universal_files import read_uff_responses
 
 
@@ -49,17 +50,6 @@ def read_responses(
 
 def _factor(stated: str | None, in_file: str | None, where: str, problems: Problems) -> float:
     """The factor to SI of the unit stated by the user, by the file, or by both in agreement."""
-    parsed = problems.gather(lambda: [units.parse(text, where) for text in (stated, in_file) if text is not None])
-    if parsed is None:
-        return 1.0
-    if not parsed:
-        problems.add(
-            "NO_UNIT", where, "has no unit in the file", limit="one for output and input", hint='Give both: ("4+Z/1+Z", "m/s2", "N").'
-        )
-        return 1.0
-    if (len(parsed) == 2 and parsed[0].dimension != parsed[1].dimension) or abs(parsed[0].factor / parsed[-1].factor - 1) > 1e-9:
-        hint = "Leave the units out to use those of the file."
-        problems.add(
-            "UNIT_CONFLICT", where, f"is in '{in_file}' in the file, not in '{stated}'", value=stated, limit=str(in_file), hint=hint
-        )
-    return parsed[0].factor
+    hint = 'State both: ("4+Z/1+Z", "m/s2", "N").'
+    unit = problems.gather(lambda: units.parse(agreed_unit(stated, {in_file}, where, problems, [], hint), where))
+    return 1.0 if unit is None else unit.factor
