@@ -71,7 +71,7 @@ def positive_number(value: Any, where: str, problems: Problems, code: str = "BAD
 def check_one_of(value: Any, known: Collection[str], code: str, where: str, problems: Problems, hint: str = "Give one of these.") -> None:
     """Check that a word is one of those that are known."""
     if value not in known:
-        problems.add(code, where, f"is {value!r:.60}", value=value, limit=" ".join(known), hint=hint)
+        problems.add(code, where, f"is {value!r:.60}", value=value, limit=(" or " if len(known) == 2 else " ").join(known), hint=hint)
 
 
 def check_key(key: Any, where: str, problems: Problems, needed: str = "") -> None:

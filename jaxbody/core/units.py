@@ -113,8 +113,7 @@ def si_words(dimension: Dimension) -> str:
         return WORDS[dimension]
     m, kg, *others = dimension
     powers = zip(("kg", "m", "s", "rad", "A"), (kg, m, *others), strict=True)
-    parts = [name + (str(n) if n != 1 else "") for name, n in powers if n]
-    return " ".join(parts)
+    return " ".join([name + (str(n) if n != 1 else "") for name, n in powers if n])
 
 
 def parse(text: str, where: str) -> Unit:

@@ -51,8 +51,7 @@ def plot_front(front: Front, *, ax: Any = None) -> Any:
     if len(names) == 2:
         ax.plot(x, y, "o-", ms=4, lw=1.4, color=COLORS[0])
     else:
-        points = ax.scatter(x, y, c=front.objectives[names[2]], cmap="viridis", s=28)
-        ax.figure.colorbar(points, ax=ax, label=names[2])
+        ax.figure.colorbar(ax.scatter(x, y, c=front.objectives[names[2]], cmap="viridis", s=28), ax=ax, label=names[2])
     ax.set(xlabel=names[1], ylabel=names[0])
     return ax
 
@@ -68,8 +67,7 @@ def plot_tornado(sensitivities: Sensitivities, quantity: str | None = None, *, a
     nominal = sensitivities.nominal[row]
     place = np.arange(len(order))
     for ends, sign, color in ((sensitivities.low, "less", COLORS[0]), (sensitivities.high, "more", COLORS[1])):
-        change = ends[row, order] - nominal
-        ax.barh(place, change, left=nominal, color=color, height=0.65, label=f"{100 * sensitivities.change:g} % {sign}")
+        ax.barh(place, ends[row, order] - nominal, left=nominal, color=color, height=0.65, label=f"{100 * sensitivities.change:g} % {sign}")
     ax.axvline(nominal, color=INK, lw=0.8)
     ax.set_yticks(place, [sensitivities.parameters[i] for i in order], fontsize=8)
     ax.invert_yaxis()

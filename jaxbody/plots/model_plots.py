@@ -92,15 +92,17 @@ def draw_mode(
             Problem("UNKNOWN_MODE", "draw_mode.number", f"is {number}; there are modes 1 to {count}", number, f"1 to {count}")
         )
     shape = np.real(np.asarray(modes.shapes)[:, number - 1])
-    still = np.zeros((len(model.layout.supports), 6))
-    q = lin.state.q
-    rest = Scene(model, _poses_at(model, q, 0 * shape, still))
+
+    def moved(factor: float) -> Scene:
+        return Scene(model, _poses_at(model, lin.state.q, factor * shape, np.zeros((len(model.layout.supports), 6))))
+
+    rest = moved(0.0)
     size = rest.size(np.eye(3))
     trial = 1e-6 * size / np.abs(shape).max()
-    moved = Scene(model, _poses_at(model, q, trial * shape, still))
-    largest = max(np.abs(moved.points[name] - rest.points[name]).max() for name in model.layout.bodies) / trial
+    points = moved(trial).points
+    largest = max(np.abs(points[name] - rest.points[name]).max() for name in model.layout.bodies) / trial
     largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)  # where nothing is attached off O
-    extremes = [Scene(model, _poses_at(model, q, sign * size * SWING / largest * shape, still)) for sign in (-1, 1)]
+    extremes = [moved(sign * size * SWING / largest) for sign in (-1, 1)]
     look = projection(view, model, [rest, *extremes])
     ax = _axes(ax, [rest, *extremes], look)
     _draw(ax, rest, look, size, color=LIGHT, edge=GRAY, springs=GRAY, alpha=0.5)
@@ -127,25 +129,23 @@ class Scene:
     def __post_init__(self):
         layout = self.model.layout
         pose = {name: (p, R) for name, p, R in zip(layout.frames, *self.frames, strict=True)}
-        points: dict[str, list[np.ndarray]] = {name: [] for name in layout.frames}
-        self.ends, self.pivots, self.centers = {}, {}, {}
+
+        def in_world(frame: str, point: Any) -> np.ndarray:
+            p, R = pose[frame]
+            return p + R @ np.asarray(point)
+
+        self.ends, links = {}, {}
         for table in self.model.elements:
+            links |= dict(zip(table.names, table.links, strict=True))
             for name, link, a, b in zip(table.names, table.links, *(np.asarray(x) for x in table.rows.points[:2]), strict=True):
-                A, B = (pose[end][0] + pose[end][1] @ point for end, point in zip(link[:2], (a, b), strict=True))
-                self.ends[name] = (A, B)
-                points[link[0]].append(A)
-                points[link[1]].append(B)
-        for name, parent in zip(layout.bodies, layout.parents, strict=True):
-            p, R = pose[name]
-            self.centers[name] = p + R @ np.asarray(self.model[name].com)
-            points[name].append(self.centers[name])
-            if layout.block(name).nv < 6:
-                at = self.model.joint(name).at
-                pivot = p if at is None else pose[parent][0] + pose[parent][1] @ np.asarray(at)
-                self.pivots[name] = (pivot, parent)
-                points[name].append(pivot)
-                points[parent].append(pivot)
-        self.points = {name: np.array(rows) if rows else pose[name][0][None] for name, rows in points.items()}
+                self.ends[name] = (in_world(link[0], a), in_world(link[1], b))
+        self.centers = {name: in_world(name, self.model[name].com) for name in layout.bodies}
+        parents = {name: parent for name, parent in zip(layout.bodies, layout.parents, strict=True) if layout.block(name).nv < 6}
+        joints = {name: self.model.joint(name).at for name in parents}
+        self.pivots = {name: (pose[name][0] if at is None else in_world(parents[name], at), parents[name]) for name, at in joints.items()}
+        attached = [place for name, ends in self.ends.items() for place in zip(links[name][:2], ends, strict=True)]
+        attached += [*self.centers.items(), *((frame, at) for name, (at, parent) in self.pivots.items() for frame in (name, parent))]
+        self.points = {name: np.array([at for frame, at in attached if frame == name] or [pose[name][0]]) for name in layout.frames}
 
     def all_points(self) -> np.ndarray:
         return np.concatenate([rows for name, rows in self.points.items() if name != WORLD or len(self.ends) + len(self.pivots)])
@@ -170,8 +170,7 @@ def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarra
         )
     if view is not None and view != "oblique":
         return np.eye(3)[[AXES.index(axis) for axis in view]]
-    points = np.concatenate([scene.all_points() for scene in scenes])
-    spread = np.ptp(points, axis=0)
+    spread = np.ptp(np.concatenate([scene.all_points() for scene in scenes]), axis=0)
     weight = np.abs(np.asarray(model.gravity))
     up = int(np.argmax(weight)) if weight.any() else int(np.argsort(spread)[1])
     rest = [i for i in range(3) if i != up]
@@ -193,9 +192,7 @@ def _axes(ax: Any, scenes: list[Scene], look: np.ndarray) -> Any:
 def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, alpha=1.0, ground=True) -> None:
     layout = scene.model.layout
     for i, name in enumerate(layout.bodies):
-        fill = color or COLORS[i % len(COLORS)]
-        seen = scene.points[name] @ look.T
-        _outline(ax, seen, size, fill, edge, alpha if color else 0.35, color is not None)
+        _outline(ax, scene.points[name] @ look.T, size, color or COLORS[i % len(COLORS)], edge, alpha if color else 0.35, color is not None)
         if color is None:
             ax.plot(*(scene.centers[name] @ look.T), "o", ms=6, mfc="white", mec=INK, mew=1.0, zorder=6)
     for table in scene.model.elements:
@@ -344,8 +341,7 @@ def _triad(ax, look, size: float) -> None:
 @jit_unoptimized
 def _poses(model: Model, q, delta, xi) -> Pose:
     coordinates = Coordinates(model)
-    zero = jnp.zeros_like(delta)
-    return coordinates.frames(coordinates.retract(q, delta), zero, coordinates.supports_at(xi, jnp.zeros_like(xi))).pose()
+    return coordinates.frames(coordinates.retract(q, delta), jnp.zeros_like(delta), coordinates.supports_at(xi, jnp.zeros_like(xi))).pose()
 
 
 def _poses_at(model: Model, q, delta, xi) -> tuple[np.ndarray, np.ndarray]:

@@ -26,9 +26,7 @@ def plot_trajectory(trajectory: Trajectory, *, bodies: tuple[str, ...] | None = 
     >>> ax.get_ylabel()
     'displacement [m]'
     """
-    ax = axes_or_new(ax, 7.0, 4.2)
-    layout, t = trajectory.model.layout, np.asarray(trajectory.times)
-    poses = trajectory.poses
+    layout, poses = trajectory.model.layout, trajectory.poses
     names = bodies or (*layout.bodies, *layout.supports)
     check_known(names, tuple(poses), "plot_trajectory.bodies")
     moves, turns = {}, {}
@@ -37,17 +35,9 @@ def plot_trajectory(trajectory: Trajectory, *, bodies: tuple[str, ...] | None = 
         start = trajectory.model[name]
         moves |= {f"{name} {axis}": p[:, i] - float(start.position[i]) for i, axis in enumerate(AXES)}
         turns |= {f"{name} about {axis}": angle for axis, angle in zip(AXES, _turns(R, np.asarray(start.orientation)).T, strict=True)}
-    dashed = tuple(f"{name} " for name in layout.supports)
     moves, turns = _moving(moves), _moving(turns)
-    _lines(ax, t, moves, dashed)
-    ax.set_ylabel("displacement [m]")
-    below = ax
-    if turns:
-        (below,) = axes_below(ax, 0.6)
-        _lines(below, t, turns, dashed)
-        below.set_ylabel("turn [rad]")
-    below.set_xlabel("time [s]")
-    return ax
+    panels = {"displacement [m]": moves} | ({"turn [rad]": turns} if turns else {})
+    return _panels(axes_or_new(ax, 7.0, 4.2), trajectory, panels, 0.6, dashed=tuple(f"{name} " for name in layout.supports))
 
 
 def plot_forces(trajectory: Trajectory, *, elements: tuple[str, ...] | None = None, ax: Any = None) -> Any:
@@ -68,13 +58,7 @@ def plot_forces(trajectory: Trajectory, *, elements: tuple[str, ...] | None = No
             moments |= {f"{name} about {axis}": force[:, i + 3] for i, axis in enumerate(AXES) if np.any(force[:, i + 3])}
     panels = {"force, tension positive [N]": pulls, "moment [N m]": moments}
     panels = {label: lines for label, lines in panels.items() if lines}
-    ax = axes_or_new(ax, 7.0, 0.6 + 2.4 * len(panels))
-    all_axes = [ax, *axes_below(ax, *[1.0] * (len(panels) - 1))]
-    for axes, (label, lines) in zip(all_axes, panels.items(), strict=True):
-        _lines(axes, np.asarray(trajectory.times), lines)
-        axes.set_ylabel(label)
-    all_axes[-1].set_xlabel("time [s]")
-    return ax
+    return _panels(axes_or_new(ax, 7.0, 0.6 + 2.4 * len(panels)), trajectory, panels, 1.0)
 
 
 def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
@@ -97,11 +81,17 @@ def load_path(eq: Equilibrium, *, ax: Any = None) -> Any:
     return ax
 
 
-def _lines(ax, t, lines: dict[str, np.ndarray], dashed: tuple[str, ...] = ()) -> None:
-    for i, (name, values) in enumerate(lines.items()):
-        support = bool(dashed) and name.startswith(dashed)
-        ax.plot(t, values, label=name, **style(i) | ({"ls": "--", "lw": 1.0} if support else {"lw": 1.5}))
-    legend(ax, len(lines))
+def _panels(ax, trajectory: Trajectory, panels: dict[str, dict[str, np.ndarray]], share: float, dashed: tuple[str, ...] = ()) -> Any:
+    """Lines over time in panels one below the other, by label; each after the first has this share of its height."""
+    every = [ax, *axes_below(ax, *[share] * (len(panels) - 1))]
+    for axes, (label, lines) in zip(every, panels.items(), strict=True):
+        for i, (name, values) in enumerate(lines.items()):
+            support = bool(dashed) and name.startswith(dashed)
+            axes.plot(trajectory.times, values, label=name, **style(i) | ({"ls": "--", "lw": 1.0} if support else {"lw": 1.5}))
+        axes.set_ylabel(label)
+        legend(axes, len(lines))
+    every[-1].set_xlabel("time [s]")
+    return ax
 
 
 def _moving(lines: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

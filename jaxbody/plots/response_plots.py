@@ -83,8 +83,7 @@ def plot_psd(response: RandomResponse, *, outputs: tuple[str, ...] | None = None
     (unit,) = units
     f, psd = np.asarray(response.frequencies), np.asarray(response.psd)
     for i, (name, value) in enumerate(values.items()):
-        label = f"{name}, rms {value:.3g} {unit}"
-        ax.loglog(f, psd[response.outputs.index(name)], lw=1.5, label=label, **style(i))
+        ax.loglog(f, psd[response.outputs.index(name)], lw=1.5, label=f"{name}, rms {value:.3g} {unit}", **style(i))
     shown = unit if unit.isalpha() else f"({unit})"
     ax.set_ylabel(f"power spectral density [{shown}$^2$/Hz]")
     hertz(ax, f)

@@ -214,8 +214,7 @@ def _peer(path: Path, pick: Pick, largest: float) -> Contents:
     if len(values) != count:
         code, hint = ("TRUNCATED", "Copy it again.") if len(values) < count else ("RAGGED_LINE", "Is this the heading of another record?")
         raise JaxbodyError(Problem(code, path.name, f"has {len(values)} samples", len(values), f"{count}, as its heading says", hint))
-    times = float(step[1]) * np.arange(count)
-    column = Column(np.array(values), unit[1].lower(), times)
+    column = Column(np.array(values), unit[1].lower(), float(step[1]) * np.arange(count))
     return Contents({asked: column for asked in pick(["motion"])})
 
 

@@ -83,8 +83,7 @@ def read_record(
             message = f"joins columns of shapes {[part.shape for part in parts]}"
             problems.add("BAD_SHAPE", f"{name}['{key}']", message, limit="columns of one length", hint="Read them as separate channels.")
             continue
-        in_file = {contents.columns[column].unit for column in columns}
-        agreed = agreed_unit(unit, in_file, f"{name}['{key}']", problems, notes)
+        agreed = agreed_unit(unit, {contents.columns[column].unit for column in columns}, f"{name}['{key}']", problems, notes)
         given[key] = (parts[0] if len(parts) == 1 else np.stack(parts, 1), agreed)
     problems.raise_if_any()
     record = Record(times, given, time_unit=time_unit, name=name, **options)

@@ -93,8 +93,9 @@ class Record(tables.Printed):
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.channels:
-            message = f"has no channel '{name}'"
-            raise JaxbodyError(Problem("UNKNOWN_CHANNEL", "Record", message, name, hint=f"It has: {', '.join(self.channels)}."))
+            raise JaxbodyError(
+                Problem("UNKNOWN_CHANNEL", "Record", f"has no channel '{name}'", name, hint=f"It has: {', '.join(self.channels)}.")
+            )
         return self.channels[name]
 
     def part(self, start: float, stop: float) -> Record:
@@ -169,8 +170,7 @@ def _times(times: Any, time_unit: str, rate: Any, given: dict[str, Any], name: s
     if times is None:
         if rate is None:
             problems.add("NO_TIME", where, "are missing", limit="times or rate=", hint="Give one of them.")
-        n = len(next(iter(given.values()))[0]) if given else 0
-        return np.arange(n) / (rate or 1.0)
+        return np.arange(len(next(iter(given.values()))[0]) if given else 0) / (rate or 1.0)
     read = problems.gather(lambda: (np.asarray(float_array(times, where)), units.parse(time_unit, where)))
     if read is None:
         return np.zeros(0)

@@ -63,8 +63,9 @@ def check_file(path: Path, largest: float = np.inf) -> None:
     if stat.S_ISDIR(status.st_mode):
         raise JaxbodyError(Problem("IS_DIRECTORY", str(path), "is a directory", path, "a file", "Give the path of one file in it."))
     if not stat.S_ISREG(status.st_mode):
-        hint = "Write its output to a file first."
-        raise JaxbodyError(Problem("NOT_A_FILE", str(path), "is a pipe, a socket or a device", path, "a regular file", hint))
+        raise JaxbodyError(
+            Problem("NOT_A_FILE", str(path), "is a pipe, a socket or a device", path, "a regular file", "Write its output to a file first.")
+        )
     if status.st_size == 0:
         raise JaxbodyError(Problem("EMPTY_FILE", path.name, "has no bytes", 0, "> 0", "Was it copied before it was fully written?"))
     check_size(path.name, status.st_size, largest)

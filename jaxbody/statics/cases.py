@@ -135,23 +135,18 @@ class LoadCases(Result):
         for i, case in enumerate(self.names):
             label = case
             for name in self.unloaded.layout.bodies:
-                rows.append((label, name, _scaled(self.displacements[name][i]), _scaled(self.rotations[name][i]), "", ""))
+                rows.append((label, name, _text(self.displacements[name][i], 6), _text(self.rotations[name][i], 6), "", ""))
                 label = ""
             for name, stroke in self.strokes.items():
                 s, f = np.atleast_1d(stroke[i]), np.atleast_1d(self.forces[name][i])
                 turn, moment = (s[3:], f[3:]) if len(s) == 6 and np.any(f[3:]) else ("", "")
-                rows.append(("", name, _scaled(s[:3]), _scaled(turn), _rounded(f[:3]), _rounded(moment)))
+                rows.append(("", name, _text(s[:3], 6), _text(turn, 6), _text(f[:3], 1), _text(moment, 1)))
         columns = ("case", "", "displacement or stroke [m]", "rotation [rad]", "force [N]", "moment [N m]")
         return [tables.PrintedTable("Load cases", columns, rows, self.report())]
 
 
-def _scaled(values: Any) -> str:
-    """Rounded to micrometers."""
-    return "" if isinstance(values, str) else " ".join(f"{float(x):.6f}" for x in values)
-
-
-def _rounded(values: Any) -> str:
-    return "" if isinstance(values, str) else " ".join(f"{float(x):.1f}" for x in values)
+def _text(values: Any, digits: int) -> str:
+    return "" if isinstance(values, str) else " ".join(f"{float(x):.{digits}f}" for x in values)
 
 
 def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | State | None = None) -> LoadCases:

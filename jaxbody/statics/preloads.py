@@ -77,8 +77,9 @@ class Preload(Result):
     def _tables(self) -> list[tables.PrintedTable]:
         rows = [(path, value, change) for path, value, change in zip(self.paths, self.values, self.change, strict=True)]
         rows += [(name, "", change) for name, change in self.moved.items()]
-        note = self.report() if is_concrete(self.status) else ""
-        return [tables.PrintedTable("Preload", ("", "free length [m, rad]", "change"), rows, note)]
+        return [
+            tables.PrintedTable("Preload", ("", "free length [m, rad]", "change"), rows, self.report() if is_concrete(self.status) else "")
+        ]
 
 
 def preload(model: Model, pose: State | None = None, *, free=("*.free_length",), moving=()) -> Preload:

@@ -73,6 +73,7 @@ def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str
     state, eq = rest_state(model, motions, t)
     if is_concrete(eq.status) and int(eq.status) not in AT_REST:
         hint = "Give initial=State(q, v), or attach the bodies that are free to move."
-        message = f'is "rest", but there is no equilibrium: {eq.report()}'
-        raise JaxbodyError(Problem(Status(int(eq.status)).name, where, message, "rest", hint=hint))
+        raise JaxbodyError(
+            Problem(Status(int(eq.status)).name, where, f'is "rest", but there is no equilibrium: {eq.report()}', "rest", hint=hint)
+        )
     return state
