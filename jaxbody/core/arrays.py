@@ -54,17 +54,6 @@ def checked(value: Any, shapes: tuple[tuple[int, ...], ...], where: str, problem
     return array
 
 
-def finite_rows(x: Any, where: str, problems: Problems) -> bool:
-    """Whether all rows, such as the samples of a record, are finite, as far as they are known; if not, a problem is added."""
-    known = concrete(x)
-    if known is None or np.isfinite(known).all():
-        return True
-    row = int(np.argwhere(~np.isfinite(known))[0][0])
-    hint = "Cut the record or fill the gap first."
-    problems.add("NON_FINITE", where, f"is {known[row].tolist()} at row {row}", value=known[row], limit="finite", hint=hint)
-    return False
-
-
 def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -> Any:
     """A finite float array of this shape; zeros where it is not, with a problem added."""
     array = checked(value, (shape,), where, problems)

@@ -93,9 +93,7 @@ def percent(share: Any) -> str:
     >>> percent(0.0123), percent(2.1), percent(2e-14)
     ('1.2 %', '210 %', '')
     """
-    if not np.isfinite(share) or abs(share) < ROUND_OFF:
-        return ""
-    return f"{float(f'{100 * share:.2g}'):g} %"
+    return f"{float(f'{100 * share:.2g}'):g} %" if np.isfinite(share) and abs(share) >= ROUND_OFF else ""
 
 
 def counted(count: int, what: str) -> str:
@@ -113,25 +111,17 @@ def without_dust(values: Any, unit: Any = None) -> Any:
 
 def text(*shown: PrintedTable) -> str:
     """Aligned columns; a blank line before every title but the first."""
-    blocks = []
-    for table in shown:
-        cells = [table.columns, *([number(cell) for cell in row] for row in table.rows[:MOST_ROWS])]
-        widths = [max(len(row[i]) for row in cells) for i in range(len(table.columns))]
-        lines = [
-            (
-                "  ".join(
-                    cell.ljust(width) if i == 0 else cell.rjust(width) for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-                )
-            ).rstrip()
-            for row in cells
-        ]
-        if len(table.rows) > MOST_ROWS:
-            lines.append(_rest(table))
-        blocks.append(
-            ("\n" if blocks and table.title else "")
-            + "\n".join([line for line in (table.title,) if line] + ["  " + line for line in lines] + ([table.note] if table.note else []))
-        )
-    return "\n".join(blocks)
+    return "\n".join(("\n" if i and table.title else "") + "\n".join(_lines(table)) for i, table in enumerate(shown))
+
+
+def _lines(table: PrintedTable) -> list[str]:
+    cells = [table.columns, *([number(cell) for cell in row] for row in table.rows[:MOST_ROWS])]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(table.columns))]
+    aligned = [
+        [cell.rjust(width) if i else cell.ljust(width) for i, (cell, width) in enumerate(zip(row, widths, strict=True))] for row in cells
+    ]
+    lines = ["  " + "  ".join(row).rstrip() for row in aligned] + (["  " + _rest(table)] if len(table.rows) > MOST_ROWS else [])
+    return [line for line in (table.title, *lines, table.note) if line]
 
 
 def _rest(table: PrintedTable) -> str:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, concrete, finite_rows, float_array, module_of
+from jaxbody.core.arrays import Array, Float, concrete, float_array, module_of
 from jaxbody.core.errors import Problems
 
 
@@ -25,7 +25,13 @@ def checked_rows(value: Any, n: int | None, widths: tuple[int | str | None, ...]
         hint = "The array looks transposed." if array.ndim == 2 and array.shape[0] in widths else "One row per time."
         problems.add("BAD_SHAPE", where, f"has shape {array.shape}", value=array.shape, limit=limit, hint=hint)
         return None
-    return array if finite_rows(array, where, problems) else None
+    known = concrete(array)
+    if known is not None and not np.isfinite(known).all():
+        row = int(np.argwhere(~np.isfinite(known))[0][0])
+        hint = "Cut the record or fill the gap first."
+        problems.add("NON_FINITE", where, f"is {known[row].tolist()} at row {row}", value=known[row], limit="finite", hint=hint)
+        return None
+    return array
 
 
 def interpolated(samples: Any, t: Float[Array, ""]) -> Array:

@@ -27,7 +27,7 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
-from jaxbody.statics.equilibria import DESCENDED, Equilibrium, SearchResult, equilibrium_at, equilibrium_of, search_under_loads
+from jaxbody.statics.equilibria import DESCENDED, LOADABLE, Equilibrium, SearchResult, equilibrium_at, equilibrium_of, search_under_loads
 from jaxbody.statics.load_paths import AppliedLoads, alike, residual, summed
 
 MAX_STEPS = 200  # of a search
@@ -219,8 +219,7 @@ def _load_cases(model: Model, unloaded: Equilibrium, searches: SearchResult, app
         return eq.status, eq.load_factor, eq.state, _deformed(model, eq.state), eq.descended, by_joints
 
     status, factor, state, (pose, deformations, forces), descended, by_joints = applied.each(one, searches)
-    usable = unloaded.ok | (unloaded.status == Status.SINGULAR_K) | (unloaded.status == Status.TABLE_RANGE)
-    status = jnp.where(usable, status, unloaded.status)
+    status = jnp.where(jnp.isin(unloaded.status, jnp.array(LOADABLE)), status, unloaded.status)
     rest_poses, rest_deformations, _ = _deformed(model, unloaded.state)
     rotation_rows = rotations.log(product(pose.R, jnp.swapaxes(rest_poses.R, -1, -2)[None]))
     strokes = tuple(e - e0[None] for e, e0 in zip(deformations, rest_deformations, strict=True))

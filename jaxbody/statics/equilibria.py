@@ -43,6 +43,8 @@ from jaxbody.statics.load_paths import AppliedLoads, Path, dead_forces, follow_l
 
 RUNAWAY = 20  # distance from the start, in sizes of the model, beyond which the model falls without limit
 NOT_AT_REST = (Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, Status.STALE)  # no linearization about such a state
+AT_REST = (Status.OK, Status.TABLE_RANGE)  # stable and isolated: a run may start there
+LOADABLE = (*AT_REST, Status.SINGULAR_K)  # loads may be raised from there
 SOFTEST = 1e-7  # least ratio of eigenvalues of K at the start of a path; with only cubic springs a search ends at 1e-9
 DESCENDED = "by descent of the potential of the loads, which cannot be raised step by step because K is singular without them"
 
@@ -129,7 +131,7 @@ class Equilibrium(Result):
         """A sentence on the fraction of the weights that is carried."""
         weightless = with_gravity(self.model, -self.model.gravity)
         start = equilibrium_of(weightless, None, 200)
-        if int(start.status) not in (Status.OK, Status.SINGULAR_K):
+        if int(start.status) not in LOADABLE:
             return "none was found by descent, with the weights or without them"
         applied = AppliedLoads((), np.zeros(0), self.model.gravity)
         factor = float(_along_path(weightless, start, applied, False)[0].factor)
@@ -199,9 +201,8 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     q = None if start is None else start.q
     result = equilibrium_of(model, q, max_steps)
     if acting:
-        result = under_loads(
-            model, result, q, AppliedLoads(acting, device_array(np.ones(len(acting))), device_array(np.zeros(3))), max_steps
-        )
+        applied = AppliedLoads(acting, device_array(np.ones(len(acting))), device_array(np.zeros(3)))
+        result = _equilibrium_at(model, search_under_loads(model, result, q, applied, max_steps), applied)
     return warn_if_failed(result)
 
 
@@ -240,13 +241,6 @@ def search_by_descent(
     return SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype))
 
 
-def under_loads(
-    model: Model, unloaded: Equilibrium, start: Float[Array, "nq"] | None, applied: AppliedLoads, max_steps: int
-) -> Equilibrium:
-    """The equilibrium under loads."""
-    return _equilibrium_at(model, search_under_loads(model, unloaded, start, applied, max_steps), applied)
-
-
 def search_under_loads(
     model: Model, unloaded: Equilibrium, start, applied: AppliedLoads, max_steps: int, *, many: bool = False
 ) -> SearchResult:
@@ -269,7 +263,7 @@ def _along_path(model: Model, unloaded: Equilibrium, applied: AppliedLoads, many
     start, unless the path reached its end or a limit point."""
     frozen, loads, q0 = jax.lax.stop_gradient((Coordinates(model), applied, unloaded.state.q))
     size = size_of(frozen.model)
-    usable = jnp.isin(unloaded.status, jnp.array([Status.OK.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value]))
+    usable = jnp.isin(unloaded.status, jnp.array(LOADABLE))
 
     def one(applied, _):
         q, K, factor, path, ahead = follow_load_path(frozen, q0, applied, scale_of(frozen.model, size), size)

@@ -12,7 +12,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
@@ -20,10 +19,9 @@ from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates, Motions
 from jaxbody.models.models import Model, at_rest_in, rest_poses
 from jaxbody.models.states import State
-from jaxbody.statics.equilibria import Equilibrium, equilibrium_at, no_loads, search_by_descent
+from jaxbody.statics.equilibria import AT_REST, Equilibrium, equilibrium_at, no_loads, search_by_descent
 from jaxbody.statics.load_paths import residual, tangent
 
-AT_REST = (Status.OK.value, Status.TABLE_RANGE.value)
 MAX_STEPS = 200
 
 
@@ -49,7 +47,7 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
 
     on_supports, unloaded = displaced(xi), no_loads(model.gravity.dtype)
     eq = equilibrium_at(on_supports, search_by_descent(on_supports, _start(coordinates, on_supports), MAX_STEPS), unloaded)
-    q, valid = eq.state.q, jnp.isin(eq.status, np.array(AT_REST))
+    q, valid = eq.state.q, jnp.isin(eq.status, jnp.array(AT_REST))
     drift = jax.jvp(lambda xi: residual(configuration_at(displaced(xi), q, base=False), unloaded), (xi,), (xi_dot,))[1]
     K = tangent(configuration_at(on_supports, q, base=False), unloaded)
     v = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), drift)
