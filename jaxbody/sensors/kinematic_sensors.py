@@ -63,7 +63,7 @@ class Kinematic(Sensor):
     def names(self):
         return (self.on, self.relative_to)
 
-    def along(self, x: Float[Array, "*n 3"]) -> Float[Array, "*r"]:
+    def along(self, x: Float[Array, "3"]) -> Float[Array, "*r"]:
         """All components, or the one along the axis."""
         return x if self.axis is None else dot(jnp.asarray(self.axis), x)
 
@@ -72,8 +72,8 @@ class Kinematic(Sensor):
         row, other = (model.layout.frame(name) for name in self.names)
         moved = self.moved(frames, row, twists[row])
         if self.relative_to != WORLD:
-            moved = rotate_back(frames.R[other], moved - self.moved(frames, row, twists[other], other))
-        return self.along(moved)
+            moved = rotate_back(frames.R[other][None], moved - self.moved(frames, row, twists[other], other))
+        return moved if self.axis is None else moved @ jnp.asarray(self.axis)
 
     def moved(self, frames: Frame, row: int, twist: Float[Array, "n 6"], carried_by: int | None = None) -> Float[Array, "n 3"]:
         """The rotation of a frame in world axes, or the displacement of the point when carried along by a frame."""
@@ -103,7 +103,7 @@ class KinematicOfPoint(KinematicVector):
 
     def moved(self, frames, row, twist, carried_by=None):
         arm = frames[row].point(self.point) - frames.p[row if carried_by is None else carried_by]
-        return twist[:, :3] + cross(twist[:, 3:], arm)
+        return twist[:, :3] + cross(twist[:, 3:], arm[None])
 
 
 class Position(KinematicOfPoint):
