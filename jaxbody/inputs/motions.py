@@ -18,7 +18,7 @@ from jaxbody.core.errors import Problems, warn
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
 from jaxbody.inputs.samples import checked_rows, curvatures, integrals, interpolated, is_uniform
-from jaxbody.inputs.signals import Signal, check_signal, function_of_time
+from jaxbody.inputs.signals import Delayed, Signal, SignalSum, check_signal, function_of_time
 from jaxbody.numerics.elementary_functions import sincos
 
 JUMP = 20  # standard deviations of the steps from sample to sample
@@ -161,9 +161,15 @@ def as_motion(motion: Any, where: str = "motion") -> Signal:
 
 
 def check_motion(motion: Signal, where: str, problems: Problems) -> None:
-    """Check that JAX can trace a motion that is not one of this package and that it returns six numbers."""
-    if is_own(motion) or not isinstance(motion, Motion):
+    """Check that JAX can trace a motion and that it returns six numbers, where it is not made of this package's motions alone."""
+    if not _known(motion):
         check_signal(motion, where, problems, (6,))
+
+
+def _known(motion: Signal) -> bool:
+    """Whether a motion, or each part of a sum or a delay, is one of this package, all of which are checked where they are made."""
+    parts = motion.terms if isinstance(motion, SignalSum) else (motion.signal,) if isinstance(motion, Delayed) else ()
+    return all(map(_known, parts)) if parts else isinstance(motion, Motion) and not is_own(motion)
 
 
 def _samples(times, translation, rotation, problems: Problems, minimum: int, turns: bool = True):

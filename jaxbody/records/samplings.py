@@ -89,15 +89,12 @@ def check_values(values: np.ndarray, unit: units.Unit, times: np.ndarray, proble
         problems.add("NON_FINITE", where, f"is {values[i]} at index {i}", value=i, limit="finite, or NaN where a sample is missing")
         return
     rows = values.reshape(len(values), -1)
-    for k, x in enumerate(rows.T):
+    for k, lacking in enumerate(np.isnan(rows).mean(0)):
         name = where + (f"[{k}]" if values.ndim == 2 else "")
-        here = x[~np.isnan(x)]
-        if not len(here):
-            if not may_lack:
-                problems.add("ALL_NAN", name, "has no samples", value=k, hint='Leave it out; drop="all_nan" leaves out all such channels.')
-            continue
-        if len(here) < (1 - MANY_MISSING) * len(x):
-            warn("MISSING", f"{name} lacks {100 * (1 - len(here) / len(x)):.0f} % of its samples")
+        if lacking == 1 and not may_lack:
+            problems.add("ALL_NAN", name, "has no samples", value=k, hint='Leave it out; drop="all_nan" leaves out all such channels.')
+        elif MANY_MISSING < lacking < 1:
+            warn("MISSING", f"{name} lacks {100 * lacking:.0f} % of its samples")
     warn_of_rails(rows, times, where, unit.text)
     _check_unit(rows, unit, where)
 
