@@ -55,8 +55,8 @@ class Unstarted(diffrax.AbstractStepSizeController):
 
 
 class Blocks(diffrax.AbstractAdjoint):
-    """An adjoint of `diffrax.diffeqsolve` for small systems on a CPU: explicit Runge-Kutta steps in blocks of 128, in loops that XLA
-    compiles to fast code. Reverse mode, forward mode and forward over reverse work.
+    """An adjoint of `diffrax.diffeqsolve` for small systems on a CPU: explicit Runge-Kutta steps in blocks of 128, in loops that
+    compile to fast code. Reverse mode, forward mode and forward over reverse work.
 
         k_i = h f(t + c_i h, y + sum_j a_ij k_j),   y(t + h) = y + sum_i b_i k_i,   y(t + theta h) = y + sum_i p_i(theta) k_i
         error = norm(sum_i e_i k_i / (atol + rtol |y|)),   next h = safety h error^(-1/order), within its limits

@@ -8,6 +8,7 @@ import pytest
 import jaxbody as jb
 from jaxbody.experiments.experiments import Integration
 from jaxbody.identification import residuals
+from jaxbody.parameters.spaces import Space
 
 UP = {"axis": [0, 0, 1]}
 SENSORS = {"height": jb.Position("box", **UP), "acc": jb.Accelerometer("box", **UP)}
@@ -116,8 +117,8 @@ def test_measurements_of_one_model_share_its_linearization(monkeypatch):
     noise = {run: {name: jnp.array(1.0) for name in each.channels} for run, each in measured.items()}
     asked, small_motions = [], residuals.small_motions
     monkeypatch.setattr(residuals, "small_motions", lambda model: asked.append(model) or small_motions(model))
-    task = residuals.Task(box(), measured, (), noise, Integration())
+    task = residuals.Task(Space(box(), (), measured), noise, Integration())
     shapes = jax.eval_shape(task.runs, jnp.zeros(0))
     assert len(asked) == 1 and shapes["again"][0]["z/f"].shape == (7,)
-    jax.eval_shape(residuals.Task(box(), {}, (), {}, Integration()).runs, jnp.zeros(0))
+    jax.eval_shape(residuals.Task(Space(box(), ()), {}, Integration()).runs, jnp.zeros(0))
     assert len(asked) == 1
