@@ -1,6 +1,8 @@
-"""Frames: poses, their velocities, and the coordinates (chart) of small displacements."""
+"""Frames: poses, their velocities, the coordinates (chart) of small displacements, and the frames of a model at one instant."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -61,6 +63,35 @@ class Frame(Pose):
 
     def pose(self) -> Pose:
         return Pose(self.p, self.R)
+
+    def at_time(self, t: Float[Array, ""], state: Any = None) -> Instant:
+        """The frame or table at time t, with the state of the model."""
+        return Instant(self.p, self.R, self.v, self.w, t, state)
+
+
+class Instant(Frame):
+    """The frames of a model, or one of them, at time t [s], with the state of the model: what loads and sensors read. If instruments need
+    them, also the accelerations a of the origins, the angular accelerations alpha, and the force F and moment M about the origin, in world
+    axes: for world and supports those that bodies and elements exert on them, for a body those that it and all bodies that it carries exert
+    on its joint."""
+
+    t: Float[Array, ""]
+    state: Any = None
+    a: Float[Array, "*n 3"] | None = None
+    alpha: Float[Array, "*n 3"] | None = None
+    F: Float[Array, "*n 3"] | None = None
+    M: Float[Array, "*n 3"] | None = None
+
+    def frame(self, row: int) -> Instant:
+        """One frame at this instant."""
+        a, alpha, F, M = (None if x is None else x[row] for x in (self.a, self.alpha, self.F, self.M))
+        return Instant(self.p[row], self.R[row], self.v[row], self.w[row], self.t, self.state, a, alpha, F, M)
+
+    def acceleration(self, row: int, a_B: Float[Array, "3"]) -> Float[Array, "3"]:
+        """World acceleration a + alpha x r + w x (w x r), r = R a, of a point fixed in a frame."""
+        assert self.a is not None and self.alpha is not None
+        r, w = rotate(self.R[row], a_B), self.w[row]
+        return self.a[row] + cross(self.alpha[row], r) + cross(w, cross(w, r))
 
 
 def stack(frames: list[Frame]) -> Frame:

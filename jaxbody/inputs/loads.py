@@ -17,7 +17,7 @@ from jaxbody.core.arguments import check_kind, check_one_of, checked_dict, plain
 from jaxbody.core.arrays import Array, Float, checked, concrete, device_array
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field, take
-from jaxbody.geometry.frames import Frame, Wrench
+from jaxbody.geometry.frames import Instant, Wrench
 from jaxbody.geometry.places import ends, unit_vector
 from jaxbody.geometry.vectors import cross, dot, rotate
 from jaxbody.inputs.signals import Signal, as_signal
@@ -30,8 +30,8 @@ class Load(eqx.Module):
 
     >>> class Thrust(Load):
     ...     level: jax.Array
-    ...     def at_point(self, t, frame):
-    ...         return self.level * frame.R[:, 2], jnp.zeros(3)
+    ...     def at_point(self, now):
+    ...         return self.level * now.R[:, 2], jnp.zeros(3)
     >>> Thrust("rocket", jnp.zeros(3), jnp.array(10.0)).on
     'rocket'
     """
@@ -40,8 +40,8 @@ class Load(eqx.Module):
     point: Float[Array, "3"] = field("m")
 
     @abstractmethod
-    def at_point(self, t: Float[Array, ""], frame: Frame) -> Wrench:
-        """Force [N] and moment [N m] at the point, in world axes."""
+    def at_point(self, now: Instant) -> Wrench:
+        """Force [N] and moment [N m] at the point, in world axes, with the body's frame `now`: p, R, v, w, and the time t."""
 
     def signals(self) -> tuple[Signal, ...]:
         """The functions of time (signals) that it contains."""
@@ -51,10 +51,10 @@ class Load(eqx.Module):
         """The force [N] at the point, in world axes, of a load that does not depend on the motion of its body; NaN for other loads."""
         return jnp.full(3, jnp.nan, t.dtype)
 
-    def wrench(self, t: Float[Array, ""], frame: Frame) -> Wrench:
+    def wrench(self, now: Instant) -> Wrench:
         """Force, and moment about the origin of the body, in world axes."""
-        F, M = self.at_point(t, frame)
-        return F, M + cross(rotate(frame.R, self.point), F)
+        F, M = self.at_point(now)
+        return F, M + cross(rotate(now.R, self.point), F)
 
 
 class Force(Load):
@@ -88,9 +88,9 @@ class Force(Load):
         F, M = jnp.asarray(self.force(t)), jnp.asarray(self.moment(t))
         return jnp.where((self.axes == "world") & ~jnp.any(M != 0), F, jnp.nan)
 
-    def at_point(self, t, frame):
-        F, M = jnp.asarray(self.force(t)), jnp.asarray(self.moment(t))
-        return (F, M) if self.axes == "world" else (rotate(frame.R, F), rotate(frame.R, M))
+    def at_point(self, now):
+        F, M = jnp.asarray(self.force(now.t)), jnp.asarray(self.moment(now.t))
+        return (F, M) if self.axes == "world" else (rotate(now.R, F), rotate(now.R, M))
 
 
 class Unbalance(Load):
@@ -132,16 +132,17 @@ class Unbalance(Load):
             self.across = 1 if known is not None and abs(known[0]) > 0.9 else 0
             take(self, problems, unbalance=unbalance, frequency=frequency, run_up=run_up, phase=phase)
 
-    def at_point(self, t, frame):
+    def at_point(self, now):
+        t = now.t
         phi = 2 * jnp.pi * (self.frequency * t + 0.5 * self.run_up * t**2) + self.phase
         rate, change = 2 * jnp.pi * (self.frequency + self.run_up * t), 2 * jnp.pi * self.run_up
-        reference = jnp.asarray(np.eye(3)[self.across], frame.p.dtype)
+        reference = jnp.asarray(np.eye(3)[self.across], now.p.dtype)
         n1 = reference - dot(reference, self.axis) * self.axis
         n1 = n1 / jnp.sqrt(dot(n1, n1))
         n2 = cross(jnp.asarray(self.axis), n1)
         c, s = jnp.cos(phi), jnp.sin(phi)
         F = self.unbalance * (rate**2 * (c * n1 + s * n2) + change * (s * n1 - c * n2))
-        return rotate(frame.R, F), jnp.zeros_like(F)
+        return rotate(now.R, F), jnp.zeros_like(F)
 
 
 class EngineTorque(Load):
@@ -185,9 +186,9 @@ class EngineTorque(Load):
                 row = checked(value, ((n,),), f"EngineTorque.{name}", problems, "One number for each order.")
                 setattr(self, name, np.zeros(n) if row is None else row)
 
-    def at_point(self, t, frame):
-        waves = self.amplitudes * jnp.cos(2 * jnp.pi * self.orders * self.frequency * t + self.phases)
-        M = -(self.mean + jnp.sum(waves)) * rotate(frame.R, self.axis)
+    def at_point(self, now):
+        waves = self.amplitudes * jnp.cos(2 * jnp.pi * self.orders * self.frequency * now.t + self.phases)
+        M = -(self.mean + jnp.sum(waves)) * rotate(now.R, self.axis)
         return jnp.zeros_like(M), M
 
 

@@ -46,7 +46,7 @@ class Canonical(eqx.Module):
         q, p = jnp.split(y, 2)
         coordinates = self.dynamics.coordinates
         v, frames, slope, generalized = self.dynamics.speeds(q, coordinates.rate_transposed(q, p), self._supports(t))
-        F, M = (x[self.model.layout.first_body :] for x in wrenches(self.model, frames, self.dynamics.loads, t))
+        F, M = (x[self.model.layout.first_body :] for x in wrenches(self.model, frames.at_time(t, State(q, v)), self.dynamics.loads))
         gradient = jax.grad(lambda q: jnp.sum(p * coordinates.rate(q, v)))(q)
         return jnp.concatenate([coordinates.rate(q, v), self._lift(q, generalized(F, M) + slope) - gradient])
 

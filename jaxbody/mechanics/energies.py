@@ -134,8 +134,8 @@ def end_rows(model: Model, table: KindTable) -> list[np.ndarray]:
     return [np.array([model.layout.frame(name) for name in end]) for end in zip(*table.links, strict=True)]
 
 
-def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t: Any = 0.0) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Force and moment about its origin that elements, gravity and loads at time t exert on each frame, in world axes.
+def wrenches(model: Model, frames: Any, loads: tuple[Load, ...] = ()) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Force and moment about its origin that elements, gravity and loads exert on each frame, in world axes; loads need an Instant.
 
     Forces on a frame are summed by padded gathers; adding into rows would split a compiled loop."""
     ends, forces, moments = [], [], []
@@ -150,7 +150,7 @@ def wrenches(model: Model, frames: Frame, loads: tuple[Load, ...] = (), t: Any =
     moments.append(cross(rotate(frames.R[model.layout.first_body :], bodies.com), weight))
     ends += list(range(model.layout.first_body, len(model.layout.frames)))
     for load in loads:
-        F, M = load.wrench(t, frames[model.layout.frame(load.on)])
+        F, M = load.wrench(frames.frame(model.layout.frame(load.on)))
         ends.append(model.layout.frame(load.on))
         forces.append(F[None])
         moments.append(M[None])

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
-from jaxbody.geometry.frames import Frame
+from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.energies import each_element, kinetic, wrenches
@@ -30,7 +31,7 @@ from jaxbody.models.joints import Free
 from jaxbody.models.layouts import WORLD, Layout
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of
-from jaxbody.models.states import Instant, State
+from jaxbody.models.states import State
 from jaxbody.numerics.small_systems import solve_spd
 
 
@@ -101,15 +102,14 @@ class Dynamics(eqx.Module):
         function of forces and moments about O on the bodies."""
 
     @abstractmethod
-    def accelerated(self, t: Float[Array, ""], state: State) -> tuple[Frame, Float[Array, "n 3"], Float[Array, "n 3"]]:
-        """The frames, the accelerations of their origins and their angular accelerations."""
+    def accelerated(self, t: Float[Array, ""], state: State) -> Instant:
+        """The frames with the accelerations of their origins and their angular accelerations."""
 
-    def _net(self, t, frames: Frame, a, alpha):
-        """Applied minus inertial force and moment on each body about its origin, for given accelerations of the frames."""
+    def _net(self, now: Instant):
+        """Applied minus inertial force and moment on each body about its origin, for the accelerations of the frames."""
         first = self.model.layout.first_body
-        bodies, moving = self.model.bodies.rows, frames[first:]
-        a, alpha = a[first:], alpha[first:]
-        F, M = (x[first:] for x in wrenches(self.model, frames, self.loads, t))
+        bodies, moving = self.model.bodies.rows, now[first:]
+        a, alpha, F, M = (jnp.asarray(x)[first:] for x in (now.a, now.alpha, *wrenches(self.model, now, self.loads)))
         c, m = rotate(moving.R, bodies.com), bodies.mass[:, None]
         force = m * (a + cross(alpha, c) + cross(moving.w, cross(moving.w, c)))
 
@@ -120,21 +120,21 @@ class Dynamics(eqx.Module):
 
     def instant(self, t: Float[Array, ""], state: State, *, reactions: bool) -> Instant:
         """Frames with accelerations and, with `reactions`, the forces and moments that joints, supports and world carry."""
-        frames, a, alpha = self.accelerated(t, state)
-        transmitted = self.transmitted_wrenches(t, frames, a, alpha) if reactions else (None, None)
-        return Instant(frames.p, frames.R, frames.v, frames.w, state, a, alpha, *transmitted)
+        now = self.accelerated(t, state)
+        return self.with_reactions(now) if reactions else now
 
-    def transmitted_wrenches(self, t, frames: Frame, a, alpha, extra: tuple[Array, Array] | None = None):
-        """F and M of an Instant for given accelerations: applied loads minus the rates of momentum, summed over the bodies that a frame
+    def with_reactions(self, now: Instant, extra: tuple[Array, Array] | None = None) -> Instant:
+        """An instant with accelerations, and F and M: applied loads minus the rates of momentum, summed over the bodies that a frame
         carries by joints. `extra`: force and moment on each body about its origin, in addition to the loads."""
         first = self.model.layout.first_body
-        F, M = self._net(t, frames, a, alpha)
+        F, M = self._net(now)
         if extra is not None:
             F, M = F + extra[0], M + extra[1]
         outboard = jnp.asarray(self.model.layout.carries[:, first:], F.dtype)[..., None]
-        moment = M[None] + cross(frames.p[first:][None] - frames.p[:, None], F[None])
-        direct = (jnp.concatenate([x[:first], jnp.zeros_like(F)]) for x in wrenches(self.model, frames))  # elements on world and supports
-        return tuple(x + jnp.sum(outboard * of_bodies, 1) for x, of_bodies in zip(direct, (F[None], moment), strict=True))
+        moment = M[None] + cross(now.p[first:][None] - now.p[:, None], F[None])
+        direct = (jnp.concatenate([x[:first], jnp.zeros_like(F)]) for x in wrenches(self.model, now))  # elements on world and supports
+        F, M = (x + jnp.sum(outboard * of_bodies, 1) for x, of_bodies in zip(direct, (F[None], moment), strict=True))
+        return replace(now, F=F, M=M)
 
     def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
         """Force and moment about its origin that the bodies and elements exert on each support, in world axes."""
@@ -165,11 +165,10 @@ class JointedBodies(Dynamics):
         return self._solve(t, q, v)[0]
 
     def _solve(self, t, q, v):
-        """v', the frames, the accelerations at v' = 0, and the velocities per unit of each speed."""
-        frames, (linear, angular), a, alpha = self._bias(t, q, v)
-        F, M = self._net(t, frames, a, alpha)
-        J = jacobian(self.model.layout, frames, linear, angular)
-        return solve_spd(self.inertia(frames, *J)[0], _generalized(*J, F, M)), frames, a, alpha, *J
+        """v', the instant with the accelerations at v' = 0, and the velocities per unit of each speed."""
+        now, axes = self._bias(t, q, v)
+        J = jacobian(self.model.layout, now, *axes)
+        return solve_spd(self.inertia(now, *J)[0], _generalized(*J, *self._net(now))), now, J
 
     def inertia(
         self, frames: Frame, lin: Float[Array, "nb nv 3"], ang: Float[Array, "nb nv 3"]
@@ -185,15 +184,14 @@ class JointedBodies(Dynamics):
         return mass, momenta
 
     def _bias(self, t, q, v):
-        """Frames, axes, and the accelerations of origin and orientation of each body at v' = 0: the derivative of the velocities
-        along the motion."""
+        """The instant at v' = 0, when accelerations are the derivatives of the velocities along the motion, and the axes."""
 
         def moving(t, q):
             frames, axes = self.coordinates.frames_and_axes(q, v, self.coordinates.supports_moving(self.motions, t))
             return (frames.v, frames.w), (frames, axes)
 
         (_, (a, alpha), (frames, axes)) = jax.jvp(moving, (t, q), (jnp.ones_like(t), self.coordinates.rate(q, v)), has_aux=True)
-        return frames, axes, a, alpha
+        return replace(frames.at_time(t, State(q, v)), a=a, alpha=alpha), axes
 
     def speeds(self, q: Float[Array, "nq"], momenta: Float[Array, "nv"], supports: Frame) -> tuple[Array, Frame, Array, Callable]:
         coordinates = self.coordinates
@@ -209,11 +207,14 @@ class JointedBodies(Dynamics):
         gradient, frames = jax.grad(T, has_aux=True)(q)
         return v, frames, coordinates.rate_transposed(q, gradient), partial(_generalized, *J)
 
-    def accelerated(self, t: Float[Array, ""], state: State) -> tuple[Frame, Float[Array, "n 3"], Float[Array, "n 3"]]:
-        v_dot, frames, a, alpha, lin, ang = self._solve(t, state.q, state.v)
+    def accelerated(self, t: Float[Array, ""], state: State) -> Instant:
+        v_dot, now, J = self._solve(t, state.q, state.v)
         first = self.model.layout.first_body
-        a = a.at[first:].add(jnp.sum(lin * v_dot[None, :, None], 1))
-        return frames, a, alpha.at[first:].add(jnp.sum(ang * v_dot[None, :, None], 1))
+        a, alpha = (
+            jnp.asarray(x).at[first:].add(jnp.sum(per_speed * v_dot[None, :, None], 1))
+            for x, per_speed in zip((now.a, now.alpha), J, strict=True)
+        )
+        return replace(now, a=a, alpha=alpha)
 
 
 class FreeBodies(Dynamics):
@@ -244,7 +245,7 @@ class FreeBodies(Dynamics):
         p, quaternion, v_B, w_B = self._split(y)
         quaternion = rotations.normalize(quaternion)
         R = rotations.matrix(quaternion)
-        return State(jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([rotate(R, v_B), rotate(R, w_B)], -1).ravel())
+        return _state(p, quaternion, rotate(R, v_B), rotate(R, w_B))
 
     def drive(self, t: Float[Array, ""]):
         """t and the frames of the supports."""
@@ -257,8 +258,8 @@ class FreeBodies(Dynamics):
         p, quaternion, v_B, w_B = self._split(y)
         R = rotations.matrix(quaternion)
         v, w = rotate(R, v_B), rotate(R, w_B)
-        frames = with_world(supports, Frame(p, R, v, w))
-        F, M = (x[model.layout.first_body :] for x in wrenches(model, frames, self.loads, t))
+        now = with_world(supports, Frame(p, R, v, w)).at_time(t, _state(p, quaternion, v, w))
+        F, M = (x[model.layout.first_body :] for x in wrenches(model, now, self.loads))
         m, c = bodies.mass[:, None], bodies.com
         P = m * (v_B + cross(w_B, c))  # momentum and angular momentum about O, in body axes
         H = rotate(bodies.inertia, w_B) + cross(c, P)
@@ -270,8 +271,8 @@ class FreeBodies(Dynamics):
         )
 
     def acceleration(self, t, q, v):
-        _, a, alpha = self.accelerated(t, State(q, v))
-        return jnp.concatenate([a, alpha], -1)[self.model.layout.first_body :].ravel()
+        now = self.accelerated(t, State(q, v))
+        return jnp.concatenate([jnp.asarray(now.a), jnp.asarray(now.alpha)], -1)[self.model.layout.first_body :].ravel()
 
     def accelerated(self, t, state: State):
         """a = R (v_B' + w_B x v_B), alpha = R w_B'."""
@@ -285,9 +286,9 @@ class FreeBodies(Dynamics):
         p, quaternion, v_B, w_B = self._split(y)
         _, _, v_rate, w_rate = self._split(self.driven((t, supports), y))
         R, zero = rotations.matrix(quaternion), jnp.zeros((1, 3), y.dtype)
-        frames = with_world(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B)))
+        now = with_world(supports, Frame(p, R, rotate(R, v_B), rotate(R, w_B))).at_time(t, state)
         a = jnp.concatenate([zero, a, rotate(R, v_rate + cross(w_B, v_B))])
-        return frames, a, jnp.concatenate([zero, alpha, rotate(R, w_rate)])
+        return replace(now, a=a, alpha=jnp.concatenate([zero, alpha, rotate(R, w_rate)]))
 
     def speeds(self, q, momenta, supports: Frame):
         """v = R mass_B^-1 R' momenta; B' dT/dq = -(0, v x P + w x H)."""
@@ -301,6 +302,11 @@ class FreeBodies(Dynamics):
             return jnp.concatenate([F, M], -1).ravel()
 
         return generalized(v, w), with_world(supports, Frame(q[:, :3], R, v, w)), generalized(jnp.zeros_like(v), -gyroscopic), generalized
+
+
+def _state(p: Float[Array, "nb 3"], quaternion: Float[Array, "nb 4"], v: Float[Array, "nb 3"], w: Float[Array, "nb 3"]) -> State:
+    """The state of free bodies."""
+    return State(jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([v, w], -1).ravel())
 
 
 def _generalized(lin, ang, F: Float[Array, "nb 3"], M: Float[Array, "nb 3"]) -> Float[Array, "nv"]:

@@ -49,17 +49,16 @@ def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: 
     change = acceleration(model, state, t, motions, loads)
     v = state.v + ahead * jnp.where(jnp.isfinite(change), change, 0.0)
     moved, moment = State(Coordinates(model).retract(state.q, ahead * state.v), v), t + ahead
-    frames = frames_at_time(model, motions, moment, moved)
+    now = frames_at_time(model, motions, moment, moved)
 
     def numbers(element, *frames):
         e, rate = element.rates(*frames)
         return jnp.isfinite(element.force(*frames)).all(), e, rate
 
-    on = [frames[model.layout.frame(load.on)] for load in loads]
-    wrenches = [jnp.concatenate(load.wrench(moment, frame)) for load, frame in zip(loads, on, strict=True)]
+    wrenches = [jnp.concatenate(load.wrench(now.frame(model.layout.frame(load.on)))) for load in loads]
     return (
         [jnp.isfinite(motion(moment)).all() for motion in motions],
-        _rows(model, each_element(model, frames, numbers)),
+        _rows(model, each_element(model, now, numbers)),
         [jnp.isfinite(wrench).all() for wrench in wrenches],
     )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
-from jaxbody.geometry.frames import Frame, Pose, stack
+from jaxbody.geometry.frames import Frame, Instant, Pose, stack
 from jaxbody.geometry.vectors import cross, rotate
 from jaxbody.inputs.signals import Signal
 from jaxbody.models.layouts import Layout
@@ -131,10 +131,10 @@ def _joint_frame(joint, q, v, parent: Frame, rest: Pose):
     return Frame(pose.p, pose.R, velocity, w), (linear, angular)
 
 
-def frames_at_time(model: Model, motions: Motions, t, state: State) -> Frame:
-    """The table of frames at a time."""
+def frames_at_time(model: Model, motions: Motions, t, state: State) -> Instant:
+    """The table of frames at a time and state."""
     coordinates = Coordinates(model)
-    return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t))
+    return coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t)).at_time(t, state)
 
 
 @eqx.filter_jit

@@ -12,12 +12,12 @@ from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
+from jaxbody.geometry.frames import Instant
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.places import direction
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
 from jaxbody.models.joints import Free
 from jaxbody.models.models import Model
-from jaxbody.models.states import Instant
 from jaxbody.sensors.sensors import Chain, Sensor
 
 

@@ -23,12 +23,11 @@ from jaxbody.core.arrays import Array, Float, vector
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
-from jaxbody.geometry.frames import Frame
+from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.places import direction
 from jaxbody.geometry.vectors import cross, dot, product, rotate_back
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model, pose_at_reference
-from jaxbody.models.states import Instant
 from jaxbody.sensors.sensors import Chain, Sensor
 
 

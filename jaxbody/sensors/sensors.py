@@ -11,9 +11,9 @@ from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import Array, Float, checked, concrete
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.geometry.fields import check_domain, field, kind_of
+from jaxbody.geometry.frames import Instant
 from jaxbody.geometry.vectors import to_rank
 from jaxbody.models.models import Model
-from jaxbody.models.states import Instant
 from jaxbody.sensors import delays_and_lags
 from jaxbody.sensors.channels import Channel
 

@@ -10,12 +10,11 @@ from jaxbody.core.arguments import check_key, check_kind
 from jaxbody.core.arrays import Array, PRNGKeyArray, concrete
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.models import Model
-from jaxbody.models.states import Instant, State
+from jaxbody.models.states import State
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
 from jaxbody.simulations.trajectories import Trajectory
 
@@ -25,13 +24,8 @@ def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sen
     if any(sensor.accelerations for sensor in sensors.values()):
         instant = dynamics_of(model, motions, loads).instant(t, state, reactions=any(sensor.reactions for sensor in sensors.values()))
     else:
-        instant = at_instant(frames_at_time(model, motions, t, state), state)
+        instant = frames_at_time(model, motions, t, state)
     return {name: sensor.reading(model, instant) for name, sensor in sensors.items()}
-
-
-def at_instant(frames: Frame, state: State) -> Instant:
-    """Frames with their state, without accelerations."""
-    return Instant(frames.p, frames.R, frames.v, frames.w, state)
 
 
 def readings(trajectory: Trajectory, sensors: dict[str, Sensor]) -> dict[str, Array]:

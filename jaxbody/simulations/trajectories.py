@@ -226,9 +226,9 @@ def _reactions(model, motions, t, state, loads):
 
 
 def _load_power(model, motions, t, state, loads):
-    frames = frames_at_time(model, motions, t, state)
-    on = [frames[model.layout.frame(load.on)] for load in loads]
-    wrenches = [(*load.wrench(t, frame), frame) for load, frame in zip(loads, on, strict=True)]
+    now = frames_at_time(model, motions, t, state)
+    on = [now.frame(model.layout.frame(load.on)) for load in loads]
+    wrenches = [(*load.wrench(frame), frame) for load, frame in zip(loads, on, strict=True)]
     return sum((jnp.sum(F * frame.v) + jnp.sum(M * frame.w) for F, M, frame in wrenches), jnp.zeros((), state.q.dtype))
 
 

@@ -206,7 +206,8 @@ def _load_cases(model: Model, unloaded: Equilibrium, searches: SearchResult, app
 
     def largest_of(load, weight):
         """Of a load at rest: force, or moment over the size of the model."""
-        force, moment = load.wrench(jnp.zeros((), scale.dtype), rest.frames[model.layout.frame(load.on)])
+        frame = rest.frames[model.layout.frame(load.on)]
+        force, moment = load.wrench(frame.at_time(jnp.zeros((), scale.dtype), unloaded.state))
         return weight * jnp.maximum(jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment)) / size_of(model))
 
     def one(applied, search):

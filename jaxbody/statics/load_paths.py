@@ -103,8 +103,8 @@ def generalized_force(model: Model, q, loads: tuple[Load, ...], weights: Any, de
     t = jnp.zeros((), q.dtype)
     for load, weight in zip(loads, weights, strict=True):
         i = layout.frame(load.on)
-        frame = Pose(at.p[i], at.R[i]).at_rest()
-        F, M = summed(lambda load, weight, frame=frame: tuple(weight * x for x in load.wrench(t, frame)), load, weight)
+        now = Pose(at.p[i], at.R[i]).at_rest().at_time(t)
+        F, M = summed(lambda load, weight, now=now: tuple(weight * x for x in load.wrench(now)), load, weight)
         p = p.at[i].add(F)
         R = R.at[i].add(product(skew(M), at.R[i]) / 2)  # as <[M] R, [w] R>/2 = M . w
     return pull(Pose(p, R))[0]

@@ -21,7 +21,7 @@ import numpy as np
 from jaxbody.core.arrays import Array, Complex, Float
 from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.frames import Frame
+from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.places import DIRECTIONS
 from jaxbody.geometry.vectors import cross, skew
 from jaxbody.inputs.port_inputs import KINDS, BaseMotion, Input, PointForce
@@ -30,7 +30,7 @@ from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists, slope
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
-from jaxbody.models.states import Instant, State
+from jaxbody.models.states import State
 from jaxbody.sensors.instruments import LoadCell, Reaction
 from jaxbody.sensors.kinematic_sensors import Kinematic
 from jaxbody.sensors.sensors import Sensor
@@ -188,13 +188,13 @@ def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sens
     def moved(x, rate, change, u) -> Instant:
         (dp, turn), (v, w), (a, alpha) = (jnp.split(jnp.einsum("fni,n->fi", twists, y), 2, -1) for y in (x, rate, change))
         step = Frame(frames.p, frames.R, dp, turn).rates()
-        now = Frame(frames.p + step.p, frames.R + step.R, v, w)
         state = State(dynamics.coordinates.retract(q, x[: layout.nv]), rate[: layout.nv])
-        transmitted = (None, None)
+        t = jnp.zeros((), q.dtype)
+        now = Instant(frames.p + step.p, frames.R + step.R, v, w, t, state, a, alpha)
         if any(sensor.reactions for sensor in sensors):
             extra = jnp.tensordot(u, wrenches, 1)
-            transmitted = dynamics.transmitted_wrenches(jnp.zeros((), q.dtype), now, a, alpha, (extra[:, :3], extra[:, 3:]))
-        return Instant(now.p, now.R, now.v, now.w, state, a, alpha, *transmitted)
+            now = dynamics.with_reactions(now, (extra[:, :3], extra[:, 3:]))
+        return now
 
     start = (zero, zero, zero, jnp.zeros(len(wrenches), q.dtype))
     rest = jax.lax.stop_gradient(moved(*start))

@@ -7,6 +7,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.core.errors import Problems
+from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.signals import Delayed, Function, Samples, Sine, as_signal, kinks_of
 
 TIMES = np.linspace(0, 1, 21)
@@ -114,7 +115,8 @@ def test_a_motion_sampled_and_a_signal_sampled_are_one_spline(rng):
 
 
 def test_a_load_may_be_a_function_that_returns_a_list():
-    assert jb.Force("mass", force=lambda t: [0.0, t, 1.0]).at_point(jnp.array(2.0), None)[0].tolist() == [0.0, 2.0, 1.0]
+    now = Pose(UP, jnp.eye(3)).at_rest().at_time(jnp.array(2.0))
+    assert jb.Force("mass", force=lambda t: [0.0, t, 1.0]).at_point(now)[0].tolist() == [0.0, 2.0, 1.0]
 
 
 @pytest.mark.parametrize("part", ["amplitude", "frequency", "phase"])

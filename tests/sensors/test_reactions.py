@@ -184,7 +184,7 @@ def test_what_joints_and_all_else_exert_is_the_rate_of_momentum(kind):
             frames,
             axes,
             elements,
-            PUSH[0].wrench(t, frames[layout.frame("box")]),
+            PUSH[0].wrench(frames[layout.frame("box")].at_time(t)),
             read(model, SHAKEN, t, jb.State(q, v), sensors, PUSH),
         )
 
