@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, indices
+from jaxbody.core.arrays import Array, Float, indices, module_of
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
@@ -21,6 +21,7 @@ MOST_FORWARD = 30  # free numbers up to which forward mode is faster
 
 Quantities = dict[str, Array]
 Evaluate = Callable[..., Any]
+Shapes = tuple[tuple[str, tuple[int, ...]], ...]  # names and shapes of quantities
 NamedLimits = dict[str, tuple[float, float]]
 
 
@@ -54,14 +55,19 @@ class Program:
         self.space, self.evaluate, self.minimize, self.limits = space, evaluate, minimize, limits
         self.width, self.reverse, self.key, self.progress, self.line = width, reverse, key, progress, line
         self.count = 0
-        self.shapes: tuple[tuple[str, tuple[int, ...]], ...] = ()
+        self.shapes: Shapes = ()
         self.origin = np.zeros(0)
 
     def __call__(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Values (b, m) and Jacobians (b, m, n), in batches of the compiled width."""
         self.count += 1
-        parts = [self._batch(U[i : i + self.width]) for i in range(0, len(U), self.width)]
-        values, slopes = np.concatenate([v for v, _ in parts]), np.concatenate([J for _, J in parts])
+        filled = np.concatenate([U, np.repeat(U[-1:], -len(U) % self.width, 0)]).reshape(-1, self.width, U.shape[1])
+        parts = []
+        for batch in filled:
+            u = jnp.asarray(batch if self.width > 1 else batch[0])
+            values, slopes, self.shapes = values_and_slopes(self.space, self.evaluate, self.reverse, u, self.key)
+            parts.append((np.asarray(values).reshape(self.width, -1), np.asarray(slopes).reshape(self.width, *slopes.shape[-2:])))
+        values, slopes = (np.concatenate(part)[: len(U)] for part in zip(*parts, strict=True))
         message = f"evaluation {self.count}{self._least(values)}"
         self.line(message)
         if self.progress:
@@ -70,20 +76,10 @@ class Program:
 
     def _least(self, values: np.ndarray) -> str:
         """The least objective of all starts, as text."""
-        objectives = values[:, self.rows.objective] if {self.minimize, *self.limits} <= set(dict(self.shapes)) else np.zeros(0)
-        finite = objectives[np.isfinite(objectives)]
-        return (
-            f", {self.minimize} {finite.min():.6g}" + (f", the least of {len(objectives)}" if len(objectives) > 1 else "")
-            if len(finite)
-            else ""
-        )
-
-    def _batch(self, U: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        filled = np.concatenate([U, np.repeat(U[-1:], self.width - len(U), 0)])
-        u = jnp.asarray(filled if self.width > 1 else filled[0])
-        values, slopes, self.shapes = values_and_slopes(self.space, self.evaluate, self.reverse, u, self.key)
-        values, slopes = np.asarray(values), np.asarray(slopes)
-        return (values[: len(U)], slopes[: len(U)]) if self.width > 1 else (values[None], slopes[None])
+        known = {self.minimize, *self.limits} <= set(dict(self.shapes))
+        finite = [f for f in values[:, self.rows.objective] if np.isfinite(f)] if known else []
+        of = f", the least of {len(values)}" if len(values) > 1 else ""
+        return f", {self.minimize} {min(finite):.6g}{of}" if finite else ""
 
     @property
     def rows(self) -> Rows:
@@ -96,13 +92,42 @@ class Program:
         )
         return Rows(int(rows_of[self.minimize][0]), np.concatenate([np.zeros(0, int), *rows]).astype(int), lower, upper)
 
+    @property
+    def requested(self) -> np.ndarray:
+        """The rows of the objective and of the limited quantities."""
+        return np.r_[self.rows.objective, self.rows.limited].astype(int)
+
     def labels(self) -> list[str]:
         """The name of every value."""
-        return [name + index for name, shape in self.shapes for index in indices(shape)]
+        return labels_of(self.shapes)
 
     def quantities(self, values: np.ndarray) -> Quantities:
-        parts = np.split(values, np.cumsum([int(np.prod(shape)) for _, shape in self.shapes])[:-1], axis=-1)
-        return {name: part.reshape((*values.shape[:-1], *shape)) for (name, shape), part in zip(self.shapes, parts, strict=True)}  # pyright: ignore[reportReturnType]
+        return split(values, self.shapes)
+
+
+class Flat:
+    """All quantities as one vector, a function of u, and their names and shapes, once it has been evaluated."""
+
+    def __init__(self, space: Space, evaluate: Evaluate, *more: Any):
+        self.space, self.evaluate, self.more = space, evaluate, more
+        self.shapes: Shapes = ()
+
+    def __call__(self, u: Float[Array, "n"]) -> Float[Array, "m"]:
+        quantities = evaluated(self.evaluate, self.space.place(u)[0], *self.more)
+        self.shapes = tuple((name, x.shape) for name, x in quantities.items())
+        return jnp.concatenate([x.ravel() for x in quantities.values()])
+
+
+def split(values: Float[Array, "*b m"], shapes: Shapes) -> Quantities:
+    """The quantities in one vector or in a batch of them."""
+    ends = np.cumsum([int(np.prod(shape)) for _, shape in shapes])[:-1]
+    parts = module_of(values).split(values, ends, axis=-1)
+    return {name: part.reshape((*values.shape[:-1], *shape)) for (name, shape), part in zip(shapes, parts, strict=True)}
+
+
+def labels_of(shapes: Shapes) -> list[str]:
+    """The name of each number of quantities: "frequency[0]"."""
+    return [name + index for name, shape in shapes for index in indices(shape)]
 
 
 @jit_optimized
@@ -113,22 +138,16 @@ def values_and_slopes(space: Space, evaluate: Evaluate, reverse: bool | None, u:
         space, evaluate, reverse, key: as in `Program`.
         u: one vector of free parameters (n,) or a batch (b, n).
     """
-    shapes: list[tuple[str, tuple[int, ...]]] = []
-
-    def flat(u):
-        quantities = evaluated(evaluate, space.place(u)[0], *(() if key is None else (key,)))
-        shapes[:] = [(name, x.shape) for name, x in quantities.items()]
-        return jnp.concatenate([x.ravel() for x in quantities.values()])
+    flat = Flat(space, evaluate, *(() if key is None else (key,)))
 
     def both(u):
-        use_reverse = u.size > MOST_FORWARD if reverse is None else reverse
-        if not use_reverse:
+        if not (u.size > MOST_FORWARD if reverse is None else reverse):
             return value_and_forward_slopes(flat, u)
         values, pull = jax.vjp(needed(flat, u), u)
         return values, jax.vmap(lambda y: pull(y)[0])(jnp.eye(values.size))
 
     values, slopes = both(u) if u.ndim == 1 else jax.vmap(both)(u)
-    return values, slopes, tuple(shapes)
+    return values, slopes, flat.shapes
 
 
 def value_and_forward_slopes(function: Callable[[Array], Array], u: Float[Array, "n"]) -> tuple[Float[Array, "m"], Float[Array, "m n"]]:
@@ -217,9 +236,8 @@ def check_start(program: Program, U: np.ndarray) -> None:
     values, _ = program(U)
     check_names(program)
     program.origin = values[0]
-    rows = np.r_[program.rows.objective, program.rows.limited]
-    finite = np.isfinite(values[:, rows]).all(-1)
-    if finite.any():
+    rows = program.requested
+    if np.isfinite(values[:, rows]).all(-1).any():
         return
     labels = program.labels()
     bad = [f"{labels[i]} = {values[0, i]}" for i in dict.fromkeys(rows) if not np.isfinite(values[0, i])]
@@ -231,10 +249,9 @@ def check_start(program: Program, U: np.ndarray) -> None:
 def check_slopes(program: Program, search: Search) -> None:
     """Report derivatives that are not finite at any start. Error: NONFINITE_START."""
     labels, names = program.labels(), program.space.labels
-    rows = np.r_[program.rows.objective, program.rows.limited]
     bad = [
         f"'{labels[i]}' by '{name}'"
-        for i in dict.fromkeys(rows)
+        for i in dict.fromkeys(program.requested)
         for name, x in zip(names, search.slopes[i], strict=True)
         if not np.isfinite(x)
     ]

@@ -15,15 +15,17 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
-from jaxbody.core.arrays import Array, Float, Int, concrete, float_array, indices, module_of
+from jaxbody.core.arrays import Array, Float, Int, concrete, float_array, module_of
 from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.designs.programs import Evaluate, Quantities, evaluated, value_and_forward_slopes
-from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
+from jaxbody.designs.programs import Evaluate, Flat, Quantities, labels_of, split, value_and_forward_slopes
+from jaxbody.models.leaf_paths import leaves_of, matching
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
+from jaxbody.parameters.spaces import Parameter, Space
+from jaxbody.parameters.transforms import Shifted
 
 CHUNK = 256  # samples per batch
 SHOWN = 3  # parameters printed for each quantity
@@ -107,13 +109,12 @@ def tolerances(
     with Problems() as problems:
         samples = whole_number(samples, "tolerances.samples", problems, least=2, code="BAD_SCATTER")
         check_key(key, "tolerances.key", problems)
-        leaves, deviations = problems.gather(lambda: scattering(model, scatter, "tolerances.scatter")) or ((), ())
+        space = problems.gather(lambda: scattering(model, scatter, "tolerances.scatter"))
     key = jax.random.key(0) if key is None else key
     with working("tolerances", progress) as line:
         line(f"derivatives and {samples} samples, as one program")
-        numbers, labels = jax.block_until_ready(_tolerances(model, evaluate, leaves, deviations, samples, key))
-    parameters = [leaf.path + index for leaf, s in zip(leaves, deviations, strict=True) for index in indices(s.shape)]
-    return warn_if_failed(Tolerances(*numbers, quantities=labels, parameters=tuple(parameters)))
+        numbers, labels = jax.block_until_ready(_tolerances(space, evaluate, samples, key))
+    return warn_if_failed(Tolerances(*numbers, quantities=labels, parameters=tuple(space.labels)))
 
 
 def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Evaluate:
@@ -134,70 +135,41 @@ def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Eval
         positive_number(sigmas, "robust.sigmas", problems)
 
     def with_scatter(model: Model) -> Quantities:
-        leaves, deviations = scattering(model, scatter, "robust.scatter")
-        moved = Moved(model, evaluate, leaves, deviations)
-        f, J, H = _expanded(moved.flat, moved.size)
+        flat = Flat(scattering(model, scatter, "robust.scatter"), evaluate)
+        f, J, H = _expanded(flat)
         mean, deviation = _moments(f, J, H)
-        nominal = dict(moved.parts(f))
-        high, low = moved.parts(mean + sigmas * deviation), moved.parts(mean - sigmas * deviation)
+        high, low = split(mean + sigmas * deviation, flat.shapes), split(mean - sigmas * deviation, flat.shapes)
+        nominal = split(f, flat.shapes)
         return nominal | {f"{name} high": x for name, x in high.items()} | {f"{name} low": x for name, x in low.items()}
 
     return with_scatter
 
 
-def scattering(model: Model, scatter: Scatter, where: str) -> tuple[tuple[Leaf, ...], tuple[Array, ...]]:
-    """The leaves that scatter and their standard deviations."""
-    leaves, deviations = [], []
+def scattering(model: Model, scatter: Scatter, where: str) -> Space:
+    """The space of the parameters that scatter, as functions x + s xi of standardized deviations xi."""
+    parameters, arrays = [], jax.tree.leaves(model)
     with Problems() as problems:
         scatter = checked_dict(scatter, where, "path: standard deviation", problems)
-    arrays = jax.tree.leaves(model)
-    for pattern, matches in matching(leaves_of(model), scatter, where).items():
-        given = problems.gather(lambda pattern=pattern: float_array(scatter[pattern], f"{where}[{pattern!r}]"))
-        if given is None:
-            continue
-        for leaf in matches:
-            shape = leaf.shape(arrays)
-            known = concrete(given)
-            if given.shape not in ((), shape) or (known is not None and not ((known >= 0).all() and np.isfinite(known).all())):
-                limit, hint = f"one number >= 0, or of shape {shape}", "Give standard deviations."
-                problems.add("BAD_SCATTER", f"{where}['{leaf.path}']", f"is {scatter[pattern]!r:.60}", value=given, limit=limit, hint=hint)
-                continue
-            if leaf in leaves:
-                problems.add("LISTED_TWICE", where, f"names {leaf.path} twice", value=pattern)
-            leaves.append(leaf)
-            deviations.append(jnp.broadcast_to(jnp.asarray(given), shape))
-    if not leaves and not problems.collected:
-        problems.add("BAD_SCATTER", where, "is empty", limit="at least one path", hint="Give {path: standard deviation}.")
-    problems.raise_if_any()
-    return tuple(leaves), tuple(deviations)
+        for pattern, matches in matching(leaves_of(model), scatter, where, problems).items():
+            given = problems.gather(lambda pattern=pattern: float_array(scatter[pattern], f"{where}[{pattern!r}]"))
+            for leaf in () if given is None else matches:
+                shape, known = leaf.shape(arrays), concrete(given)
+                if given.shape not in ((), shape) or (known is not None and not ((known >= 0).all() and np.isfinite(known).all())):
+                    at, limit, hint = f"{where}['{leaf.path}']", f"one number >= 0, or of shape {shape}", "Give standard deviations."
+                    problems.add("BAD_SCATTER", at, f"is {scatter[pattern]!r:.60}", value=given, limit=limit, hint=hint)
+                    continue
+                if leaf.path in (parameter.path for parameter in parameters):
+                    problems.add("LISTED_TWICE", where, f"names {leaf.path} twice", value=pattern)
+                form = Shifted(leaf.read(arrays), jnp.broadcast_to(jnp.asarray(given), shape))
+                parameters.append(Parameter((("", leaf),), (1.0,), form, *form.unbounded()))
+        if not parameters and not problems.collected:
+            problems.add("BAD_SCATTER", where, "is empty", limit="at least one path", hint="Give {path: standard deviation}.")
+    return Space(model, tuple(parameters))
 
 
-class Moved:
-    """All quantities as one vector, a function of the standardized deviations xi."""
-
-    def __init__(self, model: Model, evaluate: Evaluate, leaves: tuple[Leaf, ...], deviations: tuple[Array, ...]):
-        self.model, self.evaluate, self.leaves, self.deviations = model, evaluate, leaves, deviations
-        self.size = sum(s.size for s in deviations)
-        self.shapes: dict[str, tuple[int, ...]] = {}
-
-    def flat(self, xi: Float[Array, "k"]) -> Float[Array, "m"]:
-        arrays = jax.tree.leaves(self.model)
-        parts = jnp.split(xi, np.cumsum([s.size for s in self.deviations])[:-1])
-        values = {leaf: leaf.read(arrays) + s * x.reshape(s.shape) for leaf, s, x in zip(self.leaves, self.deviations, parts, strict=True)}
-        quantities = evaluated(self.evaluate, write(self.model, values))
-        self.shapes = {name: x.shape for name, x in quantities.items()}
-        return jnp.concatenate([x.ravel() for x in quantities.values()])
-
-    def parts(self, values: Float[Array, "m"]) -> Quantities:
-        ends = np.cumsum([int(np.prod(shape)) for shape in self.shapes.values()])[:-1]
-        return {name: x.reshape(shape) for (name, shape), x in zip(self.shapes.items(), jnp.split(values, ends), strict=True)}
-
-    def labels(self) -> tuple[str, ...]:
-        return tuple(name + index for name, shape in self.shapes.items() for index in indices(shape))
-
-
-def _expanded(flat: Any, size: int) -> tuple[Array, Array, Array]:
+def _expanded(flat: Flat) -> tuple[Array, Array, Array]:
     """f, its Jacobian and its second derivatives at zero."""
+    size = flat.space.size
 
     def first(xi):
         f, J = value_and_forward_slopes(flat, xi)
@@ -216,12 +188,11 @@ def _moments(f, J, H) -> tuple[Array, Array]:
 
 
 @jit_optimized
-def _tolerances(model: Model, evaluate: Evaluate, leaves: tuple[Leaf, ...], deviations: tuple[Array, ...], samples: int, key: Any):
-    moved = Moved(model, evaluate, leaves, deviations)
-    f, J, H = _expanded(moved.flat, moved.size)
-    mean, deviation = _moments(f, J, H)
-    drawn = jax.lax.map(moved.flat, jax.random.normal(key, (samples, moved.size)), batch_size=min(CHUNK, samples))
+def _tolerances(space: Space, evaluate: Evaluate, samples: int, key: Any):
+    flat = Flat(space, evaluate)
+    f, J, H = _expanded(flat)
+    drawn = jax.lax.map(flat, jax.random.normal(key, (samples, space.size)), batch_size=min(CHUNK, samples))
     variance = jnp.sum(J**2, 1)
     shares = J**2 / jnp.where(variance > 0, variance, 1.0)[:, None]
     status = jnp.where(jnp.isfinite(drawn).all(), Status.OK.value, Status.NONFINITE.value)
-    return (f, jnp.sqrt(variance), mean, deviation, drawn, shares, status), moved.labels()
+    return (f, jnp.sqrt(variance), *_moments(f, J, H), drawn, shares, status), tuple(labels_of(flat.shapes))

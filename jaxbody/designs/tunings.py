@@ -152,11 +152,10 @@ def _status_and_multipliers(search: Search, rows: Rows, space: Space) -> tuple[i
 def _remedy(program: Program, best: Search, iterations: int) -> str:
     """Advice for a search that has not converged: more iterations if it has used them all; or bounds, if a derivative jumps at its end."""
     rows, labels = program.rows, program.labels()
-    requested = np.r_[rows.objective, rows.limited].astype(int)
     along = np.where(best.low < best.high, best.slopes[rows.objective], 0.0)
-    jumps = jumping(lambda U: program(np.clip(U, best.low, best.high))[1][:, requested], best.u, along)
+    jumps = jumping(lambda U: program(np.clip(U, best.low, best.high))[1][:, program.requested], best.u, along)
     if jumps.any():
-        names = ", ".join(dict.fromkeys(labels[i] for i, jump in zip(requested, jumps, strict=True) if jump))
+        names = ", ".join(dict.fromkeys(labels[i] for i, jump in zip(program.requested, jumps, strict=True) if jump))
         stops = [f"'{name}'" for name in at_kinks(_placed(program.space, jnp.asarray(best.u))[0])]
         cause = f", because {', '.join(stops)} rests at a kink of its law, like a stop that just touches" if stops else ""
         return f"derivatives of {names} jump there{cause}; this may be the optimum: check with bounds that exclude one side of the kink"

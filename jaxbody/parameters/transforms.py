@@ -106,9 +106,9 @@ class Positive(Elementwise):
 
 
 class Shifted(Elementwise):
-    """x = x0 + s u."""
+    """x = x0 + s u, s one number or one for each of x."""
 
-    scale: Float[Array, ""]
+    scale: Float[Array, "..."]
 
     def value(self, u):
         x = self.start + self.scale * u.reshape(self.start.shape)
@@ -116,7 +116,7 @@ class Shifted(Elementwise):
         return x - jax.lax.stop_gradient(module_of(u).where(rounding, x, 0.0))
 
     def inverse(self, x):
-        return ((np.asarray(x, float) - np.asarray(self.start)) / float(self.scale)).ravel()
+        return ((np.asarray(x, float) - np.asarray(self.start)) / np.asarray(self.scale)).ravel()
 
     def slope(self, x):
         return np.full_like(x, self.scale)
