@@ -65,7 +65,7 @@ def limits_of(
             elif not (np.maximum(low, ends[0]) < np.minimum(high, ends[1])).all():
                 problems.add("BAD_BOUNDS", at, "leaves nothing between the bounds of tied parameters", value=given, limit="lower < upper")
             low, high = np.maximum(low, ends[0]), np.minimum(high, ends[1])
-    return low, high
+    return np.asarray(low), np.asarray(high)
 
 
 def prior_of(form: Parametrization, priors: Given, where: str, problems: Problems) -> tuple[Array, Array] | None:
