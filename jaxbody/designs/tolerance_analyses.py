@@ -152,7 +152,9 @@ def scattering(model: Model, scatter: Scatter, where: str) -> Space:
         scatter = checked_dict(scatter, where, "path: standard deviation", problems)
         for pattern, matches in matching(leaves_of(model), scatter, where, problems).items():
             given = problems.gather(lambda pattern=pattern: float_array(scatter[pattern], f"{where}[{pattern!r}]"))
-            for leaf in () if given is None else matches:
+            if given is None:
+                continue
+            for leaf in matches:
                 shape, known = leaf.shape(arrays), concrete(given)
                 if given.shape not in ((), shape) or (known is not None and not ((known >= 0).all() and np.isfinite(known).all())):
                     at, limit, hint = f"{where}['{leaf.path}']", f"one number >= 0, or of shape {shape}", "Give standard deviations."
