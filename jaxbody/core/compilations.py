@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import re
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -52,6 +53,7 @@ class CompileTimes:
     programs: dict[str, tuple[float, float, float, int]] = field(default_factory=dict)
     cached: int = 0
     left_to_vmap: dict[str, str] = field(default_factory=dict)
+    counted: list[tuple[float, float]] = field(default_factory=list, repr=False)  # when seconds were counted, and how many
 
     @property
     def count(self) -> int:
@@ -63,13 +65,16 @@ class CompileTimes:
 
     def heard(self, event: str, seconds: float, **more: str) -> None:
         """Record an event of JAX. Only traces that become programs are counted; traces of inner functions are part of those of the outer
-        functions."""
-        phase, name = PHASES.get(event), program(more)
+        functions, and programs that are compiled and run during a trace are no part of it."""
+        phase, name, now = PHASES.get(event), program(more), time.perf_counter()
         if phase == 0:
-            self.traced[name] = self.traced.get(name, 0.0) + seconds
+            within = sum(spent for at, spent in self.counted if at > now - seconds)
+            self.traced[name] = self.traced.get(name, 0.0) + max(seconds - within, 0.0)
         elif phase is not None:
             trace, lowered, compiled, n = self.programs.get(name, (0.0, 0.0, 0.0, 0))
-            trace += self.traced.pop(name, 0.0)
+            traced = self.traced.pop(name, 0.0)
+            self.counted.append((now, seconds + traced))
+            trace += traced
             self.programs[name] = (trace, lowered + seconds, compiled, n) if phase == 1 else (trace, lowered, compiled + seconds, n + 1)
 
     def __repr__(self) -> str:
