@@ -62,6 +62,25 @@ def test_another_shape_or_option_is_another_program():
     assert spent.count == before  # it listens inside the block only
 
 
+def test_a_program_that_runs_while_another_is_traced_is_counted_once():
+    """The trace sleeps for 0.2 s and compiles and runs another program: its own time is that of the sleep, and a little."""
+
+    @jax.jit
+    def slept(x):
+        time.sleep(0.2)
+        with jax.ensure_compile_time_eval():
+            matrix = jnp.linalg.inv(jnp.eye(7) + 0.125)
+        return matrix @ x
+
+    begin = time.perf_counter()
+    with jb.compile_times() as spent:
+        slept(jnp.ones(7))
+    elapsed = time.perf_counter() - begin
+    inner = sum(sum(seconds) for name, (*seconds, _) in spent.programs.items() if name != "slept")
+    assert inner > 0 and 0.2 <= spent.programs["slept"][0] <= elapsed - inner
+    assert spent.seconds <= elapsed
+
+
 FAST = """
 import os
 import jax
