@@ -50,7 +50,7 @@ class Gauge(Sensor):
 
 class Displacement(Gauge):
     """Displacement [m] of a point relative to a body or support, in the axes of the latter: R_B' (p_a - p_B) - b, as read by an LVDT or a
-    ruler.
+    ruler. A Position with `relative_to` is that from the origin of the latter.
 
     Args:
         a: (name, point), or a name for its origin
