@@ -49,11 +49,11 @@ class CompileTimes:
     0
     """
 
-    traced: dict[str, float] = field(default_factory=dict)
+    traced: dict[str, list[tuple[float, float]]] = field(default_factory=dict, repr=False)  # when each trace began and ended
     programs: dict[str, tuple[float, float, float, int]] = field(default_factory=dict)
     cached: int = 0
     left_to_vmap: dict[str, str] = field(default_factory=dict)
-    counted: list[tuple[float, float]] = field(default_factory=list, repr=False)  # when seconds were counted, and how many
+    counted: list[tuple[float, float]] = field(default_factory=list, repr=False)  # spans of time in `programs`, none in another
 
     @property
     def count(self) -> int:
@@ -68,14 +68,18 @@ class CompileTimes:
         functions, and programs that are compiled and run during a trace are no part of it."""
         phase, name, now = PHASES.get(event), program(more), time.perf_counter()
         if phase == 0:
-            within = sum(spent for at, spent in self.counted if at > now - seconds)
-            self.traced[name] = self.traced.get(name, 0.0) + max(seconds - within, 0.0)
+            self.traced.setdefault(name, []).append((now - seconds, now))
         elif phase is not None:
             trace, lowered, compiled, n = self.programs.get(name, (0.0, 0.0, 0.0, 0))
-            traced = self.traced.pop(name, 0.0)
-            self.counted.append((now, seconds + traced))
-            trace += traced
-            self.programs[name] = (trace, lowered + seconds, compiled, n) if phase == 1 else (trace, lowered, compiled + seconds, n + 1)
+            trace += sum(self.count_once(*span) for span in self.traced.pop(name, []))
+            spent = self.count_once(now - seconds, now)
+            self.programs[name] = (trace, lowered + spent, compiled, n) if phase == 1 else (trace, lowered, compiled + spent, n + 1)
+
+    def count_once(self, begin: float, end: float) -> float:
+        """Seconds of this span that were not counted before; they are counted from now on."""
+        spent = end - begin - sum(max(min(end, until) - max(begin, since), 0.0) for since, until in self.counted)
+        self.counted = [(since, until) for since, until in self.counted if not begin <= since <= until <= end] + [(begin, end)]
+        return max(spent, 0.0)
 
     def __repr__(self) -> str:
         rows: list[tuple[Any, ...]] = sorted(((name, *times) for name, times in self.programs.items()), key=lambda row: -sum(row[1:4]))
