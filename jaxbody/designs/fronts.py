@@ -22,7 +22,7 @@ from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.designs.programs import Evaluate, Quantities
+from jaxbody.designs.programs import Evaluate, Quantities, variables_over
 from jaxbody.designs.searches import MET
 from jaxbody.designs.tuners import tune
 from jaxbody.designs.tunings import Tuning
@@ -50,12 +50,8 @@ class Front(Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset over `point`: every quantity, parameter and slope."""
-        variables: dict[str, tuple[tuple[str, ...], Any, str]] = {"status": (("point",), self.status, "")}
-        for name, values in {**self.quantities, **self.values}.items():
-            axes = tuple(f"{name}_{i}" for i in range(np.ndim(values) - 1))
-            variables.setdefault(name, (("point", *axes), values, ""))
-        for name, slope in zip(list(self.objectives)[1:], self.slopes.T, strict=True):
-            variables[f"slope over {name}"] = (("point",), slope, "")
+        slopes = {f"slope over {name}": slope for name, slope in zip(list(self.objectives)[1:], self.slopes.T, strict=True)}
+        variables = variables_over("point", {**self.values, **self.quantities, "status": self.status, **slopes})
         return dataset(variables, {"point": np.arange(1, 1 + len(self.status))}, "front")
 
     def _tables(self) -> list[tables.PrintedTable]:

@@ -92,11 +92,6 @@ class Program:
         )
         return Rows(int(rows_of[self.minimize][0]), np.concatenate([np.zeros(0, int), *rows]).astype(int), lower, upper)
 
-    @property
-    def requested(self) -> np.ndarray:
-        """The rows of the objective and of the limited quantities."""
-        return np.r_[self.rows.objective, self.rows.limited].astype(int)
-
     def labels(self) -> list[str]:
         """The name of every value."""
         return labels_of(self.shapes)
@@ -123,6 +118,11 @@ def split(values: Float[Array, "*b m"], shapes: Shapes) -> Quantities:
     ends = np.cumsum([int(np.prod(shape)) for _, shape in shapes])[:-1]
     parts = module_of(values).split(values, ends, axis=-1)
     return {name: part.reshape((*values.shape[:-1], *shape)) for (name, shape), part in zip(shapes, parts, strict=True)}
+
+
+def variables_over(axis: str, named: dict[str, Any]) -> dict[str, tuple[tuple[str, ...], Any, str]]:
+    """Variables of a dataset, the first axis of each with this name."""
+    return {name: ((axis, *(f"{name}_{i}" for i in range(np.ndim(x) - 1))), x, "") for name, x in named.items()}
 
 
 def labels_of(shapes: Shapes) -> list[str]:
@@ -236,7 +236,7 @@ def check_start(program: Program, U: np.ndarray) -> None:
     values, _ = program(U)
     check_names(program)
     program.origin = values[0]
-    rows = program.requested
+    rows = program.rows.requested
     if np.isfinite(values[:, rows]).all(-1).any():
         return
     labels = program.labels()
@@ -251,7 +251,7 @@ def check_slopes(program: Program, search: Search) -> None:
     labels, names = program.labels(), program.space.labels
     bad = [
         f"'{labels[i]}' by '{name}'"
-        for i in dict.fromkeys(program.requested)
+        for i in dict.fromkeys(program.rows.requested)
         for name, x in zip(names, search.slopes[i], strict=True)
         if not np.isfinite(x)
     ]

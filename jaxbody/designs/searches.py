@@ -38,6 +38,11 @@ class Rows:
     lower: np.ndarray
     upper: np.ndarray
 
+    @property
+    def requested(self) -> np.ndarray:
+        """The rows of the objective and of the limited quantities."""
+        return np.r_[self.objective, self.limited].astype(int)
+
     def violation(self, values: np.ndarray, scale: np.ndarray) -> Any:
         """The largest scaled violation."""
         c = values[..., self.limited]
@@ -57,12 +62,14 @@ class Stopped(Exception):
 
 @dataclass
 class Search:
-    """One start between bounds, the best `u` reached from it with its `values` and `slopes`, and the `history` of objective and
-    violation."""
+    """One start between bounds, the best `u` reached from it with its `values` and `slopes`, and the `history` of objective and violation.
+
+    Its problem is scaled: the objective by its `size` at the start, limited quantities by the sizes of their limits."""
 
     start: DesignVector
     low: DesignVector
     high: DesignVector
+    rows: Rows
     finite: bool = False
     size: float = 1.0  # of the objective
     history: list[tuple[float, float]] = field(default_factory=list)
@@ -76,6 +83,8 @@ class Search:
     values: DesignVector = field(init=False)
     slopes: np.ndarray = field(init=False)
     requested: DesignVector = field(init=False)
+    scale: np.ndarray = field(init=False)  # of the limited quantities
+    last: tuple[bytes, Any] = (b"", None)
 
     def __post_init__(self):
         self.u = self.requested = self.start
@@ -90,6 +99,60 @@ class Search:
         if self.answer is None:
             raise Stopped
         return self.answer
+
+    def begin(self) -> None:
+        """Evaluate the start."""
+        self.keep(self.start, *self._evaluated(self.start))
+        self.finite = self._finite(self.values, self.slopes)
+        self.size = float(abs(self.values[self.rows.objective])) or 1.0
+        self.scale = scales(self.rows, self.values)
+        self.last_finite = self.values, self.slopes  # of the last finite trial
+
+    @property
+    def violation(self) -> float:
+        """The largest scaled violation at the best u."""
+        return float(self.rows.violation(self.values, self.scale))
+
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """The scaled limits."""
+        return self.rows.lower / self.scale, self.rows.upper / self.scale
+
+    def _finite(self, *arrays: np.ndarray) -> bool:
+        return all(np.isfinite(x[self.rows.requested]).all() for x in arrays)
+
+    def _evaluated(self, u: DesignVector) -> tuple[np.ndarray, np.ndarray]:
+        """Values and derivatives; where derivatives do not exist, those of a point nearby."""
+        values, slopes = self.ask(u)
+        if self._finite(values) and not self._finite(slopes):
+            step = OFFSET * np.cos(1.0 + np.arange(len(u)))
+            slopes = self.ask(np.clip(np.where(u + step > self.high, u - step, u + step), self.low, self.high))[1]
+        return values, slopes
+
+    def at(self, u: DesignVector) -> tuple[float, DesignVector, np.ndarray, np.ndarray]:
+        """f, its gradient, the limited c and their Jacobian, scaled. A trial that is not finite gets the last finite values plus a
+        penalty."""
+        key = u.tobytes()
+        if self.last[0] != key:
+            inside, penalty, f, c = np.clip(u, self.low, self.high), 0.0, self.rows.objective, self.rows.limited
+            values, slopes = self._evaluated(inside)
+            if self._finite(values, slopes):
+                self.last_finite = values, slopes
+                self._keep_better(inside, values, slopes)
+            else:
+                values, slopes = self.last_finite
+                penalty = PENALTY * (1 + abs(values[f]) / self.size)
+            scaled = float(values[f] / self.size + penalty), slopes[f] / self.size, values[c] / self.scale, slopes[c] / self.scale[:, None]
+            self.last = key, scaled
+        return self.last[1]
+
+    def _keep_better(self, u: DesignVector, values: np.ndarray, slopes: np.ndarray) -> None:
+        """Add to the history, and keep u if it is better than the best so far: smaller violation or, if both are feasible, lower
+        objective."""
+        f, violation, before = self.rows.objective, float(self.rows.violation(values, self.scale)), self.violation
+        self.history.append((float(values[f]), violation))
+        if values[f] < self.values[f] if max(before, violation) <= MET else violation < before:
+            self.keep(u, values, slopes)
 
 
 def run_in_lockstep(
@@ -138,62 +201,6 @@ def run_in_lockstep(
             thread.join()
 
 
-class Scaled:
-    """The problem of one search, scaled: the objective by its size at the start, limited quantities by the sizes of their limits."""
-
-    def __init__(self, search: Search, rows: Rows):
-        self.search, self.rows = search, rows
-        self.requested = np.r_[rows.objective, rows.limited]
-        values, slopes = self._requested(search.start)
-        search.keep(search.start, values, slopes)
-        search.finite = self._finite(values, slopes)
-        self.size = search.size = float(abs(values[rows.objective])) or 1.0
-        self.scale = scales(rows, values)
-        self.last_finite = values, slopes  # of the last finite trial
-        self.last: tuple[bytes, Any] = (b"", None)
-
-    def _finite(self, *arrays: np.ndarray) -> bool:
-        return all(np.isfinite(x[self.requested]).all() for x in arrays)
-
-    def _requested(self, u: DesignVector) -> tuple[np.ndarray, np.ndarray]:
-        """Values and derivatives; where derivatives do not exist, those of a point nearby."""
-        values, slopes = self.search.ask(u)
-        if self._finite(values) and not self._finite(slopes):
-            search, step = self.search, OFFSET * np.cos(1.0 + np.arange(len(u)))
-            slopes = search.ask(np.clip(np.where(u + step > search.high, u - step, u + step), search.low, search.high))[1]
-        return values, slopes
-
-    def at(self, u: DesignVector) -> tuple[float, DesignVector, np.ndarray, np.ndarray]:
-        """f, its gradient, the limited c and their Jacobian, scaled. A trial that is not finite gets the last finite values plus a
-        penalty."""
-        key = u.tobytes()
-        if self.last[0] != key:
-            inside = np.clip(u, self.search.low, self.search.high)
-            values, slopes = self._requested(inside)
-            penalty = 0.0
-            if self._finite(values, slopes):
-                self.last_finite = values, slopes
-                self._keep(inside, values, slopes)
-            else:
-                values, slopes = self.last_finite
-                penalty = PENALTY * (1 + abs(values[self.rows.objective]) / self.size)
-            f, c = self.rows.objective, self.rows.limited
-            self.last = key, (
-                float(values[f] / self.size + penalty), slopes[f] / self.size, values[c] / self.scale, slopes[c] / self.scale[:, None],
-            )  # fmt: skip
-        return self.last[1]
-
-    def _keep(self, u: DesignVector, values: np.ndarray, slopes: np.ndarray) -> None:
-        """Add to the history, and keep u if it is better than the best so far: smaller violation or, if both are feasible, lower
-        objective."""
-        search, f = self.search, self.rows.objective
-        violation, before = (float(self.rows.violation(x, self.scale)) for x in (values, search.values))
-        search.history.append((float(values[f]), violation))
-        lower = values[f] < search.values[f] if max(before, violation) <= MET else violation < before
-        if lower:
-            search.keep(u, values, slopes)
-
-
 def scales(rows: Rows, values: np.ndarray) -> np.ndarray:
     """The size of each limit; for a limit of zero, the size of the limited quantity."""
     finite = [np.where(np.isfinite(end), np.abs(end), 0.0) for end in (rows.lower, rows.upper)]
@@ -201,86 +208,80 @@ def scales(rows: Rows, values: np.ndarray) -> np.ndarray:
     return np.where(size > 0, size, np.maximum(np.abs(values[rows.limited]), 1e-12))
 
 
-def search_with(method: str, rows: Rows, iterations: int, tolerance: float) -> Callable[[Search], None]:
-    """The function that runs a search: the method, restarted while it improves; if limits are violated, the violation is minimized
-    first."""
-
-    def run(search: Search) -> None:
-        problem = Scaled(search, rows)
-        free = (search.low < search.high).any()  # otherwise all parameters come from catalogues
-        for attempt in range(MOST_RESTARTS if search.finite and free else 0):
-            if search.iterations >= iterations:
+def run(search: Search, method: str, iterations: int, tolerance: float) -> None:
+    """The method, restarted while it improves; if limits are violated, the violation is minimized first."""
+    search.begin()
+    free = (search.low < search.high).any()  # otherwise all parameters come from catalogues
+    for attempt in range(MOST_RESTARTS if search.finite and free else 0):
+        if search.iterations >= iterations:
+            return
+        before = search.values[search.rows.objective]
+        search.iterations += _minimize(search, method, iterations - search.iterations, tolerance)
+        if search.violation > MET:
+            if not _restored(search, iterations - search.iterations):
                 return
-            before = search.values[rows.objective]
-            search.iterations += _minimize(problem, method, iterations - search.iterations, tolerance)
-            if rows.violation(search.values, problem.scale) > MET:
-                if not _restored(problem, iterations - search.iterations):
-                    return
-            elif attempt and before - search.values[rows.objective] <= 10 * tolerance * problem.size:
-                return
-
-    return run
+        elif attempt and before - search.values[search.rows.objective] <= 10 * tolerance * search.size:
+            return
 
 
-def _minimize(problem: Scaled, method: str, iterations: int, tolerance: float) -> int:
+def _minimize(search: Search, method: str, iterations: int, tolerance: float) -> int:
     import scipy.optimize  # slow to import
 
-    rows, u = problem.rows, problem.search.u
-    lower, upper = rows.lower / problem.scale, rows.upper / problem.scale
+    lower, upper = search.limits
     if method == "ipopt":
-        return minimize_by_ipopt(problem.at, u, (problem.search.low, problem.search.high), (lower, upper), iterations, tolerance)
-    bounds = scipy.optimize.Bounds(problem.search.low, problem.search.high, keep_feasible=True)  # pyright: ignore
-    common: dict[str, Any] = dict(jac=lambda u: problem.at(u)[1], bounds=bounds)
+        return minimize_by_ipopt(search.at, search.u, (search.low, search.high), (lower, upper), iterations, tolerance)
+    bounds = scipy.optimize.Bounds(search.low, search.high, keep_feasible=True)  # pyright: ignore
+    common: dict[str, Any] = dict(jac=lambda u: search.at(u)[1], bounds=bounds)
     limits: Any = ()
     if method == "slsqp":
         same = lower == upper
         below, above = np.isfinite(lower) & ~same, np.isfinite(upper) & ~same
 
-        def inequality(k, sign=(1, -1)):
-            return lambda u: np.concatenate([sign[0] * (x := problem.at(u)[k])[below], sign[1] * x[above]])
+        def inequality(k):
+            return lambda u: np.concatenate([search.at(u)[k][below], -search.at(u)[k][above]])
 
         ends = np.concatenate([lower[below], -upper[above]])
         limits = []
         if len(ends):
             limits.append(dict(type="ineq", fun=lambda u: inequality(2)(u) - ends, jac=inequality(3)))
         if same.any():
-            limits.append(dict(type="eq", fun=lambda u: problem.at(u)[2][same] - lower[same], jac=lambda u: problem.at(u)[3][same]))
+            limits.append(dict(type="eq", fun=lambda u: search.at(u)[2][same] - lower[same], jac=lambda u: search.at(u)[3][same]))
         options = dict(maxiter=iterations, ftol=tolerance)
     else:
-        if len(rows.limited):
+        if len(lower):
             limits = scipy.optimize.NonlinearConstraint(
-                lambda u: problem.at(u)[2],
+                lambda u: search.at(u)[2],
                 lower,
                 upper,
-                jac=lambda u: problem.at(u)[3],  # pyright: ignore[reportArgumentType]  SciPy takes functions, too
+                jac=lambda u: search.at(u)[3],  # pyright: ignore[reportArgumentType]  SciPy takes functions, too
                 hess=scipy.optimize.BFGS(),
             )
-        inside = np.isfinite(np.r_[lower[lower != upper], upper[lower != upper], problem.search.low, problem.search.high]).any()
+        inside = np.isfinite(np.r_[lower[lower != upper], upper[lower != upper], search.low, search.high]).any()
         gtol = 1e-14 if inside else tolerance**0.8  # a larger gtol would end the search at a large barrier parameter
         options = dict(maxiter=iterations, gtol=gtol, xtol=tolerance, barrier_tol=tolerance**0.8)
         common["hess"] = scipy.optimize.BFGS()
-    solution = scipy.optimize.minimize(lambda u: problem.at(u)[0], u, constraints=limits, method=method, options=options, **common)
+    solution = scipy.optimize.minimize(lambda u: search.at(u)[0], search.u, constraints=limits, method=method, options=options, **common)
     return int(solution.nit)
 
 
-def _restored(problem: Scaled, iterations: int) -> bool:
+def _restored(search: Search, iterations: int) -> bool:
     """Minimize the sum of squared violations; returns whether the limits can be met."""
     import scipy.optimize
 
-    lower, upper = problem.rows.lower / problem.scale, problem.rows.upper / problem.scale
+    lower, upper = search.limits
     if iterations <= 0:
         return False
 
     def squares(u):
-        _, _, c, A = problem.at(u)
+        _, _, c, A = search.at(u)
         excess = np.maximum(c - upper, 0) - np.maximum(lower - c, 0)
         return float(excess @ excess), 2 * excess @ A
 
-    bounds = list(zip(problem.search.low, problem.search.high, strict=True))
+    bounds = list(zip(search.low, search.high, strict=True))
     options = dict(maxiter=iterations, ftol=1e-16, gtol=1e-10)
-    solution = scipy.optimize.minimize(squares, problem.search.u, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
-    problem.search.iterations += int(solution.nit)
-    return float(problem.rows.violation(problem.search.values, problem.scale)) <= MET
+    solution = scipy.optimize.minimize(squares, search.u, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
+    search.iterations += int(solution.nit)
+    return search.violation <= MET
 
 
 @dataclass(frozen=True)
@@ -292,11 +293,11 @@ class Multipliers:
     remaining: float
 
 
-def multipliers(search: Search, rows: Rows) -> Multipliers:
+def multipliers(search: Search) -> Multipliers:
     """grad f = sum of lambda grad c over the active limits and bounds, lambda with the sign of their side, by least squares."""
     import scipy.optimize
 
-    values, slopes, u, low, high = search.values, search.slopes, search.u, search.low, search.high
+    rows, values, slopes, u, low, high = search.rows, search.values, search.slopes, search.u, search.low, search.high
     scale, size = scales(rows, values), max(abs(values[rows.objective]), search.size)
     c, A, g = values[rows.limited] / scale, slopes[rows.limited] / scale[:, None], slopes[rows.objective] / size
     at_lower, at_upper = c - rows.lower / scale <= ACTIVE, rows.upper / scale - c <= ACTIVE

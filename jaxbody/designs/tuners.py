@@ -23,7 +23,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra, i
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
 from jaxbody.designs.programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of
-from jaxbody.designs.searches import MET, METHODS, Rows, Search, one_thread, run_in_lockstep, scales, search_with
+from jaxbody.designs.searches import MET, METHODS, Search, one_thread, run, run_in_lockstep, scales
 from jaxbody.designs.tunings import Tuning, tuning_of
 from jaxbody.models.leaf_paths import matching
 from jaxbody.models.models import Model
@@ -107,16 +107,16 @@ def tune(
     with one_thread(), working("tune", progress) as program.line:
         program.line("first evaluation, compiling")
         check_start(program, U)
-        searches = [Search(u, low, high) for u in U]
+        searches = [Search(u, low, high, program.rows) for u in U]
         if isinstance(method, str):
-            run_in_lockstep(program, searches, search_with(method, program.rows, max_iterations, tolerance))
+            run_in_lockstep(program, searches, lambda search: run(search, method, max_iterations, tolerance))
         else:
             _run_optax(program, searches, method, max_iterations, key)
-        best = _best(program.rows, searches)
+        best = _best(searches)
         if catalogs:
             searches = _neighbors(program.space, best, catalogs)
-            run_in_lockstep(program, searches, search_with(method, program.rows, max_iterations, tolerance))
-            best = _best(program.rows, searches)
+            run_in_lockstep(program, searches, lambda search: run(search, method, max_iterations, tolerance))
+            best = _best(searches)
     if not best.finite:
         check_slopes(program, best)
     return warn_if_failed(tuning_of(program, searches, best, max_iterations))
@@ -185,7 +185,7 @@ def _neighbors(space: Space, best: Search, catalogs: dict[int, np.ndarray]) -> l
         u, low, high = best.u.copy(), best.low.copy(), best.high.copy()
         for x in (u, low, high):
             x[places] = chosen
-        searches.append(Search(u, low, high))
+        searches.append(Search(u, low, high, best.rows))
     return searches
 
 
@@ -233,13 +233,13 @@ def _descend(space: Space, evaluate: Evaluate, minimize: str, method, steps: int
     return jax.vmap(one)(U, jax.random.split(key, len(U)))
 
 
-def _best(rows: Rows, searches: list[Search]) -> Search:
+def _best(searches: list[Search]) -> Search:
     """The feasible search with the lowest objective, otherwise the one with the smallest violation."""
 
     def rank(search: Search):
         if not search.finite:
             return 2, 0.0
-        violation = rows.violation(search.values, scales(rows, search.values))
-        return (0, search.values[rows.objective]) if violation <= 10 * MET else (1, violation)
+        violation = search.rows.violation(search.values, scales(search.rows, search.values))
+        return (0, search.values[search.rows.objective]) if violation <= 10 * MET else (1, violation)
 
     return min(searches, key=rank)

@@ -17,7 +17,7 @@ from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
 from jaxbody.designs.kinks import at_kinks, jumping
-from jaxbody.designs.programs import NamedLimits, Program, Quantities
+from jaxbody.designs.programs import NamedLimits, Program, Quantities, variables_over
 from jaxbody.designs.searches import ACTIVE, CONVERGED, MET, Multipliers, Rows, Search, multipliers, scales
 from jaxbody.models.models import Model
 from jaxbody.parameters.spaces import Space
@@ -83,14 +83,8 @@ class Tuning(Result):
     def to_xarray(self) -> Any:
         """An xarray.Dataset over `start`: objective, violation, status, and every quantity and parameter."""
         runs = self.runs
-        variables: dict[str, tuple[tuple[str, ...], Any, str]] = {
-            "objective": (("start",), runs.objective, ""),
-            "violation": (("start",), runs.violation, ""),
-            "status": (("start",), runs.status, ""),
-        }
-        for name, values in {**runs.quantities, **runs.values}.items():
-            axes = tuple(f"{name}_{i}" for i in range(np.ndim(values) - 1))
-            variables.setdefault(name, (("start", *axes), values, ""))
+        all_starts = {"objective": runs.objective, "violation": runs.violation, "status": runs.status}
+        variables = variables_over("start", {**runs.values, **runs.quantities, **all_starts})
         return dataset(variables, {"start": np.arange(len(runs.status))}, f"design with the least {self.minimize}")
 
     def _tables(self) -> list[tables.PrintedTable]:
@@ -142,7 +136,7 @@ def _status_and_multipliers(search: Search, rows: Rows, space: Space) -> tuple[i
     """The status of a search and its multipliers, by the conditions of optimality rather than the optimizer's own report."""
     if not search.finite:
         return Status.NONFINITE.value, None
-    lambdas = multipliers(search, rows)
+    lambdas = multipliers(search)
     if rows.violation(search.values, scales(rows, search.values)) > 10 * MET:
         return Status.INFEASIBLE.value, lambdas
     converged = lambdas.remaining <= CONVERGED and UNBOUNDED not in _places(space, search).values()
@@ -153,9 +147,9 @@ def _remedy(program: Program, best: Search, iterations: int) -> str:
     """Advice for a search that has not converged: more iterations if it has used them all; or bounds, if a derivative jumps at its end."""
     rows, labels = program.rows, program.labels()
     along = np.where(best.low < best.high, best.slopes[rows.objective], 0.0)
-    jumps = jumping(lambda U: program(np.clip(U, best.low, best.high))[1][:, program.requested], best.u, along)
+    jumps = jumping(lambda U: program(np.clip(U, best.low, best.high))[1][:, rows.requested], best.u, along)
     if jumps.any():
-        names = ", ".join(dict.fromkeys(labels[i] for i, jump in zip(program.requested, jumps, strict=True) if jump))
+        names = ", ".join(dict.fromkeys(labels[i] for i, jump in zip(rows.requested, jumps, strict=True) if jump))
         stops = [f"'{name}'" for name in at_kinks(_placed(program.space, jnp.asarray(best.u))[0])]
         cause = f", because {', '.join(stops)} rests at a kink of its law, like a stop that just touches" if stops else ""
         return f"derivatives of {names} jump there{cause}; this may be the optimum: check with bounds that exclude one side of the kink"

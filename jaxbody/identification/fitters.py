@@ -145,7 +145,7 @@ def fit(
                 status = Status.OK if converged else Status.NOT_CONVERGED
                 if not estimated:
                     break
-                task, changed = with_estimated_noise(task, evaluate.auxiliary(u))
+                task, changed = with_estimated_noise(task, evaluate.at(u)[2])
                 if not changed:
                     break
                 evaluate.replace_function(partial(residual_and_jacobian, task), _floor(task))
@@ -220,8 +220,7 @@ def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
 
 
 def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
-    r, J = evaluate(u)
-    runs = evaluate.auxiliary(u)
+    r, J, runs = evaluate.at(u)
     space, limits, slopes = task.space, task.space.bounds, jax.jacfwd(task.space.values)(jnp.asarray(u))
     inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
     paths, exact = [parameter.path for parameter in space.parameters], EXACT * _floor(task)

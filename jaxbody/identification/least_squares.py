@@ -56,25 +56,23 @@ class Evaluations:
         self.rounds: list[int] = []  # counts at which the function was replaced
 
     def __call__(self, u) -> tuple[np.ndarray, np.ndarray]:
-        return self._at(u)[:2]
+        return self.at(u)[:2]
 
     def triangle(self, u) -> tuple[np.ndarray, np.ndarray]:
         """(r, J) reduced by a QR decomposition to as many rows as [J r] has columns. Scalar products of r and the columns of J, and so
         Gauss-Newton steps, cost and gradient at u, are preserved."""
-        result = self._at(u)
+        result = self.at(u)
         if self._last_triangle is None or self._last_triangle[0] is not result:
             self._last_triangle = (result, triangle(*result[:2]))
         return self._last_triangle[1]
-
-    def auxiliary(self, u) -> Any:
-        return self._at(u)[2]
 
     def replace_function(self, function: Callable, floor: float) -> None:
         """Continue with another function."""
         self.rounds.append(self.count)
         self.function, self.floor, self.best, self._least, self._last = function, floor, None, np.inf, None
 
-    def _at(self, u) -> tuple[np.ndarray, np.ndarray, Any]:
+    def at(self, u) -> tuple[np.ndarray, np.ndarray, Any]:
+        """r, J and what else the function returns."""
         key = np.asarray(u).tobytes()
         if self._last is not None and self._last[0] == key:
             return self._last[1]
@@ -94,8 +92,8 @@ class Evaluations:
         if self.progress:
             print(message, flush=True)
         self.line(message)
-        self._last = (key, (r, J, auxiliary))
-        return r, J, auxiliary
+        self._last = key, (r, J, auxiliary)
+        return self._last[1]
 
     @property
     def exhausted(self) -> bool:

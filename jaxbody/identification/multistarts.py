@@ -116,8 +116,7 @@ def multistart(
             first = fit(model, experiments, free=free, bounds=bounds, progress=progress, **options)
         task = first.task
         points = around(task.space, starts, spread, seed)
-        ends, costs = [np.asarray(first.u)], [float(first.cost)]
-        failures = 0
+        ends, costs, failures = [np.asarray(first.u)], [float(first.cost)], 0
         try:
             for i in range(0, starts, BATCH):
                 u, status, cost = (np.asarray(x) for x in _search(task, jnp.asarray(points[i : i + BATCH]), max_evaluations))
@@ -131,8 +130,7 @@ def multistart(
         except KeyboardInterrupt:
             starts = i  # pyright: ignore[reportPossiblyUnboundVariable]
         groups = _grouped(np.array(ends), np.array(costs))
-        lowest = groups[0][0]
-        best = first
+        lowest, best = groups[0][0], first
         if lowest == 0:
             for each in caught:
                 warn_of(each.message)  # pyright: ignore
@@ -144,7 +142,7 @@ def multistart(
         warn("SEVERAL_OPTIMA", f"another optimum explains the data about as well: costs {cost[0]:.6g} and {cost[1]:.6g}")
     values = jax.vmap(task.space.values)(jnp.asarray(np.array([ends[group[0]] for group in groups])))
     estimates = {path: values[path] for path in first.paths}
-    hits = np.array([len(group) for group in groups])
+    hits = np.array(list(map(len, groups)))
     return Multistart(best=best, cost=cost, hits=hits, estimates=estimates, starts=starts + 1, failures=failures, status=best.status)
 
 

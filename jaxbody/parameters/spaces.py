@@ -18,11 +18,11 @@ import numpy as np
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problem, Problems
+from jaxbody.geometry import fields
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of
 from jaxbody.parameters.bounds import limits_of, prior_of
-from jaxbody.parameters.field_units import units_of
 from jaxbody.parameters.ties import Factor, check_alike, equation, ties, times
 from jaxbody.parameters.transforms import Elementwise, Parametrization, Positive, Shifted, parametrize
 
@@ -195,3 +195,11 @@ def _between(form: Parametrization | Problem, start: Array, low: np.ndarray, hig
     if (low == 0).all() and (finite or isinstance(form, Problem)):
         return _between(Shifted(start, size), start, low, high, size)
     return form
+
+
+def units_of(leaf: Leaf, model: Model, value: Array) -> list[str]:
+    """The unit of each number of a leaf, for an initial state those of the coordinates; "" for none, as of a quaternion, or if unknown."""
+    if leaf.kind.domain not in ("configuration", "speeds"):
+        return fields.units_of(leaf.kind, value.shape)
+    row = model.layout.v_units if leaf.kind.domain == "speeds" else model.layout.q_units
+    return list(row) * (value.size // len(row))

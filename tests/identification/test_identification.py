@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 import jaxbody as jb
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.models.leaf_paths import leaves_of
-from jaxbody.parameters.field_units import units_of
+from jaxbody.parameters.spaces import units_of
 
 # A cart on a guide of a shaken base, on three springs. With two of them, their damper and the mass unknown, the third sets the scale.
 ENDS = {"s": [0.6, 0.5, 0.0], "t": [-0.3, 0.7, 0.0], "hold": [-0.6, -0.3, 0.0]}
