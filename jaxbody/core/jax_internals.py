@@ -11,7 +11,7 @@ Programs will then have `call_hi_primitive` where `lanes` knows `custom_jvp_call
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -67,6 +67,14 @@ def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     if hasattr(partial_eval, "lower_jaxpr2"):
         return partial_eval.lower_jaxpr2(jaxpr)  # pyright: ignore
     return jax.jit(jaxpr_as_fun(jaxpr)).trace(*jaxpr.in_avals).lojax.jaxpr  # pyright: ignore  # the same, in other versions
+
+
+def same_operation(equation: Any, args: Sequence[Any]) -> list[Any]:
+    """The results of the operation of one equation of a program, with other arguments."""
+    params = equation.primitive.get_bind_params(equation.params)
+    functions, params = params if isinstance(params, tuple) else ((), params)
+    out = equation.primitive.bind(*functions, *args, **params)
+    return list(out) if equation.primitive.multiple_results else [out]
 
 
 # New operations

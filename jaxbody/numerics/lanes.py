@@ -20,7 +20,7 @@ from jax.dtypes import float0
 
 from jaxbody.core.arrays import Array
 from jaxbody.core.compilations import note_left_to_vmap
-from jaxbody.core.jax_internals import ClosedJaxpr, Literal, Zero, call_of, jaxpr_as_fun, without_high_operations
+from jaxbody.core.jax_internals import ClosedJaxpr, Literal, Zero, call_of, jaxpr_as_fun, same_operation, without_high_operations
 from jaxbody.numerics.symmetric_eigenvalues import eigenvalues
 from jaxbody.numerics.xla_workarounds import as_kept, plain_max, sum_p
 
@@ -249,7 +249,7 @@ class Lanes:
         for eqn in jaxpr.jaxpr.eqns:
             given, of_lanes = zip(*map(look, eqn.invars), strict=True) if eqn.invars else ((), ())
             reached = _reach_of(eqn, list(of_lanes))
-            out = self._apply(eqn, list(of_lanes), list(given)) if any(of_lanes) else _bind(eqn, given)
+            out = self._apply(eqn, list(of_lanes), list(given)) if any(of_lanes) else same_operation(eqn, given)
             values |= dict(zip(eqn.outvars, out, strict=True))
             lanes |= dict(zip(eqn.outvars, reached, strict=True))
         results = [look(x) for x in jaxpr.jaxpr.outvars]
@@ -276,7 +276,7 @@ class Lanes:
         if name == "reduce_max" and jnp.issubdtype(x[0].dtype, jnp.floating):
             return [plain_max(x[0], tuple(p["axes"]))]
         if name in SAME_AXES:
-            return _bind(eqn, x)
+            return same_operation(eqn, x)
         if name in ("concatenate", "stack"):
             parts = [self._spread(a, o, v.aval.shape) for a, o, v in zip(x, on, eqn.invars, strict=True)]
             return [eqn.primitive.bind(*parts, **p)]
@@ -317,7 +317,7 @@ class Lanes:
 
     def _by_vmap(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
         axes = [-1 if o else None for o in on]
-        out = jax.vmap(lambda *x: _bind(eqn, x), in_axes=axes, out_axes=-1, axis_size=self.n)(*x)
+        out = jax.vmap(lambda *x: same_operation(eqn, x), in_axes=axes, out_axes=-1, axis_size=self.n)(*x)
         return [a if r else a[..., 0] for a, r in zip(out, _reach_of(eqn, on), strict=True)]
 
     def _with_own_rule(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
@@ -332,7 +332,7 @@ class Lanes:
         @call.defjvp
         def _(primals, tangents):
             axes = [-1 if o else None for o in on]
-            push = in_lanes(_pushed(lambda *x: _bind(eqn, x), moved, smooth), reversible=True, lanes=self.n, name=self.name)
+            push = in_lanes(_pushed(lambda *x: same_operation(eqn, x), moved, smooth), reversible=True, lanes=self.n, name=self.name)
             tangents, along = ([x for x, m in zip(of, moved, strict=True) if m] for of in (tangents, axes))
             out, dy = jax.vmap(push, in_axes=(axes, along), out_axes=-1, axis_size=self.n)(list(primals), tangents)
             dy = iter(dy)
@@ -367,11 +367,3 @@ class Lanes:
 
         end, ys = lax.scan(step, start, x[b:], length=p["length"], reverse=p["reverse"], unroll=p["unroll"])
         return [*end, *ys]
-
-
-def _bind(eqn, x) -> list[Any]:
-    """The unchanged equation."""
-    params = eqn.primitive.get_bind_params(eqn.params)
-    functions, params = params if isinstance(params, tuple) else ((), params)
-    out = eqn.primitive.bind(*functions, *x, **params)
-    return list(out) if eqn.primitive.multiple_results else [out]
