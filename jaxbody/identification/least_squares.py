@@ -6,6 +6,7 @@ optimum lies at a distance of one. It is restarted from its best point until the
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from jaxbody.identification.interrupted_programs import asked, interrupted
 from jaxbody.statistics.uncertainties import known_directions
 
 SIGNIFICANT = 0.01  # smallest decrease of the cost that counts as an improvement, relative to the expected decrease
@@ -187,8 +189,8 @@ def _whitened(triangle: tuple[np.ndarray, np.ndarray], columns=slice(None)) -> t
 def by_optax(evaluate: Evaluations, u, optimizer, limits: Bounds) -> tuple[np.ndarray, bool]:
     """The optimizer in whitened coordinates, restarted from the best point until the Gauss-Newton step is small.
 
-    It runs operation by operation on concrete numbers, so only the simulations are compiled, and only once. Within about a hundredth of a
-    standard error, integration errors make the cost too rough to descend; there Gauss-Newton steps take over, which do not use the cost."""
+    Its update is traced once and runs as a few programs, between which it asks for costs. Within about a hundredth of a standard error,
+    integration errors make the cost too rough to descend; there Gauss-Newton steps take over, which do not use the cost."""
     optimizer = optax.with_extra_args_support(optimizer)
     u, reach = np.asarray(u), 1.0
     for _ in range(MAX_RESTARTS):
@@ -211,26 +213,36 @@ def _descend(evaluate: Evaluations, optimizer, u, r0, unwhiten, size, sufficient
     """The best y of the optimizer from 0, or None without a significant decrease of the cost."""
 
     def value_and_gradient(y):
-        r, J = evaluate(u + unwhiten @ np.asarray(y))
+        r, J = evaluate(u + unwhiten @ y)
         if not np.isfinite(r).all():
-            return jnp.asarray(1e6), jnp.zeros_like(y)
+            return 1e6, np.zeros_like(y)
         # (r - r0)'(r + r0)/2 is the change of the cost without cancellation
-        return jnp.asarray(0.5 * (r - r0) @ (r + r0) / size**2), jnp.asarray(unwhiten.T @ (J.T @ r) / size**2)
+        return 0.5 * (r - r0) @ (r + r0) / size**2, unwhiten.T @ (J.T @ r) / size**2
 
-    cost = jax.custom_vjp(lambda y: value_and_gradient(y)[0])
-    cost.defvjp(value_and_gradient, lambda gradient, factor: (factor * gradient,))
+    begin, step = _programs_of(optimizer, unwhiten.shape[1], r0.dtype)
     best, lowest, improved_at, first = None, -SIGNIFICANT / 2, evaluate.count, None
-    with jax.disable_jit():
-        y = jnp.zeros(unwhiten.shape[1])
-        state = optimizer.init(y)
-        for _ in range(MAX_INNER):
-            value, gradient = value_and_gradient(y)
-            slope = float(np.linalg.norm(gradient))
-            first = slope if first is None else first
-            if float(value) < lowest:
-                best, lowest, improved_at = np.asarray(y), float(value), evaluate.count
-            if lowest < sufficient or slope < FLAT * first or evaluate.count - improved_at > PATIENCE or evaluate.exhausted:
-                break
-            change, state = optimizer.update(gradient, state, y, value=value, grad=gradient, value_fn=cost)
-            y = optax.apply_updates(y, change)
+    y, state = begin
+    for _ in range(MAX_INNER):
+        value, gradient = value_and_gradient(y)
+        slope = float(np.linalg.norm(gradient))
+        first = slope if first is None else first
+        if value < lowest:
+            best, lowest, improved_at = y, float(value), evaluate.count
+        if lowest < sufficient or slope < FLAT * first or evaluate.count - improved_at > PATIENCE or evaluate.exhausted:
+            break
+        y, state = step(value_and_gradient, y, state, np.asarray(value, y.dtype), np.asarray(gradient, y.dtype))
+        y = np.asarray(y)
     return best
+
+
+@functools.lru_cache(maxsize=16)
+def _programs_of(optimizer, size: int, dtype) -> tuple[Any, Callable[..., Any]]:
+    """y = 0 with the optimizer's state there, and the function of (value_and_gradient, y, state, value, gradient) that updates them."""
+
+    def update(y, state, value, gradient):
+        change, state = optimizer.update(gradient, state, y, value=value, grad=gradient, value_fn=asked)
+        return optax.apply_updates(y, change), state
+
+    y = np.zeros(size, dtype)
+    state = jax.jit(optimizer.init)(y)
+    return (y, state), interrupted(update, y, state, y.dtype.type(0), y)

@@ -1,0 +1,134 @@
+"""A JAX function that asks Python for numbers on its way, as a few programs of what lies between the questions.
+
+An optimizer of optax asks for values of the cost, in loops and branches of its line search. Operation by operation it would be a program
+for each kind of operation; a callback that runs JAX can block. The function is traced once, and loops and branches that ask run in Python.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxbody.core.jax_internals import Literal, Zero, new_operation, same_operation, shaped
+
+Answer = Callable[[np.ndarray], tuple[Any, Any]]  # value and gradient of the cost at y
+Run = Callable[[Answer, list[Any]], list[Any]]
+
+
+def asked(y: Float[Array, "n"]) -> Float[Array, ""]:
+    """The value of the cost at y, which Python will give; it can be differentiated."""
+    return _asked_p.bind(y)[0]
+
+
+def interrupted(function: Callable[..., Any], *like: Any) -> Callable[..., Any]:
+    """The function of (answer, *arguments) in which `answer` gives the values that the function gets from `asked`.
+
+    Args:
+        function: a JAX function; only loops (`while_loop`) and branches (`cond`) may ask
+        like: arguments of the shapes and types that will be passed
+    """
+    traced, out = jax.make_jaxpr(function, return_shape=True)(*like)
+    run, tree = _divided(traced.jaxpr), jax.tree.structure(out)
+
+    def call(answer: Answer, *args: Any) -> Any:
+        return jax.tree.unflatten(tree, run(answer, [*traced.consts, *jax.tree.leaves(args)]))
+
+    return call
+
+
+def _by_itself(*args: Any, **_: Any) -> Any:
+    raise NotImplementedError("`asked` outside of `interrupted`, or in a batch")
+
+
+def _asked_jvp(primals, tangents):
+    value, gradient = _asked_p.bind(*primals)
+    return [value, gradient], [gradient @ tangents[0], Zero(jax.typeof(gradient).to_tangent_aval())]
+
+
+_asked_p = new_operation(
+    "asked",
+    _by_itself,
+    typed=lambda y: [shaped((), y.dtype), shaped(y.shape, y.dtype)],
+    several=True,
+    batch=_by_itself,
+    jvp=_asked_jvp,
+)
+
+
+def _inside(eqn: Any) -> list[Any]:
+    """The programs that an operation runs."""
+    found = jax.tree.leaves(list(eqn.params.values()), is_leaf=lambda x: hasattr(x, "jaxpr") or hasattr(x, "eqns"))
+    return [getattr(x, "jaxpr", x) for x in found if hasattr(x, "jaxpr") or hasattr(x, "eqns")]
+
+
+def _asks(eqn: Any) -> bool:
+    return eqn.primitive is _asked_p or any(_asks(part) for jaxpr in _inside(eqn) for part in jaxpr.eqns)
+
+
+def _divided(jaxpr: Any) -> Run:
+    """Runs a program: operations that ask in Python, all between two of them as one program."""
+    groups = [list(group) for _, group in itertools.groupby(jaxpr.eqns, lambda eqn: id(eqn) if _asks(eqn) else None)]
+    steps, later = [], {v for v in jaxpr.outvars if not isinstance(v, Literal)}
+    for group in reversed(groups):
+        made = [v for eqn in group for v in eqn.outvars]
+        needed = list(dict.fromkeys(v for eqn in group for v in eqn.invars if not isinstance(v, Literal) and v not in made))
+        kept = [v for v in made if v in later]
+        later.update(needed)
+        steps.insert(0, (_question(group[0]), group[0].invars, made) if _asks(group[0]) else (_program(group, needed, kept), needed, kept))
+
+    def run_all(answer: Answer, args: list[Any]) -> list[Any]:
+        values = dict(zip([*jaxpr.constvars, *jaxpr.invars], args, strict=True))
+        for run, given, results in steps:
+            values |= zip(results, run(answer, [_read(values, v) for v in given]), strict=True)
+        return [_read(values, v) for v in jaxpr.outvars]
+
+    return run_all
+
+
+def _read(values: dict[Any, Any], v: Any) -> Any:
+    return v.val if isinstance(v, Literal) else values[v]
+
+
+def _program(eqns: list[Any], needed: list[Any], kept: list[Any]) -> Run:
+    @jax.jit
+    def between(args):
+        values = dict(zip(needed, args, strict=True))
+        for eqn in eqns:
+            values |= zip(eqn.outvars, same_operation(eqn, [_read(values, v) for v in eqn.invars]), strict=True)
+        return [values[v] for v in kept]
+
+    return lambda answer, args: between(args)
+
+
+def _question(eqn: Any) -> Run:
+    """How Python runs an operation that asks."""
+    params = eqn.params
+    if eqn.primitive is _asked_p:
+        return lambda answer, args: [np.asarray(x, args[0].dtype) for x in answer(np.asarray(args[0]))]
+    if eqn.primitive.name == "while":
+        condition, body = (_closed(params[name]) for name in ("cond_jaxpr", "body_jaxpr"))
+        n, m = params["cond_nconsts"], params["body_nconsts"]
+
+        def loop(answer: Answer, args: list[Any]) -> list[Any]:
+            known, constants, state = args[:n], args[n : n + m], args[n + m :]
+            while condition(answer, [*known, *state])[0]:
+                state = body(answer, [*constants, *state])
+            return state
+
+        return loop
+    if eqn.primitive.name == "cond":
+        branches = [_closed(branch) for branch in params["branches"]]
+        return lambda answer, args: branches[min(max(int(args[0]), 0), len(branches) - 1)](answer, args[1:])
+    if eqn.primitive.name in ("jit", "pjit"):
+        return _closed(params["jaxpr"])
+    raise NotImplementedError(f"The operation {eqn.primitive.name} cannot ask Python for numbers")
+
+
+def _closed(closed: Any) -> Run:
+    run = _divided(closed.jaxpr)
+    return lambda answer, args: run(answer, [*closed.consts, *args])
