@@ -16,8 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
+from jaxtyping import Array, Float
 
 from jaxbody.core.arguments import whole_number
+from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
@@ -35,7 +37,7 @@ from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import size_of
-from jaxbody.parameters.spaces import space_of
+from jaxbody.parameters.spaces import Space, space_of
 from jaxbody.simulations.simulations import check_steps
 from jaxbody.statistics.losses import check_loss
 from jaxbody.statistics.uncertainties import RANK, assess, decomposed
@@ -221,7 +223,7 @@ def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
 
 def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
     r, J, runs = evaluate.at(u)
-    space, limits, slopes = task.space, task.space.bounds, jax.jacfwd(task.space.values)(jnp.asarray(u))
+    space, limits, slopes = task.space, task.space.bounds, _slopes(task.space, jnp.asarray(u))
     inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
     paths, exact = [parameter.path for parameter in space.parameters], EXACT * _floor(task)
     ends = _ends(task, np.asarray(u), r, J)
@@ -264,6 +266,12 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
         rounds=tuple(evaluate.rounds),
         remarks=remarks,
     )
+
+
+@jit_unoptimized
+def _slopes(space: Space, u: Float[Array, "n"]) -> dict[str, Array]:
+    """d values/du of each parameter."""
+    return jax.jacfwd(space.values)(u)
 
 
 def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray:
