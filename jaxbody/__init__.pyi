@@ -3,10 +3,10 @@
 from jaxbody import laws as laws
 from jaxbody import plots as plots
 from jaxbody import presets as presets
+from jaxbody.compilation.compilations import compile_times as compile_times
+from jaxbody.compilation.compile_options import fast_loops as fast_loops
+from jaxbody.compilation.compile_options import quick_options as quick_options
 from jaxbody.core import units as units
-from jaxbody.core.compilations import compile_times as compile_times
-from jaxbody.core.compile_options import fast_loops as fast_loops
-from jaxbody.core.compile_options import quick_options as quick_options
 from jaxbody.core.errors import JaxbodyError as JaxbodyError
 from jaxbody.core.errors import JaxbodyWarning as JaxbodyWarning
 from jaxbody.core.errors import Status as Status

@@ -32,7 +32,12 @@ NAMED = [module for module in MODULES if not module.endswith("__init__")]
 OPEN = {"laws", "objectives", "plots", "presets", "signals", "units"}  # modules that are public themselves
 EXPORTED = sorted(set(dir(jb)) - OPEN)
 MOST_FILES, MOST_LINES = 12, 400
-NO_MECHANICS = {"core": set(), "numerics": {"core"}, "statistics": {"core", "numerics"}}  # and what they may import
+NO_MECHANICS = {  # and what they may import
+    "core": set(),
+    "compilation": {"core"},
+    "numerics": {"core", "compilation"},
+    "statistics": {"core", "compilation", "numerics"},
+}
 APART = {"designs", "identification"}
 
 

@@ -1,1 +1,1 @@
-"""Foundations of all packages: errors and statuses, checks of arguments, printed results, units, compilation. No mechanics."""
+"""Foundations of all packages: errors and statuses, checks of arguments, printed results, units. No mechanics."""

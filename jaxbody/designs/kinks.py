@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.errors import Status
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of

@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arrays import Array, Float, indices, module_of
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
 from jaxbody.designs.searches import Rows, Search

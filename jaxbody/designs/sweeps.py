@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import quick_options
 from jaxbody.core.arguments import check_key, checked_dict, whole_number
 from jaxbody.core.arrays import float_array
-from jaxbody.core.compile_options import quick_options
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.progress_lines import Line, working

@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import float_array
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra, is_concrete
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed

@@ -7,8 +7,8 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arrays import Float
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.experiments.experiments import Experiment, Integration
 from jaxbody.models.models import Model
 from jaxbody.models.states import State

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.results import Result
 from jaxbody.mechanics.energies import potential_energy

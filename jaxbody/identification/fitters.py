@@ -18,8 +18,8 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Float
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arguments import whole_number
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed

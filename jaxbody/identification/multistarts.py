@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import positive_number, whole_number
 from jaxbody.core.arrays import Array, Float, Int
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems, Status, warn, warn_of
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result

@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arrays import Array, Float
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.experiments.experiments import Integration
 from jaxbody.experiments.measured_responses import small_motions
 from jaxbody.experiments.measurements import Measurement

@@ -10,9 +10,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.experiments.experiments import check_measurements

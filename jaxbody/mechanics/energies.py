@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
 from jaxbody.inputs.loads import Load

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.elements.second_derivatives import second_order
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.energies import each_element

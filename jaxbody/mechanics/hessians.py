@@ -20,8 +20,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Float
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.elements.second_derivatives import Block, PairBlocks, dissipation_hessian, second_order, turning
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, product, rotate, skew

@@ -18,8 +18,8 @@ import numpy as np
 from jax import lax
 from jax.dtypes import float0
 
+from jaxbody.compilation.compilations import note_left_to_vmap
 from jaxbody.core.arrays import Array
-from jaxbody.core.compilations import note_left_to_vmap
 from jaxbody.core.jax_internals import ClosedJaxpr, Literal, Zero, call_of, jaxpr_as_fun, same_operation, without_high_operations
 from jaxbody.numerics.symmetric_eigenvalues import eigenvalues
 from jaxbody.numerics.xla_workarounds import as_kept, plain_max, sum_p

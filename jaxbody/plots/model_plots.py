@@ -8,7 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.tables import without_dust
 from jaxbody.elements.contacts import Tyre

@@ -16,8 +16,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, float_array
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems, Status
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, together
 from jaxbody.vibrations.linearizations import Linearization

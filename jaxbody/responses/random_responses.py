@@ -12,9 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed

@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 import optimistix
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Status
 from jaxbody.inputs.signals import kinks_of
 from jaxbody.laws.measured_curves import has_range

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arguments import check_key, check_kind
 from jaxbody.core.arrays import Array, PRNGKeyArray, concrete
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.equations_of_motion import dynamics_of

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import combine, field, is_array, partition
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.datasets import AXES, QUATERNION, dataset, rows_of
 from jaxbody.core.errors import Status, is_concrete
 from jaxbody.core.results import Result

@@ -8,10 +8,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, stack, vector
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import AXES, dataset, rows_of
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed

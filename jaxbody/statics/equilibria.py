@@ -16,10 +16,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import Array, Bool, Float, Int, device_array
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset, rows_of
 from jaxbody.core.errors import Problems, Status, is_concrete
 from jaxbody.core.results import Result, warn_if_failed

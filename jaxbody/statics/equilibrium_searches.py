@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, positive_number, whole_number
 from jaxbody.core.arrays import Array, Float
-from jaxbody.core.compile_options import jit_optimized
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.hessians import configuration_at, expansion, stiffness

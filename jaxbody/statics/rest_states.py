@@ -13,7 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from jaxbody.core.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates, Motions

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems, is_concrete
 from jaxbody.core.results import Result, warn_if_failed

@@ -12,8 +12,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Float, concrete
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.geometry.vectors import cross, product, rotate
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates

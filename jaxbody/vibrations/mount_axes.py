@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from equinox import field
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, Int, shaped
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.datasets import AXES, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed

@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Complex, Float
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.places import DIRECTIONS

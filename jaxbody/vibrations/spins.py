@@ -15,8 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Float
-from jaxbody.core.compile_options import jit_unoptimized
 from jaxbody.core.errors import Status
 from jaxbody.core.results import warn_if_failed
 from jaxbody.inputs.motions import AtRest

@@ -9,7 +9,7 @@ import paper
 import pytest
 
 import jaxbody as jb
-from jaxbody.core.compile_options import UNOPTIMIZED
+from jaxbody.compilation.compile_options import UNOPTIMIZED
 from jaxbody.geometry import rotations
 from jaxbody.mechanics.equations_of_motion import FreeBodies, JointedBodies, acceleration, dynamics_of, equations_for
 from jaxbody.mechanics.kinematics import Coordinates

@@ -11,7 +11,7 @@ import rigs
 from rigs import max_difference
 
 import jaxbody as jb
-from jaxbody.core.compile_options import UNOPTIMIZED
+from jaxbody.compilation.compile_options import UNOPTIMIZED
 
 RNG = np.random.default_rng(11)
 TIMES = np.linspace(0, 0.6, 401)

@@ -11,7 +11,7 @@ import paper
 import pytest
 
 import jaxbody as jb
-from jaxbody.core.compile_options import UNOPTIMIZED
+from jaxbody.compilation.compile_options import UNOPTIMIZED
 from jaxbody.geometry import rotations
 from jaxbody.mechanics.energies import each_element, frames_of
 from jaxbody.mechanics.kinematics import Coordinates

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody.core.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import jit_unoptimized
 
 NAN, INF = float("nan"), 1e999
 TURN = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()

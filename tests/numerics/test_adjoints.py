@@ -8,7 +8,7 @@ import optimistix
 import pytest
 
 import jaxbody as jb
-from jaxbody.core.compile_options import UNOPTIMIZED
+from jaxbody.compilation.compile_options import UNOPTIMIZED
 from jaxbody.numerics.adjoints import Driven, Unstarted
 
 pytestmark = pytest.mark.everywhere

@@ -10,7 +10,7 @@ import pytest
 import scipy.linalg
 
 import jaxbody as jb
-from jaxbody.core.compile_options import UNOPTIMIZED
+from jaxbody.compilation.compile_options import UNOPTIMIZED
 from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.numerics import step_blocks
 from jaxbody.simulations.simulations import motions_of

@@ -11,7 +11,7 @@ import scipy.linalg
 from rigs import max_difference
 
 import jaxbody as jb
-from jaxbody.core.compile_options import UNOPTIMIZED
+from jaxbody.compilation.compile_options import UNOPTIMIZED
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 BASE = {d: jb.BaseMotion("base", d) for d in DIRECTIONS}

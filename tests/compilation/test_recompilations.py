@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.core import compilations
-from jaxbody.core.compile_options import jit_unoptimized
+from jaxbody.compilation import compilations
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.inputs.motions import as_motion
 
 

@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jaxlib.version
 
-from jaxbody.core.compilations import Compiled
+from jaxbody.compilation.compilations import Compiled
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import outermost, started, without_manual_axes
 

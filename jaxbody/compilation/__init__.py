@@ -1,0 +1,1 @@
+"""Programs of JAX: options and times of compilation, derivatives and batches outside a jit."""
