@@ -150,16 +150,27 @@ class Compiled:
         self.reason: tuple[str, tuple[str, ...]] | None = None
         self.seen: list[str] = []
         self.warned = False
-        self.begun = False
+        self.calling = self.begun = False
+
+    @contextmanager
+    def watched(self, args: tuple[Any, ...]) -> Iterator[None]:
+        """A call with these arguments; note it if it is compiled."""
+        self.calling, self.begun = True, False
+        try:
+            yield
+        finally:
+            self.calling = False
+        if self.begun:
+            self.end(args)
 
     def begin(self) -> None:
-        """Note the start of a compilation."""
-        self.begun = True
-        _under_way()[self.program] = 0.0
+        """Note the start of a trace; only that of a call is compiled by itself."""
+        if self.calling:
+            self.begun = True
+            _under_way()[self.program] = 0.0
 
     def end(self, args: tuple[Any, ...]) -> None:
         """Note the end of a compilation for these arguments. Warns SLOW_COMPILATION; warns RECOMPILED once, if only one thing changes."""
-        self.begun = False
         seconds = _under_way().pop(self.program, 0.0)
         if seconds > LONG:
             remedy = (

@@ -20,6 +20,7 @@ from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir, partial_eval
 from jax.interpreters.ad import Zero
+from jax.tree_util import PyTreeDef
 from jaxtyping import Array
 
 __all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "jaxpr_as_fun"]  # used by other modules
@@ -46,6 +47,35 @@ def started() -> bool:
         return xla_bridge.backends_are_initialized()
     except (ImportError, AttributeError):
         return False
+
+
+def only_transformed() -> bool:
+    """Whether a derivative or a batch is under way, but nothing becomes part of another program. False where JAX cannot tell: callers
+    are then slower, but correct."""
+    try:
+        from jax._src import core
+
+        trace = core.trace_ctx.trace
+        while type(trace).__name__ in ("JVPTrace", "LinearizeTrace", "BatchTrace", "JaxprTrace"):
+            trace = trace.parent_trace  # pyright: ignore
+        return isinstance(trace, core.EvalTrace)
+    except (ImportError, AttributeError):
+        return False
+
+
+def unknown(x: Any) -> bool:
+    """Whether x is a tangent for which a linear function is made, which will be known when that function is called."""
+    return isinstance(x, partial_eval.JaxprTracer) and not x.is_known()
+
+
+def unbatched(x: Any) -> bool:
+    """Whether x, inside `jax.vmap`, is the same for all members of the batch."""
+    return not (isinstance(x, Tracer) and type(x).__name__ == "BatchTracer")
+
+
+def zero_tangent(x: Any) -> Zero:
+    """The tangent of a constant."""
+    return Zero(jax.typeof(x).to_tangent_aval())
 
 
 # Programs
@@ -75,6 +105,22 @@ def same_operation(equation: Any, args: Sequence[Any]) -> list[Any]:
     functions, params = params if isinstance(params, tuple) else ((), params)
     out = equation.primitive.bind(*functions, *args, **params)
     return list(out) if equation.primitive.multiple_results else [out]
+
+
+def tree_of_node(kind: type, data: Any, children: list[PyTreeDef]) -> PyTreeDef:
+    """The structure of a tree from what `node_data()` and `children()` of it return."""
+    if hasattr(PyTreeDef, "from_node_data_and_children"):
+        return PyTreeDef.from_node_data_and_children(jax.tree_util.default_registry, (kind, data), children)
+    from jax._src import tree_util
+
+    parts = [child.unflatten(range(child.num_leaves)) for child in children]
+    if kind is dict:
+        node = dict(zip(data, parts, strict=True))
+    elif issubclass(kind, tuple):
+        node = tuple(parts) if kind is tuple else kind(*parts)
+    else:
+        node = parts if kind is list else tree_util._registry[kind].from_iter(data, tuple(parts))
+    return jax.tree.structure(node)
 
 
 # New operations

@@ -1,0 +1,71 @@
+"""Functions of arrays alone: all else that a call depends on is fixed in them, so that JAX keeps one trace for each."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+
+KEPT = 4096  # functions with different structures or static values, each with its compiled programs
+
+
+class Remainder:
+    """A part of a result that holds no array, known when the function is traced."""
+
+    def __init__(self, value: Any):
+        self.value = value
+
+
+jax.tree_util.register_pytree_node(Remainder, lambda remainder: ((), remainder.value), lambda value, _: Remainder(value))
+
+
+@dataclass(frozen=True)
+class ArrayFunction:
+    """function(*args) as a function of the arrays in args; it returns the arrays of the result, and a Remainder with all else of it."""
+
+    function: Callable[..., Any]
+    tree: Any  # of args
+    others: tuple[tuple[type, Any] | None, ...]  # leaves of args with their types (1, 1.0 and True are equal); None for arrays
+
+    @property
+    def __name__(self) -> str:
+        return self.function.__name__
+
+    def __call__(self, *arrays: Any) -> tuple[list[Any], Remainder]:
+        given = iter(arrays)
+        leaves = [next(given) if other is None else other[1] for other in self.others]
+        return separated(self.function(*jax.tree.unflatten(self.tree, leaves)))
+
+
+def array_function(function: Callable[..., Any], args: tuple[Any, ...]) -> tuple[ArrayFunction, list[Any]]:
+    """The function of arrays for these arguments, the same object for equal ones, and the arrays."""
+    leaves, tree = jax.tree.flatten(args)
+    arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
+    return _array_function(function, tree, tuple(None if eqx.is_array(leaf) else (type(leaf), leaf) for leaf in leaves)), arrays
+
+
+_array_function = functools.lru_cache(KEPT)(ArrayFunction)
+
+
+def separated(tree: Any) -> tuple[list[Any], Remainder]:
+    """The arrays of a tree, and all else of it."""
+    leaves, structure = jax.tree.flatten(tree)
+    others = tuple(None if eqx.is_array(leaf) else (leaf,) for leaf in leaves)
+    return [leaf for leaf in leaves if eqx.is_array(leaf)], Remainder((structure, others))
+
+
+def joined(arrays: Sequence[Any], remainder: Remainder) -> Any:
+    """The tree of `separated`."""
+    structure, others = remainder.value
+    given = iter(arrays)
+    return jax.tree.unflatten(structure, [next(given) if other is None else other[0] for other in others])
+
+
+@functools.lru_cache(KEPT)
+def jitted(function: Callable[..., Any], options: tuple[tuple[str, Any], ...] | None = None) -> Callable[..., Any]:
+    """The function as a program of its own with these options, or as a part of others; both share one trace."""
+    return jax.jit(function) if options is None else jax.jit(function, compiler_options=dict(options))

@@ -1,0 +1,235 @@
+"""Derivatives and batches outside a jit: programs like that of the function itself, with the same options.
+
+JAX compiles a jitted function that is differentiated or batched outside a jit without its options: the gradient of a frequency then took
+three times as long to compile. Here such a call is one operation whose derivative, linearization and batch are operations of the same
+kind, each of them a jitted function with the options.
+"""
+
+from __future__ import annotations
+
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from jaxbody.compilation.array_functions import KEPT, Remainder, jitted
+from jaxbody.core.jax_internals import Zero, new_operation, unbatched, unknown, zero_tangent
+
+Options = tuple[tuple[str, Any], ...]
+Results = tuple[list[Any], Remainder]  # arrays, and all else
+
+
+def run(program: Callable[..., Results], options: Options, arrays: Sequence[Any]) -> Results:
+    """program(*arrays), compiled with these options, as one operation for the derivative or the batch that is under way."""
+    return _program_p.bind(*arrays, program=program, options=options), _types(program, tuple(map(jax.typeof, arrays)))[1]
+
+
+@dataclass(frozen=True)
+class Derived(ABC):
+    """A function of arrays that is made from another one, f."""
+
+    of: Callable[..., Results]
+
+    @property
+    def __name__(self) -> str:
+        return f"{self.of.__name__}_{type(self).__name__.lower()}"
+
+    @abstractmethod
+    def __call__(self, *arrays: Any) -> Results: ...
+
+
+@dataclass(frozen=True)
+class Jvp(Derived):
+    """(x, x') to (f(x), f'(x) x'), for tangents of all x that are `moved` and of all results that are real."""
+
+    moved: tuple[bool, ...]
+
+    def __call__(self, *args: Any) -> Results:
+        x = args[: len(self.moved)]
+        real, tangents, others = jax.jvp(_of_moved(self.of, self.moved, x), _chosen(x, self.moved), list(args[len(x) :]), has_aux=True)
+        return [*_all_results(real, others), *tangents], others[1]
+
+
+@dataclass(frozen=True)
+class Tangents(Derived):
+    """(x, x') to f'(x) x', of a Jvp."""
+
+    count: int  # results of f
+
+    def __call__(self, *args: Any) -> Results:
+        out, remainder = jitted(self.of)(*args)
+        return out[self.count :], remainder
+
+
+@dataclass(frozen=True)
+class Linearized(Derived):
+    """x to f(x) and what the transpose of f'(x) needs besides x."""
+
+    moved: tuple[bool, ...]
+
+    def __call__(self, *x: Any) -> Results:
+        real, pullback, others = jax.vjp(_of_moved(self.of, self.moved, x), *_chosen(x, self.moved), has_aux=True)
+        saved, structure = jax.tree.flatten(pullback)
+        known = list(x)
+        places = {id(known[i]): i for i in reversed(range(len(known)))}
+        for array in saved:
+            if places.setdefault(id(array), len(known)) == len(known):
+                known.append(array)
+        out = _all_results(real, others)
+        return [*out, *known[len(x) :]], Remainder((len(out), structure, [places[id(array)] for array in saved]))
+
+
+@dataclass(frozen=True)
+class Pullback(Derived):
+    """(x, what is saved, w) to w f'(x), for those w of real results that are `given`; the others are zero."""
+
+    remainder: Remainder  # of the Linearized
+    given: tuple[bool, ...]
+    types: tuple[Any, ...]  # of all w
+
+    def __call__(self, *args: Any) -> Results:
+        _, structure, places = self.remainder.value
+        cotangents = iter(args[len(args) - sum(self.given) :])
+        pullback = jax.tree.unflatten(structure, [args[i] for i in places])
+        w = [next(cotangents) if given else jnp.zeros(t.shape, t.dtype) for given, t in zip(self.given, self.types, strict=True)]
+        return list(pullback(w)), Remainder(None)
+
+
+@dataclass(frozen=True)
+class Batch(Derived):
+    """f for members along these axes, None for arrays that all members share; results that they share have no axis."""
+
+    axes: tuple[int | None, ...]
+    size: int
+
+    def __call__(self, *x: Any) -> Results:
+        shared: list[Any] = []
+        remainder: list[Remainder] = []
+
+        def member(*x):
+            out, other = jitted(self.of)(*x)
+            remainder.append(other)
+            shared.extend(y if unbatched(y) else None for y in out)
+            return [y for y in out if not unbatched(y)]
+
+        own = iter(jax.vmap(member, self.axes, axis_size=self.size)(*x))
+        return [next(own) if y is None else y for y in shared], Remainder((remainder[0], [None if y is not None else 0 for y in shared]))
+
+
+def _of_moved(f: Callable[..., Results], moved: tuple[bool, ...], x: Sequence[Any]) -> Callable[..., Any]:
+    """Those x that are moved to the real results of f, and as an auxiliary value the others with None for each real one."""
+
+    def of_moved(*given):
+        given = iter(given)
+        out, remainder = jitted(f)(*(next(given) if m else y for m, y in zip(moved, x, strict=True)))
+        return [y for y in out if _is_real(y)], ([None if _is_real(y) else y for y in out], remainder)
+
+    return of_moved
+
+
+def _all_results(real: list[Any], others: tuple[list[Any], Remainder]) -> list[Any]:
+    given = iter(real)
+    return [next(given) if y is None else y for y in others[0]]
+
+
+def _is_real(y: Any) -> bool:
+    return jnp.issubdtype(y.dtype, jnp.inexact)
+
+
+def _chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
+    return [y for y, chosen in zip(x, which, strict=True) if chosen]
+
+
+# The operation, and the linear one that stands for its tangents while a linear function is made
+
+
+@functools.lru_cache(KEPT)
+def _types(program: Callable[..., Results], avals: tuple[Any, ...]) -> Results:
+    given = [jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=getattr(a, "weak_type", False)) for a in avals]
+    return jax.eval_shape(jitted(program), *given)
+
+
+def _typed(*avals, program, **_):
+    return [jax.typeof(x) for x in _types(program, avals)[0]]
+
+
+def _program_jvp(primals, tangents, *, program, options):
+    moved = tuple(type(t) is not Zero and jax.typeof(t).dtype != jax.dtypes.float0 for t in tangents)
+    moving = _chosen(tangents, moved)
+    if any(map(unknown, moving)):
+        linearized = Linearized(program, moved)
+        out, remainder = run(linearized, options, primals)
+        out, saved = out[: remainder.value[0]], out[remainder.value[0] :]
+        types = tuple(jax.typeof(y) for y in out if _is_real(y))
+        if types:
+            tangents_out = _tangents_p.bind(
+                *primals, *saved, *moving, linearized=linearized, options=options, remainder=remainder, types=types
+            )
+        else:
+            tangents_out = []
+    else:
+        count = len(_types(program, tuple(map(jax.typeof, primals)))[0])
+        out = run(Jvp(program, moved), options, [*primals, *moving])[0]
+        out, tangents_out = out[:count], out[count:]
+    given = iter(tangents_out)
+    return out, [next(given) if _is_real(y) else zero_tangent(y) for y in out]
+
+
+def _program_batch(args, axes, *, program, options):
+    size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
+    out, remainder = run(Batch(program, tuple(axes), size), options, args)
+    return out, remainder.value[1]
+
+
+_program_p = new_operation(
+    "program",
+    lambda *args, program, options: jitted(program, options)(*args)[0],
+    typed=_typed,
+    several=True,
+    batch=_program_batch,
+    jvp=_program_jvp,
+)
+
+
+def _tangents(*args, linearized, types, options, remainder):
+    """f'(x) x' of (x, what is saved, x')."""
+    count = len(linearized.moved)
+    forward = Tangents(Jvp(linearized.of, linearized.moved), remainder.value[0])
+    return run(forward, options, [*args[:count], *args[len(args) - sum(linearized.moved) :]])[0]
+
+
+def _tangents_transpose(cotangents, *args, linearized, types, options, remainder):
+    known = args[: len(args) - sum(linearized.moved)]
+    given = tuple(type(w) is not Zero for w in cotangents)
+    out, _ = run(Pullback(linearized, remainder, given, types), options, [*known, *_chosen(cotangents, given)])
+    return [None] * len(known) + out
+
+
+def _tangents_jvp(primals, tangents, **params):
+    moved = [type(t) is not Zero for t in tangents]
+
+    def of_moved(*given):
+        given = iter(given)
+        return _tangents(*(next(given) if m else x for m, x in zip(moved, primals, strict=True)), **params)
+
+    return jax.jvp(of_moved, _chosen(primals, moved), _chosen(tangents, moved))
+
+
+def _tangents_batch(args, axes, **params):
+    out = jax.vmap(functools.partial(_tangents, **params), tuple(axes))(*args)
+    return out, [0] * len(out)
+
+
+_tangents_p = new_operation(
+    "tangents_of_program",
+    _tangents,
+    typed=lambda *_, types, **__: list(types),
+    several=True,
+    batch=_tangents_batch,
+    jvp=_tangents_jvp,
+    transpose=_tangents_transpose,
+)

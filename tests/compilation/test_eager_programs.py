@@ -1,0 +1,131 @@
+"""Derivatives and batches outside a jit are those inside one, in programs with the options of the function itself."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody.compilation import compile_options
+from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.core import jax_internals
+
+pytestmark = pytest.mark.everywhere
+
+K = jnp.array([3.0, 5.0, 8.0])
+
+
+@jit_unoptimized
+def spring(k, x, power, count):
+    """A force, an integer, a result without x, one that is no array: what drivers return, too."""
+    force = k * x**power + jnp.sin(k)
+    steps = jax.lax.while_loop(lambda i: i < count, lambda i: i + 1, 0)
+    return {"force": force, "steps": steps, "stiffness": k**2, "said": "linear" if power == 1 else "more", "power": power}
+
+
+def force(k, x=2.0):
+    result = spring(k, jnp.asarray(x), 3, 4)
+    assert (result["said"], result["power"]) == ("more", 3)
+    return result["force"]
+
+
+# sin k + 8 k: with its derivatives by k
+DERIVATIVES = [lambda k: 8 * k + np.sin(k), lambda k: 8 + np.cos(k), lambda k: -np.sin(k), lambda k: -np.cos(k)]
+WAYS = {
+    "value": (lambda k: force(k), 0),
+    "grad": (jax.grad(force), 1),
+    "jacfwd": (jax.jacfwd(force), 1),
+    "jacrev": (jax.jacrev(force), 1),
+    "jvp": (lambda k: jax.jvp(force, (k,), (1.0,))[1], 1),
+    "linearize": (lambda k: jax.linearize(force, k)[1](1.0), 1),
+    "vjp": (lambda k: jax.vjp(force, k)[1](1.0)[0], 1),
+    "transposed": (lambda k: jax.linear_transpose(jax.linearize(force, k)[1], k)(1.0)[0], 1),
+    "grad of a jit": (jax.grad(jax.jit(force)), 1),
+    "grad of grad": (jax.grad(jax.grad(force)), 2),
+    "hessian": (jax.hessian(force), 2),
+    "jacrev of jacfwd": (jax.jacrev(jax.jacfwd(force)), 2),
+    "grad of a linear function": (jax.grad(lambda k: jax.linearize(force, k)[1](1.0)), 2),
+    "third": (jax.grad(jax.grad(jax.jacfwd(force))), 3),
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_derivatives_and_their_batches_are_right(way):
+    derivative, order = WAYS[way]
+    expected = DERIVATIVES[order](np.asarray(K))
+    np.testing.assert_allclose(derivative(K[0]), expected[0], rtol=1e-14)
+    np.testing.assert_allclose(jax.jit(derivative)(K[0]), expected[0], rtol=1e-14)
+    np.testing.assert_allclose(jax.vmap(derivative)(K), expected, rtol=1e-14)
+    summed = jax.grad(lambda k: jax.vmap(derivative)(k).sum())(K) if order < 3 else None
+    if summed is not None:
+        np.testing.assert_allclose(summed, DERIVATIVES[order + 1](np.asarray(K)), rtol=1e-13)
+
+
+def test_axes_of_batches_and_shared_results():
+    k, x = jnp.stack([K, 2 * K]), jnp.array([1.0, 2.0])
+    arrays = lambda k, x: {name: y for name, y in spring(k, x, 1, 4).items() if isinstance(y, jax.Array)}  # noqa: E731
+    out = jax.vmap(lambda k, x: jax.vmap(lambda x: arrays(k, x))(x), (1, None))(k[:1], x)
+    assert out["force"].shape == (3, 2, 1)
+    np.testing.assert_allclose(out["force"][:, :, 0], np.outer(K, x) + np.sin(K)[:, None], rtol=1e-14)
+    assert out["steps"].shape == (3, 2) and (np.asarray(out["steps"]) == 4).all() and set(out) == {"force", "steps", "stiffness"}
+    np.testing.assert_allclose(out["stiffness"][:, 1, 0], np.asarray(K) ** 2, rtol=1e-14)
+
+
+def test_a_result_that_does_not_move_has_no_derivative():
+    steps = lambda k: spring(k, 2.0 * k, 1, 4)["steps"] * 1.0  # noqa: E731
+    assert jax.grad(steps)(3.0) == 0.0 and jax.jvp(steps, (3.0,), (1.0,))[1] == 0.0
+
+
+def test_rows_of_a_pullback_are_a_batch():
+    _, back = jax.vjp(lambda k: spring(k, jnp.asarray(2.0), 3, 4)["force"] * jnp.ones(2), K[0])
+    np.testing.assert_allclose(jax.vmap(back)(jnp.eye(2))[0], 2 * [8 + np.cos(3.0)], rtol=1e-14)
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_programs_have_the_options_of_the_function(monkeypatch, lost):
+    """Whether they have is seen from the functions that JAX compiles. Where JAX cannot say what is under way, JAX's own way remains."""
+    if lost:
+        monkeypatch.setattr(compile_options, "only_transformed", lambda: False)
+    with jb.compile_times() as times:
+        jax.grad(lambda k: spring(k, jnp.arange(5.0 + lost), 2, 4)["force"].sum())(3.0)
+    ours = {name for name in times.programs if name.startswith("spring")}
+    assert ours == ({"spring"} if lost else {"spring_linearized", "spring_linearized_pullback"})
+
+
+def test_what_is_under_way_is_told():
+    seen = []
+
+    def look(x):
+        seen.append((jax_internals.outermost(), jax_internals.only_transformed()))
+        return x
+
+    look(1.0)
+    jax.grad(look)(1.0)
+    jax.vmap(jax.grad(look))(K)
+    jax.jacfwd(look)(1.0)
+    jax.jit(look)(1.0)
+    jax.jit(jax.grad(look))(1.0)
+    jax.grad(jax.jit(look))(2.0)
+    assert seen == [
+        (True, True),
+        (False, True),
+        (False, True),
+        (False, True),
+        *2 * [(False, False)],
+    ]
+
+
+def test_a_frequency_has_the_slope_of_its_closed_form():
+    """omega = sqrt(k/m): d f/d k = f/2k; of a batch, too."""
+
+    def frequency(k):
+        spring = jb.Spring(("mass", [0, 0, 0]), ("world", [0, 2.0, 0]), stiffness=k, free_length=2.0)
+        joints = {"mass": jb.Guide("world", axis=[0, 1, 0])}
+        bodies = {"mass": jb.Body(mass=2.0, inertia=[1, 1, 1])}
+        model = jb.Model(bodies=bodies, joints=joints, elements={"spring": spring}, gravity=[0, -9.81, 0])
+        return jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
+
+    f = np.sqrt(np.asarray(K) / 2.0) / (2 * np.pi)
+    np.testing.assert_allclose(jax.vmap(frequency)(K), f, rtol=1e-12)
+    np.testing.assert_allclose(jax.vmap(jax.grad(frequency))(K), f / (2 * np.asarray(K)), rtol=1e-10)
+    np.testing.assert_allclose(jax.grad(jax.grad(frequency))(K[1]), -f[1] / (4 * K[1] ** 2), rtol=1e-9)
