@@ -61,8 +61,8 @@ def shaped(value: Any, shape: tuple[int, ...], where: str, problems: Problems) -
 
 
 def device_array(value: Any) -> jax.Array:
-    """The value as a JAX array, float64 or, where x64 is off, float32."""
-    return jnp.asarray(value, dtype=float)
+    """The value as a JAX array, float64 or, where x64 is off, float32; numbers are converted without a program."""
+    return jnp.asarray(np.asarray(value, jnp.result_type(float)) if module_of(value) is np else value, float)
 
 
 def functions_as_nodes(tree: Any) -> Any:
@@ -77,9 +77,19 @@ def stack(rows: list[Any]) -> jax.Array:
     return device_array(np.stack(rows))
 
 
-def module_of(x: Any) -> Any:
-    """The module numpy for NumPy arrays, jax.numpy for all others."""
-    return np if isinstance(x, np.ndarray) else jnp
+def module_of(*x: Any) -> Any:
+    """The module numpy if all are NumPy arrays or Python numbers, jax.numpy if not."""
+    return np if all(isinstance(y, np.ndarray | np.generic | float | int) for y in x) else jnp
+
+
+def as_numpy(x: Any) -> Any:
+    """x as a NumPy array, with which single operations are no programs to compile; x itself while it is being traced."""
+    return x if isinstance(x, Tracer) else np.asarray(x)
+
+
+def part_of(x: Array, index: Any) -> Array:
+    """x[index] of the same kind of array, without a program for it."""
+    return x[index] if isinstance(x, Tracer | np.ndarray) else jnp.asarray(np.asarray(np.asarray(x)[index]), x.dtype)
 
 
 def indices(shape: tuple[int, ...]) -> list[str]:

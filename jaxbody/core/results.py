@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from jaxbody.core import tables
+from jaxbody.core.arrays import as_numpy
 from jaxbody.core.errors import MESSAGES, MOST_PROBLEMS, JaxbodyError, Problem, Status, is_concrete, warn
 from jaxbody.core.jax_internals import Tracer
 
@@ -22,7 +23,7 @@ class Result(tables.Printed, eqx.Module):
     @property
     def ok(self) -> Any:
         """True where the status is 0 (an array for batched results)."""
-        return self.status == Status.OK
+        return as_numpy(self.status) == Status.OK
 
     def explain(self) -> str:
         """Details of the failure of a single sample; "" if there are none. A trajectory or an equilibrium computes them when asked."""

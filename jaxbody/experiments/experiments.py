@@ -35,10 +35,10 @@ MANY_MISSING = 0.2
 class Integration(eqx.Module):
     """Options of `simulate` for the runs of a fit."""
 
-    rtol: Float[Array, ""] = eqx.field(default=1e-8, converter=jnp.asarray)
+    rtol: Float[Array, ""] = eqx.field(default=1e-8, converter=device_array)
     solver: diffrax.AbstractSolver | None = None
     stepsize_controller: diffrax.AbstractStepSizeController | None = None
-    dt0: Float[Array, ""] | None = eqx.field(default=None, converter=lambda dt: None if dt is None else jnp.asarray(dt, float))
+    dt0: Float[Array, ""] | None = eqx.field(default=None, converter=lambda dt: None if dt is None else device_array(dt))
     max_steps: int = eqx.field(default=10_000, static=True)
 
     def trajectory(self, model: Model, times: Array, motions: Motions, loads: tuple[Load, ...], initial: State | None) -> Trajectory:
@@ -170,7 +170,8 @@ class Experiment(Measurement):
         return readings(self.trajectory(model, integration), self.sensors)
 
     def residual(self, name, reading):
-        return self.sensors[name].misfit(self.times, reading, self.measured[name])
+        measured = np.asarray(self.measured[name]) if isinstance(reading, np.ndarray) else self.measured[name]
+        return self.sensors[name].misfit(self.times, reading, measured)
 
     def explain(self, model, integration):
         if isinstance(self.initial, Rest):

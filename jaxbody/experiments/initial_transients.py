@@ -70,7 +70,8 @@ def _sizes(experiment: Experiment, readings: dict[str, Any], noise: dict[str, An
     """The rms of residuals over noise at each time; NaN where all samples are missing."""
     squares, counts = np.zeros(len(experiment.times)), np.zeros(len(experiment.times))
     for name, channel in experiment.channels.items():
-        r = np.asarray(experiment.residual(name, readings[name]) / channel.spread(noise[name])).reshape(len(squares), -1)
+        r = np.asarray(experiment.residual(name, np.asarray(readings[name]))) / channel.spread(np.asarray(noise[name]))
+        r = r.reshape(len(squares), -1)
         squares += np.sum(r**2, 1)
         counts += np.sum(np.asarray(experiment.present(name)).reshape(len(squares), -1), 1)
     return np.sqrt(np.where(counts > 0, squares / np.maximum(counts, 1), np.nan))

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import numpy as np
 
-from jaxbody.core.arrays import Array, concrete, device_array
+from jaxbody.core.arrays import Array, as_numpy, concrete, device_array
 from jaxbody.core.errors import Problems
 from jaxbody.sensors.channels import Channel
 
@@ -64,7 +64,7 @@ class Measurement(eqx.Module):
 
     def present(self, name: str) -> np.ndarray:
         """Which components of the residuals of a channel have samples."""
-        return ~self.channels[name].missing(np.asarray(self.measured[name]))
+        return ~self.channels[name].missing(as_numpy(self.measured[name]))
 
 
 def noise_of(given: dict[Any, Any], measured: dict[Any, Any], where: str, problems: Problems) -> dict[Any, Any]:

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arguments import whole_number
+from jaxbody.core.arrays import device_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
@@ -169,7 +170,7 @@ def _floor(task: Task) -> float:
     residual."""
     weights = [(e.measured[name].size, task.noise[run][name]) for run, e in task.experiments.items() for name in e.channels]
     weight = np.sqrt(sum(n * np.mean(1 / np.asarray(level) ** 2) for n, level in weights))
-    return float(task.integration.rtol * size_of(task.space.model) * weight)
+    return float(task.integration.rtol) * float(size_of(task.space.model)) * weight
 
 
 def _check_method(method: Any, bounds: Any, problems: Problems) -> None:
@@ -223,7 +224,8 @@ def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
 
 def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
     r, J, runs = evaluate.at(u)
-    space, limits, slopes = task.space, task.space.bounds, _slopes(task.space, jnp.asarray(u))
+    space, limits = task.space, task.space.bounds
+    model, experiments, slopes = _placed(space, device_array(u))
     inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
     paths, exact = [parameter.path for parameter in space.parameters], EXACT * _floor(task)
     ends = _ends(task, np.asarray(u), r, J)
@@ -245,16 +247,15 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
         )
         status = next((code for condition, code in conditions if condition), Status.OK)
     remarks = () if status in (Status.OK, Status.AT_BOUND, Status.INTERRUPTED) else _remedies(evaluate, task, status)
-    model, experiments = task.space.place(jnp.asarray(u))
     predicted = {run: runs[run][0] for run in task.experiments}
     if np.linalg.norm(r) > exact:
         remarks += tuple(far_off(model, experiments, predicted, task.noise, task.integration))
     return Fit(
         model=model,
         experiments=experiments,
-        u=jnp.asarray(u),
-        cost=jnp.asarray(0.5 * r @ r),
-        status=jnp.asarray(status.value),
+        u=device_array(u),
+        cost=device_array(0.5 * r @ r),
+        status=jnp.asarray(np.asarray(status.value), int),
         evaluations=evaluate.count,
         task=task,
         uncertainty=uncertainty,
@@ -269,9 +270,9 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
 
 
 @jit_unoptimized
-def _slopes(space: Space, u: Float[Array, "n"]) -> dict[str, Array]:
-    """d values/du of each parameter."""
-    return jax.jacfwd(space.values)(u)
+def _placed(space: Space, u: Float[Array, "n"]) -> tuple[Model, dict[str, Measurement], dict[str, Array]]:
+    """Model and runs at u, and d values/du of each parameter."""
+    return *space.place(u), jax.jacfwd(space.values)(u)
 
 
 def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray:
@@ -320,7 +321,7 @@ def _check_start(task: Task, r: np.ndarray, J: np.ndarray) -> None:
     """Check that the residuals are finite at the start. Error: NONFINITE_START, with the first residual that is not."""
     if np.isfinite(r).all():
         return
-    runs = residual_and_jacobian(task, jnp.zeros(task.space.size))[2]
+    runs = residual_and_jacobian(task, device_array(np.zeros(task.space.size)))[2]
     hint = "Start with parameters for which the model can be simulated."
     for run, (_, residuals) in runs.items():
         experiment = task.experiments[run]

@@ -1,4 +1,4 @@
-"""A JAX function that asks Python for numbers on its way, as a few programs of what lies between the questions.
+"""A JAX function that asks Python for numbers on its way: what lies between the questions are parts of one program.
 
 An optimizer of optax asks for values of the cost, in loops and branches of its line search. Operation by operation it would be a program
 for each kind of operation; a callback that runs JAX can block. The function is traced once, and loops and branches that ask run in Python.
@@ -6,11 +6,13 @@ for each kind of operation; a callback that runs JAX can block. The function is 
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -33,7 +35,7 @@ def interrupted(function: Callable[..., Any], *like: Any) -> Callable[..., Any]:
         like: arguments of the shapes and types that will be passed
     """
     traced, out = jax.make_jaxpr(function, return_shape=True)(*like)
-    run, tree = _divided(traced.jaxpr), jax.tree.structure(out)
+    run, tree = _divided(traced.jaxpr, Parts()), jax.tree.structure(out)
 
     def call(answer: Answer, *args: Any) -> Any:
         return jax.tree.unflatten(tree, run(answer, [*traced.consts, *jax.tree.leaves(args)]))
@@ -60,6 +62,62 @@ _asked_p = new_operation(
 )
 
 
+class Parts:
+    """The parts of a program between questions, as branches of one program, which compiles in less time than they would.
+
+    All have the same arguments and results: as many arrays of each type as the part that needs most of them."""
+
+    def __init__(self):
+        self.branches: list[Callable[[dict[Any, list[Any]]], dict[Any, list[Any]]]] = []
+        self.most: tuple[dict[Any, int], dict[Any, int]] = ({}, {})  # {type: number of arrays}, of arguments and of results
+
+    def add(self, eqns: list[Any], needed: list[Any], kept: list[Any]) -> Run:
+        """The part that these operations are, as a function of what it needs to what later ones need."""
+        for most, variables in zip(self.most, (needed, kept), strict=True):
+            for kind, own in _by_type(variables).items():
+                most[kind] = max(most.get(kind, 0), len(own))
+
+        def branch(given):
+            values = {v: x for kind, own in _by_type(needed).items() for v, x in zip(own, given[kind], strict=False)}
+            for eqn in eqns:
+                values |= zip(eqn.outvars, same_operation(eqn, [_read(values, v) for v in eqn.invars]), strict=True)
+            return self.filled(1, kept, [jnp.asarray(values[v], v.aval.dtype) for v in kept])
+
+        which = len(self.branches)
+        self.branches.append(branch)
+
+        def run(answer: Answer, args: list[Any]) -> list[Any]:
+            results = {kind: iter(own) for kind, own in self.program(which, self.filled(0, needed, args)).items()}
+            return [next(results[_type(v)]) for v in kept]
+
+        return run
+
+    @functools.cached_property
+    def program(self) -> Callable[..., Any]:
+        def between(which, given):
+            return jax.lax.switch(which, self.branches, given)
+
+        return jax.jit(between)
+
+    def filled(self, end: int, variables: list[Any], values: list[Any]) -> dict[Any, list[Any]]:
+        """{type: arrays} of a part, with zeros for those that it does not have."""
+        lists: dict[Any, list[Any]] = {kind: [] for kind in self.most[end]}
+        for v, x in zip(variables, values, strict=True):
+            lists[_type(v)].append(np.asarray(x) if end == 0 else x)  # with no weak type, which would be another program
+        return {kind: [*own, *(np.zeros(*kind) for _ in range(self.most[end][kind] - len(own)))] for kind, own in lists.items()}
+
+
+def _type(v: Any) -> tuple[tuple[int, ...], str]:
+    return v.aval.shape, v.aval.dtype.name
+
+
+def _by_type(variables: list[Any]) -> dict[Any, list[Any]]:
+    lists: dict[Any, list[Any]] = {}
+    for v in variables:
+        lists.setdefault(_type(v), []).append(v)
+    return lists
+
+
 def _inside(eqn: Any) -> list[Any]:
     """The programs that an operation runs."""
     found = jax.tree.leaves(list(eqn.params.values()), is_leaf=lambda x: hasattr(x, "jaxpr") or hasattr(x, "eqns"))
@@ -70,8 +128,8 @@ def _asks(eqn: Any) -> bool:
     return eqn.primitive is _asked_p or any(_asks(part) for jaxpr in _inside(eqn) for part in jaxpr.eqns)
 
 
-def _divided(jaxpr: Any) -> Run:
-    """Runs a program: operations that ask in Python, all between two of them as one program."""
+def _divided(jaxpr: Any, parts: Parts) -> Run:
+    """Runs a program: operations that ask in Python, all between two of them as one part."""
     groups = [list(group) for _, group in itertools.groupby(jaxpr.eqns, lambda eqn: id(eqn) if _asks(eqn) else None)]
     steps, later = [], {v for v in jaxpr.outvars if not isinstance(v, Literal)}
     for group in reversed(groups):
@@ -79,7 +137,8 @@ def _divided(jaxpr: Any) -> Run:
         needed = list(dict.fromkeys(v for eqn in group for v in eqn.invars if not isinstance(v, Literal) and v not in made))
         kept = [v for v in made if v in later]
         later.update(needed)
-        steps.insert(0, (_question(group[0]), group[0].invars, made) if _asks(group[0]) else (_program(group, needed, kept), needed, kept))
+        asks = _asks(group[0])
+        steps.insert(0, (_question(group[0], parts), group[0].invars, made) if asks else (parts.add(group, needed, kept), needed, kept))
 
     def run_all(answer: Answer, args: list[Any]) -> list[Any]:
         values = dict(zip([*jaxpr.constvars, *jaxpr.invars], args, strict=True))
@@ -94,24 +153,13 @@ def _read(values: dict[Any, Any], v: Any) -> Any:
     return v.val if isinstance(v, Literal) else values[v]
 
 
-def _program(eqns: list[Any], needed: list[Any], kept: list[Any]) -> Run:
-    @jax.jit
-    def between(args):
-        values = dict(zip(needed, args, strict=True))
-        for eqn in eqns:
-            values |= zip(eqn.outvars, same_operation(eqn, [_read(values, v) for v in eqn.invars]), strict=True)
-        return [values[v] for v in kept]
-
-    return lambda answer, args: between(args)
-
-
-def _question(eqn: Any) -> Run:
+def _question(eqn: Any, parts: Parts) -> Run:
     """How Python runs an operation that asks."""
     params = eqn.params
     if eqn.primitive is _asked_p:
         return lambda answer, args: [np.asarray(x, args[0].dtype) for x in answer(np.asarray(args[0]))]
     if eqn.primitive.name == "while":
-        condition, body = (_closed(params[name]) for name in ("cond_jaxpr", "body_jaxpr"))
+        condition, body = (_closed(params[name], parts) for name in ("cond_jaxpr", "body_jaxpr"))
         n, m = params["cond_nconsts"], params["body_nconsts"]
 
         def loop(answer: Answer, args: list[Any]) -> list[Any]:
@@ -122,13 +170,13 @@ def _question(eqn: Any) -> Run:
 
         return loop
     if eqn.primitive.name == "cond":
-        branches = [_closed(branch) for branch in params["branches"]]
+        branches = [_closed(branch, parts) for branch in params["branches"]]
         return lambda answer, args: branches[min(max(int(args[0]), 0), len(branches) - 1)](answer, args[1:])
     if eqn.primitive.name in ("jit", "pjit"):
-        return _closed(params["jaxpr"])
+        return _closed(params["jaxpr"], parts)
     raise NotImplementedError(f"The operation {eqn.primitive.name} cannot ask Python for numbers")
 
 
-def _closed(closed: Any) -> Run:
-    run = _divided(closed.jaxpr)
+def _closed(closed: Any, parts: Parts) -> Run:
+    run = _divided(closed.jaxpr, parts)
     return lambda answer, args: run(answer, [*closed.consts, *args])

@@ -12,10 +12,10 @@ from itertools import pairwise
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optax
 
+from jaxbody.core.arrays import device_array
 from jaxbody.identification.interrupted_programs import asked, interrupted
 from jaxbody.statistics.uncertainties import known_directions
 
@@ -79,7 +79,7 @@ class Evaluations:
         if self._last is not None and self._last[0] == key:
             return self._last[1]
         with jax.disable_jit(False):
-            r, J, auxiliary = self.function(jnp.asarray(u))
+            r, J, auxiliary = self.function(device_array(u))
         r, J = np.asarray(r), np.asarray(J)
         J = np.where(np.linalg.norm(J, axis=0) <= self.floor, 0.0, J)  # a search would follow round-off
         failed = not (np.isfinite(r).all() and np.isfinite(J).all())

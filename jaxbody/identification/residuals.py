@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.compilation.compile_options import jit_optimized
-from jaxbody.core.arrays import Array, Float
+from jaxbody.core.arrays import Array, Float, as_numpy, module_of
 from jaxbody.experiments.experiments import Integration
 from jaxbody.experiments.measured_responses import small_motions
 from jaxbody.experiments.measurements import Measurement
@@ -89,7 +89,7 @@ class Task(eqx.Module):
 
     def linearized(self, runs: ReadingsAndResiduals, J) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and Jacobian of the least-squares problem with the same optimum and covariance as the robust one."""
-        raw = {run: np.asarray(r) for run, r in _rows(runs).items()}
+        raw: dict[str, Any] = dict(_rows(jax.tree.map(np.asarray, runs)))
         prior = raw.pop(PRIORS, np.zeros(0))
         r, m = np.concatenate(list(raw.values())), len(J) - len(prior)
         present = [self.experiments[run].present(name).ravel() for run in _order(self.experiments) for name in sorted(runs[run][1])]
@@ -99,7 +99,8 @@ class Task(eqx.Module):
 
 def _rows(runs: ReadingsAndResiduals) -> dict[str, Array]:
     """The residuals of each measurement as one vector."""
-    return {run: jnp.concatenate([runs[run][1][name].ravel() for name in sorted(runs[run][1])]) for run in _order(runs)}
+    parts = {run: [runs[run][1][name].ravel() for name in sorted(runs[run][1])] for run in _order(runs)}
+    return {run: module_of(*own).concatenate(own) for run, own in parts.items()}
 
 
 def _order(runs: ReadingsAndResiduals | dict[str, Measurement]) -> list[str]:
@@ -130,20 +131,22 @@ def shared_structure(experiments: dict[str, Measurement]) -> list[list[str]]:
     return list(groups.values())
 
 
+@np.errstate(divide="ignore", invalid="ignore")  # of a channel without samples, or without residuals
 def rms(channel: Channel, residuals: list, present: list) -> Array:
     """Root mean square over all records of a channel: one number for each of its units."""
-    squares = sum(channel.pooled(jnp.asarray(r) ** 2) for r in residuals)
-    return jnp.sqrt(squares / sum(channel.pooled(jnp.asarray(mask, float)) for mask in present))
+    squares = sum(channel.pooled(as_numpy(r) ** 2) for r in residuals)
+    return (squares / sum(channel.pooled(as_numpy(mask).astype(squares.dtype)) for mask in present)) ** 0.5
 
 
+@np.errstate(divide="ignore", invalid="ignore")
 def noise_level(channel: Channel, residuals: list, present: list, loss: str | None) -> Array:
     """The noise estimated from residuals: their rms, or with a robust loss an estimate that outliers do not increase."""
     if loss is None:
         return rms(channel, residuals, present)
 
     def clipped(s, c):
-        capped = [jnp.minimum((jnp.asarray(r) / channel.spread(s)) ** 2, c**2) for r in residuals]
-        return rms(channel, [jnp.sqrt(x) for x in capped], present) ** 2
+        capped = [module_of(r).clip(abs(r / channel.spread(s)), 0.0, c) for r in map(as_numpy, residuals)]
+        return rms(channel, capped, present) ** 2
 
     return robust_level(clipped, rms(channel, residuals, present))
 
@@ -155,8 +158,8 @@ def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Le
     spread = {}
     for name, channel in channels.items():
         runs = [e for e in experiments.values() if name in e.channels]
-        spread[name] = rms(channel, [residuals_of_mean(e, name) for e in runs], [~channel.missing(e.measured[name]) for e in runs])
-        spread[name] = jnp.where(spread[name] > 0, spread[name], 1.0)
+        spread[name] = rms(channel, [residuals_of_mean(e, name) for e in runs], [e.present(name) for e in runs])
+        spread[name] = module_of(spread[name]).where(spread[name] > 0, spread[name], 1.0)
     noise = {run: {name: (e.noise or {}).get(name, spread[name]) for name in e.channels} for run, e in experiments.items()}
     stated = [name in (e.noise or {}) for e in experiments.values() for name in e.channels]
     units = sum(np.size(level) for level in spread.values())
@@ -165,8 +168,10 @@ def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Le
 
 def residuals_of_mean(experiment: Measurement, name: str) -> Array:
     """Residuals of a prediction that is the mean of the record at all times."""
-    measured = experiment.measured[name]
-    return experiment.channels[name].residual(jnp.broadcast_to(jnp.nanmean(measured, axis=0), measured.shape), measured)
+    measured = as_numpy(experiment.measured[name])
+    xp, count = module_of(measured), (measured == measured).sum(0)
+    mean = xp.nansum(measured, 0) / xp.where(count > 0, count, 1)  # a mean of nothing would warn
+    return experiment.channels[name].residual(xp.broadcast_to(mean, measured.shape), measured)
 
 
 def with_estimated_noise(task: Task, runs: ReadingsAndResiduals) -> tuple[Task, bool]:
@@ -175,13 +180,13 @@ def with_estimated_noise(task: Task, runs: ReadingsAndResiduals) -> tuple[Task, 
     for run, experiment in task.experiments.items():
         for name, channel in experiment.channels.items():
             _, residuals, present = by_channel.setdefault(name, (channel, [], []))
-            residuals.append(runs[run][1][name] * channel.spread(task.noise[run][name]))
+            residuals.append(np.asarray(runs[run][1][name]) * channel.spread(np.asarray(task.noise[run][name])))
             present.append(experiment.present(name))
-    levels = {name: jnp.maximum(noise_level(*parts, task.loss), 1e-12) for name, parts in by_channel.items()}
+    levels = {name: np.maximum(noise_level(*parts, task.loss), 1e-12) for name, parts in by_channel.items()}
     new = {run: {name: (e.noise or {}).get(name, levels[name]) for name in e.channels} for run, e in task.experiments.items()}
     places = [(run, name) for run in new for name in new[run]]
     ratio, fitted = (
-        np.concatenate([np.ravel(of(*place) / task.noise[place[0]][place[1]]) for place in places])
+        np.concatenate([np.ravel(of(*place) / np.asarray(task.noise[place[0]][place[1]])) for place in places])
         for of in (lambda run, name: new[run][name], lambda _, name: levels[name])
     )
     if fitted.max() < 1e-9:  # an exact fit has no noise
@@ -195,7 +200,7 @@ def rms_residuals(task: Task, runs: ReadingsAndResiduals) -> Levels:
     """{measurement: {channel: rms residual}}; with a robust loss, an estimate that outliers do not increase."""
 
     def of(run: str, name: str, channel: Channel):
-        residuals = runs[run][1][name] * channel.spread(task.noise[run][name])
+        residuals = np.asarray(runs[run][1][name]) * channel.spread(np.asarray(task.noise[run][name]))
         return noise_level(channel, [residuals], [task.experiments[run].present(name)], task.loss)
 
     return {run: {name: of(run, name, channel) for name, channel in e.channels.items()} for run, e in task.experiments.items()}

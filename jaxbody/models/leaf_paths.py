@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, checked, concrete, device_array
+from jaxbody.core.arrays import Array, checked, concrete, device_array, part_of
 from jaxbody.core.errors import Problems, is_concrete
 from jaxbody.geometry.fields import Kind, check_domain, kind_along, kind_of
 from jaxbody.models.bodies import check_inertia
@@ -46,7 +46,7 @@ class Leaf:
 
     def read(self, arrays: Sequence[Array]) -> Array:
         array = arrays[self.array]
-        return array if self.row is None else array[(..., self.row, *[slice(None)] * self.rank)]
+        return array if self.row is None else part_of(array, (..., self.row, *[slice(None)] * self.rank))
 
     def shape(self, arrays: Sequence[Array]) -> tuple[int, ...]:
         """The shape of what `read` returns."""
@@ -134,7 +134,7 @@ def _put(arrays: list[Array], leaves: list[Leaf], block: Array) -> None:
         if is_concrete((array, block)):
             changed = np.array(array)
             changed[where] = block
-            arrays[first.array] = jnp.asarray(changed)
+            arrays[first.array] = device_array(changed)
         else:
             arrays[first.array] = jnp.asarray(array).at[where].set(block)
 
@@ -199,7 +199,8 @@ def _block(value: Any, rows: list[int] | int, first: Leaf, arrays: list[Array]) 
     if first.row is None:
         return value if isinstance(rows, int) else value[rows[0]]
     if isinstance(rows, int):
-        return xp.repeat(xp.expand_dims(value, first.axis(arrays)), rows, first.axis(arrays))
+        axis = first.axis(arrays)
+        return xp.moveaxis(xp.broadcast_to(value, (rows, *value.shape)), 0, axis) if axis else xp.broadcast_to(value, (rows, *value.shape))
     return xp.moveaxis(value[np.array(rows)], 0, first.axis(arrays))
 
 

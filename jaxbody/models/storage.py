@@ -33,7 +33,8 @@ class KindTable(eqx.Module):
         leaves, treedef = jax.tree.flatten(self.rows)
         if not all(leaf is None or hasattr(leaf, "__getitem__") for leaf in leaves):
             raise JaxbodyError(self._no_node(name))
-        picked = [leaf if leaf is None else leaf[(..., i, *[slice(None)] * rank)] for leaf, rank in zip(leaves, self.ranks, strict=True)]
+        rows = [(..., i, *[slice(None)] * rank) for rank in self.ranks]
+        picked = [leaf if leaf is None else arrays.part_of(leaf, row) for leaf, row in zip(leaves, rows, strict=True)]
         return with_link(jax.tree.unflatten(treedef, picked), self.links[i])
 
     def _no_node(self, name: str) -> Problem:

@@ -4,10 +4,8 @@ import math
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax.numpy as jnp
-import numpy as np
 
-from jaxbody.core.arrays import Array, Float
+from jaxbody.core.arrays import Array, Float, module_of
 from jaxbody.geometry.places import DIRECTIONS
 
 
@@ -24,15 +22,18 @@ class Channel(eqx.Module):
 
     def residual(self, reading: Array, measured: Array) -> Float[Array, "*r"]:
         """Reading minus measured, zero where a sample is missing."""
-        return jnp.where(self.missing(measured), 0.0, reading - measured)
+        return module_of(reading, measured).where(self.missing(measured), 0.0, reading - measured)
 
     def missing(self, measured: Any) -> Any:
         """True for components of a residual whose sample is missing (NaN)."""
-        return np.isnan(measured) if isinstance(measured, np.ndarray) else jnp.isnan(measured)
+        return module_of(measured).isnan(measured)
 
     def spread(self, level: Any) -> Any:
         """Noise levels of the components of a residual, from one number or one for each unit; several as a row of the samples."""
-        return level if self.units == 1 else jnp.repeat(jnp.broadcast_to(level, (self.units,)), self.noise_shape[-1] // self.units)[None]
+        if self.units == 1:
+            return level
+        xp = module_of(level)
+        return xp.repeat(xp.broadcast_to(level, (self.units,)), self.noise_shape[-1] // self.units)[None]
 
     def pooled(self, x: Any) -> Any:
         """The sum of the components of residuals over all samples: one number for each unit."""

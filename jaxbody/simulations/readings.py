@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arguments import check_key, check_kind
-from jaxbody.core.arrays import Array, PRNGKeyArray, concrete
+from jaxbody.core.arrays import Array, PRNGKeyArray, as_numpy, concrete
 from jaxbody.core.errors import Problems
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.equations_of_motion import dynamics_of
@@ -76,17 +76,21 @@ def measure(
     noisy = any(concrete(level) is None or np.any(level) for level in levels.values())
     check_key(key, "measure.key", problems, "Noise needs" if noisy else "")
     problems.raise_if_any()
+    levels = {name: as_numpy(levels.get(name, 0.0)) for name in sensors}
+    return _measured(trajectory, sensors, levels if noisy else {}, key if noisy else None)
+
+
+@jit_optimized
+def _measured(trajectory: Trajectory, sensors: dict[str, Sensor], levels: dict[str, Array], key: PRNGKeyArray | None) -> dict[str, Array]:
+    """Readings, NaN for samples that are unknown, with noise of these levels."""
     values = {name: _nan_outside(sensors[name], trajectory.times, x) for name, x in readings(trajectory, sensors).items()}
-    if key is None or not noisy:
+    if key is None:
         return values
-    keys = dict(zip(sensors, jax.random.split(key, len(sensors)), strict=True))
-    lead = trajectory.times.shape
-    return {
-        name: sensor.disturbed(
-            values[name], sensor.spread(levels.get(name, 0.0)) * jax.random.normal(keys[name], (*lead, *sensor.noise_shape))
-        )
-        for name, sensor in sensors.items()
-    }
+    keys = jax.random.split(key, len(sensors))
+    for k, (name, sensor) in zip(keys, sensors.items(), strict=True):
+        noise = jax.random.normal(k, (*trajectory.times.shape, *sensor.noise_shape))
+        values[name] = sensor.disturbed(values[name], sensor.spread(levels[name]) * noise)
+    return values
 
 
 def _nan_outside(sensor: Sensor, times: Array, x: Array) -> Array:

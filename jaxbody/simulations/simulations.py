@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 from jaxbody.core.arguments import check_kind, checked_dict, positive_number, whole_number
-from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array
+from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, part_of
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, unknown, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
@@ -105,7 +105,7 @@ def simulate(
         loads_on = problems.gather(lambda: loads_of(loads, model.layout.bodies))
         max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "simulate", adjoint))
         times = problems.gather(lambda: check_run(model, times, motions or (), {} if loads_on is None else loads or {}, initial))
-    initial = initial_state_of(model, motions, times[0], initial, "simulate.initial")
+    initial = initial_state_of(model, motions, part_of(times, 0), initial, "simulate.initial")
     unattached_bodies = unattached(model)
     if unattached_bodies:
         warn("UNATTACHED", f"nothing connects {', '.join(unattached_bodies)} to world or a support")

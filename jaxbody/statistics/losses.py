@@ -67,5 +67,5 @@ def robust_level(mean_of_clipped_squares, start: Array) -> Array:
     expected = (1 - 2 * tail) - 2 * c * density + 2 * c * c * tail
     s = start
     for _ in range(60):
-        s = s * jnp.sqrt(mean_of_clipped_squares(s, c) / expected)
+        s = s * (mean_of_clipped_squares(s, c) / expected) ** 0.5
     return s
