@@ -27,15 +27,16 @@ def asked(y: Float[Array, "n"]) -> Float[Array, ""]:
     return _asked_p.bind(y)[0]
 
 
-def interrupted(function: Callable[..., Any], *like: Any) -> Callable[..., Any]:
+def interrupted(function: Callable[..., Any], *like: Any, parts: Parts) -> Callable[..., Any]:
     """The function of (answer, *arguments) in which `answer` gives the values that the function gets from `asked`.
 
     Args:
         function: a JAX function; only loops (`while_loop`) and branches (`cond`) may ask
         like: arguments of the shapes and types that will be passed
+        parts: those of other functions for the same program, which is compiled when one of them is first called
     """
     traced, out = jax.make_jaxpr(function, return_shape=True)(*like)
-    run, tree = _divided(traced.jaxpr, Parts()), jax.tree.structure(out)
+    run, tree = _divided(traced.jaxpr, parts), jax.tree.structure(out)
 
     def call(answer: Answer, *args: Any) -> Any:
         return jax.tree.unflatten(tree, run(answer, [*traced.consts, *jax.tree.leaves(args)]))

@@ -16,7 +16,7 @@ import numpy as np
 import optax
 
 from jaxbody.core.arrays import device_array
-from jaxbody.identification.interrupted_programs import asked, interrupted
+from jaxbody.identification.interrupted_programs import Parts, asked, interrupted
 from jaxbody.statistics.uncertainties import known_directions
 
 SIGNIFICANT = 0.01  # smallest decrease of the cost that counts as an improvement, relative to the expected decrease
@@ -243,6 +243,7 @@ def _programs_of(optimizer, size: int, dtype) -> tuple[Any, Callable[..., Any]]:
         change, state = optimizer.update(gradient, state, y, value=value, grad=gradient, value_fn=asked)
         return optax.apply_updates(y, change), state
 
-    y = np.zeros(size, dtype)
-    state = jax.jit(optimizer.init)(y)
-    return (y, state), interrupted(update, y, state, y.dtype.type(0), y)
+    y, parts = np.zeros(size, dtype), Parts()
+    begin = interrupted(optimizer.init, y, parts=parts)
+    step = interrupted(update, y, jax.eval_shape(optimizer.init, y), y.dtype.type(0), y, parts=parts)
+    return (y, begin(None, y)), step

@@ -234,7 +234,7 @@ def _made(leaf: Leaf, value: Any, where: str, problems: Problems) -> Any:
 def by_name(names: Sequence[tuple[str, ...]], tables: Sequence[Array], axis: int = 0) -> dict[str, Any]:
     """{name: row} of tables whose rows, along `axis`, have these names."""
     lead = (slice(None),) * axis
-    return {name: table[(*lead, i, ...)] for group, table in zip(names, tables, strict=True) for i, name in enumerate(group)}
+    return {name: part_of(table, (*lead, i, ...)) for group, table in zip(names, tables, strict=True) for i, name in enumerate(group)}
 
 
 def springs_of(model: Any) -> list[str]:

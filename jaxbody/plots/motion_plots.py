@@ -33,7 +33,7 @@ def plot_trajectory(trajectory: Trajectory, *, bodies: tuple[str, ...] | None = 
     for name in names:
         p, R = np.asarray(poses[name].p), np.asarray(poses[name].R)
         start = trajectory.model[name]
-        moves |= {f"{name} {axis}": p[:, i] - float(start.position[i]) for i, axis in enumerate(AXES)}
+        moves |= {f"{name} {axis}": p[:, i] - np.asarray(start.position)[i] for i, axis in enumerate(AXES)}
         turns |= {f"{name} about {axis}": angle for axis, angle in zip(AXES, _turns(R, np.asarray(start.orientation)).T, strict=True)}
     moves, turns = _moving(moves), _moving(turns)
     panels = {"displacement [m]": moves} | ({"turn [rad]": turns} if turns else {})

@@ -13,7 +13,7 @@ from equinox import combine, field, is_array, partition
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int
+from jaxbody.core.arrays import Array, Float, Int, part_of
 from jaxbody.core.datasets import AXES, QUATERNION, dataset, rows_of
 from jaxbody.core.errors import Status, is_concrete
 from jaxbody.core.results import Result
@@ -55,9 +55,9 @@ class Trajectory(Result):
     @property
     def poses(self) -> dict[str, Pose]:
         """{body or support: pose}, with `.p` (nt, 3) position of its origin, `.R` (nt, 3, 3) orientation, `.quaternion`."""
-        frames = self.at_samples(_frames)
+        frames, lead = self.at_samples(_frames), (slice(None),) * self.times.ndim
         names = self.model.layout.frames[1:]
-        return {name: jax.tree.map(lambda x, i=i: jnp.take(x, i + 1, axis=self.times.ndim), frames) for i, name in enumerate(names)}
+        return {name: jax.tree.map(lambda x, i=i: part_of(x, (*lead, i + 1)), frames) for i, name in enumerate(names)}
 
     @property
     def elongations(self) -> dict[str, Array]:
@@ -89,8 +89,8 @@ class Trajectory(Result):
     def reactions(self) -> dict[str, tuple[Array, Array]]:
         """{support: (force, moment about its origin)}, each (nt, 3) in world axes, exerted by all that is attached to it."""
         force, moment = self.at_samples(_reactions, loads=True)
-        axis = self.times.ndim
-        return {name: (jnp.take(force, i, axis=axis), jnp.take(moment, i, axis=axis)) for i, name in enumerate(self.model.layout.supports)}
+        lead = (slice(None),) * self.times.ndim
+        return {name: (part_of(force, (*lead, i)), part_of(moment, (*lead, i))) for i, name in enumerate(self.model.layout.supports)}
 
     def _of_elements(self, function: Callable) -> dict[str, Array]:
         return by_name(tuple(table.names for table in self.model.elements), self.at_samples(function), axis=self.times.ndim)

@@ -7,7 +7,7 @@ import optax
 import pytest
 
 import jaxbody as jb
-from jaxbody.identification.interrupted_programs import asked, interrupted
+from jaxbody.identification.interrupted_programs import Parts, asked, interrupted
 
 pytestmark = pytest.mark.everywhere
 START = np.array([-1.2, 1.0])
@@ -50,7 +50,7 @@ def test_an_optimizer_that_asks_python_goes_the_way_that_it_goes_in_jax(optimize
     in_jax = steps((jnp.asarray(START), optimizer.init(jnp.asarray(START))), jax.jit(lambda *x: step(*x, cost)), jax.value_and_grad(cost))
     with jb.compile_times() as spent:
         begin = START, jax.jit(optimizer.init)(START)
-        divided = interrupted(lambda *x: step(*x, asked), *begin, *answer(START))
+        divided = interrupted(lambda *x: step(*x, asked), *begin, *answer(START), parts=Parts())
         way = steps(begin, lambda *x: divided(answer, *x), lambda y: answer(np.asarray(y)))
     np.testing.assert_allclose(way, in_jax, rtol=1e-8)  # rounding, amplified by the steps
     assert np.abs(np.diff(way, axis=0)).max() > 0.01 and spent.count <= most
@@ -73,7 +73,7 @@ def test_loops_and_branches_ask_and_what_they_carry_arrives():
         y, n = jax.lax.while_loop(lambda carry: carry[1] < limit + 1, body, (y, 0))
         return {"y": y, "n": n, "value": jax.jit(asked)(y)}
 
-    result = interrupted(newton, np.zeros(1), 6)(cosh, np.zeros(1), 6)
+    result = interrupted(newton, np.zeros(1), 6, parts=Parts())(cosh, np.zeros(1), 6)
     np.testing.assert_allclose(result["y"], [0.7], rtol=1e-14)
     assert result["n"] == 7 and result["value"] == 1.0
     assert len(questions) == 7 + 1 + 1  # one a step, one in the other branch, one at the end
@@ -82,6 +82,6 @@ def test_loops_and_branches_ask_and_what_they_carry_arrives():
 def test_what_cannot_ask_says_so():
     scanned = lambda y: jax.lax.scan(lambda y, _: (y + asked(y), None), y, None, 3)[0]  # noqa: E731
     with pytest.raises(NotImplementedError, match="scan cannot ask"):
-        interrupted(scanned, START)
+        interrupted(scanned, START, parts=Parts())
     with pytest.raises(NotImplementedError, match="outside of `interrupted`"):
         asked(jnp.asarray(START))
