@@ -3,7 +3,7 @@
 The packages, in reading order; each imports only from those before it:
 
     core            Shared foundations: errors and statuses, numbers from users, results that print, units. No mechanics.
-    compilation     Programs of JAX: options and times of compilation, derivatives and batches outside a jit.
+    compilation     Programs of JAX: options and times of compilation, derivatives and batches outside a jit, programs on disk.
     numerics        Computing without physics: batches in lanes, eigenproblems, blocks of Runge-Kutta steps, Gauss collocation.
     geometry        Rotations, poses and frames; points, directions and orientations as users give them.
     records         Measured data: files, formats, units, sampling, repairs.
@@ -45,6 +45,7 @@ _MODULES = {  # that are public themselves
 _NAMES = {  # what is public of each module; `__init__.pyi` says the same to editors and type checkers
     "jaxbody.compilation.compilations": ("compile_times",),
     "jaxbody.compilation.compile_options": ("fast_loops", "quick_options"),
+    "jaxbody.compilation.kept_programs": ("KeptPrograms", "keep_programs"),
     "jaxbody.core.errors": ("JaxbodyError", "JaxbodyWarning", "Status", "codes"),
     "jaxbody.designs.fronts": ("Front", "pareto"),
     "jaxbody.designs.sensitivity_analyses": ("sensitivities",),

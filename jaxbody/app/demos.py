@@ -58,8 +58,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.command is None:
         parser.print_help()
         return 0
+    if arguments is None:  # the process is that of the command
+        prepare()
     with ThreadPoolExecutor(max_workers=1) as executor:
         return run(options.out, options.seed, executor)
+
+
+def prepare() -> None:
+    """Fast loops, and programs kept for the next run."""
+    jb.fast_loops()
+    try:
+        jb.keep_programs()
+    except jb.JaxbodyError as error:
+        print(f"Programs are not kept for the next run: {error}")
 
 
 def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:

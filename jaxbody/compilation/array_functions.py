@@ -13,11 +13,11 @@ import jax
 KEPT = 4096  # functions with different structures or static values, each with its compiled programs
 
 
+@dataclass(frozen=True, eq=False)
 class Remainder:
     """A part of a result that holds no array, known when the function is traced."""
 
-    def __init__(self, value: Any):
-        self.value = value
+    value: Any
 
 
 jax.tree_util.register_pytree_node(Remainder, lambda remainder: ((), remainder.value), lambda value, _: Remainder(value))

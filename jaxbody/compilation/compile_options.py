@@ -13,6 +13,7 @@ import jaxlib.version
 from jaxbody.compilation.array_functions import array_function, jitted, joined
 from jaxbody.compilation.compilations import Compiled
 from jaxbody.compilation.eager_programs import run
+from jaxbody.compilation.kept_programs import call
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import only_transformed, outermost, started, without_manual_axes
 
@@ -88,16 +89,16 @@ def _jit_by_itself(function: Callable[..., Any], options: dict[str, Any]) -> Cal
         return tuple((quick_options() | options).items())
 
     @functools.wraps(function)
-    def call(*args):
+    def driver(*args):
         program, arrays = array_function(noted, args)
         if outermost():
             with compiled.watched(args):
-                return joined(*jitted(program, own_options())(*arrays))
+                return joined(*call(program, own_options(), arrays))
         if only_transformed():
             return joined(*run(program, own_options(), arrays))
         return joined(*jitted(program)(*arrays))
 
-    return call
+    return driver
 
 
 @functools.cache

@@ -16,16 +16,14 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxbody.compilation.array_functions import KEPT, Remainder, jitted
+from jaxbody.compilation.array_functions import Remainder, jitted
+from jaxbody.compilation.kept_programs import Options, Results, call, types_of_results
 from jaxbody.core.jax_internals import Zero, new_operation, unbatched, unknown, zero_tangent
-
-Options = tuple[tuple[str, Any], ...]
-Results = tuple[list[Any], Remainder]  # arrays, and all else
 
 
 def run(program: Callable[..., Results], options: Options, arrays: Sequence[Any]) -> Results:
     """program(*arrays), compiled with these options, as one operation for the derivative or the batch that is under way."""
-    return _program_p.bind(*arrays, program=program, options=options), _types(program, tuple(map(jax.typeof, arrays)))[1]
+    return _program_p.bind(*arrays, program=program, options=options), types_of_results(program, _types_of(arrays))[1]
 
 
 @dataclass(frozen=True)
@@ -35,7 +33,7 @@ class Derived(ABC):
     of: Callable[..., Results]
 
     @property
-    def __name__(self) -> str:
+    def __name__(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]  # as of a function
         return f"{self.of.__name__}_{type(self).__name__.lower()}"
 
     @abstractmethod
@@ -79,20 +77,24 @@ class Linearized(Derived):
         for array in saved:
             if places.setdefault(id(array), len(known)) == len(known):
                 known.append(array)
+        _pullbacks[self, _types_of(x)] = structure, [places[id(array)] for array in saved]
         out = _all_results(real, others)
-        return [*out, *known[len(x) :]], Remainder((len(out), structure, [places[id(array)] for array in saved]))
+        return [*out, *known[len(x) :]], Remainder(len(out))
 
 
 @dataclass(frozen=True)
 class Pullback(Derived):
-    """(x, what is saved, w) to w f'(x), for those w of real results that are `given`; the others are zero."""
+    """(x, what is saved, w) to w f'(x) of a Linearized, for those w of real results that are `given`; the others are zero."""
 
-    remainder: Remainder  # of the Linearized
+    of: Linearized  # pyright: ignore
     given: tuple[bool, ...]
     types: tuple[Any, ...]  # of all w
 
     def __call__(self, *args: Any) -> Results:
-        _, structure, places = self.remainder.value
+        x = args[: len(self.of.moved)]
+        if (self.of, _types_of(x)) not in _pullbacks:  # it was not traced, as it was on disk
+            jax.eval_shape(self.of, *x)
+        structure, places = _pullbacks[self.of, _types_of(x)]
         cotangents = iter(args[len(args) - sum(self.given) :])
         pullback = jax.tree.unflatten(structure, [args[i] for i in places])
         w = [next(cotangents) if given else jnp.zeros(t.shape, t.dtype) for given, t in zip(self.given, self.types, strict=True)]
@@ -147,14 +149,11 @@ def _chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
 # The operation, and the linear one that stands for its tangents while a linear function is made
 
 
-@functools.lru_cache(KEPT)
-def _types(program: Callable[..., Results], avals: tuple[Any, ...]) -> Results:
-    given = [jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=getattr(a, "weak_type", False)) for a in avals]
-    return jax.eval_shape(jitted(program), *given)
+_pullbacks: dict[Any, tuple[Any, list[int]]] = {}  # {(Linearized, types of x): structure of the pullback, places of its arrays}
 
 
-def _typed(*avals, program, **_):
-    return [jax.typeof(x) for x in _types(program, avals)[0]]
+def _types_of(arrays: Sequence[Any]) -> tuple[Any, ...]:
+    return tuple(map(jax.typeof, arrays))
 
 
 def _program_jvp(primals, tangents, *, program, options):
@@ -163,16 +162,16 @@ def _program_jvp(primals, tangents, *, program, options):
     if any(map(unknown, moving)):
         linearized = Linearized(program, moved)
         out, remainder = run(linearized, options, primals)
-        out, saved = out[: remainder.value[0]], out[remainder.value[0] :]
+        out, saved = out[: remainder.value], out[remainder.value :]
         types = tuple(jax.typeof(y) for y in out if _is_real(y))
         if types:
             tangents_out = _tangents_p.bind(
-                *primals, *saved, *moving, linearized=linearized, options=options, remainder=remainder, types=types
+                *primals, *saved, *moving, linearized=linearized, options=options, count=remainder.value, types=types
             )
         else:
             tangents_out = []
     else:
-        count = len(_types(program, tuple(map(jax.typeof, primals)))[0])
+        count = len(types_of_results(program, _types_of(primals))[0])
         out = run(Jvp(program, moved), options, [*primals, *moving])[0]
         out, tangents_out = out[:count], out[count:]
     given = iter(tangents_out)
@@ -187,25 +186,24 @@ def _program_batch(args, axes, *, program, options):
 
 _program_p = new_operation(
     "program",
-    lambda *args, program, options: jitted(program, options)(*args)[0],
-    typed=_typed,
+    lambda *args, program, options: call(program, options, args)[0],
+    typed=lambda *types, program, **_: types_of_results(program, types)[0],
     several=True,
     batch=_program_batch,
     jvp=_program_jvp,
 )
 
 
-def _tangents(*args, linearized, types, options, remainder):
+def _tangents(*args, linearized, types, options, count):
     """f'(x) x' of (x, what is saved, x')."""
-    count = len(linearized.moved)
-    forward = Tangents(Jvp(linearized.of, linearized.moved), remainder.value[0])
-    return run(forward, options, [*args[:count], *args[len(args) - sum(linearized.moved) :]])[0]
+    forward = Tangents(Jvp(linearized.of, linearized.moved), count)
+    return run(forward, options, [*args[: len(linearized.moved)], *args[len(args) - sum(linearized.moved) :]])[0]
 
 
-def _tangents_transpose(cotangents, *args, linearized, types, options, remainder):
+def _tangents_transpose(cotangents, *args, linearized, types, options, count):
     known = args[: len(args) - sum(linearized.moved)]
     given = tuple(type(w) is not Zero for w in cotangents)
-    out, _ = run(Pullback(linearized, remainder, given, types), options, [*known, *_chosen(cotangents, given)])
+    out, _ = run(Pullback(linearized, given, types), options, [*known, *_chosen(cotangents, given)])
     return [None] * len(known) + out
 
 

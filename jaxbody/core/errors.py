@@ -361,6 +361,7 @@ CODES = {
     "UNKNOWN_PATH": ("a path or pattern matches nothing", "jb.paths lists all paths"),
     "UNKNOWN_UNIT": ("a unit is unknown, or can be read in two ways", "write products of known units, such as N s/m"),
     "UNREADABLE": ("a file cannot be read", "check whether it is complete and closed"),
+    "UNSAFE_FOLDER": ("a folder for programs is open to others", "name one of your own, or make it private with chmod 700"),
     "UNSORTED_TIME": ("times go back", "sort the rows"),
     "UNSTABLE": ("the equilibrium is unstable", "start from a state moved along the unstable mode, or stiffen the model"),
     "UNTESTED_JAXLIB": ("an option was not tested with this version of jaxlib", "nothing is changed; use a version in the message"),

@@ -107,7 +107,7 @@ def same_operation(equation: Any, args: Sequence[Any]) -> list[Any]:
     return list(out) if equation.primitive.multiple_results else [out]
 
 
-def tree_of_node(kind: type, data: Any, children: list[PyTreeDef]) -> PyTreeDef:
+def tree_of_node(kind: type, data: Any, children: list[Any]) -> Any:
     """The structure of a tree from what `node_data()` and `children()` of it return."""
     if hasattr(PyTreeDef, "from_node_data_and_children"):
         return PyTreeDef.from_node_data_and_children(jax.tree_util.default_registry, (kind, data), children)
@@ -121,6 +121,13 @@ def tree_of_node(kind: type, data: Any, children: list[PyTreeDef]) -> PyTreeDef:
     else:
         node = parts if kind is list else tree_util._registry[kind].from_iter(data, tuple(parts))
     return jax.tree.structure(node)
+
+
+@functools.cache
+def find_lapack() -> None:
+    """Lower a call of LAPACK: programs that were exported by another process call functions that jaxlib looks up only then, at least until
+    version 0.7."""
+    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), jnp.result_type(float)))
 
 
 # New operations

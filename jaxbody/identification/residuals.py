@@ -135,7 +135,7 @@ def shared_structure(experiments: dict[str, Measurement]) -> list[list[str]]:
 def rms(channel: Channel, residuals: list, present: list) -> Array:
     """Root mean square over all records of a channel: one number for each of its units."""
     squares = sum(channel.pooled(as_numpy(r) ** 2) for r in residuals)
-    return (squares / sum(channel.pooled(as_numpy(mask).astype(squares.dtype)) for mask in present)) ** 0.5
+    return (squares / sum(channel.pooled(as_numpy(mask).astype(float)) for mask in present)) ** 0.5
 
 
 @np.errstate(divide="ignore", invalid="ignore")

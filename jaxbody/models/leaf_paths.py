@@ -195,12 +195,12 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
 
 def _block(value: Any, rows: list[int] | int, first: Leaf, arrays: list[Array]) -> Any:
     """The rows of a value with these indices, or one value repeated in as many rows, with the rows along the same axis as in the array."""
-    xp = np if isinstance(value, np.ndarray) else jnp
+    xp: Any = np if isinstance(value, np.ndarray) else jnp
     if first.row is None:
         return value if isinstance(rows, int) else value[rows[0]]
     if isinstance(rows, int):
-        axis = first.axis(arrays)
-        return xp.moveaxis(xp.broadcast_to(value, (rows, *value.shape)), 0, axis) if axis else xp.broadcast_to(value, (rows, *value.shape))
+        repeated, axis = xp.broadcast_to(value, (rows, *value.shape)), first.axis(arrays)
+        return xp.moveaxis(repeated, 0, axis) if axis else repeated
     return xp.moveaxis(value[np.array(rows)], 0, first.axis(arrays))
 
 

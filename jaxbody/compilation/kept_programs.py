@@ -1,0 +1,262 @@
+"""Programs on disk: what one process has traced, later ones of the same structure load.
+
+The text of a program names all that it depends on; its hash is the name of two files, what the program returns and what `jax.export`
+makes of it. Compiled code is in the cache of JAX beside them.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import os
+import platform
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.export
+from jax.experimental.compilation_cache import compilation_cache
+
+from jaxbody.compilation.array_functions import KEPT, Remainder, jitted
+from jaxbody.core import tables
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.jax_internals import find_lapack
+from jaxbody.core.plain_data import LIBRARIES, Unnamed, text_of, value_of
+
+FORM = "jaxbody program 1"
+LARGEST = 500e6  # bytes of all files; the oldest are removed
+Options = tuple[tuple[str, Any], ...]
+Results = tuple[list[Any], Remainder]  # arrays or their types, and all else
+
+
+@dataclass(eq=False)
+class KeptPrograms:
+    """What `keep_programs` has loaded from its folder, saved there and left out, with the reason; it prints as a table.
+
+    `loaded`, `saved`: names of functions; `left_out`: {name: reason}.
+
+    >>> print(KeptPrograms(Path("programs"), saved=["equilibrium_of"]))
+    Programs in programs
+      function        state
+      equilibrium_of  saved
+    """
+
+    folder: Path
+    loaded: list[str] = field(default_factory=list)
+    saved: list[str] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
+    functions: dict[Any, Callable[..., Any]] = field(default_factory=dict)  # {(program, options, types): what runs it}
+
+    def __repr__(self) -> str:
+        rows: list[tuple[str, str]] = [(name, "loaded") for name in self.loaded] + [(name, "saved") for name in self.saved]
+        return tables.text(tables.PrintedTable(f"Programs in {self.folder}", ("function", "state"), rows + list(self.left_out.items())))
+
+    def types_of_results(self, program: Callable[..., Any], types: tuple[Any, ...]) -> Results:
+        """Types of the arrays that a program returns, and all else that it returns."""
+        name = self.name_of(program, types)
+        try:
+            if name is not None:
+                results, remainder = value_of((self.read(name + ".types") or b"").decode())
+                return list(results), remainder
+        except ValueError:
+            pass
+        results, remainder = _traced(program, types)
+        try:
+            if name is not None:
+                self.write(name + ".types", text_of((tuple(results), remainder)).encode(), program.__name__)
+        except Unnamed as error:
+            self.left_out[program.__name__] = f"it returns {error}, which has no text"
+        return results, remainder
+
+    def function(self, program: Callable[..., Any], options: Options, types: tuple[Any, ...]) -> Callable[..., Any]:
+        """What runs a program for arrays of these types: loaded, or else exported and saved."""
+        name = self.name_of(program, types)
+        if name is None:
+            return lambda *arrays: jitted(program, options)(*arrays)[0]
+        data = self.read(name + ".program")
+        if data is not None:
+            find_lapack()
+            self.loaded.append(program.__name__)
+        else:
+
+            def alone(*arrays):
+                return jitted(program)(*arrays)[0]
+
+            try:
+                data = jax.export.export(jax.jit(alone))(*_structs(types)).serialize()
+            except Exception as error:  # a callback, or an operation that this version of JAX cannot export
+                self.left_out[program.__name__] = f"{type(error).__name__}: {error}".splitlines()[0]
+                return lambda *arrays: jitted(program, options)(*arrays)[0]
+            if self.write(name + ".program", bytes(data), program.__name__):
+                self.saved.append(program.__name__)
+        exported = jax.export.deserialize(bytearray(data))  # also what was just made: it has other types than what it is made from
+
+        def kept(*arrays):
+            return exported.call(*arrays)
+
+        kept.__name__ = program.__name__
+        return jax.jit(kept, compiler_options=dict(options))
+
+    def name_of(self, program: Callable[..., Any], types: tuple[Any, ...]) -> str | None:
+        """The name of the files of a program; None where it depends on something that has no text, such as a function of a user."""
+        try:
+            text = text_of((program, types))
+        except Unnamed as error:
+            self.left_out[program.__name__] = f"depends on {error}, which jaxbody cannot name"
+            return None
+        return hashlib.sha256(f"{_versions()} {_precision()} {text}".encode()).hexdigest()
+
+    def read(self, name: str) -> bytes | None:
+        """The content of a file; None if there is none, or if it is not what was written under this name."""
+        try:
+            heading, _, data = (self.folder / name).read_bytes().partition(b"\n")
+            os.utime(self.folder / name)
+        except OSError:
+            return None
+        return data if heading == _heading(name, data) else None
+
+    def write(self, name: str, data: bytes, function: str) -> bool:
+        """Write a file at once, so that other processes see all of it or nothing; the oldest files make room. A file that cannot be
+        written is left out."""
+        try:
+            handle, path = tempfile.mkstemp(dir=self.folder)
+            try:
+                with os.fdopen(handle, "wb") as file:
+                    file.write(_heading(name, data) + b"\n" + data)
+                os.replace(path, self.folder / name)
+            except OSError:
+                os.unlink(path)
+                raise
+            self.make_room()
+        except OSError as error:
+            self.left_out[function] = f"could not be written: {error}"
+            return False
+        return True
+
+    def make_room(self) -> None:
+        """Remove the oldest files until all are within LARGEST; those of JAX count, too."""
+        files = []
+        for path in self.folder.rglob("*"):
+            try:
+                if path.is_file():
+                    files.append((path.stat().st_mtime, path.stat().st_size, path))
+            except OSError:  # another process has removed it
+                continue
+        total = sum(size for _, size, _ in files)
+        for _, size, path in sorted(files):
+            if total <= LARGEST:
+                break
+            path.unlink(missing_ok=True)
+            total -= size
+
+
+_kept: KeptPrograms | None = None
+
+
+def keep_programs(folder: str | os.PathLike | None = None) -> KeptPrograms:
+    """Keep traced and compiled programs on disk for later processes, which then start in a fraction of the time.
+
+    Args:
+        folder: a folder of your own that nobody else can read or write; by default `jaxbody` in your cache folder (XDG_CACHE_HOME or
+            ~/.cache). It is made if there is none.
+
+    A later process loads a program for a model of the same structure, whatever its numbers, if jaxbody, JAX, the other libraries and the
+    processor are the same. Programs that depend on a function or class of your own are not kept, as their source is unknown; the result
+    lists them. It also sets JAX's own cache of compiled code, unless that is set. All files together stay below 500 MB. Call it before the
+    first computation; the command `jaxbody` does.
+
+    Errors: UNSAFE_FOLDER for a folder that is not yours or not of mode 0700, NOT_SAVED where it cannot be made.
+
+    >>> import jaxbody as jb
+    >>> kept = jb.keep_programs()  # doctest: +SKIP
+    >>> print(kept)                # doctest: +SKIP
+    """
+    global _kept
+    path = Path(folder) if folder is not None else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxbody"
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        state = path.stat()
+    except OSError as error:
+        raise JaxbodyError(Problem("NOT_SAVED", str(path), str(error), hint="Name another folder.")) from None
+    if hasattr(os, "getuid") and (state.st_uid != os.getuid() or state.st_mode & 0o077):
+        message = f"belongs to user {state.st_uid} and has mode {state.st_mode & 0o777:04o}, so that others might change programs in it"
+        hint = f"Name a folder of your own, or make it private: chmod 700 {path}"
+        raise JaxbodyError(Problem("UNSAFE_FOLDER", str(path), message, path, "your own, mode 0700", hint))
+    if _kept is None or _kept.folder != path:
+        _kept = KeptPrograms(path)
+        _kept.make_room()
+    if not jax.config.jax_compilation_cache_dir:  # pyright: ignore
+        jax.config.update("jax_compilation_cache_dir", str(path / "compiled"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+        compilation_cache.reset_cache()  # JAX looks for its folder once only
+    return _kept
+
+
+def call(program: Callable[..., Any], options: Options, arrays: Sequence[Any]) -> Results:
+    """What a program returns, compiled with these options, kept if `keep_programs` was called."""
+    without_jit = jax.config.jax_disable_jit  # pyright: ignore
+    if _kept is None or without_jit or not all(map(_on_default_device, arrays)):
+        return jitted(program, options)(*arrays)
+    types = tuple(map(jax.typeof, arrays))
+    key = (program, options, types)
+    if key not in _kept.functions:
+        _kept.functions[key] = _kept.function(*key)
+    return list(_kept.functions[key](*arrays)), types_of_results(program, types)[1]
+
+
+def _on_default_device(x: Any) -> bool:
+    return not getattr(x, "committed", False) or x.devices() == {jax.devices()[0]}
+
+
+def types_of_results(program: Callable[..., Any], types: tuple[Any, ...]) -> Results:
+    """Types of the arrays that a program returns for arrays of these types, and all else that it returns."""
+    return _types_of_results(program, types, _kept)
+
+
+@functools.lru_cache(KEPT)
+def _types_of_results(program, types, kept):
+    return _traced(program, types) if kept is None else kept.types_of_results(program, types)
+
+
+def _traced(program: Callable[..., Any], types: tuple[Any, ...]) -> Results:
+    results, remainder = jax.eval_shape(jitted(program), *_structs(types))
+    return [jax.typeof(x) for x in results], remainder
+
+
+def _structs(types: tuple[Any, ...]) -> list[jax.ShapeDtypeStruct]:
+    return [jax.ShapeDtypeStruct(t.shape, t.dtype, weak_type=getattr(t, "weak_type", False)) for t in types]
+
+
+def _heading(name: str, data: bytes) -> bytes:
+    return f"{FORM} {name} {hashlib.sha256(data).hexdigest()}".encode()
+
+
+@functools.cache
+def _versions() -> str:
+    """All that a program depends on and that does not change in a process: source and libraries, Python, processor."""
+    source = hashlib.sha256()
+    for file in sorted(_sources(resources.files("jaxbody")), key=str):
+        source.update(file.read_bytes())
+    libraries = [f"{name} {metadata.version(name)}" for name in sorted({*LIBRARIES, "jaxlib", "numpy"} - {"jaxbody"})]
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        processor = " ".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))}))
+    except OSError:
+        processor = platform.processor()
+    return repr((source.hexdigest(), libraries, sys.version_info[:2], platform.machine(), processor, FORM))
+
+
+def _sources(folder: Any) -> list[Any]:
+    return [file for x in folder.iterdir() for file in (_sources(x) if x.is_dir() else [x] if x.name.endswith(".py") else [])]
+
+
+def _precision() -> str:
+    """Switches of JAX that change what is traced, and the device."""
+    names = ("jax_enable_x64", "jax_default_matmul_precision", "jax_debug_nans", "jax_numpy_dtype_promotion")
+    return repr(([str(getattr(jax.config, name)) for name in names], jax.default_backend(), jax.devices()[0].device_kind))

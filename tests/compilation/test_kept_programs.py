@@ -1,0 +1,238 @@
+"""Programs on disk: a second process traces nothing and computes the same numbers; whatever is wrong with a file, it is made anew."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody.compilation import kept_programs
+from jaxbody.compilation.kept_programs import KeptPrograms, keep_programs
+
+pytestmark = pytest.mark.everywhere
+
+ALL_KEPT = jax.__version_info__ >= (0, 8)  # jax 0.7 cannot export all that the gradient consists of
+
+PROCESS = """
+import json, sys
+import jax, jax.numpy as jnp
+jax.config.update("jax_enable_x64", True)
+import jaxbody as jb
+
+folder, damping = sys.argv[1], float(sys.argv[2])
+kept = jb.keep_programs(folder) if folder else None
+model = jb.presets.quarter_car(damping=damping)
+frequency = lambda model: jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[0]
+with jb.compile_times() as times:
+    f, slope = jax.value_and_grad(frequency)(model)
+    several = jax.vmap(lambda k: frequency(jb.replace(model, {"*.stiffness": k})))(jnp.array([1e4, 2e4]))
+    plain = frequency(model)
+    loud = jb.simulate(model, [0.0, 0.1], motion={"road": lambda t: 0.001 * t * jnp.array([0, 0, 1.0, 0, 0, 0])})
+numbers = [f, plain, *jax.tree.leaves(slope), *several, *loud.state.q.ravel(), *loud.state.v.ravel()]
+traced = sum(seconds for name, (seconds, *_) in times.programs.items() if name != "integrate")
+state = [kept.loaded, kept.saved, kept.left_out] if kept else []
+print(json.dumps([[float(x).hex() for y in numbers for x in jnp.ravel(y)], traced, *state]))
+"""
+ENDINGS = ("", "_linearized", "_linearized_pullback", "_batch")
+DRIVERS = {name + end for name in ("equilibrium_of", "_linearize", "_modes") for end in ENDINGS}
+
+
+def process(folder, damping):
+    hidden = {"JAX_COMPILATION_CACHE_DIR", "XLA_FLAGS"}
+    environment = {name: value for name, value in os.environ.items() if name not in hidden}
+    command = [sys.executable, "-c", PROCESS, str(folder), str(damping)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, env=environment)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache") / "programs"
+
+
+@pytest.mark.long
+def test_a_second_process_traces_nothing_and_computes_the_same_numbers(folder):
+    """With and without programs on disk to the last digit, as it is the same code; other numbers of the same structure, too."""
+    first, second, other = process(folder, 1500.0), process(folder, 1500.0), process(folder, 900.0)
+    assert first[0] == second[0] == process("", 1500.0)[0]
+    assert other[0] == process("", 900.0)[0] != first[0]
+    assert "cannot name" in first[4]["integrate"]  # its motion is a function of the user
+    if ALL_KEPT:
+        assert set(first[3]) >= DRIVERS and first[2] == []
+        assert set(second[2]) == set(other[2]) == set(first[3]) and second[3] == other[3] == []
+        assert second[1] < 0.2 * first[1]
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    """Programs of this process in a folder of their own, with none of JAX's beside them."""
+    monkeypatch.setattr(kept_programs, "_kept", None)
+    monkeypatch.setattr(kept_programs.compilation_cache, "reset_cache", lambda: None)
+    monkeypatch.setattr(jax.config, "update", lambda *_: None)
+    return keep_programs(tmp_path / "programs")
+
+
+SMALL = jb.presets.quarter_car(damping=1500.0)
+
+
+def poses(model):
+    """The result of a small driver of the package, with its structure."""
+    result = model.reference
+    return jax.tree.map(np.asarray, result)
+
+
+def again(folder):
+    """What another process would see."""
+    kept_programs._kept = None
+    return keep_programs(folder)
+
+
+def same(a, b):
+    return jax.tree.structure(a) == jax.tree.structure(b) and all(map(np.array_equal, jax.tree.leaves(a), jax.tree.leaves(b)))
+
+
+def test_a_program_is_saved_once_and_loaded_then(kept):
+    expected = poses(SMALL)
+    assert (kept.saved, kept.loaded, kept.left_out) == (["_reference"], [], {})
+    assert sorted(path.suffix for path in kept.folder.iterdir()) == [".program", ".types"]
+    assert all(path.stat().st_mode & 0o777 == 0o600 for path in kept.folder.iterdir())
+    assert same(poses(SMALL), expected) and kept.saved == ["_reference"]
+    second = again(kept.folder)
+    assert same(poses(jb.replace(SMALL, {"*.stiffness": 3.0})), expected)
+    assert (second.saved, second.loaded) == ([], ["_reference"])
+    assert "_reference" in repr(second) and "loaded" in repr(second)
+
+
+def damaged(data):
+    return data[:-7] + bytes([data[-7] ^ 1]) + data[-6:]
+
+
+DAMAGES = {
+    "truncated": lambda data: data[: len(data) // 2],
+    "empty": lambda data: b"",
+    "one bit": damaged,
+    "foreign": lambda data: b"something else\n" + data,
+    "of another program": lambda data: data.replace(data.split()[3], b"0" * 64, 1),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_file_is_replaced(kept, damage):
+    expected = poses(SMALL)
+    whole = {path: path.read_bytes() for path in kept.folder.iterdir()}
+    for path, data in whole.items():
+        path.write_bytes(DAMAGES[damage](data))
+    second = again(kept.folder)
+    assert same(poses(SMALL), expected) and (second.saved, second.loaded) == (["_reference"], [])
+    assert {path: path.read_bytes().split(b"\n", 1)[1][:100] for path in whole} == {
+        path: data.split(b"\n", 1)[1][:100] for path, data in whole.items()
+    }
+
+
+def test_what_a_program_depends_on_is_in_its_name(kept, monkeypatch):
+    names = {kept.name_of(jb.fit, ())}
+    for key, value in {"_versions": lambda: "a line of source changed", "_precision": lambda: "float32"}.items():
+        with monkeypatch.context() as changed:
+            changed.setattr(kept_programs, key, value)
+            names.add(kept.name_of(jb.fit, ()))
+    types = [(jax.typeof(jnp.zeros(3)),), (jax.typeof(jnp.zeros(4)),), (jax.typeof(jnp.zeros(3, "float32")),), (jax.typeof(1.0),)]
+    names |= {kept.name_of(jb.fit, t) for t in types} | {kept.name_of(jb.modes, ())}
+    assert len(names) == 8 - (not jax.config.jax_enable_x64)
+    assert all(text in kept_programs._versions() for text in (f"jax {jax.__version__}", "jaxlib", "diffrax"))
+    assert str(jax.config.jax_enable_x64) in kept_programs._precision()
+
+
+def test_the_source_of_the_package_is_part_of_the_name(monkeypatch, tmp_path):
+    (tmp_path / "inner").mkdir()
+    (tmp_path / "inner" / "a.py").write_text("x = 1")
+    monkeypatch.setattr(kept_programs.resources, "files", lambda _: tmp_path)
+    texts = [kept_programs._versions.__wrapped__()]
+    (tmp_path / "inner" / "a.py").write_text("x = 2")
+    assert kept_programs._versions.__wrapped__() != texts[0]
+
+
+@pytest.mark.parametrize("mode", [0o755, 0o770, 0o701])
+def test_a_folder_that_is_open_to_others_is_refused(tmp_path, mode):
+    (tmp_path / "programs").mkdir(mode=0o700)
+    (tmp_path / "programs").chmod(mode)
+    with pytest.raises(jb.JaxbodyError, match=f"{mode:04o}.*chmod 700") as error:
+        keep_programs(tmp_path / "programs")
+    assert error.value.code == "UNSAFE_FOLDER"
+
+
+def test_a_folder_of_somebody_else_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    with pytest.raises(jb.JaxbodyError, match="belongs to user"):
+        keep_programs(tmp_path / "programs")
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(jb.JaxbodyError, match="file") as error:
+        keep_programs(tmp_path / "file" / "programs")
+    assert error.value.code == "NOT_SAVED"
+
+
+def test_a_full_disk_costs_the_file_only(kept, monkeypatch):
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    assert poses(SMALL).q.shape == (2,) and kept.saved == []
+    assert "No space left" in kept.left_out["_reference"] and list(kept.folder.iterdir()) == []
+
+
+def test_the_oldest_files_make_room(kept, monkeypatch):
+    """Also those that seem to be of tomorrow, as the clock went back since: they are kept longest, and go when they are too many."""
+    monkeypatch.setattr(kept_programs, "LARGEST", 2500)
+    now = time.time()
+    for name, age in {"old": 100, "older": 200, "new": 0, "of tomorrow": -86400}.items():
+        kept.write(name, bytes(900), "f")
+        if (kept.folder / name).exists():
+            os.utime(kept.folder / name, (now - age, now - age))
+    assert sorted(path.name for path in kept.folder.iterdir()) == ["new", "of tomorrow"]
+    assert sum(path.stat().st_size for path in kept.folder.iterdir()) <= 2500
+
+
+def test_what_was_read_is_not_old(kept, monkeypatch):
+    kept.write("a", b"1", "f")
+    os.utime(kept.folder / "a", (1, 1))
+    assert kept.read("a") == b"1" and (kept.folder / "a").stat().st_mtime > 1e9
+
+
+def test_two_writers_at_once_do_no_harm(kept):
+    """A reader sees a whole file of one of them, or none."""
+    contents = [bytes([i]) * 100_000 for i in range(8)]
+
+    def write(content):
+        for _ in range(20):
+            assert KeptPrograms(kept.folder).write("same", content, "f")
+
+    with ThreadPoolExecutor() as pool:
+        running = [pool.submit(write, content) for content in contents]
+        while not all(task.done() for task in running):
+            assert kept.read("same") in (None, *contents)
+        assert [task.result() for task in running] == [None] * 8
+    assert [path.name for path in kept.folder.iterdir()] == ["same"]
+
+
+def test_arrays_on_another_device_and_calls_without_jit_go_past_it(kept):
+    with jax.disable_jit():
+        poses(SMALL)
+    assert kept.saved == []
+
+
+def test_no_program_is_kept_unless_asked_for():
+    """Neither by the import nor by a call of the library."""
+    code = "import jax, jaxbody as jb; jb.presets.quarter_car().reference; print(jax.config.jax_compilation_cache_dir)"
+    environment = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=True, env=environment)
+    assert done.stdout.strip() == "None"
