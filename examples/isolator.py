@@ -11,6 +11,8 @@ import jaxbody as jb
 from jaxbody import plots
 
 jax.config.update("jax_enable_x64", True)
+if __name__ == "__main__":  # the process is this script's
+    jb.fast_loops()
 
 # The table of Harris, Shock and Vibration Handbook, chapter 3, with dampers
 mass, gyration, stiffness, at = 200.0, (0.35, 0.42, 0.5), np.array([3e4, 5e4, 8e4]), (0.45, 0.3, 0.25)

@@ -15,6 +15,8 @@ import jaxbody as jb
 from jaxbody import laws
 
 jax.config.update("jax_enable_x64", True)
+if __name__ == "__main__":  # the process is this script's
+    jb.fast_loops()
 up, g = [0, 0, 1], 9.81
 wheels = {"fl": (1.2, 0.75), "fr": (1.2, -0.75), "rl": (-1.4, 0.75), "rr": (-1.4, -0.75)}  # from the center of mass, x forward, y left
 mass, unsprung, radius, height = 1100.0, 38.0, 0.3, 0.55

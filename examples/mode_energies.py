@@ -15,6 +15,8 @@ import jaxbody as jb
 from jaxbody import plots
 
 jax.config.update("jax_enable_x64", True)
+if __name__ == "__main__":  # the process is this script's
+    jb.fast_loops()
 engine = jb.presets.engine_on_mounts()  # x along the crankshaft, y across, z up; published stiffnesses
 lin = jb.linearize(engine, engine.reference)
 energies = jb.mode_energies(lin, forward="x", up="z")

@@ -20,6 +20,8 @@ import jaxbody as jb
 from jaxbody import plots
 
 jax.config.update("jax_enable_x64", True)
+if __name__ == "__main__":  # the process is this script's
+    jb.fast_loops()
 car = jb.presets.full_car()
 wheels = ("fl", "fr", "rl", "rr")
 road, band = jb.Unevenness.iso("C"), jb.Band(0.2, 40.0, points=201)

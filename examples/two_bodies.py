@@ -8,6 +8,8 @@ import optax
 import jaxbody as jb
 
 jax.config.update("jax_enable_x64", True)
+if __name__ == "__main__":  # the process is this script's
+    jb.fast_loops()
 lean = jnp.array([0.966, 0.069, 0.138, 0.207])  # a rotation by 30 degrees about (1, 2, 3)
 eyes = {"rope1": [0.30, 0.20, 0.10], "rope2": [-0.30, 0.22, 0.12], "rope3": [-0.28, -0.20, 0.10], "rope4": [0.32, -0.22, 0.08]}
 hooks = {"rope1": [0.35, 0.45, 1.1], "rope2": [-0.50, 0.25, 1.1], "rope3": [-0.25, -0.50, 1.1], "rope4": [0.60, -0.20, 1.1]}

@@ -26,7 +26,8 @@ from jaxbody.numerics.xla_workarounds import as_kept, plain_max, sum_p
 
 LANES = 32
 ELEMENTWISE = {
-    "abs", "acos", "add", "add_any", "and", "asin", "atan", "atan2", "cbrt", "ceil", "clamp", "convert_element_type", "copy", "cos", "cosh", "div",
+    "abs", "acos", "add", "add_any", "and", "asin", "atan", "atan2", "cbrt", "ceil",
+    "clamp", "convert_element_type", "copy", "cos", "cosh", "div",
     "eq", "eq_to", "erf", "exp", "exp2", "expm1", "floor", "ge", "gt", "integer_pow", "is_finite", "le", "le_to", "log", "log1p",
     "logistic", "lt", "lt_to", "max",
     "min", "mul", "ne", "neg", "nextafter", "not", "or", "pow", "rem", "round", "rsqrt", "select_n", "sign", "sin", "sinh", "sqrt",

@@ -22,7 +22,7 @@ from jaxbody.core.errors import Problem as Wrong
 from jaxbody.core.jax_internals import linear_with_transpose
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.runge_kutta_steps import InitialValueProblem, error_ratio, first_length, polynomial, rate, root, row_at, step
-from jaxbody.numerics.xla_workarounds import any_of_batch
+from jaxbody.numerics.xla_workarounds import any_of_batch, carried
 
 BLOCK = 128  # steps, at most
 MOST_KEPT = 8e9  # bytes that a derivative may reserve
@@ -185,6 +185,9 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
     _check_memory(problem.max_steps, blocks, sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(of_block)))
     kept = jax.tree.map(lambda x: jnp.zeros((blocks, *x.shape), x.dtype), of_block)
     out = _windows(jnp.full((len(times), len(y0)), jnp.nan, y0.dtype))
+    moving = (begun.y, begun.f, begun.last.c, out)
+    y, f, c, out = carried(moving, [x for x in jax.tree.leaves((arguments, times)) if is_inexact_array(x)])
+    begun = begun._replace(y=y, f=f, last=begun.last._replace(c=c))
 
     def running(begun, course):
         return (course.code == Status.OK.value) & (begun.tau < end)
