@@ -62,7 +62,7 @@ class Measurement(eqx.Module):
     def place(self, row: int) -> tuple[str, float]:
         """The time, frequency or mode of a row of `measured`, as text and as a number."""
 
-    def present(self, name: str) -> np.ndarray:
+    def present(self, name: str) -> Array:
         """Which components of the residuals of a channel have samples."""
         return ~self.channels[name].missing(as_numpy(self.measured[name]))
 

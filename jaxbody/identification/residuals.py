@@ -135,7 +135,7 @@ def shared_structure(experiments: dict[str, Measurement]) -> list[list[str]]:
 def rms(channel: Channel, residuals: list, present: list) -> Array:
     """Root mean square over all records of a channel: one number for each of its units."""
     squares = sum(channel.pooled(as_numpy(r) ** 2) for r in residuals)
-    return (squares / sum(channel.pooled(as_numpy(mask).astype(float)) for mask in present)) ** 0.5
+    return as_numpy((squares / sum(channel.pooled(as_numpy(mask).astype(float)) for mask in present)) ** 0.5)
 
 
 @np.errstate(divide="ignore", invalid="ignore")
@@ -169,8 +169,8 @@ def first_noise(experiments: dict[str, Measurement], absolute: bool) -> tuple[Le
 def residuals_of_mean(experiment: Measurement, name: str) -> Array:
     """Residuals of a prediction that is the mean of the record at all times."""
     measured = as_numpy(experiment.measured[name])
-    xp, count = module_of(measured), (measured == measured).sum(0)
-    mean = xp.nansum(measured, 0) / xp.where(count > 0, count, 1)  # a mean of nothing would warn
+    xp, count = module_of(measured), (measured == measured).sum(0).astype(measured.dtype)
+    mean = xp.nansum(measured, 0) / xp.where(count > 0, count, 1.0)  # a mean of nothing would warn
     return experiment.channels[name].residual(xp.broadcast_to(mean, measured.shape), measured)
 
 
@@ -182,7 +182,7 @@ def with_estimated_noise(task: Task, runs: ReadingsAndResiduals) -> tuple[Task, 
             _, residuals, present = by_channel.setdefault(name, (channel, [], []))
             residuals.append(np.asarray(runs[run][1][name]) * channel.spread(np.asarray(task.noise[run][name])))
             present.append(experiment.present(name))
-    levels = {name: np.maximum(noise_level(*parts, task.loss), 1e-12) for name, parts in by_channel.items()}
+    levels = {name: as_numpy(np.maximum(noise_level(*parts, task.loss), 1e-12)) for name, parts in by_channel.items()}
     new = {run: {name: (e.noise or {}).get(name, levels[name]) for name in e.channels} for run, e in task.experiments.items()}
     places = [(run, name) for run in new for name in new[run]]
     ratio, fitted = (

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float
+from jaxbody.core.arrays import Array, Float, as_numpy
 from jaxbody.core.errors import JaxbodyError, Problem
 
 LOSSES = {"soft_l1": 1.345, "cauchy": 2.385}
@@ -67,5 +67,5 @@ def robust_level(mean_of_clipped_squares, start: Array) -> Array:
     expected = (1 - 2 * tail) - 2 * c * density + 2 * c * c * tail
     s = start
     for _ in range(60):
-        s = s * (mean_of_clipped_squares(s, c) / expected) ** 0.5
+        s = as_numpy(s * (mean_of_clipped_squares(s, c) / expected) ** 0.5)
     return s

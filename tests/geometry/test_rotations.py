@@ -200,7 +200,7 @@ def test_log_keeps_its_digits_up_to_half_a_turn(short_of):
 def test_the_laws_of_a_group():
     """Identity, inverse, associativity, and acting on vectors, for quaternions and for matrices."""
     p, q, r = (rotations.exp_quaternion(x) for x in (PHI, PSI, CHI))
-    one, conjugate = jnp.array([1.0, 0, 0, 0]), jnp.array([1.0, -1, -1, -1])
+    one, conjugate = jnp.array([[1.0, 0, 0, 0]]), jnp.array([[1.0, -1, -1, -1]])
     assert np.abs(rotations.multiply(p, one) - p).max() == 0
     assert np.abs(rotations.multiply(one, p) - p).max() == 0
     assert np.abs(rotations.multiply(p, p * conjugate) - one).max() <= 1e-15
