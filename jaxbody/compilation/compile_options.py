@@ -17,7 +17,7 @@ from jaxbody.compilation.kept_programs import call
 from jaxbody.core.errors import JaxbodyError, Problem, warn
 from jaxbody.core.jax_internals import only_transformed, outermost, started, without_manual_axes
 
-TESTED = tuple((0, minor) for minor in range(7, 13))  # versions of jaxlib; XLA ends the process on an unknown option
+TESTED = (0, 7, 2), (0, 12)  # oldest and newest jaxlib; XLA ends the process on an unknown option, and before on loops over long vectors
 HOLDER = "--xla_backend_extra_options="
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
 WIDTH = "--xla_cpu_prefer_vector_width="  # in bits, 512 for all that the processor has; XLA's default is 256
@@ -39,16 +39,17 @@ def fast_loops() -> bool:
     ways.
 
     Errors: TOO_LATE where JAX has already looked for devices, unless the option is set. Warns UNTESTED_JAXLIB, and changes nothing, for a
-    version of jaxlib that was not tested, because XLA ends the process on unknown options.
+    version of jaxlib that was not tested, because XLA ends the process on unknown options, and before 0.7.2 on loops over long vectors.
 
     >>> done = fast_loops()  # doctest: +SKIP
     """
     flags = os.environ.get("XLA_FLAGS", "").split()
     if any(OPTION in flag for flag in flags):
         return True
-    version = tuple(int(part) for part in jaxlib.version.__version__.split(".")[:2])
-    if version not in TESTED:
-        known = ", ".join(f"{major}.{minor}" for major, minor in TESTED)
+    version = tuple(int(part) for part in jaxlib.version.__version__.split(".")[:3])
+    oldest, newest = TESTED
+    if version < oldest or version[:2] > newest:
+        known = " to ".join(".".join(map(str, bound)) for bound in TESTED)
         warn("UNTESTED_JAXLIB", f"fast_loops was tested with jaxlib {known}, not with {jaxlib.version.__version__}: nothing is changed")
         return False
     if started():
