@@ -192,13 +192,14 @@ def _one_sided_poles(W: Array, cluster: Array, order: Array) -> Array:
     """The eigenvalues of the block of W of each cluster, assigned to its members in the order of imaginary parts."""
 
     def one(W, cluster, order):
-        B = jnp.where(together(cluster), W, 0.0)
-        size = 8 * jnp.max(jnp.sum(jnp.abs(B), -1), initial=0.0)
-        size = jnp.where(size > 0, size, 1.0)
-        values = jnp.linalg.eigvals(B + (size * jnp.diag(cluster).astype(size.dtype)).astype(W.dtype))
-        label = jnp.round(values.real / size)
-        values = (values - (size * label).astype(values.dtype))[jnp.lexsort((values.imag, label))]
+        same = together(cluster)
+        B = jnp.where(same, W, 0.0)
+        size = jnp.max(jnp.where(same, jnp.sum(jnp.abs(B), -1), 0.0), -1, initial=0.0)  # of each block, so that a small one keeps its digits
+        size = 8 * jnp.where(size > 0, size, 1.0)
+        values = jnp.linalg.eigvals(B / size[:, None].astype(W.dtype) + jnp.diag(cluster).astype(W.dtype))
+        label = jnp.round(values.real)
         members = jnp.lexsort((order, cluster))
+        values = (values - label.astype(values.dtype))[jnp.lexsort((values.imag, label))] * size[members].astype(values.dtype)
         return jnp.where(_alone(cluster), jnp.diagonal(W), jnp.zeros_like(values).at[members].set(values))
 
     for _ in range(W.ndim - 2):
