@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from jaxbody.compilation.array_functions import Remainder, jitted
 from jaxbody.compilation.kept_programs import Options, Results, call, types_of_results
-from jaxbody.core.jax_internals import Zero, new_operation, unbatched, unknown, zero_tangent
+from jaxbody.core.jax_internals import Zero, jaxpr_as_fun, needed_arguments, new_operation, unbatched, unknown, zero_tangent
 
 
 def run(program: Callable[..., Results], options: Options, arrays: Sequence[Any]) -> Results:
@@ -70,8 +70,8 @@ class Linearized(Derived):
     moved: tuple[bool, ...]
 
     def __call__(self, *x: Any) -> Results:
-        real, pullback, others = jax.vjp(_of_moved(self.of, self.moved, x), *_chosen(x, self.moved), has_aux=True)
-        saved, structure = jax.tree.flatten(pullback)
+        real, tangents, others = jax.linearize(_of_moved(self.of, self.moved, x), *_chosen(x, self.moved), has_aux=True)
+        saved, structure = jax.tree.flatten(tangents)
         known = list(x)
         places = {id(known[i]): i for i in reversed(range(len(known)))}
         for array in saved:
@@ -84,21 +84,23 @@ class Linearized(Derived):
 
 @dataclass(frozen=True)
 class Pullback(Derived):
-    """(x, what is saved, w) to w f'(x) of a Linearized, for those w of real results that are `given`; the others are zero."""
+    """(x, what is saved, w) to w f'(x) of a Linearized, for those w of real results that are `given`, and for those x on which these
+    results depend. All others are left out, as zero times an infinite derivative is no number."""
 
     of: Linearized  # pyright: ignore
     given: tuple[bool, ...]
-    types: tuple[Any, ...]  # of all w
 
     def __call__(self, *args: Any) -> Results:
         x = args[: len(self.of.moved)]
         if (self.of, _types_of(x)) not in _pullbacks:  # it was not traced, as it was on disk
             jax.eval_shape(self.of, *x)
         structure, places = _pullbacks[self.of, _types_of(x)]
-        cotangents = iter(args[len(args) - sum(self.given) :])
-        pullback = jax.tree.unflatten(structure, [args[i] for i in places])
-        w = [next(cotangents) if given else jnp.zeros(t.shape, t.dtype) for given, t in zip(self.given, self.types, strict=True)]
-        return list(pullback(w)), Remainder(None)
+        tangents = jax.tree.unflatten(structure, [args[i] for i in places])
+        types = _chosen(_types_of(x), self.of.moved)
+        linear = jax.make_jaxpr(lambda *dx: _chosen(tangents(*dx), self.given))(*types)
+        needed = tuple(needed_arguments(linear))
+        pullback = jax.linear_transpose(jaxpr_as_fun(linear), *types)
+        return _chosen(pullback(list(args[len(args) - sum(self.given) :])), needed), Remainder(needed)
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,7 @@ def _chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
 # The operation, and the linear one that stands for its tangents while a linear function is made
 
 
-_pullbacks: dict[Any, tuple[Any, list[int]]] = {}  # {(Linearized, types of x): structure of the pullback, places of its arrays}
+_pullbacks: dict[Any, tuple[Any, list[int]]] = {}  # {(Linearized, types of x): structure of the tangents, places of its arrays}
 
 
 def _types_of(arrays: Sequence[Any]) -> tuple[Any, ...]:
@@ -203,8 +205,9 @@ def _tangents(*args, linearized, types, options, count):
 def _tangents_transpose(cotangents, *args, linearized, types, options, count):
     known = args[: len(args) - sum(linearized.moved)]
     given = tuple(type(w) is not Zero for w in cotangents)
-    out, _ = run(Pullback(linearized, given, types), options, [*known, *_chosen(cotangents, given)])
-    return [None] * len(known) + out
+    out, needed = run(Pullback(linearized, given), options, [*known, *_chosen(cotangents, given)])
+    own = iter(out)
+    return [None] * len(known) + [next(own) if n else Zero(x.aval) for n, x in zip(needed.value, args[len(known) :], strict=True)]
 
 
 def _tangents_jvp(primals, tangents, **params):

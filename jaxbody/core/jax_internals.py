@@ -89,6 +89,13 @@ def only_what_is_needed(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     return ClosedJaxpr(kept, jaxpr.consts)
 
 
+def needed_arguments(jaxpr: ClosedJaxpr) -> list[bool]:
+    """Which arguments the results of a program depend on; all of them where JAX cannot tell."""
+    if not hasattr(partial_eval, "dce_jaxpr"):
+        return [True] * len(jaxpr.in_avals)
+    return list(partial_eval.dce_jaxpr(jaxpr.jaxpr, [True] * len(jaxpr.out_avals))[1])
+
+
 def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     """The same program in operations with batching and lowering rules. Since version 0.12 a program may have "high" operations, such as
     searchsorted, which JAX replaces by others just before it compiles."""

@@ -66,7 +66,7 @@ def _one_sided(W: Array, cluster: Array) -> Array:
 def _if_alike(cotangent: Array, cluster: Array) -> Array:
     """A diagonal matrix of the cotangent, NaN where it differs between branches of a cluster."""
     same = together(cluster)
-    middle = jnp.sum(same * cotangent[..., None, :], -1) / jnp.sum(same, -1)
+    middle = jnp.sum(jnp.where(same, cotangent[..., None, :], 0.0), -1) / jnp.sum(same, -1, dtype=cotangent.dtype)
     size = jnp.max(jnp.where(same, jnp.abs(cotangent)[..., None, :], 0.0), -1, initial=0.0)
     good = jnp.abs(cotangent - middle) <= ALIKE * size
     return _diagonal(only_alone(jnp.where(good, cotangent, jnp.nan), cluster))
@@ -194,7 +194,7 @@ def _one_sided_poles(W: Array, cluster: Array, order: Array) -> Array:
     def one(W, cluster, order):
         same = together(cluster)
         B = jnp.where(same, W, 0.0)
-        size = jnp.max(jnp.where(same, jnp.sum(jnp.abs(B), -1), 0.0), -1, initial=0.0)  # of each block, so that a small one keeps its digits
+        size = jnp.max(jnp.where(same, jnp.sum(jnp.abs(B), -1), 0.0), -1, initial=0.0)  # of each block: a small one keeps its digits
         size = 8 * jnp.where(size > 0, size, 1.0)
         values = jnp.linalg.eigvals(B / size[:, None].astype(W.dtype) + jnp.diag(cluster).astype(W.dtype))
         label = jnp.round(values.real)

@@ -76,6 +76,27 @@ def test_a_result_that_does_not_move_has_no_derivative():
     assert jax.grad(steps)(3.0) == 0.0 and jax.jvp(steps, (3.0,), (1.0,))[1] == 0.0
 
 
+@jit_unoptimized
+def with_root(x, y):
+    return {"double": 2 * x, "root": jnp.sqrt(y)}
+
+
+def test_infinite_derivatives_of_results_that_are_not_used_have_no_part():
+    """Neither in one function nor in two, the second of which uses both results of the first."""
+
+    def once(x):
+        return with_root(x, x)["double"]
+
+    def twice(x):
+        first = with_root(x, x)
+        return with_root(first["double"], first["root"])["double"]
+
+    zero = jnp.zeros(())
+    assert float(jax.grad(once)(zero)) == 2.0 and float(jax.grad(twice)(zero)) == 4.0
+    assert float(jax.jit(jax.grad(twice))(zero)) == 4.0 and float(jax.vmap(jax.grad(twice))(jnp.zeros(3))[1]) == 4.0
+    assert np.isinf(jax.grad(lambda x: with_root(x, x)["root"])(zero))
+
+
 def test_rows_of_a_pullback_are_a_batch():
     _, back = jax.vjp(lambda k: spring(k, jnp.asarray(2.0), 3, 4)["force"] * jnp.ones(2), K[0])
     np.testing.assert_allclose(jax.vmap(back)(jnp.eye(2))[0], 2 * [8 + np.cos(3.0)], rtol=1e-14)
