@@ -22,7 +22,10 @@ HOLDER = "--xla_backend_extra_options="
 OPTION = "xla_cpu_small_while_loop_byte_threshold"
 WIDTH = "--xla_cpu_prefer_vector_width="  # in bits, 512 for all that the processor has; XLA's default is 256
 NO_FUSION_EMITTERS = {"xla_cpu_use_fusion_emitters": False}  # compiles in two thirds of the time or less; programs run as fast
-UNOPTIMIZED = {"xla_backend_optimization_level": 0}  # halves the remaining time to compile; programs take up to three times as long
+UNOPTIMIZED = {  # halves the remaining time to compile; programs take up to three times as long
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_parallel_codegen_split_count": 1,  # parts of a program that LLVM compiles one by one, for which so little work does not pay
+}
 
 
 def fast_loops() -> bool:
