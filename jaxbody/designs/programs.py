@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.compilation.compile_options import jit_optimized
-from jaxbody.core.arrays import Array, Float, indices, module_of
+from jaxbody.core.arrays import Array, Float, device_array, indices, module_of
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
 from jaxbody.designs.searches import Rows, Search
@@ -64,7 +64,7 @@ class Program:
         filled = np.concatenate([U, np.repeat(U[-1:], -len(U) % self.width, 0)]).reshape(-1, self.width, U.shape[1])
         parts = []
         for batch in filled:
-            u = jnp.asarray(batch if self.width > 1 else batch[0])
+            u = device_array(batch if self.width > 1 else batch[0])
             values, slopes, self.shapes = values_and_slopes(self.space, self.evaluate, self.reverse, u, self.key)
             parts.append((np.asarray(values).reshape(self.width, -1), np.asarray(slopes).reshape(self.width, *slopes.shape[-2:])))
         values, slopes = (np.concatenate(part)[: len(U)] for part in zip(*parts, strict=True))

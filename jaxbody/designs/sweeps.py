@@ -8,12 +8,11 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.compilation.compile_options import quick_options
 from jaxbody.core.arguments import check_key, checked_dict, whole_number
-from jaxbody.core.arrays import float_array
+from jaxbody.core.arrays import device_array, float_array
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.progress_lines import Line, working
@@ -129,7 +128,7 @@ def _evaluated(
     parts = []
     for first in range(0, count, width):
         rows = np.minimum(np.arange(first, first + width), count - 1)  # the last chunk is padded with its last point
-        quantities = program(numbers, {path: jnp.asarray(values[rows]) for path, values in points.items()})
+        quantities = program(numbers, {path: device_array(values[rows]) for path, values in points.items()})
         parts.append(jax.tree.map(lambda x, first=first: np.asarray(x)[: count - first], quantities))
         done = min(first + width, count)
         line(f"{done} of {count} models")

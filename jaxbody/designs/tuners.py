@@ -18,7 +18,7 @@ import optax
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
-from jaxbody.core.arrays import float_array
+from jaxbody.core.arrays import device_array, float_array
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra, is_concrete
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
@@ -97,11 +97,12 @@ def tune(
         check_key(key, "tune.key", problems)
         limited = problems.gather(lambda: limits_of(limits or {}))
         space = problems.gather(lambda: space_of(model, free, "tune", bounds=bounds, between=True))
-    key = jax.random.key(0) if key is None else key
     low, high = space.bounds
     catalogs = _catalogs(space, catalogues, low, high)
     _check_options(method, limited, catalogs)
     U = drawn(space, low, high, starts, key, "tune.bounds")
+    if key is None and not isinstance(method, str):
+        key = jax.random.key(0)
     stochastic = not isinstance(method, str) and len(inspect.signature(evaluate).parameters) > 1
     program = Program(space, evaluate, minimize, limited, width=starts, reverse=reverse, key=key if stochastic else None, progress=progress)
     with one_thread(), working("tune", progress) as program.line:
@@ -198,8 +199,8 @@ def _neighbors_of(catalog: np.ndarray, u) -> np.ndarray:
 
 def _run_optax(program: Program, searches: list[Search], method: optax.GradientTransformation, steps: int, key: Any) -> None:
     """Run an optax optimizer from all starts in one program; u is clipped to the bounds after each step."""
-    U = jnp.asarray(np.stack([search.start for search in searches]))
-    low, high = jnp.asarray(searches[0].low), jnp.asarray(searches[0].high)
+    U = device_array(np.stack([search.start for search in searches]))
+    low, high = device_array(searches[0].low), device_array(searches[0].high)
     ends, history = _descend(program.space, program.evaluate, program.minimize, method, steps, program.key is not None, U, low, high, key)
     program.count += steps
     values, slopes = program(np.asarray(ends))

@@ -7,12 +7,11 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int, indices
+from jaxbody.core.arrays import Array, Float, Int, device_array, indices
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
@@ -150,7 +149,7 @@ def _remedy(program: Program, best: Search, iterations: int) -> str:
     jumps = jumping(lambda U: program(np.clip(U, best.low, best.high))[1][:, rows.requested], best.u, along)
     if jumps.any():
         names = ", ".join(dict.fromkeys(labels[i] for i, jump in zip(rows.requested, jumps, strict=True) if jump))
-        stops = [f"'{name}'" for name in at_kinks(_placed(program.space, jnp.asarray(best.u))[0])]
+        stops = [f"'{name}'" for name in at_kinks(_placed(program.space, device_array(best.u))[0])]
         cause = f", because {', '.join(stops)} rests at a kink of its law, like a stop that just touches" if stops else ""
         return f"derivatives of {names} jump there{cause}; this may be the optimum: check with bounds that exclude one side of the kink"
     if best.iterations >= iterations:
@@ -171,10 +170,10 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
     U, values = (np.stack([getattr(search, name) for search in searches]) for name in ("u", "values"))
     codes = np.array([_status_and_multipliers(search, rows, space)[0] for search in searches])
     violation = rows.violation(values, scales(rows, best.values))
-    runs = Runs(values[:, rows.objective], violation, codes, _values(space, jnp.asarray(U)), quantities(values))
+    runs = Runs(values[:, rows.objective], violation, codes, _values(space, device_array(U)), quantities(values))
     status, prices = _status_and_multipliers(best, rows, space)
     constraints = [] if prices is None or status == Status.INFEASIBLE else _active_constraints(program, best, prices)
-    model, values_of = _placed(space, jnp.asarray(best.u))
+    model, values_of = _placed(space, device_array(best.u))
     return Tuning(
         model=model,
         values=values_of,

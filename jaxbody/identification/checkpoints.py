@@ -8,9 +8,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.core.arrays import device_array
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.identification.residuals import Levels, Task
 
@@ -62,7 +62,7 @@ def load(path: str | os.PathLike, task: Task) -> tuple[np.ndarray, Levels]:
     noise: Levels = {run: {} for run in task.noise}
     for i, (run, name) in enumerate((run, name) for run, levels in task.noise.items() for name in levels):
         level = _numbers(arrays.get(f"noise{i}"), np.shape(task.noise[run][name]), f"{where}: noise of {run}.{name}", positive=True)
-        noise[run][name] = jnp.asarray(level)
+        noise[run][name] = device_array(level)
     return _numbers(arrays["u"], (task.space.size,), f"{where}: u"), noise
 
 

@@ -8,14 +8,13 @@ from collections.abc import Iterable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optimistix
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import positive_number, whole_number
-from jaxbody.core.arrays import Array, Float, Int
+from jaxbody.core.arrays import Array, Float, Int, device_array
 from jaxbody.core.errors import Problems, Status, warn, warn_of
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
@@ -119,7 +118,7 @@ def multistart(
         ends, costs, failures = [np.asarray(first.u)], [float(first.cost)], 0
         try:
             for i in range(0, starts, BATCH):
-                u, status, cost = (np.asarray(x) for x in _search(task, jnp.asarray(points[i : i + BATCH]), max_evaluations))
+                u, status, cost = (np.asarray(x) for x in _search(task, device_array(points[i : i + BATCH]), max_evaluations))
                 converged = (status == Status.OK) & np.isfinite(cost)
                 ends += list(u[converged])
                 costs += list(cost[converged])
@@ -135,12 +134,12 @@ def multistart(
             for each in caught:
                 warn_of(each.message)  # pyright: ignore
         else:
-            start = dataclasses.replace(first, u=jnp.asarray(ends[lowest]))
+            start = dataclasses.replace(first, u=device_array(ends[lowest]))
             best = fit(model, experiments, free=free, bounds=bounds, progress=progress, resume=start, **options)
     cost = np.array([costs[group[0]] for group in groups])
     if len(cost) > 1 and cost[1] - cost[0] < CLOSE:
         warn("SEVERAL_OPTIMA", f"another optimum explains the data about as well: costs {cost[0]:.6g} and {cost[1]:.6g}")
-    values = jax.vmap(task.space.values)(jnp.asarray(np.array([ends[group[0]] for group in groups])))
+    values = jax.vmap(task.space.values)(device_array(np.array([ends[group[0]] for group in groups])))
     estimates = {path: values[path] for path in first.paths}
     hits = np.array(list(map(len, groups)))
     return Multistart(best=best, cost=cost, hits=hits, estimates=estimates, starts=starts + 1, failures=failures, status=best.status)

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float
+from jaxbody.core.arrays import Array, Float, device_array
 from jaxbody.core.errors import JaxbodyError, JaxbodyWarning, Problem
 from jaxbody.core.progress_lines import working
 from jaxbody.experiments.experiments import Experiment, Integration, check_measurements
@@ -175,7 +175,7 @@ def multiple_shooting(
         for slack in SLACKS:
             if joint is not None:
                 model, cut = joint.model, joint.experiments  # pyright: ignore[reportAssignmentType]
-            cut = {name: dataclasses.replace(each, slack=jnp.asarray(slack)) for name, each in cut.items()}
+            cut = {name: dataclasses.replace(each, slack=device_array(slack)) for name, each in cut.items()}
             line(f"all segments, slack {slack:g}")
             joint = fit(model, cut, free=[*patterns, *(f"{name}.nodes.*" for name in cut)], **options)  # pyright: ignore[reportArgumentType]
     assert joint is not None
@@ -228,4 +228,4 @@ def _cut(model: Model, name: str, experiment: Experiment, count: int, options: d
         return jnp.maximum(size, 1e-3 * jnp.where(largest > 0, largest, 1.0))
 
     sizes = jax.tree.map(scale, *motions)
-    return Segments(experiment, nodes, sizes, jnp.asarray(SLACKS[0]), count)  # pyright: ignore[reportCallIssue]
+    return Segments(experiment, nodes, sizes, device_array(SLACKS[0]), count)  # pyright: ignore[reportCallIssue]

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core import tables, units
-from jaxbody.core.arrays import Array, Float, Int, checked, shaped
+from jaxbody.core.arrays import Array, Float, Int, checked, device_array, shaped
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result
 from jaxbody.core.tables import counted
@@ -122,8 +122,8 @@ def base_motion(
         motion = eqx.tree_at(lambda m: (m.values, m.curvatures), motion, merged)
     return Recovered(
         motion=motion,
-        times=jnp.asarray(record.times),
-        removed=jnp.asarray(removed),
+        times=device_array(record.times),
+        removed=device_array(removed),
         status=jnp.asarray(Status.OK),
         words=_words(t, degree, cutoff, slow, w is not None),
     )
@@ -240,7 +240,7 @@ def _swing(times: np.ndarray, turn: np.ndarray, r: np.ndarray) -> np.ndarray:
     motion = Sampled(times, rotation=turn)
 
     second = jax.jacfwd(jax.jacfwd(lambda t: rotations.exp(motion(t)[3:]) @ jnp.asarray(r)))
-    return np.asarray(jax.jit(jax.vmap(second))(jnp.asarray(times)))
+    return np.asarray(jax.jit(jax.vmap(second))(device_array(times)))
 
 
 def _words(t: np.ndarray, degree: int | None, cutoff: float | None, slow: np.ndarray, turns: bool) -> tuple[str, ...]:

@@ -8,10 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array
+from jaxbody.core.arrays import Array, device_array
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.models.leaf_paths import Leaf
 from jaxbody.parameters.ties import ALIKE, Factor
@@ -78,5 +77,5 @@ def prior_of(form: Parametrization, priors: Given, where: str, problems: Problem
         elif pair is None or not np.isfinite(pair).all() or not (pair[1] > 0).all():
             problems.add("BAD_PRIOR", at, f"is {given!r:.60}", value=given, limit="(mean, standard deviation > 0), finite")
         else:
-            prior = jnp.asarray(pair[0] / np.asarray(factor)), jnp.asarray(pair[1] / np.abs(factor))
+            prior = device_array(pair[0] / np.asarray(factor)), device_array(pair[1] / np.abs(factor))
     return prior

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, Float
+from jaxbody.core.arrays import Array, Float, device_array
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry import fields
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
@@ -191,7 +191,7 @@ def _between(form: Parametrization | Problem, start: Array, low: np.ndarray, hig
     """x0 + s u with half the distance between the bounds as s; also for a positive number whose lower bound is zero."""
     finite = np.isfinite(high - low).all()
     if isinstance(form, Shifted):
-        return Shifted(start, jnp.asarray((high - low).max() / 2)) if finite else form
+        return Shifted(start, device_array((high - low).max() / 2)) if finite else form
     if (low == 0).all() and (finite or isinstance(form, Problem)):
         return _between(Shifted(start, size), start, low, high, size)
     return form

@@ -25,8 +25,8 @@ def around(space: Space, count: int, spread: float, seed: int) -> np.ndarray:
 
 def drawn(space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any, where: str) -> np.ndarray:
     """The model, and random starts, uniform between these bounds of u, (count, n). Orientations are uniform over all rotations, fractions
-    uniform between their bounds or in their domain. Error: NO_BOUNDS."""
-    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+    uniform between their bounds or in their domain; no key means that of 0. Error: NO_BOUNDS."""
+    rng = np.random.default_rng(np.zeros(2, np.uint32) if key is None else np.asarray(jax.random.key_data(key)).ravel())
     with Problems() as problems:
         u = [_drawn(parameter, low[own], high[own], count, rng, where, problems) for parameter, own in space.parts]
     return np.concatenate([np.zeros((1, space.size)), np.concatenate(u, 1)[1:]])

@@ -80,7 +80,7 @@ class Elementwise(Parametrization):
         """dx/du."""
 
     def numbers(self, u):
-        x = np.asarray(self.value(jnp.asarray(u))).ravel()
+        x = np.asarray(jax.tree.map(np.asarray, self).value(u)).ravel()
         slope = self.slope(x)
         return np.where(np.abs(x) < 1e-12 * np.abs(slope), 0.0, x), slope
 

@@ -14,7 +14,7 @@ from equinox import field
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Complex, Float, Int
+from jaxbody.core.arrays import Array, Complex, Float, Int, part_of
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
 from jaxbody.core.results import Result, warn_if_failed
@@ -45,7 +45,7 @@ class RandomResponse(Result):
     def __getitem__(self, output: str) -> Float[Array, ""]:
         if output not in self.outputs:
             raise JaxbodyError(unknown(output, "response", self.outputs))
-        return self.rms[..., self.outputs.index(output)]
+        return part_of(self.rms, (..., self.outputs.index(output)))
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: psd by `output` and `frequency`, rms by `output`."""

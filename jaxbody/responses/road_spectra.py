@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import check_key
-from jaxbody.core.arrays import Array, Float, PRNGKeyArray, scalar
+from jaxbody.core.arrays import Array, Float, PRNGKeyArray, device_array, scalar
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.responses.spectra import PowerLaw, check_not_negative
 
@@ -84,12 +84,12 @@ def road_profile(road: Unevenness, *, length, spacing, key: PRNGKeyArray) -> tup
     step = float(length) / n
     k = np.arange(1, (n + 1) // 2)
     phase = jax.random.uniform(key, k.shape, maxval=2 * np.pi)
-    amplitude = jnp.sqrt(2 * road(jnp.asarray(k / (n * step))) / (n * step))
+    amplitude = jnp.sqrt(2 * road(device_array(k / (n * step))) / (n * step))
     turned = jnp.exp(jax.lax.complex(jnp.zeros_like(phase), phase))
     none = jnp.zeros(n // 2 - len(k), turned.dtype)
     waves = jnp.concatenate([jnp.zeros(1, turned.dtype), amplitude.astype(turned.dtype) * turned * n / 2, none])
     heights = jnp.fft.irfft(waves, n)
-    return jnp.asarray(step * np.arange(n + 1)), jnp.append(heights, heights[0])
+    return device_array(step * np.arange(n + 1)), jnp.append(heights, heights[0])
 
 
 def _count(length: Any, spacing: Any) -> int:

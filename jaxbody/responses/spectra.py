@@ -15,7 +15,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Bool, Complex, Float, checked, concrete, device_array, float_array, scalar, shaped
+from jaxbody.core.arrays import (
+    Array,
+    Bool,
+    Complex,
+    Float,
+    as_numpy,
+    checked,
+    concrete,
+    device_array,
+    float_array,
+    module_of,
+    scalar,
+    shaped,
+)
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.units import ANGULAR_RATE, RATE, parse
 
@@ -284,9 +297,10 @@ class Band(eqx.Module):
                     problems.add("EMPTY_BAND", "Band", message, value=(float(low), float(high)), limit="low < high", hint=hint)
             if points < 17:
                 problems.add("EMPTY_BAND", "Band.points", f"is {points}", value=points, limit=">= 17", hint="Give more points.")
-        n = points | 1
-        step = jnp.log(device_array(high) / low) / (n - 1)
-        self.frequencies = low * jnp.exp(step * np.arange(n, dtype=float))
+        n, low, high = points | 1, as_numpy(low), as_numpy(high)
+        xp = module_of(low, high)
+        step = xp.log(high / low) / (n - 1)
+        frequencies = low * xp.exp(step * np.arange(n, dtype=float))
         ends = np.array([3 / 8, 7 / 6, 23 / 24])  # Gregory's, of the third order
 
         def weights(count):
@@ -296,7 +310,8 @@ class Band(eqx.Module):
 
         skipping = np.zeros(n)
         skipping[::2] = 2 * weights(n // 2 + 1)
-        self.weights, self.coarse = (step * self.frequencies * w for w in (weights(n), skipping))
+        self.frequencies = device_array(frequencies)
+        self.weights, self.coarse = (device_array(step * frequencies * w) for w in (weights(n), skipping))
 
 
 def trapezoids(f: Float[Array, "n"]) -> tuple[Float[Array, "n"], Float[Array, "n"]]:

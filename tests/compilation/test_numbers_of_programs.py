@@ -28,6 +28,23 @@ jax.monitoring.register_event_duration_secs_listener(heard)
 """
 README = COUNTED + "runpy.run_path('examples/contract.py', run_name='__main__')\nprint('programs', *sorted(ours))"
 DEMO = COUNTED + "from jaxbody.app import demos\nassert demos.main(['demo', '--out', sys.argv[1]]) == 0\nprint('programs', *sorted(ours))"
+RIDE = (
+    COUNTED
+    + """
+import jaxbody as jb
+jax.config.update("jax_enable_x64", True)
+
+def ride(model):
+    lin = jb.linearize(model, jb.equilibrium(model))
+    roads, uneven = {"road": jb.BaseMotion("road", "z")}, jb.Unevenness.iso("C").at_speed(20.0)
+    sensors = {"body": jb.Acceleration("body", axis="z")}
+    return {"acceleration": jb.random_response(lin, jb.Band(0.2, 40.0, points=201), roads, sensors, {"road": uneven})["body"]}
+
+car = jb.presets.quarter_car(damping=1500.0)
+found = ride(car), jb.tune(car, ride, free=["suspension.damping"], minimize="acceleration")
+print('programs', *sorted(ours))
+"""
+)
 
 DRIVERS = ["_excitation", "_linearize", "_measured", "_modes", "_placed", "between", "equilibrium_of", "integrate", "residual_and_jacobian"]
 OPTIONS = ["<lambda>"]  # of a function without operations, to see what XLA knows
@@ -55,3 +72,8 @@ def test_the_demo_compiles_few_programs(tmp_path):
     found = programs(DEMO, tmp_path)
     plots = ["_evaluate", "_evaluate", "_linearize", "_poses", "_reference"]  # of poses, of tensions, about the reference
     assert found == sorted(DRIVERS + OPTIONS + plots) and len(found) <= 15
+
+
+def test_a_random_response_and_a_design_compile_their_functions_only():
+    response = ["_linearize", "_random_response", "equilibrium_of", "port_matrices"]
+    assert programs(RIDE) == sorted([*response, *OPTIONS, "_placed", "_values", "values_and_slopes"])
