@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from jaxbody.compilation.array_functions import Remainder, jitted
 from jaxbody.compilation.kept_programs import Options, Results, call, types_of_results
-from jaxbody.core.jax_internals import Zero, jaxpr_as_fun, needed_arguments, new_operation, unbatched, unknown, zero_tangent
+from jaxbody.core.jax_internals import Zero, jaxpr_as_fun, merged, needed_arguments, new_operation, unbatched, unknown, zero_tangent
 
 
 def run(program: Callable[..., Results], options: Options, arrays: Sequence[Any]) -> Results:
@@ -77,7 +77,9 @@ class Linearized(Derived):
         for array in saved:
             if places.setdefault(id(array), len(known)) == len(known):
                 known.append(array)
-        _pullbacks[self, _types_of(x)] = structure, [places[id(array)] for array in saved]
+        if len(_linear) >= MOST_LINEAR:
+            _linear.clear()
+        _linear[self, _types_of(x)] = structure, [places[id(array)] for array in saved]
         out = _all_results(real, others)
         return [*out, *known[len(x) :]], Remainder(len(out))
 
@@ -91,16 +93,16 @@ class Pullback(Derived):
     given: tuple[bool, ...]
 
     def __call__(self, *args: Any) -> Results:
-        x = args[: len(self.of.moved)]
-        if (self.of, _types_of(x)) not in _pullbacks:  # it was not traced, as it was on disk
-            jax.eval_shape(self.of, *x)
-        structure, places = _pullbacks[self.of, _types_of(x)]
-        tangents = jax.tree.unflatten(structure, [args[i] for i in places])
+        (known, w), x = _apart(args, self.given), args[: len(self.of.moved)]
+        if (self.of, _types_of(x)) not in _linear:  # it was on disk, or is forgotten: traced again
+            jax.make_jaxpr(lambda *x: self.of(*x)[0])(*x)
+        structure, places = _linear[self.of, _types_of(x)]
+        tangents = jax.tree.unflatten(structure, [known[i] for i in places])
         types = _chosen(_types_of(x), self.of.moved)
         linear = jax.make_jaxpr(lambda *dx: _chosen(tangents(*dx), self.given))(*types)
         needed = tuple(needed_arguments(linear))
         pullback = jax.linear_transpose(jaxpr_as_fun(linear), *types)
-        return _chosen(pullback(list(args[len(args) - sum(self.given) :])), needed), Remainder(needed)
+        return _chosen(pullback(list(w)), needed), Remainder(needed)
 
 
 @dataclass(frozen=True)
@@ -120,28 +122,33 @@ class Batch(Derived):
             shared.extend(y if unbatched(y) else None for y in out)
             return [y for y in out if not unbatched(y)]
 
-        own = iter(jax.vmap(member, self.axes, axis_size=self.size)(*x))
-        return [next(own) if y is None else y for y in shared], Remainder((remainder[0], [None if y is not None else 0 for y in shared]))
+        own = jax.vmap(member, self.axes, axis_size=self.size)(*x)
+        batched = [y is None for y in shared]
+        return merged(batched, own, shared), Remainder((remainder[0], [0 if b else None for b in batched]))
 
 
 def _of_moved(f: Callable[..., Results], moved: tuple[bool, ...], x: Sequence[Any]) -> Callable[..., Any]:
     """Those x that are moved to the real results of f, and as an auxiliary value the others with None for each real one."""
 
     def of_moved(*given):
-        given = iter(given)
-        out, remainder = jitted(f)(*(next(given) if m else y for m, y in zip(moved, x, strict=True)))
+        out, remainder = jitted(f)(*merged(moved, given, x))
         return [y for y in out if _is_real(y)], ([None if _is_real(y) else y for y in out], remainder)
 
     return of_moved
 
 
 def _all_results(real: list[Any], others: tuple[list[Any], Remainder]) -> list[Any]:
-    given = iter(real)
-    return [next(given) if y is None else y for y in others[0]]
+    return merged([y is None for y in others[0]], real, others[0])
 
 
 def _is_real(y: Any) -> bool:
     return jnp.issubdtype(y.dtype, jnp.inexact)
+
+
+def _apart(args: Sequence[Any], moved: Sequence[bool]) -> tuple[Sequence[Any], Sequence[Any]]:
+    """What is known, and the tangents or cotangents at the end."""
+    n = len(args) - sum(moved)
+    return args[:n], args[n:]
 
 
 def _chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
@@ -151,7 +158,8 @@ def _chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
 # The operation, and the linear one that stands for its tangents while a linear function is made
 
 
-_pullbacks: dict[Any, tuple[Any, list[int]]] = {}  # {(Linearized, types of x): structure of the tangents, places of its arrays}
+MOST_LINEAR = 1024
+_linear: dict[Any, tuple[Any, list[int]]] = {}  # {(Linearized, types of x): structure of the linear function, places of its arrays}
 
 
 def _types_of(arrays: Sequence[Any]) -> tuple[Any, ...]:
@@ -176,8 +184,7 @@ def _program_jvp(primals, tangents, *, program, options):
         count = len(types_of_results(program, _types_of(primals))[0])
         out = run(Jvp(program, moved), options, [*primals, *moving])[0]
         out, tangents_out = out[:count], out[count:]
-    given = iter(tangents_out)
-    return out, [next(given) if _is_real(y) else zero_tangent(y) for y in out]
+    return out, merged(list(map(_is_real, out)), tangents_out, [zero_tangent(y) for y in out])
 
 
 def _program_batch(args, axes, *, program, options):
@@ -198,24 +205,23 @@ _program_p = new_operation(
 
 def _tangents(*args, linearized, types, options, count):
     """f'(x) x' of (x, what is saved, x')."""
+    known, moving = _apart(args, linearized.moved)
     forward = Tangents(Jvp(linearized.of, linearized.moved), count)
-    return run(forward, options, [*args[: len(linearized.moved)], *args[len(args) - sum(linearized.moved) :]])[0]
+    return run(forward, options, [*known[: len(linearized.moved)], *moving])[0]
 
 
 def _tangents_transpose(cotangents, *args, linearized, types, options, count):
-    known = args[: len(args) - sum(linearized.moved)]
+    known, moving = _apart(args, linearized.moved)
     given = tuple(type(w) is not Zero for w in cotangents)
     out, needed = run(Pullback(linearized, given), options, [*known, *_chosen(cotangents, given)])
-    own = iter(out)
-    return [None] * len(known) + [next(own) if n else Zero(x.aval) for n, x in zip(needed.value, args[len(known) :], strict=True)]
+    return [None] * len(known) + merged(needed.value, out, [Zero(x.aval) for x in moving])
 
 
 def _tangents_jvp(primals, tangents, **params):
     moved = [type(t) is not Zero for t in tangents]
 
     def of_moved(*given):
-        given = iter(given)
-        return _tangents(*(next(given) if m else x for m, x in zip(moved, primals, strict=True)), **params)
+        return _tangents(*merged(moved, given, primals), **params)
 
     return jax.jvp(of_moved, _chosen(primals, moved), _chosen(tangents, moved))
 

@@ -78,6 +78,12 @@ def zero_tangent(x: Any) -> Zero:
     return Zero(jax.typeof(x).to_tangent_aval())
 
 
+def merged(chosen: Sequence[bool], given: Sequence[Any], others: Sequence[Any]) -> list[Any]:
+    """What is `given`, one after the other, in the places that are `chosen`, and the others."""
+    own = iter(given)
+    return [next(own) if c else x for c, x in zip(chosen, others, strict=True)]
+
+
 # Programs
 
 
@@ -337,8 +343,7 @@ def _linear_jvp(primals, tangents, *, along, **params):
     moved = [not isinstance(t, Zero) for t in tangents]
 
     def of_moved(*x):
-        given = iter(x)
-        return along(*(next(given) if m else p for m, p in zip(moved, primals, strict=True)))
+        return along(*merged(moved, x, primals))
 
     if any(moved[: params["n"]]):
         at = [p for p, m in zip(primals, moved, strict=True) if m]

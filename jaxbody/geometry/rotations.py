@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from math import factorial
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -39,6 +40,7 @@ BERNOULLI = [
 COTC = [b / factorial(2 * n + 2) for n, b in enumerate(BERNOULLI)]
 
 
+@jax.jit
 def _coefficients(x: Array) -> tuple[Array, Array]:
     """sin(t)/t and (1 - cos(t))/t^2 as functions of x = t^2."""
     small = x < 1.0
@@ -49,6 +51,7 @@ def _coefficients(x: Array) -> tuple[Array, Array]:
     return kept(a), kept(b)
 
 
+@jax.jit
 def exp(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     """Rotation matrix of a rotation vector, exp([phi]) = I + sin(t)/t [phi] + (1 - cos(t))/t^2 [phi]^2."""
     a, b = _coefficients(dot(phi, phi))
@@ -56,6 +59,7 @@ def exp(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     return to_rank(np.eye(3, dtype=P.dtype), P.ndim) + a[..., None, None] * P + b[..., None, None] * product(P, P)
 
 
+@jax.jit
 def about(n: Float[Array, "*n 3"], angle: Float[Array, "*n"]) -> Float[Array, "*n 3 3"]:
     """Rotation matrix of a turn about a unit vector, I + sin(angle) [n] + (1 - cos(angle)) [n]^2."""
     N = skew(n)
@@ -66,6 +70,7 @@ def about(n: Float[Array, "*n 3"], angle: Float[Array, "*n"]) -> Float[Array, "*
     )
 
 
+@jax.jit
 def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     """J with angular velocity = J(phi) dphi/dt for R = exp([phi]), in world axes."""
     x = dot(phi, phi)
@@ -79,6 +84,7 @@ def left_jacobian(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     return to_rank(np.eye(3, dtype=P.dtype), P.ndim) + b[..., None, None] * P + c[..., None, None] * product(P, P)
 
 
+@jax.jit
 def exp_quaternion(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
     """Unit quaternion (cos(t/2), sin(t/2)/t phi) of a rotation vector."""
     x = dot(phi, phi) / 4
@@ -90,6 +96,7 @@ def exp_quaternion(phi: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
     return jnp.concatenate([w[..., None], s[..., None] * phi / 2], -1)
 
 
+@jax.jit
 def log_quaternion(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
     """Rotation vector with |phi| <= pi of a unit quaternion: 4 atan(y)/y (x, y, z)/(1 + w), y = tan(t/4)."""
     q = jnp.where(q[..., :1] < 0, -q, q)
@@ -102,22 +109,26 @@ def log_quaternion(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3"]:
     return 4 * f[..., None] * y
 
 
+@jax.jit
 def log(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
     """Rotation vector with |phi| <= pi of a rotation matrix."""
     return log_quaternion(from_matrix(R))
 
 
+@jax.jit
 def log_below_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
     """`log` for turns of less than pi, three times as fast. Its error grows as 1/(pi - |phi|); at half a turn it is NaN."""
     return log_quaternion(normalize(away_from_half_turn(R)))
 
 
+@jax.jit
 def away_from_half_turn(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
     """(1 + tr R, skew part of R), which equals 4 w (w, x, y, z) for the unit quaternion; it is zero at half a turn."""
     trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
     return jnp.stack([1 + trace, R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
 
 
+@jax.jit
 def cotc(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     """(1 - (t/2) cot(t/2))/t^2 as a function of x = t^2."""
     small = x < 1.0
@@ -126,23 +137,27 @@ def cotc(x: Float[Array, "*n"]) -> Float[Array, "*n"]:
     return jnp.where(small, polynomial(COTC, near), (1 - t / 2 / jnp.tan(t / 2)) / far)
 
 
+@jax.jit
 def inverse_left_jacobian(phi: Float[Array, "*n 3"], a: Float[Array, "*n 3"]) -> Float[Array, "*n 3"]:
     """J^-1 a for the J of `left_jacobian`: a - phi x a/2 + (1 - (t/2) cot(t/2))/t^2 phi x (phi x a)."""
     turned = cross(phi, a)
     return a - turned / 2 + cotc(dot(phi, phi))[..., None] * cross(phi, turned)
 
 
+@jax.jit
 def multiply(p: Float[Array, "*#n 4"], q: Float[Array, "*#n 4"]) -> Float[Array, "*#n 4"]:
     """Quaternion product p q: the rotation q followed by p."""
     pw, pv, qw, qv = p[..., :1], p[..., 1:], q[..., :1], q[..., 1:]
     return jnp.concatenate([pw * qw - jnp.sum(pv * qv, -1, keepdims=True), pw * qv + qw * pv + cross(pv, qv)], -1)
 
 
+@jax.jit
 def normalize(q: Float[Array, "*n 4"]) -> Float[Array, "*n 4"]:
     """q/|q|."""
     return q / jnp.sqrt(jnp.sum(q * q, -1, keepdims=True))
 
 
+@jax.jit
 def matrix(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3 3"]:
     """Rotation matrix of a quaternion (w, u) of any length, I + 2 (w [u] + [u]^2)/|q|^2."""
     w, x, y, z = (q[..., i] for i in range(4))
@@ -153,6 +168,7 @@ def matrix(q: Float[Array, "*n 4"]) -> Float[Array, "*n 3 3"]:
     return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
 
 
+@jax.jit
 def from_matrix(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
     """Unit quaternion of a rotation matrix, from its largest component (Shepperd, J. Guidance and Control 1 (1978) 223)."""
     a, b, c = R[..., 0, 0], R[..., 1, 1], R[..., 2, 2]

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 
 from jaxbody.core.arrays import Array, Float
 
 
+@jax.jit
 def dot(a: Float[Array, "*#n k"], b: Float[Array, "*#n k"]) -> Float[Array, "*#n"]:
     """a . b over the last axis."""
     return jnp.sum(a * b, -1)
 
 
+@jax.jit
 def cross(a: Float[Array, "*#n 3"], b: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """a x b over the last axis."""
     return _next(a) * _previous(b) - _previous(a) * _next(b)
@@ -29,21 +32,25 @@ def _previous(a: Array) -> Array:
     return jnp.concatenate([a[..., 2:], a[..., :2]], -1)
 
 
+@jax.jit
 def rotate(R: Float[Array, "*#n 3 3"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """R a."""
     return jnp.sum(R * a[..., None, :], -1)
 
 
+@jax.jit
 def rotate_back(R: Float[Array, "*#n 3 3"], a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3"]:
     """R' a."""
     return jnp.sum(R * a[..., :, None], -2)
 
 
+@jax.jit
 def product(A: Float[Array, "*#n 3 3"], B: Float[Array, "*#n 3 3"]) -> Float[Array, "*#n 3 3"]:
     """A B."""
     return jnp.sum(A[..., :, :, None] * B[..., None, :, :], -2)
 
 
+@jax.jit
 def skew(a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3 3"]:
     """[a], the matrix with [a] b = a x b."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
@@ -56,6 +63,7 @@ def to_rank(a: Any, rank: int) -> Any:
     return a.reshape((1,) * (rank - a.ndim) + a.shape)
 
 
+@jax.jit
 def inverse_of_three(A: Float[Array, "*#n 3 3"]) -> Float[Array, "*#n 3 3"]:
     """The inverse of symmetric A = [a, b, c]: [b x c, c x a, a x b] / (a . b x c)."""
     a, b, c = A[..., 0, :], A[..., 1, :], A[..., 2, :]

@@ -7,6 +7,7 @@ other than CPUs, and where a rule fails, as it may when JAX changes an operation
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -20,7 +21,17 @@ from jax.dtypes import float0
 
 from jaxbody.compilation.compilations import note_left_to_vmap
 from jaxbody.core.arrays import Array
-from jaxbody.core.jax_internals import ClosedJaxpr, Literal, Zero, call_of, jaxpr_as_fun, same_operation, without_high_operations
+from jaxbody.core.jax_internals import (
+    ClosedJaxpr,
+    Literal,
+    Zero,
+    call_of,
+    jaxpr_as_fun,
+    merged,
+    only_what_is_needed,
+    same_operation,
+    without_high_operations,
+)
 from jaxbody.numerics.symmetric_eigenvalues import eigenvalues
 from jaxbody.numerics.xla_workarounds import as_kept, plain_max, sum_p
 
@@ -43,6 +54,7 @@ CALLS = {
     "pjit": "jaxpr",
     "closed_call": "call_jaxpr",
 }
+FUNCTIONS = ("jit", "pjit")
 APART = {
     "cholesky", "cond", "custom_linear_solve", "custom_vjp_call", "dot_general", "dynamic_slice", "dynamic_update_slice", "eigh", "gather",
     "householder_product", "lu", "scatter", "scatter-add", "sort", "stop_gradient", "triangular_solve", "while",
@@ -83,6 +95,7 @@ def in_lanes(function: Callable, *, reversible: bool = False, lanes: int = LANES
         leaves, tree = jax.tree.flatten(args)
         leaves = [jnp.asarray(x) for x in leaves]
         traced, out = jax.make_jaxpr(lambda *x: function(*tree.unflatten(x)), return_shape=True)(*leaves)
+        traced = only_what_is_needed(traced)
         open_jaxpr = traced.jaxpr.replace(constvars=[], invars=[*traced.jaxpr.constvars, *traced.jaxpr.invars])
         results = _lanes_p.bind(*traced.consts, *leaves, jaxpr=ClosedJaxpr(open_jaxpr, []), reversible=reversible, lanes=lanes, name=name)
         return jax.tree.unflatten(jax.tree.structure(out), results)
@@ -114,8 +127,7 @@ def _jvp(primals, tangents, *, jaxpr, reversible, lanes, name):
     push = _pushed(jaxpr_as_fun(jaxpr), moved, smooth)
     push = push if reversible else in_lanes(push, lanes=lanes, name=name)
     out, dy = push(list(primals), [t for t in tangents if not isinstance(t, Zero)])
-    dy = iter(dy)
-    return out, [next(dy) if s else Zero(aval.to_tangent_aval()) for s, aval in zip(smooth, jaxpr.out_avals, strict=True)]
+    return out, merged(smooth, dy, [Zero(aval.to_tangent_aval()) for aval in jaxpr.out_avals])
 
 
 def _pushed(function: Callable, moved: list[bool], smooth: list[bool]) -> Callable[[list, list], tuple[list, list]]:
@@ -123,8 +135,7 @@ def _pushed(function: Callable, moved: list[bool], smooth: list[bool]) -> Callab
 
     def pushed(primals, tangents):
         def of_moved(*x):
-            given = iter(x)
-            out = function(*(next(given) if m else p for m, p in zip(moved, primals, strict=True)))
+            out = function(*merged(moved, x, primals))
             return [x for x, s in zip(out, smooth, strict=True) if s], out
 
         _, dy, out = jax.jvp(of_moved, [p for m, p in zip(moved, primals, strict=True) if m], tangents, has_aux=True)
@@ -226,6 +237,12 @@ def _fixpoint(body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list
         carry = after
 
 
+@functools.lru_cache(4096)
+def _function(jaxpr: ClosedJaxpr, on: tuple[bool, ...], n: int, name: str) -> Callable[..., list[Any]]:
+    """The body of a jitted function for n members at once, jitted again: JAX keeps its trace for all calls of it."""
+    return jax.jit(lambda *x: Lanes(n, name).run(jaxpr, list(on), list(x)))
+
+
 class Lanes:
     """Evaluates jaxprs for n members at once."""
 
@@ -265,6 +282,8 @@ class Lanes:
 
     def _apply(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
         name, p, n = eqn.primitive.name, dict(eqn.params), self.n
+        if name in FUNCTIONS:
+            return _function(p["jaxpr"], tuple(on), n, self.name)(*x)
         if name in CALLS:
             return self.run(p[CALLS[name]], on, x)
         if name in ELEMENTWISE:
@@ -336,8 +355,7 @@ class Lanes:
             push = in_lanes(_pushed(lambda *x: same_operation(eqn, x), moved, smooth), reversible=True, lanes=self.n, name=self.name)
             tangents, along = ([x for x, m in zip(of, moved, strict=True) if m] for of in (tangents, axes))
             out, dy = jax.vmap(push, in_axes=(axes, along), out_axes=-1, axis_size=self.n)(list(primals), tangents)
-            dy = iter(dy)
-            return out, [next(dy) if s else np.zeros(y.shape, float0) for s, y in zip(smooth, out, strict=True)]
+            return out, merged(smooth, dy, [np.zeros(y.shape, float0) for y in out])
 
         return call(*x)
 
