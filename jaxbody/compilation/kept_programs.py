@@ -162,7 +162,7 @@ def keep_programs(folder: str | os.PathLike | None = None) -> KeptPrograms:
     """Keep traced and compiled programs on disk for later processes, which then start in a fraction of the time.
 
     Args:
-        folder: a folder of your own that nobody else can read or write; by default `jaxbody` in your cache folder (XDG_CACHE_HOME or
+        folder: a folder of your own that no other user may read or write; by default `jaxbody` in your cache folder (XDG_CACHE_HOME or
             ~/.cache). It is made if there is none.
 
     A later process loads a program for a model of the same structure, whatever its numbers, if jaxbody, JAX, the other libraries and the

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array
+from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, module_of
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, warn
 from jaxbody.core.units import parse
 from jaxbody.experiments.measurements import Measurement
@@ -349,5 +349,5 @@ def _samples(name: str, sensor: Any, value: Any, times, kept, problems: Problems
             warn("MISSING", f"{where} lacks {100 * fraction:.0f} % of its samples")
     if kept is None or array.shape[:1] != kept.shape:
         return array
-    xp = np if isinstance(array, np.ndarray) and isinstance(kept, np.ndarray) else jnp
+    xp = module_of(array, kept)
     return xp.where(kept.reshape(-1, *(1,) * (array.ndim - 1)), array, xp.nan)

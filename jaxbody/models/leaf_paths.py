@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, checked, concrete, device_array, part_of
+from jaxbody.core.arrays import Array, checked, concrete, device_array, module_of, part_of
 from jaxbody.core.errors import Problems, is_concrete
 from jaxbody.geometry.fields import Kind, check_domain, kind_along, kind_of
 from jaxbody.models.bodies import check_inertia
@@ -187,7 +187,7 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
     problems.raise_if_any()
     for parts in new.values():
         leaves, blocks = [leaf for rows, _ in parts for leaf in rows], [block for _, block in parts]
-        xp = np if all(isinstance(block, np.ndarray) for block in blocks) else jnp
+        xp = module_of(*blocks)
         joined = blocks[0] if len(blocks) == 1 else xp.concatenate(blocks, leaves[0].axis(arrays))
         _put(arrays, leaves, device_array(joined))
     return jax.tree.unflatten(treedef, arrays)
@@ -195,7 +195,7 @@ def replace(tree: Any, values: dict[str, Any]) -> Any:
 
 def _block(value: Any, rows: list[int] | int, first: Leaf, arrays: list[Array]) -> Any:
     """The rows of a value with these indices, or one value repeated in as many rows, with the rows along the same axis as in the array."""
-    xp: Any = np if isinstance(value, np.ndarray) else jnp
+    xp = module_of(value)
     if first.row is None:
         return value if isinstance(rows, int) else value[rows[0]]
     if isinstance(rows, int):
