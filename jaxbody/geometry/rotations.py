@@ -2,6 +2,7 @@
 
 A rotation vector is phi, theta = |phi|; a quaternion is (w, x, y, z). Near theta = 0 every coefficient is a power series in
 theta^2, because `where(theta < tiny, 1, sin(theta) / theta)` has wrong second derivatives for rotations of 1e-11 to 1e-8.
+All are jitted for the reason given in geometry/vectors.py.
 """
 
 from __future__ import annotations

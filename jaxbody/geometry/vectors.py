@@ -1,4 +1,6 @@
-"""Products of 3-vectors and 3 x 3 matrices as sums, which are faster than matrix products (numerics/xla_workarounds.py)."""
+"""Products of 3-vectors and 3 x 3 matrices as sums, which are faster than matrix products (numerics/xla_workarounds.py).
+
+They are jitted, so that JAX traces and differentiates each of them once for all uses with arrays of the same shapes."""
 
 from __future__ import annotations
 

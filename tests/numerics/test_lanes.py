@@ -119,6 +119,24 @@ def test_a_loop_of_all_lanes_keeps_them_last():
 
 
 @batches
+def test_jitted_functions_are_kept_and_what_is_not_needed_is_left_out():
+    @jax.jit
+    def product(x, a):
+        return jnp.cross(x, a) * 2.0
+
+    def chain(x, a):
+        unused = jnp.exp(jnp.exp(x))
+        return product(product(product(x, a), a), a), unused
+
+    batch = jax.vmap(in_lanes(lambda x, a: chain(x, a)[0]))
+    traced = jax.make_jaxpr(batch)(np.ones((5, 3)), np.ones((5, 3))).jaxpr
+    names = [eqn.primitive.name for eqn in traced.eqns]
+    assert sum(name in ("jit", "pjit") for name in names) == 3 and "mul" not in names and "exp" not in names
+    x, a = np.random.default_rng(0).normal(size=(2, 5, 3))
+    expected = 8 * np.cross(np.cross(np.cross(x, a), a), a)
+    np.testing.assert_allclose(batch(x, a), expected, rtol=1e-14, atol=1e-14)
+
+
 def test_a_yes_or_no_takes_no_part_in_derivatives():
     def of_positive(x):
         return jnp.where(in_lanes(lambda x: jnp.sum(x) > 0)(x), jnp.sum(x**2), 0.0)
