@@ -245,7 +245,7 @@ def compare(python: str, folder: Path, commit: str, rounds: int, jobs: list[str]
 
 def floor(python: Path, rounds: int) -> None:
     print("\nOne plate: jaxbody, floor with XLA's defaults, floor with jaxbody's options; ratio at equal options", flush=True)
-    unoptimized = '{"xla_backend_optimization_level": 0}'
+    unoptimized = '{"xla_backend_optimization_level": 0, "xla_cpu_parallel_codegen_split_count": 1}'
     for name, job in FLOORS.items():
         scripts = [BEGIN + SAME + job + END]
         scripts += [BEGIN + FLOOR.replace("{function}", name).replace("{options}", o) + END for o in ("None", unoptimized)]
