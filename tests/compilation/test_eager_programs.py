@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.compilation import compile_options
+from jaxbody.compilation import compile_options, eager_programs
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import jax_internals
 
@@ -95,6 +95,16 @@ def test_infinite_derivatives_of_results_that_are_not_used_have_no_part():
     assert float(jax.grad(once)(zero)) == 2.0 and float(jax.grad(twice)(zero)) == 4.0
     assert float(jax.jit(jax.grad(twice))(zero)) == 4.0 and float(jax.vmap(jax.grad(twice))(jnp.zeros(3))[1]) == 4.0
     assert np.isinf(jax.grad(lambda x: with_root(x, x)["root"])(zero))
+
+
+def test_a_pullback_whose_linear_function_is_forgotten_is_the_same():
+    @jit_unoptimized
+    def cube(x):
+        return x**3
+
+    value, back = jax.vjp(cube, jnp.asarray(2.0))
+    eager_programs._linear.clear()
+    assert float(value) == 8.0 and float(back(1.0)[0]) == 12.0
 
 
 def test_rows_of_a_pullback_are_a_batch():

@@ -118,7 +118,6 @@ def test_a_loop_of_all_lanes_keeps_them_last():
     assert "while" in text and "f64[3,5]" in text.split("while", 1)[1]
 
 
-@batches
 def test_jitted_functions_are_kept_and_what_is_not_needed_is_left_out():
     @jax.jit
     def product(x, a):
@@ -137,6 +136,7 @@ def test_jitted_functions_are_kept_and_what_is_not_needed_is_left_out():
     np.testing.assert_allclose(batch(x, a), expected, rtol=1e-14, atol=1e-14)
 
 
+@batches
 def test_a_yes_or_no_takes_no_part_in_derivatives():
     def of_positive(x):
         return jnp.where(in_lanes(lambda x: jnp.sum(x) > 0)(x), jnp.sum(x**2), 0.0)
