@@ -26,7 +26,10 @@ def around(space: Space, count: int, spread: float, seed: int) -> np.ndarray:
 def drawn(space: Space, low: np.ndarray, high: np.ndarray, count: int, key: Any, where: str) -> np.ndarray:
     """The model, and random starts, uniform between these bounds of u, (count, n). Orientations are uniform over all rotations, fractions
     uniform between their bounds or in their domain; no key means that of 0. Error: NO_BOUNDS."""
-    rng = np.random.default_rng(np.zeros(2, np.uint32) if key is None else np.asarray(jax.random.key_data(key)).ravel())
+    if count == 1:
+        return np.zeros((1, space.size))
+    key = jax.random.key(0) if key is None else key
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
     with Problems() as problems:
         u = [_drawn(parameter, low[own], high[own], count, rng, where, problems) for parameter, own in space.parts]
     return np.concatenate([np.zeros((1, space.size)), np.concatenate(u, 1)[1:]])
@@ -45,7 +48,7 @@ def _drawn(parameter: Parameter, low: np.ndarray, high: np.ndarray, count: int, 
         return np.array([form.inverse(rng.uniform(*ends)) for _ in range(count)])
     if not isinstance(form, Elementwise):
         return SPREAD * rng.normal(size=shape)
-    if count > 1 and not np.isfinite(high - low).all():
+    if not np.isfinite(high - low).all():
         limit, hint = "both finite", "Random starts need bounds."
         problems.add("NO_BOUNDS", f"{where}['{parameter.path}']", "is missing", limit=limit, hint=hint)
-    return rng.uniform(low, high, shape) if count > 1 and not problems.collected else np.zeros(shape)
+    return rng.uniform(low, high, shape) if not problems.collected else np.zeros(shape)
