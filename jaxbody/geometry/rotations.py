@@ -184,11 +184,13 @@ def from_matrix(R: Float[Array, "*n 3 3"]) -> Float[Array, "*n 4"]:
     return jnp.sum(jnp.where(largest[..., :, None], table, 0.0), -2) / (2 * root[..., None])
 
 
+@jax.jit
 def quaternion_rate(q: Float[Array, "*n 4"], omega: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
     """dq/dt = 1/2 (0, omega) q for an angular velocity in world axes."""
     return multiply(jnp.concatenate([jnp.zeros_like(omega[..., :1]), 0.5 * omega], -1), q)
 
 
+@jax.jit
 def quaternion_rate_body(q: Float[Array, "*n 4"], omega: Float[Array, "*n 3"]) -> Float[Array, "*n 4"]:
     """dq/dt = 1/2 q (0, omega) for an angular velocity in body axes."""
     return multiply(q, jnp.concatenate([jnp.zeros_like(omega[..., :1]), 0.5 * omega], -1))
