@@ -18,7 +18,7 @@ import jax.numpy as jnp
 
 from jaxbody.compilation.array_functions import Remainder, jitted
 from jaxbody.compilation.kept_programs import Options, Results, call, types_of_results
-from jaxbody.core.jax_internals import Zero, jaxpr_as_fun, merged, needed_arguments, new_operation, unbatched, unknown, zero_tangent
+from jaxbody.core.jax_internals import Zero, chosen, jaxpr_as_fun, merged, needed_arguments, new_operation, unbatched, unknown, zero_tangent
 
 
 def run(program: Callable[..., Results], options: Options, arrays: Sequence[Any]) -> Results:
@@ -48,7 +48,7 @@ class Jvp(Derived):
 
     def __call__(self, *args: Any) -> Results:
         x = args[: len(self.moved)]
-        real, tangents, others = jax.jvp(_of_moved(self.of, self.moved, x), _chosen(x, self.moved), list(args[len(x) :]), has_aux=True)
+        real, tangents, others = jax.jvp(_of_moved(self.of, self.moved, x), chosen(x, self.moved), list(args[len(x) :]), has_aux=True)
         return [*_all_results(real, others), *tangents], others[1]
 
 
@@ -70,7 +70,7 @@ class Linearized(Derived):
     moved: tuple[bool, ...]
 
     def __call__(self, *x: Any) -> Results:
-        real, tangents, others = jax.linearize(_of_moved(self.of, self.moved, x), *_chosen(x, self.moved), has_aux=True)
+        real, tangents, others = jax.linearize(_of_moved(self.of, self.moved, x), *chosen(x, self.moved), has_aux=True)
         saved, structure = jax.tree.flatten(tangents)
         known = list(x)
         places = {id(known[i]): i for i in reversed(range(len(known)))}
@@ -98,11 +98,11 @@ class Pullback(Derived):
             jax.make_jaxpr(lambda *x: self.of(*x)[0])(*x)
         structure, places = _linear[self.of, _types_of(x)]
         tangents = jax.tree.unflatten(structure, [known[i] for i in places])
-        types = _chosen(_types_of(x), self.of.moved)
-        linear = jax.make_jaxpr(lambda *dx: _chosen(tangents(*dx), self.given))(*types)
+        types = chosen(_types_of(x), self.of.moved)
+        linear = jax.make_jaxpr(lambda *dx: chosen(tangents(*dx), self.given))(*types)
         needed = tuple(needed_arguments(linear))
         pullback = jax.linear_transpose(jaxpr_as_fun(linear), *types)
-        return _chosen(pullback(list(w)), needed), Remainder(needed)
+        return chosen(pullback(list(w)), needed), Remainder(needed)
 
 
 @dataclass(frozen=True)
@@ -151,10 +151,6 @@ def _apart(args: Sequence[Any], moved: Sequence[bool]) -> tuple[Sequence[Any], S
     return args[:n], args[n:]
 
 
-def _chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
-    return [y for y, chosen in zip(x, which, strict=True) if chosen]
-
-
 # The operation, and the linear one that stands for its tangents while a linear function is made
 
 
@@ -168,7 +164,7 @@ def _types_of(arrays: Sequence[Any]) -> tuple[Any, ...]:
 
 def _program_jvp(primals, tangents, *, program, options):
     moved = tuple(type(t) is not Zero and jax.typeof(t).dtype != jax.dtypes.float0 for t in tangents)
-    moving = _chosen(tangents, moved)
+    moving = chosen(tangents, moved)
     if any(map(unknown, moving)):
         linearized = Linearized(program, moved)
         out, remainder = run(linearized, options, primals)
@@ -213,7 +209,7 @@ def _tangents(*args, linearized, types, options, count):
 def _tangents_transpose(cotangents, *args, linearized, types, options, count):
     known, moving = _apart(args, linearized.moved)
     given = tuple(type(w) is not Zero for w in cotangents)
-    out, needed = run(Pullback(linearized, given), options, [*known, *_chosen(cotangents, given)])
+    out, needed = run(Pullback(linearized, given), options, [*known, *chosen(cotangents, given)])
     return [None] * len(known) + merged(needed.value, out, [Zero(x.aval) for x in moving])
 
 
@@ -223,7 +219,7 @@ def _tangents_jvp(primals, tangents, **params):
     def of_moved(*given):
         return _tangents(*merged(moved, given, primals), **params)
 
-    return jax.jvp(of_moved, _chosen(primals, moved), _chosen(tangents, moved))
+    return jax.jvp(of_moved, chosen(primals, moved), chosen(tangents, moved))
 
 
 def _tangents_batch(args, axes, **params):

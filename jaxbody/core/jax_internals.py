@@ -78,10 +78,14 @@ def zero_tangent(x: Any) -> Zero:
     return Zero(jax.typeof(x).to_tangent_aval())
 
 
-def merged(chosen: Sequence[bool], given: Sequence[Any], others: Sequence[Any]) -> list[Any]:
-    """What is `given`, one after the other, in the places that are `chosen`, and the others."""
+def chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
+    return [y for y, c in zip(x, which, strict=True) if c]
+
+
+def merged(which: Sequence[bool], given: Sequence[Any], others: Sequence[Any]) -> list[Any]:
+    """What is `given`, one after the other, in the places that are chosen, and the others."""
     own = iter(given)
-    return [next(own) if c else x for c, x in zip(chosen, others, strict=True)]
+    return [next(own) if c else x for c, x in zip(which, others, strict=True)]
 
 
 # Programs
@@ -89,17 +93,19 @@ def merged(chosen: Sequence[bool], given: Sequence[Any], others: Sequence[Any]) 
 
 def only_what_is_needed(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
     """The program without operations that its results do not need, where JAX can remove them."""
-    if not hasattr(partial_eval, "dce_jaxpr"):
-        return jaxpr
-    kept, _ = partial_eval.dce_jaxpr(jaxpr.jaxpr, [True] * len(jaxpr.out_avals), instantiate=True)
-    return ClosedJaxpr(kept, jaxpr.consts)
+    return ClosedJaxpr(_needed(jaxpr, True)[0], jaxpr.consts)
 
 
 def needed_arguments(jaxpr: ClosedJaxpr) -> list[bool]:
     """Which arguments the results of a program depend on; all of them where JAX cannot tell."""
+    return list(_needed(jaxpr, False)[1])
+
+
+def _needed(jaxpr: ClosedJaxpr, all_arguments: bool) -> tuple[Any, Sequence[bool]]:
+    """What the results need of a program, as one of all of its arguments or of those that are needed, and which these are."""
     if not hasattr(partial_eval, "dce_jaxpr"):
-        return [True] * len(jaxpr.in_avals)
-    return list(partial_eval.dce_jaxpr(jaxpr.jaxpr, [True] * len(jaxpr.out_avals))[1])
+        return jaxpr.jaxpr, [True] * len(jaxpr.in_avals)
+    return partial_eval.dce_jaxpr(jaxpr.jaxpr, [True] * len(jaxpr.out_avals), instantiate=all_arguments)
 
 
 def without_high_operations(jaxpr: ClosedJaxpr) -> ClosedJaxpr:
@@ -346,8 +352,7 @@ def _linear_jvp(primals, tangents, *, along, **params):
         return along(*merged(moved, x, primals))
 
     if any(moved[: params["n"]]):
-        at = [p for p, m in zip(primals, moved, strict=True) if m]
-        return jax.jvp(of_moved, at, [t for t, m in zip(tangents, moved, strict=True) if m])
+        return jax.jvp(of_moved, chosen(primals, moved), chosen(tangents, moved))
     given = [ad.instantiate_zeros(t) for t in tangents[params["n"] :]]
     return _linear_p.bind(*primals, along=along, **params), _linear_p.bind(*primals[: params["n"]], *given, along=along, **params)
 

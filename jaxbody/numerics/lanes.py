@@ -26,6 +26,7 @@ from jaxbody.core.jax_internals import (
     Literal,
     Zero,
     call_of,
+    chosen,
     jaxpr_as_fun,
     merged,
     only_what_is_needed,
@@ -54,7 +55,6 @@ CALLS = {
     "pjit": "jaxpr",
     "closed_call": "call_jaxpr",
 }
-FUNCTIONS = ("jit", "pjit")
 APART = {
     "cholesky", "cond", "custom_linear_solve", "custom_vjp_call", "dot_general", "dynamic_slice", "dynamic_update_slice", "eigh", "gather",
     "householder_product", "lu", "scatter", "scatter-add", "sort", "stop_gradient", "triangular_solve", "while",
@@ -136,9 +136,9 @@ def _pushed(function: Callable, moved: list[bool], smooth: list[bool]) -> Callab
     def pushed(primals, tangents):
         def of_moved(*x):
             out = function(*merged(moved, x, primals))
-            return [x for x, s in zip(out, smooth, strict=True) if s], out
+            return chosen(out, smooth), out
 
-        _, dy, out = jax.jvp(of_moved, [p for m, p in zip(moved, primals, strict=True) if m], tangents, has_aux=True)
+        _, dy, out = jax.jvp(of_moved, chosen(primals, moved), tangents, has_aux=True)
         return out, dy
 
     return pushed
@@ -239,7 +239,7 @@ def _fixpoint(body: ClosedJaxpr, consts: list[bool], carry: list[bool], xs: list
 
 @functools.lru_cache(4096)
 def _function(jaxpr: ClosedJaxpr, on: tuple[bool, ...], n: int, name: str) -> Callable[..., list[Any]]:
-    """The body of a jitted function for n members at once, jitted again: JAX keeps its trace for all calls of it."""
+    """The body of a call for n members at once, jitted: JAX keeps its trace for all calls of one jitted function."""
     return jax.jit(lambda *x: Lanes(n, name).run(jaxpr, list(on), list(x)))
 
 
@@ -282,10 +282,8 @@ class Lanes:
 
     def _apply(self, eqn, on: list[bool], x: list[Any]) -> list[Any]:
         name, p, n = eqn.primitive.name, dict(eqn.params), self.n
-        if name in FUNCTIONS:
-            return _function(p["jaxpr"], tuple(on), n, self.name)(*x)
         if name in CALLS:
-            return self.run(p[CALLS[name]], on, x)
+            return _function(p[CALLS[name]], tuple(on), n, self.name)(*x)
         if name in ELEMENTWISE:
             shape = eqn.outvars[0].aval.shape
             return [eqn.primitive.bind(*(self._spread(a, o, shape) for a, o in zip(x, on, strict=True)), **p)]
@@ -353,8 +351,8 @@ class Lanes:
         def _(primals, tangents):
             axes = [-1 if o else None for o in on]
             push = in_lanes(_pushed(lambda *x: same_operation(eqn, x), moved, smooth), reversible=True, lanes=self.n, name=self.name)
-            tangents, along = ([x for x, m in zip(of, moved, strict=True) if m] for of in (tangents, axes))
-            out, dy = jax.vmap(push, in_axes=(axes, along), out_axes=-1, axis_size=self.n)(list(primals), tangents)
+            along = axes, chosen(axes, moved)
+            out, dy = jax.vmap(push, in_axes=along, out_axes=-1, axis_size=self.n)(list(primals), chosen(tangents, moved))
             return out, merged(smooth, dy, [np.zeros(y.shape, float0) for y in out])
 
         return call(*x)
