@@ -102,6 +102,11 @@ def concrete(value: Any) -> np.ndarray | None:
     return None if isinstance(value, Tracer) else np.asarray(value)
 
 
+def is_concrete(*trees: Any) -> bool:
+    """True when nothing in the trees is being traced, so that values can be read."""
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
+
+
 def scalar(value: Any, where: str, problems: Problems) -> Any:
     """A number. Error: BAD_SHAPE."""
     return shaped(value, (), where, problems)

@@ -11,9 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-import jax
-
-from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.progress_lines import clear
 
 MOST_PROBLEMS = 20
@@ -385,11 +382,6 @@ def codes() -> str:
     ALL_NAN               all samples of a record are missing; leave its sensor out, ...
     """
     return "\n".join(f"{code:22}{meaning}; {remedy}" for code, (meaning, remedy) in CODES.items())
-
-
-def is_concrete(*trees: Any) -> bool:
-    """True when nothing in the trees is being traced, so that values can be read."""
-    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
 def unknown(name: str, where: str, known: tuple[str, ...]) -> Problem:

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import as_numpy
-from jaxbody.core.errors import MESSAGES, MOST_PROBLEMS, JaxbodyError, Problem, Status, is_concrete, warn
+from jaxbody.core.arrays import as_numpy, is_concrete
+from jaxbody.core.errors import MESSAGES, MOST_PROBLEMS, JaxbodyError, Problem, Status, warn
 from jaxbody.core.jax_internals import Tracer
 
 AnyResult = TypeVar("AnyResult", bound="Result")

@@ -10,8 +10,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxbody.core.arrays import Array, Float, concrete, float_array
-from jaxbody.core.errors import JaxbodyError, Problem, is_concrete
+from jaxbody.core.arrays import Array, Float, concrete, float_array, is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.responses.comfort_weightings import weighted
 from jaxbody.responses.frequency_responses import FrequencyResponse
 from jaxbody.responses.random_responses import RandomResponse

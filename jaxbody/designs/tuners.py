@@ -18,8 +18,8 @@ import optax
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
-from jaxbody.core.arrays import device_array, float_array
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra, is_concrete
+from jaxbody.core.arrays import device_array, float_array, is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
 from jaxbody.designs.programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, module_of
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, warn
+from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, is_concrete, module_of
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.core.units import parse
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.inputs.loads import Load, loads_by_name, loads_of

@@ -8,9 +8,9 @@ import jax
 import numpy as np
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int, indices
+from jaxbody.core.arrays import Array, Float, Int, indices, is_concrete
 from jaxbody.core.datasets import dataset
-from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.core.results import Result
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.intervals import FEW, Interval, freedoms_of, intervals_of, widening

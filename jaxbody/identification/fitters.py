@@ -20,8 +20,8 @@ from jaxtyping import Array, Float
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arguments import whole_number
-from jaxbody.core.arrays import device_array
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, warn
+from jaxbody.core.arrays import device_array, is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
 from jaxbody.experiments.experiments import Experiment, Integration, check_measurements

@@ -18,8 +18,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, checked, concrete, device_array, module_of, part_of
-from jaxbody.core.errors import Problems, is_concrete
+from jaxbody.core.arrays import Array, checked, concrete, device_array, is_concrete, module_of, part_of
+from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import Kind, check_domain, kind_along, kind_of
 from jaxbody.models.bodies import check_inertia
 from jaxbody.models.models import Model

@@ -7,8 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float
-from jaxbody.core.errors import is_concrete
+from jaxbody.core.arrays import Array, Float, is_concrete
 from jaxbody.geometry.vectors import to_rank
 from jaxbody.models.models import Model
 

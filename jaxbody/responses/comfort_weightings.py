@@ -16,8 +16,8 @@ import numpy as np
 from equinox import field, filter_jit
 
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Complex, Float, Int, checked
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
+from jaxbody.core.arrays import Array, Complex, Float, Int, checked, is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.jax_internals import Tracer
 from jaxbody.core.results import Result
 from jaxbody.responses.frequency_responses import check_frequencies

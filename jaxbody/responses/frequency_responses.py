@@ -18,9 +18,9 @@ from equinox import Module, field
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Bool, Complex, Float, Int, checked, concrete, device_array, float_array
+from jaxbody.core.arrays import Array, Bool, Complex, Float, Int, checked, concrete, device_array, float_array, is_concrete
 from jaxbody.core.datasets import dataset
-from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
+from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.hessians import configuration_at

@@ -14,9 +14,9 @@ from equinox import field
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Complex, Float, Int, part_of
+from jaxbody.core.arrays import Array, Complex, Float, Int, is_concrete, part_of
 from jaxbody.core.datasets import dataset
-from jaxbody.core.errors import JaxbodyError, Problems, Status, is_concrete, unknown
+from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.port_inputs import KINDS, UNITS
 from jaxbody.responses.frequency_responses import check_frequencies, check_loss_factors, check_without_force_sensors, response_values

@@ -12,8 +12,8 @@ import jax
 import numpy as np
 
 from jaxbody.core.arguments import check_kind, checked_dict, positive_number, whole_number
-from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, part_of
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, is_concrete, unknown, warn
+from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, is_concrete, part_of
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
 from jaxbody.inputs.loads import Load, loads_of

@@ -13,9 +13,9 @@ from equinox import combine, field, is_array, partition
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int, part_of
+from jaxbody.core.arrays import Array, Float, Int, is_concrete, part_of
 from jaxbody.core.datasets import AXES, QUATERNION, dataset, rows_of
-from jaxbody.core.errors import Status, is_concrete
+from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
 from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.loads import Load

@@ -19,9 +19,9 @@ import numpy as np
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
-from jaxbody.core.arrays import Array, Bool, Float, Int, device_array
+from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, is_concrete
 from jaxbody.core.datasets import dataset, rows_of
-from jaxbody.core.errors import Problems, Status, is_concrete
+from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.laws.measured_curves import has_range

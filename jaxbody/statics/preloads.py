@@ -18,8 +18,8 @@ import numpy as np
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind
-from jaxbody.core.arrays import Array, Float, Int
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
+from jaxbody.core.arrays import Array, Float, Int, is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.hessians import configuration_at, slope
 from jaxbody.mechanics.kinematics import Chart, Coordinates

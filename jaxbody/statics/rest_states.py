@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 
 from jaxbody.compilation.compile_options import jit_unoptimized
-from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
+from jaxbody.core.arrays import is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates, Motions
 from jaxbody.models.models import Model, at_rest_in, rest_poses

@@ -18,9 +18,9 @@ import numpy as np
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, Float, Int, shaped, stack
+from jaxbody.core.arrays import Array, Float, Int, is_concrete, shaped, stack
 from jaxbody.core.datasets import dataset
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load

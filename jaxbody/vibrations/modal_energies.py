@@ -11,9 +11,9 @@ from equinox import field
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int
+from jaxbody.core.arrays import Array, Float, Int, is_concrete
 from jaxbody.core.datasets import dataset
-from jaxbody.core.errors import Problems, is_concrete
+from jaxbody.core.errors import Problems
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.hessians import configuration_at

@@ -15,9 +15,9 @@ import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int, concrete, float_array
+from jaxbody.core.arrays import Array, Float, Int, concrete, float_array, is_concrete
 from jaxbody.core.datasets import dataset
-from jaxbody.core.errors import JaxbodyError, Problem, Status, is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.models.layouts import Layout
 from jaxbody.numerics.eigenproblems import together

@@ -11,9 +11,9 @@ from equinox import field
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import plain
-from jaxbody.core.arrays import Array, Float, Int, shaped
+from jaxbody.core.arrays import Array, Float, Int, is_concrete, shaped
 from jaxbody.core.datasets import AXES, dataset
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, is_concrete, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back, skew
 from jaxbody.mechanics.kinematics import Coordinates
