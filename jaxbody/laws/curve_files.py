@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxbody.core import units
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
-from jaxbody.records.sources import check_file
+from jaxbody.core.source_files import check_file
 from jaxbody.records.text_tables import read_text
 
 LENGTHS = (units.LENGTH, units.ANGLE, units.SPEED, units.ANGULAR_RATE)

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.records.sources import check_numbers, check_size
+from jaxbody.core.source_files import check_size
+from jaxbody.records.sources import check_numbers
 
 NUMBERS = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}  # bytes of each
 TEXT = {16: 1, 17: 2, 18: 4}

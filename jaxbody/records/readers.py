@@ -26,8 +26,9 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
+from jaxbody.core.source_files import check_size
 from jaxbody.records.matlab_files import read_matlab
-from jaxbody.records.sources import Asked, Pick, check_numbers, check_size, find_name, kind_of, numeric, reader_errors
+from jaxbody.records.sources import Asked, Pick, check_numbers, find_name, kind_of, numeric, reader_errors
 from jaxbody.records.text_tables import Column, Contents, read_text, split_unit
 from jaxbody.records.universal_files import read_uff
 

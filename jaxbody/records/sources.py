@@ -1,11 +1,10 @@
-"""Measurement files before they are read: existence, format and size, names of channels, and errors of readers."""
+"""Measurement files: their format, names of channels, numbers of data sets, and errors of readers."""
 
 from __future__ import annotations
 
 import contextlib
 import difflib
 import re
-import stat
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.source_files import check_file, check_size
 from jaxbody.records.text_tables import split_unit
 
 Asked = str | int  # a name or its number
@@ -48,34 +48,6 @@ def kind_of(path: Path, format: str | None, largest: float) -> str:
         message = f"is read as {kind}, but begins like {content or 'something else'}"
         raise JaxbodyError(Problem("WRONG_FORMAT", path.name, message, start, hint='Check the extension, or give format="...".'))
     return kind
-
-
-def check_file(path: Path, largest: float = np.inf) -> None:
-    """Check that a path is a regular file, not empty, of at most `largest` bytes, and readable. A pipe or a device is refused before it is
-    opened, because it might block or never end. Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
-    try:
-        status = path.stat()
-        if stat.S_ISREG(status.st_mode):
-            path.open("rb").close()
-    except (OSError, ValueError) as error:
-        message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
-        raise JaxbodyError(Problem("NO_FILE", str(path)[-200:], message, path, hint="Give the path of a file.")) from None
-    if stat.S_ISDIR(status.st_mode):
-        raise JaxbodyError(Problem("IS_DIRECTORY", str(path), "is a directory", path, "a file", "Give the path of one file in it."))
-    if not stat.S_ISREG(status.st_mode):
-        raise JaxbodyError(
-            Problem("NOT_A_FILE", str(path), "is a pipe, a socket or a device", path, "a regular file", "Write its output to a file first.")
-        )
-    if status.st_size == 0:
-        raise JaxbodyError(Problem("EMPTY_FILE", path.name, "has no bytes", 0, "> 0", "Was it copied before it was fully written?"))
-    check_size(path.name, status.st_size, largest)
-
-
-def check_size(name: str, size: float, largest: float, what: str = "bytes") -> None:
-    """Check that a file, or its numbers at 8 bytes each, take at most `largest` bytes. Error: TOO_LARGE."""
-    if size > largest:
-        hint = f"Set largest={max(1, round(size * 1.1 / 1e9))}e9 if memory for about five times that is free, or split the file."
-        raise JaxbodyError(Problem("TOO_LARGE", name, f"has {size:.4g} {what}", size, f"{largest:.4g} bytes", hint))
 
 
 def check_numbers(name: str, count: float, largest: float) -> None:

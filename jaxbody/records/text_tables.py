@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxbody.core.errors import MOST_PROBLEMS, JaxbodyError, Problem, Problems
+from jaxbody.core.source_files import decoded
 from jaxbody.core.tables import counted
 from jaxbody.core.units import is_unit
 
@@ -41,25 +42,6 @@ class Contents:
     columns: dict[Any, Column]
     notes: list[str] = field(default_factory=list)
     head: int = 1
-
-
-def decoded(data: bytes, name: str, encoding: str) -> str:
-    """Text of bytes, without a byte order mark of UTF-8. Errors: ENCODING, with byte and offset; WRONG_FORMAT."""
-    hint = 'Give encoding="latin-1", or the encoding in which it was written.'
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff") and encoding == "utf-8":
-        raise JaxbodyError(Problem("ENCODING", name, "is UTF-16", data[:2], encoding, 'Give encoding="utf-16".'))
-    try:
-        text = data.decode("utf-8-sig" if encoding == "utf-8" else encoding)
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        message = f"has byte 0x{data[error.start]:02x} at offset {error.start} (line {line})"
-        raise JaxbodyError(Problem("ENCODING", name, message + f", which is not {encoding}", error.start, encoding, hint)) from None
-    except (LookupError, UnicodeError):
-        raise JaxbodyError(Problem("ENCODING", name, f"cannot be read as {encoding!r}", encoding, "an encoding", hint)) from None
-    if "\0" in text:
-        message, hint = f"has a zero byte at offset {text.index(chr(0))}", "Is it a text file? If so, give its encoding, else its format."
-        raise JaxbodyError(Problem("WRONG_FORMAT", name, message, limit="text", hint=hint))
-    return text
 
 
 def read_text(
