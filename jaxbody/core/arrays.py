@@ -117,6 +117,12 @@ def vector(value: Any, where: str, problems: Problems) -> Any:
     return shaped(value, (3,), where, problems)
 
 
+def of_unit_length(rows: np.ndarray) -> np.ndarray:
+    """Rows divided by their lengths. A row that has length 1 but for rounding stays, so that it is the same if it is given again."""
+    length = np.linalg.norm(rows, axis=-1, keepdims=True)
+    return np.where(np.abs(length - 1) <= 4 * jnp.finfo(jnp.result_type(float)).eps, rows, rows / length)
+
+
 def check_times(times, problems: Problems, where: str = "times", minimum: int = 1) -> np.ndarray | jax.Array | None:
     """Increasing, finite, one-dimensional times; None if they are not, with a problem added."""
     times = problems.gather(lambda given=times: float_array(given, where))

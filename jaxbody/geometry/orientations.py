@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, checked, concrete
+from jaxbody.core.arrays import Array, Float, checked, concrete, of_unit_length
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
 
@@ -85,7 +85,7 @@ def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
             hint = "All four numbers are zero." if length == 0 else "Divide it by its length; the order is w, x, y, z."
             problems.add("BAD_QUATERNION", where, f"has length {length:.6g}", value=known, limit="1 within 1e-3", hint=hint)
             return np.array(IDENTITY)
-        return known / length
+        return of_unit_length(known)
     error, det = np.linalg.norm(known.T @ known - np.eye(3)), np.linalg.det(known)
     if error > 1e-12 or det < 0:
         problems.add(

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import plain
-from jaxbody.core.arrays import checked, concrete, vector
+from jaxbody.core.arrays import checked, concrete, of_unit_length, vector
 from jaxbody.core.errors import Problems
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  # along and about axes
@@ -26,7 +26,7 @@ def unit_vector(axis, where: str, problems: Problems) -> Any:
     if not known.any():
         problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give a direction, such as [0, 0, 1].")
         return n
-    return n / np.linalg.norm(known)
+    return of_unit_length(known)
 
 
 def direction(given, where: str, problems: Problems) -> Any:

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, checked, concrete, device_array, is_concrete, module_of, part_of
+from jaxbody.core.arrays import Array, checked, concrete, device_array, is_concrete, module_of, of_unit_length, part_of
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import Kind, check_domain, kind_along, kind_of
 from jaxbody.models.bodies import check_inertia
@@ -227,7 +227,7 @@ def _made(leaf: Leaf, value: Any, where: str, problems: Problems) -> Any:
         hint = "Divide it by its length; the order is w, x, y, z."
         problems.add("BAD_QUATERNION", where, f"has length {worst:.6g}", value=known, limit="1 within 1e-3", hint=hint)
     else:
-        return np.where(np.abs(length - 1) < 1e-14, known, known / length)
+        return of_unit_length(known)
     return known
 
 
