@@ -58,6 +58,7 @@ PLAIN = {
     "kg": (1.0, MASS), "t": (1e3, MASS), "in": (0.0254, LENGTH), "ft": (0.3048, LENGTH), "min": (60.0, TIME), "h": (3600.0, TIME),
     "deg": (TURN / 360, ANGLE), "rev": (TURN, ANGLE), "rpm": (TURN / 60, ANGULAR_RATE),
     "g": (GRAVITY, ACCELERATION), "Gal": (0.01, ACCELERATION),
+    "Nm": (1.0, MOMENT), "Nmm": (1e-3, MOMENT), "kNm": (1e3, MOMENT), "Ns": (1.0, (1, 1, -1, 0, 0)),
     "lbf": (POUND, FORCE), "kip": (1e3 * POUND, FORCE), "bar": (1e5, PRESSURE), "psi": (POUND / 0.0254**2, PRESSURE),
     "%": (0.01, NONE), "1": (1.0, NONE), "-": (1.0, NONE),
 }  # fmt: skip
