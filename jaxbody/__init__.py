@@ -23,6 +23,7 @@ The packages, in reading order; each imports only from those before it:
     identification  Fits: residuals, searches, results, several initial guesses, multiple shooting.
     inference       Uncertainty of fits: profiles, bands, validation.
     designs         Tuning: tune, pareto, sweep, tolerances, objectives.
+    files           Model files: text to numbers in SI without JAX, to models and back.
     presets         Ready models.
     plots           Pictures with matplotlib.
     app             The command jaxbody.
@@ -63,6 +64,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.experiments.measured_modes": ("MeasuredModes",),
     "jaxbody.experiments.measured_responses": ("MeasuredResponse",),
     "jaxbody.experiments.plausibilities": ("plausibility",),
+    "jaxbody.files.model_files": ("read_model", "write_model"),
     "jaxbody.geometry.fields": ("field",),
     "jaxbody.geometry.orientations": ("Euler",),
     "jaxbody.identification.fits": ("Fit",),

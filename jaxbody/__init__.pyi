@@ -35,6 +35,8 @@ from jaxbody.experiments.experiments import Experiment as Experiment
 from jaxbody.experiments.measured_modes import MeasuredModes as MeasuredModes
 from jaxbody.experiments.measured_responses import MeasuredResponse as MeasuredResponse
 from jaxbody.experiments.plausibilities import plausibility as plausibility
+from jaxbody.files.model_files import read_model as read_model
+from jaxbody.files.model_files import write_model as write_model
 from jaxbody.geometry.fields import field as field
 from jaxbody.geometry.orientations import Euler as Euler
 from jaxbody.identification.fits import Fit as Fit

@@ -48,8 +48,7 @@ class JaxbodyError(ValueError):
     """
 
     def __init__(self, *problems: Problem):
-        self.problems = problems
-        first = problems[0]
+        self.problems, first = problems, problems[0]
         self.code, self.where, self.value, self.limit, self.hint = first.code, first.where, first.value, first.limit, first.hint
         shown = [str(problem) for problem in problems[:MOST_LINES]]
         if len(problems) > MOST_LINES:
@@ -231,6 +230,10 @@ CODES = {
     "EXTERNAL_DATA": ("data are in another file", "export them into one file"),
     "FAILED_TRIALS": ("most trials of a fit could not be simulated", "start nearer, give bounds or a larger max_steps"),
     "FAR_OFF": ("residuals are large compared with the measured values", "see jb.diagnose: units, signs and axes first"),
+    "FILE_VERSION": (
+        "a model file does not state the version of its format, or a newer one",
+        "write jaxbody = 1, or install a newer jaxbody",
+    ),
     "FLOAT32": ("float32 has too few digits here", 'jax.config.update("jax_enable_x64", True) before anything else'),
     "FREQUENCY": ("the first natural frequency is unusual", "check the units of mass and stiffness"),
     "FUNCTION_FAILED": ("your function raises an error", "correct it; the message says where it was called"),
@@ -255,6 +258,7 @@ CODES = {
     "LOW_RATE": ("the sampling rate is low for the highest frequency", "sample faster, or filter before sampling"),
     "MAX_STEPS": ("the integration reached its largest number of steps", "give a larger max_steps, a looser rtol, or a stiff solver"),
     "MISSING": ("many samples of a record are missing", "check whether the others are enough"),
+    "MISSING_ENTRY": ("an entry of a file is missing", "write it as the message says"),
     "MISSING_EXTRA": ("a package that is not installed is needed", "install it with the pip line in the message"),
     "NAN_TIME": ("a time is not finite", "delete that row"),
     "NEGATIVE": ("a coefficient is negative", "give 0 or more; if a negative value is intended, allow_negative=True"),
@@ -266,6 +270,7 @@ CODES = {
     "NONFINITE_START": ("the model has no finite result where a search starts", "start from parameters that can be simulated"),
     "NON_FINITE": ("a number is NaN or infinite", "give finite numbers"),
     "NOTHING_FREE": ("no parameter may change", 'name those that may: free=["*.stiffness"]'),
+    "NOT_ALLOWED": ("a file and a module of yours are to be used together without a word from you", 'give allow=["mine.laws"]'),
     "NOT_A_FILE": ("a path is a pipe, a socket or a device", "give the path of a file"),
     "NOT_A_FRACTION": ("a number is not between 0 and 1", "give 0.1 for ten percent"),
     "NOT_A_LENGTH": ("a path is not that of a free length", "give paths to free_length or free_angle"),
@@ -311,6 +316,8 @@ CODES = {
     "ORIENTATION_JUMP": ("an orientation turns too far between two samples", "sample faster"),
     "OTHER_FIT": ("a checkpoint is from another fit", "resume with the same free parameters and experiments"),
     "OTHER_MODEL": ("an equilibrium belongs to another model", "give the equilibrium of this model, or a state"),
+    "OUTSIDE_FOLDER": ("a file names another outside of its folder", "put it beside the model file"),
+    "OWN_CODE": ("an object holds Python of your own, which a file cannot", "write a class in a module, and name it in allow=[...]"),
     "RAGGED_LINE": ("lines of a file have different lengths", "delete or correct those that the message names"),
     "RATE_MISMATCH": ("the times and the stated sampling rate disagree", "correct one of them"),
     "RECOMPILED": ("a function is compiled again and again", "do not change shapes, types and closures between calls"),
@@ -327,6 +334,7 @@ CODES = {
     "START_OUTSIDE": ("a search starts outside its bounds", "move the start or the bound"),
     "STEP_TOO_LONG": ("constant steps are too long for the fastest motion", "give a shorter dt0, or leave the steps to the controller"),
     "SWAPPED": ("two channels fit better when exchanged", "check their names and cables"),
+    "SYNTAX": ("a file is not well formed", "correct the line in the message"),
     "TABLE_DUPLICATE": ("a point of a table occurs twice", "keep one force for each x"),
     "TABLE_FALLS": ("the forces of a table decrease", "check the signs; if this is intended, use the argument in the message"),
     "TABLE_RANGE": ("a law was used beyond the points of its table", "measure a wider range; beyond it the law is a straight line"),

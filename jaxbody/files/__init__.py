@@ -1,0 +1,1 @@
+"""Model files: text to checked SI numbers without JAX, and to models and back."""

@@ -1,0 +1,229 @@
+"""Documents: the text of a TOML or JSON file as dicts, lists, words and numbers, with the line of each entry.
+
+The parsers of Python say what the text means. A scan of headings, keys and items finds their lines, names that are stated twice, and
+nesting that is too deep, before the text is parsed. Nothing in a file is executed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.source_files import check_file, decoded
+
+EntryPath = tuple[str | int, ...]  # of an entry: ("elements", "AB", "a", 1)
+DEEPEST = 20
+LARGEST = 2e7  # bytes
+TOKEN = re.compile(
+    r'(?P<string>"""(?:[^\\]|\\.)*?"""|\'\'\'.*?\'\'\'|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\')'
+    r"|(?P<skip>#[^\n]*|[ \t\r]+)|(?P<newline>\n)|(?P<sign>[\[\]{}=:,.])|(?P<bare>[^\s\[\]{}=:,.\"'#]+|.)",
+    re.DOTALL,
+)
+
+
+class Token(NamedTuple):
+    kind: str
+    text: str
+    line: int
+
+
+@dataclass
+class Document:
+    """The content of a file, and the line of each entry by its path."""
+
+    name: str
+    values: dict[str, Any]
+    lines: dict[EntryPath, int] = field(default_factory=dict)
+
+    def where(self, path: EntryPath) -> str:
+        """ "engine.toml:41 elements.AB.stiffness"; the line is that of the nearest entry around it that has one."""
+        known = next((path[:n] for n in range(len(path), 0, -1) if path[:n] in self.lines), None)
+        line = f":{self.lines[known]}" if known else ""
+        return f"{self.name}{line} {shown(path)}".rstrip()
+
+
+def shown(path: EntryPath) -> str:
+    """A path as text: elements.AB.a[1]."""
+    text = ""
+    for part in path:
+        text += f"[{part}]" if isinstance(part, int) else f".{part}" if re.fullmatch(r"[\w-]+", part) else f".{part!r}"
+    return text.removeprefix(".")
+
+
+def read_document(path: Path, largest: float = LARGEST) -> Document:
+    """The document in a .toml or .json file, in UTF-8.
+
+    Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, ENCODING, WRONG_FORMAT, UNKNOWN_FORMAT, SYNTAX, DUPLICATE_NAME."""
+    check_file(path, largest)
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("toml", "json"):
+        hint = "A model file is TOML or JSON."
+        raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the extension '{path.suffix}'", path.suffix, ".toml .json", hint))
+    return parse_document(decoded(path.read_bytes(), path.name, "utf-8"), path.name, kind)
+
+
+def parse_document(text: str, name: str, kind: str = "toml") -> Document:
+    """The document in a text."""
+    document = Document(name, {})
+    text = text.replace("\r\n", "\n")
+    with Problems() as problems:
+        scan = Scan(text, document, problems)
+        scan.value(()) if kind == "json" else scan.statements()
+    try:
+        document.values = tomllib.loads(text) if kind == "toml" else json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise JaxbodyError(_syntax(error, text, document)) from None
+    if not isinstance(document.values, dict):
+        raise JaxbodyError(Problem("SYNTAX", name, "has no names at its top", limit="an object with names", hint="Begin with {."))
+    return document
+
+
+def _syntax(error: Exception, text: str, document: Document) -> Problem:
+    """The problem of a text that its parser refuses."""
+    message = str(error).partition(" (at ")[0].partition(": line ")[0]
+    found = re.search(r"\(?(?:at )?line (\d+),? column (\d+)", str(error))
+    line = int(found[1]) if found else text.rstrip().count("\n") + 1
+    at = f", column {found[2]}" if found else ""
+    hint = 'Words and units need quotation marks: stiffness = "21 N/mm".' if message.startswith("Invalid value") else ""
+    return Problem("SYNTAX", f"{document.name}:{line}", f"{message[:1].lower()}{message[1:].partition(';')[0]}{at}", hint=hint)
+
+
+class Scan:
+    """One pass over the text of a document, which notes lines and names that occur twice. It follows any text to its end; whether that is
+    well formed is left to the parser."""
+
+    def __init__(self, text: str, document: Document, problems: Problems):
+        self.document, self.problems = document, problems
+        self.rest: Iterator[Token] = _tokens(text)
+        self.token = next(self.rest)
+        self.headings: set[EntryPath] = set()
+        self.counts: dict[EntryPath, int] = {}  # of the tables of each array of tables
+
+    def next(self) -> Token:
+        """This token, and a step to the next one."""
+        token, self.token = self.token, next(self.rest)
+        return token
+
+    def takes(self, sign: str) -> bool:
+        """A step past a sign, if it comes next."""
+        return self.token.text == sign and self.token.kind == "sign" and bool(self.next())
+
+    def skip_lines(self) -> None:
+        while self.token.kind == "newline":
+            self.next()
+
+    def statements(self) -> None:
+        """The headings and keys of TOML."""
+        table: EntryPath = ()
+        while self.token.kind != "end":
+            self.skip_lines()
+            if self.takes("["):
+                table = self.heading(self.takes("["))
+            elif self.token.kind != "end":
+                self.entry(table)
+            while self.token.kind not in ("newline", "end"):
+                self.next()
+
+    def heading(self, several: bool) -> EntryPath:
+        """The path of a table, [a.b], or of the next one of an array of tables, [[a.b]]."""
+        line, names = self.token.line, self.names(("]",))
+        path: EntryPath = ()
+        for name in names[:-1]:
+            path = self.last((*path, name))
+        path = (*path, *names[-1:])
+        if several:
+            self.counts[path] = self.counts.get(path, 0) + 1
+            path = self.last(path)
+        self.note(path, line, path in self.headings and not several)
+        self.headings.add(path)
+        return path
+
+    def last(self, path: EntryPath) -> EntryPath:
+        """The path of a table, or of the last one of an array of tables."""
+        return (*path, self.counts[path] - 1) if path in self.counts else path
+
+    def entry(self, table: EntryPath, depth: int = 1) -> None:
+        """key = value, "key": value."""
+        line, names = self.token.line, self.names(("=", ":"))
+        path = (*table, *names)
+        for n in range(1, len(names)):
+            self.document.lines.setdefault((*table, *names[:n]), line)
+        self.note(path, line, path in self.document.lines)
+        self.value(path, depth + len(names))
+
+    def note(self, path: EntryPath, line: int, twice: bool) -> None:
+        if twice and path:
+            first, hint = self.document.lines[path], "Rename one, or delete it."
+            message = f"is stated twice, first in line {first}"
+            self.problems.add("DUPLICATE_NAME", f"{self.document.name}:{line} {shown(path)}", message, value=path[-1], hint=hint)
+        self.document.lines[path] = line
+
+    def names(self, ends: tuple[str, ...]) -> list[str]:
+        """A dotted name up to one of these signs, which is passed, or the end of the line."""
+        names: list[str] = []
+        while self.token.kind not in ("newline", "end") and not any(map(self.takes, ends)):
+            token = self.next()
+            if token.kind != "sign":
+                names.append(_text(token) if token.kind == "string" else token.text)
+        if len(names) > DEEPEST:
+            self.too_deep(self.token.line)
+        return names
+
+    def value(self, path: EntryPath, depth: int = 0) -> None:
+        """An array, a table in braces, or anything else up to the next comma, bracket or end of the line."""
+        if depth > DEEPEST:
+            self.too_deep(self.token.line)
+        if not path:  # JSON, whose text is one value
+            self.skip_lines()
+        if self.takes("{"):
+            self.skip_lines()
+            while self.token.kind != "end" and not self.takes("}"):
+                self.entry(path, depth)
+                self.skip_lines()
+                self.takes(",")
+                self.skip_lines()
+        elif self.takes("["):
+            i = 0
+            self.skip_lines()
+            while self.token.kind != "end" and not self.takes("]"):
+                token, self.document.lines[(*path, i)] = self.token, self.token.line
+                self.value((*path, i), depth + 1)
+                if self.token is token:  # a sign that belongs to no value
+                    self.next()
+                self.skip_lines()
+                self.takes(",")
+                self.skip_lines()
+                i += 1
+        else:
+            while self.token.kind not in ("newline", "end") and not (self.token.kind == "sign" and self.token.text in ",]}"):
+                self.next()
+
+    def too_deep(self, line: int) -> None:
+        hint = "A model file needs a few levels only."
+        where = f"{self.document.name}:{line}"
+        raise JaxbodyError(Problem("TOO_LARGE", where, f"is nested more than {DEEPEST} levels deep", limit=f"{DEEPEST} levels", hint=hint))
+
+
+def _tokens(text: str) -> Iterator[Token]:
+    line = 1
+    for match in TOKEN.finditer(text):
+        kind, content = str(match.lastgroup), match.group()
+        if kind != "skip":
+            yield Token(kind, content, line)
+        line += content.count("\n")
+    while True:
+        yield Token("end", "", line)
+
+
+def _text(token: Token) -> str:
+    """The text of a name in quotation marks."""
+    try:
+        return tomllib.loads(f"name = {token.text}")["name"]
+    except tomllib.TOMLDecodeError:
+        return token.text

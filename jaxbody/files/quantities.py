@@ -1,0 +1,168 @@
+"""Quantities in model files: numbers with a stated unit, to SI.
+
+    "21 N/mm"   "-2100, 700, 0 mm"   ["10 mm", "2 cm"]   and, where the file states a unit system, 21e3
+
+Numbers without a unit belong to the unit system of the file; without one they are an error, unless they are zero or the quantity has no
+unit.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from jaxbody.core import units
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+
+LONGEST = 10_000  # characters of one quantity
+NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)"
+NUMBERS = re.compile(rf"[(\[]?\s*({NUMBER})((?:\s*[,;]\s*|\s+)(?:{NUMBER})(?=[\s,;)\]]|$))*\s*[)\]]?")
+BASE = {"length": units.LENGTH, "time": units.TIME, "angle": units.ANGLE, "mass": units.MASS, "force": units.FORCE}
+SI = {"length": "m", "time": "s", "angle": "rad", "mass": "kg"}
+
+
+@dataclass(frozen=True)
+class UnitSystem:
+    """The factors to SI of the base units of a file."""
+
+    length: float
+    mass: float
+    time: float
+    angle: float
+
+    def factor(self, dimension: units.Dimension) -> float:
+        """That of a quantity of this dimension."""
+        m, kg, s, rad, _ = dimension
+        return self.length**m * self.mass**kg * self.time**s * self.angle**rad
+
+
+def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | None:
+    """The system that a file states: "SI", or units of length, time, angle, and mass or force; None without one. Errors: BAD_UNIT,
+    UNKNOWN_UNIT."""
+    hint = 'Write units = "SI", or units = {length = "mm", force = "N", time = "s", angle = "deg"}.'
+    if stated is None:
+        return None
+    stated = SI if stated == "SI" else stated
+    given = set(stated) if isinstance(stated, dict) else set()
+    if not given or given - set(BASE) or {"length", "time", "angle"} - given or len(given & {"mass", "force"}) != 1:
+        problems.add("BAD_UNIT", where, f"is {stated!r:.60}", value=stated, limit="length, time, angle, and mass or force", hint=hint)
+        return None
+    factors = {}
+    for name, text in stated.items():
+        unit = problems.gather(lambda text=text, name=name: units.parse(text, f"{where}.{name}"))
+        if unit is not None and unit.dimension != BASE[name]:
+            problems.add("BAD_UNIT", f"{where}.{name}", f"is '{text}'", value=text, limit=f"a unit of {name}", hint=hint)
+        factors[name] = unit.factor if unit else 1.0
+    length, time = factors["length"], factors["time"]
+    mass = factors["mass"] if "mass" in factors else factors["force"] * time**2 / length
+    return UnitSystem(length, mass, time, factors["angle"])
+
+
+def dimension(unit: str, words: dict[str, str]) -> units.Dimension:
+    """The dimension of a unit, which may be a formula in words: "force/argument" with {"force": "N", "argument": "m"}."""
+    for word, meaning in words.items():
+        unit = re.sub(rf"\b{word}\b", f"({meaning})", unit)
+    return units.parse(unit, "unit").dimension if unit else units.NONE
+
+
+def in_SI(value: Any, unit: str, words: dict[str, str], system: UnitSystem | None, where: str, problems: Problems) -> Any:
+    """A number, or nested lists of them, in SI.
+
+    Args:
+        value: number, text, or list of these
+        unit: of all numbers, or of parts of a row and rows of a matrix ("N/m, N; N, N m/rad"); "^n" stands for the powers 1, 2, ...
+        words: what the words of the unit stand for
+
+    Errors: NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER."""
+    blocks = [[part.strip() for part in row.split(",")] for row in unit.split(";")]
+    rows = value if isinstance(value, list) else []
+    if len(blocks) > 1 and not any(isinstance(row, list) for row in rows):
+        blocks = [blocks[0][:1]]
+    return _converted(value, _Expected(blocks, words, system, where, problems), ())
+
+
+@dataclass(frozen=True)
+class _Expected:
+    """What units the numbers of one quantity have."""
+
+    blocks: list[list[str]]
+    words: dict[str, str]
+    system: UnitSystem | None
+    where: str
+    problems: Problems
+
+    def dimension(self, index: tuple[tuple[int, int], ...]) -> units.Dimension:
+        """That of the number at an index, each place of which is (i, n): i of n."""
+        (i, n), (j, m) = ((0, 1), (0, 1), *index)[-2:]
+        row = self.blocks[i * len(self.blocks) // n]
+        return dimension(row[j * len(row) // m].replace("^n", f"^{j + 1}" if j else ""), self.words)
+
+
+def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ...]) -> Any:
+    if isinstance(value, list):
+        return [_converted(x, expected, (*index, (i, len(value)))) for i, x in enumerate(value)]
+    if isinstance(value, str):
+        return _of_text(value, expected, index)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        message = f"is {value!r:.60}, which is not a number"
+        expected.problems.add("NOT_A_NUMBER", expected.where, message, value=value, limit="a number, or a text with its unit")
+        return 0.0
+    dimension, value = expected.dimension(index), _float(value)
+    if dimension == units.NONE or value == 0:
+        return value
+    if expected.system is None:
+        si = units.si_words(dimension)
+        hint = f'Write "{value:g} {si}", or units = "SI" at the top of the file.'
+        expected.problems.add(
+            "NO_UNIT", expected.where, f"is {value:g} without a unit", value=value, limit=f"a unit such as {si}", hint=hint
+        )
+        return 0.0
+    return _times(value, expected.system.factor(dimension))
+
+
+def _float(value: float) -> float:
+    """A number as a float, infinite where it is too large for one."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _times(value: float, factor: float) -> float:
+    """value * factor; 700 mm are 700/1000 m, as 700 * 0.001 is rounded twice."""
+    divisor = 1 / factor
+    return value if factor == 1 else value / divisor if divisor == round(divisor) else value * factor
+
+
+def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...]) -> Any:
+    match = NUMBERS.match(text.strip()) if len(text) <= LONGEST else None
+    if match is None:
+        limit = 'a number with its unit, such as "21 N/mm"'
+        expected.problems.add("NOT_A_NUMBER", expected.where, f"is {text!r:.60}", value=text, limit=limit)
+        return 0.0
+    numbers = [float(number) for number in re.findall(NUMBER, match.group())]
+    written = text.strip()[match.end() :].strip()
+    if not written:
+        return _converted(numbers if len(numbers) > 1 else numbers[0], expected, index)
+    try:
+        unit = units.parse(written, expected.where)
+    except JaxbodyError as error:
+        expected.problems.collected += error.problems
+        return 0.0
+    wanted = (
+        [expected.dimension((*index, (i, len(numbers)))) for i in range(len(numbers))] if len(numbers) > 1 else [expected.dimension(index)]
+    )
+    for dimension in wanted:
+        if dimension != unit.dimension:
+            expected.problems.collected.append(_mismatch(text, unit, dimension, expected.where))
+            return 0.0
+    values = [_times(number, unit.factor) for number in numbers]
+    return values if len(values) > 1 else values[0]
+
+
+def _mismatch(text: str, unit: units.Unit, dimension: units.Dimension, where: str) -> Problem:
+    si = units.si_words(dimension)
+    hint = f"Give it in {si}." if dimension != units.NONE else "It has no unit."
+    return Problem("WRONG_DIMENSION", where, f"is '{text}', in {unit.si}", text, f"a unit such as {si}", hint)

@@ -1,0 +1,159 @@
+"""The check of a document against the schema of model files: known names, required entries, numbers in SI. It needs no JAX.
+
+The schema is JSON schema, which editors use as well, with the words `unit` (of the numbers of an entry) and `words` (what the words of
+units stand for below it).
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from pathlib import Path
+from typing import Any
+
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
+from jaxbody.files.documents import Document, EntryPath
+from jaxbody.files.quantities import UnitSystem, in_SI, unit_system
+
+VERSION = 1
+SCHEMA_FILE = Path(__file__).with_name("schema.json")
+TYPES = {"string": str, "boolean": bool, "number": (int, float), "integer": int, "array": list, "object": dict}
+CALLED = {
+    "string": "a text",
+    "boolean": "true or false",
+    "number": "a number",
+    "integer": "a whole number",
+    "array": "a list",
+    "object": "a table",
+}
+
+
+@functools.cache
+def schema() -> dict[str, Any]:
+    """The schema of model files."""
+    return json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))
+
+
+def checked_values(document: Document) -> dict[str, Any]:
+    """The values of a document, with all numbers in SI. All problems are in one error, each with its line.
+
+    Errors: FILE_VERSION, UNKNOWN_NAME, MISSING_ENTRY, WRONG_KIND, those of quantities."""
+    _check_version(document)
+    with Problems() as problems:
+        stated = document.values.get("units")
+        system = unit_system(stated, document.where(("units",)), problems)
+    with Problems() as problems:
+        return Check(document, system, problems).value(document.values, schema(), (), {})
+
+
+def _check_version(document: Document) -> None:
+    version = document.values.get("jaxbody")
+    if version != VERSION or isinstance(version, bool):
+        hint = (
+            f"This jaxbody reads version {VERSION}: install a newer one."
+            if isinstance(version, int) and version > VERSION
+            else f"Write jaxbody = {VERSION} in its first line."
+        )
+        said = "does not state its version" if version is None else f"is version {version!r:.20}"
+        raise JaxbodyError(Problem("FILE_VERSION", document.where(("jaxbody",)), said, version, str(VERSION), hint))
+
+
+class Check:
+    """A walk through the values of a document and the schema."""
+
+    def __init__(self, document: Document, system: UnitSystem | None, problems: Problems):
+        self.document, self.system, self.problems = document, system, problems
+
+    def value(self, value: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> Any:
+        """A value with its numbers in SI; as it is where there is a problem."""
+        words = words | node.get("words", {})
+        node = resolved(node)
+        if "oneOf" in node:
+            chosen = self.alternative(value, node, path)
+            return value if chosen is None else self.value(value, chosen, path, words)
+        if "unit" in node:
+            return self.quantity(value, node, path, words)
+        if not accepts(node, value):
+            self.wrong_kind(value, node, path)
+            return value
+        if isinstance(value, dict):
+            return self.table(value, node, path, words)
+        if isinstance(value, list):
+            return [self.value(x, of, (*path, i), words) for i, (x, of) in enumerate(zip(value, _items(node, len(value)), strict=True))]
+        if value not in node.get("enum", [value]):
+            self.problems.collected.append(unknown(value, self.document.where(path), tuple(node["enum"])))
+        return value
+
+    def quantity(self, value: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> Any:
+        if not isinstance(value, list | str | int | float):
+            self.wrong_kind(value, node, path)
+            return value
+        numbers = in_SI(value, node["unit"], words, self.system, self.document.where(path), self.problems)
+        return numbers if "number" in node["type"] or isinstance(numbers, list) else [numbers]
+
+    def table(self, value: dict[str, Any], node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> dict[str, Any]:
+        known, others = node.get("properties", {}), node.get("additionalProperties", False)
+        for name in node.get("required", []):
+            if name not in value:
+                text = resolved(known[name]).get("description", "")
+                message, hint = f"has no '{name}'", f"Give {name} = ...{': ' + text if text else ''}"
+                self.problems.add("MISSING_ENTRY", self.document.where(path), message, value=name, limit=name, hint=hint)
+        values = {}
+        for name, entry in value.items():
+            if name in known:
+                values[name] = self.value(entry, known[name], (*path, name), words) if name != "type" else entry
+            elif others:
+                values[name] = self.value(entry, others, (*path, name), words)
+            else:
+                self.problems.collected.append(unknown(name, self.document.where((*path, name)), tuple(known)))
+        return values
+
+    def alternative(self, value: Any, node: dict[str, Any], path: EntryPath) -> dict[str, Any] | None:
+        """The one of several schemas that a value is meant for; None with a problem, and for a class of the user's, which is checked when
+        it is imported."""
+        options = [resolved(option) for option in node["oneOf"]]
+        fitting = [option for option in options if accepts(option, value)]
+        types = {option["properties"]["type"]["const"]: option for option in fitting if "type" in option.get("properties", {})}
+        if isinstance(value, dict) and types:
+            name = value.get("type")
+            if isinstance(name, str) and ":" in name:
+                return None
+            if name is None:
+                hint = f"Known: {', '.join(types)}."
+                self.problems.add("MISSING_ENTRY", self.document.where(path), "has no 'type'", value=value, limit="type", hint=hint)
+            elif str(name) not in types:
+                self.problems.collected.append(unknown(str(name), self.document.where((*path, "type")), tuple(types)))
+            return types.get(str(name))
+        if not fitting:
+            self.wrong_kind(value, {"type": [kind for option in options for kind in _types(option)]}, path)
+            return None
+        return fitting[0]
+
+    def wrong_kind(self, value: Any, node: dict[str, Any], path: EntryPath) -> None:
+        limit = " or ".join(dict.fromkeys(CALLED[kind] for kind in _types(node)))
+        self.problems.add("WRONG_KIND", self.document.where(path), f"is {value!r:.60}", value=value, limit=limit)
+
+
+def resolved(node: dict[str, Any]) -> dict[str, Any]:
+    """The definition that a schema refers to, with what is said beside the reference."""
+    if "$ref" not in node:
+        return node
+    definition = schema()["$defs"][node["$ref"].rpartition("/")[2]]
+    return definition | {name: text for name, text in node.items() if name == "description"}
+
+
+def accepts(node: dict[str, Any], value: Any) -> bool:
+    """Whether a value is of the type of a schema."""
+    fits = {kind for kind in _types(node) if isinstance(value, TYPES[kind])}
+    return bool(fits) and not (isinstance(value, bool) and "boolean" not in fits)
+
+
+def _types(node: dict[str, Any]) -> list[str]:
+    kinds = node.get("type", [])
+    return [kinds] if isinstance(kinds, str) else kinds
+
+
+def _items(node: dict[str, Any], n: int) -> list[dict[str, Any]]:
+    """The schemas of n items; those beyond the ones that are stated may be anything, and are refused where the object is made."""
+    first = node.get("prefixItems", [])
+    return [*first, *[node.get("items", {"type": list(TYPES)})] * n][:n]

@@ -1,0 +1,149 @@
+"""Writers: a model as the values of a document, in SI, and as text."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import tomlkit
+
+from jaxbody.core.arrays import is_concrete
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.files.kinds import ELEMENTS, PLAIN, SECTIONS, TYPES, Argument, arguments_of
+from jaxbody.files.schemas import VERSION
+from jaxbody.laws.laws import Function, Law, Linear, Sum
+from jaxbody.models.joints import Free
+from jaxbody.models.models import Model
+
+IN_LINE = 8  # numbers
+SHORT = ("supports", "joints")  # sections whose objects take one line each
+NOT_IN_FILES = "A file holds numbers and names only."
+
+
+def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
+    """The values of a document that states a model, in SI."""
+    if not is_concrete(model):
+        raise JaxbodyError(
+            Problem("TRACED", "write_model", "cannot be called inside jit, vmap or grad", hint="Write the result of the program.")
+        )
+    if model.gravity.ndim > 1:
+        hint = "Write one of them: jax.tree.map(lambda x: x[0], models)."
+        raise JaxbodyError(Problem("BAD_SHAPE", "write_model", f"is a batch of {len(model.gravity)} models", limit="one model", hint=hint))
+    layout, writer = model.layout, Writer(allow)
+    joints = {name: model.joint(name) for name in layout.bodies}
+    sections: dict[str, dict[str, Any]] = {
+        "bodies": {name: model[name] for name in layout.bodies},
+        "supports": {name: model[name] for name in layout.supports},
+        "joints": {name: joint for name, joint in joints.items() if not (type(joint) is Free and joint.parent == "world")},
+        "elements": {name: model[name] for name in model.element_names},
+    }
+    values = {name: {key: writer.table(thing, f"{name}.{key}") for key, thing in things.items()} for name, things in sections.items()}
+    writer.problems.raise_if_any()
+    first = {"jaxbody": VERSION, "units": "SI", "gravity": _numbers(model.gravity)}
+    return first | {name: tables for name, tables in values.items() if tables}
+
+
+class Writer:
+    """States objects as tables of their arguments; those that are as the constructor has them by itself are left out."""
+
+    def __init__(self, allow: Sequence[str]):
+        self.allow, self.problems = allow, Problems()
+
+    def type_of(self, thing: Any, where: str) -> str:
+        kind = type(thing)
+        if kind in TYPES.values():
+            return kind.__name__
+        if isinstance(thing, Function) or "<locals>" in kind.__qualname__:
+            hint = f"{NOT_IN_FILES} Write a class in a module of yours, and name the module in allow=[...]."
+            self.problems.add("OWN_CODE", where, f"is a {kind.__name__} of your own Python", value=thing, hint=hint)
+        elif kind.__module__ not in self.allow:
+            hint = f"Give allow=['{kind.__module__}'] here and to read_model."
+            self.problems.add("NOT_ALLOWED", where, f"is a {kind.__name__} from {kind.__module__}", value=thing, hint=hint)
+        return f"{kind.__module__}:{kind.__qualname__}"
+
+    def table(self, thing: Any, where: str) -> dict[str, Any]:
+        values: dict[str, Any] = {} if type(thing) in PLAIN.values() else {"type": self.type_of(thing, where)}
+        ends = iter(zip(thing.between, thing.points, strict=True) if type(thing) in ELEMENTS else ())
+        for argument in arguments_of(type(thing)):
+            if argument.role == "end":
+                name, point = next(ends)
+                values[argument.name] = [name, _numbers(point)]
+                continue
+            value = getattr(thing, argument.field, None)
+            if value is not None and not _same(value, argument.default):
+                values[argument.name] = self.value(value, argument, f"{where}.{argument.name}")
+        return values
+
+    def value(self, value: Any, argument: Argument, where: str) -> Any:
+        if isinstance(value, Law):
+            return self.law(value, where)
+        if argument.role in ("word", "flag"):
+            return value
+        if argument.role == "words":
+            return list(value)
+        if not hasattr(value, "dtype"):
+            self.problems.add("OWN_CODE", where, f"is a {type(value).__name__}", value=value, hint=NOT_IN_FILES)
+            return 0.0
+        numbers = _numbers(value)
+        if argument.kind.domain == "inertia" and _same(value, np.diag(np.diag(value))):
+            return [row[i] for i, row in enumerate(numbers)]
+        return numbers
+
+    def law(self, law: Law, where: str) -> Any:
+        """A list of laws for a sum, the coefficient for a linear law."""
+        if isinstance(law, Sum):
+            return [self.law(term, f"{where}[{i}]") for i, term in enumerate(law.terms)]
+        return _numbers(law.coefficient) if isinstance(law, Linear) else self.table(law, where)
+
+
+def _numbers(value: Any) -> Any:
+    """An array as nested lists of Python numbers; those of float32 by their shortest decimals."""
+    array = np.asarray(value)
+    if array.dtype != np.float32:
+        return array.astype(float).tolist()
+    return np.vectorize(lambda x: float(str(x)), otypes=[float])(array).tolist()
+
+
+def _same(value: Any, default: Any) -> bool:
+    """Whether a value is that of a default, to the bit."""
+    if default is inspect.Parameter.empty or default is None or isinstance(value, Law):
+        return False
+    if not hasattr(value, "dtype"):
+        return value == default
+    other = np.asarray(default, float).astype(value.dtype)
+    return other.shape == value.shape and other.tobytes() == np.asarray(value).tobytes()
+
+
+def toml_of(values: dict[str, Any]) -> str:
+    """The text of a document: a table for each object."""
+    document = tomlkit.document()
+    for name, value in values.items():
+        if name not in SECTIONS:
+            document.add(name, value)
+            continue
+        section = tomlkit.table(is_super_table=name not in SHORT)
+        for key, entries in value.items():
+            if name in SHORT:
+                section.add(tomlkit.key(key), _item(entries))
+                continue
+            table = tomlkit.table()
+            for entry, content in entries.items():
+                table.add(entry, _item(content))
+            section.add(tomlkit.key(key), table)
+        document.add(name, section)
+    return tomlkit.dumps(document)
+
+
+def _item(value: Any) -> Any:
+    if isinstance(value, dict):
+        table = tomlkit.inline_table()
+        for name, content in value.items():
+            table.add(name, _item(content))
+        return table
+    if isinstance(value, list):
+        array = tomlkit.array()
+        array.extend(map(_item, value))
+        return array.multiline(len(value) > IN_LINE or any(isinstance(x, dict) for x in value))
+    return value

@@ -1,0 +1,456 @@
+"""Models in files: every number to the bit, problems with their lines, nothing executed."""
+
+import ast
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import hypothesis.strategies as st
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+import jaxbody as jb
+from jaxbody.files.kinds import ELEMENTS, JOINTS, LAWS, TYPES, schema
+from jaxbody.files.schemas import SCHEMA_FILE
+from jaxbody.laws.laws import Law
+
+PACKAGE = Path(jb.__file__).parent
+PRESETS = [name for name in dir(jb.presets) if isinstance(getattr(jb.presets, name), type(lambda: 0))]
+ENGINE = '''jaxbody = 1
+gravity = "0, 0, -9.81 m/s2"
+
+[bodies.engine]  # with its gearbox
+mass = "180 kg"
+inertia = "8, 12, 10 kg m2"
+position = "0, 0, 500 mm"
+orientation = {sequence = "ZYX", angles = "0, 3, 0 deg"}
+
+[supports.frame]
+position = [0, 0, "0.4 m"]
+
+[elements.left]
+type = "Bushing"
+a = ["engine", "0.3, 0.25, -0.1 m"]
+b = ["frame", "0.3, 0.25, 0 m"]
+stiffness = "200, 200, 400 N/mm"
+
+[elements.right]
+type = "SpringDamper"
+a = ["engine", "0.3, -0.25, -0.1 m"]
+b = ["frame", "0.3, -0.25, -0.2 m"]
+spring = ["200 N/mm", {type = "Stop", gap = "8 mm", stiffness = "3 kN/mm"}]
+damper = {type = "TwoSided", bump = "0.9 N s/mm", rebound = "2.1 N s/mm"}
+
+[elements.rear]
+type = "Torsion"
+a = "engine"
+b = "frame"
+axis = [0, 1, 0]
+spring = {type = "Table", file = "rear.csv"}
+'''  # fmt: skip
+
+
+class Cubic(Law):
+    coefficient: jax.Array = jb.field("force/argument^3", "nonnegative")
+
+    def force(self, x):
+        return self.coefficient * x**3
+
+
+class Charges(jb.Element):
+    strength: jax.Array = jb.field("N m2", "positive")
+
+    def deformation(self, A, B):
+        return jnp.linalg.norm(B.point(self.b) - A.point(self.a))
+
+    def energy(self, e):
+        return self.strength / e
+
+    def dissipation(self, e, e_dot):
+        return jnp.zeros_like(e)
+
+
+def same_to_the_bit(model, again):
+    (leaves, structure), (others, structure_again) = jax.tree.flatten(model), jax.tree.flatten(again)
+    assert structure == structure_again
+    for leaf, other in zip(leaves, others, strict=True):
+        assert leaf.dtype == other.dtype and np.asarray(leaf).tobytes() == np.asarray(other).tobytes()
+
+
+def again(model, path, **options):
+    jb.write_model(model, path, **options)
+    return jb.read_model(path, **options)
+
+
+@pytest.mark.everywhere
+@pytest.mark.parametrize("suffix", ["toml", "json"])
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_are_the_same_again(name, suffix, tmp_path):
+    model = getattr(jb.presets, name)()
+    same_to_the_bit(model, again(model, tmp_path / f"{name}.{suffix}"))
+
+
+# Random models
+
+numbers = st.floats(-1e9, 1e9, allow_subnormal=True) | st.sampled_from([-0.0, 5e-324, 1e-300, 0.1, 1 / 3])
+above_zero = st.floats(1e-9, 1e9)
+below_one = st.floats(0, 1)
+points = st.lists(numbers, min_size=3, max_size=3)
+directions = points.filter(lambda x: np.linalg.norm(x) > 1e-100)
+turns = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1).map(lambda q: q / np.linalg.norm(q))
+names = st.text(st.characters(exclude_categories=["C", "Z"], exclude_characters=".*?[]"), min_size=1, max_size=6)
+curves = st.lists(above_zero, min_size=4, max_size=9).map(np.cumsum).filter(lambda x: (np.diff(x) > 0).all())
+SIMPLE_LAWS = st.one_of(
+    st.builds(jb.laws.Linear, above_zero),
+    st.builds(jb.laws.Polynomial, st.lists(numbers, min_size=1, max_size=4)),
+    st.builds(jb.laws.Stop, gap=above_zero, stiffness=above_zero, engagement=above_zero, extension=st.booleans()),
+    st.builds(jb.laws.TensionOnly, above_zero),
+    st.builds(jb.laws.AirSpring, pressure=above_zero, area=above_zero, height=above_zero),
+    st.builds(jb.laws.Digressive, slow=above_zero, fast=above_zero, knee=above_zero),
+    st.builds(jb.laws.Friction, level=above_zero, velocity=above_zero),
+    curves.map(lambda x: jb.laws.Table(x, x)),
+)
+SOME_LAWS = SIMPLE_LAWS | st.builds(jb.laws.TwoSided, bump=SIMPLE_LAWS, rebound=SIMPLE_LAWS)
+SOME_LAWS = st.none() | SOME_LAWS | st.lists(SOME_LAWS, min_size=1, max_size=3).map(lambda laws: jb.laws.Sum(*laws))
+
+
+def inertia(moments, q):
+    R = np.asarray(jb.geometry.orientations.matrix(np.asarray(q)))
+    a, b, c = moments
+    return R @ np.diag([a + b, b + c, c + a]) @ R.T
+
+
+@st.composite
+def models(draw):
+    body_names = draw(st.lists(names, min_size=2, max_size=4, unique=True))
+    *body_names, support = body_names
+    size = st.floats(0.1, 10)
+    bodies = {
+        name: jb.Body(
+            mass=draw(above_zero),
+            inertia=inertia(draw(st.tuples(size, size, size)), draw(turns)),
+            com=draw(points), position=draw(points), orientation=draw(turns),
+        )
+        for name in body_names
+    }  # fmt: skip
+    joints = {}
+    for i, name in enumerate(body_names):
+        kind, parent = draw(st.sampled_from([None, *JOINTS])), draw(st.sampled_from(["world", support, *body_names[:i]]))
+        more = {"axis": draw(directions)} if kind in (jb.Guide, jb.Hinge) else {}
+        more |= {"at": draw(st.none() | points)} if kind in (jb.Hinge, jb.Ball) else {}
+        if kind is not None:
+            joints[name] = kind(parent, **more)
+
+    def end(owners):
+        return draw(st.sampled_from(owners)), draw(points)
+
+    def element(kind):
+        frames = draw(st.permutations([*body_names, support, "world"]))
+        a, b, c = end(frames[:1]), end(frames[1:2]), end(frames[2:3])
+        stiffness = {"stiffness": draw(above_zero), "damping": draw(above_zero)}
+        if kind is jb.Spring:
+            return kind(a, b, **stiffness, free_length=draw(above_zero))
+        if kind is jb.Bushing:
+            k = draw(st.lists(above_zero, min_size=6, max_size=6))
+            full = draw(st.booleans())
+            return kind(a, b, stiffness=np.diag(k) if full else k[:3], orientation=draw(turns), orientation_b=draw(turns))
+        if kind is jb.Contact:
+            return kind(a, b, distance=draw(above_zero), **stiffness)
+        if kind is jb.Tyre:
+            return kind(a, b, radius=draw(above_zero), axis=draw(directions), **stiffness)
+        both = {"spring": draw(SOME_LAWS), "damper": draw(SOME_LAWS)}
+        if kind is jb.SpringDamper:
+            return kind(a, b, **both, free_length=draw(above_zero))
+        if kind is jb.Torsion:
+            return kind(a, b, axis=draw(directions), free_angle=draw(below_one), **both)
+        return kind(a, b, c, axis=draw(directions), **both)
+
+    kinds = draw(st.lists(st.sampled_from(ELEMENTS), max_size=4))
+    return {
+        "bodies": bodies,
+        "supports": {support: jb.Support(draw(points), draw(turns))},
+        "joints": joints,
+        "elements": {f"element {i}": element(kind) for i, kind in enumerate(kinds)},
+        "gravity": draw(points),
+    }
+
+
+def check_random_models(count, folder):
+    built = 0
+
+    @settings(max_examples=count, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+    @given(models())
+    def check(parts):
+        nonlocal built
+        try:
+            model = jb.Model(**parts)
+        except jb.JaxbodyError:  # such as names that look alike, or a contact of length zero
+            return
+        built += 1
+        for suffix in ("toml", "json"):
+            same_to_the_bit(model, again(model, folder / f"model.{suffix}"))
+
+    check()
+    return built
+
+
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_random_models_are_the_same_again(tmp_path):
+    assert check_random_models(40, tmp_path) > 20
+
+
+@pytest.mark.long
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_a_thousand_random_models_are_the_same_again(tmp_path):
+    assert check_random_models(1500, tmp_path) >= 1000
+
+
+def test_single_precision_is_the_same_again(tmp_path):
+    with jax.enable_x64(False):
+        model = jb.presets.full_car()
+        assert model.gravity.dtype == jnp.float32
+        same_to_the_bit(model, again(model, tmp_path / "car.toml"))
+    assert "0.1" not in jax.tree.leaves(model)
+
+
+# What a person writes
+
+
+def engine(folder, text=ENGINE):
+    (folder / "rear.csv").write_text("angle [deg], moment [Nm]\n" + "".join(f"{i}, {3 * i}\n" for i in range(-5, 6)))
+    (folder / "engine.toml").write_text(text)
+    return folder / "engine.toml"
+
+
+def test_a_file_by_hand_is_the_model_in_python(tmp_path):
+    angles = np.arange(-5.0, 6.0)
+    model = jb.Model(
+        bodies={"engine": jb.Body(180.0, [8, 12, 10], position=[0, 0, 0.5], orientation=jb.Euler("ZYX", np.deg2rad([0.0, 3, 0])))},
+        supports={"frame": jb.Support([0, 0, 0.4])},
+        elements={
+            "left": jb.Bushing(("engine", [0.3, 0.25, -0.1]), ("frame", [0.3, 0.25, 0]), stiffness=[2e5, 2e5, 4e5]),
+            "right": jb.SpringDamper(
+                ("engine", [0.3, -0.25, -0.1]), ("frame", [0.3, -0.25, -0.2]),
+                spring=jb.laws.Linear(2e5) + jb.laws.Stop(gap=0.008, stiffness=3e6), damper=jb.laws.TwoSided(bump=900.0, rebound=2100.0),
+            ),
+            "rear": jb.Torsion("engine", "frame", axis=[0, 1, 0], spring=jb.laws.Table(np.deg2rad(angles), 3 * angles)),
+        },
+        gravity=[0, 0, -9.81],
+    )  # fmt: skip
+    read = jb.read_model(engine(tmp_path))
+    assert jax.tree.structure(read) == jax.tree.structure(model)
+    for leaf, other in zip(jax.tree.leaves(read), jax.tree.leaves(model), strict=True):
+        np.testing.assert_allclose(leaf, other, rtol=1e-15, atol=1e-18)  # rounding of the conversions of units
+
+
+@pytest.mark.everywhere
+@pytest.mark.parametrize(
+    "old, new, line, message",
+    [
+        ('mass = "180 kg"', "mass = 180", 5, "bodies.engine.mass: is 180 without a unit (allowed: a unit such as kg)"),
+        ('mass = "180 kg"', 'mass = "-180 kg"', 5, "bodies.engine.mass: is -180 kg (allowed: > 0)"),
+        ('mass = "180 kg"', 'weight = "180 kg"', 5, "bodies.engine.weight: 'weight' is unknown"),
+        ('mass = "180 kg"\n', "", 4, "bodies.engine: has no 'mass'"),
+        ("8, 12, 10 kg m2", "8, 12, 30 kg m2", 6, "bodies.engine.inertia: has principal moments 8, 12, 30 kg m2"),
+        ("0, 0, 500 mm", "0, 0, 500 mm2", 7, "bodies.engine.position: is '0, 0, 500 mm2', in m2"),
+        ("0, 0, 500 mm", "0, 500 mm", 7, "bodies.engine.position: has shape (2,)"),
+        ("0, 3, 0 deg", "0, 3, 0", 8, "bodies.engine.orientation.angles: is 3 without a unit"),
+        ("[supports.frame]", "[bodies.engine]", 10, "bodies.engine: is stated twice, first in line 4"),
+        ('"Bushing"', '"Busing"', 14, "elements.left.type: 'Busing' is unknown. Did you mean 'Bushing'?"),
+        ('"Bushing"', '"os:system"', 14, "elements.left.type: names the module 'os'"),
+        ('["engine", "0.3, 0.25, -0.1 m"]', '["engin", "0.3, 0.25, -0.1 m"]', 13, "elements.left: body or support 'engin' is unknown"),
+        ('["engine", "0.3, 0.25, -0.1 m"]', "3", 15, "elements.left.a: is 3 (allowed: a text or a list)"),
+        ("200, 200, 400 N/mm", "200, -200, 400 N/mm", 17, "elements.left.stiffness: has coefficients 200000, -200000, 400000"),
+        ("8 mm", "-8 mm", 23, "elements.right.spring[1].gap: is -0.008 m"),
+        ('"3 kN/mm"', '"3 kN mm"', 23, "elements.right.spring[1].stiffness: is '3 kN mm', in N m (allowed: a unit such as N/m)"),
+        ('"0.9 N s/mm"', '"0.9 N/mm"', 24, "elements.right.damper.bump: is '0.9 N/mm', in N/m (allowed: a unit such as N s/m)"),
+        ('"rear.csv"', '"../rear.csv"', 31, "elements.rear.spring.file: names '../rear.csv'"),
+        ('"rear.csv"', '"read.csv"', 31, "elements.rear.spring.file: "),
+        ("jaxbody = 1", "jaxbody = 2", 1, "jaxbody: is version 2 (allowed: 1). This jaxbody reads version 1: install a newer one."),
+        ("jaxbody = 1\n", "\n", None, "jaxbody: does not state its version"),
+        ("[bodies.engine]", "[bodies.engin]", 13, "elements.left: body or support 'engine' is unknown"),
+        ('axis = [0, 1, 0]', 'axis = [0, 0, 0]', 30, "elements.rear.axis: has length zero"),
+        ('gravity = "0, 0, -9.81 m/s2"', 'gravity = "9.81 m/s2"', 2, "gravity: has shape (1,)"),
+    ],
+)  # fmt: skip
+def test_problems_are_reported_with_their_line(old, new, line, message, tmp_path):
+    assert old in ENGINE
+    with pytest.raises(jb.JaxbodyError) as error:
+        jb.read_model(engine(tmp_path, ENGINE.replace(old, new, 1)))
+    assert f"engine.toml{f':{line}' if line else ''} {message}" in str(error.value)
+    assert len(str(error.value).splitlines()) <= 12
+
+
+def test_all_problems_are_in_one_error(tmp_path):
+    text = ENGINE.replace("180 kg", "180 m").replace('"Bushing"', '"Spring"').replace("gap", "gab").replace("[0, 1, 0]", '"y"')
+    with pytest.raises(jb.JaxbodyError) as error:
+        jb.read_model(engine(tmp_path, text))
+    assert [problem.code for problem in error.value.problems] == ["WRONG_DIMENSION", "MISSING_ENTRY", "UNKNOWN_NAME", "NOT_A_NUMBER"]
+
+
+def test_own_classes_are_taken_from_modules_that_are_allowed(tmp_path):
+    ends = {"a": jnp.zeros(3), "b": jnp.ones(3)}
+    ball = jb.Body(mass=0.2, inertia=[1, 1, 1])
+    elements = {
+        "pair": Charges(("ball", "world"), **ends, strength=jnp.array(0.5)),
+        "rubber": jb.SpringDamper(("ball", [0, 0, 0]), ("world", [0, 0, 1]), spring=Cubic(jnp.array(8.0))),
+    }
+    model = jb.Model(bodies={"ball": ball}, elements=elements)
+    same_to_the_bit(model, again(model, tmp_path / "own.toml", allow=[__name__]))
+    with pytest.raises(jb.JaxbodyError, match=f"elements.pair: is a Charges from {__name__}.*NOT_ALLOWED"):
+        jb.write_model(model, tmp_path / "own.toml")
+    with pytest.raises(jb.JaxbodyError, match=f"names the module '{__name__}'.*NOT_ALLOWED"):
+        jb.read_model(tmp_path / "own.toml")
+    with pytest.raises(jb.JaxbodyError, match="which cannot be imported"):
+        (tmp_path / "own.json").write_text(
+            '{"jaxbody": 1, "bodies": {"a": {"mass": "1 kg"}}, "joints": {"a": {"type": "mine.joints:Nut"}}}'
+        )
+        jb.read_model(tmp_path / "own.json", allow=["mine.joints"])
+    text = (tmp_path / "own.toml").read_text()
+    for old, new, code in (("0.5", "-0.5", "NOT_POSITIVE"), ("strength", "length", "MISSING_ENTRY"), ("Charges", "given", "UNKNOWN_NAME")):
+        (tmp_path / "own.toml").write_text(text.replace(old, new))
+        with pytest.raises(jb.JaxbodyError) as error:
+            jb.read_model(tmp_path / "own.toml", allow=[__name__])
+        assert error.value.code == code and "own.toml" in error.value.where
+
+
+def test_what_has_no_text_is_named(tmp_path):
+    spring = jb.SpringDamper(("ball", [0, 0, 0]), ("world", [0, 0, 1]), spring=lambda x: x**3)
+    model = jb.Model(bodies={"ball": jb.Body(mass=1.0)}, joints={"ball": jb.Translation("world")}, elements={"s": spring})
+    with pytest.raises(jb.JaxbodyError, match=r"elements.s.spring: is a Function of your own Python.*OWN_CODE"):
+        jb.write_model(model, tmp_path / "m.toml")
+    car = jb.presets.quarter_car()
+    with pytest.raises(jb.JaxbodyError, match=r"is a batch of 2 models.*BAD_SHAPE"):
+        jb.write_model(jax.tree.map(lambda x: jnp.stack([x, x]), car), tmp_path / "m.toml")
+    with pytest.raises(jb.JaxbodyError, match="TRACED"):
+        jax.jit(lambda model: jb.write_model(model, tmp_path / "m.toml"))(car)
+    with pytest.raises(jb.JaxbodyError, match="UNKNOWN_FORMAT"):
+        jb.write_model(car, tmp_path / "m.yaml")
+    with pytest.raises(jb.JaxbodyError, match="NOT_SAVED"):
+        jb.write_model(car, tmp_path / "none" / "m.toml")
+    assert not list(tmp_path.iterdir())
+
+
+# The schema
+
+
+def test_the_schema_is_that_of_the_fields():
+    assert json.loads(SCHEMA_FILE.read_text()) == schema(), "run: python -c 'from jaxbody.files.kinds import write_schema; write_schema()'"
+
+
+def test_every_class_of_the_package_is_in_the_schema():
+    def below(kind):
+        return {x for sub in kind.__subclasses__() for x in {sub, *below(sub)}}
+
+    public = {vars(jb.laws)[name] for name in dir(jb.laws)} | {getattr(jb, name) for name in dir(jb) if name[0].isupper()}
+    wanted = {kind for base in (jb.Element, jb.Joint, Law) for kind in below(base) & public}
+    assert len(wanted) > 20 and wanted - set(TYPES.values()) == {jb.laws.Function, jb.laws.Sum}  # Python, and a list of laws
+    assert set(TYPES.values()) == {*JOINTS, *ELEMENTS, *LAWS}
+
+
+def test_editors_accept_what_is_read_and_refuse_what_is_not(tmp_path):
+    jsonschema = pytest.importorskip("jsonschema")
+    check = jsonschema.Draft202012Validator(schema())
+    jb.write_model(jb.presets.full_car(), tmp_path / "car.json")
+    for values in (json.loads((tmp_path / "car.json").read_text()), jb.files.documents.read_document(engine(tmp_path)).values):
+        check.validate(values)
+        values["bodies"][next(iter(values["bodies"]))].pop("mass")
+        assert not check.is_valid(values)
+
+
+# Safety
+
+
+def test_a_file_is_checked_before_JAX_is_imported(tmp_path):
+    path = engine(tmp_path, ENGINE.replace("180 kg", "180 m"))
+    code = (
+        "import sys; from pathlib import Path; from jaxbody.files.documents import read_document; "
+        "from jaxbody.files.schemas import checked_values\n"
+        f"try: checked_values(read_document(Path({str(path)!r})))\n"
+        "except ValueError as error: print(error.code, 'jax' in sys.modules, 'numpy' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["WRONG_DIMENSION", "False", "False"]
+
+
+def test_no_file_can_run_anything():
+    """No eval, exec, pickle, YAML or network in what reads and writes files."""
+    refused = {"eval", "exec", "compile", "__import__", "pickle", "marshal", "shelve", "yaml", "socket", "urllib", "http", "requests", "os"}
+    for path in (PACKAGE / "files").glob("*.py"):
+        tree = ast.parse(path.read_text())
+        used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
+        used |= {name.name.partition(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}
+        used |= {(node.module or "").partition(".")[0] for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+        assert used & refused == set(), path.name
+
+
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_mutated_files_are_models_or_clear_errors(tmp_path):
+    assert check_mutations(300, tmp_path) > 20
+
+
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+@pytest.mark.long
+def test_ten_thousand_mutated_files_are_models_or_clear_errors(tmp_path):
+    assert check_mutations(10000, tmp_path) > 500
+
+
+ODD = [
+    "",
+    "nan",
+    "-1",
+    "1e400",
+    "9" * 5000,
+    '"',
+    "[",
+    "{",
+    "}",
+    "=",
+    "\n",
+    "\0",
+    "é",
+    "type",
+    "true",
+    '"1 kg"',
+    "[[]]",
+    "1979-05-27",
+    '"""',
+]
+ODD_VALUES = [None, True, -1, 1e400, 10**400, "", "1 kg", "nan m", [], [[1], 2], {}, {"type": "Stop"}, {"type": 3}, "world", ["world", 1]]
+
+
+def check_mutations(count, folder):
+    """Characters, words and values of a file are deleted, doubled, exchanged or replaced; the number of files that are still models."""
+    rng, models = np.random.default_rng(0), 0
+    path, values = engine(folder), json.dumps(jb.files.documents.read_document(engine(folder)).values)
+    for _ in range(count):
+        name = path
+        if rng.random() < 0.3:
+            name, changed = folder / "engine.json", json.loads(values)
+            holder: Any = changed
+            while True:
+                key = rng.choice(list(holder)) if isinstance(holder, dict) else int(rng.integers(len(holder)))
+                if rng.random() < 0.3 or not (isinstance(holder[key], dict | list) and holder[key]):
+                    break
+                holder = holder[key]
+            holder[key] = ODD_VALUES[rng.integers(len(ODD_VALUES))]
+            name.write_text(json.dumps(changed))
+        else:
+            parts = re.split(r"(\b)", ENGINE) if rng.random() < 0.5 else list(ENGINE)
+            for _ in range(rng.integers(1, 3)):
+                i, j = sorted(rng.integers(0, len(parts), 2))
+                new = [[], parts[i : i + 1] * 2, [parts[j]], [str(rng.choice(ODD))], [chr(rng.integers(1, 0x2FF))]][rng.integers(5)]
+                parts[i : i + 1] = new
+            name.write_text("".join(parts), encoding="utf-8")
+        try:
+            jb.read_model(name)
+            models += 1
+        except jb.JaxbodyError as error:
+            assert error.code and len(str(error).splitlines()) <= 12
+    return models
