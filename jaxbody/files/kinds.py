@@ -121,7 +121,7 @@ def _types(annotation: str) -> tuple[str, ...]:
 def _texts(kind: type) -> dict[str, str]:
     """What the docstring says of each argument."""
     texts: dict[str, str] = {}
-    for names, text in re.findall(r"^ {8}([\w, ]+): (.*(?:\n {12}.*)*)", kind.__doc__ or "", re.M):
+    for names, text in re.findall(r"^ {4}([\w, ]+): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.M):
         texts |= {name.strip(): re.sub(r"\s+", " ", text) for name in names.split(",")}
     return texts
 
@@ -199,7 +199,7 @@ def object_schema(kind: type, type_name: str = "") -> dict[str, Any]:
     if kind is measured_curves.Table:
         properties["file"] = {"type": "string", "description": "A text file of two columns with units, in the folder of the model file."}
         required = []
-    about = (kind.__doc__ or "").strip().partition("\n\n")[0]
+    about = (inspect.getdoc(kind) or "").partition("\n\n")[0]
     return {
         "type": "object",
         "description": re.sub(r"\s+", " ", about),
