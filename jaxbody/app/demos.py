@@ -5,9 +5,8 @@ A second thread compiles the next computation while the main thread prints and d
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,15 +20,6 @@ from jaxbody.core.tables import PrintedTable, text
 NOISE = 2e-3  # m, of the simulated camera
 LIKELY = 4.0  # largest accepted error of an estimate, in standard errors
 START = time.perf_counter()
-DESCRIPTION = "Differentiable rigid bodies on springs with an imposed base motion: simulation, vibration, identification and design."
-EPILOG = """in Python:
-  import jaxbody as jb
-  model = jb.presets.full_car()   # ready models; your own: help(jb.Model)
-  print(jb.equilibrium(model))
-  jb.plots.draw_model(model)      # plots: dir(jb.plots); force laws: dir(jb.laws)
-  help(jb.simulate)               # each public name has an example; all names: dir(jb)
-"""
-
 # The nonzero entries of the paper's (77) in units of k/4: row, column, as printed, as a function of kt/k and l
 PRINTED = (
     (0, 0, "5", lambda r, l: 5.0),
@@ -43,34 +33,6 @@ PRINTED = (
     (5, 0, "4 l", lambda r, l: 4 * l),
     (5, 5, "32 l^2", lambda r, l: 32 * l**2),
 )
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """`jaxbody` prints its help; `jaxbody demo` returns exit code 0 when the fitted stiffnesses agree with the true ones."""
-    form = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser(prog="jaxbody", description=DESCRIPTION, epilog=EPILOG, formatter_class=form)
-    parser.add_argument("--version", action="version", version=f"jaxbody {jb.__version__}")
-    commands = parser.add_subparsers(dest="command", title="commands")
-    demo = commands.add_parser("demo", help="a plate on three springs and a shaking base, from the drawing to fitted stiffnesses")
-    demo.add_argument("--out", type=Path, default=Path("jaxbody-demo"), help="folder for the figures (default: ./jaxbody-demo)")
-    demo.add_argument("--seed", type=int, default=0, help="seed of the measurement noise (default: 0)")
-    options = parser.parse_args(arguments)
-    if options.command is None:
-        parser.print_help()
-        return 0
-    if arguments is None:  # the process is that of the command
-        prepare()
-    with ThreadPoolExecutor(max_workers=1) as executor:
-        return run(options.out, options.seed, executor)
-
-
-def prepare() -> None:
-    """Fast loops, and programs kept for the next run."""
-    jb.fast_loops()
-    try:
-        jb.keep_programs()
-    except jb.JaxbodyError as error:
-        print(f"Programs are not kept for the next run: {error}")
 
 
 def run(out: Path, seed: int, executor: ThreadPoolExecutor) -> int:

@@ -40,9 +40,13 @@ class Document:
     name: str
     values: dict[str, Any]
     lines: dict[EntryPath, int] = field(default_factory=dict)
+    replaced: dict[EntryPath, str] = field(default_factory=dict)  # with the text that replaced it
 
     def where(self, path: EntryPath) -> str:
         """ "engine.toml:41 elements.AB.stiffness"; the line is that of the nearest entry around it that has one."""
+        for n in range(len(path), 0, -1):
+            if path[:n] in self.replaced:
+                return f"{self.name} with {self.replaced[path[:n]]}"
         known = next((path[:n] for n in range(len(path), 0, -1) if path[:n] in self.lines), None)
         line = f":{self.lines[known]}" if known else ""
         return f"{self.name}{line} {shown(path)}".rstrip()

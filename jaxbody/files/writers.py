@@ -11,14 +11,19 @@ import tomlkit
 
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.units import si_words
 from jaxbody.files.kinds import ELEMENTS, PLAIN, SECTIONS, TYPES, Argument, arguments_of
-from jaxbody.files.schemas import VERSION
+from jaxbody.files.quantities import dimension
+from jaxbody.files.schemas import VERSION, schema
 from jaxbody.laws.laws import Function, Law, Linear, Sum
 from jaxbody.models.joints import Free
 from jaxbody.models.models import Model
 
 IN_LINE = 8  # numbers
 SHORT = ("supports", "joints")  # sections whose objects take one line each
+HEADING = """A model for jaxbody. Check it with `jaxbody check FILE`, go on with show, equilibrium, modes, response.
+Numbers without a unit are in SI; "21 N/mm" is a number with its own. Bodies: `position` is where the origin O of the body's axes is
+before the model settles, `com` the center of mass from O. Elements: each end is a body, a support or "world", and a point in its axes."""
 NOT_IN_FILES = "A file holds numbers and names only."
 
 
@@ -116,24 +121,38 @@ def _same(value: Any, default: Any) -> bool:
     return other.shape == value.shape and other.tobytes() == np.asarray(value).tobytes()
 
 
-def toml_of(values: dict[str, Any]) -> str:
-    """The text of a document: a table for each object."""
+def toml_of(values: dict[str, Any], units: bool = False) -> str:
+    """The text of a document: a table for each body and element, a line for each support and joint. `units`: with the unit of the numbers
+    in each line, and a comment on how to go on."""
     document = tomlkit.document()
+    if units:
+        for line in HEADING.splitlines():
+            document.add(tomlkit.comment(line))
     for name, value in values.items():
         if name not in SECTIONS:
-            document.add(name, value)
+            document.add(name, _with_unit(value, schema()["properties"][name]) if units else value)
             continue
         section = tomlkit.table(is_super_table=name not in SHORT)
         for key, entries in value.items():
             if name in SHORT:
                 section.add(tomlkit.key(key), _item(entries))
                 continue
+            nodes = schema()["$defs"].get("body" if name == "bodies" else entries["type"], {"properties": {}})["properties"]
             table = tomlkit.table()
             for entry, content in entries.items():
-                table.add(entry, _item(content))
+                table.add(entry, _with_unit(content, nodes.get(entry, {})) if units else _item(content))
             section.add(tomlkit.key(key), table)
         document.add(name, section)
     return tomlkit.dumps(document)
+
+
+def _with_unit(value: Any, node: dict[str, Any]) -> Any:
+    """The item of a value, with the unit of its numbers as a comment."""
+    item = _item(value)
+    end = node.get("$ref") == "#/$defs/end"
+    linear = node.get("$ref") == "#/$defs/law" and isinstance(value, float)
+    unit = "m" if end else "force/argument" if linear else node.get("unit", "").partition(",")[0]
+    return item.comment(si_words(dimension(unit, node.get("words", {})))) if unit else item
 
 
 def _item(value: Any) -> Any:
@@ -142,8 +161,8 @@ def _item(value: Any) -> Any:
         for name, content in value.items():
             table.add(name, _item(content))
         return table
-    if isinstance(value, list):
-        array = tomlkit.array()
-        array.extend(map(_item, value))
-        return array.multiline(len(value) > IN_LINE or any(isinstance(x, dict) for x in value))
-    return value
+    if not isinstance(value, list):
+        return tomlkit.item(value)
+    array = tomlkit.array()
+    array.extend(map(_item, value))
+    return array.multiline(len(value) > IN_LINE or any(isinstance(x, dict) for x in value))

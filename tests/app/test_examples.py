@@ -19,7 +19,7 @@ import pytest
 from data import data
 
 import jaxbody as jb
-from jaxbody.app import demos
+from jaxbody.app import commands, demos
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
@@ -134,7 +134,7 @@ def test_the_papers_formulas_as_printed():
 @pytest.mark.long  # .ci/run runs it too
 def test_the_demo_prints_and_draws_its_results(contract, tmp_path, capsys, monkeypatch):
     """After the contract script, whose compiled functions it shares; the exit code is 1 when an estimate is off."""
-    assert demos.main(["demo", "--out", str(tmp_path)]) == 0
+    assert commands.main(["demo", "--out", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     for word in ("paper (77)", "paper (79)", "Equilibrium", "Modes", "Trajectory", "truth", "standard error", "Done."):
         assert word in printed
@@ -142,12 +142,12 @@ def test_the_demo_prints_and_draws_its_results(contract, tmp_path, capsys, monke
         picture = (tmp_path / f"{name}.png").read_bytes()
         assert picture[:4] == b"\x89PNG" and len(picture) > 10_000
     monkeypatch.setattr(demos, "LIKELY", 1e-9)
-    assert demos.main(["demo", "--out", str(tmp_path)]) == 1
+    assert commands.main(["demo", "--out", str(tmp_path)]) == 1
     assert "too far from the true values" in capsys.readouterr().out
 
 
 def test_the_command_alone_prints_its_help(capsys):
-    assert demos.main([]) == 0
+    assert commands.main([]) == 0
     printed = capsys.readouterr().out
     assert "usage: jaxbody" in printed and "demo" in printed and "--version" in printed
     for name in re.findall(r"jb\.([a-zA-Z_.]+)", printed):
@@ -156,7 +156,7 @@ def test_the_command_alone_prints_its_help(capsys):
 
 def test_the_version_is_that_of_the_package(capsys):
     with pytest.raises(SystemExit) as stopped:
-        demos.main(["--version"])
+        commands.main(["--version"])
     assert stopped.value.code == 0 and capsys.readouterr().out == f"jaxbody {jb.__version__}\n"
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     assert project["project"]["dynamic"] == ["version"] and project["tool"]["hatch"]["version"]["path"] == "jaxbody/__init__.py"
@@ -164,7 +164,7 @@ def test_the_version_is_that_of_the_package(capsys):
 
 def test_an_unknown_command_is_refused(capsys):
     with pytest.raises(SystemExit) as stopped:
-        demos.main(["show"])
+        commands.main(["shew"])
     assert stopped.value.code == 2 and "invalid choice" in capsys.readouterr().err
 
 

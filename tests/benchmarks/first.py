@@ -200,7 +200,11 @@ def script_of(job: str) -> str:
         kept = 'import os, jaxbody; os.environ.get("KEPT") and jaxbody.keep_programs(os.environ["KEPT"])\n'
         return whole(f"[sys.executable, '-c', {kept + (ROOT / 'examples' / 'contract.py').read_text()!r}]")
     if job == DEMO:
-        code = "import sys; from jaxbody.app.demos import main; sys.argv = ['jaxbody', 'demo', '--out', sys.argv[1]]; main()"
+        code = """import importlib.metadata, sys
+sys.argv = ['jaxbody', 'demo', '--out', sys.argv[1]]
+(command,) = importlib.metadata.entry_points(group='console_scripts', name='jaxbody')
+command.load()()
+"""
         return whole(f"[sys.executable, '-c', {code!r}, {tempfile.gettempdir() + '/first-demo'!r}]")
     return BEGIN + MODEL + JOBS[job] + END
 

@@ -1,0 +1,118 @@
+"""The command on model files: the examples of its help, results as in Python, messages and exit codes."""
+
+import re
+import shlex
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody.app import commands
+
+NAMES = list(commands.COMMANDS)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, file in (("engine", "engine.toml"), ("quarter_car", "car.toml")):
+        assert commands.main(["new", name]) == 0
+        (tmp_path / file).write_text(capsys.readouterr().out)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_example_of_each_command_runs(name, capsys, folder):
+    _, *words = shlex.split(commands.COMMANDS[name].example)
+    assert words[0] == name and commands.main(words) == 0
+    said = capsys.readouterr()
+    assert said.out and not said.err
+    if "--out" in words:
+        assert (folder / words[-1]).stat().st_size > 100
+    with pytest.raises(SystemExit):
+        commands.main([name, "--help"])
+    assert commands.COMMANDS[name].example in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", dir(jb.presets))
+def test_every_ready_model_is_printed_and_read_again(name, capsys, folder):
+    assert commands.main(["new", name]) == 0
+    (folder / "model.toml").write_text(capsys.readouterr().out)
+    model, again = getattr(jb.presets, name)(), jb.read_model("model.toml")
+    assert jb.paths(model).keys() == jb.paths(again).keys()
+    assert all(np.array_equal(x, jb.paths(again)[path]) for path, x in jb.paths(model).items())
+    assert commands.main(["check", "model.toml"]) == 0 and "no errors" in capsys.readouterr().out
+
+
+def test_new_without_a_name_lists_the_ready_models(capsys):
+    assert commands.main(["new"]) == 0
+    assert set(dir(jb.presets)) == set(re.findall(r"\w+", capsys.readouterr().out.partition(":")[2]))
+    assert commands.main(["new", "quarter_cat"]) == 2
+    assert "Did you mean 'quarter_car'?" in capsys.readouterr().err
+
+
+def test_the_numbers_are_those_of_python(capsys, folder):
+    assert commands.main(["modes", "car.toml", "--set", "suspension.stiffness=30 N/mm", "--out", "modes.csv"]) == 0
+    model = jb.replace(jb.presets.quarter_car(), {"suspension.stiffness": 3e4})
+    modes = jb.modes(jb.linearize(model, jb.equilibrium(model)))
+    assert str(modes) in capsys.readouterr().out
+    rows = [line.split(",") for line in (folder / "modes.csv").read_text().splitlines() if line[0] != "#"]
+    column = rows[0].index("frequency [Hz]")
+    np.testing.assert_allclose([float(row[column]) for row in rows[1:]], modes.frequency, rtol=1e-12)
+
+
+def test_values_are_set_by_name_and_pattern(capsys):
+    assert commands.main(["show", "car.toml", "--set", "*.stiffness=30 kN/m", "--set", "body.mass=300", "--set", "gravity=[0, 0, 0]"]) == 0
+    shown = capsys.readouterr().out
+    assert shown.count(" 30000 ") == 2 and " 300 " in shown
+
+
+@pytest.mark.parametrize(
+    "words, message",
+    [
+        ("check missing.toml", "missing.toml: cannot be read"),
+        ("check car.toml --set bodi.mass=3", "bodi.mass=3: 'bodi.mass' is unknown. Did you mean 'body.mass'?"),
+        ("check car.toml --set 'body.mass=3 m'", "car.toml with body.mass=3 m: is '3 m', in m (allowed: a unit such as kg)"),
+        ("check car.toml --set body.mass=-3", "car.toml with body.mass=-3: is -3 kg (allowed: > 0)"),
+        ("check car.toml --set body.weight=3", "car.toml with body.weight=3: 'weight' is unknown"),
+        ("check car.toml --set car", "car: is not a path and a value"),
+        ("check car.toml --set body.mass.x=3", "body.mass.x=3: names nothing that has entries"),
+        ("modes car.toml --out modes.xls", "--out: is modes.xls (allowed: .csv .png .svg .pdf)"),
+        ("check car.toml --out car.png", "--out: is a picture, which this command does not draw"),
+        ("show car.toml --out none/car.png", "none/car.png: cannot be written"),
+        ("response car.toml --input z --output body.z", "--input: is 'z' (allowed: a name and a direction, such as road.z)"),
+        ("response car.toml --input road.z --output cat.z", "'cat' is unknown"),
+    ],
+)
+def test_what_is_wrong_is_said_without_a_traceback(words, message, capsys):
+    assert commands.main(shlex.split(words)) == 2
+    said = capsys.readouterr()
+    assert said.err.startswith(f"jaxbody {words.split()[0]}: ") and message in said.err and "Traceback" not in said.err
+
+
+def test_frequencies_are_in_order(capsys):
+    for wrong in ("20:1", "0:1", "x", "1"):
+        with pytest.raises(SystemExit) as stopped:
+            commands.main(["response", "car.toml", "--input", "road.z", "--output", "body.z", "--frequencies", wrong])
+        assert stopped.value.code == 2 and "two frequencies in ascending order" in capsys.readouterr().err
+
+
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_a_result_that_is_not_ok_is_told_by_the_exit_code(capsys):
+    """A car without springs falls."""
+    assert commands.main(["equilibrium", "car.toml", "--set", "*.stiffness=0", "--set", "*.free_length=0"]) == 1
+    assert "ok" not in capsys.readouterr().out.splitlines()[1]
+
+
+@pytest.mark.everywhere
+def test_a_file_with_an_error_is_refused_before_JAX_is_imported(folder):
+    text = (folder / "car.toml").read_text()
+    (folder / "car.toml").write_text(text.replace("\nmass", "\nweight", 1))
+    code = (
+        "import sys; from jaxbody.app.commands import main; code = main(['modes', 'car.toml'])\n"
+        "print(code, 'jax' in sys.modules, 'numpy' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["2", "False", "False"] and "car.toml:" in done.stderr
