@@ -7,6 +7,7 @@ import io
 import operator
 import re
 import runpy
+import shlex
 import sys
 import tomllib
 from pathlib import Path
@@ -119,6 +120,28 @@ def test_commands_and_paths_in_the_readme_exist():
     paths = re.findall(r"(?:examples|tests|\.ci)/[\w/.]+\w", README)
     assert len(paths) >= 6
     assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
+def test_the_model_file_in_the_readme_and_its_commands(tmp_path, monkeypatch, capsys):
+    """The same model in Python has the same frequencies; every command runs."""
+    monkeypatch.chdir(tmp_path)
+    (text,) = blocks("toml")
+    (tmp_path / "engine.toml").write_text(text)
+    ends = {side: (("engine", [0, y, -0.1]), ("frame", [0, y, 0])) for side, y in (("left", 0.25), ("right", -0.25))}
+    bushings = {side: jb.Bushing(*points, stiffness=[2e5, 2e5, 4e5]) for side, points in ends.items()}
+    spring = jb.laws.Linear(6e4) + jb.laws.Stop(gap=0.015, stiffness=2e6)
+    damper = jb.laws.TwoSided(bump=900.0, rebound=2100.0)
+    strut = jb.SpringDamper(("engine", [0.3, 0, -0.1]), ("frame", [0.3, 0, -0.4]), spring=spring, damper=damper, free_length=0.4)
+    body, frame = jb.Body(180.0, [8, 12, 10], position=[0, 0, 0.6]), jb.Support([0, 0, 0.5])
+    elements = {**bushings, "strut": strut}
+    model = jb.Model(bodies={"engine": body}, supports={"frame": frame}, elements=elements, gravity=[0, 0, -9.81])
+    read = jb.read_model("engine.toml")
+    assert all(np.allclose(x, jb.paths(model)[path], rtol=1e-15, atol=0) for path, x in jb.paths(read).items())
+    lines = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("jaxbody ")]
+    assert len(lines) == 3
+    for line in lines:
+        assert commands.main(shlex.split(line)[1:]) == 0 and capsys.readouterr().out
+    assert (tmp_path / "modes.csv").exists() and (tmp_path / "response.png").exists()
 
 
 def test_the_papers_formulas_as_printed():
