@@ -37,6 +37,7 @@ from jaxbody.experiments.measured_responses import MeasuredResponse as MeasuredR
 from jaxbody.experiments.plausibilities import plausibility as plausibility
 from jaxbody.files.model_files import read_model as read_model
 from jaxbody.files.model_files import write_model as write_model
+from jaxbody.files.mount_tables import read_mounts as read_mounts
 from jaxbody.files.state_space_files import write_state_space as write_state_space
 from jaxbody.geometry.fields import field as field
 from jaxbody.geometry.orientations import Euler as Euler

@@ -1,0 +1,146 @@
+"""Mounts from a data sheet: a text table with a line for each mount, its place, stiffness and damping, with units."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
+from jaxbody.core.source_files import check_file, decoded
+from jaxbody.elements.bushings import Bushing
+from jaxbody.files.documents import LARGEST
+from jaxbody.files.quantities import NUMBER, in_SI
+from jaxbody.geometry.orientations import Euler, matrix
+from jaxbody.models.bodies import Body, Support
+from jaxbody.records.text_tables import split_unit
+
+AXES = ("x", "y", "z")
+UNITS = {
+    **dict.fromkeys(AXES, "m"),
+    **{f"r{axis}": "rad" for axis in AXES},
+    **{f"k{axis}": "N/m" for axis in AXES},
+    **{f"kr{axis}": "N m/rad" for axis in AXES},
+    **{f"c{axis}": "N s/m" for axis in AXES},
+    **{f"cr{axis}": "N m s/rad" for axis in AXES},
+}
+WORDS = ("name", "a", "b")
+NEEDED = ("name", *AXES, "kx", "ky", "kz")
+
+
+def read_mounts(path: Any, bodies: Mapping[str, Body | Support], *, largest: float = LARGEST) -> dict[str, Bushing]:
+    """The mounts in a text table, as bushings by name: elements of a model.
+
+        name,  x [mm], y [mm], z [mm], kx [N/mm], ky [N/mm], kz [N/mm], cx [N s/mm], ...
+        left,  100,    250,    500,    200,       200,       400,       0.2, ...
+
+    x, y, z are the place of the mount in world axes, in the reference pose; kx, ky, kz and cx, cy, cz its stiffness and damping along its
+    axes, krx ... and crx ... about them; rx, ry, rz [deg] turn its axes from those of the world, first about z, then y, then x. Columns may
+    be in any order; others than name, x, y, z, kx, ky, kz may be missing, or empty, which is zero. A unit is in the heading, or in the
+    number, "21 N/mm".
+
+    Args:
+        path: path of the file; columns are separated by commas, semicolons or tabs, lines that start with # are comments
+        bodies: {name: Body or Support}. Columns a and b name the two of each mount; without them, all mounts are between the first of these
+            and the second, or the world
+        largest: largest size of the file [bytes]
+
+    Errors, all at once with their lines: those of text files, NO_NUMBERS, UNKNOWN_NAME, MISSING_ENTRY, RAGGED_LINE, DUPLICATE_NAME,
+    NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER, DECIMAL_COMMA, and those of bushings.
+
+    >>> import pathlib, tempfile
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "mounts.csv")
+    >>> _ = path.write_text("name, x [mm], y [mm], z [mm], kx [N/mm], ky [N/mm], kz [N/mm]\\nleft, 0, 250, 500, 200, 200, 400\\n")
+    >>> mounts = read_mounts(path, {"engine": Body(180.0, [8, 12, 10], position=[0, 0, 0.6]), "frame": Support()})
+    >>> mounts["left"].between, mounts["left"].a.round(9).tolist(), mounts["left"].stiffness.tolist()
+    (('engine', 'frame'), [0.0, 0.25, -0.1], [200000.0, 200000.0, 400000.0])
+    """
+    path = Path(path)
+    check_file(path, largest)
+    lines = decoded(path.read_bytes(), path.name, "utf-8").splitlines()
+    rows = [(i + 1, line) for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
+    if len(rows) < 2:
+        raise JaxbodyError(Problem("NO_NUMBERS", path.name, "has no line of headings and lines of mounts", limit=", ".join(NEEDED)))
+    separator = max(";\t,", key=rows[0][1].count)
+    if separator == ";" and any("," in line for _, line in rows[1:]):
+        raise JaxbodyError(Problem("DECIMAL_COMMA", path.name, "has commas in its numbers", limit="decimal points", hint="Replace them."))
+    cells = [(line, [cell.strip() for cell in next(csv.reader(io.StringIO(text), delimiter=separator))]) for line, text in rows]
+    with Problems() as problems:
+        columns = _columns(path.name, *cells[0], problems)
+    mounts: dict[str, Bushing] = {}
+    with Problems() as problems:
+        for line, row in cells[1:]:
+            where = f"{path.name}:{line}"
+            if len(row) != len(columns):
+                problems.add("RAGGED_LINE", where, f"has {len(row)} cells", value=len(row), limit=f"{len(columns)}, as the headings")
+                continue
+            values = _values(row, columns, where, problems)
+            if values["name"] in mounts:
+                problems.add("DUPLICATE_NAME", where, f"'{values['name']}' is the name of a mount above", value=values["name"])
+            mount = problems.gather(lambda values=values, where=where: _mount(values, bodies, where))
+            if mount is not None:
+                mounts[values["name"]] = mount
+    return mounts
+
+
+def _columns(name: str, line: int, headings: list[str], problems: Problems) -> list[tuple[str, str | None]]:
+    """The name and the unit of each column."""
+    columns = [split_unit(heading) for heading in headings]
+    found = [column for column, _ in columns]
+    where = f"{name}:{line}"
+    for column in found:
+        if column not in UNITS and column not in WORDS:
+            problems.collected.append(unknown(column, where, (*WORDS, *UNITS)))
+    for column in NEEDED:
+        if column not in found:
+            problems.add("MISSING_ENTRY", where, f"has no column '{column}'", value=found, limit=", ".join(NEEDED))
+    for column in {column for column in found if found.count(column) > 1}:
+        problems.add("DUPLICATE_NAME", where, f"has the column '{column}' twice", value=column)
+    return columns
+
+
+def _values(row: list[str], columns: list[tuple[str, str | None]], where: str, problems: Problems) -> dict[str, Any]:
+    """The words of a line, and its numbers in SI."""
+    values: dict[str, Any] = {}
+    for cell, (name, unit) in zip(row, columns, strict=True):
+        if name in WORDS:
+            values[name] = cell
+        elif cell:
+            with_unit = f"{cell} {unit}" if unit and re.fullmatch(NUMBER, cell) else cell
+            values[name] = in_SI(with_unit, UNITS[name], {}, None, f"{where} {name}", problems)
+            if isinstance(values[name], list):
+                problems.add("NOT_A_NUMBER", f"{where} {name}", f"is '{cell}'", value=cell, limit="one number")
+                values[name] = 0.0
+        elif name in NEEDED:
+            problems.add("MISSING_ENTRY", f"{where} {name}", "is empty", limit="a number", hint="Write 0 if it is zero.")
+    return values
+
+
+def _mount(values: dict[str, Any], bodies: Mapping[str, Body | Support], where: str) -> Bushing:
+    """The bushing of one line, whose two frames coincide in the reference pose."""
+    own = [*bodies, "world", "world"]
+    ends, point = (values.get("a", own[0]), values.get("b", own[1])), [values.get(axis, 0.0) for axis in AXES]
+    R = matrix(np.asarray(Euler("ZYX", [values.get(f"r{axis}", 0.0) for axis in "zyx"])))
+    places, turns = [], []
+    for end in ends:
+        if end not in own:
+            raise JaxbodyError(unknown(end, where, tuple(own[:-1])))
+        body = bodies.get(end, Support())
+        R_body = matrix(np.asarray(body.orientation))
+        places.append((end, R_body.T @ (np.asarray(point) - np.asarray(body.position))))
+        turns.append(R_body.T @ R)
+    stiffness, damping = (np.array([values.get(f"{c}{axis}", 0.0) for axis in ("x", "y", "z", "rx", "ry", "rz")]) for c in "kc")
+    if not (stiffness[3:].any() or damping[3:].any()):
+        stiffness, damping = stiffness[:3], damping[:3]
+    else:
+        stiffness, damping = np.diag(stiffness), np.diag(damping)
+    try:
+        return Bushing(*places, stiffness=stiffness, damping=damping, orientation=turns[0], orientation_b=turns[1])
+    except JaxbodyError as error:
+        problems = [Problem(x.code, f"{where} {x.where}", x.message, x.value, x.limit, x.hint) for x in error.problems]
+        raise JaxbodyError(*problems) from None
