@@ -60,8 +60,8 @@ class Builder:
             values = Check(self.document, system, self.problems).value(values, object_schema(kind, values["type"]), path, words)
             if len(self.problems.collected) > before:
                 return None
-        if "file" in values:
-            return self.table(values["file"], path)
+        if kind is Table and set(values) != {"type", "x", "forces"}:
+            return self.table(values, path)
         given = {
             argument.name: self.value(values[argument.name], argument, (*path, argument.name), words | dict(argument.words))
             for argument in arguments_of(kind)
@@ -88,8 +88,13 @@ class Builder:
             return None if any(term is None for term in terms) else self.problems.gather(lambda: Sum(*terms))
         return self.thing(value, None, path, words) if isinstance(value, dict) else value
 
-    def table(self, name: str, path: EntryPath) -> Any:
+    def table(self, values: dict[str, Any], path: EntryPath) -> Any:
         """The measured curve in a file beside the document."""
+        name = values.get("file")
+        if name is None or {"x", "forces"} & set(values):
+            hint = 'Give x = [...] and forces = [...], or file = "curve.csv".'
+            self.problems.add("MISSING_ENTRY", self.document.where(path), "has not either points or a file", limit="one of them", hint=hint)
+            return None
         where = self.document.where((*path, "file"))
         if Path(name).is_absolute() or ".." in Path(name).parts:
             hint = "Put it beside the model file."

@@ -77,7 +77,7 @@ def parse_document(text: str, name: str, kind: str = "toml") -> Document:
     document = Document(name, {})
     text = text.replace("\r\n", "\n")
     with Problems() as problems:
-        scan = Scan(text, document, problems)
+        scan = Scan(text, document, problems, kind)
         scan.value(()) if kind == "json" else scan.statements()
     try:
         document.values = tomllib.loads(text) if kind == "toml" else json.loads(text)
@@ -102,9 +102,9 @@ class Scan:
     """One pass over the text of a document, which notes lines and names that occur twice. It follows any text to its end; whether that is
     well formed is left to the parser."""
 
-    def __init__(self, text: str, document: Document, problems: Problems):
+    def __init__(self, text: str, document: Document, problems: Problems, kind: str):
         self.document, self.problems = document, problems
-        self.rest: Iterator[Token] = _tokens(text)
+        self.rest: Iterator[Token] = _tokens(text, ("skip", "newline") if kind == "json" else ("skip",))
         self.token = next(self.rest)
         self.headings: set[EntryPath] = set()
         self.counts: dict[EntryPath, int] = {}  # of the tables of each array of tables
@@ -183,8 +183,6 @@ class Scan:
         """An array, a table in braces, or anything else up to the next comma, bracket or end of the line."""
         if depth > DEEPEST:
             self.too_deep(self.token.line)
-        if not path:  # JSON, whose text is one value
-            self.skip_lines()
         if self.takes("{"):
             self.skip_lines()
             while self.token.kind != "end" and not self.takes("}"):
@@ -214,11 +212,11 @@ class Scan:
         raise JaxbodyError(Problem("TOO_LARGE", where, f"is nested more than {DEEPEST} levels deep", limit=f"{DEEPEST} levels", hint=hint))
 
 
-def _tokens(text: str) -> Iterator[Token]:
+def _tokens(text: str, skipped: tuple[str, ...]) -> Iterator[Token]:
     line = 1
     for match in TOKEN.finditer(text):
         kind, content = str(match.lastgroup), match.group()
-        if kind != "skip":
+        if kind not in skipped:
             yield Token(kind, content, line)
         line += content.count("\n")
     while True:

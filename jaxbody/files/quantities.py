@@ -61,10 +61,11 @@ def unit_system(stated: Any, where: str, problems: Problems) -> UnitSystem | Non
 
 
 def dimension(unit: str, words: dict[str, str]) -> units.Dimension:
-    """The dimension of a unit, which may be a formula in words: "force/argument" with {"force": "N", "argument": "m"}."""
+    """The dimension of a unit, which may be a formula in words: "force/argument" with {"force": "N", "argument": "m"}; none where the owner
+    does not say what they are."""
     for word, meaning in words.items():
         unit = re.sub(rf"\b{word}\b", f"({meaning})", unit)
-    return units.parse(unit, "unit").dimension if unit else units.NONE
+    return units.NONE if not unit or re.search(r"\b(force|argument)\b", unit) else units.parse(unit, "unit").dimension
 
 
 def in_SI(value: Any, unit: str, words: dict[str, str], system: UnitSystem | None, where: str, problems: Problems) -> Any:

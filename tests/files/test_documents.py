@@ -49,6 +49,8 @@ def test_each_entry_of_json_has_its_line():
     for path in LINES:
         said = text.splitlines()[lines[path] - 1]
         assert isinstance(path[-1], int) or json.dumps(path[-1]) in said
+    spread = parse_document('{"a":\n\n{\n"b"\n:\n1,\n"c": [\n2]}}', "e.json", "json").lines
+    assert spread == {("a",): 1, ("a", "b"): 4, ("a", "c"): 7, ("a", "c", 0): 8}
 
 
 @pytest.mark.parametrize(

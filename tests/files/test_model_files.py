@@ -63,6 +63,21 @@ class Cubic(Law):
         return self.coefficient * x**3
 
 
+class Pusher(jb.Element):
+    """An element whose law has no stated unit."""
+
+    spring: Law = jb.field()
+
+    def deformation(self, A, B):
+        return (B.point(self.b) - A.point(self.a))[2]
+
+    def energy(self, e):
+        return self.spring.potential(e)
+
+    def dissipation(self, e, e_dot):
+        return jnp.zeros_like(e)
+
+
 class Charges(jb.Element):
     strength: jax.Array = jb.field("N m2", "positive")
 
@@ -274,6 +289,8 @@ def test_a_file_by_hand_is_the_model_in_python(tmp_path):
         ('"0.9 N s/mm"', '"0.9 N/mm"', 24, "elements.right.damper.bump: is '0.9 N/mm', in N/m (allowed: a unit such as N s/m)"),
         ('"rear.csv"', '"../rear.csv"', 31, "elements.rear.spring.file: names '../rear.csv'"),
         ('"rear.csv"', '"read.csv"', 31, "elements.rear.spring.file: "),
+        ('file = "rear.csv"', "x = [0]", 31, "elements.rear.spring: has not either points or a file"),
+        ('"rear.csv"', '"rear.csv", x = [0], forces = [0]', 31, "elements.rear.spring: has not either points or a file"),
         ("jaxbody = 1", "jaxbody = 2", 1, "jaxbody: is version 2 (allowed: 1). This jaxbody reads version 1: install a newer one."),
         ("jaxbody = 1\n", "\n", None, "jaxbody: does not state its version"),
         ("[bodies.engine]", "[bodies.engin]", 13, "elements.left: body or support 'engine' is unknown"),
@@ -301,6 +318,7 @@ def test_own_classes_are_taken_from_modules_that_are_allowed(tmp_path):
     ball = jb.Body(mass=0.2, inertia=[1, 1, 1])
     elements = {
         "pair": Charges(("ball", "world"), **ends, strength=jnp.array(0.5)),
+        "pusher": Pusher(("ball", "world"), **ends, spring=jb.laws.Stop(gap=1.0, stiffness=3.0)),
         "rubber": jb.SpringDamper(("ball", [0, 0, 0]), ("world", [0, 0, 1]), spring=Cubic(jnp.array(8.0))),
     }
     model = jb.Model(bodies={"ball": ball}, elements=elements)
