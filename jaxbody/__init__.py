@@ -67,6 +67,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.files.model_files": ("read_model", "write_model"),
     "jaxbody.files.mount_tables": ("read_mounts",),
     "jaxbody.files.state_space_files": ("write_state_space",),
+    "jaxbody.files.study_files": ("Study", "read_study"),
     "jaxbody.geometry.fields": ("field",),
     "jaxbody.geometry.orientations": ("Euler",),
     "jaxbody.identification.fits": ("Fit",),

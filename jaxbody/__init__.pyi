@@ -39,6 +39,8 @@ from jaxbody.files.model_files import read_model as read_model
 from jaxbody.files.model_files import write_model as write_model
 from jaxbody.files.mount_tables import read_mounts as read_mounts
 from jaxbody.files.state_space_files import write_state_space as write_state_space
+from jaxbody.files.study_files import Study as Study
+from jaxbody.files.study_files import read_study as read_study
 from jaxbody.geometry.fields import field as field
 from jaxbody.geometry.orientations import Euler as Euler
 from jaxbody.identification.fits import Fit as Fit

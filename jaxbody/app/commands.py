@@ -8,16 +8,16 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import jaxbody as jb
+from jaxbody.app.file_commands import COMMANDS, Outcome
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.files.changes import set_value
-from jaxbody.files.documents import Document, read_document
+from jaxbody.files.documents import read_document
 from jaxbody.files.schemas import checked_values
 
 DESCRIPTION = "Differentiable rigid bodies on springs with an imposed base motion: simulation, vibration, identification and design."
@@ -34,26 +34,6 @@ in Python:
   help(jb.simulate)               # each public name has an example; all names: dir(jb)
 """
 PICTURES = (".png", ".svg", ".pdf")
-QUANTITIES = {"displacement": ("Position", "Rotation"), "velocity": ("Velocity", "AngularVelocity"),
-              "acceleration": ("Acceleration", "AngularAcceleration")}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Command:
-    """A command on a model file: what it does, an example, and the function that does it and returns what is printed and drawn."""
-
-    about: str
-    example: str
-    run: Callable[[Any, argparse.Namespace], Outcome]
-    options: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = ()
-
-
-@dataclass
-class Outcome:
-    """Results, which print as tables, and a function that draws them into a picture."""
-
-    results: list[Any]
-    draw: Callable[[], Any] | None = None
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -147,18 +127,15 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
     _use_x64()
     if own_process:
         _prepare()
-    outcome = COMMANDS[options.command].run(_model(document, values, options), options)
+    from jaxbody.files.study_files import study_of
+
+    study = study_of(document, values, options.file.parent, options.allow)
+    outcome = COMMANDS[options.command].run(study, options)
     for result in outcome.results:
         print(result)
     if options.out is not None:
         _save(outcome, options.out)
     return 0 if all(bool(getattr(result, "ok", True)) for result in outcome.results) else 1
-
-
-def _model(document: Document, values: dict[str, Any], options: argparse.Namespace) -> Any:
-    from jaxbody.files.builders import Builder
-
-    return Builder(document, values, options.file.parent, options.allow).model()
 
 
 def _use_x64() -> None:
@@ -173,7 +150,8 @@ def _save(outcome: Outcome, path: Path) -> None:
 
     try:
         if path.suffix == ".csv":
-            tables = [table for result in outcome.results if hasattr(result, "_tables") for table in in_numpy(result)._tables()]
+            printed = [table for result in outcome.results if hasattr(result, "_tables") for table in in_numpy(result)._tables()]
+            tables = printed if outcome.series is None else [outcome.series()]
             path.write_text("\n".join(_csv(table) for table in tables), encoding="utf-8")
         elif outcome.draw is None:
             raise JaxbodyError(Problem("UNKNOWN_FORMAT", "--out", "is a picture, which this command does not draw", path, ".csv"))
@@ -196,96 +174,3 @@ def _csv(table: Any) -> str:
     rows.writerow(table.columns)
     rows.writerows(table.rows)
     return lines.getvalue()
-
-
-# Commands
-
-
-def _check(model: Any, options: argparse.Namespace) -> Outcome:
-    counts = {"body": len(model.layout.bodies), "support": len(model.layout.supports), "element": len(model.element_names)}
-    plural = {"body": "bodies", "support": "supports", "element": "elements"}
-    said = ", ".join(f"{n} {name if n == 1 else plural[name]}" for name, n in counts.items())
-    return Outcome([f"{options.file.name}: {said}, {model.layout.nv} degrees of freedom; no errors"])
-
-
-def _show(model: Any, options: argparse.Namespace) -> Outcome:
-    return Outcome([model], lambda: jb.plots.draw_model(model))
-
-
-def _equilibrium(model: Any, options: argparse.Namespace) -> Outcome:
-    equilibrium = jb.equilibrium(model)
-    return Outcome([equilibrium], lambda: jb.plots.draw_model(model, equilibrium.state))
-
-
-def _modes(model: Any, options: argparse.Namespace) -> Outcome:
-    lin = jb.linearize(model, jb.equilibrium(model))
-    if options.damped:
-        modes: Any = jb.complex_modes(lin)
-        return Outcome([modes], lambda: jb.plots.draw_mode(lin, modes, options.draw))
-    modes = jb.modes(lin)
-    return Outcome([modes, *([jb.mode_energies(lin)] if options.energies else [])], lambda: jb.plots.draw_mode(lin, modes, options.draw))
-
-
-def _response(model: Any, options: argparse.Namespace) -> Outcome:
-    import numpy as np
-
-    lin = jb.linearize(model, jb.equilibrium(model))
-    low, high = options.frequencies
-    inputs = {text: jb.BaseMotion(*_place(text, "--input"), kind=options.kind) for text in options.input}
-    outputs = {text: _sensor(text, options.quantity, model.element_names) for text in options.output}
-    response = jb.frequency_response(lin, np.geomspace(low, high, options.points), inputs, outputs)
-    return Outcome([response], lambda: jb.plots.plot_frequency_response(response))
-
-
-def _place(text: str, where: str) -> tuple[str, str]:
-    """A name and a direction of "road.z"."""
-    name, _, direction = text.rpartition(".")
-    if not name:
-        raise JaxbodyError(Problem("BAD_DIRECTION", where, f"is '{text}'", text, "a name and a direction, such as road.z"))
-    return name, direction
-
-
-def _sensor(text: str, quantity: str, elements: tuple[str, ...]) -> Any:
-    """What "car.z" or the name of an element measures."""
-    name, direction = (text, "") if text in elements else _place(text, "--output")
-    line, turn = QUANTITIES[quantity]
-    sensor: Any = getattr(jb, "Elongation" if not direction else turn if direction[0] == "r" else line)
-    return sensor(name, axis=[float(direction[-1] == axis) for axis in "xyz"]) if direction else sensor(name)
-
-
-def _band(text: str) -> tuple[float, float]:
-    low, _, high = text.partition(":")
-    if not 0 < float(low) < float(high):
-        raise ValueError
-    return float(low), float(high)
-
-
-_band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of argparse
-COMMANDS = {
-    "check": Command("check a model file", "jaxbody check engine.toml", _check),
-    "show": Command("print and draw a model", "jaxbody show engine.toml --out engine.png", _show),
-    "equilibrium": Command("the static equilibrium", "jaxbody equilibrium engine.toml --set 'gravity=0, 0, -9.81 m/s2'", _equilibrium),
-    "modes": Command(
-        "natural frequencies and modes about the equilibrium",
-        "jaxbody modes engine.toml --energies --out modes.csv",
-        _modes,
-        (
-            (("--damped",), {"action": "store_true", "help": "complex modes, with their damping ratios"}),
-            (("--energies",), {"action": "store_true", "help": "the shares of the energy of each mode"}),
-            (("--draw",), {"type": int, "default": 1, "metavar": "N", "help": "the mode that --out draws (default: 1)"}),
-        ),
-    ),
-    "response": Command(
-        "the response to a harmonic motion of supports",
-        "jaxbody response car.toml --input road.z --output body.z --frequencies 0.5:20 --out response.png",
-        _response,
-        (
-            (("--input",), {"action": "append", "required": True, "metavar": "SUPPORT.z", "help": "support and x, y, z, rx, ry or rz"}),
-            (("--output",), {"action": "append", "required": True, "metavar": "BODY.z", "help": "body and direction, or an element"}),
-            (("--frequencies",), {"type": _band, "default": (0.1, 50.0), "metavar": "LOW:HIGH", "help": "[Hz] (default: 0.1:50)"}),
-            (("--points",), {"type": int, "default": 400, "metavar": "N", "help": "number of frequencies (default: 400)"}),
-            (("--kind",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the input (default: displacement)"}),
-            (("--quantity",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the output (default: displacement)"}),
-        ),
-    ),
-}  # fmt: skip

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.elements.elements import Element
 from jaxbody.files.documents import Document, EntryPath
 from jaxbody.files.kinds import PLAIN, SECTIONS, TYPES, Argument, arguments_of, object_schema
@@ -20,6 +20,7 @@ from jaxbody.files.quantities import unit_system
 from jaxbody.files.schemas import Check
 from jaxbody.geometry.fields import check_domain, kind_of
 from jaxbody.geometry.orientations import Euler
+from jaxbody.inputs.motions import Motion
 from jaxbody.laws.laws import Law, Sum
 from jaxbody.laws.measured_curves import Table
 from jaxbody.models.joints import Joint
@@ -47,6 +48,15 @@ class Builder:
             return Model(**parts)
         except JaxbodyError as error:
             raise JaxbodyError(*map(self.placed_in_model, error.problems)) from None
+
+    def motion(self, supports: Sequence[str]) -> dict[str, Motion]:
+        """The motions of supports."""
+        given = self.values.get("motion", {})
+        for name in set(given) - set(supports):
+            self.problems.collected.append(unknown(name, self.document.where(("motion", name)), tuple(supports)))
+        motions = {name: self.thing(value, None, ("motion", name), {}) for name, value in given.items()}
+        self.problems.raise_if_any()
+        return motions
 
     def thing(self, values: Any, kind: type | None, path: EntryPath, words: dict[str, str]) -> Any:
         """An object of a class, which the values name where it is not given."""
@@ -93,7 +103,7 @@ class Builder:
         name = values.get("file")
         if name is None or {"x", "forces"} & set(values):
             hint = 'Give x = [...] and forces = [...], or file = "curve.csv".'
-            self.problems.add("MISSING_ENTRY", self.document.where(path), "has not either points or a file", limit="one of them", hint=hint)
+            self.problems.add("MISSING_ENTRY", self.document.where(path), "needs either points or a file", limit="one of them", hint=hint)
             return None
         where = self.document.where((*path, "file"))
         if Path(name).is_absolute() or ".." in Path(name).parts:
@@ -119,8 +129,8 @@ class Builder:
         except ImportError as error:
             self.problems.add("UNKNOWN_NAME", where, f"names the module '{module}', which cannot be imported: {error}", value=name)
             return None
-        if not (inspect.isclass(kind) and issubclass(kind, Element | Joint | Law)):
-            self.problems.add("UNKNOWN_NAME", where, f"names '{name}', which is no element, joint or law", value=name)
+        if not (inspect.isclass(kind) and issubclass(kind, Element | Joint | Law | Motion)):
+            self.problems.add("UNKNOWN_NAME", where, f"names '{name}', which is no element, joint, law or motion", value=name)
             return None
         return kind
 

@@ -13,8 +13,9 @@ SECTIONS = ("bodies", "supports", "elements")  # whose names are unique in a mod
 
 
 def set_value(document: Document, text: str) -> None:
-    """Set an entry by a text, "left.stiffness=30 N/mm": the name of a body, support or element and the entries below it, or "gravity". With
-    * and ? in the name, which match as in file names, it is set for all that have it. Errors: SYNTAX, UNKNOWN_NAME."""
+    """Set an entry by a text, "left.stiffness=30 N/mm": the name of a body, support or element and the entries below it; "gravity"; or
+    "motion", a support and an entry. With * and ? in the name of a body, support or element, which match as in file names, it is set for
+    all that have it. Errors: SYNTAX, UNKNOWN_NAME."""
     path, sign, value = text.partition("=")
     name, *below = path.strip().split(".")
     if not sign or not (below or name == "gravity"):
@@ -23,7 +24,11 @@ def set_value(document: Document, text: str) -> None:
     for section in SECTIONS:
         tables = document.values.get(section)
         things |= {(section, known): table for known, table in tables.items()} if isinstance(tables, dict) else {}
-    if below:
+    chosen: list[EntryPath]
+    if name == "motion" and below:
+        things[("motion",)] = document.values.get("motion")
+        chosen = [("motion",)]
+    elif below:
         several = name not in {path[-1] for path in things if path}
         chosen = [path for path in things if path and fnmatch.fnmatchcase(str(path[1]), name) and (below[0] in things[path] or not several)]
     else:

@@ -20,6 +20,7 @@ from jaxbody.elements.springs import Spring, SpringDamper
 from jaxbody.elements.torsions import AntiRollBar, Torsion
 from jaxbody.files.schemas import SCHEMA_FILE, VERSION
 from jaxbody.geometry.fields import Kind
+from jaxbody.inputs.motions import AtRest, Harmonic
 from jaxbody.laws import damper_laws, laws, measured_curves, spring_laws
 from jaxbody.models.bodies import Body, Support
 from jaxbody.models.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
@@ -30,7 +31,8 @@ LAWS = (
     laws.Linear, laws.TwoSided, spring_laws.Polynomial, spring_laws.Stop, spring_laws.TensionOnly, spring_laws.AirSpring,
     damper_laws.Digressive, damper_laws.Friction, measured_curves.Table,
 )  # fmt: skip
-TYPES = {kind.__name__: kind for kind in (*JOINTS, *ELEMENTS, *LAWS)}
+MOTIONS = (AtRest, Harmonic)
+TYPES = {kind.__name__: kind for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS)}
 FIELDS: dict[tuple[type, str], str] = {(Contact, "distance"): "free_length"}  # of arguments that are not named as the field is
 FORMULAS = {"powers": "force/argument^n"}
 LIMITS = {"nonnegative": {"minimum": 0}, "positive": {"exclusiveMinimum": 0}, "fraction": {"minimum": 0, "maximum": 1}}
@@ -41,6 +43,7 @@ SECTIONS = {
     "joints": "Joints by the name of the body that each carries. A body without a joint is free.",
     "elements": "Springs, dampers and contacts by name.",
 }
+MOTION = "Motions of supports, by the name of the support."
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,7 @@ def _types(annotation: str) -> tuple[str, ...]:
     """One number, a row of them, or either where the annotation does not say which."""
     if annotation == "Number" or "Array, ''" in annotation:
         return ("number",)
-    return ("array",) if "Array, '" in annotation else ("number", "array")
+    return ("array",) if re.search(r"Array, '\w", annotation) else ("number", "array")
 
 
 def _texts(kind: type) -> dict[str, str]:
@@ -156,15 +159,16 @@ def schema() -> dict[str, Any]:
             ],
         },
         "joint": {"oneOf": [{"$ref": f"#/$defs/{kind.__name__}"} for kind in JOINTS]},
+        "motion": {"oneOf": [{"$ref": f"#/$defs/{kind.__name__}"} for kind in MOTIONS]},
         "element": {"oneOf": [{"$ref": f"#/$defs/{kind.__name__}"} for kind in ELEMENTS]},
         "body": object_schema(Body),
         "support": object_schema(Support),
         **of_type,
     }
-    named = {"bodies": "body", "supports": "support", "joints": "joint", "elements": "element"}
+    named = {"bodies": "body", "supports": "support", "joints": "joint", "elements": "element", "motion": "motion"}
     sections = {
         name: {"type": "object", "description": text, "additionalProperties": {"$ref": f"#/$defs/{named[name]}"}}
-        for name, text in SECTIONS.items()
+        for name, text in (SECTIONS | {"motion": MOTION}).items()
     }
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",

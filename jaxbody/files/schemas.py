@@ -88,8 +88,7 @@ class Check:
         if not isinstance(value, list | str | int | float):
             self.wrong_kind(value, node, path)
             return value
-        numbers = in_SI(value, node["unit"], words, self.system, self.document.where(path), self.problems)
-        return numbers if "number" in node["type"] or isinstance(numbers, list) else [numbers]
+        return in_SI(value, node["unit"], words, self.system, self.document.where(path), self.problems)
 
     def table(self, value: dict[str, Any], node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> dict[str, Any]:
         known, others = node.get("properties", {}), node.get("additionalProperties", False)

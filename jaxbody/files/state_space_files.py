@@ -41,7 +41,7 @@ def write_state_space(system: StateSpace, path: Any) -> None:
             Problem("BAD_SHAPE", "write_state_space", f"is a batch of {len(system.A)} systems", limit="one system", hint=hint)
         )
     system.raise_if_failed()
-    values: dict[str, Any] = {name: np.asarray(getattr(system, name)) for name in "ABCD"}
+    values: dict[str, Any] = {name: np.asarray(getattr(system, name)) for name in ("A", "B", "C", "D")}
     for name in ("inputs", "outputs", "states", "input_units", "output_units"):
         values[name] = np.array(getattr(system, name), dtype=object)
     try:

@@ -21,7 +21,7 @@ from jaxbody.models.models import Model
 
 IN_LINE = 8  # numbers
 SHORT = ("supports", "joints")  # sections whose objects take one line each
-HEADING = """A model for jaxbody. Check it with `jaxbody check FILE`, go on with show, equilibrium, modes, response.
+HEADING = """A model for jaxbody. Check it with `jaxbody check FILE`, go on with show, equilibrium, modes, response, simulate.
 Numbers without a unit are in SI; "21 N/mm" is a number with its own. Bodies: `position` is where the origin O of the body's axes is
 before the model settles, `com` the center of mass from O. Elements: each end is a body, a support or "world", and a point in its axes."""
 NOT_IN_FILES = "A file holds numbers and names only."
@@ -143,6 +143,12 @@ def toml_of(values: dict[str, Any], units: bool = False) -> str:
                 table.add(entry, _with_unit(content, nodes.get(entry, {})) if units else _item(content))
             section.add(tomlkit.key(key), table)
         document.add(name, section)
+    if units and "supports" in values:
+        document.add(tomlkit.nl())
+        document.add(tomlkit.comment("the motion of a support, for `jaxbody simulate`"))
+        motion = tomlkit.table(is_super_table=True)
+        motion[next(iter(values["supports"]))] = _item({"type": "Harmonic", "frequency": "1.5 Hz", "translation": "0, 0, 5 mm"})
+        document["motion"] = motion
     return tomlkit.dumps(document)
 
 

@@ -63,6 +63,30 @@ def test_the_numbers_are_those_of_python(capsys, folder):
     np.testing.assert_allclose([float(row[column]) for row in rows[1:]], modes.frequency, rtol=1e-12)
 
 
+def test_the_motion_is_that_of_python(folder):
+    """From rest on the road, which is at its highest at the start."""
+    words = "simulate car.toml --duration 0.5 --interval 0.05 --set 'motion.road.frequency=2 Hz' --out motion.csv"
+    assert commands.main(shlex.split(words)) == 0
+    road = {"road": jb.Harmonic(frequency=2.0, translation=[0, 0, 0.005])}
+    expected = jb.simulate(jb.presets.quarter_car(), np.linspace(0, 0.5, 11), motion=road, initial="rest")
+    table = np.genfromtxt(folder / "motion.csv", delimiter=",", comments="#", names=True, deletechars="")
+    np.testing.assert_allclose(table["body_z_[m]"], expected.poses["body"].p[:, 2], rtol=1e-12)
+    np.testing.assert_allclose(table["road_z_[m]"], 0.005 * np.cos(4 * np.pi * table["time_[s]"]), atol=1e-15)
+    np.testing.assert_allclose(table["force_of_tyre_[N]"], expected.forces["tyre"], rtol=1e-9)
+
+
+def test_the_response_is_that_of_python(folder):
+    words = "response car.toml --input road.z --output body.z --frequencies 1:10 --points 5 --quantity acceleration --out response.csv"
+    assert commands.main(words.split()) == 0
+    car = jb.presets.quarter_car()
+    ports = {"road": jb.BaseMotion("road", "z")}, {"body": jb.Acceleration("body", axis="z")}
+    f = np.geomspace(1, 10, 5)
+    expected = jb.frequency_response(jb.linearize(car, jb.equilibrium(car)), f, *ports)["body", "road"]
+    table = np.loadtxt(folder / "response.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(table[:, 0], f, rtol=1e-15)
+    np.testing.assert_allclose(table[:, 1] * np.exp(1j * table[:, 2]), expected, rtol=1e-12)
+
+
 def test_values_are_set_by_name_and_pattern(capsys):
     assert commands.main(["show", "car.toml", "--set", "*.stiffness=30 kN/m", "--set", "body.mass=300", "--set", "gravity=[0, 0, 0]"]) == 0
     shown = capsys.readouterr().out
@@ -77,6 +101,8 @@ def test_values_are_set_by_name_and_pattern(capsys):
         ("check car.toml --set 'body.mass=3 m'", "car.toml with body.mass=3 m: is '3 m', in m (allowed: a unit such as kg)"),
         ("check car.toml --set body.mass=-3", "car.toml with body.mass=-3: is -3 kg (allowed: > 0)"),
         ("check car.toml --set body.weight=3", "car.toml with body.weight=3: 'weight' is unknown"),
+        ("check car.toml --set motion.table.frequency=2", "names nothing that has entries"),
+        ("check car.toml --set motion.road.frequency='2 m'", "is '2 m', in m (allowed: a unit such as 1/s)"),
         ("check car.toml --set car", "car: is not a path and a value"),
         ("check car.toml --set body.mass.x=3", "body.mass.x=3: names nothing that has entries"),
         ("modes car.toml --out modes.xls", "--out: is modes.xls (allowed: .csv .png .svg .pdf)"),

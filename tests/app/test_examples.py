@@ -138,7 +138,7 @@ def test_the_model_file_in_the_readme_and_its_commands(tmp_path, monkeypatch, ca
     read = jb.read_model("engine.toml")
     assert all(np.allclose(x, jb.paths(model)[path], rtol=1e-15, atol=0) for path, x in jb.paths(read).items())
     lines = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("jaxbody ")]
-    assert len(lines) == 3
+    assert len(lines) == 4
     for line in lines:
         assert commands.main(shlex.split(line)[1:]) == 0 and capsys.readouterr().out
     assert (tmp_path / "modes.csv").exists() and (tmp_path / "response.png").exists()

@@ -7,7 +7,19 @@ from pathlib import Path
 import jaxbody as jb
 from jaxbody.core.errors import CODES
 
-NOT_CODES = {"ABCDEFGH", "FILE", "JAX_COMPILATION_CACHE_DIR", "MODULE", "NFKC", "NONE", "NRMSE", "PSD", "XDG_CACHE_HOME", "XLA_FLAGS"}
+NOT_CODES = {
+    "ABCDEFGH",
+    "FILE",
+    "JAX_COMPILATION_CACHE_DIR",
+    "MODULE",
+    "NFKC",
+    "NONE",
+    "NRMSE",
+    "PSD",
+    "XDG_CACHE_HOME",
+    "XLA_FLAGS",
+    "ZYX",
+}
 CODE = r"[A-Z][A-Z0-9]*(?:_[A-Z0-9]+)*"
 COMPUTED = {"NEGATIVE_DAMPING", "NEGATIVE_STIFFNESS"}  # f"NEGATIVE_{field}" in elements
 RAISES = {"add", "Problem", "warn", "JaxbodyWarning"}

@@ -1,0 +1,183 @@
+"""Commands on a study from a file: what each prints, draws and saves."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import jaxbody as jb
+from jaxbody.core.errors import JaxbodyError, Problem
+
+if TYPE_CHECKING:
+    from jaxbody.core.tables import PrintedTable
+    from jaxbody.files.study_files import Study
+
+QUANTITIES = {"displacement": ("Position", "Rotation"), "velocity": ("Velocity", "AngularVelocity"),
+              "acceleration": ("Acceleration", "AngularAcceleration")}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command on a model file: what it does, an example, and the function that does it and returns what is printed and drawn."""
+
+    about: str
+    example: str
+    run: Callable[[Any, argparse.Namespace], Outcome]
+    options: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = ()
+
+
+@dataclass
+class Outcome:
+    """Results, which print as tables; functions that draw them into a picture and that give what --out saves in place of the tables."""
+
+    results: list[Any]
+    draw: Callable[[], Any] | None = None
+    series: Callable[[], Any] | None = None
+
+
+def _check(study: Study, options: argparse.Namespace) -> Outcome:
+    model = study.model
+    counts = {"body": len(model.layout.bodies), "support": len(model.layout.supports), "element": len(model.element_names)}
+    plural = {"body": "bodies", "support": "supports", "element": "elements"}
+    said = ", ".join(f"{n} {name if n == 1 else plural[name]}" for name, n in counts.items())
+    return Outcome([f"{options.file.name}: {said}, {model.layout.nv} degrees of freedom; no errors"])
+
+
+def _show(study: Study, options: argparse.Namespace) -> Outcome:
+    return Outcome([study.model], lambda: jb.plots.draw_model(study.model))
+
+
+def _equilibrium(study: Study, options: argparse.Namespace) -> Outcome:
+    equilibrium = jb.equilibrium(study.model)
+    return Outcome([equilibrium], lambda: jb.plots.draw_model(study.model, equilibrium.state))
+
+
+def _modes(study: Study, options: argparse.Namespace) -> Outcome:
+    lin = jb.linearize(study.model, jb.equilibrium(study.model))
+    if options.damped:
+        modes: Any = jb.complex_modes(lin)
+        return Outcome([modes], lambda: jb.plots.draw_mode(lin, modes, options.draw))
+    modes = jb.modes(lin)
+    return Outcome([modes, *([jb.mode_energies(lin)] if options.energies else [])], lambda: jb.plots.draw_mode(lin, modes, options.draw))
+
+
+def _response(study: Study, options: argparse.Namespace) -> Outcome:
+    import numpy as np
+
+    lin = jb.linearize(study.model, jb.equilibrium(study.model))
+    low, high = options.frequencies
+    inputs = {text: jb.BaseMotion(*_place(text, "--input"), kind=options.kind) for text in options.input}
+    outputs = {text: _sensor(text, options.quantity, study.model.element_names) for text in options.output}
+    response = jb.frequency_response(lin, np.geomspace(low, high, options.points), inputs, outputs)
+    return Outcome([response], lambda: jb.plots.plot_frequency_response(response), lambda: _over_frequency(response))
+
+
+def _over_frequency(response: Any) -> PrintedTable:
+    """Magnitude and phase of each output, over the frequencies."""
+    import numpy as np
+
+    columns = {"frequency [Hz]": response.frequencies}
+    for output in response.outputs:
+        for name in response.inputs:
+            value, unit = np.asarray(response[output, name]), response.unit(output, name)
+            columns |= {f"{output} / {name} [{unit or '1'}]": np.abs(value), f"phase of {output} / {name} [rad]": np.angle(value)}
+    return _series(columns)
+
+
+def _simulate(study: Study, options: argparse.Namespace) -> Outcome:
+    import numpy as np
+
+    times = np.linspace(0.0, options.duration, round(options.duration / options.interval) + 1)
+    trajectory = jb.simulate(study.model, times, motion=study.motion, initial="rest")
+    return Outcome([trajectory], lambda: jb.plots.plot_trajectory(trajectory), lambda: _over_time(trajectory))
+
+
+def _over_time(trajectory: Any) -> PrintedTable:
+    """Places of the origins of bodies and supports, elongations and forces of elements, over time."""
+    import numpy as np
+
+    columns = {"time [s]": trajectory.times}
+    for name, pose in trajectory.poses.items():
+        columns |= {f"{name} {axis} [m]": np.asarray(pose.p)[:, i] for i, axis in enumerate("xyz")}
+    for name, force in trajectory.forces.items():
+        columns |= {f"force of {name} [N]": force} if np.ndim(force) == 1 else {}
+    return _series(columns)
+
+
+def _series(columns: dict[str, Any]) -> PrintedTable:
+    """Columns of numbers as one table."""
+    from jaxbody.core.tables import PrintedTable
+
+    return PrintedTable("", tuple(columns), list(zip(*(map(float, column) for column in columns.values()), strict=True)))
+
+
+def _place(text: str, where: str) -> tuple[str, str]:
+    """A name and a direction of "road.z"."""
+    name, _, direction = text.rpartition(".")
+    if not name:
+        raise JaxbodyError(Problem("BAD_DIRECTION", where, f"is '{text}'", text, "a name and a direction, such as road.z"))
+    return name, direction
+
+
+def _sensor(text: str, quantity: str, elements: tuple[str, ...]) -> Any:
+    """What "car.z" or the name of an element measures."""
+    name, direction = (text, "") if text in elements else _place(text, "--output")
+    line, turn = QUANTITIES[quantity]
+    sensor: Any = getattr(jb, "Elongation" if not direction else turn if direction[0] == "r" else line)
+    return sensor(name, axis=[float(direction[-1] == axis) for axis in "xyz"]) if direction else sensor(name)
+
+
+def _above_zero(text: str) -> float:
+    if not 0 < float(text) < float("inf"):
+        raise ValueError
+    return float(text)
+
+
+def _band(text: str) -> tuple[float, float]:
+    low, _, high = text.partition(":")
+    if not 0 < float(low) < float(high):
+        raise ValueError
+    return float(low), float(high)
+
+
+_above_zero.__name__ = "number above zero,"
+_band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of argparse
+COMMANDS = {
+    "check": Command("check a model file", "jaxbody check engine.toml", _check),
+    "show": Command("print and draw a model", "jaxbody show engine.toml --out engine.png", _show),
+    "equilibrium": Command("the static equilibrium", "jaxbody equilibrium engine.toml --set 'gravity=0, 0, -9.81 m/s2'", _equilibrium),
+    "modes": Command(
+        "natural frequencies and modes about the equilibrium",
+        "jaxbody modes engine.toml --energies --out modes.csv",
+        _modes,
+        (
+            (("--damped",), {"action": "store_true", "help": "complex modes, with their damping ratios"}),
+            (("--energies",), {"action": "store_true", "help": "the shares of the energy of each mode"}),
+            (("--draw",), {"type": int, "default": 1, "metavar": "N", "help": "the mode that --out draws (default: 1)"}),
+        ),
+    ),
+    "simulate": Command(
+        "the nonlinear motion on supports that move, from rest on them",
+        "jaxbody simulate car.toml --duration 3 --out motion.csv",
+        _simulate,
+        (
+            (("--duration",), {"type": _above_zero, "default": 5.0, "metavar": "T", "help": "[s] (default: 5)"}),
+            (("--interval",), {"type": _above_zero, "default": 0.01, "metavar": "DT", "help": "between samples [s] (default: 0.01)"}),
+        ),
+    ),
+    "response": Command(
+        "the response to a harmonic motion of supports",
+        "jaxbody response car.toml --input road.z --output body.z --frequencies 0.5:20 --out response.png",
+        _response,
+        (
+            (("--input",), {"action": "append", "required": True, "metavar": "SUPPORT.z", "help": "support and x, y, z, rx, ry or rz"}),
+            (("--output",), {"action": "append", "required": True, "metavar": "BODY.z", "help": "body and direction, or an element"}),
+            (("--frequencies",), {"type": _band, "default": (0.1, 50.0), "metavar": "LOW:HIGH", "help": "[Hz] (default: 0.1:50)"}),
+            (("--points",), {"type": int, "default": 400, "metavar": "N", "help": "number of frequencies (default: 400)"}),
+            (("--kind",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the input (default: displacement)"}),
+            (("--quantity",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the output (default: displacement)"}),
+        ),
+    ),
+}  # fmt: skip
