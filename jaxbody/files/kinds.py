@@ -43,6 +43,7 @@ SECTIONS = {
     "joints": "Joints by the name of the body that each carries. A body without a joint is free.",
     "elements": "Springs, dampers and contacts by name.",
 }
+FRAME = {"type": "string", "frame": True}  # the name of a body, a support or the world
 MOTION = "Motions of supports, by the name of the support."
 
 
@@ -72,6 +73,8 @@ class Argument:
             return {"$ref": "#/$defs/end", **about}
         if self.role == "law":
             return {"$ref": "#/$defs/law", **about, **({"words": dict(self.words)} if self.words else {})}
+        if self.name == "parent":
+            return FRAME | about
         if self.role in ("word", "words", "flag"):
             return {"type": {"word": "string", "words": "array", "flag": "boolean"}[self.role], **about}
         if self.kind.domain == "rotation":
@@ -145,8 +148,8 @@ def schema() -> dict[str, Any]:
         "end": {
             "description": 'The name of a body, a support or "world", and a point in its frame: ["engine", "0.2, 0, -0.1 m"].',
             "oneOf": [
-                {"type": "string"},
-                {"type": "array", "prefixItems": [{"type": "string"}, point]},
+                FRAME,
+                {"type": "array", "prefixItems": [FRAME, point]},
             ],
         },
         "orientation": {"oneOf": [quaternion, euler]},

@@ -1,7 +1,7 @@
 """The check of a document against the schema of model files: known names, required entries, numbers in SI. It needs no JAX.
 
-The schema is JSON schema, which editors use as well, with the words `unit` (of the numbers of an entry) and `words` (what the words of
-units stand for below it).
+The schema is JSON schema, which editors use as well, with the words `unit` (of the numbers of an entry), `words` (what the words of
+units stand for below it) and `frame` (of the name of a body, a support or the world).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def schema() -> dict[str, Any]:
 def checked_values(document: Document) -> dict[str, Any]:
     """The values of a document, with all numbers in SI. All problems are in one error, each with its line.
 
-    Errors: FILE_VERSION, UNKNOWN_NAME, MISSING_ENTRY, WRONG_KIND, those of quantities."""
+    Errors: FILE_VERSION, UNKNOWN_NAME, UNKNOWN_BODY, MISSING_ENTRY, WRONG_KIND, those of quantities."""
     _check_version(document)
     with Problems() as problems:
         stated = document.values.get("units")
@@ -63,6 +63,8 @@ class Check:
 
     def __init__(self, document: Document, system: UnitSystem | None, problems: Problems):
         self.document, self.system, self.problems = document, system, problems
+        tables = [document.values.get(section) for section in ("bodies", "supports")]
+        self.frames = (*(name for table in tables if isinstance(table, dict) for name in table), "world")
 
     def value(self, value: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> Any:
         """A value with its numbers in SI; as it is where there is a problem."""
@@ -80,6 +82,9 @@ class Check:
             return self.table(value, node, path, words)
         if isinstance(value, list):
             return [self.value(x, of, (*path, i), words) for i, (x, of) in enumerate(zip(value, _items(node, len(value)), strict=True))]
+        if node.get("frame") and value not in self.frames:
+            problem = unknown(value, self.document.where(path), self.frames)
+            self.problems.add("UNKNOWN_BODY", problem.where, f"body or support {problem.message}", value=value, hint=problem.hint)
         if value not in node.get("enum", [value]):
             self.problems.collected.append(unknown(value, self.document.where(path), tuple(node["enum"])))
         return value

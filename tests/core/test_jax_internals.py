@@ -104,7 +104,7 @@ def test_programs_lose_what_their_results_do_not_need(monkeypatch):
     kept = jax_internals.only_what_is_needed(traced)
     assert [eqn.primitive.name for eqn in kept.jaxpr.eqns] == ["sin"]
     monkeypatch.delattr(jax_internals.partial_eval, "dce_jaxpr")
-    assert jax_internals.only_what_is_needed(traced).jaxpr is traced.jaxpr
+    assert [eqn.primitive.name for eqn in jax_internals.only_what_is_needed(traced).jaxpr.eqns] == ["sin", "cos"]
 
 
 def test_a_linear_function_has_the_transpose_that_it_is_given():

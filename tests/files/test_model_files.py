@@ -281,7 +281,7 @@ def test_a_file_by_hand_is_the_model_in_python(tmp_path):
         ("[supports.frame]", "[bodies.engine]", 10, "bodies.engine: is stated twice, first in line 4"),
         ('"Bushing"', '"Busing"', 14, "elements.left.type: 'Busing' is unknown. Did you mean 'Bushing'?"),
         ('"Bushing"', '"os:system"', 14, "elements.left.type: names the module 'os'"),
-        ('["engine", "0.3, 0.25, -0.1 m"]', '["engin", "0.3, 0.25, -0.1 m"]', 13, "elements.left: body or support 'engin' is unknown"),
+        ('["engine", "0.3, 0.25, -0.1 m"]', '["engin", "0.3, 0.25, -0.1 m"]', 15, "elements.left.a[0]: body or support 'engin' is unknown"),
         ('["engine", "0.3, 0.25, -0.1 m"]', "3", 15, "elements.left.a: is 3 (allowed: a text or a list)"),
         ("200, 200, 400 N/mm", "200, -200, 400 N/mm", 17, "elements.left.stiffness: has coefficients 200000, -200000, 400000"),
         ("8 mm", "-8 mm", 23, "elements.right.spring[1].gap: is -0.008 m"),
@@ -293,7 +293,7 @@ def test_a_file_by_hand_is_the_model_in_python(tmp_path):
         ('"rear.csv"', '"rear.csv", x = [0], forces = [0]', 31, "elements.rear.spring: needs either points or a file"),
         ("jaxbody = 1", "jaxbody = 2", 1, "jaxbody: is version 2 (allowed: 1). This jaxbody reads version 1: install a newer one."),
         ("jaxbody = 1\n", "\n", None, "jaxbody: does not state its version"),
-        ("[bodies.engine]", "[bodies.engin]", 13, "elements.left: body or support 'engine' is unknown"),
+        ("[bodies.engine]", "[bodies.engin]", 15, "elements.left.a[0]: body or support 'engine' is unknown"),
         ('axis = [0, 1, 0]', 'axis = [0, 0, 0]', 30, "elements.rear.axis: has length zero"),
         ('gravity = "0, 0, -9.81 m/s2"', 'gravity = "9.81 m/s2"', 2, "gravity: has shape ()"),
     ],
@@ -307,10 +307,22 @@ def test_problems_are_reported_with_their_line(old, new, line, message, tmp_path
 
 
 def test_all_problems_are_in_one_error(tmp_path):
-    text = ENGINE.replace("180 kg", "180 m").replace('"Bushing"', '"Spring"').replace("gap", "gab").replace("[0, 1, 0]", '"y"')
+    text = (
+        ENGINE.replace("180 kg", "180 m")
+        .replace('"frame", "0.3, 0.25', '"fram", "0.3, 0.25')
+        .replace('"Bushing"', '"Spring"')
+        .replace("gap", "gab")
+        .replace("[0, 1, 0]", '"y"')
+    )
     with pytest.raises(jb.JaxbodyError) as error:
         jb.read_model(engine(tmp_path, text))
-    assert [problem.code for problem in error.value.problems] == ["WRONG_DIMENSION", "MISSING_ENTRY", "UNKNOWN_NAME", "NOT_A_NUMBER"]
+    assert [problem.code for problem in error.value.problems] == [
+        "WRONG_DIMENSION",
+        "UNKNOWN_BODY",
+        "MISSING_ENTRY",
+        "UNKNOWN_NAME",
+        "NOT_A_NUMBER",
+    ]
 
 
 def test_own_classes_are_taken_from_modules_that_are_allowed(tmp_path):
