@@ -21,7 +21,7 @@ from jaxbody.models.models import Model
 
 IN_LINE = 8  # numbers
 SHORT = ("supports", "joints")  # sections whose objects take one line each
-HEADING = """A model for jaxbody. Check it with `jaxbody check FILE`, go on with show, equilibrium, modes, response, simulate.
+HEADING = """A model for jaxbody. Check it with `jaxbody check FILE`; `jaxbody --help` lists what comes next.
 Numbers without a unit are in SI; "21 N/mm" is a number with its own. Bodies: `position` is where the origin O of the body's axes is
 before the model settles, `com` the center of mass from O. Elements: each end is a body, a support or "world", and a point in its axes."""
 NOT_IN_FILES = "A file holds numbers and names only."
