@@ -127,6 +127,8 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
     _use_x64()
     if own_process:
         _prepare()
+    import numpy as np
+
     from jaxbody.files.study_files import study_of
 
     study = study_of(document, values, options.file.parent, options.allow)
@@ -135,7 +137,7 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
         print(result)
     if options.out is not None:
         _save(outcome, options.out)
-    return 0 if all(bool(getattr(result, "ok", True)) for result in outcome.results) else 1
+    return 0 if all(np.all(getattr(result, "ok", True)) for result in outcome.results) else 1
 
 
 def _use_x64() -> None:

@@ -86,6 +86,27 @@ def _over_frequency(response: Any) -> PrintedTable:
     return _series(columns)
 
 
+def _random(study: Study, options: argparse.Namespace) -> Outcome:
+    lin = jb.linearize(study.model, jb.equilibrium(study.model))
+    inputs = {text: jb.BaseMotion(*_place(text, "--input")) for text in options.input}
+    outputs = {text: _sensor(text, options.quantity, study.model.element_names) for text in options.output}
+    spectra: Any = dict.fromkeys(inputs, jb.Unevenness.iso(options.road).at_speed(options.speed))
+    response = jb.random_response(lin, jb.Band(*options.frequencies), inputs, outputs, spectra)
+    return Outcome([response], lambda: jb.plots.plot_psd(response), lambda: _densities(response))
+
+
+def _densities(response: Any) -> PrintedTable:
+    """The density of each output over the frequencies."""
+    names = zip(response.outputs, response.units, strict=True)
+    columns = {f"{name} [({unit})2/Hz]": response.psd[i] for i, (name, unit) in enumerate(names)}
+    return _series({"frequency [Hz]": response.frequencies, **columns})
+
+
+def _load_cases(study: Study, options: argparse.Namespace) -> Outcome:
+    cases = {name: jb.LoadCase(acceleration=acceleration) for name, acceleration in options.case}
+    return Outcome([jb.load_cases(study.model, cases)])
+
+
 def _simulate(study: Study, options: argparse.Namespace) -> Outcome:
     import numpy as np
 
@@ -129,6 +150,14 @@ def _sensor(text: str, quantity: str, elements: tuple[str, ...]) -> Any:
     return sensor(name, axis=[float(direction[-1] == axis) for axis in "xyz"]) if direction else sensor(name)
 
 
+def _case(text: str) -> tuple[str, list[float]]:
+    name, sign, numbers = text.partition("=")
+    acceleration = [float(number) for number in numbers.split(",")]
+    if not (name and sign and len(acceleration) == 3):
+        raise ValueError
+    return name, acceleration
+
+
 def _above_zero(text: str) -> float:
     if not 0 < float(text) < float("inf"):
         raise ValueError
@@ -142,8 +171,15 @@ def _band(text: str) -> tuple[float, float]:
     return float(low), float(high)
 
 
+_case.__name__ = "name and three numbers, bump=0,0,3,"
 _above_zero.__name__ = "number above zero,"
 _band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of argparse
+PORTS = (
+    (("--input",), {"action": "append", "required": True, "metavar": "SUPPORT.z", "help": "support and x, y, z, rx, ry or rz"}),
+    (("--output",), {"action": "append", "required": True, "metavar": "BODY.z", "help": "body and direction, or an element"}),
+    (("--quantity",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the output (default: displacement)"}),
+)
+BAND = (("--frequencies",), {"type": _band, "default": (0.1, 50.0), "metavar": "LOW:HIGH", "help": "[Hz] (default: 0.1:50)"})
 COMMANDS = {
     "check": Command("check a model file", "jaxbody check engine.toml", _check),
     "show": Command("print and draw a model", "jaxbody show engine.toml --out engine.png", _show),
@@ -157,6 +193,23 @@ COMMANDS = {
             (("--energies",), {"action": "store_true", "help": "the shares of the energy of each mode"}),
             (("--draw",), {"type": int, "default": 1, "metavar": "N", "help": "the mode that --out draws (default: 1)"}),
         ),
+    ),
+    "random": Command(
+        "the response to an uneven road, of class A to H by ISO 8608, under each input",
+        "jaxbody random car.toml --input road.z --output body.z --speed 20 --set suspension.damping='1.5 N s/mm' --out psd.png",
+        _random,
+        (
+            *PORTS,
+            BAND,
+            (("--road",), {"default": "C", "metavar": "CLASS", "help": "A (smooth) to H (default: C)"}),
+            (("--speed",), {"type": _above_zero, "default": 20.0, "metavar": "V", "help": "[m/s] (default: 20)"}),
+        ),
+    ),
+    "load-cases": Command(
+        "displacements, strokes and forces under steady accelerations of the whole",
+        "jaxbody load-cases engine.toml --case braking=-1,0,0 --case bump=0,0,3 --out cases.csv",
+        _load_cases,
+        ((("--case",), {"type": _case, "action": "append", "required": True, "metavar": "NAME=X,Y,Z", "help": "acceleration [g]"}),),
     ),
     "simulate": Command(
         "the nonlinear motion on supports that move, from rest on them",
@@ -172,12 +225,10 @@ COMMANDS = {
         "jaxbody response car.toml --input road.z --output body.z --frequencies 0.5:20 --out response.png",
         _response,
         (
-            (("--input",), {"action": "append", "required": True, "metavar": "SUPPORT.z", "help": "support and x, y, z, rx, ry or rz"}),
-            (("--output",), {"action": "append", "required": True, "metavar": "BODY.z", "help": "body and direction, or an element"}),
-            (("--frequencies",), {"type": _band, "default": (0.1, 50.0), "metavar": "LOW:HIGH", "help": "[Hz] (default: 0.1:50)"}),
+            *PORTS,
+            BAND,
             (("--points",), {"type": int, "default": 400, "metavar": "N", "help": "number of frequencies (default: 400)"}),
             (("--kind",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the input (default: displacement)"}),
-            (("--quantity",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the output (default: displacement)"}),
         ),
     ),
 }  # fmt: skip

@@ -87,6 +87,25 @@ def test_the_response_is_that_of_python(folder):
     np.testing.assert_allclose(table[:, 1] * np.exp(1j * table[:, 2]), expected, rtol=1e-12)
 
 
+def test_the_random_response_and_load_cases_are_those_of_python(capsys, folder):
+    damped = ["--set", "suspension.damping=1500"]
+    words = "random car.toml --input road.z --output body.z --quantity acceleration --frequencies 0.2:40 --speed 15 --out psd.csv"
+    assert commands.main([*words.split(), *damped]) == 0
+    car = jb.presets.quarter_car(damping=1500.0)
+    lin = jb.linearize(car, jb.equilibrium(car))
+    ports = {"road.z": jb.BaseMotion("road", "z")}, {"body.z": jb.Acceleration("body", axis="z")}
+    expected = jb.random_response(lin, jb.Band(0.2, 40.0), *ports, {"road.z": jb.Unevenness.iso("C").at_speed(15.0)})
+    assert str(expected) in capsys.readouterr().out
+    table = np.loadtxt(folder / "psd.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(table, np.stack([expected.frequencies, expected.psd[0]], 1), rtol=1e-9)
+    assert commands.main(["load-cases", "car.toml", *damped, "--case", "bump=0,0,2"]) == 0
+    assert str(jb.load_cases(car, {"bump": jb.LoadCase(acceleration=[0, 0, 2])})) in capsys.readouterr().out
+    for wrong in ("bump", "bump=1,2", "=1,2,3", "bump=x,0,0"):
+        with pytest.raises(SystemExit):
+            commands.main(["load-cases", "car.toml", "--case", wrong])
+        assert "name and three numbers" in capsys.readouterr().err
+
+
 def test_values_are_set_by_name_and_pattern(capsys):
     assert commands.main(["show", "car.toml", "--set", "*.stiffness=30 kN/m", "--set", "body.mass=300", "--set", "gravity=[0, 0, 0]"]) == 0
     shown = capsys.readouterr().out

@@ -9,6 +9,7 @@ from jaxbody.core.errors import CODES
 
 NOT_CODES = {
     "ABCDEFGH",
+    "CLASS",
     "FILE",
     "JAX_COMPILATION_CACHE_DIR",
     "MODULE",
