@@ -102,7 +102,7 @@ def force_jump_at(model: Model, motions: Motions, t: Array, state: State) -> str
     return "; ".join(message for _, message in _messages(model, [["" if x else None for x in rows] for rows in near]))
 
 
-def force_jumps_along(model: Model, motions: Motions, times: Array, states: State) -> list[Float[np.ndarray, "n"]]:
+def force_jumps_along(model: Model, motions: Motions, times: Array, states: State) -> list[Float[np.ndarray, "_"]]:
     """The time of the first jump of the force of each element between these samples, or NaN, for each table; empty if no force can jump."""
     if not any(table.rows.jump for table in model.elements):
         return []
@@ -110,7 +110,7 @@ def force_jumps_along(model: Model, motions: Motions, times: Array, states: Stat
     return [_zero_crossings(np.asarray(times), *rows) for rows in away]
 
 
-def force_jump_messages(model: Model, times_of_jumps: list[Float[np.ndarray, "n"]]) -> list[tuple[str, str]]:
+def force_jump_messages(model: Model, times_of_jumps: list[Float[np.ndarray, "_"]]) -> list[tuple[str, str]]:
     """Code and message of the elements whose force jumps, at the times of `force_jumps_along`."""
     return _messages(model, [[f" at t = {t:.6g} s" if np.isfinite(t) else None for t in rows] for rows in times_of_jumps])
 

@@ -48,7 +48,7 @@ class Trajectory(Result):
     model: Model
     motions: Motions
     loads: tuple[Load, ...] = ()
-    jumps: list[Float[np.ndarray, "n"]] = field(
+    jumps: list[Float[np.ndarray, "_"]] = field(
         default_factory=list
     )  # times of jumps of forces by `force_jumps_along`, where simulate has computed them
 
