@@ -16,6 +16,7 @@ from typing import Any
 import jaxbody as jb
 from jaxbody.app.file_commands import COMMANDS, Outcome
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
+from jaxbody.core.source_files import writing
 from jaxbody.files.changes import set_value
 from jaxbody.files.documents import read_document
 from jaxbody.files.schemas import checked_values
@@ -150,7 +151,7 @@ def _save(outcome: Outcome, path: Path) -> None:
     """Save the tables as text, or the picture."""
     from jaxbody.core.tables import in_numpy
 
-    try:
+    with writing(path):
         if path.suffix == ".csv":
             printed = [table for result in outcome.results if hasattr(result, "_tables") for table in in_numpy(result)._tables()]
             tables = printed if outcome.series is None else [outcome.series()]
@@ -159,8 +160,6 @@ def _save(outcome: Outcome, path: Path) -> None:
             raise JaxbodyError(Problem("UNKNOWN_FORMAT", "--out", "is a picture, which this command does not draw", path, ".csv"))
         else:
             outcome.draw().figure.savefig(path, dpi=130)
-    except OSError as error:
-        raise JaxbodyError(Problem("NOT_SAVED", str(path), f"cannot be written: {error.strerror}", path)) from None
     print(f"saved {path}")
 
 

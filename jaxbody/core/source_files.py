@@ -1,9 +1,11 @@
-"""Files of a user before they are read: existence, kind, size, encoding."""
+"""Files of a user: existence, kind, size and encoding before they are read, and the error of a file that cannot be written."""
 
 from __future__ import annotations
 
 import math
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from jaxbody.core.errors import JaxbodyError, Problem
@@ -54,3 +56,13 @@ def decoded(data: bytes, name: str, encoding: str) -> str:
         message, hint = f"has a zero byte at offset {text.index(chr(0))}", "Is it a text file? If so, give its encoding, else its format."
         raise JaxbodyError(Problem("WRONG_FORMAT", name, message, limit="text", hint=hint))
     return text
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """A block that writes a file. Error: NOT_SAVED."""
+    try:
+        yield
+    except OSError as error:
+        message = f"cannot be written: {error.strerror}"
+        raise JaxbodyError(Problem("NOT_SAVED", str(path), message, path, hint="Choose another path.")) from None

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.source_files import writing
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import LARGEST, read_document
 from jaxbody.files.schemas import checked_values
@@ -70,9 +71,5 @@ def write_model(model: Model, path: Any, *, allow: Sequence[str] = ()) -> None:
     if path.suffix not in (".toml", ".json"):
         raise JaxbodyError(Problem("UNKNOWN_FORMAT", path.name, f"has the extension '{path.suffix}'", path.suffix, ".toml .json"))
     text = toml_of(values) if path.suffix == ".toml" else json.dumps(values, indent=1, ensure_ascii=False) + "\n"
-    try:
+    with writing(path):
         path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise JaxbodyError(
-            Problem("NOT_SAVED", str(path), f"cannot be written: {error.strerror}", path, hint="Choose another path.")
-        ) from None

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.io import savemat
 
 from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.source_files import writing
 from jaxbody.vibrations.state_spaces import StateSpace
 
 
@@ -44,10 +45,5 @@ def write_state_space(system: StateSpace, path: Any) -> None:
     values: dict[str, Any] = {name: np.asarray(getattr(system, name)) for name in ("A", "B", "C", "D")}
     for name in ("inputs", "outputs", "states", "input_units", "output_units"):
         values[name] = np.array(getattr(system, name), dtype=object)
-    try:
-        with path.open("wb") as file:
-            savemat(file, values)
-    except OSError as error:
-        raise JaxbodyError(
-            Problem("NOT_SAVED", str(path), f"cannot be written: {error.strerror}", path, hint="Choose another path.")
-        ) from None
+    with writing(path), path.open("wb") as file:
+        savemat(file, values)
