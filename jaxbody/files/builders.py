@@ -16,7 +16,6 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.elements.elements import Element
 from jaxbody.files.documents import Document, EntryPath
 from jaxbody.files.kinds import PLAIN, SECTIONS, TYPES, Argument, arguments_of, object_schema
-from jaxbody.files.quantities import unit_system
 from jaxbody.files.schemas import Check
 from jaxbody.geometry.fields import check_domain, kind_of
 from jaxbody.geometry.orientations import Euler
@@ -35,6 +34,7 @@ class Builder:
     def __init__(self, document: Document, values: dict[str, Any], folder: Path, allow: Sequence[str]):
         self.document, self.values, self.folder, self.allow = document, values, folder, allow
         self.problems = Problems()
+        self.check = Check(document, self.problems)  # of what is known only when a class of the user's is imported
 
     def model(self) -> Model:
         parts: dict[str, Any] = {
@@ -66,8 +66,8 @@ class Builder:
             kind = self.own(values["type"], path)
             if kind is None:
                 return None
-            system, before = unit_system(self.document.values.get("units"), "", self.problems), len(self.problems.collected)
-            values = Check(self.document, system, self.problems).value(values, object_schema(kind, values["type"]), path, words)
+            before = len(self.problems.collected)
+            values = self.check.value(values, object_schema(kind, values["type"]), path, words)
             if len(self.problems.collected) > before:
                 return None
         if kind is Table and set(values) != {"type", "x", "forces"}:

@@ -13,7 +13,7 @@ from typing import Any
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.files.documents import Document, EntryPath
-from jaxbody.files.quantities import UnitSystem, in_SI, unit_system
+from jaxbody.files.quantities import in_SI, unit_system
 
 VERSION = 1
 SCHEMA_FILE = Path(__file__).with_name("schema.json")
@@ -40,10 +40,9 @@ def checked_values(document: Document) -> dict[str, Any]:
     Errors: FILE_VERSION, UNKNOWN_NAME, UNKNOWN_BODY, MISSING_ENTRY, WRONG_KIND, those of quantities."""
     _check_version(document)
     with Problems() as problems:
-        stated = document.values.get("units")
-        system = unit_system(stated, document.where(("units",)), problems)
-    with Problems() as problems:
-        return Check(document, system, problems).value(document.values, schema(), (), {})
+        check = Check(document, problems)
+    with problems:
+        return check.value(document.values, schema(), (), {})
 
 
 def _check_version(document: Document) -> None:
@@ -61,8 +60,9 @@ def _check_version(document: Document) -> None:
 class Check:
     """A walk through the values of a document and the schema."""
 
-    def __init__(self, document: Document, system: UnitSystem | None, problems: Problems):
-        self.document, self.system, self.problems = document, system, problems
+    def __init__(self, document: Document, problems: Problems):
+        self.document, self.problems = document, problems
+        self.system = unit_system(document.values.get("units"), document.where(("units",)), problems)
         tables = [document.values.get(section) for section in ("bodies", "supports")]
         self.frames = (*(name for table in tables if isinstance(table, dict) for name in table), "world")
 
