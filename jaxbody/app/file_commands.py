@@ -55,7 +55,7 @@ def _equilibrium(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _modes(study: Study, options: argparse.Namespace) -> Outcome:
-    lin = jb.linearize(study.model, jb.equilibrium(study.model))
+    lin = _linear(study)
     if options.damped:
         modes: Any = jb.complex_modes(lin)
         return Outcome([modes], lambda: jb.plots.draw_mode(lin, modes, options.draw))
@@ -66,10 +66,9 @@ def _modes(study: Study, options: argparse.Namespace) -> Outcome:
 def _response(study: Study, options: argparse.Namespace) -> Outcome:
     import numpy as np
 
-    lin = jb.linearize(study.model, jb.equilibrium(study.model))
+    lin = _linear(study)
     low, high = options.frequencies
-    inputs = {text: jb.BaseMotion(*_place(text, "--input"), kind=options.kind) for text in options.input}
-    outputs = {text: _sensor(text, options.quantity, study.model.element_names) for text in options.output}
+    inputs, outputs = _ports(study, options, options.kind)
     response = jb.frequency_response(lin, np.geomspace(low, high, options.points), inputs, outputs)
     return Outcome([response], lambda: jb.plots.plot_frequency_response(response), lambda: _over_frequency(response))
 
@@ -87,9 +86,8 @@ def _over_frequency(response: Any) -> PrintedTable:
 
 
 def _random(study: Study, options: argparse.Namespace) -> Outcome:
-    lin = jb.linearize(study.model, jb.equilibrium(study.model))
-    inputs = {text: jb.BaseMotion(*_place(text, "--input")) for text in options.input}
-    outputs = {text: _sensor(text, options.quantity, study.model.element_names) for text in options.output}
+    lin = _linear(study)
+    inputs, outputs = _ports(study, options, "displacement")
     spectra: Any = dict.fromkeys(inputs, jb.Unevenness.iso(options.road).at_speed(options.speed))
     response = jb.random_response(lin, jb.Band(*options.frequencies), inputs, outputs, spectra)
     return Outcome([response], lambda: jb.plots.plot_psd(response), lambda: _densities(response))
@@ -132,6 +130,16 @@ def _series(columns: dict[str, Any]) -> PrintedTable:
     from jaxbody.core.tables import PrintedTable
 
     return PrintedTable("", tuple(columns), list(zip(*(map(float, column) for column in columns.values()), strict=True)))
+
+
+def _linear(study: Study) -> Any:
+    return jb.linearize(study.model, jb.equilibrium(study.model))
+
+
+def _ports(study: Study, options: argparse.Namespace, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The inputs, motions of supports of this kind, and the outputs."""
+    inputs = {text: jb.BaseMotion(*_place(text, "--input"), kind=kind) for text in options.input}
+    return inputs, {text: _sensor(text, options.quantity, study.model.element_names) for text in options.output}
 
 
 def _place(text: str, where: str) -> tuple[str, str]:

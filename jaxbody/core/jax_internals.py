@@ -79,6 +79,7 @@ def zero_tangent(x: Any) -> Zero:
 
 
 def chosen(x: Sequence[Any], which: Sequence[bool]) -> list[Any]:
+    """Those of x that are chosen, in their order."""
     return [y for y, c in zip(x, which, strict=True) if c]
 
 

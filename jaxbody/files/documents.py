@@ -28,6 +28,8 @@ TOKEN = re.compile(
 
 
 class Token(NamedTuple):
+    """A word, a number, a text, a sign or the end of a line, and its line."""
+
     kind: str
     text: str
     line: int

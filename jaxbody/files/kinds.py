@@ -93,7 +93,7 @@ def arguments_of(kind: type) -> tuple[Argument, ...]:
     """The arguments of a class."""
     known, texts = {each.name: each for each in fields(kind)}, _texts(kind)
     found = []
-    for name, parameter in list(inspect.signature(kind).parameters.items()):
+    for name, parameter in inspect.signature(kind).parameters.items():
         own = FIELDS.get((kind, name), name)
         if parameter.kind is inspect.Parameter.VAR_POSITIONAL:
             continue
