@@ -24,6 +24,7 @@ The packages, in reading order; each imports only from those before it:
     inference       Uncertainty of fits: profiles, bands, validation.
     designs         Tuning: tune, pareto, sweep, tolerances, objectives.
     files           Model files: text to numbers in SI without JAX, to models and back.
+    interchange     Files of others: data sheets of mounts, linear systems for MATLAB.
     presets         Ready models.
     plots           Pictures with matplotlib.
     app             The command jaxbody.
@@ -65,8 +66,6 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.experiments.measured_responses": ("MeasuredResponse",),
     "jaxbody.experiments.plausibilities": ("plausibility",),
     "jaxbody.files.model_files": ("read_model", "write_model"),
-    "jaxbody.files.mount_tables": ("read_mounts",),
-    "jaxbody.files.state_space_files": ("write_state_space",),
     "jaxbody.files.study_files": ("Study", "read_study"),
     "jaxbody.geometry.fields": ("field",),
     "jaxbody.geometry.orientations": ("Euler",),
@@ -84,6 +83,8 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.inputs.roads": ("Road",),
     "jaxbody.inputs.signals": ("Delayed",),
     "jaxbody.inputs.splines": ("Spline",),
+    "jaxbody.interchange.mount_tables": ("read_mounts",),
+    "jaxbody.interchange.state_space_files": ("write_state_space",),
     "jaxbody.mechanics.energies": ("dissipation", "kinetic_energy", "lagrangian", "potential_energy"),
     "jaxbody.mechanics.kinematics": ("retract",),
     "jaxbody.models.bodies": ("Body", "Support"),

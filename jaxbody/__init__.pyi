@@ -37,8 +37,6 @@ from jaxbody.experiments.measured_responses import MeasuredResponse as MeasuredR
 from jaxbody.experiments.plausibilities import plausibility as plausibility
 from jaxbody.files.model_files import read_model as read_model
 from jaxbody.files.model_files import write_model as write_model
-from jaxbody.files.mount_tables import read_mounts as read_mounts
-from jaxbody.files.state_space_files import write_state_space as write_state_space
 from jaxbody.files.study_files import Study as Study
 from jaxbody.files.study_files import read_study as read_study
 from jaxbody.geometry.fields import field as field
@@ -66,6 +64,8 @@ from jaxbody.inputs.port_inputs import PointForce as PointForce
 from jaxbody.inputs.roads import Road as Road
 from jaxbody.inputs.signals import Delayed as Delayed
 from jaxbody.inputs.splines import Spline as Spline
+from jaxbody.interchange.mount_tables import read_mounts as read_mounts
+from jaxbody.interchange.state_space_files import write_state_space as write_state_space
 from jaxbody.mechanics.energies import dissipation as dissipation
 from jaxbody.mechanics.energies import kinetic_energy as kinetic_energy
 from jaxbody.mechanics.energies import lagrangian as lagrangian

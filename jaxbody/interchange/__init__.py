@@ -1,0 +1,1 @@
+"""Files of others: data sheets of mounts, linear systems for MATLAB."""
