@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 import jaxbody as jb
+from jaxbody.app.changes import set_value
 from jaxbody.app.file_commands import COMMANDS, Outcome
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.core.source_files import writing
-from jaxbody.files.changes import set_value
 from jaxbody.files.documents import read_document
 from jaxbody.files.schemas import checked_values
 
