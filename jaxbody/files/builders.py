@@ -6,25 +6,34 @@ import dataclasses
 import importlib
 import inspect
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
+from jaxbody.core import units
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.elements.elements import Element
 from jaxbody.files.documents import Document, EntryPath
 from jaxbody.files.kinds import PLAIN, SECTIONS, TYPES, Argument, arguments_of, object_schema
 from jaxbody.files.schemas import Check
 from jaxbody.geometry.fields import check_domain, kind_of
 from jaxbody.geometry.orientations import Euler
-from jaxbody.inputs.motions import Motion
+from jaxbody.geometry.places import direction
+from jaxbody.inputs.base_motions import base_motion
+from jaxbody.inputs.loads import Load
+from jaxbody.inputs.motions import Motion, Sampled
+from jaxbody.inputs.signals import Samples, Signal
 from jaxbody.laws.laws import Law, Sum
 from jaxbody.laws.measured_curves import Table
 from jaxbody.models.joints import Joint
 from jaxbody.models.models import Model
+from jaxbody.records.record_files import read_record
+from jaxbody.records.records import Record
+from jaxbody.sensors.sensors import Sensor
 
+IN_PLACE = ("file", "part")  # entries of a record that are no arguments of read_record
 PLACE = re.compile(r"(bodies|supports|joints|elements)\['(.*?)'\]|(gravity)")
 
 
@@ -35,6 +44,7 @@ class Builder:
         self.document, self.values, self.folder, self.allow = document, values, folder, allow
         self.problems = Problems()
         self.check = Check(document, self.problems)  # of what is known only when a class of the user's is imported
+        self.records: dict[str, Record | None] = {}  # each is read once, when something needs it
 
     def model(self) -> Model:
         parts: dict[str, Any] = {
@@ -48,15 +58,6 @@ class Builder:
             return Model(**parts)
         except JaxbodyError as error:
             raise JaxbodyError(*map(self.placed_in_model, error.problems)) from None
-
-    def motion(self, supports: Sequence[str]) -> dict[str, Motion]:
-        """The motions of supports."""
-        given = self.values.get("motion", {})
-        for name in set(given) - set(supports):
-            self.problems.collected.append(unknown(name, self.document.where(("motion", name)), tuple(supports)))
-        motions = {name: self.thing(value, None, ("motion", name), {}) for name, value in given.items()}
-        self.problems.raise_if_any()
-        return motions
 
     def thing(self, values: Any, kind: type | None, path: EntryPath, words: dict[str, str]) -> Any:
         """An object of a class, which the values name where it is not given."""
@@ -77,15 +78,13 @@ class Builder:
             for argument in arguments_of(kind)
             if argument.name in values
         }
-        try:
-            return _made(kind, given)
-        except JaxbodyError as error:
-            self.problems.collected += [self.placed(problem, path, kind.__name__) for problem in error.problems]
-            return None
+        return None if any(x is None for x in given.values()) else self.gather(path, kind.__name__, lambda: _made(kind, given))
 
     def value(self, value: Any, argument: Argument, path: EntryPath, words: dict[str, str]) -> Any:
         if argument.role == "law":
             return self.law(value, path, words)
+        if argument.role == "signal":
+            return self.signal(value, path, words)
         if argument.role == "end":
             return value if isinstance(value, str) else tuple(value)
         if isinstance(value, dict):
@@ -98,6 +97,61 @@ class Builder:
             return None if any(term is None for term in terms) else self.problems.gather(lambda: Sum(*terms))
         return self.thing(value, None, path, words) if isinstance(value, dict) else value
 
+    def signal(self, value: Any, path: EntryPath, words: dict[str, str]) -> Any:
+        """Three numbers, or a signal; samples are a channel of a record."""
+        if not isinstance(value, dict) or value["type"] != "Samples":
+            return self.thing(value, None, path, words) if isinstance(value, dict) else value
+        unit = units.parse(words["value"], "signal").dimension
+        kind = {"kind": value["kind"]} if "kind" in value else {}
+        return self.of_record(value, path, lambda record, x: Samples(record.times, self.rows(record, x, "channel", unit), **kind))
+
+    def motion(self, value: Any, path: EntryPath) -> Any:
+        """A motion by its constructor, or of channels of a record."""
+        made = {"Sampled": self.sampled, "base_motion": self.base_motion}.get(value["type"])
+        return self.thing(value, None, path, {}) if made is None else self.of_record(value, path, made)
+
+    def of_record(self, value: dict[str, Any], path: EntryPath, make: Any) -> Any:
+        """What `make` makes of a record and these values."""
+        record = self.record(value["record"])
+        return None if record is None else self.gather(path, value["type"], lambda: make(record, value))
+
+    def record(self, name: str) -> Record | None:
+        if name not in self.records:
+            path: EntryPath = ("records", name)
+            self.records[name] = self.gather(path, "", lambda: self._read(self.values["records"][name], path))
+        return self.records[name]
+
+    def _read(self, values: dict[str, Any], path: EntryPath) -> Record | None:
+        file = self.beside(values["file"], (*path, "file"))
+        columns = {name: _column(spec) for name, spec in values["channels"].items()}
+        options = {name: value for name, value in values.items() if name not in (*IN_PLACE, "channels", "time")}
+        time = {"time": _column(values["time"])} if "time" in values else {}
+        record = None if file is None else read_record(file, channels=columns, **time, **options)
+        return record if record is None or "part" not in values else record.part(*values["part"])
+
+    def sampled(self, record: Record, value: dict[str, Any]) -> Motion:
+        dimensions = {"translation": units.LENGTH, "rotation": units.ANGLE}
+        rows = {name: self.rows(record, value, name, of) for name, of in dimensions.items() if name in value}
+        return Sampled(record.times, **rows)
+
+    def base_motion(self, record: Record, value: dict[str, Any]) -> Motion:
+        options = {name: x for name, x in value.items() if name not in ("type", "record", "acceleration", "axis")}
+        axis = {"axis": _direction(value)} if "axis" in value else {}
+        return base_motion(record, value["acceleration"], **axis, **options).motion
+
+    def rows(self, record: Record, value: dict[str, Any], name: str, dimension: units.Dimension) -> np.ndarray:
+        """A channel of three columns, or of one along the `axis`. Errors: UNKNOWN_CHANNEL, WRONG_DIMENSION, BAD_SHAPE."""
+        x, unit = record[value[name]], record.units[value[name]]
+        if unit not in (si := units.si_words(dimension), "1"[: dimension != units.ANGLE]):
+            message = f"is the channel '{value[name]}', which is in {unit}"
+            raise JaxbodyError(Problem("WRONG_DIMENSION", f".{name}", message, unit, si, "Name another channel."))
+        if "axis" in value and x.ndim == 1:
+            return x[:, None] * _direction(value)
+        if x.ndim == 1:
+            hint = 'Name the direction of its one column: axis = "z".'
+            raise JaxbodyError(Problem("BAD_SHAPE", f".{name}", f"is the channel '{value[name]}' of one column", x.shape, "three", hint))
+        return x
+
     def table(self, values: dict[str, Any], path: EntryPath) -> Any:
         """The measured curve in a file beside the document."""
         name = values.get("file")
@@ -105,15 +159,23 @@ class Builder:
             hint = 'Give x = [...] and forces = [...], or file = "curve.csv".'
             self.problems.add("MISSING_ENTRY", self.document.where(path), "needs either points or a file", limit="one of them", hint=hint)
             return None
-        where = self.document.where((*path, "file"))
-        if Path(name).is_absolute() or ".." in Path(name).parts:
-            hint = "Put it beside the model file."
-            self.problems.add("OUTSIDE_FOLDER", where, f"names '{name}'", value=name, limit="a file in the folder of this one", hint=hint)
-            return None
+        file = self.beside(name, (*path, "file"))
+        return None if file is None else self.gather((*path, "file"), "", lambda: Table.read(file))
+
+    def beside(self, name: str, path: EntryPath) -> Path | None:
+        """A file in the folder of the document."""
+        if not (Path(name).is_absolute() or ".." in Path(name).parts):
+            return self.folder / name
+        where, hint = self.document.where(path), "Put it beside the model file."
+        self.problems.add("OUTSIDE_FOLDER", where, f"names '{name}'", value=name, limit="a file in the folder of this one", hint=hint)
+        return None
+
+    def gather(self, path: EntryPath, kind: str, make: Callable[[], Any]) -> Any:
+        """What `make` returns; None with its problems, at their lines, where it fails."""
         try:
-            return Table.read(self.folder / name)
+            return make()
         except JaxbodyError as error:
-            self.problems.collected += [dataclasses.replace(each, where=f"{where}: {each.where}") for each in error.problems]
+            self.problems.collected += [self.placed(problem, path, kind) for problem in error.problems]
             return None
 
     def own(self, name: str, path: EntryPath) -> type | None:
@@ -129,8 +191,8 @@ class Builder:
         except ImportError as error:
             self.problems.add("UNKNOWN_NAME", where, f"names the module '{module}', which cannot be imported: {error}", value=name)
             return None
-        if not (inspect.isclass(kind) and issubclass(kind, Element | Joint | Law | Motion)):
-            self.problems.add("UNKNOWN_NAME", where, f"names '{name}', which is no element, joint, law or motion", value=name)
+        if not (inspect.isclass(kind) and issubclass(kind, Element | Joint | Law | Load | Sensor | Signal)):
+            self.problems.add("UNKNOWN_NAME", where, f"names '{name}', which is no element, joint, law, load, motion or sensor", value=name)
             return None
         return kind
 
@@ -140,6 +202,7 @@ class Builder:
         found = re.match(r"\.(\w+)", rest)
         if found and (*path, found[1]) in self.document.lines:
             path, rest = (*path, found[1]), rest[found.end() :]
+        rest = f": {rest}" if rest and rest[0] not in ",.[ " else rest
         return dataclasses.replace(problem, where=self.document.where(path) + rest)
 
     def placed_in_model(self, problem: Problem) -> Problem:
@@ -160,3 +223,14 @@ def _made(kind: type, given: dict[str, Any]) -> Any:
         for name in numbers & set(given):
             check_domain(getattr(made, name), kind_of(made, name), f"{kind.__name__}.{name}", problems)
     return made
+
+
+def _column(spec: Any) -> Any:
+    """A column as `read_record` takes it."""
+    return (spec["columns"], spec.get("unit")) if isinstance(spec, dict) else spec
+
+
+def _direction(values: dict[str, Any]) -> np.ndarray:
+    with Problems() as problems:
+        axis = direction(values["axis"], ".axis", problems)
+    return np.asarray(axis)

@@ -1,16 +1,11 @@
-"""Kinds of objects in model files: the arguments of each class, read from its constructor and its fields, and the schema of all of them.
-
-    python -c "from jaxbody.files.kinds import write_schema; write_schema()"
-
-writes the schema again after a field has changed.
-"""
+"""Kinds of objects in model files: the arguments of each class and their schema, from its constructor, its fields and its docstring."""
 
 from __future__ import annotations
 
 import functools
 import inspect
-import json
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -18,12 +13,17 @@ from jaxbody.elements.bushings import Bushing
 from jaxbody.elements.contacts import Contact, Tyre
 from jaxbody.elements.springs import Spring, SpringDamper
 from jaxbody.elements.torsions import AntiRollBar, Torsion
-from jaxbody.files.schemas import SCHEMA_FILE, VERSION
 from jaxbody.geometry.fields import Kind
-from jaxbody.inputs.motions import AtRest, Harmonic
+from jaxbody.inputs.base_motions import base_motion
+from jaxbody.inputs.loads import EngineTorque, Force, Load, Unbalance
+from jaxbody.inputs.motions import AtRest, Harmonic, Sampled
+from jaxbody.inputs.roads import Road
+from jaxbody.inputs.signals import Samples, Sine
 from jaxbody.laws import damper_laws, laws, measured_curves, spring_laws
 from jaxbody.models.bodies import Body, Support
 from jaxbody.models.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
+from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
+from jaxbody.sensors.sensors import Sensor
 
 JOINTS = (Free, Fixed, Guide, Hinge, Ball, Translation, HeavePitch, HeavePitchRoll)
 ELEMENTS = (Spring, SpringDamper, Bushing, Torsion, AntiRollBar, Contact, Tyre)
@@ -31,11 +31,22 @@ LAWS = (
     laws.Linear, laws.TwoSided, spring_laws.Polynomial, spring_laws.Stop, spring_laws.TensionOnly, spring_laws.AirSpring,
     damper_laws.Digressive, damper_laws.Friction, measured_curves.Table,
 )  # fmt: skip
-MOTIONS = (AtRest, Harmonic)
-TYPES = {kind.__name__: kind for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS)}
+MOTIONS = (AtRest, Harmonic, Road)
+LOADS = (Force, Unbalance, EngineTorque)
+SENSORS = (
+    kinematic_sensors.Position, kinematic_sensors.Velocity, kinematic_sensors.Acceleration, kinematic_sensors.Rotation,
+    kinematic_sensors.AngularVelocity, kinematic_sensors.AngularAcceleration, instruments.Accelerometer, instruments.Gyro, instruments.Tilt,
+    instruments.Elongation, instruments.LoadCell, instruments.ForcePlate, instruments.Reaction, instruments.JointAngle,
+    gauges.Displacement, gauges.StringPotentiometer, gauges.LaserVibrometer, gauges.LaserDistance, attitudes.BodyPose,
+    attitudes.Orientation,
+)  # fmt: skip
+TYPES = {kind.__name__: kind for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *LOADS, *SENSORS, Sine)}
+FROM_RECORDS = {"Sampled": Sampled, "base_motion": base_motion, "Samples": Samples}  # what is made of channels of a record
 FIELDS: dict[tuple[type, str], str] = {(Contact, "distance"): "free_length"}  # of arguments that are not named as the field is
 FORMULAS = {"powers": "force/argument^n"}
 LIMITS = {"nonnegative": {"minimum": 0}, "positive": {"exclusiveMinimum": 0}, "fraction": {"minimum": 0, "maximum": 1}}
+PLAIN_TYPES = {"word": "string", "words": "array", "whole": "integer", "flag": "boolean", "own": ["number", "array", "string"]}
+DIRECTION = {"oneOf": [{"type": "string", "enum": ["x", "y", "z"]}, {"type": "array", "unit": ""}]}
 PLAIN = {"bodies": Body, "supports": Support}  # sections whose objects are all of one class
 SECTIONS = {
     "bodies": "Bodies by name.",
@@ -43,15 +54,14 @@ SECTIONS = {
     "joints": "Joints by the name of the body that each carries. A body without a joint is free.",
     "elements": "Springs, dampers and contacts by name.",
 }
-FRAME = {"type": "string", "frame": True}  # the name of a body, a support or the world
-MOTION = "Motions of supports, by the name of the support."
 
 
 @dataclass(frozen=True)
 class Argument:
     """An argument of a class in a file, and the field of the object that holds it.
 
-    `role`: number, end (of an element), law, word, words or flag."""
+    `role`: number, own (a number in the unit of its owner), end (a name and a point), law, signal, direction, name_of (a body, an element),
+    word, words, whole or flag."""
 
     name: str
     role: str
@@ -66,55 +76,50 @@ class Argument:
     def required(self) -> bool:
         return self.default is inspect.Parameter.empty
 
-    def node(self) -> dict[str, Any]:
-        """Its schema."""
-        about = {"description": self.text} if self.text else {}
-        if self.role == "end":
-            return {"$ref": "#/$defs/end", **about}
-        if self.role == "law":
-            return {"$ref": "#/$defs/law", **about, **({"words": dict(self.words)} if self.words else {})}
-        if self.name == "parent":
-            return FRAME | about
-        if self.role in ("word", "words", "flag"):
-            return {"type": {"word": "string", "words": "array", "flag": "boolean"}[self.role], **about}
-        if self.kind.domain == "rotation":
-            return {"$ref": "#/$defs/orientation", **about}
-        limits = LIMITS.get(self.kind.domain, {}) if "array" not in self.types else {}
-        return {
-            "type": [*self.types, "string"],
-            "unit": FORMULAS.get(self.kind.unit, self.kind.unit),
-            **about,
-            **limits,
-        }
-
 
 @functools.cache
 def arguments_of(kind: type) -> tuple[Argument, ...]:
     """The arguments of a class."""
-    known, texts = {each.name: each for each in fields(kind)}, _texts(kind)
+    known, texts = {each.name: each for each in fields(kind)}, texts_of(kind)
     found = []
-    for name, parameter in inspect.signature(kind).parameters.items():
+    for name, parameter in _parameters(kind).items():
         own = FIELDS.get((kind, name), name)
         if parameter.kind is inspect.Parameter.VAR_POSITIONAL:
             continue
-        if own not in known or (own in ("a", "b") and kind in ELEMENTS):
-            role, stated = "end", {}
-        else:
-            stated = known[own].metadata
-            role = _role(known[own].type, stated)
+        stated = known[own].metadata if own in known else {}
+        role = _role(kind, own, str(known[own].type), stated) if own in known else "end"
         words = tuple(stated.get("words", {}).items())
         types = _types(str(known[own].type)) if own in known else ()
         found.append(Argument(name, role, own, parameter.default, stated.get("kind", Kind()), words, types, texts.get(name, "")))
     return tuple(found)
 
 
-def _role(annotation: Any, metadata: Any) -> str:
-    text = str(annotation)
-    if "Law" in text:
-        return "law"
+def _parameters(kind: type) -> dict[str, inspect.Parameter]:
+    """The parameters of a constructor; those of a sensor's chain one by one."""
+    found = {}
+    for name, parameter in inspect.signature(kind).parameters.items():
+        if parameter.kind is not inspect.Parameter.VAR_KEYWORD:
+            found[name] = parameter
+        elif issubclass(kind, Sensor):
+            found |= {stage: parameter.replace(name=stage, kind=inspect.Parameter.KEYWORD_ONLY, default=None) for stage in kind.stages}
+    return found
+
+
+def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
+    spans = kind in ELEMENTS or issubclass(kind, gauges.Gauge)
+    if (name in ("a", "b") and spans) or (name == "on" and issubclass(kind, Load)):
+        return "end"
+    if name in ("on", "parent", "relative_to"):
+        return "element" if issubclass(kind, instruments.OfElement) else "frame"
+    for word, role in (("Law", "law"), ("Signal", "signal")):
+        if word in annotation:
+            return role
     if metadata.get("static"):
-        return "flag" if "bool" in text else "words" if "tuple" in text else "word"
-    return "number"
+        return next((role for word, role in (("bool", "flag"), ("tuple", "words"), ("int", "whole")) if word in annotation), "word")
+    stated = metadata.get("kind", Kind())
+    if issubclass(kind, Sensor) and name == "axis":
+        return "direction"
+    return "own" if stated.unit == "unit" else "number"
 
 
 def _types(annotation: str) -> tuple[str, ...]:
@@ -124,98 +129,57 @@ def _types(annotation: str) -> tuple[str, ...]:
     return ("array",) if re.search(r"Array, '\w", annotation) else ("number", "array")
 
 
-def _texts(kind: type) -> dict[str, str]:
+def texts_of(kind: Any) -> dict[str, str]:
     """What the docstring says of each argument."""
-    texts: dict[str, str] = {}
+    texts: dict[str, str] = {} if kind is Sensor or not (isinstance(kind, type) and issubclass(kind, Sensor)) else texts_of(Sensor)
     for names, text in re.findall(r"^ {4}([\w, ]+): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.M):
         texts |= {name.strip(): re.sub(r"\s+", " ", text) for name in names.split(",")}
     return texts
-
-
-def schema() -> dict[str, Any]:
-    """The JSON schema of model files."""
-    of_type = {name: object_schema(kind, name) for name, kind in TYPES.items()}
-    point = {"type": ["array", "string"], "unit": "m"}
-    quaternion = {"type": ["array"], "unit": "", "description": "Unit quaternion w, x, y, z, or a rotation matrix."}
-    euler = {
-        "type": "object", "required": ["sequence", "angles"], "additionalProperties": False,
-        "properties": {
-            "sequence": {"type": "string", "description": 'Axes of the turns: "ZYX": axes that turn with the body, "xyz": fixed axes.'},
-            "angles": {"type": ["array", "string"], "unit": "rad", "description": "One angle for each axis."},
-        },
-    }  # fmt: skip
-    definitions = {
-        "end": {
-            "description": 'The name of a body, a support or "world", and a point in its frame: ["engine", "0.2, 0, -0.1 m"].',
-            "oneOf": [
-                FRAME,
-                {"type": "array", "prefixItems": [FRAME, point]},
-            ],
-        },
-        "orientation": {"oneOf": [quaternion, euler]},
-        "law": {
-            "description": "The coefficient of a linear law, a law, or a list of laws, which are added.",
-            "oneOf": [
-                {"type": ["number", "string"], "unit": "force/argument"},
-                {"type": "array", "items": {"$ref": "#/$defs/law"}},
-                *({"$ref": f"#/$defs/{kind.__name__}"} for kind in LAWS),
-            ],
-        },
-        "joint": {"oneOf": [{"$ref": f"#/$defs/{kind.__name__}"} for kind in JOINTS]},
-        "motion": {"oneOf": [{"$ref": f"#/$defs/{kind.__name__}"} for kind in MOTIONS]},
-        "element": {"oneOf": [{"$ref": f"#/$defs/{kind.__name__}"} for kind in ELEMENTS]},
-        "body": object_schema(Body),
-        "support": object_schema(Support),
-        **of_type,
-    }
-    named = {"bodies": "body", "supports": "support", "joints": "joint", "elements": "element", "motion": "motion"}
-    sections = {
-        name: {"type": "object", "description": text, "additionalProperties": {"$ref": f"#/$defs/{named[name]}"}}
-        for name, text in (SECTIONS | {"motion": MOTION}).items()
-    }
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "A model of jaxbody",
-        "type": "object",
-        "required": ["jaxbody", "bodies"],
-        "additionalProperties": False,
-        "properties": {
-            "$schema": {"type": "string"},
-            "jaxbody": {"type": "integer", "const": VERSION, "description": "The version of the file format."},
-            "description": {"type": "string"},
-            "units": {
-                "description": 'The units of numbers without a unit: "SI", or those of length, time, angle, and mass or force.',
-                "oneOf": [
-                    {"type": "string", "enum": ["SI"]},
-                    {"type": "object", "properties": {name: {"type": "string"} for name in ("length", "mass", "force", "time", "angle")}},
-                ],
-            },
-            "gravity": {"type": ["array", "string"], "unit": "m/s2", "description": "In world axes."},
-            **sections,
-        },
-        "$defs": definitions,
-    }
 
 
 def object_schema(kind: type, type_name: str = "") -> dict[str, Any]:
     """The schema of an object of a class."""
     arguments = arguments_of(kind)
     properties: dict[str, Any] = {"type": {"const": type_name}} if type_name else {}
-    properties |= {argument.name: argument.node() for argument in arguments}
+    properties |= {argument.name: argument_schema(argument) for argument in arguments}
     required = [argument.name for argument in arguments if argument.required]
     if kind is measured_curves.Table:
         properties["file"] = {"type": "string", "description": "A text file of two columns with units, in the folder of the model file."}
         required = []
     about = (inspect.getdoc(kind) or "").partition("\n\n")[0]
+    return table_schema(about, [*(["type"] if type_name else []), *required], properties)
+
+
+def argument_schema(argument: Argument) -> dict[str, Any]:
+    """The schema of an argument."""
+    about = {"description": argument.text} if argument.text else {}
+    if argument.role == "end":
+        return {"$ref": "#/$defs/end", **about}
+    if argument.role in ("law", "signal"):
+        return {"$ref": f"#/$defs/{argument.role}", **about, **({"words": dict(argument.words)} if argument.words else {})}
+    if argument.role in ("frame", "element"):
+        return named(argument.role) | about
+    if argument.role == "direction":
+        return DIRECTION | about
+    if argument.role in PLAIN_TYPES:
+        return {"type": PLAIN_TYPES[argument.role], **about}
+    if argument.kind.domain == "rotation":
+        return {"$ref": "#/$defs/orientation", **about}
+    limits = LIMITS.get(argument.kind.domain, {}) if "array" not in argument.types else {}
     return {
-        "type": "object",
-        "description": re.sub(r"\s+", " ", about),
-        "required": [*(["type"] if type_name else []), *required],
-        "additionalProperties": False,
-        "properties": properties,
+        "type": [*argument.types, "string"],
+        "unit": FORMULAS.get(argument.kind.unit, argument.kind.unit),
+        **about,
+        **limits,
     }
 
 
-def write_schema() -> None:
-    """Write the schema beside this file."""
-    SCHEMA_FILE.write_text(json.dumps(schema(), indent=1) + "\n", encoding="utf-8")
+def named(what: str) -> dict[str, Any]:
+    """The schema of a name: of a frame (a body, a support or the world), an element, a record, a sensor."""
+    return {"type": "string", "name_of": what}
+
+
+def table_schema(about: str, required: Sequence[str], properties: dict[str, Any]) -> dict[str, Any]:
+    """The schema of a table."""
+    head = {"type": "object", "description": re.sub(r"\s+", " ", about)}
+    return head | {"required": list(required), "additionalProperties": False, "properties": properties}

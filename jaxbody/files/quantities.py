@@ -111,7 +111,7 @@ def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
         expected.problems.add("NOT_A_NUMBER", expected.where, message, value=value, limit="a number, or a text with its unit")
         return 0.0
     dimension, value = expected.dimension(index), _float(value)
-    if dimension == units.NONE or value == 0:
+    if dimension == units.NONE or value == 0 or math.isinf(value):
         return value
     if expected.system is None:
         si = units.si_words(dimension)

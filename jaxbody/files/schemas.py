@@ -1,7 +1,7 @@
 """The check of a document against the schema of model files: known names, required entries, numbers in SI. It needs no JAX.
 
 The schema is JSON schema, which editors use as well, with the words `unit` (of the numbers of an entry), `words` (what the words of
-units stand for below it) and `frame` (of the name of a body, a support or the world).
+units stand for below it) and `name_of` (what a name is that of).
 """
 
 from __future__ import annotations
@@ -63,8 +63,12 @@ class Check:
     def __init__(self, document: Document, problems: Problems):
         self.document, self.problems = document, problems
         self.system = unit_system(document.values.get("units"), document.where(("units",)), problems)
-        tables = [document.values.get(section) for section in ("bodies", "supports")]
-        self.frames = (*(name for table in tables if isinstance(table, dict) for name in table), "world")
+        frames = (*self.names("bodies"), *self.names("supports"), "world")
+        self.known = {"frame": frames} | {name.removesuffix("s"): self.names(name) for name in ("elements", "records", "sensors")}
+
+    def names(self, section: str) -> tuple[str, ...]:
+        table = self.document.values.get(section)
+        return tuple(table) if isinstance(table, dict) else ()
 
     def value(self, value: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> Any:
         """A value with its numbers in SI; as it is where there is a problem."""
@@ -82,9 +86,11 @@ class Check:
             return self.table(value, node, path, words)
         if isinstance(value, list):
             return [self.value(x, of, (*path, i), words) for i, (x, of) in enumerate(zip(value, _items(node, len(value)), strict=True))]
-        if node.get("frame") and value not in self.frames:
-            problem = unknown(value, self.document.where(path), self.frames)
-            self.problems.add("UNKNOWN_BODY", problem.where, f"body or support {problem.message}", value=value, hint=problem.hint)
+        kind = node.get("name_of")
+        if kind and value not in self.known[kind]:
+            problem, what = unknown(value, self.document.where(path), self.known[kind]), "body or support" if kind == "frame" else kind
+            code = "UNKNOWN_BODY" if kind == "frame" else problem.code
+            self.problems.add(code, problem.where, f"{what} {problem.message}", value=value, hint=problem.hint)
         if value not in node.get("enum", [value]):
             self.problems.collected.append(unknown(value, self.document.where(path), tuple(node["enum"])))
         return value

@@ -1,59 +1,91 @@
-"""Studies in files: a model and what is done with it, the motions of its supports."""
+"""Studies in files: a model, the motions of its supports, loads, sensors, experiments, and what is free in a fit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from dataclasses import field as attribute
 from pathlib import Path
 from typing import Any
 
+from jaxbody.experiments.measurements import Measurement
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import LARGEST, Document, read_document
 from jaxbody.files.schemas import checked_values
+from jaxbody.files.study_builders import StudyBuilder
+from jaxbody.inputs.loads import Load
 from jaxbody.inputs.motions import Motion
 from jaxbody.models.models import Model
+from jaxbody.sensors.sensors import Sensor
 
 
 @dataclass(frozen=True)
 class Study:
-    """A model, and the motions of its supports {support: motion}, as `simulate` takes them.
+    """A model and what a file states beside it, by name, as `simulate`, `measure` and `fit` take it. `fit` holds arguments of `fit`: free,
+    bounds, priors, loss.
 
     >>> study = Study(jb.presets.quarter_car(), {"road": Harmonic(frequency=1.5, translation=[0, 0, 0.01])})
-    >>> trajectory = simulate(study.model, [0.0, 0.1], motion=study.motion, initial="rest")
+    >>> trajectory = simulate(study.model, [0.0, 0.1], motion=study.motion, loads=study.loads, initial="rest")
     """
 
     model: Model
     motion: dict[str, Motion]
+    loads: dict[str, Load] = attribute(default_factory=dict)
+    sensors: dict[str, Sensor] = attribute(default_factory=dict)
+    experiments: dict[str, Measurement] = attribute(default_factory=dict)
+    fit: dict[str, Any] = attribute(default_factory=dict)
 
 
 def read_study(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST) -> Study:
-    """The model in a file, as `read_model` reads it, and the motions of its supports:
+    """The model in a file, as `read_model` reads it, and what it states beside it: motions of supports, loads, sensors, experiments with
+    their records, and what is free in a fit.
 
-        motion.road = {type = "Harmonic", frequency = "1.5 Hz", translation = "0, 0, 10 mm"}
+        [records.run1]
+        file = "run1.csv"                                     # in the folder of this file
+        time = "t"
+        channels = {height = "z", base = {columns = "zb", unit = "mm"}}
+
+        [sensors]
+        height = {type = "Position", on = "car", axis = "z"}
+
+        [experiments.run1]
+        record = "run1"
+        motion.road = {type = "Sampled", record = "run1", translation = "base", axis = "z"}
+        initial = "rest"
+
+        [fit]
+        free = "spring.stiffness"
+        bounds = {"spring.stiffness" = ["10 N/mm", "90 N/mm"]}
 
     Args:
         path, allow, largest: as in `read_model`
 
-    Errors: those of `read_model`.
+    Errors: those of `read_model`, `read_record` and `Experiment`.
 
     >>> import pathlib, tempfile
-    >>> path = pathlib.Path(tempfile.mkdtemp(), "shaker.toml")
-    >>> _ = path.write_text('''jaxbody = 1
-    ... bodies.box = {mass = "2 kg", inertia = "1, 1, 1 kg m2"}
-    ... supports.table = {}
-    ... joints.box = {type = "Fixed", parent = "table"}
-    ... motion.table = {type = "Harmonic", frequency = "1.5 Hz", translation = "0, 0, 10 mm"}
+    >>> folder = pathlib.Path(tempfile.mkdtemp())
+    >>> _ = (folder / "fall.csv").write_text("t [s],x [mm]\\n0,0\\n0.1,-49\\n0.2,-196\\n")
+    >>> _ = (folder / "fall.toml").write_text('''jaxbody = 1
+    ... bodies.stone = {mass = "2 kg", inertia = "1, 1, 1 kg m2"}
+    ... records.fall = {file = "fall.csv", time = "t", channels = {height = "x"}}
+    ... sensors.height = {type = "Position", on = "stone", axis = "z"}
+    ... experiments.fall = {record = "fall"}
     ... ''')
-    >>> float(read_study(path).motion["table"].translation[2])
-    0.01
+    >>> read_study(folder / "fall.toml").experiments["fall"].measured["height"].tolist()
+    [0.0, -0.049, -0.196]
     """
     path = Path(path)
     document = read_document(path, largest)
     return study_of(document, checked_values(document), path.parent, allow)
 
 
-def study_of(document: Document, values: dict[str, Any], folder: Path, allow: Sequence[str]) -> Study:
-    """The study in a document that is checked; files that it names are in the folder."""
+def study_of(document: Document, values: dict[str, Any], folder: Path, allow: Sequence[str], *, measured: bool = True) -> Study:
+    """The study in a document that is checked; files that it names are in the folder. `measured`: with experiments."""
     builder = Builder(document, values, folder, allow)
-    model = builder.model()
-    return Study(model, builder.motion(model.layout.supports))
+    parts = StudyBuilder(builder, builder.model())
+    motion, loads, sensors = parts.motions(), parts.loads(), parts.sensors()
+    experiments = parts.experiments(motion, loads, sensors) if measured else {}
+    builder.problems.raise_if_any()
+    fit = parts.fit(experiments) if measured else {}
+    builder.problems.raise_if_any()
+    return Study(parts.model, motion, loads, sensors, experiments, fit)

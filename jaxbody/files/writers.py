@@ -84,7 +84,7 @@ class Writer:
     def value(self, value: Any, argument: Argument, where: str) -> Any:
         if isinstance(value, Law):
             return self.law(value, where)
-        if argument.role in ("word", "flag"):
+        if argument.role in ("frame", "word", "flag"):
             return value
         if argument.role == "words":
             return list(value)

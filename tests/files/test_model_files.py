@@ -16,7 +16,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 import jaxbody as jb
-from jaxbody.files.kinds import ELEMENTS, JOINTS, LAWS, MOTIONS, TYPES, schema
+from jaxbody.files.kinds import ELEMENTS, JOINTS, LAWS, LOADS, MOTIONS, SENSORS, TYPES
+from jaxbody.files.schema_sections import schema
 from jaxbody.files.schemas import SCHEMA_FILE
 from jaxbody.laws.laws import Law
 
@@ -373,7 +374,7 @@ def test_what_has_no_text_is_named(tmp_path):
 
 
 def test_the_schema_is_that_of_the_fields():
-    assert json.loads(SCHEMA_FILE.read_text()) == schema(), "run: python -c 'from jaxbody.files.kinds import write_schema; write_schema()'"
+    assert json.loads(SCHEMA_FILE.read_text()) == schema(), "run write_schema() of files/schema_sections.py"
 
 
 def test_every_class_of_the_package_is_in_the_schema():
@@ -381,9 +382,9 @@ def test_every_class_of_the_package_is_in_the_schema():
         return {x for sub in kind.__subclasses__() for x in {sub, *below(sub)}}
 
     public = {vars(jb.laws)[name] for name in dir(jb.laws)} | {getattr(jb, name) for name in dir(jb) if name[0].isupper()}
-    wanted = {kind for base in (jb.Element, jb.Joint, Law) for kind in below(base) & public}
-    assert len(wanted) > 20 and wanted - set(TYPES.values()) == {jb.laws.Function, jb.laws.Sum}  # Python, and a list of laws
-    assert set(TYPES.values()) == {*JOINTS, *ELEMENTS, *LAWS, *MOTIONS}
+    wanted = {kind for base in (jb.Element, jb.Joint, Law, jb.Load, jb.Sensor) for kind in below(base) & public}
+    assert len(wanted) > 40 and wanted - set(TYPES.values()) == {jb.laws.Function, jb.laws.Sum}  # Python, and a list of laws
+    assert set(TYPES.values()) == {*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *LOADS, *SENSORS, jb.signals.Sine}
 
 
 def test_editors_accept_what_is_read_and_refuse_what_is_not(tmp_path):

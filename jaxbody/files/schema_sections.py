@@ -1,0 +1,198 @@
+"""The schema of model files, made of the arguments of all kinds of objects and of `read_record`, `Experiment` and `fit`.
+
+    python -c "from jaxbody.files.schema_sections import write_schema; write_schema()"
+
+writes it again after a field has changed.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+from typing import Any
+
+from jaxbody.experiments.experiments import Experiment
+from jaxbody.files import kinds
+from jaxbody.files.kinds import DIRECTION, PLAIN_TYPES, SECTIONS, named, object_schema, table_schema, texts_of
+from jaxbody.files.schemas import SCHEMA_FILE, VERSION
+from jaxbody.identification.fitters import fit
+from jaxbody.inputs.base_motions import base_motion
+from jaxbody.inputs.signals import KINDS
+from jaxbody.models.bodies import Body, Support
+from jaxbody.records.record_files import read_record
+from jaxbody.records.records import Record
+
+OF_STUDIES = {
+    "records": "Measured data by name.",
+    "sensors": "What instruments read, by name.",
+    "loads": "Forces and moments on bodies, by name.",
+    "motion": "Motions of supports, by the name of the support.",
+    "experiments": "Measured runs by name.",
+}
+SINGULAR = {"bodies": "body"} | {name: name.removesuffix("s") for name in (*SECTIONS, *OF_STUDIES) if name != "bodies"}
+
+
+def schema() -> dict[str, Any]:
+    """The JSON schema of model files."""
+    of_type = {name: object_schema(kind, name) for name, kind in kinds.TYPES.items()}
+    point = {"type": ["array", "string"], "unit": "m"}
+    quaternion = {"type": ["array"], "unit": "", "description": "Unit quaternion w, x, y, z, or a rotation matrix."}
+    euler = {
+        "type": "object", "required": ["sequence", "angles"], "additionalProperties": False,
+        "properties": {
+            "sequence": {"type": "string", "description": 'Axes of the turns: "ZYX": axes that turn with the body, "xyz": fixed axes.'},
+            "angles": {"type": ["array", "string"], "unit": "rad", "description": "One angle for each axis."},
+        },
+    }  # fmt: skip
+    definitions = {
+        "end": {
+            "description": 'The name of a body, a support or "world", and a point in its frame: ["engine", "0.2, 0, -0.1 m"].',
+            "oneOf": [
+                named("frame"),
+                {"type": "array", "prefixItems": [named("frame"), point]},
+            ],
+        },
+        "orientation": {"oneOf": [quaternion, euler]},
+        "law": {
+            "description": "The coefficient of a linear law, a law, or a list of laws, which are added.",
+            "oneOf": [
+                {"type": ["number", "string"], "unit": "force/argument"},
+                {"type": "array", "items": {"$ref": "#/$defs/law"}},
+                *({"$ref": f"#/$defs/{kind.__name__}"} for kind in kinds.LAWS),
+            ],
+        },
+        "joint": one_of(*(kind.__name__ for kind in kinds.JOINTS)),
+        "motion": one_of(*(kind.__name__ for kind in kinds.MOTIONS), "Sampled", "base_motion"),
+        "element": one_of(*(kind.__name__ for kind in kinds.ELEMENTS)),
+        "load": one_of(*(kind.__name__ for kind in kinds.LOADS)),
+        "sensor": one_of(*(kind.__name__ for kind in kinds.SENSORS)),
+        "signal": {
+            "description": "Three numbers, or a signal.",
+            "oneOf": [{"type": ["array", "string"], "unit": "value"}, *one_of("Sine", "Samples")["oneOf"]],
+        },
+        "body": object_schema(Body),
+        "support": object_schema(Support),
+        **of_type,
+        **{name: _of_record(name, kind) for name, kind in kinds.FROM_RECORDS.items()},
+        "column": _column(),
+        "record": _record(),
+        "experiment": _experiment(),
+    }
+    sections = {name: _by_name(SINGULAR[name], text) for name, text in (SECTIONS | OF_STUDIES).items()}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "A model of jaxbody",
+        "type": "object",
+        "required": ["jaxbody", "bodies"],
+        "additionalProperties": False,
+        "properties": {
+            "$schema": {"type": "string"},
+            "jaxbody": {"type": "integer", "const": VERSION, "description": "The version of the file format."},
+            "description": {"type": "string"},
+            "units": {
+                "description": 'The units of numbers without a unit: "SI", or those of length, time, angle, and mass or force.',
+                "oneOf": [
+                    {"type": "string", "enum": ["SI"]},
+                    {"type": "object", "properties": {name: {"type": "string"} for name in ("length", "mass", "force", "time", "angle")}},
+                ],
+            },
+            "gravity": {"type": ["array", "string"], "unit": "m/s2", "description": "In world axes."},
+            **sections,
+            "fit": _fit(),
+        },
+        "$defs": definitions,
+    }
+
+
+def write_schema() -> None:
+    """Write the schema beside this file."""
+    SCHEMA_FILE.write_text(json.dumps(schema(), indent=1) + "\n", encoding="utf-8")
+
+
+def _by_name(what: str, about: str) -> dict[str, Any]:
+    """The schema of a table of such objects by name."""
+    return {"type": "object", "description": about, "additionalProperties": {"$ref": f"#/$defs/{what}"}}
+
+
+def one_of(*names: str) -> dict[str, Any]:
+    """The schema of an object of one of these types."""
+    return {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names]}
+
+
+def _of_record(name: str, kind: Any) -> dict[str, Any]:
+    """The schema of an object that is made of channels of a record."""
+    texts = texts_of(base_motion)
+    channels = {"Sampled": ("translation", "rotation"), "base_motion": ("acceleration", "rates"), "Samples": ("channel",)}[name]
+    properties = {"type": {"const": name}, "record": named("record")}
+    for channel in channels:
+        properties[channel] = {"type": "string", "description": texts.get(channel, f"Name of a channel: {channel}.")}
+    properties["axis"] = DIRECTION | {"description": "Direction of a channel of one column."}
+    if name == "base_motion":
+        properties |= {"at": {"type": ["array", "string"], "unit": "m", "description": texts["at"]}}
+        properties |= {"gravity": {"type": ["array", "string"], "unit": "m/s2", "description": texts["gravity"]}}
+        properties |= {"degree": {"type": "integer", "description": texts["degree"]}}
+        properties |= {"cutoff": {"type": ["number", "string"], "unit": "Hz", "description": texts["cutoff"]}}
+    if name == "Samples":
+        properties |= {"kind": {"type": "string", "enum": list(KINDS), "description": "The interpolation between samples."}}
+    about = (inspect.getdoc(kind) or "").partition("\n\n")[0]
+    return table_schema(about, ["type", "record", *({"base_motion": ["acceleration"], "Samples": ["channel"]}.get(name, []))], properties)
+
+
+def _column() -> dict[str, Any]:
+    number = {"type": ["string", "integer"]}
+    columns = {"oneOf": [number, {"type": "array", "items": number}]}
+    table = {"type": "object", "required": ["columns"], "additionalProperties": False}
+    return {
+        "description": "The name or number (from 0) of a column, a list of them, or {columns = ..., unit = ...}.",
+        "oneOf": [*columns["oneOf"], table | {"properties": {"columns": columns, "unit": {"type": "string"}}}],
+    }
+
+
+def _record() -> dict[str, Any]:
+    """The schema of a record: the arguments of `read_record`."""
+    texts = texts_of(Record) | texts_of(read_record)
+    types = {
+        "encoding": "string", "separator": "string", "decimal": "string", "format": "string", "skip": "integer", "footer": "integer",
+        "fill": "string", "max_gap": "integer", "irregular": "boolean", "drop_duplicates": "boolean", "drop": "string",
+    }  # fmt: skip
+    properties = {
+        "file": {"type": "string", "description": "A file in the folder of this one."},
+        "time": {"$ref": "#/$defs/column", "description": texts["time"]},
+        "channels": _by_name("column", texts["channels"]),
+        "rate": {"type": ["number", "string"], "unit": "Hz", "description": texts["rate"]},
+        "part": {"type": ["array", "string"], "unit": "s", "description": "Start and end of the part that is used."},
+    }
+    properties |= {name: {"type": kind, "description": texts[name]} for name, kind in types.items()}
+    return table_schema("A measured record, as `read_record` reads it.", ["file", "channels"], properties)
+
+
+def _experiment() -> dict[str, Any]:
+    own, start = {"type": PLAIN_TYPES["own"]}, {"type": "array"}
+    state = table_schema("Coordinates and speeds of the joints, in the order of the bodies.", ["q", "v"], {"q": start, "v": start})
+    properties = {
+        "record": named("record"),
+        "sensors": {"type": "array", "items": named("sensor"), "description": "Default: all whose names are channels of the record."},
+        "motion": {
+            "type": "object",
+            "additionalProperties": {"$ref": "#/$defs/motion"},
+            "description": "Default: the motions of the file.",
+        },
+        "loads": {"type": "object", "additionalProperties": {"$ref": "#/$defs/load"}, "description": "Default: the loads of the file."},
+        "initial": {"oneOf": [{"type": "string", "enum": ["rest"]}, state], "description": texts_of(Experiment)["initial"]},
+        "noise": {"type": "object", "additionalProperties": own, "description": "Standard deviations by sensor. Default: estimated."},
+        "leave_out": {"type": ["number", "string"], "unit": "s", "description": texts_of(Experiment)["leave_out"]},
+    }
+    return table_schema("One measured run.", ["record"], properties)
+
+
+def _fit() -> dict[str, Any]:
+    """The schema of what `fit` is asked for."""
+    texts, pair = texts_of(fit), {"type": "array", "minItems": 2, "maxItems": 2}
+    properties = {
+        "free": {"oneOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}], "description": texts["free"]},
+        "bounds": {"type": "object", "additionalProperties": pair, "description": texts["bounds"]},
+        "priors": {"type": "object", "additionalProperties": pair, "description": texts["priors"]},
+        "loss": {"type": "string", "description": texts["loss"]},
+        "max_evaluations": {"type": "integer", "description": texts["max_evaluations"]},
+    }
+    return table_schema("What `jaxbody fit` estimates from the experiments.", ["free"], properties)
