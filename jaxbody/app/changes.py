@@ -13,28 +13,23 @@ SECTIONS = ("bodies", "supports", "elements")  # whose names are unique in a mod
 
 
 def set_value(document: Document, text: str) -> None:
-    """Set an entry by a text, "left.stiffness=30 N/mm": the name of a body, support or element and the entries below it; "gravity"; or
-    "motion", a support and an entry. With * and ? in the name of a body, support or element, which match as in file names, it is set for
-    all that have it. Errors: SYNTAX, UNKNOWN_NAME."""
+    """Set an entry by a text, "left.stiffness=30 N/mm": the name of a body, support or element and the entries below it, or those of
+    another section, "motion.road.frequency", "records.run1.file". With * and ? in the name of a body, support or element, which match as
+    in file names, it is set for all that have it. Errors: SYNTAX, UNKNOWN_NAME."""
     path, sign, value = text.partition("=")
     name, *below = path.strip().split(".")
     if not sign or not (below or name == "gravity"):
         raise JaxbodyError(Problem("SYNTAX", text, "is not a path and a value", text, 'left.stiffness="30 N/mm"'))
-    things: dict[EntryPath, Any] = {(): document.values}
+    things: dict[EntryPath, Any] = {}
     for section in SECTIONS:
         tables = document.values.get(section)
         things |= {(section, known): table for known, table in tables.items()} if isinstance(tables, dict) else {}
-    chosen: list[EntryPath]
-    if name == "motion" and below:
-        things[("motion",)] = document.values.get("motion")
-        chosen = [("motion",)]
-    elif below:
-        several = name not in {path[-1] for path in things if path}
-        chosen = [path for path in things if path and fnmatch.fnmatchcase(str(path[1]), name) and (below[0] in things[path] or not several)]
-    else:
-        below, chosen = [name], [()]
+    exact = [path for path in things if path[1] == name]
+    chosen = exact or [path for path in things if fnmatch.fnmatchcase(str(path[1]), name) and below[:1] and below[0] in things[path]]
+    if not chosen and (name == "gravity" or name in document.values):
+        things[()], chosen, below = document.values, [()], [name, *below]
     if not chosen:
-        raise JaxbodyError(unknown(path.strip(), text, tuple(f"{path[1]}.{entry}" for path in things if path for entry in things[path])))
+        raise JaxbodyError(unknown(path.strip(), text, tuple(f"{path[1]}.{entry}" for path in things for entry in things[path])))
     for path in chosen:
         _set(things[path], below, _value(value.strip()), text)
         document.replaced[(*path, *below)] = text

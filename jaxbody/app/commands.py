@@ -132,13 +132,28 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
 
     from jaxbody.files.study_files import study_of
 
-    study = study_of(document, values, options.file.parent, options.allow)
-    outcome = COMMANDS[options.command].run(study, options)
+    command = COMMANDS[options.command]
+    study = study_of(document, values, options.file.parent, options.allow, measured=command.measured)
+    outcome = command.run(study, options)
     for result in outcome.results:
         print(result)
     if options.out is not None:
         _save(outcome, options.out)
-    return 0 if all(np.all(getattr(result, "ok", True)) for result in outcome.results) else 1
+    ok = all(np.all(getattr(result, "ok", True)) for result in outcome.results)
+    if outcome.space is not None and options.write:
+        _write(options.file, document, outcome, ok)
+    return 0 if ok else 1
+
+
+def _write(path: Path, document: Any, outcome: Outcome, ok: bool) -> None:
+    """Write the values of free parameters into the file, unless the result is not ok."""
+    from jaxbody.app.file_updates import update
+
+    if not ok:
+        print(f"{path} stays as it was, as the status is not ok")
+        return
+    left = update(path, document, outcome.space, outcome.trees)
+    print(f"wrote {path}" + (f"; not in it: {', '.join(left)}" if left else ""))
 
 
 def _use_x64() -> None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
+from dataclasses import field as attribute
 from typing import TYPE_CHECKING, Any
 
 import jaxbody as jb
-from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.errors import JaxbodyError, Problem, Problems
 
 if TYPE_CHECKING:
     from jaxbody.core.tables import PrintedTable
@@ -20,29 +21,38 @@ QUANTITIES = {"displacement": ("Position", "Rotation"), "velocity": ("Velocity",
 
 @dataclass(frozen=True)
 class Command:
-    """A command on a model file: what it does, an example, and the function that does it and returns what is printed and drawn."""
+    """A command on a model file: what it does, an example, and the function that does it and returns what is printed and drawn. `measured`:
+    it needs the experiments of the file."""
 
     about: str
     example: str
     run: Callable[[Any, argparse.Namespace], Outcome]
     options: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = ()
+    measured: bool = False
 
 
 @dataclass
 class Outcome:
-    """Results, which print as tables; functions that draw them into a picture and that give what --out saves in place of the tables."""
+    """Results, which print as tables; functions that draw them into a picture and that give what --out saves in place of the tables; for
+    --write the space of the free parameters, and the model and experiments with their values."""
 
     results: list[Any]
     draw: Callable[[], Any] | None = None
     series: Callable[[], Any] | None = None
+    space: Any = None
+    trees: dict[str, Any] = attribute(default_factory=dict)
 
 
 def _check(study: Study, options: argparse.Namespace) -> Outcome:
+    from jaxbody.core.tables import counted
+
     model = study.model
-    counts = {"body": len(model.layout.bodies), "support": len(model.layout.supports), "element": len(model.element_names)}
-    plural = {"body": "bodies", "support": "supports", "element": "elements"}
-    said = ", ".join(f"{n} {name if n == 1 else plural[name]}" for name, n in counts.items())
-    return Outcome([f"{options.file.name}: {said}, {model.layout.nv} degrees of freedom; no errors"])
+    counts = {"support": model.layout.supports, "element": model.element_names, "load": study.loads, "sensor": study.sensors}
+    counts |= {"experiment": study.experiments}
+    said = [counted(len(names), what) for what, names in counts.items() if names]
+    bodies = "1 body" if len(model.layout.bodies) == 1 else f"{len(model.layout.bodies)} bodies"
+    freedoms = counted(model.layout.nv, "degree")
+    return Outcome([f"{options.file.name}: {', '.join([bodies, *said])}, {freedoms} of freedom; no errors"])
 
 
 def _show(study: Study, options: argparse.Namespace) -> Outcome:
@@ -109,20 +119,39 @@ def _simulate(study: Study, options: argparse.Namespace) -> Outcome:
     import numpy as np
 
     times = np.linspace(0.0, options.duration, round(options.duration / options.interval) + 1)
-    trajectory = jb.simulate(study.model, times, motion=study.motion, initial="rest")
-    return Outcome([trajectory], lambda: jb.plots.plot_trajectory(trajectory), lambda: _over_time(trajectory))
+    trajectory = jb.simulate(study.model, times, motion=study.motion, loads=study.loads, initial="rest")
+    return Outcome([trajectory], lambda: jb.plots.plot_trajectory(trajectory), lambda: _over_time(trajectory, study.sensors))
 
 
-def _over_time(trajectory: Any) -> PrintedTable:
-    """Places of the origins of bodies and supports, elongations and forces of elements, over time."""
+def _over_time(trajectory: Any, sensors: dict[str, Any]) -> PrintedTable:
+    """Places of the origins of bodies and supports, forces of elements and readings of sensors, over time."""
     import numpy as np
+
+    from jaxbody.core.arrays import indices
 
     columns = {"time [s]": trajectory.times}
     for name, pose in trajectory.poses.items():
         columns |= {f"{name} {axis} [m]": np.asarray(pose.p)[:, i] for i, axis in enumerate("xyz")}
     for name, force in trajectory.forces.items():
         columns |= {f"force of {name} [N]": force} if np.ndim(force) == 1 else {}
+    for name, reading in (jb.measure(trajectory, sensors) if sensors else {}).items():
+        parts = np.asarray(reading).reshape(len(trajectory.times), -1)
+        unit = sensors[name].unit_on(trajectory.model)
+        columns |= {f"{name}{index} [{unit}]": parts[:, i] for i, index in enumerate(indices(reading.shape[1:]))}
     return _series(columns)
+
+
+def _fit(study: Study, options: argparse.Namespace) -> Outcome:
+    asked = study.fit | ({"free": options.free} if options.free else {})
+    with Problems() as problems:
+        if not study.experiments:
+            hint = "State [records], [sensors] and [experiments]: help(jaxbody.read_study)."
+            problems.add("NO_DATA", options.file.name, "has no experiments", limit="at least one", hint=hint)
+        if "free" not in asked:
+            hint = 'Give --free "spring.stiffness", or free = [...] below [fit] in the file.'
+            problems.add("NOTHING_FREE", options.file.name, "does not say what is free", limit="at least one path", hint=hint)
+    fit = jb.fit(study.model, study.experiments, **asked)
+    return Outcome([fit], lambda: jb.plots.plot_fit(fit), space=fit.task.space, trees={"": fit.model, **fit.experiments})
 
 
 def _series(columns: dict[str, Any]) -> PrintedTable:
@@ -139,7 +168,7 @@ def _linear(study: Study) -> Any:
 def _ports(study: Study, options: argparse.Namespace, kind: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """The inputs, motions of supports of this kind, and the outputs."""
     inputs = {text: jb.BaseMotion(*_place(text, "--input"), kind=kind) for text in options.input}
-    return inputs, {text: _sensor(text, options.quantity, study.model.element_names) for text in options.output}
+    return inputs, {text: study.sensors.get(text) or _sensor(text, options.quantity, study.model.element_names) for text in options.output}
 
 
 def _place(text: str, where: str) -> tuple[str, str]:
@@ -184,12 +213,15 @@ _above_zero.__name__ = "number above zero,"
 _band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of argparse
 PORTS = (
     (("--input",), {"action": "append", "required": True, "metavar": "SUPPORT.z", "help": "support and x, y, z, rx, ry or rz"}),
-    (("--output",), {"action": "append", "required": True, "metavar": "BODY.z", "help": "body and direction, or an element"}),
+    (
+        ("--output",),
+        {"action": "append", "required": True, "metavar": "BODY.z", "help": "body and direction, element, or sensor of the file"},
+    ),
     (("--quantity",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the output (default: displacement)"}),
 )
 BAND = (("--frequencies",), {"type": _band, "default": (0.1, 50.0), "metavar": "LOW:HIGH", "help": "[Hz] (default: 0.1:50)"})
 COMMANDS = {
-    "check": Command("check a model file", "jaxbody check engine.toml", _check),
+    "check": Command("check a model file and the records that it names", "jaxbody check engine.toml", _check, measured=True),
     "show": Command("print and draw a model", "jaxbody show engine.toml --out engine.png", _show),
     "equilibrium": Command("the static equilibrium", "jaxbody equilibrium engine.toml --set 'gravity=0, 0, -9.81 m/s2'", _equilibrium),
     "modes": Command(
@@ -227,6 +259,16 @@ COMMANDS = {
             (("--duration",), {"type": _above_zero, "default": 5.0, "metavar": "T", "help": "[s] (default: 5)"}),
             (("--interval",), {"type": _above_zero, "default": 0.01, "metavar": "DT", "help": "between samples [s] (default: 0.01)"}),
         ),
+    ),
+    "fit": Command(
+        "estimate parameters from the experiments of a file",
+        "jaxbody fit measured.toml --free suspension.stiffness --write --out fit.csv",
+        _fit,
+        (
+            (("--free",), {"action": "append", "metavar": "PATH", "help": "parameter or pattern (default: those of [fit])"}),
+            (("--write",), {"action": "store_true", "help": "write the estimates into the file, in the units that stand there"}),
+        ),
+        measured=True,
     ),
     "response": Command(
         "the response to a harmonic motion of supports",

@@ -120,7 +120,7 @@ def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
             "NO_UNIT", expected.where, f"is {value:g} without a unit", value=value, limit=f"a unit such as {si}", hint=hint
         )
         return 0.0
-    return _times(value, expected.system.factor(dimension))
+    return times(value, expected.system.factor(dimension))
 
 
 def _float(value: float) -> float:
@@ -131,7 +131,7 @@ def _float(value: float) -> float:
         return math.inf
 
 
-def _times(value: float, factor: float) -> float:
+def times(value: float, factor: float) -> float:
     """value * factor; 700 mm are 700/1000 m, as 700 * 0.001 is rounded twice."""
     divisor = 1 / factor
     return value if factor == 1 else value / divisor if divisor == round(divisor) else value * factor
@@ -159,7 +159,7 @@ def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...])
         if dimension != unit.dimension:
             expected.problems.collected.append(_mismatch(text, unit, dimension, expected.where))
             return 0.0
-    values = [_times(number, unit.factor) for number in numbers]
+    values = [times(number, unit.factor) for number in numbers]
     return values if len(values) > 1 else values[0]
 
 

@@ -24,6 +24,17 @@ SHORT = ("supports", "joints")  # sections whose objects take one line each
 HEADING = """A model for jaxbody. Check it with `jaxbody check FILE`; `jaxbody --help` lists what comes next.
 Numbers without a unit are in SI; "21 N/mm" is a number with its own. Bodies: `position` is where the origin O of the body's axes is
 before the model settles, `com` the center of mass from O. Elements: each end is a body, a support or "world", and a point in its axes."""
+TO_FIT = """to fit the model to a record, `jaxbody fit FILE --free "*.stiffness"`, columns with units in a text file, t [s], z [mm], base [mm]
+[records.run1]
+file = "run1.csv"
+time = "t"
+channels = {{height = "z", base = "base"}}
+[sensors]
+height = {{type = "Position", on = "{body}", axis = "z"}}
+[experiments.run1]
+record = "run1"
+initial = "rest"
+motion.{support} = {{type = "Sampled", record = "run1", translation = "base", axis = "z"}}"""
 NOT_IN_FILES = "A file holds numbers and names only."
 
 
@@ -46,7 +57,7 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
     }
     values = {name: {key: writer.table(thing, f"{name}.{key}") for key, thing in things.items()} for name, things in sections.items()}
     writer.problems.raise_if_any()
-    first = {"jaxbody": VERSION, "units": "SI", "gravity": _numbers(model.gravity)}
+    first = {"jaxbody": VERSION, "units": "SI", "gravity": numbers_of(model.gravity)}
     return first | {name: tables for name, tables in values.items() if tables}
 
 
@@ -74,7 +85,7 @@ class Writer:
         for argument in arguments_of(type(thing)):
             if argument.role == "end":
                 name, point = next(ends)
-                values[argument.name] = [name, _numbers(point)]
+                values[argument.name] = [name, numbers_of(point)]
                 continue
             value = getattr(thing, argument.field, None)
             if value is not None and not _same(value, argument.default):
@@ -91,7 +102,7 @@ class Writer:
         if not hasattr(value, "dtype"):
             self.problems.add("OWN_CODE", where, f"is a {type(value).__name__}", value=value, hint=NOT_IN_FILES)
             return 0.0
-        numbers = _numbers(value)
+        numbers = numbers_of(value)
         if argument.kind.domain == "inertia" and _same(value, np.diag(np.diag(value))):
             return [row[i] for i, row in enumerate(numbers)]
         return numbers
@@ -100,10 +111,10 @@ class Writer:
         """A list of laws for a sum, the coefficient for a linear law."""
         if isinstance(law, Sum):
             return [self.law(term, f"{where}[{i}]") for i, term in enumerate(law.terms)]
-        return _numbers(law.coefficient) if isinstance(law, Linear) else self.table(law, where)
+        return numbers_of(law.coefficient) if isinstance(law, Linear) else self.table(law, where)
 
 
-def _numbers(value: Any) -> Any:
+def numbers_of(value: Any) -> Any:
     """An array as nested lists of Python numbers; those of float32 by their shortest decimals."""
     array = np.asarray(value)
     if array.dtype != np.float32:
@@ -144,11 +155,15 @@ def toml_of(values: dict[str, Any], units: bool = False) -> str:
             section.add(tomlkit.key(key), table)
         document.add(name, section)
     if units and "supports" in values:
+        support, body = next(iter(values["supports"])), next(iter(values["bodies"]))
         document.add(tomlkit.nl())
         document.add(tomlkit.comment("the motion of a support, for `jaxbody simulate`"))
         motion = tomlkit.table(is_super_table=True)
-        motion[next(iter(values["supports"]))] = _item({"type": "Harmonic", "frequency": "1.5 Hz", "translation": "0, 0, 5 mm"})
+        motion[support] = _item({"type": "Harmonic", "frequency": "1.5 Hz", "translation": "0, 0, 5 mm"})
         document["motion"] = motion
+        document.add(tomlkit.nl())
+        for line in TO_FIT.format(support=support, body=body).splitlines():
+            document.add(tomlkit.comment(line))
     return tomlkit.dumps(document)
 
 

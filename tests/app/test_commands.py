@@ -14,12 +14,28 @@ from jaxbody.app import commands
 NAMES = list(commands.COMMANDS)
 
 
+@pytest.fixture(scope="module")
+def record():
+    """A text file of the motion of a quarter car with a softer suspension on a road, with noise of 0.1 mm."""
+    times = np.arange(100) / 50
+    base = np.stack([0 * times, 0 * times, 0.01 * (1 - np.cos(2 * np.pi * times))], 1)
+    car = jb.replace(jb.presets.quarter_car(), {"suspension.stiffness": 30000.0})
+    run = jb.simulate(car, times, motion={"road": jb.Sampled(times, translation=base)}, initial="rest")
+    z = np.asarray(run.poses["body"].p)[:, 2] + np.random.default_rng(0).normal(0, 1e-4, 100)
+    rows = [",".join(map(repr, row)) for row in np.stack([times, 1000 * z, 1000 * base[:, 2]], 1).tolist()]
+    return "\n".join(["t [s],z [mm],base [mm]", *rows])
+
+
 @pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch, capsys):
+def folder(tmp_path, monkeypatch, capsys, record):
     monkeypatch.chdir(tmp_path)
     for name, file in (("engine", "engine.toml"), ("quarter_car", "car.toml")):
         assert commands.main(["new", name]) == 0
         (tmp_path / file).write_text(capsys.readouterr().out)
+    text = (tmp_path / "car.toml").read_text()
+    comment = text.index("# to fit the model")
+    (tmp_path / "measured.toml").write_text(text[:comment] + re.sub("^# (?!to fit)", "", text[comment:], flags=re.M))
+    (tmp_path / "run1.csv").write_text(record)
     return tmp_path
 
 
@@ -51,6 +67,34 @@ def test_new_without_a_name_lists_the_ready_models(capsys):
     assert set(dir(jb.presets)) == set(re.findall(r"\w+", capsys.readouterr().out.partition(":")[2]))
     assert commands.main(["new", "quarter_cat"]) == 2
     assert "Did you mean 'quarter_car'?" in capsys.readouterr().err
+
+
+def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
+    before = (folder / "measured.toml").read_text()
+    assert commands.main(["fit", "measured.toml", "--free", "suspension.stiffness", "--write", "--out", "fit.csv"]) == 0
+    said = capsys.readouterr().out
+    (folder / "before.toml").write_text(before)
+    study = jb.read_study("before.toml")
+    fit = jb.fit(study.model, study.experiments, free="suspension.stiffness")
+    assert str(fit) in said and "wrote measured.toml" in said
+    estimate = float(fit.estimates["suspension.stiffness"])
+    assert abs(estimate / 30000 - 1) < 0.01  # noise of 0.1 mm in motions of 10 mm
+    changed = [(a, b) for a, b in zip(before.splitlines(), (folder / "measured.toml").read_text().splitlines(), strict=True) if a != b]
+    assert changed == [("stiffness = 35000.0 # N/m", f"stiffness = {estimate!r} # N/m")]
+    assert "suspension.stiffness" in (folder / "fit.csv").read_text()
+
+
+def test_a_fit_without_data_or_parameters_says_both(capsys, folder):
+    assert commands.main(["fit", "car.toml"]) == 2
+    said = capsys.readouterr().err
+    assert "has no experiments" in said and "does not say what is free" in said
+
+
+def test_readings_of_sensors_are_saved_with_a_motion(capsys, folder):
+    assert commands.main(["simulate", "measured.toml", "--duration", "0.1", "--out", "motion.csv"]) == 0
+    head, *rows = (folder / "motion.csv").read_text().splitlines()
+    columns = dict(zip(head.split(","), np.array([row.split(",") for row in rows], float).T, strict=True))
+    assert len(rows) == 11 and np.array_equal(columns["height [m]"], columns["body z [m]"])
 
 
 def test_the_numbers_are_those_of_python(capsys, folder):

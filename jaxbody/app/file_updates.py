@@ -1,0 +1,126 @@
+"""New numbers in a model file: each at its place and in the unit that stands there. Comments and the order of entries stay."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import tomlkit
+
+from jaxbody.core import units
+from jaxbody.core.errors import Problems
+from jaxbody.core.source_files import writing
+from jaxbody.files.documents import Document, EntryPath
+from jaxbody.files.kinds import PLAIN, TYPES, arguments_of
+from jaxbody.files.quantities import NUMBERS, UnitSystem, times, unit_system
+from jaxbody.files.writers import numbers_of
+from jaxbody.models.bodies import Body
+from jaxbody.parameters.spaces import Space, units_of
+
+
+def update(path: Path, document: Document, space: Space, trees: dict[str, Any]) -> list[str]:
+    """Write the values of free parameters into a file. `trees`: the model "" and the experiments by name, with these values. Returns the
+    paths that have no entry in the file, such as the gain of a sensor in one of several experiments. Error: NOT_SAVED."""
+    text, left = path.read_text(encoding="utf-8"), []
+    content: Any = tomlkit.parse(text) if path.suffix == ".toml" else json.loads(text)
+    system = unit_system(document.values.get("units"), "units", Problems())
+    for run, leaf in (place for parameter in space.parameters for place in parameter.places):
+        place = _run_place(document.values, leaf.path) if run else _place(document.values, leaf.path)
+        if place is None:
+            left.append(leaf.path)
+            continue
+        value = np.asarray(leaf.read(jax.tree.leaves(trees[run])))
+        _set(content, place, value, units_of(leaf, space.model, value), system)
+    text = tomlkit.dumps(content) if path.suffix == ".toml" else json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    with writing(path):
+        new = path.with_name(f"{path.name}.new")
+        new.write_text(text, encoding="utf-8")
+        new.replace(path)
+    return left
+
+
+def _run_place(values: dict[str, Any], path: str) -> EntryPath | None:
+    """The entry of an initial state, "run1.initial.v"."""
+    run, part, *rest = path.split(".")
+    stated = values["experiments"][run].get("initial")
+    return ("experiments", run, part, *rest) if part == "initial" and isinstance(stated, dict) else None
+
+
+def _place(values: dict[str, Any], path: str) -> EntryPath | None:
+    """The entry of a number of the model, "left.spring.terms.0.coefficient"; None for one that a file beside it holds."""
+    name, *parts = path.split(".")
+    if not parts:
+        return (name,)
+    of_body = {argument.field for argument in arguments_of(Body)}
+    sections = ("bodies", "supports", "elements") if parts[0] in of_body else ("joints", "elements")
+    section = next(section for section in sections if name in values.get(section, {}))
+    table = values[section][name]
+    kind = PLAIN.get(section) or TYPES.get(table["type"])
+    arguments = arguments_of(kind) if kind else ()
+    ends = dict(zip("abc", (each.name for each in arguments if each.role == "end"), strict=False))
+    if parts[0] in ends:
+        return (section, name, ends[parts[0]], 1)
+    place: EntryPath = (section, name, next((each.name for each in arguments if parts[0] == each.field), parts[0]))
+    node = table.get(place[-1])
+    for part in parts[1:]:
+        if isinstance(node, list):
+            if part != "terms":
+                place, node = (*place, int(part)), node[int(part)]
+        elif isinstance(node, dict):
+            if "file" in node:
+                return None
+            place, node = (*place, part), node.get(part)
+    return place
+
+
+def _set(content: Any, place: EntryPath, value: np.ndarray, si: list[str], system: UnitSystem | None) -> None:
+    """Set the entry at a place, in the units that it has."""
+    *before, last = place
+    for key in before[:-1] if last == 1 else before:
+        content = content[key]
+    if last == 1:  # the point of an end, which may be stated by its name alone
+        last, end = before[-1], content[before[-1]]
+        name, point = (end, None) if isinstance(end, str) else end
+        content[last] = [name, _written(value, point, si, system)]
+    else:
+        content[last] = _written(value, content[last] if isinstance(last, int) else content.get(last), si, system)
+
+
+def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | None) -> Any:
+    """Numbers in SI in the form and the units of the old ones."""
+    match = NUMBERS.match(old.strip()) if isinstance(old, str) else None
+    count = len(re.findall(r"[^\s,;()\[\]]+", match.group())) if match else np.size(old) if isinstance(old, list) else 1
+    if value.ndim == 2 and count == len(value) and np.array_equal(value, np.diag(np.diag(value))):
+        value, si = np.diag(value), [*np.reshape(si, value.shape).diagonal()]
+    if isinstance(old, list) and len(old) == len(value) if value.ndim else False:
+        rows = np.reshape(si, (len(value), -1)).tolist()
+        return [_written(x, each, row, system) for x, each, row in zip(value, old, rows, strict=True)]
+    if value.ndim > 1:
+        rows = np.reshape(si, (len(value), -1)).tolist()
+        return [_written(x, None, row, system) for x, row in zip(value, rows, strict=True)]
+    stated = match and str(old).strip()[match.end() :].strip()
+    if stated:
+        return _text(value, stated, units.parse(stated, "unit").factor)
+    if not any(si) or not value.any():  # zero needs no unit
+        return numbers_of(value)
+    if system is not None and isinstance(old, int | float | list | str):
+        factors = [system.factor(units.parse(unit, "unit").dimension) for unit in si]
+        numbers = [_number(x, factor) for x, factor in zip(value.ravel().tolist(), factors, strict=True)]
+        return numbers if value.ndim else numbers[0]
+    return _text(value, si[0], 1.0) if len(set(si)) == 1 else [_text(x, unit, 1.0) for x, unit in zip(value, si, strict=True)]
+
+
+def _text(value: np.ndarray, unit: str, factor: float) -> str:
+    return f"{', '.join(repr(_number(x, factor)) for x in value.ravel().tolist())} {unit}"
+
+
+def _number(value: float, factor: float) -> float:
+    """The number that is read as this value in a unit of this factor, to the bit where there is one."""
+    near = value / factor
+    neighbors = (near, math.nextafter(near, math.inf), math.nextafter(near, -math.inf))
+    return next((x for x in neighbors if times(x, factor) == value), near)
