@@ -24,7 +24,7 @@ SHORT = ("supports", "joints")  # sections whose objects take one line each
 HEADING = """A model for jaxbody. Check it with `jaxbody check FILE`; `jaxbody --help` lists what comes next.
 Numbers without a unit are in SI; "21 N/mm" is a number with its own. Bodies: `position` is where the origin O of the body's axes is
 before the model settles, `com` the center of mass from O. Elements: each end is a body, a support or "world", and a point in its axes."""
-TO_FIT = """to fit the model to a record, `jaxbody fit FILE --free "*.stiffness"`, columns with units in a text file, t [s], z [mm], base [mm]
+TO_FIT = """to fit it to a record, `jaxbody fit FILE --free "*.stiffness"`: a text file of columns with units, t [s], z [mm], base [mm]
 [records.run1]
 file = "run1.csv"
 time = "t"

@@ -33,7 +33,7 @@ def folder(tmp_path, monkeypatch, capsys, record):
         assert commands.main(["new", name]) == 0
         (tmp_path / file).write_text(capsys.readouterr().out)
     text = (tmp_path / "car.toml").read_text()
-    comment = text.index("# to fit the model")
+    comment = text.index("# to fit it")
     (tmp_path / "measured.toml").write_text(text[:comment] + re.sub("^# (?!to fit)", "", text[comment:], flags=re.M))
     (tmp_path / "run1.csv").write_text(record)
     return tmp_path

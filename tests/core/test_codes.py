@@ -13,6 +13,7 @@ NOT_CODES = {
     "FILE",
     "JAX_COMPILATION_CACHE_DIR",
     "MODULE",
+    "PATH",
     "NFKC",
     "NONE",
     "NRMSE",
