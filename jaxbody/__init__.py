@@ -24,6 +24,7 @@ The packages, in reading order; each imports only from those before it:
     inference       Uncertainty of fits: profiles, bands, validation.
     designs         Tuning: tune, pareto, sweep, tolerances, objectives.
     files           Model files: text to numbers in SI without JAX, to models and back.
+    studies         Studies in files: a model with motions, sensors, experiments and designs; the schema of all that a file may hold.
     interchange     Files of others: data sheets of mounts, linear systems for MATLAB.
     presets         Ready models.
     plots           Pictures with matplotlib.
@@ -66,7 +67,6 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.experiments.measured_responses": ("MeasuredResponse",),
     "jaxbody.experiments.plausibilities": ("plausibility",),
     "jaxbody.files.model_files": ("read_model", "write_model"),
-    "jaxbody.files.study_files": ("Study", "read_study"),
     "jaxbody.geometry.fields": ("field",),
     "jaxbody.geometry.orientations": ("Euler",),
     "jaxbody.identification.fits": ("Fit",),
@@ -113,6 +113,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.statics.equilibria": ("equilibrium",),
     "jaxbody.statics.equilibrium_searches": ("find_equilibria",),
     "jaxbody.statics.preloads": ("preload",),
+    "jaxbody.studies.study_files": ("Study", "read_study"),
     "jaxbody.vibrations.backbone_curves": ("backbones",),
     "jaxbody.vibrations.damped_modes": ("complex_modes", "whirl"),
     "jaxbody.vibrations.linearizations": ("excitation", "linearize"),

@@ -37,8 +37,6 @@ from jaxbody.experiments.measured_responses import MeasuredResponse as MeasuredR
 from jaxbody.experiments.plausibilities import plausibility as plausibility
 from jaxbody.files.model_files import read_model as read_model
 from jaxbody.files.model_files import write_model as write_model
-from jaxbody.files.study_files import Study as Study
-from jaxbody.files.study_files import read_study as read_study
 from jaxbody.geometry.fields import field as field
 from jaxbody.geometry.orientations import Euler as Euler
 from jaxbody.identification.fits import Fit as Fit
@@ -131,6 +129,8 @@ from jaxbody.statics.cases import load_cases as load_cases
 from jaxbody.statics.equilibria import equilibrium as equilibrium
 from jaxbody.statics.equilibrium_searches import find_equilibria as find_equilibria
 from jaxbody.statics.preloads import preload as preload
+from jaxbody.studies.study_files import Study as Study
+from jaxbody.studies.study_files import read_study as read_study
 from jaxbody.vibrations.backbone_curves import backbones as backbones
 from jaxbody.vibrations.damped_modes import complex_modes as complex_modes
 from jaxbody.vibrations.damped_modes import whirl as whirl

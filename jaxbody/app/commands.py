@@ -130,7 +130,7 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
         _prepare()
     import numpy as np
 
-    from jaxbody.files.study_files import study_of
+    from jaxbody.studies.study_files import study_of
 
     command = COMMANDS[options.command]
     study = study_of(document, values, options.file.parent, options.allow, measured=command.measured)

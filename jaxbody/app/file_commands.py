@@ -13,7 +13,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems
 
 if TYPE_CHECKING:
     from jaxbody.core.tables import PrintedTable
-    from jaxbody.files.study_files import Study
+    from jaxbody.studies.study_files import Study
 
 QUANTITIES = {"displacement": ("Position", "Rotation"), "velocity": ("Velocity", "AngularVelocity"),
               "acceleration": ("Acceleration", "AngularAcceleration")}  # fmt: skip

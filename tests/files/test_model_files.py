@@ -17,9 +17,9 @@ from hypothesis import HealthCheck, given, settings
 
 import jaxbody as jb
 from jaxbody.files.kinds import ELEMENTS, JOINTS, LAWS, LOADS, MOTIONS, SENSORS, TYPES
-from jaxbody.files.schema_sections import schema
 from jaxbody.files.schemas import SCHEMA_FILE
 from jaxbody.laws.laws import Law
+from jaxbody.studies.schema_sections import schema
 
 PACKAGE = Path(jb.__file__).parent
 PRESETS = [name for name in dir(jb.presets) if isinstance(getattr(jb.presets, name), type(lambda: 0))]
@@ -374,7 +374,7 @@ def test_what_has_no_text_is_named(tmp_path):
 
 
 def test_the_schema_is_that_of_the_fields():
-    assert json.loads(SCHEMA_FILE.read_text()) == schema(), "run write_schema() of files/schema_sections.py"
+    assert json.loads(SCHEMA_FILE.read_text()) == schema(), "run write_schema() of studies/schema_sections.py"
 
 
 def test_every_class_of_the_package_is_in_the_schema():
@@ -415,7 +415,7 @@ def test_a_file_is_checked_before_JAX_is_imported(tmp_path):
 def test_no_file_can_run_anything():
     """No eval, exec, pickle, YAML or network in what reads and writes files."""
     refused = {"eval", "exec", "compile", "__import__", "pickle", "marshal", "shelve", "yaml", "socket", "urllib", "http", "requests", "os"}
-    for path in (path for package in ("files", "interchange") for path in (PACKAGE / package).glob("*.py")):
+    for path in (path for package in ("files", "studies", "interchange") for path in (PACKAGE / package).glob("*.py")):
         tree = ast.parse(path.read_text())
         used = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name)}
         used |= {name.name.partition(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for name in node.names}

@@ -12,11 +12,11 @@ from jaxbody.experiments.measurements import Measurement
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import LARGEST, Document, read_document
 from jaxbody.files.schemas import checked_values
-from jaxbody.files.study_builders import StudyBuilder
 from jaxbody.inputs.loads import Load
 from jaxbody.inputs.motions import Motion
 from jaxbody.models.models import Model
 from jaxbody.sensors.sensors import Sensor
+from jaxbody.studies.study_builders import StudyBuilder
 
 
 @dataclass(frozen=True)

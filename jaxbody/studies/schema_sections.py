@@ -1,6 +1,6 @@
 """The schema of model files, made of the arguments of all kinds of objects and of `read_record`, `Experiment` and `fit`.
 
-    python -c "from jaxbody.files.schema_sections import write_schema; write_schema()"
+    python -c "from jaxbody.studies.schema_sections import write_schema; write_schema()"
 
 writes it again after a field has changed.
 """

@@ -1,0 +1,1 @@
+"""Studies in files: a model with motions, loads, sensors, experiments and designs; the schema of all that a file may hold."""
