@@ -9,7 +9,7 @@ from dataclasses import field as attribute
 from typing import TYPE_CHECKING, Any
 
 import jaxbody as jb
-from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 
 if TYPE_CHECKING:
     from jaxbody.core.tables import PrintedTable
@@ -161,6 +161,17 @@ def _series(columns: dict[str, Any]) -> PrintedTable:
     return PrintedTable("", tuple(columns), list(zip(*(map(float, column) for column in columns.values()), strict=True)))
 
 
+def _tune(study: Study, options: argparse.Namespace) -> Outcome:
+    if not study.designs:
+        hint = "State free, minimize, quantities and limits below [designs.NAME]: help(jaxbody.read_study)."
+        raise JaxbodyError(Problem("NOTHING_FREE", options.file.name, "has no designs", limit="at least one", hint=hint))
+    name = options.design or next(iter(study.designs))
+    if name not in study.designs:
+        raise JaxbodyError(unknown(name, "--design", tuple(study.designs)))
+    tuning = jb.tune(study.model, **study.designs[name])
+    return Outcome([tuning], lambda: jb.plots.plot_tuning(tuning), space=tuning.space, trees={"": tuning.model})
+
+
 def _linear(study: Study) -> Any:
     return jb.linearize(study.model, jb.equilibrium(study.model))
 
@@ -269,6 +280,15 @@ COMMANDS = {
             (("--write",), {"action": "store_true", "help": "write the estimates into the file, in the units that stand there"}),
         ),
         measured=True,
+    ),
+    "tune": Command(
+        "choose parameters by a design of the file",
+        "jaxbody tune measured.toml --design ride --write --out design.csv",
+        _tune,
+        (
+            (("--design",), {"metavar": "NAME", "help": "design of the file (default: its first one)"}),
+            (("--write",), {"action": "store_true", "help": "write the tuned values into the file, in the units that stand there"}),
+        ),
     ),
     "response": Command(
         "the response to a harmonic motion of supports",

@@ -11,6 +11,7 @@ import inspect
 import json
 from typing import Any
 
+from jaxbody.designs.tuners import tune
 from jaxbody.experiments.experiments import Experiment
 from jaxbody.files import kinds
 from jaxbody.files.kinds import DIRECTION, PLAIN_TYPES, SECTIONS, named, object_schema, table_schema, texts_of
@@ -21,6 +22,8 @@ from jaxbody.inputs.signals import KINDS
 from jaxbody.models.bodies import Body, Support
 from jaxbody.records.record_files import read_record
 from jaxbody.records.records import Record
+from jaxbody.responses.comfort_weightings import WEIGHTINGS
+from jaxbody.studies.design_quantities import QUANTITIES
 
 OF_STUDIES = {
     "records": "Measured data by name.",
@@ -28,6 +31,7 @@ OF_STUDIES = {
     "loads": "Forces and moments on bodies, by name.",
     "motion": "Motions of supports, by the name of the support.",
     "experiments": "Measured runs by name.",
+    "designs": "What `tune` minimizes and limits, by name.",
 }
 SINGULAR = {"bodies": "body"} | {name: name.removesuffix("s") for name in (*SECTIONS, *OF_STUDIES) if name != "bodies"}
 
@@ -77,6 +81,9 @@ def schema() -> dict[str, Any]:
         "column": _column(),
         "record": _record(),
         "experiment": _experiment(),
+        "quantity": one_of(*(f"quantity {name}" for name in QUANTITIES)),
+        **{f"quantity {name}": _quantity(name) for name in QUANTITIES},
+        "design": _design(),
     }
     sections = {name: _by_name(SINGULAR[name], text) for name, text in (SECTIONS | OF_STUDIES).items()}
     return {
@@ -183,6 +190,48 @@ def _experiment() -> dict[str, Any]:
         "leave_out": {"type": ["number", "string"], "unit": "s", "description": texts_of(Experiment)["leave_out"]},
     }
     return table_schema("One measured run.", ["record"], properties)
+
+
+def _quantity(name: str) -> dict[str, Any]:
+    """The schema of a quantity of a design."""
+    known = {
+        "path": {"type": "string", "description": "Path of a number of the model, such as left.stiffness."},
+        "mode": {"type": "integer", "minimum": 1, "description": "Number of the mode, from 1."},
+        "element": named("element"),
+        "band": {"type": ["array", "string"], "unit": "Hz", "description": "Lower and upper end."},
+        "sensor": named("sensor"),
+        "weights": {
+            "type": "object", "additionalProperties": {"type": "string", "enum": sorted(WEIGHTINGS)},
+            "description": "Frequency weighting by sensor: Wk for z, Wd for x and y.",
+        },
+    }  # fmt: skip
+    quantity = QUANTITIES[name]
+    stated = {option: known[option] for option in quantity.stated}
+    return table_schema(quantity.about, ["type", *stated], {"type": {"const": name}, **stated})
+
+
+def _design() -> dict[str, Any]:
+    """The schema of what `tune` is asked for."""
+    texts, own = texts_of(tune), {"type": PLAIN_TYPES["own"]}
+    road = {
+        "class": {"type": "string", "enum": list("ABCDEFGH"), "description": "Of ISO 8608."},
+        "speed": {"type": ["number", "string"], "unit": "m/s"},
+    }
+    properties = {
+        "free": _fit()["properties"]["free"],
+        "minimize": {"type": "string", "description": texts["minimize"]},
+        "quantities": _by_name("quantity", "What is minimized or limited, by name."),
+        "limits": {"type": "object", "additionalProperties": own, "description": texts["limits"]},
+        "bounds": _fit()["properties"]["bounds"],
+        "catalogues": {"type": "object", "additionalProperties": {"type": ["array", "string"]}, "description": texts["catalogues"]},
+        "starts": {"type": "integer", "description": texts["starts"]},
+        "roads": {
+            "type": "object", "description": "Uneven roads under supports, by name, independent of each other.",
+            "additionalProperties": table_schema("An uneven road.", ["class", "speed"], road),
+        },
+        "band": {"type": ["array", "string"], "unit": "Hz", "description": "Of the roads. Default: 0.1 to 100 Hz."},
+    }  # fmt: skip
+    return table_schema("What `jaxbody tune` chooses.", ["free", "minimize", "quantities"], properties)
 
 
 def _fit() -> dict[str, Any]:

@@ -16,10 +16,11 @@ from jaxbody.files.documents import EntryPath
 from jaxbody.files.quantities import in_SI
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.inputs.motions import Motion
-from jaxbody.models.leaf_paths import leaves_of, matching
+from jaxbody.models.leaf_paths import Leaf, leaves_of, matching
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.sensors.sensors import Sensor
+from jaxbody.studies.design_quantities import QUANTITIES, Evaluation, sensors_of
 
 
 @dataclass
@@ -112,15 +113,66 @@ class StudyBuilder:
         """The arguments of `fit`. The unit of a bound or a prior is that of its parameter."""
         given = dict(self.values.get("fit", {}))
         leaves = [*leaves_of(self.model), *(leaf for name, run in experiments.items() for leaf in leaves_of(run, f"{name}."))]
+        return given | {name: self.of_parameters(given[name], leaves, ("fit", name)) for name in ("bounds", "priors") if name in given}
+
+    def of_parameters(self, given: dict[str, Any], leaves: list[Leaf], path: EntryPath) -> dict[str, Any]:
+        """Numbers by the path or pattern of parameters, in their units."""
         rows = {"configuration": self.model.layout.q_units, "speeds": self.model.layout.v_units}
-        for name in {"bounds", "priors"} & set(given):
-            pairs = {}
-            for pattern, value in given[name].items():
-                path: EntryPath = ("fit", name, pattern)
-                found = self.builder.gather(path, "", lambda pattern=pattern: matching(leaves, [pattern], "")[pattern])
-                if found:
-                    kind = found[0].kind
-                    unit = ", ".join(rows[kind.domain]) if kind.domain in rows else kind.unit
-                    pairs[pattern] = tuple(self.quantity(x, unit, path) for x in value)
-            given[name] = pairs
-        return given
+        numbers = {}
+        for pattern, value in given.items():
+            at = (*path, pattern)
+            found = self.builder.gather(at, "", lambda pattern=pattern: matching(leaves, [pattern], "")[pattern])
+            if found:
+                kind = found[0].kind
+                unit = ", ".join(rows[kind.domain]) if kind.domain in rows else kind.unit
+                numbers[pattern] = (
+                    tuple(self.quantity(x, unit, at) for x in value) if isinstance(value, list) else self.quantity(value, unit, at)
+                )
+        return numbers
+
+    def designs(self, sensors: dict[str, Sensor]) -> dict[str, dict[str, Any]]:
+        return self.named("designs", lambda values, path: self.design(values, path, sensors))
+
+    def design(self, values: dict[str, Any], path: EntryPath, sensors: dict[str, Sensor]) -> dict[str, Any]:
+        """The arguments of `tune` beside the model."""
+        leaves, quantities, problems = leaves_of(self.model), values["quantities"], self.builder.problems
+        where = lambda *parts: self.builder.document.where((*path, *parts))  # noqa: E731
+        for name in {values["minimize"], *values.get("limits", {})} - set(quantities):
+            at = ("limits", name) if name in values.get("limits", {}) else ("minimize",)
+            problems.collected.append(unknown(name, where(*at), tuple(quantities)))
+        for name, stated in quantities.items():
+            self._check_quantity(stated, sensors, leaves, (*path, "quantities", name))
+            if QUANTITIES[stated["type"]].on_roads and not values.get("roads"):
+                message, hint = "is a quantity of a ride, and there are no roads", 'Write roads.NAME = {class = "C", speed = "20 m/s"}.'
+                problems.add("MISSING_ENTRY", where("quantities", name), message, limit="roads", hint=hint)
+        for name in set(values.get("roads", {})) - set(self.model.layout.supports):
+            problems.collected.append(unknown(name, where("roads", name), self.model.layout.supports))
+        given = {name: values[name] for name in ("free", "minimize", "starts") if name in values}
+        for name in ("bounds", "catalogues"):
+            given |= {name: self.of_parameters(values[name], leaves, (*path, name))} if name in values else {}
+        limits = {}
+        for name, value in values.get("limits", {}).items():
+            unit = self.unit_of(quantities.get(name, {"type": "value"}), sensors, leaves)
+            pair = self.quantity(value, unit, (*path, "limits", name))
+            limits[name] = tuple(pair) if isinstance(pair, list) else pair
+        roads = {name: (road["class"], road["speed"]) for name, road in values.get("roads", {}).items()}
+        read = {name: sensors[name] for name in sensors_of(quantities) if name in sensors}
+        evaluate = Evaluation(quantities, read, roads, tuple(values.get("band", (0.1, 100.0))))
+        return given | {"evaluate": evaluate, "limits": limits}
+
+    def _check_quantity(self, stated: dict[str, Any], sensors: dict[str, Sensor], leaves: list[Leaf], path: EntryPath) -> None:
+        where = lambda part: self.builder.document.where((*path, part))  # noqa: E731
+        for name in set(stated.get("weights", {})) - set(sensors):
+            self.builder.problems.collected.append(unknown(name, where("weights") + f".{name}", tuple(sensors)))
+        if stated.get("mode", 1) not in range(1, self.model.layout.nv + 1):
+            limit = f"1 to {self.model.layout.nv}"
+            self.builder.problems.add("BAD_NUMBER", where("mode"), f"is {stated['mode']}", value=stated["mode"], limit=limit)
+        if "path" in stated and stated["path"] not in {leaf.path for leaf in leaves}:
+            self.builder.gather((*path, "path"), "", lambda: matching(leaves, [stated["path"]], ""))
+
+    def unit_of(self, quantity: dict[str, Any], sensors: dict[str, Sensor], leaves: list[Leaf]) -> str:
+        """The unit of a quantity: of its kind, its sensor or its number."""
+        if quantity.get("sensor") in sensors:
+            return sensors[quantity["sensor"]].unit_on(self.model)
+        of_path = next((leaf.kind.unit for leaf in leaves if leaf.path == quantity.get("path")), "")
+        return QUANTITIES[quantity["type"]].unit or of_path

@@ -22,7 +22,7 @@ from jaxbody.studies.study_builders import StudyBuilder
 @dataclass(frozen=True)
 class Study:
     """A model and what a file states beside it, by name, as `simulate`, `measure` and `fit` take it. `fit` holds arguments of `fit`: free,
-    bounds, priors, loss.
+    bounds, priors, loss; `designs` those of `tune`.
 
     >>> study = Study(jb.presets.quarter_car(), {"road": Harmonic(frequency=1.5, translation=[0, 0, 0.01])})
     >>> trajectory = simulate(study.model, [0.0, 0.1], motion=study.motion, loads=study.loads, initial="rest")
@@ -34,6 +34,7 @@ class Study:
     sensors: dict[str, Sensor] = attribute(default_factory=dict)
     experiments: dict[str, Measurement] = attribute(default_factory=dict)
     fit: dict[str, Any] = attribute(default_factory=dict)
+    designs: dict[str, dict[str, Any]] = attribute(default_factory=dict)
 
 
 def read_study(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST) -> Study:
@@ -87,5 +88,6 @@ def study_of(document: Document, values: dict[str, Any], folder: Path, allow: Se
     experiments = parts.experiments(motion, loads, sensors) if measured else {}
     builder.problems.raise_if_any()
     fit = parts.fit(experiments) if measured else {}
+    designs = parts.designs(sensors)
     builder.problems.raise_if_any()
-    return Study(parts.model, motion, loads, sensors, experiments, fit)
+    return Study(parts.model, motion, loads, sensors, experiments, fit, designs)

@@ -14,12 +14,33 @@ from jaxbody.app import commands
 NAMES = list(commands.COMMANDS)
 
 
+DESIGN = """
+[sensors.seat]
+type = "Acceleration"
+on = "body"
+axis = "z"
+[sensors.travel]
+type = "Elongation"
+on = "suspension"
+[designs.ride]
+free = ["suspension.stiffness", "suspension.damping"]
+minimize = "comfort"
+limits = {travel = ["-inf", "50 mm"], bounce = ["0.8 Hz", "2 Hz"]}
+bounds = {"suspension.damping" = ["0.1 N s/mm", "9 N s/mm"], "suspension.stiffness" = ["5 N/mm", "90 N/mm"]}
+roads.road = {class = "C", speed = "72 km/h"}
+[designs.ride.quantities]
+comfort = {type = "comfort", weights = {seat = "Wk"}}
+travel = {type = "stroke", sensor = "travel"}
+bounce = {type = "frequency", mode = 1}
+"""
+
+
 @pytest.fixture(scope="module")
 def record():
     """A text file of the motion of a quarter car with a softer suspension on a road, with noise of 0.1 mm."""
     times = np.arange(100) / 50
     base = np.stack([0 * times, 0 * times, 0.01 * (1 - np.cos(2 * np.pi * times))], 1)
-    car = jb.replace(jb.presets.quarter_car(), {"suspension.stiffness": 30000.0})
+    car = jb.replace(jb.presets.quarter_car(), {"suspension.stiffness": 30000.0, "suspension.damping": 1500.0})
     run = jb.simulate(car, times, motion={"road": jb.Sampled(times, translation=base)}, initial="rest")
     z = np.asarray(run.poses["body"].p)[:, 2] + np.random.default_rng(0).normal(0, 1e-4, 100)
     rows = [",".join(map(repr, row)) for row in np.stack([times, 1000 * z, 1000 * base[:, 2]], 1).tolist()]
@@ -34,7 +55,10 @@ def folder(tmp_path, monkeypatch, capsys, record):
         (tmp_path / file).write_text(capsys.readouterr().out)
     text = (tmp_path / "car.toml").read_text()
     comment = text.index("# to fit it")
-    (tmp_path / "measured.toml").write_text(text[:comment] + re.sub("^# (?!to fit)", "", text[comment:], flags=re.M))
+    text = text[:comment] + re.sub("^# (?!to fit)", "", text[comment:], flags=re.M)
+    (tmp_path / "measured.toml").write_text(text.replace("[elements.suspension]", "[elements.suspension]\ndamping = 1500.0"))
+    with (tmp_path / "measured.toml").open("a") as file:
+        file.write(DESIGN)
     (tmp_path / "run1.csv").write_text(record)
     return tmp_path
 
@@ -88,6 +112,29 @@ def test_a_fit_without_data_or_parameters_says_both(capsys, folder):
     assert commands.main(["fit", "car.toml"]) == 2
     said = capsys.readouterr().err
     assert "has no experiments" in said and "does not say what is free" in said
+
+
+def test_a_design_is_that_of_python_and_is_written_into_the_file(capsys, folder):
+    car = jb.read_model("measured.toml")
+
+    def drive(car):
+        lin = jb.linearize(car, jb.equilibrium(car))
+        outputs = {"seat": jb.Acceleration("body", axis="z"), "travel": jb.Elongation("suspension")}
+        spectra = {"road": jb.Unevenness.iso("C").at_speed(20.0)}
+        ride = jb.random_response(lin, jb.Band(0.1, 100.0), {"road": jb.BaseMotion("road", "z")}, outputs, spectra)
+        comfort, travel = jb.objectives.comfort(ride, {"seat": "Wk"}), jb.objectives.stroke(ride, "travel")
+        return {"comfort": comfort, "travel": travel, "bounce": jb.modes(lin).frequency[0]}
+
+    free = ["suspension.stiffness", "suspension.damping"]
+    bounds = {"suspension.damping": (100.0, 9000.0), "suspension.stiffness": (5e3, 9e4)}
+    limits = {"travel": (None, 0.05), "bounce": (0.8, 2.0)}
+    expected = jb.tune(car, drive, free=free, minimize="comfort", limits=limits, bounds=bounds)
+    assert commands.main(["tune", "measured.toml", "--write"]) == 0
+    assert "wrote measured.toml" in capsys.readouterr().out
+    tuned = jb.paths(jb.read_model("measured.toml"))
+    for path in free:
+        np.testing.assert_allclose(tuned[path], expected.values[path], rtol=1e-6)  # of the search
+    assert abs(float(expected.after["comfort"]) - float(expected.before["comfort"])) > 0.1
 
 
 def test_readings_of_sensors_are_saved_with_a_motion(capsys, folder):

@@ -1,0 +1,99 @@
+"""Designs in files: each kind of quantity as in Python, units of limits and bounds, problems with their lines."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody.files.writers import toml_of, values_of
+from jaxbody.studies.design_quantities import QUANTITIES
+
+DESIGN = """
+[sensors]
+seat = {type = "Acceleration", on = "body", axis = "z"}
+travel = {type = "Elongation", on = "suspension"}
+load = {type = "LoadCell", on = "tyre"}
+
+[designs.ride]
+free = ["suspension.stiffness", "suspension.damping"]
+minimize = "comfort"
+limits = {travel = ["-inf", "5 cm"], load = ["0 kN", "1.2 kN"], k = "30 N/mm", first = ["60 1/min", "2 Hz"], zeta = [0.2, 0.4]}
+bounds = {"*.stiffness" = ["10 N/mm", "0.4 kN/mm"]}
+catalogues = {"suspension.damping" = "1, 2, 3 N s/mm"}
+starts = 2
+roads.road = {class = "C", speed = "72 km/h"}
+band = "0.2, 50 Hz"
+
+[designs.ride.quantities]
+comfort = {type = "comfort", weights = {seat = "Wk"}}
+travel = {type = "stroke", sensor = "travel"}
+load = {type = "rms", sensor = "load"}
+k = {type = "value", path = "suspension.stiffness"}
+first = {type = "frequency", mode = 1}
+zeta = {type = "damping_ratio", mode = 1}
+sag = {type = "deflection", element = "suspension"}
+coupled = {type = "coupling_of_modes"}
+idle = {type = "band_intrusion", band = "8, 10 Hz"}
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "car.toml"
+    path.write_text(toml_of(values_of(jb.presets.quarter_car(damping=1500.0))) + DESIGN)
+    return path
+
+
+def test_a_design_is_what_tune_takes(file):
+    study = jb.read_study(file)
+    design = dict(study.designs["ride"])
+    car, found = study.model, design.pop("evaluate")(study.model)
+    lin = jb.linearize(car, jb.equilibrium(car))
+    outputs = {"seat": jb.Acceleration("body", axis="z"), "travel": jb.Elongation("suspension"), "load": jb.LoadCell("tyre")}
+    spectra = {"road": jb.Unevenness.iso("C").at_speed(20.0)}
+    ride = jb.random_response(lin, jb.Band(0.2, 50.0), {"road": jb.BaseMotion("road", "z")}, outputs, spectra)
+    frequencies = jb.modes(lin).frequency
+    expected = {
+        "comfort": jb.objectives.comfort(ride, {"seat": "Wk"}), "travel": 3 * ride["travel"], "load": ride["load"],
+        "k": car["suspension"].stiffness, "first": frequencies[0], "zeta": jb.complex_modes(lin).damping_ratio[0],
+        "sag": jb.equilibrium(car).elongations["suspension"], "coupled": jb.objectives.coupling_of_modes(lin),
+        "idle": jnp.sum(jnp.maximum(0.0, 1 - (frequencies - 9.0) ** 2) ** 2),
+    }  # fmt: skip
+    assert len(expected) == len(QUANTITIES) and found.keys() == expected.keys()
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name], value, rtol=1e-9, atol=1e-12, err_msg=name)  # sums over different outputs
+    assert design.pop("limits") == {
+        "travel": (-np.inf, 0.05), "load": (0.0, 1200.0), "k": 3e4, "first": (1.0, 2.0), "zeta": (0.2, 0.4),
+    }  # fmt: skip
+    assert design.pop("bounds") == {"*.stiffness": (1e4, 4e5)} and design.pop("catalogues") == {"suspension.damping": [1e3, 2e3, 3e3]}
+    assert design == {"free": ["suspension.stiffness", "suspension.damping"], "minimize": "comfort", "starts": 2}
+
+
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        ('minimize = "comfort"', 'minimize = "comfrt"', "designs.ride.minimize: 'comfrt' is unknown. Did you mean 'comfort'?"),
+        ("limits = {travel", "limits = {travl", "designs.ride.limits.travl: 'travl' is unknown. Did you mean 'travel'?"),
+        ('"5 cm"', '"5 N"', "designs.ride.limits.travel: is '5 N', in N (allowed: a unit such as m)"),
+        ('"30 N/mm"', '"30 N"', "designs.ride.limits.k: is '30 N', in N"),
+        ('"10 N/mm"', '"10 mm"', "designs.ride.bounds.'*.stiffness': is '10 mm'"),
+        ('{"*.stiffness"', '{"*.stifness"', "designs.ride.bounds.'*.stifness': '*.stifness' matches nothing"),
+        ("roads.road", "roads.rood", "designs.ride.roads.rood: 'rood' is unknown. Did you mean 'road'?"),
+        ('roads.road = {class = "C", speed = "72 km/h"}', "", "designs.ride.quantities.comfort: is a quantity of a ride"),
+        ('class = "C"', 'class = "K"', "designs.ride.roads.road.class: 'K' is unknown"),
+        ('seat = "Wk"', 'seet = "Wk"', "designs.ride.quantities.comfort.weights.seet: 'seet' is unknown"),
+        ('sensor = "load"', 'sensor = "lode"', "designs.ride.quantities.load.sensor: sensor 'lode' is unknown. Did you mean 'load'?"),
+        ('"frequency", mode = 1', '"frequency"', "designs.ride.quantities.first: has no 'mode'"),
+        ('"frequency", mode = 1', '"frequency", mode = 3', "designs.ride.quantities.first.mode: is 3 (allowed: 1 to 2)"),
+        ('"frequency"', '"frequence"', "designs.ride.quantities.first.type: 'frequence' is unknown"),
+        ('path = "suspension.stiffness"', 'path = "suspension.stif"', "designs.ride.quantities.k.path: 'suspension.stif' matches nothing"),
+    ],
+)  # fmt: skip
+def test_problems_of_designs_are_reported_with_their_line(old, new, message, file):
+    text = file.read_text()
+    line = 1 + next(i for i, row in enumerate(text.splitlines()) if old in row)
+    file.write_text(text.replace(old, new, 1))
+    with pytest.raises(jb.JaxbodyError) as error:
+        jb.read_study(file)
+    assert message in str(error.value)
+    assert new == "" or f"car.toml:{line} {message}" in str(error.value)
