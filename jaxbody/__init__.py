@@ -23,7 +23,7 @@ The packages, in reading order; each imports only from those before it:
     identification  Fits: residuals, searches, results, several initial guesses, multiple shooting.
     inference       Uncertainty of fits: profiles, bands, validation.
     designs         Tuning: tune, pareto, sweep, tolerances, objectives.
-    files           Model files: text to numbers in SI without JAX, to models and back.
+    files           Model files: text to numbers in SI without JAX, to models and back; archives of results.
     studies         Studies in files: a model with motions, sensors, experiments and designs; the schema of all that a file may hold.
     interchange     Files of others: data sheets of mounts, linear systems for MATLAB.
     presets         Ready models.
@@ -67,6 +67,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.experiments.measured_responses": ("MeasuredResponse",),
     "jaxbody.experiments.plausibilities": ("plausibility",),
     "jaxbody.files.model_files": ("read_model", "write_model"),
+    "jaxbody.files.result_files": ("read_results", "write_results"),
     "jaxbody.geometry.fields": ("field",),
     "jaxbody.geometry.orientations": ("Euler",),
     "jaxbody.identification.fits": ("Fit",),

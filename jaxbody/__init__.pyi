@@ -37,6 +37,8 @@ from jaxbody.experiments.measured_responses import MeasuredResponse as MeasuredR
 from jaxbody.experiments.plausibilities import plausibility as plausibility
 from jaxbody.files.model_files import read_model as read_model
 from jaxbody.files.model_files import write_model as write_model
+from jaxbody.files.result_files import read_results as read_results
+from jaxbody.files.result_files import write_results as write_results
 from jaxbody.geometry.fields import field as field
 from jaxbody.geometry.orientations import Euler as Euler
 from jaxbody.identification.fits import Fit as Fit

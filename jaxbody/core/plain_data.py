@@ -1,4 +1,4 @@
-"""Static values and structures of trees as plain text and back: names, numbers and tuples of them, never code.
+"""Values and structures of trees as plain text and arrays, and back: names, numbers and tuples of them, never code.
 
 Classes and functions are written by name; only those of jaxbody and of the libraries that it is built on are known, as their source is
 that of an installed version. A value of another kind has no text: `Unnamed` says which.
@@ -11,7 +11,7 @@ import enum
 import importlib
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -19,7 +19,7 @@ import numpy as np
 from jax.core import ShapedArray
 from jax.tree_util import PyTreeDef
 
-from jaxbody.core.jax_internals import tree_of_node
+from jaxbody.core.jax_internals import Tracer, tree_of_node
 
 LIBRARIES = ("jaxbody", "diffrax", "equinox", "jax", "lineax", "optimistix")
 
@@ -28,65 +28,93 @@ class Unnamed(Exception):
     """A value that has no text, with a description of it."""
 
 
-def text_of(value: Any) -> str:
-    """The text of a value; equal values have equal texts. Error: Unnamed."""
-    return json.dumps(_encoded(value), separators=(",", ":"))
+def text_of(value: Any, arrays: list[Any] | None = None, allow: Sequence[str] = ()) -> str:
+    """The text of a value; equal values have equal texts. Arrays are added to `arrays`, where it is given, and the text has their places
+    in it. `allow`: modules whose classes have names too. Error: Unnamed."""
+    return json.dumps(_Writer(arrays, allow).encoded(value), separators=(",", ":"))
 
 
-def value_of(text: str) -> Any:
+def value_of(text: str, arrays: Sequence[Any] = (), allow: Sequence[str] = ()) -> Any:
     """The value of a text. Error: ValueError where the text is not that of a value."""
     try:
-        return _decoded(json.loads(text))
+        return _Reader(arrays, allow).decoded(json.loads(text))
     except (AttributeError, ImportError, IndexError, KeyError, RuntimeError, TypeError) as error:  # RecursionError is a RuntimeError
         raise ValueError(f"not the text of a value: {error!r}") from None
 
 
-def _encoded(x: Any) -> Any:
-    kind = type(x)
-    if x is None or kind in (bool, int, str):
-        return x
-    if kind is float:
-        return ["float", x.hex()]
-    if kind is complex:
-        return ["complex", x.real.hex(), x.imag.hex()]
-    if kind in (tuple, list, set, frozenset):
-        items = [_encoded(y) for y in x]
-        return [kind.__name__, *(sorted(items, key=json.dumps) if kind in (set, frozenset) else items)]
-    if kind is dict:
-        return ["dict", *([_encoded(key), _encoded(y)] for key, y in x.items())]
-    if isinstance(x, enum.Enum):
-        return ["enum", _name(kind), x.name]
-    if isinstance(x, np.dtype):
-        return ["dtype", x.str if x.isbuiltin else _refused(x)]
-    if isinstance(x, np.generic):
-        return ["number", x.dtype.str, x.tobytes().hex()]
-    if isinstance(x, ShapedArray):
-        return ["type", list(x.shape), x.dtype.name, x.weak_type]
-    if isinstance(x, PyTreeDef):
-        node = x.node_data()
-        if node is None:
-            return ["leaf"] if x.num_leaves else ["empty"]
-        return ["tree", _encoded(node[0]), _encoded(node[1]), *(_encoded(child) for child in x.children())]
-    if isinstance(x, type) or (callable(x) and hasattr(x, "__qualname__") and not hasattr(x, "__self__")):
-        return ["name", _name(x)]
-    fields = getattr(kind, "_fields", None)
-    if isinstance(x, tuple) and fields is not None:
-        return ["object", _name(kind), *([name, _encoded(y)] for name, y in zip(fields, x, strict=True))]
-    if dataclasses.is_dataclass(x):
-        return ["object", _name(kind), *([f.name, _encoded(getattr(x, f.name))] for f in dataclasses.fields(x) if hasattr(x, f.name))]
-    home = "equinox._module._module" if kind is object else kind.__module__  # of an object that stands for what is missing
-    names = [name for name, one in vars(sys.modules[home]).items() if one is x] if home.split(".")[0] in LIBRARIES else []
-    return ["name", f"{home}:{names[0]}"] if names else _refused(x)
+@dataclasses.dataclass
+class _Writer:
+    """Values to lists of plain values, the first of which says what they are."""
+
+    arrays: list[Any] | None
+    allow: Sequence[str]
+
+    def encoded(self, x: Any) -> Any:
+        kind = type(x)
+        if x is None or kind in (bool, int, str):
+            return x
+        if kind is float:
+            return ["float", x.hex()]
+        if kind is complex:
+            return ["complex", x.real.hex(), x.imag.hex()]
+        if kind in (tuple, list, set, frozenset):
+            items = [self.encoded(y) for y in x]
+            return [kind.__name__, *(sorted(items, key=json.dumps) if kind in (set, frozenset) else items)]
+        if kind is dict:
+            return ["dict", *([self.encoded(key), self.encoded(y)] for key, y in x.items())]
+        if isinstance(x, enum.Enum):
+            return ["enum", self.name(kind), x.name]
+        if isinstance(x, np.dtype):
+            return ["dtype", x.str if x.isbuiltin else _refused(x)]
+        if isinstance(x, np.generic):
+            return ["number", x.dtype.str, x.tobytes().hex()]
+        if isinstance(x, np.ndarray | jax.Array):
+            return self.array(x)
+        if isinstance(x, ShapedArray):
+            return ["type", list(x.shape), x.dtype.name, x.weak_type]
+        if isinstance(x, PyTreeDef):
+            node = x.node_data()
+            if node is None:
+                return ["leaf"] if x.num_leaves else ["empty"]
+            return ["tree", self.encoded(node[0]), self.encoded(node[1]), *(self.encoded(child) for child in x.children())]
+        if isinstance(x, type) or (callable(x) and hasattr(x, "__qualname__") and not hasattr(x, "__self__")):
+            return ["name", self.name(x)]
+        return self.object(x)
+
+    def array(self, x: Any) -> Any:
+        """The place of an array among the others."""
+        if self.arrays is None or isinstance(x, Tracer) or x.dtype.kind not in "biufc":
+            return _refused(x)
+        place = next((i for i, other in enumerate(self.arrays) if other is x), len(self.arrays))
+        self.arrays += [x] if place == len(self.arrays) else []
+        return ["array", "numpy" if isinstance(x, np.ndarray) else "jax", place]
+
+    def object(self, x: Any) -> Any:
+        kind = type(x)
+        names = _fields(kind)
+        if names is not None:
+            return ["object", self.name(kind), *([name, self.encoded(getattr(x, name))] for name in names if hasattr(x, name))]
+        home = "equinox._module._module" if kind is object else kind.__module__  # of an object that stands for what is missing
+        names = [name for name, one in vars(sys.modules[home]).items() if one is x] if home.split(".")[0] in LIBRARIES else []
+        return ["name", f"{home}:{names[0]}"] if names else _refused(x)
+
+    def name(self, thing: Any) -> str:
+        """ "module:name" of a class or function that can be found by it."""
+        module, name = getattr(thing, "__module__", None) or "", getattr(thing, "__qualname__", "")
+        if module == "builtins" and isinstance(thing, type):
+            return f"builtins:{name}"
+        if (module.split(".")[0] not in LIBRARIES and module not in self.allow) or not _same(_found(module, name), thing):
+            _refused(thing)
+        return f"{module}:{name}"
 
 
-def _name(thing: Any) -> str:
-    """ "module:name" of a class or function that can be found by it."""
-    module, name = getattr(thing, "__module__", None) or "", getattr(thing, "__qualname__", "")
-    if module == "builtins" and isinstance(thing, type):
-        return f"builtins:{name}"
-    if module.split(".")[0] not in LIBRARIES or not _same(_found(module, name), thing):
-        _refused(thing)
-    return f"{module}:{name}"
+def _fields(kind: type) -> tuple[str, ...] | None:
+    """The names of the values that an object of a class consists of; None where it does not say so."""
+    if issubclass(kind, tuple):
+        return getattr(kind, "_fields", None)
+    if dataclasses.is_dataclass(kind):
+        return tuple(f.name for f in dataclasses.fields(kind))
+    return tuple(kind.__annotations__) if kind.__module__.startswith("jaxbody.") and "__annotations__" in vars(kind) else None
 
 
 def _same(found: Any, thing: Any) -> bool:
@@ -104,59 +132,75 @@ def _refused(x: Any) -> Any:
     raise Unnamed(f"{getattr(x, '__module__', type(x).__module__)}.{getattr(x, '__qualname__', type(x).__qualname__)}")
 
 
-def _decoded(x: Any) -> Any:
-    if not isinstance(x, list):
-        if x is None or isinstance(x, bool | int | str):
-            return x
-        raise ValueError(f"unknown text {x!r:.60}")
-    return READERS[x[0]](*x[1:])
+@dataclasses.dataclass
+class _Reader:
+    """The values of such lists."""
 
+    arrays: Sequence[Any]
+    allow: Sequence[str]
 
-def _named(text: str) -> Any:
-    module, _, name = text.partition(":")
-    if module == "builtins":
-        thing: Any = {kind.__name__: kind for kind in (bool, int, float, complex, str, tuple, list, dict, set, frozenset, type(None))}[name]
+    def decoded(self, x: Any) -> Any:
+        if not isinstance(x, list):
+            if x is None or isinstance(x, bool | int | str):
+                return x
+            raise ValueError(f"unknown text {x!r:.60}")
+        return READERS[x[0]](self, *x[1:])
+
+    def all(self, *items: Any) -> Any:
+        return map(self.decoded, items)
+
+    def named(self, text: str) -> Any:
+        module, _, name = text.partition(":")
+        if module == "builtins":
+            thing: Any = {kind.__name__: kind for kind in BUILTINS}[name]
+            return thing
+        if module.split(".")[0] not in LIBRARIES and module not in self.allow:
+            raise ValueError(f"{module} is not known")
+        importlib.import_module(module)
+        thing = _found(module, name)
+        if thing is None:
+            raise ValueError(f"there is no {text}")
         return thing
-    if module.split(".")[0] not in LIBRARIES:
-        raise ValueError(f"{module} is not known")
-    importlib.import_module(module)
-    thing = _found(module, name)
-    if thing is None:
-        raise ValueError(f"there is no {text}")
-    return thing
+
+    def object(self, name: str, *fields: list[Any]) -> Any:
+        kind, values = self.named(name), {field: self.decoded(y) for field, y in fields}
+        if not isinstance(kind, type):
+            raise ValueError(f"{name} is no class")
+        known = _fields(kind)
+        if known is None or set(values) - set(known):
+            raise ValueError(f"{name} has no {sorted(set(values) - set(known or ()))}")
+        if issubclass(kind, tuple):
+            return kind(**values)
+        made = object.__new__(kind)
+        for field, value in values.items():
+            object.__setattr__(made, field, value)
+        return made
+
+    def tree(self, kind: Any, data: Any, *children: Any) -> Any:
+        return tree_of_node(self.decoded(kind), self.decoded(data), [self.decoded(child) for child in children])
+
+    def array(self, kind: str, place: int) -> Any:
+        x = self.arrays[place]
+        return x if kind == "numpy" else jax.device_put(x)
 
 
-def _object(name: str, *fields: list[Any]) -> Any:
-    kind, values = _named(name), {field: _decoded(y) for field, y in fields}
-    if not isinstance(kind, type):
-        raise ValueError(f"{name} is no class")
-    if issubclass(kind, tuple):
-        return kind(**values)
-    made = object.__new__(kind)
-    for field, value in values.items():
-        object.__setattr__(made, field, value)
-    return made
-
-
-def _tree(kind: Any, data: Any, *children: Any) -> Any:
-    return tree_of_node(_decoded(kind), _decoded(data), [_decoded(child) for child in children])
-
-
+BUILTINS = (bool, int, float, complex, str, tuple, list, dict, set, frozenset, type(None))
 READERS: dict[str, Callable[..., Any]] = {
-    "float": float.fromhex,
-    "complex": lambda re, im: complex(float.fromhex(re), float.fromhex(im)),
-    "tuple": lambda *items: tuple(map(_decoded, items)),
-    "list": lambda *items: list(map(_decoded, items)),
-    "set": lambda *items: set(map(_decoded, items)),
-    "frozenset": lambda *items: frozenset(map(_decoded, items)),
-    "dict": lambda *items: {_decoded(key): _decoded(y) for key, y in items},
-    "enum": lambda kind, name: _named(kind)[name],
-    "dtype": np.dtype,
-    "number": lambda dtype, data: np.frombuffer(bytes.fromhex(data), dtype)[0],
-    "type": lambda shape, dtype, weak: ShapedArray(tuple(shape), np.dtype(dtype), weak_type=weak),
-    "leaf": lambda: jax.tree.structure(0),
-    "empty": lambda: jax.tree.structure(None),
-    "tree": _tree,
-    "name": _named,
-    "object": _object,
+    "float": lambda read, x: float.fromhex(x),
+    "complex": lambda read, re, im: complex(float.fromhex(re), float.fromhex(im)),
+    "tuple": lambda read, *items: tuple(read.all(*items)),
+    "list": lambda read, *items: list(read.all(*items)),
+    "set": lambda read, *items: set(read.all(*items)),
+    "frozenset": lambda read, *items: frozenset(read.all(*items)),
+    "dict": lambda read, *items: {read.decoded(key): read.decoded(y) for key, y in items},
+    "enum": lambda read, kind, name: read.named(kind)[name],
+    "dtype": lambda read, name: np.dtype(name),
+    "number": lambda read, dtype, data: np.frombuffer(bytes.fromhex(data), dtype)[0],
+    "type": lambda read, shape, dtype, weak: ShapedArray(tuple(shape), np.dtype(dtype), weak_type=weak),
+    "leaf": lambda read: jax.tree.structure(0),
+    "empty": lambda read: jax.tree.structure(None),
+    "tree": _Reader.tree,
+    "name": _Reader.named,
+    "object": _Reader.object,
+    "array": _Reader.array,
 }
