@@ -1,17 +1,71 @@
-"""Results as labeled arrays: an xarray.Dataset with names, units and coordinates.
+"""Results as labeled arrays, an xarray.Dataset with names, units and coordinates, and as a table of pandas.
 
-xarray is imported here, on first use, and is an extra: `pip install 'jaxbody[xarray]'`. Leading axes of a batch become `sample`.
+Both are imported here, on first use, and are an extra: `pip install 'jaxbody[xarray]'`. Leading axes of a batch become `sample`.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from abc import ABC, abstractmethod
+from itertools import product
+from typing import Any, ClassVar
 
 import numpy as np
 
-from jaxbody.core.errors import import_extra
+from jaxbody.core.errors import JaxbodyError, import_extra, unknown
 
 AXES, QUATERNION = list("xyz"), list("wxyz")
+
+
+class Labeled(ABC):
+    """What has labeled arrays. Class attribute: `index`, the dimension over which it is a table."""
+
+    index: ClassVar[str]
+
+    @abstractmethod
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset with units in the attributes of its variables."""
+
+    def to_pandas(self, over: str | None = None) -> Any:
+        """A pandas.DataFrame of the variables of `to_xarray` that have one dimension, a row for each of its values.
+
+        Args:
+            over: the dimension; None: the main one, such as time or mode. Labels of other dimensions stand in the names of the columns,
+                "position[car, z]". Of a batch, `sample` is the first level of the index.
+
+        `attrs["units"]` {column: unit}; "" where there is none. Errors: UNKNOWN_NAME, with the dimensions; MISSING_EXTRA."""
+        pandas = import_extra("pandas", "to_pandas")
+        data, over = self.to_xarray(), over or self.index
+        if over not in data.dims:
+            raise JaxbodyError(unknown(over, f"{type(self).__name__}.to_pandas", tuple(map(str, data.dims))))
+        index = [dim for dim in ("sample", over) if dim in data.dims]
+        labels = {dim: data[dim].values if dim in data.coords else np.arange(size) for dim, size in data.sizes.items()}
+        columns, units = {}, {}
+        for name, array in data.data_vars.items():
+            others = [dim for dim in array.dims if dim not in index]
+            if over not in array.dims:
+                continue
+            values = array.transpose(*others, *(dim for dim in index if dim in array.dims)).values
+            for place in product(*(range(data.sizes[dim]) for dim in others)):
+                words = [str(labels[dim][i]) for dim, i in zip(others, place, strict=True)]
+                column = f"{name}[{', '.join(words)}]" if words else str(name)
+                columns[column] = values[place].ravel() if index[0] in array.dims else np.tile(values[place], data.sizes["sample"])
+                units[column] = _unit(data, array, dict(zip(others, place, strict=True)))
+        names = [labels[dim] for dim in index]
+        made = pandas.MultiIndex.from_product(names, names=index) if len(index) > 1 else pandas.Index(names[0], name=over)
+        frame = pandas.DataFrame(columns, index=made)
+        frame.attrs["units"] = {over: data[over].attrs.get("units", "") if over in data.coords else "", **units}
+        return frame
+
+
+def _unit(data: Any, array: Any, place: dict[str, int]) -> str:
+    """The unit of a column, in which the word `unit` stands for that in the variable `unit` at this place."""
+    stated = array.attrs.get("units", "")
+    if "unit" not in stated or "unit" not in data:
+        return stated
+    own = data["unit"].isel({dim: i for dim, i in place.items() if dim in data["unit"].dims}).values
+    if own.ndim:  # another one in each row
+        return stated
+    return str(own) if stated == "unit" else stated.replace("unit", f"({own})")
 
 
 def dataset(variables: dict[str, tuple[tuple[str, ...], Any, str]], coordinates: dict[str, Any], kind: str) -> Any:

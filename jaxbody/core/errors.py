@@ -15,7 +15,7 @@ from jaxbody.core.progress_lines import clear
 
 MOST_PROBLEMS = 20
 MOST_LINES = 10  # of a message; `problems` holds them all
-EXTRAS = {"xarray": ("xarray",), "ipopt": ("casadi",), "files": ("pyarrow", "h5py", "pyuff", "nptdms"), "mdf": ("asammdf",)}  # packages
+EXTRAS = {"xarray": ("pandas", "xarray"), "ipopt": ("casadi",), "files": ("h5py", "nptdms", "pyarrow", "pyuff"), "mdf": ("asammdf",)}
 SKIPPED = {"jaxbody", "equinox", "jax", "contextlib", "functools"}  # packages whose lines do not help a user
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import Array, Float, Int
-from jaxbody.core.datasets import dataset
+from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
@@ -31,7 +31,7 @@ from jaxbody.models.models import Model
 SAME, NOTABLE = 1e-6, 1e-3  # differences relative to the range of an objective
 
 
-class Front(Result):
+class Front(Labeled, Result):
     """`objectives` {name: (n,)} along the front, `values` {path: (n, ...)} and all `quantities` {name: (n, ...)} of its designs, `slopes`
     (n, k - 1), the derivatives of the first objective with respect to the others, `status` of each point, and `designs`, the results of
     `tune`.
@@ -41,6 +41,7 @@ class Front(Result):
     'Front'
     """
 
+    index = "point"
     objectives: dict[str, Float[np.ndarray, "n"]]
     values: dict[str, Array]
     quantities: Quantities

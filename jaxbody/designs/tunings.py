@@ -12,7 +12,7 @@ import numpy as np
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, device_array, indices
-from jaxbody.core.datasets import dataset
+from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
 from jaxbody.designs.kinks import at_kinks, jumping
@@ -38,7 +38,7 @@ class Runs(eqx.Module):
     quantities: Quantities
 
 
-class Tuning(Result):
+class Tuning(Labeled, Result):
     """A tuned design: `model`, `values` {path: value}, quantities `before` and `after` {name: value}, `active` constraints as text,
     `multipliers` {limited quantity or parameter at its bound: shadow price, d objective/d limit}, `words`, the effect of one percent more
     of each limit, `history` (evaluations, 2) of the objective and the violation of limits, `evaluations`, all starts in `runs`, `places`
@@ -50,6 +50,7 @@ class Tuning(Result):
     'Tuning'
     """
 
+    index = "start"
     model: Model
     values: dict[str, Array]
     before: Quantities

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, indices, is_concrete
-from jaxbody.core.datasets import dataset
+from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.core.results import Result
 from jaxbody.experiments.measurements import Measurement
@@ -24,7 +24,7 @@ LEVEL = 0.95  # of the printed intervals
 FLAT = 1e-9  # slope of a number, relative to the largest of its leaf, that counts as zero
 
 
-class Fit(Result):
+class Fit(Labeled, Result):
     """Result of a fit: estimates, their uncertainty, residuals.
 
     `model` and `experiments` hold the estimates. By path: `estimates`, `standard_errors` (infinite for what the data do not determine),
@@ -42,6 +42,7 @@ class Fit(Result):
     'Fit'
     """
 
+    index = "parameter"
     model: Model
     experiments: dict[str, Measurement]
     u: Float[Array, "n"]

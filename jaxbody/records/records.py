@@ -8,12 +8,13 @@ import numpy as np
 
 from jaxbody.core import tables, units
 from jaxbody.core.arrays import float_array
+from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.records.repairs import FILLS, filled, without_duplicates, without_empty
 from jaxbody.records.samplings import Sampling, check_sampling, check_values, sampling_of
 
 
-class Record(tables.Printed):
+class Record(Labeled, tables.Printed):
     """A measured record in SI units; it prints as a table.
 
     `times` [s] (n,); `channels` {name: (n,) or (n, k)}, NaN where a sample is missing; `units` {name: SI unit}; `stated` {name: given
@@ -42,6 +43,7 @@ class Record(tables.Printed):
     [0.981, 1.961, 0.0, -0.981]
     """
 
+    index = "time"
     times: np.ndarray
     channels: dict[str, np.ndarray]
     units: dict[str, str]
@@ -112,6 +114,12 @@ class Record(tables.Printed):
         new.channels = {name: x[inside] for name, x in self.channels.items()}
         new.units, new.stated, new.notes = self.units, self.stated, self.notes
         return new
+
+    def to_xarray(self) -> Any:
+        """An xarray.Dataset of the channels over time."""
+        axes = {name: ("time", *(f"{name}_component",) * (x.ndim - 1)) for name, x in self.channels.items()}
+        variables = {name: (axes[name], x, self.units[name]) for name, x in self.channels.items()}
+        return dataset(variables, {"time": ("time", self.times, {"units": "s"})}, "record")
 
     def _tables(self) -> list[tables.PrintedTable]:
         s, rows = self.sampling, []

@@ -19,7 +19,7 @@ from equinox import Module, field
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Bool, Complex, Float, Int, checked, concrete, device_array, float_array, is_concrete
-from jaxbody.core.datasets import dataset
+from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.element_derivatives import element_derivatives
@@ -40,13 +40,14 @@ INVERTED = 1e-7  # relative error of the inverse of the modes, above which the m
 METHODS = ("direct", "modal")
 
 
-class FrequencyResponse(Result):
+class FrequencyResponse(Labeled, Result):
     """`values` (outputs, inputs, frequencies), complex: each output per unit of an input exp(i 2 pi f t).
 
     `response["seat", "road"]` is one pair over `frequencies` [Hz]; `magnitude`, and `phase` [rad], unwrapped over the frequencies. From a
     displacement of a support to a displacement, the magnitude is the transmissibility. `status` UNSTABLE (values NaN), SINGULAR_K where a
     free motion has no response at 0 Hz (NaN there), or that of the equilibrium."""
 
+    index = "frequency"
     frequencies: Float[Array, "nf"]
     values: Complex[Array, "ny nu nf"]
     status: Int[Array, ""]
@@ -87,7 +88,7 @@ class FrequencyResponse(Result):
         """An xarray.Dataset: the complex response by `output`, `input` and `frequency`, with units by output and input."""
         units = [[self.unit(y, u) for u in self.inputs] for y in self.outputs]
         variables = {
-            "response": (("output", "input", "frequency"), self.values, ""),
+            "response": (("output", "input", "frequency"), self.values, "unit"),
             "unit": (("output", "input"), np.array(units), ""),
             "status": ((), self.status, ""),
         }

@@ -15,7 +15,7 @@ from equinox import field
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Complex, Float, Int, is_concrete, part_of
-from jaxbody.core.datasets import dataset
+from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.port_inputs import KINDS, UNITS
@@ -28,11 +28,12 @@ from jaxbody.vibrations.ports import Ports, check_ports, port_matrices
 COARSE = 0.03  # relative change of an rms when every other frequency is left out: nearly four times the error
 
 
-class RandomResponse(Result):
+class RandomResponse(Labeled, Result):
     """One-sided power spectral densities `psd` (outputs, frequencies), per hertz, of outputs in their `units`, over `frequencies` [Hz], and
     `rms` over these. `response["seat"]` is the rms of one. `status` COARSE if an rms changes by more than 3 % when every other frequency is
     left out, NOT_POSITIVE if the coherences are contradictory, or that of the frequency response."""
 
+    index = "frequency"
     frequencies: Float[Array, "nf"]
     psd: Float[Array, "ny nf"]
     rms: Float[Array, "ny"]

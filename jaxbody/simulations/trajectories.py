@@ -14,7 +14,7 @@ from equinox import combine, field, is_array, partition
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, part_of
-from jaxbody.core.datasets import AXES, QUATERNION, dataset, rows_of
+from jaxbody.core.datasets import AXES, QUATERNION, Labeled, dataset, rows_of
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
 from jaxbody.geometry.frames import Pose
@@ -32,7 +32,7 @@ from jaxbody.numerics.precisions import in_float64
 from jaxbody.statics.equilibria import massless_motions
 
 
-class Trajectory(Result):
+class Trajectory(Labeled, Result):
     """A motion at `times` [s]: `state`, and by name `poses`, `elongations` [m], `forces` [N], `energies` [J], `powers` [W],
     `reactions` [N, N m].
 
@@ -40,6 +40,7 @@ class Trajectory(Result):
     motion left the table of a law. `statistics`: accepted and rejected steps. Quantities by name and `summary()` are computed when they are
     read; printing computes nothing."""
 
+    index = "time"
     times: Float[Array, "nt"]
     state: State
     status: Int[Array, ""]

@@ -12,7 +12,7 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, stack, vector
-from jaxbody.core.datasets import AXES, dataset, rows_of
+from jaxbody.core.datasets import AXES, Labeled, dataset, rows_of
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry import rotations
@@ -56,13 +56,14 @@ class LoadCase(eqx.Module):
             self.loads = loads_by_name(loads, "LoadCase.loads", problems)
 
 
-class LoadCases(Result):
+class LoadCases(Labeled, Result):
     """Results of load cases, relative to the equilibrium without them, `unloaded`.
 
     By body `displacements` of its origin [m] and `rotations` (vectors [rad]), in world axes, (cases, 3); by element `strokes`, the changes
     of its deformation [m], and `forces`, the total [N] (six of a bushing), (cases, ...); `state`; and for each case `status`, `load_factor`
     and `descended` (as in an Equilibrium) and `by_joints`, whether joints alone carry it, so that nothing moves."""
 
+    index = "case"
     status: Int[Array, "nc"]
     load_factor: Float[Array, "nc"]
     state: State

@@ -20,7 +20,7 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, is_concrete
-from jaxbody.core.datasets import dataset, rows_of
+from jaxbody.core.datasets import Labeled, dataset, rows_of
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.loads import Load, loads_of
@@ -49,7 +49,7 @@ SOFTEST = 1e-7  # least ratio of eigenvalues of K at the start of a path; with o
 DESCENDED = "by descent of the potential of the loads, which cannot be raised step by step because K is singular without them"
 
 
-class Equilibrium(Result):
+class Equilibrium(Labeled, Result):
     """An equilibrium: `state`, `residual` dV/dDelta - Q [N, N m], `energy` V [J], `stable`, `negative` (number of negative eigenvalues of
     K), `steps`, `elongations` by name.
 
@@ -57,6 +57,7 @@ class Equilibrium(Result):
     fraction of them that is carried, `path` the eigenvalues of K along the load path; `descended`: K is singular without the loads, so that
     the search descended their potential."""
 
+    index = "coordinate"
     state: State
     residual: Float[Array, "nv"]
     energy: Float[Array, ""]

@@ -32,7 +32,7 @@ from equinox import field
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, module_of
-from jaxbody.core.datasets import dataset
+from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import MESSAGES, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import rotate, rotate_back
@@ -49,7 +49,7 @@ COUPLED = 1e-9  # nondimensional force on a mode, above rounding, that excites i
 AT_REST = 1e-6  # largest distance from the equilibrium, relative to the size of the model
 
 
-class Backbones(Result):
+class Backbones(Labeled, Result):
     """The backbone of each mode, ascending: w(a) = w (1 + gamma a^2), a the amplitude of the mode's largest component, m or rad.
 
     `frequency` [Hz] of small motions; `shapes` (columns phi, the largest component 1), `largest`, the index of that component (rotations
@@ -58,6 +58,7 @@ class Backbones(Result):
     derivatives of V along the straight line a phi of the chart. `status` of each mode: UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE or
     NOT_CONVERGED, with gamma NaN, where the mode has no backbone."""
 
+    index = "mode"
     frequency: Float[Array, "nv"]
     shapes: Float[Array, "nv nv"]
     largest: Int[Array, "nv"]

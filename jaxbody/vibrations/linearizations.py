@@ -19,7 +19,7 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, shaped, stack
-from jaxbody.core.datasets import dataset
+from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Frame
@@ -43,10 +43,11 @@ UNITS = {"M": "kg, kg m, kg m2", "C": "N s/m, N s, N m s", "G": "N s/m, N s, N m
 HEADINGS = UNITS | dict.fromkeys(("C", "G"), "N s/m, ...")
 
 
-class LinearSystem(Result):
+class LinearSystem(Labeled, Result):
     """M Delta'' + D Delta' + K Delta = 0 of small motions about `state`, with D = C for a rest: what modes, poles, responses and state
     spaces read. `coordinates` names the rows, `basis` says which motion of which body each is."""
 
+    index = "coordinate"
     M: Float[Array, "nv nv"]
     C: Float[Array, "nv nv"]
     K: Float[Array, "nv nv"]

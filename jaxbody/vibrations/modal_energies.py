@@ -12,7 +12,7 @@ from equinox import field
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, is_concrete
-from jaxbody.core.datasets import dataset
+from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.element_derivatives import element_derivatives
@@ -29,7 +29,7 @@ SEPARATION = 1e-8  # of coinciding frequencies: above rounding, below the tolera
 MOST_MODES = 12  # of a table
 
 
-class ModeEnergies(Result):
+class ModeEnergies(Labeled, Result):
     """Shares in percent, a column for each mode, ascending. Modes of coinciding frequencies each have the mean over their space.
 
     `kinetic` {body: (6, n)}: translation of the center of mass and rotation, in world axes; the sum is 100. `strain` {element: (n,)}:
@@ -38,6 +38,7 @@ class ModeEnergies(Result):
     n): velocities of the centers of mass and angular velocities, along the shape. `names`: each mode by the body and direction with most of
     its kinetic energy."""
 
+    index = "mode"
     frequency: Float[Array, "n"]
     kinetic_shares: Float[Array, "nb 6 n"]
     strain_shares: Float[Array, "ne n"]

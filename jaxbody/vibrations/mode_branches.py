@@ -16,7 +16,7 @@ import numpy as np
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int, concrete, float_array, is_concrete
-from jaxbody.core.datasets import dataset
+from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.models.layouts import Layout
@@ -30,13 +30,14 @@ from jaxbody.vibrations.spins import SpinLinearization
 LEAST_MAC = 0.8  # below it a mode may differ from that at the value before
 
 
-class Branches(Result):
+class Branches(Labeled, Result):
     """Modes along a parameter, each column one mode; their frequencies ascend at the first value.
 
     `frequency` [Hz] (damped about a spin), `damping_ratio`, `shapes` (value, coordinate, mode), `order`: the index of each among the
     ascending modes, `mac` of each with the same mode at the previous value, `names` of the modes at the first value. `status` of each
     value: LOST_BRANCH where a MAC is below 0.8 (give values in between); otherwise that of its modes."""
 
+    index = "value"
     values: Float[Array, "k"]
     frequency: Float[Array, "k n"]
     damping_ratio: Float[Array, "k n"]

@@ -12,7 +12,7 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, shaped
-from jaxbody.core.datasets import AXES, dataset
+from jaxbody.core.datasets import AXES, Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back, skew
@@ -22,7 +22,7 @@ from jaxbody.numerics.eigenproblems import natural
 from jaxbody.vibrations.linearizations import Linearization, check_system
 
 
-class ElasticAxes(Result):
+class ElasticAxes(Labeled, Result):
     """Elastic axes of a body on its mounts, in world axes, the softest first.
 
     `directions` (columns), `stiffness` [N/m] along each, `points` (rows): the point of each axis nearest to `center`, `pitch` [m]: moment
@@ -30,6 +30,7 @@ class ElasticAxes(Result):
     it, and pitches vanish, where the mounts decouple translation from rotation. `torsional_directions` (columns) and `torsional_stiffness`
     [N m/rad]: axes along which a pure couple turns the body about a parallel axis."""
 
+    index = "elastic_axis"
     center: Float[Array, "3"]
     directions: Float[Array, "3 3"]
     stiffness: Float[Array, "3"]

@@ -11,7 +11,7 @@ import numpy as np
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Inexact, Int
-from jaxbody.core.datasets import dataset
+from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.models.layouts import Layout
@@ -26,9 +26,10 @@ from jaxbody.vibrations.mode_names import Basis, mark_note, names_of_shapes
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
 
 
-class ModalResult(Result):
+class ModalResult(Labeled, Result):
     """The base class of natural and complex modes: `shapes` (columns) in the coordinates of a linear system with the mass matrix `M`."""
 
+    index = "mode"
     frequency: Float[Array, "n"]
     damping_ratio: Float[Array, "n"]
     shapes: Inexact[Array, "nv n"]

@@ -32,6 +32,11 @@ def labeled(folder):
     jb.sweep(jb.presets.quarter_car(), lambda car: {"mass": car["body"].mass}, {"body.mass": np.array([250.0, 300.0])}).to_xarray()
 
 
+def tabulated(folder):
+    car = jb.presets.quarter_car()
+    jb.modes(jb.linearize(car, car.reference)).to_pandas()
+
+
 def tuned(folder):
     car = jb.presets.quarter_car()
     jb.tune(car, lambda car: {"mass": car["body"].mass}, free=["body.mass"], minimize="mass", method="ipopt")
@@ -39,6 +44,7 @@ def tuned(folder):
 
 USES = {
     "xarray": labeled,
+    "pandas": tabulated,
     "casadi": tuned,
     "pyarrow": reading(b"PAR1", ".parquet"),
     "h5py": reading(b"\x89HDF", ".h5"),
