@@ -28,7 +28,7 @@ The packages, in reading order; each imports only from those before it:
     interchange     Files of others: data sheets of mounts, linear systems for MATLAB.
     presets         Ready models.
     plots           Pictures with matplotlib.
-    app             The command jaxbody.
+    app             The command jaxbody; reports.
 """
 
 import sys
@@ -46,6 +46,7 @@ _MODULES = {  # that are public themselves
     "units": "jaxbody.core.units",
 }
 _NAMES = {  # what is public of each module; `__init__.pyi` says the same to editors and type checkers
+    "jaxbody.app.reports": ("report",),
     "jaxbody.compilation.compilations": ("compile_times",),
     "jaxbody.compilation.compile_options": ("fast_loops", "quick_options"),
     "jaxbody.compilation.kept_programs": ("KeptPrograms", "keep_programs"),

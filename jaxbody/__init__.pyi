@@ -3,6 +3,7 @@
 from jaxbody import laws as laws
 from jaxbody import plots as plots
 from jaxbody import presets as presets
+from jaxbody.app.reports import report as report
 from jaxbody.compilation.compilations import compile_times as compile_times
 from jaxbody.compilation.compile_options import fast_loops as fast_loops
 from jaxbody.compilation.compile_options import quick_options as quick_options

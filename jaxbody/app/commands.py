@@ -6,6 +6,7 @@ Exit codes: 0, done; 1, done, but the result has another status than ok; 2, the 
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 import warnings
 from collections.abc import Sequence
@@ -34,7 +35,6 @@ in Python:
   jb.plots.draw_model(model)      # plots: dir(jb.plots); force laws: dir(jb.laws)
   help(jb.simulate)               # each public name has an example; all names: dir(jb)
 """
-PICTURES = (".png", ".svg", ".pdf")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -45,6 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 0
     own_process = arguments is None
+    options.typed = shlex.join(["jaxbody", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         return options.run(options, own_process)
     except JaxbodyError as error:
@@ -72,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("file", type=Path, help="model file, .toml or .json")
         sub.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", help='another value, such as left.stiffness="30 N/mm"')
         sub.add_argument("--allow", action="append", default=[], metavar="MODULE", help="module of yours whose classes the file may use")
-        sub.add_argument("--out", type=Path, metavar="FILE", help="save the tables as .csv, or a picture as .png, .svg or .pdf")
+        sub.add_argument("--out", type=Path, metavar="FILE", help=f"save the result: {' '.join(command.formats)}")
         for flags, more in command.options:
             sub.add_argument(*flags, **more)
         sub.set_defaults(run=_on_file)
@@ -119,8 +120,9 @@ def _new(options: argparse.Namespace, own_process: bool) -> int:
 
 def _on_file(options: argparse.Namespace, own_process: bool) -> int:
     """Read the file, run the command, print its tables, save them or a picture."""
-    if options.out is not None and options.out.suffix not in (".csv", *PICTURES):
-        raise JaxbodyError(Problem("UNKNOWN_FORMAT", "--out", f"is {options.out}", options.out, ".csv " + " ".join(PICTURES)))
+    command = COMMANDS[options.command]
+    if options.out is not None and options.out.suffix not in command.formats:
+        raise JaxbodyError(Problem("UNKNOWN_FORMAT", "--out", f"is {options.out}", options.out, " ".join(command.formats)))
     document = read_document(options.file)
     for text in options.set:
         set_value(document, text)
@@ -132,12 +134,11 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
 
     from jaxbody.studies.study_files import study_of
 
-    command = COMMANDS[options.command]
     study = study_of(document, values, options.file.parent, options.allow, measured=command.measured)
     outcome = command.run(study, options)
     for result in outcome.results:
         print(result)
-    if options.out is not None:
+    if options.out is not None and not outcome.saved:
         _save(outcome, options.out)
     ok = all(np.all(getattr(result, "ok", True)) for result in outcome.results)
     if outcome.space is not None and options.write:

@@ -29,6 +29,7 @@ class Command:
     run: Callable[[Any, argparse.Namespace], Outcome]
     options: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = ()
     measured: bool = False
+    formats: tuple[str, ...] = (".csv", ".png", ".svg", ".pdf")  # of --out
 
 
 @dataclass
@@ -41,6 +42,7 @@ class Outcome:
     series: Callable[[], Any] | None = None
     space: Any = None
     trees: dict[str, Any] = attribute(default_factory=dict)
+    saved: bool = False  # by the command itself
 
 
 def _check(study: Study, options: argparse.Namespace) -> Outcome:
@@ -172,6 +174,25 @@ def _tune(study: Study, options: argparse.Namespace) -> Outcome:
     return Outcome([tuning], lambda: jb.plots.plot_tuning(tuning), space=tuning.space, trees={"": tuning.model})
 
 
+def _report(study: Study, options: argparse.Namespace) -> Outcome:
+    """A section for each part that is asked for; a response where inputs and outputs are."""
+    import numpy as np
+
+    path, results = options.out or options.file.with_suffix(".html"), {}
+    for part in options.part or ("model", "equilibrium", "modes"):
+        results |= PARTS[part](study, options)
+    if options.input or options.output:
+        results["Response"] = _response(study, options).results[0]
+    path = jb.report(results, path, title=options.title or options.file.stem, files=[options.file, *study.files], command=options.typed)
+    failed = [result for result in results.values() if not np.all(getattr(result, "ok", True))]
+    return Outcome([f"saved {path}", *failed], saved=True)
+
+
+def _parts_of_modes(study: Study, options: argparse.Namespace) -> dict[str, Any]:
+    lin = _linear(study)
+    return {"Small motions": lin, "Modes": jb.modes(lin), "Energies of modes": jb.mode_energies(lin)}
+
+
 def _linear(study: Study) -> Any:
     return jb.linearize(study.model, jb.equilibrium(study.model))
 
@@ -222,15 +243,39 @@ def _band(text: str) -> tuple[float, float]:
 _case.__name__ = "name and three numbers, bump=0,0,3,"
 _above_zero.__name__ = "number above zero,"
 _band.__name__ = "two frequencies in ascending order, 0.5:20,"  # in messages of argparse
-PORTS = (
-    (("--input",), {"action": "append", "required": True, "metavar": "SUPPORT.z", "help": "support and x, y, z, rx, ry or rz"}),
-    (
-        ("--output",),
-        {"action": "append", "required": True, "metavar": "BODY.z", "help": "body and direction, element, or sensor of the file"},
-    ),
-    (("--quantity",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the output (default: displacement)"}),
-)
+
+
+def _ports_options(required: bool) -> tuple[Any, ...]:
+    where, directions = "body and direction, element, or sensor of the file", "support and x, y, z, rx, ry or rz"
+    several: dict[str, Any] = {"action": "append", "required": required, "default": []}
+    return (
+        (("--input",), several | {"metavar": "SUPPORT.z", "help": directions}),
+        (("--output",), several | {"metavar": "BODY.z", "help": where}),
+        (("--quantity",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the output (default: displacement)"}),
+    )
+
+
 BAND = (("--frequencies",), {"type": _band, "default": (0.1, 50.0), "metavar": "LOW:HIGH", "help": "[Hz] (default: 0.1:50)"})
+OF_RESPONSE = (
+    BAND,
+    (("--points",), {"type": int, "default": 400, "metavar": "N", "help": "number of frequencies (default: 400)"}),
+    (("--kind",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the input (default: displacement)"}),
+)
+OF_MOTION = (
+    (("--duration",), {"type": _above_zero, "default": 5.0, "metavar": "T", "help": "[s] (default: 5)"}),
+    (("--interval",), {"type": _above_zero, "default": 0.01, "metavar": "DT", "help": "between samples [s] (default: 0.01)"}),
+)
+FREE = (("--free",), {"action": "append", "metavar": "PATH", "help": "parameter or pattern (default: those of [fit])"})
+DESIGN = (("--design",), {"metavar": "NAME", "help": "design of the file (default: its first one)"})
+WRITE = (("--write",), {"action": "store_true", "help": "write the values into the file, in the units that stand there"})
+PARTS: dict[str, Callable[[Any, argparse.Namespace], dict[str, Any]]] = {
+    "model": lambda study, options: {"Model": study.model},
+    "equilibrium": lambda study, options: {"Equilibrium": jb.equilibrium(study.model)},
+    "modes": _parts_of_modes,
+    "motion": lambda study, options: {"Motion": _simulate(study, options).results[0]},
+    "fit": lambda study, options: {"Fit": _fit(study, options).results[0]},
+    "design": lambda study, options: {f"Design {options.design or next(iter(study.designs), '')}": _tune(study, options).results[0]},
+}
 COMMANDS = {
     "check": Command("check a model file and the records that it names", "jaxbody check engine.toml", _check, measured=True),
     "show": Command("print and draw a model", "jaxbody show engine.toml --out engine.png", _show),
@@ -250,7 +295,7 @@ COMMANDS = {
         "jaxbody random car.toml --input road.z --output body.z --speed 20 --set suspension.damping='1.5 N s/mm' --out psd.png",
         _random,
         (
-            *PORTS,
+            *_ports_options(True),
             BAND,
             (("--road",), {"default": "C", "metavar": "CLASS", "help": "A (smooth) to H (default: C)"}),
             (("--speed",), {"type": _above_zero, "default": 20.0, "metavar": "V", "help": "[m/s] (default: 20)"}),
@@ -266,39 +311,37 @@ COMMANDS = {
         "the nonlinear motion on supports that move, from rest on them",
         "jaxbody simulate car.toml --duration 3 --out motion.csv",
         _simulate,
+        OF_MOTION,
+    ),
+    "report": Command(
+        "one HTML file of tables and pictures, which needs no network",
+        "jaxbody report measured.toml --part model --part modes --part fit --free suspension.stiffness --out report.html",
+        _report,
         (
-            (("--duration",), {"type": _above_zero, "default": 5.0, "metavar": "T", "help": "[s] (default: 5)"}),
-            (("--interval",), {"type": _above_zero, "default": 0.01, "metavar": "DT", "help": "between samples [s] (default: 0.01)"}),
+            (("--part",), {"action": "append", "choices": list(PARTS), "help": "a section (default: model, equilibrium and modes)"}),
+            (("--title",), {"metavar": "TEXT", "help": "title (default: the name of the file)"}),
+            *_ports_options(False), *OF_RESPONSE, *OF_MOTION, FREE, DESIGN,
         ),
+        measured=True,
+        formats=(".html",),
     ),
     "fit": Command(
         "estimate parameters from the experiments of a file",
         "jaxbody fit measured.toml --free suspension.stiffness --write --out fit.csv",
         _fit,
-        (
-            (("--free",), {"action": "append", "metavar": "PATH", "help": "parameter or pattern (default: those of [fit])"}),
-            (("--write",), {"action": "store_true", "help": "write the estimates into the file, in the units that stand there"}),
-        ),
+        (FREE, WRITE),
         measured=True,
     ),
     "tune": Command(
         "choose parameters by a design of the file",
         "jaxbody tune measured.toml --design ride --write --out design.csv",
         _tune,
-        (
-            (("--design",), {"metavar": "NAME", "help": "design of the file (default: its first one)"}),
-            (("--write",), {"action": "store_true", "help": "write the tuned values into the file, in the units that stand there"}),
-        ),
+        (DESIGN, WRITE),
     ),
     "response": Command(
         "the response to a harmonic motion of supports",
         "jaxbody response car.toml --input road.z --output body.z --frequencies 0.5:20 --out response.png",
         _response,
-        (
-            *PORTS,
-            BAND,
-            (("--points",), {"type": int, "default": 400, "metavar": "N", "help": "number of frequencies (default: 400)"}),
-            (("--kind",), {"choices": list(QUANTITIES), "default": "displacement", "help": "of the input (default: displacement)"}),
-        ),
+        (*_ports_options(True), *OF_RESPONSE),
     ),
 }  # fmt: skip

@@ -45,6 +45,7 @@ class Builder:
         self.problems = Problems()
         self.check = Check(document, self.problems)  # of what is known only when a class of the user's is imported
         self.records: dict[str, Record | None] = {}  # each is read once, when something needs it
+        self.files: list[Path] = []  # that are read
 
     def model(self) -> Model:
         parts: dict[str, Any] = {
@@ -165,7 +166,8 @@ class Builder:
     def beside(self, name: str, path: EntryPath) -> Path | None:
         """A file in the folder of the document."""
         if not (Path(name).is_absolute() or ".." in Path(name).parts):
-            return self.folder / name
+            self.files.append(self.folder / name)
+            return self.files[-1]
         where, hint = self.document.where(path), "Put it beside the model file."
         self.problems.add("OUTSIDE_FOLDER", where, f"names '{name}'", value=name, limit="a file in the folder of this one", hint=hint)
         return None

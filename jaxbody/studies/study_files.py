@@ -22,7 +22,8 @@ from jaxbody.studies.study_builders import StudyBuilder
 @dataclass(frozen=True)
 class Study:
     """A model and what a file states beside it, by name, as `simulate`, `measure` and `fit` take it. `fit` holds arguments of `fit`: free,
-    bounds, priors, loss; `designs` those of `tune`.
+    bounds, priors, loss; `designs` those of `tune`; `files`, the curves and records
+    that belong to it.
 
     >>> study = Study(jb.presets.quarter_car(), {"road": Harmonic(frequency=1.5, translation=[0, 0, 0.01])})
     >>> trajectory = simulate(study.model, [0.0, 0.1], motion=study.motion, loads=study.loads, initial="rest")
@@ -35,6 +36,7 @@ class Study:
     experiments: dict[str, Measurement] = attribute(default_factory=dict)
     fit: dict[str, Any] = attribute(default_factory=dict)
     designs: dict[str, dict[str, Any]] = attribute(default_factory=dict)
+    files: list[Path] = attribute(default_factory=list)
 
 
 def read_study(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST) -> Study:
@@ -90,4 +92,4 @@ def study_of(document: Document, values: dict[str, Any], folder: Path, allow: Se
     fit = parts.fit(experiments) if measured else {}
     designs = parts.designs(sensors)
     builder.problems.raise_if_any()
-    return Study(parts.model, motion, loads, sensors, experiments, fit, designs)
+    return Study(parts.model, motion, loads, sensors, experiments, fit, designs, builder.files)

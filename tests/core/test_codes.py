@@ -14,6 +14,7 @@ NOT_CODES = {
     "JAX_COMPILATION_CACHE_DIR",
     "MODULE",
     "PATH",
+    "TEXT",
     "NAME",
     "NFKC",
     "NONE",

@@ -8,6 +8,7 @@ import numpy as np
 import optax
 import pytest
 from data import data
+from report_pages import Page, check_golden, numbers
 
 pytestmark = pytest.mark.long  # the example itself, with its assertions, is run by .ci/run
 
@@ -63,3 +64,12 @@ def test_optax_reaches_the_optimum_that_scipy_reaches(gliders):
     for path, expected in by_scipy.estimates.items():
         print(path, np.abs(by_optax.estimates[path] - expected).max() / np.abs(expected).max())
         np.testing.assert_allclose(by_optax.estimates[path], expected, rtol=0, atol=1e-6 * np.abs(expected).max(), err_msg=path)
+
+
+def test_the_report_of_the_fit_holds_its_numbers(gliders, tmp_path):
+    page = Page(gliders.jb.report({"Fit": gliders.fit}, tmp_path / "gliders.html"))
+    stated = {row[0]: row[1] for row in numbers(page)[0][1:]}
+    for path, value in gliders.fit.estimates.items():
+        if np.ndim(value) == 0:
+            assert stated[path] == pytest.approx(float(value), rel=1e-5)  # six printed digits
+    check_golden("gliders", page)

@@ -1,0 +1,206 @@
+"""Reports: results with their tables and pictures in one HTML file, which needs no network and prints on paper."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import io
+import platform
+from collections.abc import Callable, Iterable, Iterator
+from datetime import UTC, datetime
+from html import escape
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxbody import plots
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.core.source_files import check_file, writing
+from jaxbody.core.tables import Printed, PrintedTable, in_numpy, number
+from jaxbody.designs.fronts import Front
+from jaxbody.designs.sensitivity_analyses import Sensitivities
+from jaxbody.designs.tolerance_analyses import Tolerances
+from jaxbody.designs.tunings import Tuning
+from jaxbody.identification.fits import Fit
+from jaxbody.inference.profiles import Profile
+from jaxbody.models.models import Model
+from jaxbody.responses.frequency_responses import FrequencyResponse
+from jaxbody.responses.random_responses import RandomResponse
+from jaxbody.simulations.trajectories import Trajectory
+from jaxbody.statics.equilibria import Equilibrium
+from jaxbody.vibrations.linearizations import Linearization
+from jaxbody.vibrations.modal_energies import ModeEnergies
+from jaxbody.vibrations.mode_branches import Branches
+from jaxbody.vibrations.natural_modes import modes
+
+Pictures = Iterable[tuple[str, Any]]  # captions and axes
+MOST_MODES = 6  # that are drawn
+LARGEST_DRAWING = 300_000  # bytes of a vector drawing, above which it is a picture of points
+DPI = 170  # of these
+LIBRARIES = ("jaxbody", "jax", "jaxlib", "diffrax", "numpy", "scipy")
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"  # a browser then asks for nothing, and complains if the file does
+STYLE = """
+:root { color: #2b2f36; font: 15px/1.5 system-ui, "Segoe UI", Helvetica, Arial, sans-serif; }
+body { max-width: 60rem; margin: 0 auto; padding: 1rem; }
+h1 { font-size: 1.7rem; line-height: 1.2; margin: .5rem 0; }
+h2 { font-size: 1.25rem; margin: 2rem 0 .5rem; padding-top: .5rem; border-top: 1px solid #c5ccd6; }
+nav ul { padding-left: 1.2rem; columns: 14rem; }
+a { color: #1f5f9b; }
+.table { overflow-x: auto; margin: .7rem 0; }
+table { border-collapse: collapse; font-size: .87rem; font-variant-numeric: tabular-nums; }
+caption { text-align: left; font-weight: 600; padding: .2rem 0; }
+th, td { padding: .15rem .8rem .15rem 0; text-align: right; white-space: nowrap; border-bottom: 1px solid #e4e8ee; }
+th:first-child { text-align: left; }
+thead th { border-bottom: 1px solid #8a8f98; vertical-align: bottom; }
+tbody th { font-weight: 400; }
+.note { font-size: .87rem; white-space: pre-line; margin: .3rem 0; }
+.failed { border-left: 4px solid #b8344a; padding: .3rem .8rem; background: #fbeef0; }
+.pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(22rem, 100%), 1fr)); gap: 1rem; align-items: end; }
+figure { margin: .5rem 0; break-inside: avoid; }
+figure img { max-width: 100%; height: auto; }
+figcaption { font-size: .87rem; color: #555b66; }
+footer { margin-top: 2.5rem; border-top: 1px solid #c5ccd6; font-size: .8rem; overflow-wrap: anywhere; }
+@media print {
+  :root { font-size: 10pt; }
+  body { max-width: none; padding: 0; }
+  nav { display: none; }
+  h2 { break-after: avoid; }
+  tr, .failed { break-inside: avoid; }
+  .table { overflow: visible; break-inside: avoid; }
+  th, td { white-space: normal; padding-right: .4rem; }
+  a { color: inherit; text-decoration: none; }
+  figure img { max-height: 18cm; }
+}
+@page { margin: 18mm; }
+"""
+
+
+def report(results: dict[str, Any], path: Any, *, title: str = "", files: Iterable[Any] = (), command: str = "") -> Path:
+    """Write a report: a section for each result, with its status, its tables and its pictures. Returns the path.
+
+    Args:
+        results: {heading: result of jaxbody}; a model is drawn, modes of a linearization too, a fit beside its data
+        path: path of the file, .html; it replaces one of the same name
+        title: title; default: the name of the file
+        files: paths of the files that the results are from, whose hashes are listed
+        command: what makes the report again
+
+    Errors: UNKNOWN_FORMAT, WRONG_KIND, NO_DATA, NO_FILE, NOT_SAVED.
+
+    >>> import pathlib, tempfile
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> path = pathlib.Path(tempfile.mkdtemp(), "car.html")
+    >>> text = report({"Car": car, "Modes": modes(linearize(car, car.reference))}, path, title="Quarter car").read_text()
+    >>> "<h1>Quarter car</h1>" in text, "<script" in text
+    (True, False)
+    """
+    path = Path(path)
+    found = [
+        Problem("WRONG_KIND", f"report['{name}']", f"is a {type(result).__name__}", result, "a result of jaxbody")
+        for name, result in results.items()
+        if not isinstance(result, Printed)
+    ]
+    if path.suffix != ".html":
+        found.append(Problem("UNKNOWN_FORMAT", path.name, f"has the extension '{path.suffix}'", path.suffix, ".html"))
+    if not results:
+        found.append(Problem("NO_DATA", "report.results", "is empty", limit="at least one", hint='Give {"Modes": modes}.'))
+    if found:
+        raise JaxbodyError(*found)
+    hashes = [(Path(file).name, _hash(Path(file))) for file in files]
+    sections = [f"<section id='s{i}'>{_section(name, result)}</section>" for i, (name, result) in enumerate(results.items())]
+    links = "".join(f"<li><a href='#s{i}'>{escape(name)}</a></li>" for i, name in enumerate(results))
+    contents = f"<nav aria-label='Contents'><ul>{links}</ul></nav>" if len(results) > 3 else ""
+    heading = escape(title or path.stem)
+    head = f"""<meta charset='utf-8'><meta http-equiv="Content-Security-Policy" content="{POLICY}">"""
+    head += f"<meta name='viewport' content='width=device-width, initial-scale=1'><title>{heading}</title>"
+    body = f"<main><h1>{heading}</h1>{contents}{''.join(sections)}</main>{_footer(hashes, command)}"
+    with writing(path):
+        text = f"<!DOCTYPE html>\n<html lang='en'><head>{head}<style>{STYLE}</style></head><body>{body}</body></html>\n"
+        path.write_text(text, encoding="utf-8")
+    return path
+
+
+def _section(name: str, result: Any) -> str:
+    parts = [f"<h2>{escape(name)}</h2>"]
+    if not np.all(getattr(result, "ok", True)):
+        parts.append(f"<p class='failed'>{escape(result.report())}</p>")
+    drawn = [_figure(caption, ax) for caption, ax in PICTURES.get(type(result), lambda result: ())(result)]
+    pictures = f"<div class='pictures'>{''.join(drawn)}</div>" if drawn else ""
+    return "".join([*parts, *map(_table, in_numpy(result)._tables()), pictures])
+
+
+def _figure(caption: str, ax: Any) -> str:
+    return f"<figure><img src='{_image(ax)}' alt='{escape(caption)}'><figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def _table(table: PrintedTable) -> str:
+    caption = f"<caption>{escape(table.title)}</caption>" if table.title else ""
+    head = "".join(f"<th scope='col'>{escape(column)}</th>" for column in table.columns)
+    rows = [
+        f"<tr><th scope='row'>{escape(number(row[0]))}</th>" + "".join(f"<td>{escape(number(cell))}</td>" for cell in row[1:]) + "</tr>"
+        for row in table.rows
+    ]
+    note = f"<p class='note'>{escape(table.note)}</p>" if table.note else ""
+    return f"<div class='table'><table>{caption}<thead><tr>{head}</tr></thead><tbody>{''.join(rows)}</tbody></table></div>{note}"
+
+
+def _image(ax: Any) -> str:
+    """The figure of axes as data: a vector drawing, or points where that is large."""
+    import matplotlib.pyplot as plt
+
+    figure, data = ax.figure, io.BytesIO()
+    with plt.rc_context({"svg.hashsalt": "jaxbody"}):
+        figure.savefig(data, format="svg", metadata={"Date": None}, bbox_inches="tight")
+    kind = "svg+xml"
+    if len(data.getvalue()) > LARGEST_DRAWING:
+        kind, data = "png", io.BytesIO()
+        figure.savefig(data, format="png", dpi=DPI, metadata={"Software": None}, bbox_inches="tight")
+    plt.close(figure)
+    return f"data:image/{kind};base64,{base64.b64encode(data.getvalue()).decode()}"
+
+
+def _hash(path: Path) -> str:
+    check_file(path)
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _footer(hashes: list[tuple[str, str]], command: str) -> str:
+    versions = ", ".join([*(f"{name} {version(name)}" for name in LIBRARIES), f"Python {platform.python_version()}"])
+    lines = [f"Made on {datetime.now(UTC):%Y-%m-%d %H:%M} UTC with {versions}."]
+    lines += [f"{escape(name)}: SHA-256 {digest}" for name, digest in hashes]
+    lines += [f"Made again by <code>{escape(command)}</code>"] if command else []
+    return "<footer>" + "".join(f"<p>{line}</p>" for line in lines) + "</footer>"
+
+
+def _of_modes(lin: Linearization) -> Iterator[tuple[str, Any]]:
+    natural = modes(lin)
+    for i, (f, name) in enumerate(zip(np.asarray(natural.frequency)[:MOST_MODES], natural.names, strict=False), 1):
+        yield f"Mode {i}, {f:.4g} Hz, {name}", plots.draw_mode(lin, natural, i)
+
+
+def _of_fit(fit: Fit) -> Iterator[tuple[str, Any]]:
+    for run, sensors in fit.predicted.items():
+        for sensor in sensors:
+            yield f"{run}, {sensor}: measured and fitted, with the residual", plots.plot_fit(fit, run=run, sensor=sensor)
+    if fit.uncertainty is not None and fit.u.size > 1:
+        yield "Correlations of the estimates", plots.plot_correlations(fit)
+
+
+PICTURES: dict[type, Callable[[Any], Pictures]] = {
+    Model: lambda model: [("The model in its reference pose", plots.draw_model(model))],
+    Equilibrium: lambda rest: [("The equilibrium", plots.draw_model(rest.model, rest.state))],
+    Linearization: _of_modes,
+    ModeEnergies: lambda energies: [("Shares of kinetic energy", plots.plot_mode_energies(energies))],
+    Branches: lambda branches: [("Modes over the parameter", plots.plot_branches(branches))],
+    FrequencyResponse: lambda response: [("Magnitude and phase", plots.plot_frequency_response(response))],
+    RandomResponse: lambda ride: [("Spectral densities", plots.plot_psd(ride))],
+    Trajectory: lambda run: [("Motion of the bodies", plots.plot_trajectory(run)), ("Forces of the elements", plots.plot_forces(run))],
+    Fit: _of_fit,
+    Profile: lambda profile: [("Profile of the cost", plots.plot_profile(profile))],
+    Tuning: lambda tuning: [("The objective at each trial", plots.plot_tuning(tuning))],
+    Front: lambda front: [("The front", plots.plot_front(front))],
+    Sensitivities: lambda sensitivities: [("The strongest parameters", plots.plot_tornado(sensitivities))],
+    Tolerances: lambda tolerances: [("Distribution under tolerances", plots.plot_tolerances(tolerances))],
+}
