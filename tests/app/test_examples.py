@@ -125,7 +125,7 @@ def test_commands_and_paths_in_the_readme_exist():
 def test_the_model_file_in_the_readme_and_its_commands(tmp_path, monkeypatch, capsys):
     """The same model in Python has the same frequencies; every command runs."""
     monkeypatch.chdir(tmp_path)
-    (text,) = blocks("toml")
+    text, study = blocks("toml")
     (tmp_path / "engine.toml").write_text(text)
     ends = {side: (("engine", [0, y, -0.1]), ("frame", [0, y, 0])) for side, y in (("left", 0.25), ("right", -0.25))}
     bushings = {side: jb.Bushing(*points, stiffness=[2e5, 2e5, 4e5]) for side, points in ends.items()}
@@ -138,10 +138,24 @@ def test_the_model_file_in_the_readme_and_its_commands(tmp_path, monkeypatch, ca
     read = jb.read_model("engine.toml")
     assert all(np.allclose(x, jb.paths(model)[path], rtol=1e-15, atol=0) for path, x in jb.paths(read).items())
     lines = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("jaxbody ")]
-    assert len(lines) == 4
-    for line in lines:
-        assert commands.main(shlex.split(line)[1:]) == 0 and capsys.readouterr().out
+    assert len(lines) == 7
+    for line in lines[:4]:
+        assert commands.main(shlex.split(line, comments=True)[1:]) == 0 and capsys.readouterr().out
     assert (tmp_path / "modes.csv").exists() and (tmp_path / "response.png").exists()
+    times = np.arange(100) / 200
+    base = np.stack([0 * times, 0 * times, 1e-3 * np.sin(2 * np.pi * 6 * times) ** 2], 1)
+    heavier = jb.replace(read, {"engine.mass": 200.0})
+    run = jb.simulate(heavier, times, motion={"frame": jb.Sampled(times, translation=base)}, initial="rest")
+    lift = np.asarray(jb.measure(run, {"lift": jb.Acceleration("engine", axis="z")})["lift"]) + np.random.default_rng(0).normal(
+        0, 0.05, 100
+    )
+    rows = [",".join(map(repr, row)) for row in np.stack([times, lift / 9.80665, 1e3 * base[:, 2]], 1).tolist()]
+    (tmp_path / "test.csv").write_text("\n".join(["t [s],a [g],base [mm]", *rows]))
+    (tmp_path / "engine.toml").write_text(text + study)
+    for line in lines[4:]:
+        assert commands.main(shlex.split(line, comments=True)[1:]) == 0 and capsys.readouterr().out
+    assert abs(float(jb.read_model("engine.toml")["engine"].mass) - 200) < 2  # noise of 0.05 in accelerations of about 1 m/s2
+    assert (tmp_path / "design.csv").exists() and (tmp_path / "engine.html").exists()
 
 
 def test_the_papers_formulas_as_printed():
