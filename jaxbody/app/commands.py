@@ -18,7 +18,6 @@ import jaxbody as jb
 from jaxbody.app.changes import set_value
 from jaxbody.app.file_commands import COMMANDS, Outcome
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
-from jaxbody.core.source_files import writing
 from jaxbody.files.documents import read_document
 from jaxbody.files.schemas import checked_values
 
@@ -139,7 +138,10 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
     for result in outcome.results:
         print(result)
     if options.out is not None and not outcome.saved:
-        _save(outcome, options.out)
+        from jaxbody.app.saved_results import save
+
+        save(outcome, options.out)
+        print(f"saved {options.out}")
     ok = all(np.all(getattr(result, "ok", True)) for result in outcome.results)
     if outcome.space is not None and options.write:
         _write(options.file, document, outcome, ok)
@@ -161,33 +163,3 @@ def _use_x64() -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-
-
-def _save(outcome: Outcome, path: Path) -> None:
-    """Save the tables as text, or the picture."""
-    from jaxbody.core.tables import in_numpy
-
-    with writing(path):
-        if path.suffix == ".csv":
-            printed = [table for result in outcome.results if hasattr(result, "_tables") for table in in_numpy(result)._tables()]
-            tables = printed if outcome.series is None else [outcome.series()]
-            path.write_text("\n".join(_csv(table) for table in tables), encoding="utf-8")
-        elif outcome.draw is None:
-            raise JaxbodyError(Problem("UNKNOWN_FORMAT", "--out", "is a picture, which this command does not draw", path, ".csv"))
-        else:
-            outcome.draw().figure.savefig(path, dpi=130)
-    print(f"saved {path}")
-
-
-def _csv(table: Any) -> str:
-    """A table as lines of comma-separated values, with its title and note as comments."""
-    import csv
-    import io
-
-    lines = io.StringIO()
-    rows = csv.writer(lines, lineterminator="\n")
-    for comment in (table.title, table.note):
-        lines.write(f"# {comment}\n" if comment else "")
-    rows.writerow(table.columns)
-    rows.writerows(table.rows)
-    return lines.getvalue()

@@ -29,7 +29,7 @@ class Command:
     run: Callable[[Any, argparse.Namespace], Outcome]
     options: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = ()
     measured: bool = False
-    formats: tuple[str, ...] = (".csv", ".png", ".svg", ".pdf")  # of --out
+    formats: tuple[str, ...] = (".csv", ".parquet", ".nc", ".png", ".svg", ".pdf")  # of --out
 
 
 @dataclass

@@ -85,6 +85,7 @@ class Check:
         if isinstance(value, dict):
             return self.table(value, node, path, words)
         if isinstance(value, list):
+            self.count(value, node, path)
             return [self.value(x, of, (*path, i), words) for i, (x, of) in enumerate(zip(value, _items(node, len(value)), strict=True))]
         kind = node.get("name_of")
         if kind and value not in self.known[kind]:
@@ -99,7 +100,15 @@ class Check:
         if not isinstance(value, list | str | int | float):
             self.wrong_kind(value, node, path)
             return value
-        return in_SI(value, node["unit"], words, self.system, self.document.where(path), self.problems)
+        numbers = in_SI(value, node["unit"], words, self.system, self.document.where(path), self.problems)
+        self.count(numbers, node, path)
+        return numbers
+
+    def count(self, value: Any, node: dict[str, Any], path: EntryPath) -> None:
+        """Check the number of items, where the schema states it."""
+        expected, found = node.get("minItems"), len(value) if isinstance(value, list) else 1
+        if expected is not None and found != expected:
+            self.problems.add("BAD_SHAPE", self.document.where(path), f"has {found} of {expected} items", value=value, limit=str(expected))
 
     def table(self, value: dict[str, Any], node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> dict[str, Any]:
         known, others = node.get("properties", {}), node.get("additionalProperties", False)

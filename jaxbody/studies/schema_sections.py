@@ -25,6 +25,7 @@ from jaxbody.records.records import Record
 from jaxbody.responses.comfort_weightings import WEIGHTINGS
 from jaxbody.studies.design_quantities import QUANTITIES
 
+PAIR = {"minItems": 2, "maxItems": 2}
 OF_STUDIES = {
     "records": "Measured data by name.",
     "sensors": "What instruments read, by name.",
@@ -167,7 +168,7 @@ def _record() -> dict[str, Any]:
         "time": {"$ref": "#/$defs/column", "description": texts["time"]},
         "channels": _by_name("column", texts["channels"]),
         "rate": {"type": ["number", "string"], "unit": "Hz", "description": texts["rate"]},
-        "part": {"type": ["array", "string"], "unit": "s", "description": "Start and end of the part that is used."},
+        "part": {"type": ["array", "string"], "unit": "s", **PAIR, "description": "Start and end of the part that is used."},
     }
     properties |= {name: {"type": kind, "description": texts[name]} for name, kind in types.items()}
     return table_schema("A measured record, as `read_record` reads it.", ["file", "channels"], properties)
@@ -198,7 +199,7 @@ def _quantity(name: str) -> dict[str, Any]:
         "path": {"type": "string", "description": "Path of a number of the model, such as left.stiffness."},
         "mode": {"type": "integer", "minimum": 1, "description": "Number of the mode, from 1."},
         "element": named("element"),
-        "band": {"type": ["array", "string"], "unit": "Hz", "description": "Lower and upper end."},
+        "band": {"type": ["array", "string"], "unit": "Hz", **PAIR, "description": "Lower and upper end."},
         "sensor": named("sensor"),
         "weights": {
             "type": "object", "additionalProperties": {"type": "string", "enum": sorted(WEIGHTINGS)},
@@ -229,14 +230,14 @@ def _design() -> dict[str, Any]:
             "type": "object", "description": "Uneven roads under supports, by name, independent of each other.",
             "additionalProperties": table_schema("An uneven road.", ["class", "speed"], road),
         },
-        "band": {"type": ["array", "string"], "unit": "Hz", "description": "Of the roads. Default: 0.1 to 100 Hz."},
+        "band": {"type": ["array", "string"], "unit": "Hz", **PAIR, "description": "Of the roads. Default: 0.1 to 100 Hz."},
     }  # fmt: skip
     return table_schema("What `jaxbody tune` chooses.", ["free", "minimize", "quantities"], properties)
 
 
 def _fit() -> dict[str, Any]:
     """The schema of what `fit` is asked for."""
-    texts, pair = texts_of(fit), {"type": "array", "minItems": 2, "maxItems": 2}
+    texts, pair = texts_of(fit), {"type": "array", **PAIR}
     properties = {
         "free": {"oneOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}], "description": texts["free"]},
         "bounds": {"type": "object", "additionalProperties": pair, "description": texts["bounds"]},

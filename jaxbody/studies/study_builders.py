@@ -5,10 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
-from jaxbody.core.arrays import device_array
-from jaxbody.core.errors import unknown
+from jaxbody.core.arrays import device_array, shaped
+from jaxbody.core.errors import Problems, unknown
 from jaxbody.experiments.experiments import Experiment
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.files.builders import Builder
@@ -102,12 +100,18 @@ class StudyBuilder:
         """The noise of a sensor; an unknown name is left to `Experiment`."""
         return self.quantity(value, sensors[name].unit_on(self.model), path) if name in sensors else value
 
-    def initial(self, value: Any, path: EntryPath) -> State | str:
+    def initial(self, value: Any, path: EntryPath) -> State | str | None:
         if isinstance(value, str):
             return value
         rows = {"q": self.model.layout.q_units, "v": self.model.layout.v_units}
-        q, v = (self.quantity(value[name], ", ".join(row), (*path, name)) for name, row in rows.items())
-        return State(device_array(np.array(q, float)), device_array(np.array(v, float)))
+        numbers = {name: self.quantity(value[name], ", ".join(row), (*path, name)) for name, row in rows.items()}
+
+        def state() -> State:
+            with Problems() as problems:
+                q, v = (shaped(numbers[name], (len(row),), f".{name}", problems) for name, row in rows.items())
+            return State(device_array(q), device_array(v))
+
+        return self.builder.gather(path, "", state)
 
     def fit(self, experiments: dict[str, Any]) -> dict[str, Any]:
         """The arguments of `fit`. The unit of a bound or a prior is that of its parameter."""

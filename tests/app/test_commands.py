@@ -1,5 +1,6 @@
 """The command on model files: the examples of its help, results as in Python, messages and exit codes."""
 
+import importlib.util
 import re
 import shlex
 import subprocess
@@ -106,6 +107,33 @@ def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     changed = [(a, b) for a, b in zip(before.splitlines(), (folder / "measured.toml").read_text().splitlines(), strict=True) if a != b]
     assert changed == [("stiffness = 35000.0 # N/m", f"stiffness = {estimate!r} # N/m")]
     assert "suspension.stiffness" in (folder / "fit.csv").read_text()
+
+
+@pytest.mark.parametrize(
+    "words, column, label",
+    [
+        (["modes", "car.toml"], "frequency", "mode"),
+        (["modes", "car.toml", "--damped"], "pole_real", "mode"),
+        (["response", "car.toml", "--input", "road.z", "--output", "body.z", "--points", "9"], "body.z / road.z [1]", "frequency [Hz]"),
+        (["load-cases", "car.toml", "--case", "bump=0,0,3"], "load_factor", "case"),
+        (["simulate", "car.toml", "--duration", "0.1"], "body z [m]", "time [s]"),
+    ],
+)
+def test_numbers_are_saved_as_parquet_and_netcdf(words, column, label, capsys, folder):
+    pandas, xarray = pytest.importorskip("pandas"), pytest.importorskip("xarray")
+    assert commands.main([*words, "--out", "numbers.csv"]) == 0
+    assert commands.main([*words, "--out", "numbers.nc"]) == 0
+    data = xarray.open_dataset("numbers.nc", engine="scipy")
+    read = np.asarray(data[column.replace("/", " per ")])
+    assert read.size and label in data[column.replace("/", " per ")].dims
+    if importlib.util.find_spec("pyarrow"):
+        assert commands.main([*words, "--out", "numbers.parquet"]) == 0
+        np.testing.assert_array_equal(pandas.read_parquet("numbers.parquet")[column], read)
+    else:
+        assert commands.main([*words, "--out", "numbers.parquet"]) == 2 and "MISSING_EXTRA" in capsys.readouterr().err
+    if "[" in label:
+        head, *rows = [row.split(",") for row in (folder / "numbers.csv").read_text().splitlines()]
+        np.testing.assert_array_equal(np.array(rows, float)[:, head.index(column)], read)
 
 
 def test_a_fit_without_data_or_parameters_says_both(capsys, folder):
@@ -215,7 +243,7 @@ def test_values_are_set_by_name_and_pattern(capsys):
         ("check car.toml --set motion.road.frequency='2 m'", "is '2 m', in m (allowed: a unit such as 1/s)"),
         ("check car.toml --set car", "car: is not a path and a value"),
         ("check car.toml --set body.mass.x=3", "body.mass.x=3: names nothing that has entries"),
-        ("modes car.toml --out modes.xls", "--out: is modes.xls (allowed: .csv .png .svg .pdf)"),
+        ("modes car.toml --out modes.xls", "--out: is modes.xls (allowed: .csv .parquet .nc .png .svg .pdf)"),
         ("check car.toml --out car.png", "--out: is a picture, which this command does not draw"),
         ("show car.toml --out none/car.png", "none/car.png: cannot be written"),
         ("response car.toml --input z --output body.z", "--input: is 'z' (allowed: a name and a direction, such as road.z)"),

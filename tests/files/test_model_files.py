@@ -2,11 +2,9 @@
 
 import ast
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import hypothesis.strategies as st
 import jax
@@ -14,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
+from mutated_files import check_changed
 
 import jaxbody as jb
 from jaxbody.files.kinds import ELEMENTS, JOINTS, LAWS, LOADS, MOTIONS, SENSORS, TYPES
@@ -434,56 +433,6 @@ def test_ten_thousand_mutated_files_are_models_or_clear_errors(tmp_path):
     assert check_mutations(10000, tmp_path) > 500
 
 
-ODD = [
-    "",
-    "nan",
-    "-1",
-    "1e400",
-    "9" * 5000,
-    '"',
-    "[",
-    "{",
-    "}",
-    "=",
-    "\n",
-    "\0",
-    "é",
-    "type",
-    "true",
-    '"1 kg"',
-    "[[]]",
-    "1979-05-27",
-    '"""',
-]
-ODD_VALUES = [None, True, -1, 1e400, 10**400, "", "1 kg", "nan m", [], [[1], 2], {}, {"type": "Stop"}, {"type": 3}, "world", ["world", 1]]
-
-
 def check_mutations(count, folder):
-    """Characters, words and values of a file are deleted, doubled, exchanged or replaced; the number of files that are still models."""
-    rng, models = np.random.default_rng(0), 0
-    path, values = engine(folder), json.dumps(jb.files.documents.read_document(engine(folder)).values)
-    for _ in range(count):
-        name = path
-        if rng.random() < 0.3:
-            name, changed = folder / "engine.json", json.loads(values)
-            holder: Any = changed
-            while True:
-                key = rng.choice(list(holder)) if isinstance(holder, dict) else int(rng.integers(len(holder)))
-                if rng.random() < 0.3 or not (isinstance(holder[key], dict | list) and holder[key]):
-                    break
-                holder = holder[key]
-            holder[key] = ODD_VALUES[rng.integers(len(ODD_VALUES))]
-            name.write_text(json.dumps(changed))
-        else:
-            parts = re.split(r"(\b)", ENGINE) if rng.random() < 0.5 else list(ENGINE)
-            for _ in range(rng.integers(1, 3)):
-                i, j = sorted(rng.integers(0, len(parts), 2))
-                new = [[], parts[i : i + 1] * 2, [parts[j]], [str(rng.choice(ODD))], [chr(rng.integers(1, 0x2FF))]][rng.integers(5)]
-                parts[i : i + 1] = new
-            name.write_text("".join(parts), encoding="utf-8")
-        try:
-            jb.read_model(name)
-            models += 1
-        except jb.JaxbodyError as error:
-            assert error.code and len(str(error).splitlines()) <= 12
-    return models
+    """The number of changed files that are still models."""
+    return check_changed(engine(folder), count, jb.read_model)

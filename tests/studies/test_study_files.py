@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 import pytest
+from mutated_files import check_changed
 
 import jaxbody as jb
 from jaxbody.files.kinds import SENSORS
@@ -264,3 +265,23 @@ loads.pull = {type = "Force", on = ["box", "0, 0, 2 cm"], moment = {type = "Sine
     same(study.motion["road"], jb.Road([0, 5, 10], [0, 0.02, 0], speed=10.0, footprint=0.1))
     same(study.loads["engine"], jb.EngineTorque("box", axis=[1, 0, 0], frequency=13.0, orders=[2, 4], amplitudes=[60, 15]))
     same(study.loads["pull"], jb.Force(("box", [0, 0, 0.02]), moment=jb.signals.Sine(amplitude=[0, 0, 3.0], frequency=2.0)))
+
+
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+@pytest.mark.parametrize("count", [200, pytest.param(3000, marks=pytest.mark.long)])
+def test_mutated_studies_are_studies_or_clear_errors(count, car):
+    car.write_text(CAR + DESIGN)
+    jb.read_study(car)
+    assert check_changed(car, count, jb.read_study) > count / 20
+
+
+DESIGN = """
+[designs.soft]
+free = ["spring.stiffness"]
+minimize = "ride"
+limits = {f = ["1 Hz", "2 Hz"], k = "30 N/mm"}
+bounds = {"spring.stiffness" = ["10 N/mm", "90 N/mm"]}
+catalogues = {"spring.stiffness" = "20, 30 N/mm"}
+quantities = {ride = {type = "rms", sensor = "acc"}, f = {type = "frequency", mode = 1}, k = {type = "value", path = "spring.stiffness"}}
+roads.road = {class = "C", speed = "20 m/s"}
+"""

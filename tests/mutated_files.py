@@ -1,0 +1,69 @@
+"""Files with characters, words and values deleted, doubled, exchanged or replaced: each is read, or ends in a clear error."""
+
+import json
+import re
+from typing import Any
+
+import numpy as np
+
+import jaxbody as jb
+from jaxbody.files.documents import read_document
+
+ODD = [
+    "",
+    "nan",
+    "-1",
+    "1e400",
+    "9" * 5000,
+    '"',
+    "[",
+    "{",
+    "}",
+    "=",
+    "\n",
+    "\0",
+    "é",
+    "type",
+    "true",
+    '"1 kg"',
+    "[[]]",
+    "1979-05-27",
+    '"""',
+]
+ODD_VALUES = [None, True, -1, 1e400, 10**400, "", "1 kg", "nan m", [], [[1], 2], {}, {"type": "Stop"}, {"type": 3}, "world", ["world", 1]]
+
+
+def check_changed(path, count, read):
+    """Change a file this many times, as TOML and as JSON; the number of changed files that are read without an error."""
+    rng, good = np.random.default_rng(0), 0
+    text, values = path.read_text(), json.dumps(read_document(path).values)
+    for _ in range(count):
+        name, changed = (path.with_suffix(".json"), _value(rng, values)) if rng.random() < 0.3 else (path, _text(rng, text))
+        name.write_text(changed, encoding="utf-8")
+        try:
+            read(name)
+            good += 1
+        except jb.JaxbodyError as error:
+            assert error.code and len(str(error).splitlines()) <= 12
+    return good
+
+
+def _value(rng, values):
+    changed: Any = json.loads(values)
+    holder = changed
+    while True:
+        key = rng.choice(list(holder)) if isinstance(holder, dict) else int(rng.integers(len(holder)))
+        if rng.random() < 0.3 or not (isinstance(holder[key], dict | list) and holder[key]):
+            break
+        holder = holder[key]
+    holder[key] = ODD_VALUES[rng.integers(len(ODD_VALUES))]
+    return json.dumps(changed)
+
+
+def _text(rng, text):
+    parts = re.split(r"(\b)", text) if rng.random() < 0.5 else list(text)
+    for _ in range(rng.integers(1, 3)):
+        i, j = sorted(rng.integers(0, len(parts), 2))
+        new = [[], parts[i : i + 1] * 2, [parts[j]], [str(rng.choice(ODD))], [chr(rng.integers(1, 0x2FF))]][rng.integers(5)]
+        parts[i : i + 1] = new
+    return "".join(parts)
