@@ -109,9 +109,9 @@ def coupling_of_modes(at: Design) -> Array:
 
 
 @quantity()
-def band_intrusion(at: Design, band: tuple[float, float]) -> Array:
+def band_intrusion(at: Design, band: list[float]) -> Array:
     """A penalty on natural frequencies in a band."""
-    return objectives.band_intrusion(at.modes.frequency, band)
+    return objectives.band_intrusion(at.modes.frequency, (band[0], band[1]))
 
 
 @quantity(on_roads=True)

@@ -113,7 +113,7 @@ def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     "words, column, label",
     [
         (["modes", "car.toml"], "frequency", "mode"),
-        (["modes", "car.toml", "--damped"], "pole_real", "mode"),
+        (["modes", "car.toml", "--damped"], "decay_rate", "mode"),
         (["response", "car.toml", "--input", "road.z", "--output", "body.z", "--points", "9"], "body.z / road.z [1]", "frequency [Hz]"),
         (["load-cases", "car.toml", "--case", "bump=0,0,3"], "load_factor", "case"),
         (["simulate", "car.toml", "--duration", "0.1"], "body z [m]", "time [s]"),
