@@ -1,5 +1,7 @@
 """Studies in files: motions, loads, sensors and experiments, as in Python, and problems with their lines."""
 
+import tomllib
+
 import jax
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from mutated_files import check_changed
 
 import jaxbody as jb
 from jaxbody.files.kinds import SENSORS
+from jaxbody.files.schemas import schema
 
 SHAKER = """jaxbody = 1
 units = {length = "mm", mass = "kg", time = "s", angle = "deg"}
@@ -265,6 +268,15 @@ loads.pull = {type = "Force", on = ["box", "0, 0, 2 cm"], moment = {type = "Sine
     same(study.motion["road"], jb.Road([0, 5, 10], [0, 0.02, 0], speed=10.0, footprint=0.1))
     same(study.loads["engine"], jb.EngineTorque("box", axis=[1, 0, 0], frequency=13.0, orders=[2, 4], amplitudes=[60, 15]))
     same(study.loads["pull"], jb.Force(("box", [0, 0, 0.02]), moment=jb.signals.Sine(amplitude=[0, 0, 3.0], frequency=2.0)))
+
+
+def test_editors_accept_studies_and_refuse_what_is_unknown():
+    jsonschema = pytest.importorskip("jsonschema")
+    check = jsonschema.Draft202012Validator(schema())
+    boxes = 'jaxbody = 1\nbodies.box = {mass = "2 kg"}\n[sensors]' + ALL_SENSORS
+    assert check.is_valid(tomllib.loads(CAR + DESIGN)) and check.is_valid(tomllib.loads(boxes))
+    for old, new in (('bias = "1 mm"', 'biass = "1 mm"'), ("mode = 1", 'mode = "1"'), ('record = "run1"\ninitial', "initial")):
+        assert old in CAR + DESIGN and not check.is_valid(tomllib.loads((CAR + DESIGN).replace(old, new, 1)))
 
 
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
