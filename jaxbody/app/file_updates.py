@@ -22,6 +22,8 @@ from jaxbody.files.writers import numbers_of
 from jaxbody.models.bodies import Body
 from jaxbody.parameters.spaces import Space, units_of
 
+POINT = "point"  # of an end, the last step to its place
+
 
 def update(path: Path, document: Document, space: Space, trees: dict[str, Any]) -> list[str]:
     """Write the values of free parameters into a file. `trees`: the model "" and the experiments by name, with these values. Returns the
@@ -64,7 +66,7 @@ def _place(values: dict[str, Any], path: str) -> EntryPath | None:
     arguments = arguments_of(kind) if kind else ()
     ends = dict(zip("abc", (each.name for each in arguments if each.role == "end"), strict=False))
     if parts[0] in ends:
-        return (section, name, ends[parts[0]], 1)
+        return (section, name, ends[parts[0]], POINT)
     place: EntryPath = (section, name, next((each.name for each in arguments if parts[0] == each.field), parts[0]))
     node = table.get(place[-1])
     for part in parts[1:]:
@@ -81,14 +83,15 @@ def _place(values: dict[str, Any], path: str) -> EntryPath | None:
 def _set(content: Any, place: EntryPath, value: np.ndarray, si: list[str], system: UnitSystem | None) -> None:
     """Set the entry at a place, in the units that it has."""
     *before, last = place
-    for key in before[:-1] if last == 1 else before:
+    for key in before[:-1]:
         content = content[key]
-    if last == 1:  # the point of an end, which may be stated by its name alone
-        last, end = before[-1], content[before[-1]]
+    if last == POINT:  # the end may be stated by its name alone
+        end = content[before[-1]]
         name, point = (end, None) if isinstance(end, str) else end
-        content[last] = [name, _written(value, point, si, system)]
-    else:
-        content[last] = _written(value, content[last] if isinstance(last, int) else content.get(last), si, system)
+        content[before[-1]] = [name, _written(value, point, si, system)]
+        return
+    content = content[before[-1]] if before else content
+    content[last] = _written(value, content[last] if isinstance(last, int) else content.get(last), si, system)
 
 
 def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | None) -> Any:
@@ -97,7 +100,7 @@ def _written(value: np.ndarray, old: Any, si: list[str], system: UnitSystem | No
     count = len(re.findall(r"[^\s,;()\[\]]+", match.group())) if match else np.size(old) if isinstance(old, list) else 1
     if value.ndim == 2 and count == len(value) and np.array_equal(value, np.diag(np.diag(value))):
         value, si = np.diag(value), [*np.reshape(si, value.shape).diagonal()]
-    if isinstance(old, list) and len(old) == len(value) if value.ndim else False:
+    if value.ndim and isinstance(old, list) and len(old) == len(value):
         rows = np.reshape(si, (len(value), -1)).tolist()
         return [_written(x, each, row, system) for x, each, row in zip(value, old, rows, strict=True)]
     if value.ndim > 1:

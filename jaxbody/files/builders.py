@@ -143,7 +143,8 @@ class Builder:
     def rows(self, record: Record, value: dict[str, Any], name: str, dimension: units.Dimension) -> np.ndarray:
         """A channel of three columns, or of one along the `axis`. Errors: UNKNOWN_CHANNEL, WRONG_DIMENSION, BAD_SHAPE."""
         x, unit = record[value[name]], record.units[value[name]]
-        if unit not in (si := units.si_words(dimension), "1"[: dimension != units.ANGLE]):
+        si, quaternion = units.si_words(dimension), dimension == units.ANGLE and x.shape[1:] == (4,)
+        if unit not in (("", "1") if quaternion else (si,)):
             message = f"is the channel '{value[name]}', which is in {unit}"
             raise JaxbodyError(Problem("WRONG_DIMENSION", f".{name}", message, unit, si, "Name another channel."))
         if "axis" in value and x.ndim == 1:

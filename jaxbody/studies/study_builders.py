@@ -61,6 +61,10 @@ class StudyBuilder:
         """A sensor on a model, which determines the unit of its bias and start."""
         own = {name: values[name] for name in ("bias", "start") if name in values}
         sensor = self.builder.thing({name: value for name, value in values.items() if name not in own}, None, path, {})
+        if sensor is not None and not isinstance(sensor, Sensor):
+            message = f"is a {type(sensor).__name__}"
+            self.builder.problems.add("WRONG_KIND", self.builder.document.where(path), message, value=sensor, limit="a sensor")
+            return None
         problem = None if sensor is None else sensor.problem(self.model, "")
         if problem is not None:
             self.builder.problems.collected.append(replace(problem, where=self.builder.document.where(path)))
@@ -137,8 +141,14 @@ class StudyBuilder:
     def designs(self, sensors: dict[str, Sensor]) -> dict[str, dict[str, Any]]:
         return self.named("designs", lambda values, path: self.design(values, path, sensors))
 
-    def design(self, values: dict[str, Any], path: EntryPath, sensors: dict[str, Sensor]) -> dict[str, Any]:
+    def design(self, values: dict[str, Any], path: EntryPath, sensors: dict[str, Sensor]) -> dict[str, Any] | None:
         """The arguments of `tune` beside the model."""
+        own = {name: stated["type"] for name, stated in values["quantities"].items() if stated["type"] not in QUANTITIES}
+        for name, kind in own.items():  # "module:name", which elsewhere is a class of the user's
+            where = self.builder.document.where((*path, "quantities", name, "type"))
+            self.builder.problems.collected.append(unknown(kind, where, tuple(QUANTITIES)))
+        if own:
+            return None
         leaves, quantities, problems = leaves_of(self.model), values["quantities"], self.builder.problems
         where = lambda *parts: self.builder.document.where((*path, *parts))  # noqa: E731
         for name in {values["minimize"], *values.get("limits", {})} - set(quantities):

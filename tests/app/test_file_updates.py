@@ -85,6 +85,22 @@ def test_units_comments_and_order_stay(tmp_path):
     assert 'spring = ["21.0659' in after and "[0.0, " not in after
 
 
+def test_terms_of_a_sum_have_their_own_places(tmp_path):
+    path = tmp_path / "box.toml"
+    path.write_text(BOX.replace('gap = "8 mm", stiffness = "3 kN/mm"}]', 'gap = "8 mm", stiffness = "3 kN/mm"}, "4 N/mm"]'))
+    model = jb.read_model(path)
+    wanted = [f"left.spring.terms.{i}.{name}" for i, name in ((0, "coefficient"), (1, "gap"), (1, "stiffness"), (2, "coefficient"))]
+    space = space_of_all(model, lambda leaf: leaf.path in wanted)
+    assert len(space.parameters) == 4
+    check_update(path, space, changed(model), rounding=2.3e-16)
+    path.write_text(
+        BOX.replace('spring = ["21 N/mm",               # catalogue', 'spring = [{type = "Linear", coefficient = "1 N/m"}, "21 N/mm",')
+    )
+    model = jb.read_model(path)
+    space = space_of_all(model, lambda leaf: leaf.path == "left.spring.terms.1.coefficient")
+    check_update(path, space, changed(model), rounding=2.3e-16)
+
+
 def test_numbers_of_a_unit_system_stay_in_it(tmp_path):
     path = tmp_path / "box.toml"
     text = BOX.replace("jaxbody = 1", 'jaxbody = 1\nunits = {length = "mm", force = "N", time = "s", angle = "deg"}')

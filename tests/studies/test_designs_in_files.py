@@ -85,6 +85,7 @@ def test_a_design_is_what_tune_takes(file):
         ('sensor = "load"', 'sensor = "lode"', "designs.ride.quantities.load.sensor: sensor 'lode' is unknown. Did you mean 'load'?"),
         ('"frequency", mode = 1', '"frequency"', "designs.ride.quantities.first: has no 'mode'"),
         ('"frequency", mode = 1', '"frequency", mode = 3', "designs.ride.quantities.first.mode: is 3 (allowed: 1 to 2)"),
+        ('"frequency"', '"os:system"', "designs.ride.quantities.first.type: 'os:system' is unknown"),
         ('"frequency"', '"frequence"', "designs.ride.quantities.first.type: 'frequence' is unknown"),
         ('path = "suspension.stiffness"', 'path = "suspension.stif"', "designs.ride.quantities.k.path: 'suspension.stif' matches nothing"),
     ],

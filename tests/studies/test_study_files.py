@@ -163,6 +163,8 @@ def test_experiments_are_those_of_python(car):
         ('channel = "pull"', 'channel = "pul"', "car.toml:26 loads.push.force: Record: has no channel 'pul'"),
         ('channel = "pull"', 'channel = "base"', "car.toml:26 loads.push.force.channel: is the channel 'base', which is in m"),
         ('record = "run1"\ntranslation', 'record = "run"\ntranslation', "car.toml:29 motion.road.record: record 'run' is unknown"),
+        ('translation = "base"', 'rotation = "base"', "car.toml:30 motion.road.rotation: is the channel 'base', which is in m"),
+        ('type = "Position", on', 'type = "jaxbody.laws:Linear", on', "car.toml:21 sensors.height"),
         ('translation = "base"\naxis = "z"', 'translation = "base"', "car.toml:30 motion.road.translation: is the channel 'base' of one"),
         ('height = "0.1 mm"', 'height = "0.1 g"', "car.toml:35 experiments.run1.noise.height: is '0.1 g'"),
         ('height = "0.1 mm"', 'heigt = "0.1 mm"', "car.toml:35 experiments.run1.noise['heigt']: 'heigt' is unknown"),
@@ -180,6 +182,12 @@ def test_problems_of_studies_are_reported_with_their_line(old, new, message, car
     with pytest.raises(jb.JaxbodyError) as error:
         jb.read_study(car)
     assert message in str(error.value)
+
+
+def test_a_motion_needs_a_channel_of_lengths(car):
+    car.write_text(CAR.replace('unit = "g"', 'unit = "1"').replace('translation = "base"', 'translation = "acc"'))
+    with pytest.raises(jb.JaxbodyError, match=r"car.toml:30 motion.road.translation: is the channel 'acc', which is in .*WRONG_DIMENSION"):
+        jb.read_study(car)
 
 
 ALL_SENSORS = """
