@@ -116,7 +116,7 @@ class Check:
             if name not in value:
                 text = resolved(known[name]).get("description", "")
                 message, hint = f"has no '{name}'", f"Give {name} = ...{': ' + text if text else ''}"
-                self.problems.add("MISSING_ENTRY", self.document.where(path), message, value=name, limit=name, hint=hint)
+                self.problems.add("MISSING_ENTRY", self.document.where(path), message, value=name, hint=hint)
         values = {}
         for name, entry in value.items():
             if name in known:
