@@ -1,6 +1,8 @@
 """The command on model files: the examples of its help, results as in Python, messages and exit codes."""
 
+import contextlib
 import importlib.util
+import io
 import re
 import shlex
 import subprocess
@@ -48,19 +50,26 @@ def record():
     return "\n".join(["t [s],z [mm],base [mm]", *rows])
 
 
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch, capsys, record):
-    monkeypatch.chdir(tmp_path)
-    for name, file in (("engine", "engine.toml"), ("quarter_car", "car.toml")):
-        assert commands.main(["new", name]) == 0
-        (tmp_path / file).write_text(capsys.readouterr().out)
-    text = (tmp_path / "car.toml").read_text()
+@pytest.fixture(scope="module")
+def texts():
+    """The files of two ready models, and of a car with a record, an experiment and a design."""
+    printed = {}
+    for name in ("engine", "quarter_car"):
+        with contextlib.redirect_stdout(io.StringIO()) as out:
+            assert commands.main(["new", name]) == 0
+        printed[name] = out.getvalue()
+    text = printed["quarter_car"]
     comment = text.index("# to fit it")
-    text = text[:comment] + re.sub("^# (?!to fit)", "", text[comment:], flags=re.M)
-    (tmp_path / "measured.toml").write_text(text.replace("[elements.suspension]", "[elements.suspension]\ndamping = 1500.0"))
-    with (tmp_path / "measured.toml").open("a") as file:
-        file.write(DESIGN)
-    (tmp_path / "run1.csv").write_text(record)
+    measured = text[:comment] + re.sub("^# (?!to fit)", "", text[comment:], flags=re.M)
+    measured = measured.replace("[elements.suspension]", "[elements.suspension]\ndamping = 1500.0") + DESIGN
+    return {"engine.toml": printed["engine"], "car.toml": text, "measured.toml": measured}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch, texts, record):
+    monkeypatch.chdir(tmp_path)
+    for name, text in (texts | {"run1.csv": record}).items():
+        (tmp_path / name).write_text(text)
     return tmp_path
 
 
