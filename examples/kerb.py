@@ -13,6 +13,7 @@ import numpy as np
 
 import jaxbody as jb
 from jaxbody import laws
+from jaxbody.plots.canvases import style, tidy
 
 jax.config.update("jax_enable_x64", True)
 if __name__ == "__main__":  # the process is this script's
@@ -94,20 +95,19 @@ value, slope = jax.jvp(jax.jit(roughness), (0.0,), (1.0,))
 print(f"\nrms acceleration of the body {float(value):.3f} m/s2; each mm of additional gap to the bump stops changes it")
 print(f"by {float(slope) / 1e3:+.4f} m/s2")
 
-figure, axes = plt.subplots(3, 1, figsize=(8, 8), sharex=True, constrained_layout=True)
-for name in wheels:
-    axes[1].plot(times, 1e3 * (strokes[f"strut {name}"] - strokes[f"strut {name}"][0]), label=name)
-    axes[2].plot(times, -forces[f"tyre {name}"] / 1e3, label=name)
-axes[0].plot(times, 1e3 * run.state.q[:, 0], label="heave [mm]")
-axes[0].plot(times, np.rad2deg(run.state.q[:, 1]) * 10, label="pitch, nose down [0.1 deg]")
-axes[0].plot(times, np.rad2deg(run.state.q[:, 2]) * 10, label="roll, right side down [0.1 deg]")
-axes[0].set_ylabel("body")
-axes[1].set_ylabel("strut's stroke [mm]")
-axes[2].set_ylabel("tyre on road [kN]")
-axes[2].set_xlabel("time [s]")
+figure, axes = plt.subplots(4, 1, figsize=(8, 9), sharex=True, layout="constrained")
+axes[0].plot(times, 1e3 * run.state.q[:, 0], label="heave", **style(0))
+axes[1].plot(times, np.rad2deg(run.state.q[:, 1]), label="pitch, nose down", **style(0))
+axes[1].plot(times, np.rad2deg(run.state.q[:, 2]), label="roll, right side down", **style(1))
+for i, name in enumerate(wheels):
+    axes[2].plot(times, 1e3 * (strokes[f"strut {name}"] - strokes[f"strut {name}"][0]), label=name, **style(i))
+    axes[3].plot(times, -forces[f"tyre {name}"] / 1e3, label=name, **style(i))
+for ax, label in zip(axes, ("body [mm]", "body [degrees]", "strut's stroke [mm]", "tyre on road [kN]"), strict=True):
+    ax.set_ylabel(label)
+axes[3].set_xlabel("time [s]")
 axes[0].set_title(f"Left wheels over a kerb of {1e3 * kerb:.0f} mm at {3.6 * speed:.0f} km/h")
-for ax, place in zip(axes, ("center right", "lower right", "upper right"), strict=True):
-    ax.legend(loc=place, fontsize=8)
-    ax.grid(alpha=0.3)
+for ax, place in zip(axes, ("lower right", "center right", "lower right", "upper right"), strict=True):
+    ax.legend(loc=place, fontsize=8, frameon=False)
+    tidy(ax)
 if len(sys.argv) > 1:
     figure.savefig(sys.argv[1], dpi=110)

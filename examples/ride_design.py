@@ -18,6 +18,7 @@ import scipy.optimize
 
 import jaxbody as jb
 from jaxbody import plots
+from jaxbody.plots.canvases import COLORS
 
 jax.config.update("jax_enable_x64", True)
 if __name__ == "__main__":  # the process is this script's
@@ -160,9 +161,9 @@ print("largest influence on it:", ", ".join(strongest.ranked("worst")[:3]))
 figure, axes = plt.subplot_mosaic([["felt", "front"], ["stroke", "tornado"], ["search", "search"]], figsize=(12, 10), layout="constrained")
 cases = [f"{who}\n{3.6 * speed:.0f} km/h" for who in ("alone", "four aboard") for speed in np.asarray(speeds)]
 for i, (when, quantities) in enumerate({"before": design.before, "tuned": design.after}.items()):
-    axes["felt"].bar(np.arange(4) + 0.4 * i - 0.2, np.ravel(quantities["felt"]), 0.38, color=f"C{i}", label=when)
+    axes["felt"].bar(np.arange(4) + 0.4 * i - 0.2, np.ravel(quantities["felt"]), 0.38, color=COLORS[i], label=when)
     shares = np.concatenate([np.asarray(quantities["stroke"]) / 0.075, np.asarray(quantities["tyre"]) / 0.75])
-    axes["stroke"].bar(np.arange(8) + 0.4 * i - 0.2, shares, 0.38, color=f"C{i}", label=when)
+    axes["stroke"].bar(np.arange(8) + 0.4 * i - 0.2, shares, 0.38, color=COLORS[i], label=when)
 axes["felt"].set_xticks(range(4), cases, fontsize=8)
 axes["felt"].set(ylabel="weighted acceleration [m/s2]", title="Vibration at the driver's seat")
 axes["stroke"].axhline(1.0, color="black", lw=0.8)
@@ -171,7 +172,7 @@ axes["stroke"].set(ylabel="share of the limit", ylim=(0, 1.6), title="Limits: st
 plots.plot_front(front, ax=axes["front"]).set(
     xlabel="longest stroke [m]", ylabel="worst vibration [m/s2]", title="Trade-off between comfort and stroke"
 )
-axes["front"].plot(float(design.after["longest"]), float(design.after["worst"]), "*", ms=13, color="C1", label="the design")
+axes["front"].plot(float(design.after["longest"]), float(design.after["worst"]), "*", ms=13, color=COLORS[1], label="the design")
 plots.plot_tornado(strongest, "worst", ax=axes["tornado"]).set(xlabel="worst vibration [m/s2]", title="Largest influences on it")
 plots.plot_tuning(design, ax=axes["search"]).set(ylabel="worst vibration [m/s2]", title=f"The search, {design.evaluations} evaluations")
 for name in ("felt", "stroke", "front"):

@@ -4,30 +4,36 @@ The packages, in reading order; each imports only from those before it:
 
     core            Shared foundations: errors and statuses, numbers from users, results that print, units. No mechanics.
     compilation     Programs of JAX: options and times of compilation, derivatives and batches outside a jit, programs on disk.
+    workers         Batches in chunks over devices, processes and machines: programs as data, lost workers, results on disk.
     numerics        Computing without physics: batches in lanes, eigenproblems, blocks of Runge-Kutta steps, Gauss collocation.
-    geometry        Rotations, poses and frames; points, directions and orientations as users give them.
+    geometry        Rotations, poses and frames; points, directions and orientations as users give them; closures of loops.
     records         Measured data: files, formats, units, sampling, repairs.
-    laws            Force laws F(x) of one number, of springs and dampers.
+    laws            Force laws F(x) of one number, of springs and dampers, with and without memory.
     inputs          What acts on a model from outside, as functions of time: motions, signals, roads, loads.
-    elements        Springs, bushings, torsion and contact: a deformation e(poses), V(e) and R(e, e_dot).
+    elements        Springs, bushings, mounts, torsion and contact: a deformation e(poses), V(e) and R(e, e_dot).
     models          Bodies, supports and joints by name, kept as arrays; paths to every number.
     sensors         What instruments on bodies read, with gain, bias, delay and lag.
     mechanics       T, V and R, their derivatives, and the equations of motion.
+    mechanisms      Closed loops: assembled configurations, driven positions, curves of suspensions over travel and steering.
     statics         Equilibria and their stability, load paths, load cases, preload, rest on a moving base.
     simulations     Trajectories by the equations of motion, and what sensors read along them.
     vibrations      Small motions: matrices, inputs and outputs, state space, modes of every kind.
     responses       Responses to harmonic and random excitation, spectra, roads and comfort.
+    shocks          Shock and earthquake: response spectra, maxima by spectra, floor spectra, design spectra, records that meet them.
+    fatigue         Peaks of random responses, level crossings, and fatigue damage from densities and records.
     statistics      Uncertainty of estimates from residuals: noise models, covariance, robust losses. No mechanics.
     parameters      Free parameters of fit and tune: ties, transforms, bounds, priors, units, random starts.
     experiments     Measurements, and the predictions of a model for them; checks of records and models before a fit.
     identification  Fits: residuals, searches, results, several initial guesses, multiple shooting.
-    inference       Uncertainty of fits: profiles, bands, validation.
+    inference       Uncertainty of fits: profiles, bands, coverage, validation.
     designs         Tuning: tune, pareto, sweep, tolerances, objectives.
     files           Model files: text to numbers in SI without JAX, to models and back; archives of results.
     studies         Studies in files: a model with motions, sensors, experiments and designs; the schema of all that a file may hold.
-    interchange     Files of others: data sheets of mounts, linear systems for MATLAB.
+    interchange     Files of others: data sheets of mounts, models of MuJoCo, linear systems for MATLAB.
     presets         Ready models.
     plots           Pictures with matplotlib.
+    scenes          Models and their motions as drawn parts in three dimensions: plain arrays, no renderer.
+    views           Scenes in a browser, in a notebook, in one HTML file, as pictures that move.
     app             The command jaxbody; reports.
 """
 
@@ -38,6 +44,7 @@ from types import ModuleType
 __version__ = "0.1.0"
 
 _MODULES = {  # that are public themselves
+    "closures": "jaxbody.geometry.closures",
     "laws": "jaxbody.laws",
     "objectives": "jaxbody.designs.objectives",
     "plots": "jaxbody.plots",
@@ -60,13 +67,18 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.elements.bushings": ("Bushing",),
     "jaxbody.elements.contacts": ("Contact", "Tyre"),
     "jaxbody.elements.elements": ("Element",),
+    "jaxbody.elements.mounts": ("Mount",),
     "jaxbody.elements.springs": ("Spring", "SpringDamper"),
     "jaxbody.elements.torsions": ("AntiRollBar", "Torsion"),
     "jaxbody.experiments.diagnoses": ("diagnose",),
     "jaxbody.experiments.experiments": ("Experiment",),
     "jaxbody.experiments.measured_modes": ("MeasuredModes",),
     "jaxbody.experiments.measured_responses": ("MeasuredResponse",),
+    "jaxbody.experiments.measured_stiffnesses": ("MeasuredStiffness",),
     "jaxbody.experiments.plausibilities": ("plausibility",),
+    "jaxbody.fatigue.fatigue_damages": ("SNCurve", "fatigue_damage"),
+    "jaxbody.fatigue.peak_factors": ("peak_factor",),
+    "jaxbody.fatigue.spectral_moments": ("level_crossings",),
     "jaxbody.files.model_files": ("read_model", "write_model"),
     "jaxbody.files.result_files": ("read_results", "write_results"),
     "jaxbody.geometry.fields": ("field",),
@@ -76,21 +88,41 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.identification.multistarts": ("Multistart", "multistart"),
     "jaxbody.identification.shootings": ("multiple_shooting",),
     "jaxbody.inference.confidence_bands": ("bands",),
+    "jaxbody.inference.coverages": ("coverage",),
     "jaxbody.inference.profiles": ("profile",),
     "jaxbody.inference.validations": ("validate",),
     "jaxbody.inputs.base_motions": ("base_motion",),
     "jaxbody.inputs.loads": ("EngineTorque", "Force", "Load", "Unbalance"),
     "jaxbody.inputs.motions": ("AtRest", "Harmonic", "Motion", "Sampled"),
     "jaxbody.inputs.port_inputs": ("BaseMotion", "PointForce"),
+    "jaxbody.inputs.pulses": ("HalfSine", "Sawtooth", "Trapezoid", "Triangle"),
     "jaxbody.inputs.roads": ("Road",),
     "jaxbody.inputs.signals": ("Delayed",),
     "jaxbody.inputs.splines": ("Spline",),
+    "jaxbody.interchange.mjcf_readers": ("read_mjcf",),
+    "jaxbody.interchange.mjcf_writers": ("write_mjcf",),
     "jaxbody.interchange.mount_tables": ("read_mounts",),
     "jaxbody.interchange.state_space_files": ("write_state_space",),
     "jaxbody.mechanics.energies": ("dissipation", "kinetic_energy", "lagrangian", "potential_energy"),
     "jaxbody.mechanics.kinematics": ("retract",),
+    "jaxbody.mechanisms.assemblies": ("assemble",),
+    "jaxbody.mechanisms.corners": ("Corner",),
+    "jaxbody.mechanisms.alignment_curves": ("suspension_curves",),
+    "jaxbody.mechanisms.ready_corners": ("double_wishbone", "macpherson"),
+    "jaxbody.mechanisms.wheels": ("Wheel",),
     "jaxbody.models.bodies": ("Body", "Support"),
-    "jaxbody.models.joints": ("Ball", "Fixed", "Free", "Guide", "HeavePitch", "HeavePitchRoll", "Hinge", "Joint", "Translation"),
+    "jaxbody.models.joints": (
+        "Ball",
+        "Composite",
+        "Fixed",
+        "Free",
+        "Guide",
+        "HeavePitch",
+        "HeavePitchRoll",
+        "Hinge",
+        "Joint",
+        "Translation",
+    ),
     "jaxbody.models.leaf_paths": ("paths", "replace"),
     "jaxbody.models.models": ("Model",),
     "jaxbody.models.states": ("State",),
@@ -100,15 +132,23 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.records.records": ("Record",),
     "jaxbody.records.response_files": ("read_responses",),
     "jaxbody.responses.comfort_weightings": ("weighted", "weighted_signal", "weighting"),
+    "jaxbody.responses.dynamic_stiffnesses": ("dynamic_stiffness",),
     "jaxbody.responses.frequency_responses": ("frequency_response",),
     "jaxbody.responses.random_responses": ("random_response",),
     "jaxbody.responses.road_spectra": ("Unevenness", "road_profile"),
     "jaxbody.responses.spectra": ("Band", "CrossPSD", "PSD", "PowerLaw", "Spectrum"),
+    "jaxbody.scenes.shapes": ("Shape",),
     "jaxbody.sensors.attitudes": ("BodyPose", "Orientation"),
     "jaxbody.sensors.gauges": ("Displacement", "LaserDistance", "LaserVibrometer", "StringPotentiometer"),
     "jaxbody.sensors.instruments": ("Accelerometer", "Elongation", "ForcePlate", "Gyro", "JointAngle", "LoadCell", "Reaction", "Tilt"),
     "jaxbody.sensors.kinematic_sensors": ("Acceleration", "AngularAcceleration", "AngularVelocity", "Position", "Rotation", "Velocity"),
     "jaxbody.sensors.sensors": ("Sensor",),
+    "jaxbody.shocks.design_spectra": ("ASCE7", "DesignSpectrum", "Eurocode8"),
+    "jaxbody.shocks.floor_spectra": ("floor_spectrum",),
+    "jaxbody.shocks.matched_records": ("matched_record",),
+    "jaxbody.shocks.response_spectra": ("ResponseSpectrum",),
+    "jaxbody.shocks.shock_spectra": ("shock_spectrum",),
+    "jaxbody.shocks.spectrum_responses": ("spectrum_response",),
     "jaxbody.simulations.readings": ("measure",),
     "jaxbody.simulations.simulations": ("simulate",),
     "jaxbody.statics.cases": ("LoadCase", "load_cases"),
@@ -124,6 +164,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.vibrations.mount_axes": ("elastic_axes", "torque_roll_axis"),
     "jaxbody.vibrations.natural_modes": ("modes",),
     "jaxbody.vibrations.spins": ("linearize_spin",),
+    "jaxbody.views.views": ("View", "view"),
 }
 _SUCCESSORS = {  # of names that were public
     "ElementDeformation": "Elongation",

@@ -27,6 +27,7 @@ from jaxbody.elements.bushings import Bushing as Bushing
 from jaxbody.elements.contacts import Contact as Contact
 from jaxbody.elements.contacts import Tyre as Tyre
 from jaxbody.elements.elements import Element as Element
+from jaxbody.elements.mounts import Mount as Mount
 from jaxbody.elements.springs import Spring as Spring
 from jaxbody.elements.springs import SpringDamper as SpringDamper
 from jaxbody.elements.torsions import AntiRollBar as AntiRollBar
@@ -35,11 +36,17 @@ from jaxbody.experiments.diagnoses import diagnose as diagnose
 from jaxbody.experiments.experiments import Experiment as Experiment
 from jaxbody.experiments.measured_modes import MeasuredModes as MeasuredModes
 from jaxbody.experiments.measured_responses import MeasuredResponse as MeasuredResponse
+from jaxbody.experiments.measured_stiffnesses import MeasuredStiffness as MeasuredStiffness
 from jaxbody.experiments.plausibilities import plausibility as plausibility
+from jaxbody.fatigue.fatigue_damages import SNCurve as SNCurve
+from jaxbody.fatigue.fatigue_damages import fatigue_damage as fatigue_damage
+from jaxbody.fatigue.peak_factors import peak_factor as peak_factor
+from jaxbody.fatigue.spectral_moments import level_crossings as level_crossings
 from jaxbody.files.model_files import read_model as read_model
 from jaxbody.files.model_files import write_model as write_model
 from jaxbody.files.result_files import read_results as read_results
 from jaxbody.files.result_files import write_results as write_results
+from jaxbody.geometry import closures as closures
 from jaxbody.geometry.fields import field as field
 from jaxbody.geometry.orientations import Euler as Euler
 from jaxbody.identification.fits import Fit as Fit
@@ -48,6 +55,7 @@ from jaxbody.identification.multistarts import Multistart as Multistart
 from jaxbody.identification.multistarts import multistart as multistart
 from jaxbody.identification.shootings import multiple_shooting as multiple_shooting
 from jaxbody.inference.confidence_bands import bands as bands
+from jaxbody.inference.coverages import coverage as coverage
 from jaxbody.inference.profiles import profile as profile
 from jaxbody.inference.validations import validate as validate
 from jaxbody.inputs import signals as signals
@@ -62,9 +70,15 @@ from jaxbody.inputs.motions import Motion as Motion
 from jaxbody.inputs.motions import Sampled as Sampled
 from jaxbody.inputs.port_inputs import BaseMotion as BaseMotion
 from jaxbody.inputs.port_inputs import PointForce as PointForce
+from jaxbody.inputs.pulses import HalfSine as HalfSine
+from jaxbody.inputs.pulses import Sawtooth as Sawtooth
+from jaxbody.inputs.pulses import Trapezoid as Trapezoid
+from jaxbody.inputs.pulses import Triangle as Triangle
 from jaxbody.inputs.roads import Road as Road
 from jaxbody.inputs.signals import Delayed as Delayed
 from jaxbody.inputs.splines import Spline as Spline
+from jaxbody.interchange.mjcf_readers import read_mjcf as read_mjcf
+from jaxbody.interchange.mjcf_writers import write_mjcf as write_mjcf
 from jaxbody.interchange.mount_tables import read_mounts as read_mounts
 from jaxbody.interchange.state_space_files import write_state_space as write_state_space
 from jaxbody.mechanics.energies import dissipation as dissipation
@@ -72,9 +86,16 @@ from jaxbody.mechanics.energies import kinetic_energy as kinetic_energy
 from jaxbody.mechanics.energies import lagrangian as lagrangian
 from jaxbody.mechanics.energies import potential_energy as potential_energy
 from jaxbody.mechanics.kinematics import retract as retract
+from jaxbody.mechanisms.alignment_curves import suspension_curves as suspension_curves
+from jaxbody.mechanisms.assemblies import assemble as assemble
+from jaxbody.mechanisms.corners import Corner as Corner
+from jaxbody.mechanisms.ready_corners import double_wishbone as double_wishbone
+from jaxbody.mechanisms.ready_corners import macpherson as macpherson
+from jaxbody.mechanisms.wheels import Wheel as Wheel
 from jaxbody.models.bodies import Body as Body
 from jaxbody.models.bodies import Support as Support
 from jaxbody.models.joints import Ball as Ball
+from jaxbody.models.joints import Composite as Composite
 from jaxbody.models.joints import Fixed as Fixed
 from jaxbody.models.joints import Free as Free
 from jaxbody.models.joints import Guide as Guide
@@ -95,6 +116,7 @@ from jaxbody.records.response_files import read_responses as read_responses
 from jaxbody.responses.comfort_weightings import weighted as weighted
 from jaxbody.responses.comfort_weightings import weighted_signal as weighted_signal
 from jaxbody.responses.comfort_weightings import weighting as weighting
+from jaxbody.responses.dynamic_stiffnesses import dynamic_stiffness as dynamic_stiffness
 from jaxbody.responses.frequency_responses import frequency_response as frequency_response
 from jaxbody.responses.random_responses import random_response as random_response
 from jaxbody.responses.road_spectra import Unevenness as Unevenness
@@ -104,6 +126,7 @@ from jaxbody.responses.spectra import Band as Band
 from jaxbody.responses.spectra import CrossPSD as CrossPSD
 from jaxbody.responses.spectra import PowerLaw as PowerLaw
 from jaxbody.responses.spectra import Spectrum as Spectrum
+from jaxbody.scenes.shapes import Shape as Shape
 from jaxbody.sensors.attitudes import BodyPose as BodyPose
 from jaxbody.sensors.attitudes import Orientation as Orientation
 from jaxbody.sensors.gauges import Displacement as Displacement
@@ -125,6 +148,14 @@ from jaxbody.sensors.kinematic_sensors import Position as Position
 from jaxbody.sensors.kinematic_sensors import Rotation as Rotation
 from jaxbody.sensors.kinematic_sensors import Velocity as Velocity
 from jaxbody.sensors.sensors import Sensor as Sensor
+from jaxbody.shocks.design_spectra import ASCE7 as ASCE7
+from jaxbody.shocks.design_spectra import DesignSpectrum as DesignSpectrum
+from jaxbody.shocks.design_spectra import Eurocode8 as Eurocode8
+from jaxbody.shocks.floor_spectra import floor_spectrum as floor_spectrum
+from jaxbody.shocks.matched_records import matched_record as matched_record
+from jaxbody.shocks.response_spectra import ResponseSpectrum as ResponseSpectrum
+from jaxbody.shocks.shock_spectra import shock_spectrum as shock_spectrum
+from jaxbody.shocks.spectrum_responses import spectrum_response as spectrum_response
 from jaxbody.simulations.readings import measure as measure
 from jaxbody.simulations.simulations import simulate as simulate
 from jaxbody.statics.cases import LoadCase as LoadCase
@@ -148,3 +179,5 @@ from jaxbody.vibrations.natural_modes import modes as modes
 from jaxbody.vibrations.spins import linearize_spin as linearize_spin
 
 __version__: str
+from jaxbody.views.views import View as View
+from jaxbody.views.views import view as view

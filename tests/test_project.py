@@ -29,12 +29,13 @@ PACKAGE = Path(jb.__file__).parent
 ORDER = re.findall(r"^    ([a-z]+) +[A-Z]", jb.__doc__ or "", re.M)  # of packages, from the ground up, as `help(jaxbody)` shows them
 MODULES = sorted(".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in PACKAGE.rglob("*.py"))
 NAMED = [module for module in MODULES if not module.endswith("__init__")]
-OPEN = {"laws", "objectives", "plots", "presets", "signals", "units"}  # modules that are public themselves
+OPEN = {"closures", "laws", "objectives", "plots", "presets", "signals", "units"}  # modules that are public themselves
 EXPORTED = sorted(set(dir(jb)) - OPEN)
 MOST_FILES, MOST_LINES = 12, 400
 NO_MECHANICS = {  # and what they may import
     "core": set(),
     "compilation": {"core"},
+    "workers": {"core", "compilation"},
     "numerics": {"core", "compilation"},
     "statistics": {"core", "compilation", "numerics"},
 }
@@ -141,7 +142,10 @@ def test_every_name_that_code_uses_is_there(module):
     assert sorted(used - known) == []
 
 
-TWICE = {"Function"}  # a user's own function: as a law of one number in `jb.laws`, of time in `jb.signals`; both are public
+TWICE = {
+    "Function",  # a user's own function: as a law of one number in `jb.laws`, of time in `jb.signals`; both are public
+    *("Ball", "Guide", "Hinge"),  # a closure, in `jb.closures`, does what the joint of its name does
+}
 
 
 def test_a_class_or_type_has_a_name_of_its_own():
@@ -161,6 +165,7 @@ DERIVED = {  # from these concrete classes others derive, which are all that the
     "Pose": "a frame is a pose with velocities",
     "Frame": "an instant is a table of frames with the state that it comes from",
     "Chart": "coordinates are a chart with the reference poses",
+    "Described": "prints the fields of a class, whatever they are",
     "Law": "states its force or its potential, either by the other; its constructor asks for one",
 }
 
@@ -350,8 +355,15 @@ SLOW = [
 ]
 
 
+NOT_YET_TYPED = ("shocks", "fatigue")  # packages that still promote ranks and types implicitly
+
+
+def marks_of(module):
+    return [pytest.mark.long] * (module in SLOW) + [pytest.mark.untyped] * (module.split(".")[0] in NOT_YET_TYPED)
+
+
 @pytest.mark.everywhere  # each public function has an example
-@pytest.mark.parametrize("module", [pytest.param(m, marks=[pytest.mark.long] * (m in SLOW)) for m in NAMED])
+@pytest.mark.parametrize("module", [pytest.param(m, marks=marks_of(m)) for m in NAMED])
 def test_examples_in_docstrings_run(module):
     """With jb, jax, jnp and the public names at hand."""
     imported = importlib.import_module(f"jaxbody.{module}")

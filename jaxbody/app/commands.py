@@ -6,20 +6,24 @@ Exit codes: 0, done; 1, done, but the result has another status than ok; 2, the 
 from __future__ import annotations
 
 import argparse
+import gc
 import shlex
 import sys
 import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jaxbody as jb
 from jaxbody.app.changes import set_value
 from jaxbody.app.file_commands import COMMANDS, Outcome
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
-from jaxbody.files.documents import read_document
+from jaxbody.files.documents import LARGEST, read_document
 from jaxbody.files.schemas import checked_values
+
+if TYPE_CHECKING:
+    from jaxbody.compilation.kept_programs import KeptPrograms
 
 DESCRIPTION = "Differentiable rigid bodies on springs with an imposed base motion: simulation, vibration, identification and design."
 EPILOG = """first steps:
@@ -44,6 +48,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.print_help()
         return 0
     own_process = arguments is None
+    if own_process:
+        warnings.showwarning = lambda message, *_, **__: print(f"warning: {message}", file=sys.stderr)  # without lines of code
+        gc.disable()  # what is imported stays: to look for garbage in it takes a tenth of the time
     options.typed = shlex.join(["jaxbody", *(sys.argv[1:] if arguments is None else arguments)])
     try:
         return options.run(options, own_process)
@@ -59,10 +66,14 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="jaxbody", description=DESCRIPTION, epilog=EPILOG, formatter_class=form)
     parser.add_argument("--version", action="version", version=f"jaxbody {jb.__version__}")
     commands = parser.add_subparsers(dest="command", title="commands", metavar="command")
-    new = commands.add_parser(
-        "new", help="print the file of a ready model", epilog="example:\n  jaxbody new quarter_car > car.toml", formatter_class=form
+    epilog = "examples:\n  jaxbody new quarter_car > car.toml\n  jaxbody new --mounts mounts.csv > engine.toml"
+    about = "print the file of a ready model, or of a body on the mounts of a data sheet"
+    new = commands.add_parser("new", help=about, description=about.capitalize() + ".", epilog=epilog, formatter_class=form)
+    chosen = new.add_mutually_exclusive_group()
+    chosen.add_argument("model", nargs="?", help="name of a ready model; without it, their names are printed")
+    chosen.add_argument(
+        "--mounts", type=Path, metavar="FILE", help="data sheet: name, x [mm], y [mm], z [mm], kx [N/mm], ky [N/mm], kz [N/mm], ..."
     )
-    new.add_argument("model", nargs="?", help="name of a ready model; without it, their names are printed")
     new.set_defaults(run=_new)
     for name, command in COMMANDS.items():
         epilog = f"example:\n  {command.example}"
@@ -72,6 +83,7 @@ def _parser() -> argparse.ArgumentParser:
         sub.add_argument("file", type=Path, help="model file, .toml or .json")
         sub.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", help='another value, such as left.stiffness="30 N/mm"')
         sub.add_argument("--allow", action="append", default=[], metavar="MODULE", help="module of yours whose classes the file may use")
+        sub.add_argument("--largest", type=float, default=LARGEST, metavar="N", help="largest size of the file [bytes] (default: 2e7)")
         sub.add_argument("--out", type=Path, metavar="FILE", help=f"save the result: {' '.join(command.formats)}")
         for flags, more in command.options:
             sub.add_argument(*flags, **more)
@@ -84,26 +96,45 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _demo(options: argparse.Namespace, own_process: bool) -> int:
+    kept = _prepare("demo") if own_process else None
     from jaxbody.app import demos
 
     if own_process:
-        _prepare()
+        _look_for_garbage()
     with ThreadPoolExecutor(max_workers=1) as executor:
-        return demos.run(options.out, options.seed, executor)
+        code = demos.run(options.out, options.seed, executor)
+    if kept is not None:
+        kept.note_task("demo")
+    return code
 
 
-def _prepare() -> None:
-    """Fast loops, programs kept for the next run, warnings without lines of code."""
-    warnings.showwarning = lambda message, *_, **__: print(f"warning: {message}", file=sys.stderr)
+def _prepare(task: str) -> KeptPrograms | None:
+    """Fast loops, programs kept for the next run. Programs of this task are loaded in the background."""
     jb.fast_loops()
     try:
-        jb.keep_programs()
+        kept = jb.keep_programs()
     except JaxbodyError as error:
         print(f"Programs are not kept for the next run: {error}", file=sys.stderr)
+        return None
+    kept.load_ahead(task)
+    return kept
+
+
+def _look_for_garbage() -> None:
+    """From now on, but not among what was imported."""
+    gc.freeze()
+    gc.enable()
 
 
 def _new(options: argparse.Namespace, own_process: bool) -> int:
     ready = [name for name in dir(jb.presets) if name[0] != "_"]
+    if options.mounts is not None:
+        _use_x64()
+        from jaxbody.app.new_files import text_of_mounts
+
+        print(text_of_mounts(options.mounts), end="")
+        print(f"Mass, center of mass and inertia are not in {options.mounts.name}: replace the placeholders in the file.", file=sys.stderr)
+        return 0
     if options.model is None:
         print("Ready models: " + ", ".join(ready))
         return 0
@@ -111,9 +142,9 @@ def _new(options: argparse.Namespace, own_process: bool) -> int:
     if len(chosen) != 1:
         raise JaxbodyError(unknown(options.model, "new", tuple(ready)))
     _use_x64()
-    from jaxbody.files.writers import toml_of, values_of
+    from jaxbody.app.new_files import text_of
 
-    print(toml_of(values_of(getattr(jb.presets, chosen[0])()), units=True), end="")
+    print(text_of(chosen[0]), end="")
     return 0
 
 
@@ -122,18 +153,20 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
     command = COMMANDS[options.command]
     if options.out is not None and options.out.suffix not in command.formats:
         raise JaxbodyError(Problem("UNKNOWN_FORMAT", "--out", f"is {options.out}", options.out, " ".join(command.formats)))
-    document = read_document(options.file)
+    document = read_document(options.file, options.largest)
     for text in options.set:
         set_value(document, text)
     values = checked_values(document)
     _use_x64()
-    if own_process:
-        _prepare()
+    task = f"{options.command} {options.file.resolve()}"
+    kept = _prepare(task) if own_process else None
     import numpy as np
 
     from jaxbody.studies.study_files import study_of
 
     study = study_of(document, values, options.file.parent, options.allow, measured=command.measured)
+    if own_process:
+        _look_for_garbage()
     outcome = command.run(study, options)
     for result in outcome.results:
         print(result)
@@ -142,6 +175,8 @@ def _on_file(options: argparse.Namespace, own_process: bool) -> int:
 
         save(outcome, options.out)
         print(f"saved {options.out}")
+    if kept is not None:
+        kept.note_task(task)
     ok = all(np.all(getattr(result, "ok", True)) for result in outcome.results)
     if outcome.space is not None and options.write:
         _write(options.file, document, outcome, ok)

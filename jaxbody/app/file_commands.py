@@ -12,11 +12,14 @@ import jaxbody as jb
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 
 if TYPE_CHECKING:
-    from jaxbody.core.tables import PrintedTable
     from jaxbody.studies.study_files import Study
 
 QUANTITIES = {"displacement": ("Position", "Rotation"), "velocity": ("Velocity", "AngularVelocity"),
               "acceleration": ("Acceleration", "AngularAcceleration")}  # fmt: skip
+
+
+FLAT = (".csv", ".parquet", ".nc", ".png", ".svg", ".pdf")
+IN_SPACE = (*FLAT, ".html")  # a page in three dimensions
 
 
 @dataclass(frozen=True)
@@ -29,20 +32,23 @@ class Command:
     run: Callable[[Any, argparse.Namespace], Outcome]
     options: tuple[tuple[tuple[str, ...], dict[str, Any]], ...] = ()
     measured: bool = False
-    formats: tuple[str, ...] = (".csv", ".parquet", ".nc", ".png", ".svg", ".pdf")  # of --out
+    formats: tuple[str, ...] = FLAT  # of --out
 
 
 @dataclass
 class Outcome:
-    """Results, which print as tables; functions that draw them into a picture and that give what --out saves in place of the tables; for
-    --write the space of the free parameters, and the model and experiments with their values."""
+    """Results, which print as tables; functions that draw them into a picture, that show them in three dimensions, and that give what --out
+    saves in place of the tables, as numbers over the first column in all formats, or as text in .csv alone; for --write the space of the
+    free parameters, and the model and experiments with their values."""
 
     results: list[Any]
     draw: Callable[[], Any] | None = None
     series: Callable[[], Any] | None = None
+    text: Callable[[], Any] | None = None
     space: Any = None
     trees: dict[str, Any] = attribute(default_factory=dict)
     saved: bool = False  # by the command itself
+    view: Callable[[], Any] | None = None
 
 
 def _check(study: Study, options: argparse.Namespace) -> Outcome:
@@ -50,7 +56,7 @@ def _check(study: Study, options: argparse.Namespace) -> Outcome:
 
     model = study.model
     counts = {"support": model.layout.supports, "element": model.element_names, "load": study.loads, "sensor": study.sensors}
-    counts |= {"experiment": study.experiments}
+    counts |= {"experiment": study.experiments, "held-out experiment": study.held_out}
     said = [counted(len(names), what) for what, names in counts.items() if names]
     bodies = "1 body" if len(model.layout.bodies) == 1 else f"{len(model.layout.bodies)} bodies"
     freedoms = counted(model.layout.nv, "degree")
@@ -58,109 +64,89 @@ def _check(study: Study, options: argparse.Namespace) -> Outcome:
 
 
 def _show(study: Study, options: argparse.Namespace) -> Outcome:
-    return Outcome([study.model], lambda: jb.plots.draw_model(study.model))
+    return Outcome([study.model], lambda: jb.plots.draw_model(study.model), view=lambda: jb.view(study.model))
 
 
 def _equilibrium(study: Study, options: argparse.Namespace) -> Outcome:
     equilibrium = jb.equilibrium(study.model)
-    return Outcome([equilibrium], lambda: jb.plots.draw_model(study.model, equilibrium.state))
+    return Outcome([equilibrium], lambda: jb.plots.draw_model(study.model, equilibrium.state), view=lambda: jb.view(equilibrium))
 
 
 def _modes(study: Study, options: argparse.Namespace) -> Outcome:
     lin = _linear(study)
-    if options.damped:
-        modes: Any = jb.complex_modes(lin)
-        return Outcome([modes], lambda: jb.plots.draw_mode(lin, modes, options.draw))
-    modes = jb.modes(lin)
-    return Outcome([modes, *([jb.mode_energies(lin)] if options.energies else [])], lambda: jb.plots.draw_mode(lin, modes, options.draw))
+    modes: Any = jb.complex_modes(lin) if options.damped else jb.modes(lin)
+    energies = [jb.mode_energies(lin)] if options.energies and not options.damped else []
+    draw = lambda: jb.plots.draw_mode(lin, modes, options.draw)  # noqa: E731
+    return Outcome([modes, *energies], draw, view=lambda: jb.view(modes, number=options.draw, at=lin))
 
 
 def _response(study: Study, options: argparse.Namespace) -> Outcome:
     import numpy as np
 
+    from jaxbody.app import number_tables
+
     lin = _linear(study)
     low, high = options.frequencies
     inputs, outputs = _ports(study, options, options.kind)
     response = jb.frequency_response(lin, np.geomspace(low, high, options.points), inputs, outputs)
-    return Outcome([response], lambda: jb.plots.plot_frequency_response(response), lambda: _over_frequency(response))
-
-
-def _over_frequency(response: Any) -> PrintedTable:
-    """Magnitude and phase of each output, over the frequencies."""
-    import numpy as np
-
-    columns = {"frequency [Hz]": response.frequencies}
-    for output in response.outputs:
-        for name in response.inputs:
-            value, unit = np.asarray(response[output, name]), response.unit(output, name)
-            columns |= {f"{output} / {name} [{unit or '1'}]": np.abs(value), f"phase of {output} / {name} [rad]": np.angle(value)}
-    return _series(columns)
+    return Outcome([response], lambda: jb.plots.plot_frequency_response(response), lambda: number_tables.over_frequency(response))
 
 
 def _random(study: Study, options: argparse.Namespace) -> Outcome:
+    from jaxbody.app import number_tables
+
     lin = _linear(study)
     inputs, outputs = _ports(study, options, "displacement")
     spectra: Any = dict.fromkeys(inputs, jb.Unevenness.iso(options.road).at_speed(options.speed))
     response = jb.random_response(lin, jb.Band(*options.frequencies), inputs, outputs, spectra)
-    return Outcome([response], lambda: jb.plots.plot_psd(response), lambda: _densities(response))
-
-
-def _densities(response: Any) -> PrintedTable:
-    """The density of each output over the frequencies."""
-    names = zip(response.outputs, response.units, strict=True)
-    columns = {f"{name} [({unit})2/Hz]": response.psd[i] for i, (name, unit) in enumerate(names)}
-    return _series({"frequency [Hz]": response.frequencies, **columns})
+    return Outcome([response], lambda: jb.plots.plot_psd(response), lambda: number_tables.densities(response))
 
 
 def _load_cases(study: Study, options: argparse.Namespace) -> Outcome:
+    from jaxbody.app import number_tables
+
+    if not options.case:  # of a report
+        raise JaxbodyError(
+            Problem("NO_DATA", "--case", "is missing", limit="at least one", hint="Give --case bump=0,0,3, an acceleration in g.")
+        )
     cases = {name: jb.LoadCase(acceleration=acceleration) for name, acceleration in options.case}
-    return Outcome([jb.load_cases(study.model, cases)])
+    result = jb.load_cases(study.model, cases)
+    return Outcome([result], lambda: result.plot(), text=lambda: number_tables.by_case(result))
 
 
 def _simulate(study: Study, options: argparse.Namespace) -> Outcome:
     import numpy as np
 
+    from jaxbody.app import number_tables
+
     times = np.linspace(0.0, options.duration, round(options.duration / options.interval) + 1)
     trajectory = jb.simulate(study.model, times, motion=study.motion, loads=study.loads, initial="rest")
-    return Outcome([trajectory], lambda: jb.plots.plot_trajectory(trajectory), lambda: _over_time(trajectory, study.sensors))
-
-
-def _over_time(trajectory: Any, sensors: dict[str, Any]) -> PrintedTable:
-    """Places of the origins of bodies and supports, forces of elements and readings of sensors, over time."""
-    import numpy as np
-
-    from jaxbody.core.arrays import indices
-
-    columns = {"time [s]": trajectory.times}
-    for name, pose in trajectory.poses.items():
-        columns |= {f"{name} {axis} [m]": np.asarray(pose.p)[:, i] for i, axis in enumerate("xyz")}
-    for name, force in trajectory.forces.items():
-        columns |= {f"force of {name} [N]": force} if np.ndim(force) == 1 else {}
-    for name, reading in (jb.measure(trajectory, sensors) if sensors else {}).items():
-        parts = np.asarray(reading).reshape(len(trajectory.times), -1)
-        unit = sensors[name].unit_on(trajectory.model)
-        columns |= {f"{name}{index} [{unit}]": parts[:, i] for i, index in enumerate(indices(reading.shape[1:]))}
-    return _series(columns)
+    over_time, view = lambda: number_tables.over_time(trajectory, study.sensors), lambda: jb.view(trajectory)
+    return Outcome([trajectory], lambda: jb.plots.plot_trajectory(trajectory), over_time, view=view)
 
 
 def _fit(study: Study, options: argparse.Namespace) -> Outcome:
+    results = _fitted(study, options)
+    fit = results["Fit"]
+    trees = {"": fit.model, **fit.experiments}
+    return Outcome(list(results.values()), lambda: jb.plots.plot_fit(fit), space=fit.task.space, trees=trees)
+
+
+def _fitted(study: Study, options: argparse.Namespace) -> dict[str, Any]:
+    """The fit, its optima where it has several starts, and its validation by the experiments that were held out."""
     asked = study.fit | ({"free": options.free} if options.free else {})
     with Problems() as problems:
         if not study.experiments:
-            hint = "State [records], [sensors] and [experiments]: help(jaxbody.read_study)."
-            problems.add("NO_DATA", options.file.name, "has no experiments", limit="at least one", hint=hint)
+            message, hint = "has no experiments", "State [records], [sensors] and [experiments]: help(jaxbody.read_study)."
+            if study.held_out:
+                message, hint = "has validate = true in all experiments", "Leave it out of those that the fit is made of."
+            problems.add("NO_DATA", options.file.name, message, limit="at least one to fit", hint=hint)
         if "free" not in asked:
             hint = 'Give --free "spring.stiffness", or free = [...] below [fit] in the file.'
             problems.add("NOTHING_FREE", options.file.name, "does not say what is free", limit="at least one path", hint=hint)
-    fit = jb.fit(study.model, study.experiments, **asked)
-    return Outcome([fit], lambda: jb.plots.plot_fit(fit), space=fit.task.space, trees={"": fit.model, **fit.experiments})
-
-
-def _series(columns: dict[str, Any]) -> PrintedTable:
-    """Columns of numbers as one table."""
-    from jaxbody.core.tables import PrintedTable
-
-    return PrintedTable("", tuple(columns), list(zip(*(map(float, column) for column in columns.values()), strict=True)))
+    several = {"Optima from several starts": jb.multistart(study.model, study.experiments, **asked)} if "starts" in asked else {}
+    fit = next(iter(several.values())).best if several else jb.fit(study.model, study.experiments, **asked)
+    return {"Fit": fit, **several, **({"Validation": jb.validate(fit, study.held_out)} if study.held_out else {})}
 
 
 def _tune(study: Study, options: argparse.Namespace) -> Outcome:
@@ -255,6 +241,11 @@ def _ports_options(required: bool) -> tuple[Any, ...]:
     )
 
 
+def _case_option(required: bool) -> tuple[Any, ...]:
+    named: dict[str, Any] = {"type": _case, "action": "append", "required": required, "default": []}
+    return ("--case",), named | {"metavar": "NAME=X,Y,Z", "help": "acceleration of a load case [g]"}
+
+
 BAND = (("--frequencies",), {"type": _band, "default": (0.1, 50.0), "metavar": "LOW:HIGH", "help": "[Hz] (default: 0.1:50)"})
 OF_RESPONSE = (
     BAND,
@@ -272,14 +263,25 @@ PARTS: dict[str, Callable[[Any, argparse.Namespace], dict[str, Any]]] = {
     "model": lambda study, options: {"Model": study.model},
     "equilibrium": lambda study, options: {"Equilibrium": jb.equilibrium(study.model)},
     "modes": _parts_of_modes,
+    "load-cases": lambda study, options: {"Load cases": _load_cases(study, options).results[0]},
     "motion": lambda study, options: {"Motion": _simulate(study, options).results[0]},
-    "fit": lambda study, options: {"Fit": _fit(study, options).results[0]},
+    "fit": _fitted,
     "design": lambda study, options: {f"Design {options.design or next(iter(study.designs), '')}": _tune(study, options).results[0]},
 }
 COMMANDS = {
     "check": Command("check a model file and the records that it names", "jaxbody check engine.toml", _check, measured=True),
-    "show": Command("print and draw a model", "jaxbody show engine.toml --out engine.png", _show),
-    "equilibrium": Command("the static equilibrium", "jaxbody equilibrium engine.toml --set 'gravity=0, 0, -9.81 m/s2'", _equilibrium),
+    "show": Command(
+        "print and draw a model; --out engine.html shows it in three dimensions",
+        "jaxbody show engine.toml --out engine.png",
+        _show,
+        formats=IN_SPACE,
+    ),
+    "equilibrium": Command(
+        "the static equilibrium",
+        "jaxbody equilibrium engine.toml --set 'gravity=0, 0, -9.81 m/s2'",
+        _equilibrium,
+        formats=IN_SPACE,
+    ),
     "modes": Command(
         "natural frequencies and modes about the equilibrium",
         "jaxbody modes engine.toml --energies --out modes.csv",
@@ -289,6 +291,7 @@ COMMANDS = {
             (("--energies",), {"action": "store_true", "help": "the shares of the energy of each mode"}),
             (("--draw",), {"type": int, "default": 1, "metavar": "N", "help": "the mode that --out draws (default: 1)"}),
         ),
+        formats=IN_SPACE,
     ),
     "random": Command(
         "the response to an uneven road, of class A to H by ISO 8608, under each input",
@@ -305,13 +308,14 @@ COMMANDS = {
         "displacements, strokes and forces under steady accelerations of the whole",
         "jaxbody load-cases engine.toml --case braking=-1,0,0 --case bump=0,0,3 --out cases.csv",
         _load_cases,
-        ((("--case",), {"type": _case, "action": "append", "required": True, "metavar": "NAME=X,Y,Z", "help": "acceleration [g]"}),),
+        (_case_option(True),),
     ),
     "simulate": Command(
         "the nonlinear motion on supports that move, from rest on them",
         "jaxbody simulate car.toml --duration 3 --out motion.csv",
         _simulate,
         OF_MOTION,
+        formats=IN_SPACE,
     ),
     "report": Command(
         "one HTML file of tables and pictures, which needs no network",
@@ -320,13 +324,13 @@ COMMANDS = {
         (
             (("--part",), {"action": "append", "choices": list(PARTS), "help": "a section (default: model, equilibrium and modes)"}),
             (("--title",), {"metavar": "TEXT", "help": "title (default: the name of the file)"}),
-            *_ports_options(False), *OF_RESPONSE, *OF_MOTION, FREE, DESIGN,
+            *_ports_options(False), *OF_RESPONSE, *OF_MOTION, _case_option(False), FREE, DESIGN,
         ),
         measured=True,
         formats=(".html",),
     ),
     "fit": Command(
-        "estimate parameters from the experiments of a file",
+        "estimate parameters from the experiments of a file, and validate them by those that it holds out",
         "jaxbody fit measured.toml --free suspension.stiffness --write --out fit.csv",
         _fit,
         (FREE, WRITE),

@@ -47,9 +47,11 @@ def update(path: Path, document: Document, space: Space, trees: dict[str, Any]) 
 
 
 def _run_place(values: dict[str, Any], path: str) -> EntryPath | None:
-    """The entry of an initial state, "run1.initial.v"."""
+    """The entry of an initial state, "run1.initial.v", or of a loss factor, "hammer.loss_factor.all"."""
     run, part, *rest = path.split(".")
-    stated = values["experiments"][run].get("initial")
+    stated = values["experiments"][run].get(part)
+    if part == "loss_factor":
+        return ("experiments", run, part, *(rest if isinstance(stated, dict) else ()))
     return ("experiments", run, part, *rest) if part == "initial" and isinstance(stated, dict) else None
 
 

@@ -19,24 +19,16 @@ from jaxbody import plots
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.source_files import check_file, writing
 from jaxbody.core.tables import Printed, PrintedTable, in_numpy, number
-from jaxbody.designs.fronts import Front
-from jaxbody.designs.sensitivity_analyses import Sensitivities
-from jaxbody.designs.tolerance_analyses import Tolerances
-from jaxbody.designs.tunings import Tuning
 from jaxbody.identification.fits import Fit
-from jaxbody.inference.profiles import Profile
-from jaxbody.models.models import Model
-from jaxbody.responses.frequency_responses import FrequencyResponse
-from jaxbody.responses.random_responses import RandomResponse
+from jaxbody.inference.validations import Validation
+from jaxbody.plots.pictures import picture_of
 from jaxbody.simulations.trajectories import Trajectory
-from jaxbody.statics.equilibria import Equilibrium
 from jaxbody.vibrations.linearizations import Linearization
-from jaxbody.vibrations.modal_energies import ModeEnergies
-from jaxbody.vibrations.mode_branches import Branches
 from jaxbody.vibrations.natural_modes import modes
 
-Pictures = Iterable[tuple[str, Any]]  # captions and axes
+Pictures = Iterable[tuple[str, Any]]  # captions and axes; a text without axes is a note
 MOST_MODES = 6  # that are drawn
+MOST_RECORDS = 6  # of a fit that are drawn
 LARGEST_DRAWING = 300_000  # bytes of a vector drawing, above which it is a picture of points
 DPI = 170  # of these
 LIBRARIES = ("jaxbody", "jax", "jaxlib", "diffrax", "numpy", "scipy")
@@ -58,6 +50,7 @@ tbody th { font-weight: 400; }
 .note { font-size: .87rem; white-space: pre-line; margin: .3rem 0; }
 .failed { border-left: 4px solid #b8344a; padding: .3rem .8rem; background: #fbeef0; }
 .pictures { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(22rem, 100%), 1fr)); gap: 1rem; align-items: end; }
+.pictures > .note { grid-column: 1 / -1; }
 figure { margin: .5rem 0; break-inside: avoid; }
 figure img { max-width: 100%; height: auto; }
 figcaption { font-size: .87rem; color: #555b66; }
@@ -81,7 +74,8 @@ def report(results: dict[str, Any], path: Any, *, title: str = "", files: Iterab
     """Write a report: a section for each result, with its status, its tables and its pictures. Returns the path.
 
     Args:
-        results: {heading: result of jaxbody}; a model is drawn, modes of a linearization too, a fit beside its data
+        results: {heading: result of jaxbody}, with its tables and the picture of its `plot`; of a linearization the modes are drawn, a
+            fit beside its data
         path: path of the file, .html; it replaces one of the same name
         title: title; default: the name of the file
         files: paths of the files that the results are from, whose hashes are listed
@@ -126,12 +120,25 @@ def _section(name: str, result: Any) -> str:
     parts = [f"<h2>{escape(name)}</h2>"]
     if not np.all(getattr(result, "ok", True)):
         parts.append(f"<p class='failed'>{escape(result.report())}</p>")
-    drawn = [_figure(caption, ax) for caption, ax in PICTURES.get(type(result), lambda result: ())(result)]
+    drawn = [_figure(caption, ax) for caption, ax in _pictures(result)]
     pictures = f"<div class='pictures'>{''.join(drawn)}</div>" if drawn else ""
     return "".join([*parts, *map(_table, in_numpy(result)._tables()), pictures])
 
 
+def _pictures(result: Any) -> Pictures:
+    """The pictures of a result; a note where it cannot be drawn, such as a batch."""
+    try:
+        if type(result) in SEVERAL:
+            yield from SEVERAL[type(result)](result)
+        elif hasattr(result, "plot"):
+            yield picture_of(type(result)).caption, result.plot()
+    except JaxbodyError as error:
+        yield f"Not drawn: {error}", None
+
+
 def _figure(caption: str, ax: Any) -> str:
+    if ax is None:
+        return f"<p class='note'>{escape(caption)}</p>"
     return f"<figure><img src='{_image(ax)}' alt='{escape(caption)}'><figcaption>{escape(caption)}</figcaption></figure>"
 
 
@@ -180,27 +187,57 @@ def _of_modes(lin: Linearization) -> Iterator[tuple[str, Any]]:
         yield f"Mode {i}, {f:.4g} Hz, {name}", plots.draw_mode(lin, natural, i)
 
 
+def _of_motion(run: Trajectory) -> Iterator[tuple[str, Any]]:
+    yield picture_of(Trajectory).caption, run.plot()
+    yield "Forces of the elements", plots.plot_forces(run)
+
+
 def _of_fit(fit: Fit) -> Iterator[tuple[str, Any]]:
-    for run, sensors in fit.predicted.items():
-        for sensor in sensors:
-            yield f"{run}, {sensor}: measured and fitted, with the residual", plots.plot_fit(fit, run=run, sensor=sensor)
+    """The records with the largest misfits, if there are many, and correlations."""
+    records, note = _drawn(fit, "plot_fit(fit, run=..., sensor=...)")
+    yield from note
+    for run, sensor in records:
+        yield f"{run}, {sensor}: measured and fitted, with the residual", plots.plot_fit(fit, run=run, sensor=sensor)
     if fit.uncertainty is not None and fit.u.size > 1:
         yield "Correlations of the estimates", plots.plot_correlations(fit)
 
 
-PICTURES: dict[type, Callable[[Any], Pictures]] = {
-    Model: lambda model: [("The model in its reference pose", plots.draw_model(model))],
-    Equilibrium: lambda rest: [("The equilibrium", plots.draw_model(rest.model, rest.state))],
+def _of_validation(validation: Validation) -> Iterator[tuple[str, Any]]:
+    records, note = _drawn(validation, "plot_validation(validation, run=..., sensor=...)")
+    yield from note
+    for run, sensor in records:
+        yield f"{run}, {sensor}: measured, and predicted without a fit to it", validation.plot(run=run, sensor=sensor)
+
+
+def _drawn(result: Fit | Validation, others: str) -> tuple[list[tuple[str, str]], list[tuple[str, None]]]:
+    """The records that are drawn, those with the largest misfits if there are many, and then a note."""
+    records = [(run, sensor) for run, sensors in result.predicted.items() for sensor in sensors]
+    if len(records) <= MOST_RECORDS:
+        return records, []
+    which = f"{MOST_RECORDS} of {len(records)} records are drawn, those with the largest residuals relative to the measured variation."
+    return sorted(records, key=lambda record: -misfit(result, *record))[:MOST_RECORDS], [
+        (f"{which} jaxbody.plots.{others} draws any other.", None)
+    ]
+
+
+def misfit(fit: Fit | Validation, run: str, sensor: str) -> float:
+    """The rms residual of a record relative to the variation of the measured values, or to their size where they do not vary; of several
+    components the largest. Missing samples do not count."""
+    measured, predicted = np.asarray(fit.experiments[run].measured[sensor]), np.asarray(fit.predicted[run][sensor])
+    present = ~np.isnan(measured)
+
+    def rms(x: np.ndarray) -> np.ndarray | np.floating:
+        return np.sqrt(np.sum(np.abs(np.where(present, x, 0)) ** 2, 0) / np.maximum(present.sum(0), 1))
+
+    mean = np.sum(np.where(present, measured, 0), 0) / np.maximum(present.sum(0), 1)
+    variation, size = rms(measured - mean), rms(measured)
+    scale = np.where(variation > 0, variation, np.where(size > 0, size, 1.0))
+    return float(np.max(rms(predicted - measured) / scale))
+
+
+SEVERAL: dict[type, Callable[[Any], Pictures]] = {  # pictures; of other results it is the one of `plot`
     Linearization: _of_modes,
-    ModeEnergies: lambda energies: [("Shares of kinetic energy", plots.plot_mode_energies(energies))],
-    Branches: lambda branches: [("Modes over the parameter", plots.plot_branches(branches))],
-    FrequencyResponse: lambda response: [("Magnitude and phase", plots.plot_frequency_response(response))],
-    RandomResponse: lambda ride: [("Spectral densities", plots.plot_psd(ride))],
-    Trajectory: lambda run: [("Motion of the bodies", plots.plot_trajectory(run)), ("Forces of the elements", plots.plot_forces(run))],
+    Trajectory: _of_motion,
     Fit: _of_fit,
-    Profile: lambda profile: [("Profile of the cost", plots.plot_profile(profile))],
-    Tuning: lambda tuning: [("The objective at each trial", plots.plot_tuning(tuning))],
-    Front: lambda front: [("The front", plots.plot_front(front))],
-    Sensitivities: lambda sensitivities: [("The strongest parameters", plots.plot_tornado(sensitivities))],
-    Tolerances: lambda tolerances: [("Distribution under tolerances", plots.plot_tolerances(tolerances))],
+    Validation: _of_validation,
 }

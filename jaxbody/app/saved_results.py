@@ -1,4 +1,4 @@
-"""What a command found, saved with --out: tables as text, Parquet or netCDF, or a picture."""
+"""What a command found, saved with --out: tables as text, Parquet or netCDF, a picture, or a page in three dimensions."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxbody.core.datasets import Labeled
+from jaxbody.core.datasets import Labeled, frame_of
 from jaxbody.core.errors import JaxbodyError, Problem, import_extra
 from jaxbody.core.source_files import writing
 from jaxbody.core.tables import PrintedTable, in_numpy
+from jaxbody.records.text_tables import split_unit
 
 
 def save(outcome: Any, path: Path) -> None:
@@ -21,10 +22,11 @@ def save(outcome: Any, path: Path) -> None:
         if path.suffix == ".csv":
             path.write_text("\n".join(_text(table) for table in _tables(outcome)), encoding="utf-8")
         elif path.suffix == ".parquet":
-            import_extra("pyarrow", "--out")
-            _frame(outcome).to_parquet(path)
+            import_extra("pyarrow.parquet", "--out").write_table(_arrow(_frame(outcome)), path)
         elif path.suffix == ".nc":
             _dataset(outcome).to_netcdf(path, engine="scipy")
+        elif path.suffix == ".html":
+            outcome.view().save(path)
         elif outcome.draw is None:
             raise JaxbodyError(Problem("UNKNOWN_FORMAT", "--out", "is a picture, which this command does not draw", path, ".csv"))
         else:
@@ -32,8 +34,9 @@ def save(outcome: Any, path: Path) -> None:
 
 
 def _tables(outcome: Any) -> list[PrintedTable]:
-    if outcome.series is not None:
-        return [outcome.series()]
+    made = outcome.text or outcome.series
+    if made is not None:
+        return [made()]
     return [table for result in outcome.results if hasattr(result, "_tables") for table in in_numpy(result)._tables()]
 
 
@@ -46,30 +49,43 @@ def _labeled(outcome: Any) -> Labeled:
 
 
 def _frame(outcome: Any) -> Any:
-    """A table of pandas, of the series or of a result; complex columns as two real ones, which Parquet knows."""
-    if outcome.series is not None:
-        table = outcome.series()
-        return import_extra("pandas", "--out").DataFrame(np.array(table.rows, float), columns=list(table.columns))
-    frame = _labeled(outcome).to_pandas()
-    for name in [name for name in frame if np.iscomplexobj(frame[name])]:
-        frame = frame.assign(**_halves(name, frame[name].to_numpy())).drop(columns=name)
+    """A table of pandas, of the series or of a result, with units in its attributes."""
+    if outcome.series is None:
+        labeled = _labeled(outcome)
+        return frame_of(_real(labeled.to_xarray()), labeled.index, "--out")
+    table = outcome.series()
+    frame = import_extra("pandas", "--out").DataFrame(np.array(table.rows, float), columns=list(table.columns))
+    frame.attrs["units"] = {name: split_unit(name)[1] or "" for name in table.columns}
     return frame
 
 
+def _arrow(frame: Any) -> Any:
+    """A table of Arrow with the unit of each column of numbers in its metadata, where `read_record` finds it."""
+    pyarrow = import_extra("pyarrow", "--out")
+    table, units = pyarrow.Table.from_pandas(frame), frame.attrs["units"]
+    fields = [
+        field.with_metadata({"unit": units.get(field.name) or "1"}) if pyarrow.types.is_floating(field.type) else field
+        for field in table.schema
+    ]
+    return table.cast(pyarrow.schema(fields, metadata=table.schema.metadata))
+
+
 def _dataset(outcome: Any) -> Any:
-    """A dataset of xarray, of the series over its first column or of a result; complex arrays as two real ones, which netCDF knows."""
-    if outcome.series is not None:
-        table = outcome.series()
-        (index, over), *columns = zip(table.columns, np.array(table.rows, float).T, strict=True)
-        return import_extra("xarray", "--out").Dataset({_plain(name): (_plain(index), x) for name, x in columns}, {_plain(index): over})
-    data = _labeled(outcome).to_xarray()
+    """A dataset of xarray, of the series over its first column or of a result."""
+    if outcome.series is None:
+        return _real(_labeled(outcome).to_xarray())
+    table = outcome.series()
+    (index, over), *columns = zip(table.columns, np.array(table.rows, float).T, strict=True)
+    return import_extra("xarray", "--out").Dataset({_plain(name): (_plain(index), x) for name, x in columns}, {_plain(index): over})
+
+
+def _real(data: Any) -> Any:
+    """A Dataset whose complex variables are two real ones, which files know: "pole" as "pole_real" and "pole_imaginary"."""
     for name in [name for name, x in data.data_vars.items() if np.iscomplexobj(x)]:
-        data = data.assign(_halves(name, data[name])).drop_vars(name)
+        x = data[name]
+        halves = {f"{name}_real": x.real.assign_attrs(x.attrs), f"{name}_imaginary": x.imag.assign_attrs(x.attrs)}
+        data = data.assign(halves).drop_vars(name)
     return data
-
-
-def _halves(name: str, x: Any) -> dict[str, Any]:
-    return {f"{name}_real": x.real, f"{name}_imaginary": x.imag}
 
 
 def _plain(name: str) -> str:

@@ -7,9 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
+import numpy as np
 
+Options = tuple[tuple[str, Any], ...]  # of XLA, names and values
+ARRAYS = (jax.Array, np.ndarray, np.generic)
+NOT_EVERYWHERE = {"xla_cpu_use_fusion_emitters"}  # jaxlib 0.12 does not have it
 KEPT = 4096  # functions with different structures or static values, each with its compiled programs
 
 
@@ -44,8 +47,8 @@ class ArrayFunction:
 def array_function(function: Callable[..., Any], args: tuple[Any, ...]) -> tuple[ArrayFunction, list[Any]]:
     """The function of arrays for these arguments, the same object for equal ones, and the arrays."""
     leaves, tree = jax.tree.flatten(args)
-    arrays = [leaf for leaf in leaves if eqx.is_array(leaf)]
-    return _array_function(function, tree, tuple(None if eqx.is_array(leaf) else (type(leaf), leaf) for leaf in leaves)), arrays
+    arrays = [leaf for leaf in leaves if isinstance(leaf, ARRAYS)]
+    return _array_function(function, tree, tuple(None if isinstance(leaf, ARRAYS) else (type(leaf), leaf) for leaf in leaves)), arrays
 
 
 _array_function = functools.lru_cache(KEPT)(ArrayFunction)
@@ -54,8 +57,8 @@ _array_function = functools.lru_cache(KEPT)(ArrayFunction)
 def separated(tree: Any) -> tuple[list[Any], Remainder]:
     """The arrays of a tree, and all else of it."""
     leaves, structure = jax.tree.flatten(tree)
-    others = tuple(None if eqx.is_array(leaf) else (leaf,) for leaf in leaves)
-    return [leaf for leaf in leaves if eqx.is_array(leaf)], Remainder((structure, others))
+    others = tuple(None if isinstance(leaf, ARRAYS) else (leaf,) for leaf in leaves)
+    return [leaf for leaf in leaves if isinstance(leaf, ARRAYS)], Remainder((structure, others))
 
 
 def joined(arrays: Sequence[Any], remainder: Remainder) -> Any:
@@ -66,6 +69,21 @@ def joined(arrays: Sequence[Any], remainder: Remainder) -> Any:
 
 
 @functools.lru_cache(KEPT)
-def jitted(function: Callable[..., Any], options: tuple[tuple[str, Any], ...] | None = None) -> Callable[..., Any]:
+def jitted(function: Callable[..., Any], options: Options | None = None) -> Callable[..., Any]:
     """The function as a program of its own with these options, or as a part of others; both share one trace."""
-    return jax.jit(function) if options is None else jax.jit(function, compiler_options=dict(options))
+    return jax.jit(function) if options is None else jax.jit(function, compiler_options=known_to_xla(options))
+
+
+@functools.cache
+def known_to_xla(options: Options) -> dict[str, Any]:
+    """Those of the options that this version of XLA has, which is tried for those that not every version has."""
+    return {name: value for name, value in options if name not in NOT_EVERYWHERE or _compiles(name, value)}
+
+
+@functools.cache
+def _compiles(name: str, value: Any) -> bool:
+    try:
+        jax.jit(lambda x: x, compiler_options={name: value}).lower(jax.ShapeDtypeStruct((), "float32")).compile()
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True

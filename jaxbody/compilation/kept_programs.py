@@ -1,7 +1,8 @@
 """Programs on disk: what one process has traced, later ones of the same structure load.
 
 The text of a program names all that it depends on; its hash is the name of two files, what the program returns and what `jax.export`
-makes of it. Compiled code is in the cache of JAX beside them.
+makes of it. A third one has its code for a CPU, which a later process runs without lowering anything. Where that cannot be loaded, the
+exported program is lowered again, and compiled code is in the cache of JAX beside them.
 """
 
 from __future__ import annotations
@@ -12,25 +13,28 @@ import os
 import platform
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.export
 from jax.experimental.compilation_cache import compilation_cache
 
-from jaxbody.compilation.array_functions import KEPT, Remainder, jitted
+from jaxbody.compilation.array_functions import KEPT, Options, Remainder, jitted, known_to_xla
+from jaxbody.compilation.plain_data import LIBRARIES, Unnamed, text_of, value_of
 from jaxbody.core import tables
 from jaxbody.core.errors import JaxbodyError, Problem
-from jaxbody.core.jax_internals import find_lapack
-from jaxbody.core.plain_data import LIBRARIES, Unnamed, text_of, value_of
+from jaxbody.core.jax_internals import code_can_be_run, code_of, find_lapack, runner
 
 FORM = "jaxbody program 1"
+NUMBERS = tuple("biufc")  # kinds of types of NumPy; keys of random numbers have none
 LARGEST = 500e6  # bytes of all files; the oldest are removed
-Options = tuple[tuple[str, Any], ...]
+Runner = Callable[[Sequence[Any]], list[Any]]
 Results = tuple[list[Any], Remainder]  # arrays or their types, and all else
 
 
@@ -50,7 +54,9 @@ class KeptPrograms:
     loaded: list[str] = field(default_factory=list)
     saved: list[str] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
-    functions: dict[Any, Callable[..., Any]] = field(default_factory=dict)  # {(program, options, types): what runs it}
+    functions: dict[Any, Runner] = field(default_factory=dict)  # {(program, options, types): what runs it}
+    codes: list[str] = field(default_factory=list)  # files of the code that was loaded or saved
+    ahead: dict[str, Future[Runner | None]] = field(default_factory=dict)  # the same by file, loaded before it is needed
 
     def __repr__(self) -> str:
         rows: list[tuple[str, str]] = [(name, "loaded") for name in self.loaded] + [(name, "saved") for name in self.saved]
@@ -73,11 +79,30 @@ class KeptPrograms:
             self.left_out[program.__name__] = f"it returns {error}, which has no text"
         return results, remainder
 
-    def function(self, program: Callable[..., Any], options: Options, types: tuple[Any, ...]) -> Callable[..., Any]:
-        """What runs a program for arrays of these types: loaded, or else exported and saved."""
+    def results(self, program: Callable[..., Any], options: Options, types: tuple[Any, ...], arrays: Sequence[Any]) -> list[Any]:
+        """The arrays that a program returns for arrays of these types; what runs it is loaded, or else exported and saved."""
+        key = program, options, types
+        if key in self.functions:
+            return self.functions[key](arrays)
         name = self.name_of(program, types)
         if name is None:
-            return lambda *arrays: jitted(program, options)(*arrays)[0]
+            self.functions[key] = lambda arrays: jitted(program, options)(*arrays)[0]
+            return self.functions[key](arrays)
+        code = hashlib.sha256(f"{name} {options} {_settings()}".encode()).hexdigest() + ".code"
+        run = self.ahead[code].result() if code in self.ahead else self.loaded_code(code)
+        results = None if run is None else _first_results(run, arrays)
+        if run is None or results is None:
+            self.functions[key] = self.exported(program, options, types, name, code)
+            return self.functions[key](arrays)
+        self.loaded.append(program.__name__)
+        self.codes.append(code)
+        self.functions[key] = run
+        return results
+
+    def exported(self, program: Callable[..., Any], options: Options, types: tuple[Any, ...], name: str, code: str) -> Runner:
+        """What runs the exported program, which is loaded or else saved under its name; its code is saved, too."""
+        import jax.export
+
         data = self.read(name + ".program")
         if data is not None:
             find_lapack()
@@ -91,7 +116,7 @@ class KeptPrograms:
                 data = jax.export.export(jax.jit(alone))(*_structs(types)).serialize()
             except Exception as error:  # a callback, or an operation that this version of JAX cannot export
                 self.left_out[program.__name__] = f"{type(error).__name__}: {error}".splitlines()[0]
-                return lambda *arrays: jitted(program, options)(*arrays)[0]
+                return lambda arrays: jitted(program, options)(*arrays)[0]
             if self.write(name + ".program", bytes(data), program.__name__):
                 self.saved.append(program.__name__)
         exported = jax.export.deserialize(bytearray(data))  # also what was just made: it has other types than what it is made from
@@ -100,7 +125,43 @@ class KeptPrograms:
             return exported.call(*arrays)
 
         kept.__name__ = program.__name__
-        return jax.jit(kept, compiler_options=dict(options))
+        lowered = jax.jit(kept, keep_unused=True, compiler_options=known_to_xla(options)).lower(*_structs(types))
+        if not (code_can_be_run() and all(getattr(t.dtype, "kind", "") in NUMBERS for t in (*types, *exported.out_avals))):
+            compiled = lowered.compile()
+            return lambda arrays: compiled(*arrays)
+        with without_cache():  # code from there would lack functions when it is saved again
+            compiled = lowered.compile()
+        if self.write(code, zlib.compress(code_of(compiled), 1), program.__name__):
+            self.codes.append(code)
+        return lambda arrays: compiled(*arrays)
+
+    def loaded_code(self, name: str) -> Runner | None:
+        """What runs the code in a file; None where there is none, or none that can be loaded."""
+        data = self.read(name)
+        if data is None:
+            return None
+        code = zlib.decompress(data)
+        run = runner(code)
+        if run is None or b"lapack_" not in code:
+            return run
+
+        def run_with_lapack(arrays):
+            find_lapack()
+            return run(arrays)
+
+        return run_with_lapack
+
+    def load_ahead(self, task: str) -> None:
+        """Begin to load the code that the last process with this task used, while this one reads its input and imports what it needs."""
+        names = (self.read(_file_of(task)) or b"").decode().split()
+        executor = ThreadPoolExecutor(1)
+        self.ahead |= {name: executor.submit(self.loaded_code, name) for name in names}
+        executor.shutdown(wait=False)
+
+    def note_task(self, task: str) -> None:
+        """Write down for `load_ahead` which code this process has used."""
+        if self.codes != list(self.ahead):
+            self.write(_file_of(task), "\n".join(self.codes).encode(), task)
 
     def name_of(self, program: Callable[..., Any], types: tuple[Any, ...]) -> str | None:
         """The name of the files of a program; None where it depends on something that has no text, such as a function of a user."""
@@ -167,8 +228,9 @@ def keep_programs(folder: str | os.PathLike | None = None) -> KeptPrograms:
 
     A later process loads a program for a model of the same structure, whatever its numbers, if jaxbody, JAX, the other libraries and the
     processor are the same. Programs that depend on a function or class of your own are not kept, as their source is unknown; the result
-    lists them. It also sets JAX's own cache of compiled code, unless that is set. All files together stay below 500 MB. Call it before the
-    first computation; the command `jaxbody` does.
+    lists them. On a CPU their compiled code is kept, too, for the same options of XLA and JAX, and runs without being lowered again. All
+    other programs are left to JAX's own cache of compiled code, which is set unless it is already. All files together stay below 500 MB.
+    Call it before the first computation; the command `jaxbody` does.
 
     Errors: UNSAFE_FOLDER for a folder that is not yours or not of mode 0700, NOT_SAVED where it cannot be made.
 
@@ -200,18 +262,42 @@ def keep_programs(folder: str | os.PathLike | None = None) -> KeptPrograms:
 
 def call(program: Callable[..., Any], options: Options, arrays: Sequence[Any]) -> Results:
     """What a program returns, compiled with these options, kept if `keep_programs` was called."""
-    without_jit = jax.config.jax_disable_jit  # pyright: ignore
-    if _kept is None or without_jit or not all(map(_on_default_device, arrays)):
+    if _kept is None or _debugging() or not _on_first_device(arrays):
         return jitted(program, options)(*arrays)
+    arrays = [x if isinstance(x, jax.Array) else jax.device_put(x) for x in arrays]
     types = tuple(map(jax.typeof, arrays))
-    key = (program, options, types)
-    if key not in _kept.functions:
-        _kept.functions[key] = _kept.function(*key)
-    return list(_kept.functions[key](*arrays)), types_of_results(program, types)[1]
+    return list(_kept.results(program, options, types, arrays)), types_of_results(program, types)[1]
 
 
-def _on_default_device(x: Any) -> bool:
-    return not getattr(x, "committed", False) or x.devices() == {jax.devices()[0]}
+def _first_results(run: Runner, arrays: Sequence[Any]) -> list[Any] | None:
+    """What code from a file returns; None where XLA finds that it is incomplete, which it does only when it runs."""
+    try:
+        return jax.block_until_ready(run(arrays))
+    except jax.errors.JaxRuntimeError:
+        return None
+
+
+@contextmanager
+def without_cache() -> Iterator[None]:
+    """Without JAX's own cache of compiled code."""
+    before = jax.config.jax_enable_compilation_cache  # pyright: ignore
+    try:
+        jax.config.update("jax_enable_compilation_cache", False)
+        compilation_cache.reset_cache()  # JAX looks for its folder once only
+        yield
+    finally:
+        jax.config.update("jax_enable_compilation_cache", before)
+        compilation_cache.reset_cache()
+
+
+def _debugging() -> bool:
+    """Whether JAX runs operations one by one, or looks for NaN in the results of a program."""
+    return any(getattr(jax.config, f"jax_{name}") for name in ("disable_jit", "debug_nans", "debug_infs"))
+
+
+def _on_first_device(arrays: Sequence[Any]) -> bool:
+    first = {jax.devices()[0]}
+    return all(x.devices() == first for x in arrays if isinstance(x, jax.Array))
 
 
 def types_of_results(program: Callable[..., Any], types: tuple[Any, ...]) -> Results:
@@ -240,20 +326,35 @@ def _heading(name: str, data: bytes) -> bytes:
 @functools.cache
 def _versions() -> str:
     """All that a program depends on and that does not change in a process: source and libraries, Python, processor."""
-    source = hashlib.sha256()
-    for file in sorted(_sources(resources.files("jaxbody")), key=str):
-        source.update(file.read_bytes())
     libraries = [f"{name} {metadata.version(name)}" for name in sorted({*LIBRARIES, "jaxlib", "numpy"} - {"jaxbody"})]
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         processor = " ".join(sorted({line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))}))
     except OSError:
         processor = platform.processor()
-    return repr((source.hexdigest(), libraries, sys.version_info[:2], platform.machine(), processor, FORM))
+    return repr((hash_of_source(), libraries, sys.version_info[:2], platform.machine(), processor, FORM))
+
+
+@functools.cache
+def hash_of_source() -> str:
+    """A hash of all files of jaxbody."""
+    source = hashlib.sha256()
+    for file in sorted(_sources(resources.files("jaxbody")), key=str):
+        source.update(file.read_bytes())
+    return source.hexdigest()
 
 
 def _sources(folder: Any) -> list[Any]:
     return [file for x in folder.iterdir() for file in (_sources(x) if x.is_dir() else [x] if x.name.endswith(".py") else [])]
+
+
+def _settings() -> str:
+    """All that compiled code depends on beside its program: options of XLA and of JAX."""
+    return repr((os.environ.get("XLA_FLAGS", ""), sorted(jax.config.values.items())))  # pyright: ignore
+
+
+def _file_of(task: str) -> str:
+    return hashlib.sha256(f"{_versions()} {task}".encode()).hexdigest() + ".task"
 
 
 def _precision() -> str:

@@ -33,28 +33,33 @@ class Labeled(ABC):
                 "position[car, z]". Of a batch, `sample` is the first level of the index.
 
         `attrs["units"]` {column: unit}; "" where there is none. Errors: UNKNOWN_NAME, with the dimensions; MISSING_EXTRA."""
-        pandas = import_extra("pandas", "to_pandas")
-        data, over = self.to_xarray(), over or self.index
-        if over not in data.dims:
-            raise JaxbodyError(unknown(over, f"{type(self).__name__}.to_pandas", tuple(map(str, data.dims))))
-        index = [dim for dim in ("sample", over) if dim in data.dims]
-        labels = {dim: data[dim].values if dim in data.coords else np.arange(size) for dim, size in data.sizes.items()}
-        columns, units = {}, {}
-        for name, array in data.data_vars.items():
-            others = [dim for dim in array.dims if dim not in index]
-            if over not in array.dims:
-                continue
-            values = array.transpose(*others, *(dim for dim in index if dim in array.dims)).values
-            for place in product(*(range(data.sizes[dim]) for dim in others)):
-                words = [str(labels[dim][i]) for dim, i in zip(others, place, strict=True)]
-                column = f"{name}[{', '.join(words)}]" if words else str(name)
-                columns[column] = values[place].ravel() if index[0] in array.dims else np.tile(values[place], data.sizes["sample"])
-                units[column] = _unit(data, array, dict(zip(others, place, strict=True)))
-        names = [labels[dim] for dim in index]
-        made = pandas.MultiIndex.from_product(names, names=index) if len(index) > 1 else pandas.Index(names[0], name=over)
-        frame = pandas.DataFrame(columns, index=made)
-        frame.attrs["units"] = {over: data[over].attrs.get("units", "") if over in data.coords else "", **units}
-        return frame
+        import_extra("pandas", "to_pandas")
+        return frame_of(self.to_xarray(), over or self.index, f"{type(self).__name__}.to_pandas")
+
+
+def frame_of(data: Any, over: str, where: str) -> Any:
+    """The variables of a Dataset over one dimension as a DataFrame, as `to_pandas` describes it."""
+    pandas = import_extra("pandas", where)
+    if over not in data.dims:
+        raise JaxbodyError(unknown(over, where, tuple(map(str, data.dims))))
+    index = [dim for dim in ("sample", over) if dim in data.dims]
+    labels = {dim: data[dim].values if dim in data.coords else np.arange(size) for dim, size in data.sizes.items()}
+    columns, units = {}, {}
+    for name, array in data.data_vars.items():
+        others = [dim for dim in array.dims if dim not in index]
+        if over not in array.dims:
+            continue
+        values = array.transpose(*others, *(dim for dim in index if dim in array.dims)).values
+        for place in product(*(range(data.sizes[dim]) for dim in others)):
+            words = [str(labels[dim][i]) for dim, i in zip(others, place, strict=True)]
+            column = f"{name}[{', '.join(words)}]" if words else str(name)
+            columns[column] = values[place].ravel() if index[0] in array.dims else np.tile(values[place], data.sizes["sample"])
+            units[column] = _unit(data, array, dict(zip(others, place, strict=True)))
+    names = [labels[dim] for dim in index]
+    made = pandas.MultiIndex.from_product(names, names=index) if len(index) > 1 else pandas.Index(names[0], name=over)
+    frame = pandas.DataFrame(columns, index=made)
+    frame.attrs["units"] = {over: data[over].attrs.get("units", "") if over in data.coords else "", **units}
+    return frame
 
 
 def _unit(data: Any, array: Any, place: dict[str, int]) -> str:

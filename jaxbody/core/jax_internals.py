@@ -16,12 +16,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 from jax.core import ShapedArray, Tracer
 from jax.extend.core import ClosedJaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir, partial_eval
 from jax.interpreters.ad import Zero
 from jax.tree_util import PyTreeDef
-from jaxtyping import Array
 
 __all__ = ["ClosedJaxpr", "Literal", "Tracer", "Zero", "jaxpr_as_fun"]  # used by other modules
 
@@ -143,11 +143,52 @@ def tree_of_node(kind: type, data: Any, children: list[Any]) -> Any:
     return jax.tree.structure(node)
 
 
+# Compiled code
+
+
+@functools.cache
+def code_can_be_run() -> bool:
+    """Whether this version of JAX gives the code of a compiled program and runs such code, which was tried on CPUs only."""
+    try:
+        from jaxlib import _jax  # pyright: ignore
+
+        has_both = hasattr(_jax.LoadedExecutable, "serialize") and hasattr(jax.devices()[0].client, "deserialize_executable")
+        return has_both and jax.default_backend() == "cpu"
+    except (ImportError, AttributeError):
+        return False
+
+
+def code_of(compiled: jax.stages.Compiled) -> bytes:
+    """The code of a program that was compiled in this process, for arrays on one device."""
+    return compiled.runtime_executable().serialize()  # pyright: ignore
+
+
+def runner(code: bytes) -> Callable[[Sequence[Array]], list[Array]] | None:
+    """What runs such code on the first device, without tracing and lowering; None where JAX cannot load it."""
+    from jaxlib import _jax, xla_client  # pyright: ignore
+
+    device = jax.devices()[0]
+    try:
+        executable = device.client.deserialize_executable(code, _jax.DeviceList((device,)), xla_client.CompileOptions())
+    except (TypeError, jax.errors.JaxRuntimeError):
+        return None
+
+    def run(arrays):
+        parts = executable.execute_sharded(list(arrays)).disassemble_into_single_device_arrays()
+        return [type(x)(x.aval, x.sharding, [x], committed=False, _skip_checks=True) for (x,) in parts]
+
+    return run
+
+
 @functools.cache
 def find_lapack() -> None:
-    """Lower a call of LAPACK: programs that were exported by another process call functions that jaxlib looks up only then, at least until
-    version 0.7."""
-    jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), jnp.result_type(float)))
+    """Let jaxlib look LAPACK up, as it does when it lowers a call of it; a program that another process has lowered calls it too."""
+    try:
+        from jaxlib.lapack import prepare_lapack_call
+
+        prepare_lapack_call("potrf_ffi", jnp.dtype(float))
+    except (ImportError, AttributeError, TypeError):
+        jax.jit(jnp.linalg.cholesky).lower(jax.ShapeDtypeStruct((2, 2), jnp.result_type(float)))
 
 
 # New operations
@@ -224,38 +265,6 @@ def shaped(shape: tuple[int, ...], dtype: Any) -> ShapedArray:
     if mesh.empty:
         return ShapedArray(shape, dtype)
     return ShapedArray(shape, dtype, sharding=jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*(None for _ in shape))))
-
-
-def linear_one_way(name: str, forward: Callable[..., Any], backward: Callable[..., Any], again: Any = None) -> Callable[..., Array]:
-    """A function of a tangent and of known arrays, with its own transpose; all functions take leading axes of batches.
-
-    A custom rule of JAX would transpose `forward`, which here need not be linear, and cannot inspect a cotangent.
-
-    Args:
-        name: name of the operation
-        forward: the function of (tangent, *known)
-        backward: its transpose, of (cotangent, *known)
-        again: the derivative of forward with respect to the tangent, of (tangent, *known); None: forward itself
-    """
-
-    def jvp(primals, tangents):
-        out = primitive.bind(*primals)
-        if type(tangents[0]) is Zero:
-            return out, jnp.zeros_like(out)
-        return out, (again or primitive.bind)(tangents[0], *primals[1:])
-
-    def transpose(cotangent, t, *known):
-        return (Zero(t.aval) if type(cotangent) is Zero else backward(cotangent, *known), *(None for _ in known))
-
-    def batch(args, axes):
-        size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
-        moved = (
-            jnp.broadcast_to(x, (size, *x.shape)) if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in zip(args, axes, strict=True)
-        )
-        return primitive.bind(*moved), 0
-
-    primitive = new_operation(name, forward, batch=batch, jvp=jvp, transpose=transpose)
-    return primitive.bind
 
 
 # Within `jax.shard_map` the type of an array says over which axes of the mesh its values vary, and a loop must not start with a constant,

@@ -10,10 +10,13 @@ from pathlib import Path
 
 from jaxbody.core.errors import JaxbodyError, Problem
 
+OF_RECORDS = 5.0  # bytes of memory for each byte of a file of numbers
 
-def check_file(path: Path, largest: float = math.inf) -> None:
+
+def check_file(path: Path, largest: float = math.inf, memory: float = OF_RECORDS, option: str = "") -> None:
     """Check that a path is a regular file, not empty, of at most `largest` bytes, and readable. A pipe or a device is refused before it is
-    opened, because it might block or never end. Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
+    opened, because it might block or never end. `memory`: bytes of memory for each byte of the file; `option`: that of the command which
+    sets the limit. Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE."""
     try:
         status = path.stat()
         if stat.S_ISREG(status.st_mode):
@@ -29,13 +32,14 @@ def check_file(path: Path, largest: float = math.inf) -> None:
         )
     if status.st_size == 0:
         raise JaxbodyError(Problem("EMPTY_FILE", path.name, "has no bytes", 0, "> 0", "Was it copied before it was fully written?"))
-    check_size(path.name, status.st_size, largest)
+    check_size(path.name, status.st_size, largest, memory=memory, option=option)
 
 
-def check_size(name: str, size: float, largest: float, what: str = "bytes") -> None:
+def check_size(name: str, size: float, largest: float, what: str = "bytes", memory: float = OF_RECORDS, option: str = "") -> None:
     """Check that a file, or its numbers at 8 bytes each, take at most `largest` bytes. Error: TOO_LARGE."""
     if size > largest:
-        hint = f"Set largest={max(1, round(size * 1.1 / 1e9))}e9 if memory for about five times that is free, or split the file."
+        setting = f"largest={1.1 * size:.2g}" + (f" ({option} {1.1 * size:.2g})" if option else "")
+        hint = f"Set {setting} if about {memory * size / 1e9:.2g} GB of memory are free, or split the file."
         raise JaxbodyError(Problem("TOO_LARGE", name, f"has {size:.4g} {what}", size, f"{largest:.4g} bytes", hint))
 
 

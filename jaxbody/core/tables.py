@@ -1,4 +1,4 @@
-"""Small tables with units: how results print, in a terminal and in a notebook."""
+"""How results are shown: as small tables with units, in a terminal and in a notebook, and by `plot` as a picture."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from html import escape
+from importlib import import_module
+from types import MethodType
 from typing import Any
 
 import jax
@@ -28,8 +30,20 @@ class PrintedTable:
     note: str = ""
 
 
+class PlotMethod:
+    """`plot(*, ax=None, ...)` of a class: the function of `jaxbody.plots.pictures` that draws it, with the object as first argument.
+
+    The plots come after all results, which they import, so that they are found by name when one of them is asked for."""
+
+    def __get__(self, result: Any, kind: type) -> Callable[..., Any]:
+        draw = import_module("jaxbody.plots.pictures").picture_of(kind).draw
+        return draw if result is None else MethodType(draw, result)
+
+
 class Printed(ABC):
     """An object that prints as tables. They are made of its arrays in NumPy, so that printing runs no program of JAX."""
+
+    plot = PlotMethod()
 
     @abstractmethod
     def _tables(self) -> list[PrintedTable]:

@@ -75,6 +75,7 @@ for _name, (_factor, _dimension, _prefixes) in PREFIXED.items():
 WORDS = {
     LENGTH: "m", SPEED: "m/s", ACCELERATION: "m/s2", ANGLE: "rad", ANGULAR_RATE: "rad/s", (0, 0, -2, 1, 0): "rad/s2", TIME: "s", MASS: "kg",
     RATE: "1/s", FORCE: "N", MOMENT: "N m", (0, 1, -2, 0, 0): "N/m", (0, 1, -1, 0, 0): "N s/m", (2, 1, -2, -1, 0): "N m/rad",
+    (0, -1, 2, 0, 0): "m/N", (0, -1, 1, 0, 0): "m/(N s)", (0, -1, 0, 0, 0): "1/kg",
     VOLTAGE: "V", CURRENT: "A", PRESSURE: "Pa", NONE: "1",
 }  # fmt: skip
 TWOFOLD = {

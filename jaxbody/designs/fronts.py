@@ -71,6 +71,7 @@ def pareto(
     free: str | Iterable[str],
     points: int = 12,
     limits: dict[str, Any] | None = None,
+    workers: Any = None,
     **options: Any,
 ) -> Front:
     """The Pareto front of two or three objectives.
@@ -79,6 +80,8 @@ def pareto(
         model, evaluate, free, limits: as in `tune`.
         minimize: names of two or three objectives.
         points: number of designs on the front.
+        workers: as in `tune`, for the ends of the front if they have several `starts`. Points between them start one from another, and are
+            computed in this process.
         options: the other options of `tune`.
 
     For two objectives, the front runs from the design with the least second objective to that with the least first one, about equally
@@ -112,7 +115,8 @@ def pareto(
             both[other] = (lower, bound if upper is None else min(bound, upper))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the front has the status of each
-            return tune(start, evaluate, minimize=name, free=free, limits=both, **(options if start is model else dict(options, starts=1)))
+            given: Any = options | (dict(workers=workers) if start is model else dict(starts=1))
+            return tune(start, evaluate, minimize=name, free=free, limits=both, **given)
 
     with working("pareto", options.get("progress")) as line:
         ends = [least(model, name, {}) for name in names]

@@ -51,7 +51,7 @@ def at_kinks(model: Model) -> list[str]:
 @jit_unoptimized
 def _near_rest(model: Model):
     """Status of the equilibrium, and V'' and V''' near it for elements with one deformation."""
-    eq = equilibrium_of(model, None, 200)
+    eq = equilibrium_of(model, None, 200, None)
     steps = CLOSE * size_of(model) * OFFSETS
 
     def slopes(element, e):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -14,8 +16,10 @@ from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arrays import Array, Float, device_array, indices, module_of
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
 from jaxbody.core.jax_internals import jaxpr_as_fun, only_what_is_needed
-from jaxbody.designs.searches import Rows, Search
+from jaxbody.designs.searches import Rows, Search, end_at, searched
 from jaxbody.parameters.spaces import Space
+from jaxbody.workers.batches import batch_of, computed
+from jaxbody.workers.executors import crew_of
 
 MOST_FORWARD = 30  # free numbers up to which forward mode is faster
 
@@ -98,6 +102,41 @@ class Program:
 
     def quantities(self, values: np.ndarray) -> Quantities:
         return split(values, self.shapes)
+
+
+def search_by_workers(program: Program, searches: list[Search], workers: Any, **options: Any) -> None:
+    """Run searches in chunks of the width of the program; those of a lost chunk end without finite values.
+
+    options: method, iterations and tolerance, as in `run`."""
+    evaluate, reverse, where = program.evaluate, program.reverse, "tune.workers"
+
+    def both(space, u):
+        values, slopes, _ = values_and_slopes(space, evaluate, reverse, u, None)
+        return {"values": values, "slopes": slopes}
+
+    given = [np.stack([getattr(search, name) for search in searches]) for name in ("start", "low", "high")]
+    starts, by = np.asarray(device_array(given[0])), partial(searched, of=program.rows, **options)
+    most = 0
+
+    def report(done: int, workers: int) -> None:
+        program.line(f"{done} of {len(searches)} starts")
+
+    with crew_of(workers, where) as crew:
+        kept: Any = dict(owner=evaluate, place=("tune", reverse))
+        batch = batch_of(
+            both, program.space, lambda i, j: [starts[i:j]], len(searches), width=program.width, where=where, crew=crew, **kept
+        )
+        batch = dataclasses.replace(batch, rows=lambda i, j: [x[i:j] for x in given], function=by)
+        for chunk, answer in computed(batch, crew, range(batch.chunks), where, report):
+            first, last = batch.ends(chunk)
+            for i in range(first, last):
+                if answer is None:
+                    m = sum(int(np.prod(shape)) for _, shape in program.shapes)
+                    searches[i].keep(given[0][i], np.full(m, np.nan), np.full((m, given[0].shape[1]), np.nan))
+                else:
+                    end_at(searches[i], answer.results, i - first)
+            most = max(most, 0 if answer is None else int(answer.results["count"][0]))
+    program.count += most
 
 
 class Flat:

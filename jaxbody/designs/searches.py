@@ -8,7 +8,7 @@ Searches are threads that run one at a time until each waits for an evaluation; 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxbody.core.arrays import Float
 from jaxbody.designs.interior_points import minimize_by_ipopt
+from jaxbody.workers.chunk_programs import ChunkProgram
 
 ACTIVE = 1e-5  # a limit or bound is active within this scaled distance
 MET = 1e-8  # negligible scaled violation
@@ -54,6 +55,9 @@ def one_thread() -> threadpool_limits:
     import scipy.optimize  # noqa: F401  # libraries loaded later would not be limited
 
     return threadpool_limits(1, "blas")
+
+
+ENDS = ("u", "values", "slopes", "finite", "size", "iterations")  # of a search, what the next steps need
 
 
 class Stopped(Exception):
@@ -314,3 +318,36 @@ def multipliers(search: Search) -> Multipliers:
         first += len(rows_of)
     remaining = float(np.abs(g - weights @ normals).max(initial=0.0))
     return Multipliers(lambdas[0] * size / scale, lambdas[1] * size, remaining)
+
+
+def searched(
+    program: ChunkProgram, shared: Sequence[Any], rows: Sequence[np.ndarray], of: Rows, method: str, iterations: int, tolerance: float
+) -> dict[str, np.ndarray]:
+    """In a worker: the ends of searches from rows (start, low, high), with values and slopes by a program."""
+    count = 0
+
+    def evaluate(U):
+        nonlocal count
+        count += 1
+        results = program(shared, [U])
+        return results["values"], results["slopes"]
+
+    searches = [Search(u, low, high, of) for u, low, high in zip(*rows, strict=True)]
+    with one_thread():
+        run_in_lockstep(evaluate, searches, lambda search: run(search, method, iterations, tolerance))
+    history = np.full((len(searches), max(len(search.history) for search in searches), 2), np.nan)
+    for search, line in zip(searches, history, strict=True):
+        line[: len(search.history)] = np.reshape(search.history, (-1, 2))
+    ends = {name: np.array([getattr(search, name) for search in searches]) for name in ENDS}
+    return ends | {"history": history, "count": np.full(len(searches), count)}
+
+
+def end_at(search: Search, results: dict[str, np.ndarray], row: int) -> None:
+    """End a search as `searched` has ended it in another process."""
+    search.keep(*(results[name][row] for name in ("u", "values", "slopes")))
+    search.finite, search.size, search.iterations = (
+        bool(results["finite"][row]),
+        float(results["size"][row]),
+        int(results["iterations"][row]),
+    )
+    search.history = [(float(f), float(v)) for f, v in results["history"][row] if not np.isnan(v)]

@@ -1,12 +1,16 @@
-"""Sweeps: quantities of many models on a grid of parameters or at samples, as labeled arrays, computed in chunks by one program."""
+"""Sweeps: quantities of many models on a grid of parameters or at samples, as labeled arrays, computed in chunks by one program.
+
+The points of a sweep are never all in memory: `rows(first, last)` makes those of a chunk.
+"""
 
 from __future__ import annotations
 
+import math
 import sys
-import weakref
+import warnings
+from collections.abc import Callable, Iterable
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -14,18 +18,20 @@ from jaxbody.compilation.compile_options import quick_options
 from jaxbody.core.arguments import check_key, checked_dict, whole_number
 from jaxbody.core.arrays import device_array, float_array
 from jaxbody.core.datasets import dataset
-from jaxbody.core.errors import Problems
-from jaxbody.core.progress_lines import Line, working
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
+from jaxbody.core.progress_lines import working
 from jaxbody.designs.programs import Evaluate, evaluated
 from jaxbody.models.leaf_paths import replace
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
+from jaxbody.workers.batches import ChunkedBatch, arrays_apart, batch_of, checked_chunks, gathered, kept, store_of, stored
+from jaxbody.workers.chunk_stores import STATUS, hash_of
+from jaxbody.workers.executors import Crew, crew_of
 
 LARGEST_CHUNK = 1024
 MEMORY = 2**30  # bytes of temporary memory that a chunk may take
+MANY = 2**16  # samples that are looked at together
 SAMPLERS = {"sobol": "Sobol", "latin": "LatinHypercube"}  # in scipy.stats.qmc
-
-compiled: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
 
 
 def sweep(
@@ -37,6 +43,9 @@ def sweep(
     sampler: str = "sobol",
     key: Any = None,
     chunk: int | None = None,
+    workers: Any = None,
+    out: Any = None,
+    chunks: Iterable[int] | None = None,
     progress: bool | None = None,
 ) -> Any:
     """Quantities of a model for many values of its parameters, as an xarray.Dataset.
@@ -49,10 +58,20 @@ def sweep(
         samples: number of points between low and high; None computes the grid.
         sampler: how scipy.stats.qmc spreads the samples: "sobol" (best with a power of two) or "latin" (hypercube).
         key: scrambles the samples; None takes jax.random.key(0).
-        chunk: number of models evaluated at a time; None takes up to 1024 that fit in 1 GiB.
+        chunk: number of models evaluated at a time, and with `workers` or `out` sent and stored at a time; None takes up to 1024 that fit
+            in 1 GiB, and sends as many as take about two seconds.
+        workers: None computes in this process, on all of its devices; a number starts so many processes of one thread each (needs
+            jaxbody[cluster]); or an executor of processes, such as Dask's `client.get_executor(pure=False)`. The numbers are the same.
+        out: path of a Zarr store (needs jaxbody[cluster]), to which each chunk is written when it is done. The same call continues an
+            interrupted one. The result is then read from the store as it is used, over `design`, of which the last path varies fastest.
+        chunks: numbers of the chunks that this call computes, such as range(i, n, k) for job i of k, with `chunk` and `out`; None: all.
         progress: None shows progress after five seconds on a terminal or in a notebook, False is silent, True prints to stderr at once.
 
-    Errors: those of `replace`, NON_FINITE, WRONG_KIND for a key, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, MISSING_EXTRA.
+    What a worker that ends was computing is computed again. A chunk that fails three times has NaN and status LOST: with `workers` or `out`
+    there is a variable `status`, INTERRUPTED where nothing is computed yet. Ctrl-C returns what is done.
+
+    Errors: those of `replace`, NON_FINITE, WRONG_KIND for a key, EMPTY_SWEEP, BAD_RANGE, BAD_SAMPLER, BAD_CHUNK, MISSING_EXTRA,
+    BAD_WORKERS, NOT_SENT, OTHER_WORKER, OTHER_STORE, NOT_SAVED, BAD_NAME. Warns LOST and INTERRUPTED.
 
     >>> car = jb.presets.quarter_car()
     >>> def sag(model):
@@ -61,7 +80,7 @@ def sweep(
     >>> round(float(quantities["sag"].sel({"suspension.stiffness": 4e4, "body.mass": 400.0})), 4)
     0.0981
     """
-    check_precision("sweep", model)
+    check_precision("sweep", model, closures=True)
     with Problems() as problems:
         given = checked_dict(over, "sweep.over", "path: [values]", problems)
         samples = None if samples is None else whole_number(samples, "sweep.samples", problems)
@@ -79,18 +98,44 @@ def sweep(
                 problems.add("NON_FINITE", f"sweep['{path}']", f"is {values[~np.isfinite(values)][0]}", value=values, limit="finite")
         if sampler not in SAMPLERS:
             problems.add("BAD_SAMPLER", "sweep.sampler", f"is {sampler!r}", value=sampler, limit=" ".join(SAMPLERS))
-    if samples is not None:
-        columns = _sampled(columns, samples, sampler, jax.random.key(0) if key is None else key)
-        points = columns
-    else:
-        shape = tuple(len(values) for values in columns.values())
-        index = np.indices(shape).reshape(len(shape), -1)
-        points = {path: values[i] for (path, values), i in zip(columns.items(), index, strict=True)}
-    for ends in (np.argmin, np.argmax):  # if the smallest and the largest values are valid, so are those between
-        replace(model, {path: _end(values, ends) for path, values in points.items()})
+        chunks = checked_chunks("sweep", workers, out, chunks, problems, fixed=chunk is not None)
+    key = jax.random.key(0) if key is None else key
+    rows, count = _grid(columns) if samples is None else (_samples(columns, samples, sampler, key), samples)
+    try:
+        _check(model, columns)
+    except JaxbodyError:
+        if samples is None:
+            raise
+        _check(model, _extremes(columns, rows, count))  # of a range that begins at zero, samples may be valid although its end is not
     with working("sweep", progress) as line:
-        quantities = _evaluated(model, evaluate, points, chunk, line, progress)
+
+        def report(done: int, workers: int) -> None:
+            line(f"{done} of {count} models" + (f", {workers} workers" if workers > 1 else ""))
+            if progress:
+                print(f"\rsweep {done} of {count}", end="\n" if done == count else "", file=sys.stderr, flush=True)
+
+        if workers is None and out is None and jax.local_device_count() == 1:
+            quantities = _evaluated(model, evaluate, list(columns), rows, count, chunk, report)
+        else:
+            with crew_of(workers, "sweep.workers") as crew:
+                batch = _batch(model, evaluate, list(columns), rows, count, chunk, crew)
+                if out is not None:
+                    import_extra("xarray", "sweep.out")
+                    plan = {"over": hash_of(*columns, *columns.values(), samples, sampler, np.asarray(jax.random.key_data(key)))}
+                    store = store_of(batch, out, plan, list(columns), "design", any_size=chunk is None)
+                    stored(batch, store, chunks, crew, "sweep", report)
+                    return store.opened("sweep")
+                quantities, status = gathered(batch, crew, "sweep", report)
+            quantities |= {} if workers is None else {STATUS: status}
+    if samples is not None:
+        columns = dict(zip(columns, rows(0, count), strict=True))
     return sweep_dataset(columns, quantities, on_grid=samples is None)
+
+
+def _check(model: Model, columns: dict[str, np.ndarray]) -> None:
+    """Errors of `replace`: if the smallest and the largest values are valid, so are those between."""
+    for which in (np.argmin, np.argmax):
+        replace(model, {path: _end(values, which) for path, values in columns.items()})
 
 
 def _end(values: np.ndarray, which: Any) -> np.ndarray | float:
@@ -98,7 +143,22 @@ def _end(values: np.ndarray, which: Any) -> np.ndarray | float:
     return values[np.unravel_index(which(values), values.shape)[0]]
 
 
-def _sampled(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> dict[str, np.ndarray]:
+PointsOf = Callable[[int, int], list[np.ndarray]]
+
+
+def _grid(columns: dict[str, np.ndarray]) -> tuple[PointsOf, int]:
+    """The points of a grid, the last axis varying fastest, and their number."""
+    shape = tuple(len(values) for values in columns.values())
+
+    def rows(first: int, last: int) -> list[np.ndarray]:
+        index = np.unravel_index(np.arange(first, last), shape)
+        return [values[i].astype(_dtype()) for values, i in zip(columns.values(), index, strict=True)]
+
+    return rows, math.prod(shape)
+
+
+def _samples(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> PointsOf:
+    """Samples between the ends of ranges."""
     import scipy.stats.qmc as qmc  # slow to import
 
     with Problems() as problems:
@@ -110,55 +170,100 @@ def _sampled(ranges: dict[str, Any], samples: int, sampler: str, key: Any) -> di
     sizes = [int(np.prod(values.shape[1:])) for values in ranges.values()]
     seed = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
     draw = getattr(qmc, SAMPLERS[sampler])(d=sum(sizes), seed=seed)
-    unit = draw.random_base2(int(np.log2(samples))) if sampler == "sobol" and not samples & (samples - 1) else draw.random(samples)
-    parts = np.split(unit, np.cumsum(sizes)[:-1], axis=1)
-    return {
-        path: low + (high - low) * part.reshape(samples, *low.shape)
-        for (path, (low, high)), part in zip(ranges.items(), parts, strict=True)
-    }
+    whole = draw.random(samples) if sampler == "latin" else None  # which has no sequence
+
+    def rows(first: int, last: int) -> list[np.ndarray]:
+        unit = _sequence(draw, first, last) if whole is None else whole[first:last]
+        parts = np.split(unit, np.cumsum(sizes)[:-1], axis=1)
+        return [
+            (low + (high - low) * part.reshape(last - first, *low.shape)).astype(_dtype())
+            for (low, high), part in zip(ranges.values(), parts, strict=True)
+        ]
+
+    return rows
+
+
+def _sequence(draw: Any, first: int, last: int) -> np.ndarray:
+    """Part of a Sobol sequence."""
+    if draw.num_generated > first:
+        draw.reset()
+    if draw.num_generated < first:
+        draw.fast_forward(first - draw.num_generated)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # that a number is no power of two
+        return draw.random(last - first)
+
+
+def _dtype() -> Any:
+    return jax.dtypes.canonicalize_dtype(float)
+
+
+def _extremes(columns: dict[str, Any], rows: PointsOf, count: int) -> dict[str, np.ndarray]:
+    """Values of each path among which are the smallest and the largest."""
+    found = []
+    for first in range(0, count, MANY):
+        values = rows(first, min(first + MANY, count))
+        found += [[_end(x, which) for x in values] for which in (np.argmin, np.argmax)]
+    return {path: np.array(values) for path, values in zip(columns, zip(*found, strict=True), strict=True)}
 
 
 def _evaluated(
-    model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], chunk: int | None, line: Line, progress: bool | None
+    model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, count: int, chunk: int | None, report: Callable[[int, int], None]
 ) -> dict[str, np.ndarray]:
     """The quantities at all points, computed chunk by chunk."""
-    count = len(next(iter(points.values())))
-    program, width = _program(model, evaluate, points, min(count, chunk or LARGEST_CHUNK), chunk is None)
-    numbers = eqx.filter(model, eqx.is_array)
+    numbers, program, width = _program(model, evaluate, paths, rows, min(count, chunk or LARGEST_CHUNK), chunk is None)
     parts = []
     for first in range(0, count, width):
-        rows = np.minimum(np.arange(first, first + width), count - 1)  # the last chunk is padded with its last point
-        quantities = program(numbers, {path: device_array(values[rows]) for path, values in points.items()})
-        parts.append(jax.tree.map(lambda x, first=first: np.asarray(x)[: count - first], quantities))
-        done = min(first + width, count)
-        line(f"{done} of {count} models")
-        if progress:
-            print(f"\rsweep {done} of {count}", end="\n" if done == count else "", file=sys.stderr, flush=True)
+        last = min(first + width, count)
+        given = [np.concatenate([x, np.repeat(x[-1:], width - len(x), 0)]) for x in rows(first, last)]  # the last chunk is filled up
+        quantities = program(numbers, [device_array(x) for x in given])
+        parts.append({name: np.asarray(x)[: last - first] for name, x in quantities.items()})
+        report(last, 1)
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _program(model: Model, evaluate: Evaluate, points: dict[str, np.ndarray], width: int, may_shrink: bool):
-    """The compiled program for chunks of `width` models and its width, which is smaller if the chunk would take too much memory."""
-    numbers, rest = eqx.partition(model, eqx.is_array)
-    shapes = tuple((path, values.shape[1:]) for path, values in points.items())
-    known = compiled.setdefault(evaluate, {})
-    place = jax.tree.structure(model), tuple((x.shape, x.dtype) for x in jax.tree.leaves(numbers)), shapes, width, may_shrink
-    if place not in known:
+def _program(model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, width: int, may_shrink: bool):
+    """The numbers of the model, the compiled program for chunks of `width` models, and its width, which is smaller if the chunk would take
+    too much memory."""
+    one = rows(0, 1)
+    function, shared, rest = arrays_apart(_function(evaluate, paths), model)
 
-        def one(numbers, values):
-            return evaluated(evaluate, replace(eqx.combine(numbers, rest), values))
+    def built(width):
+        given = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in one]
+        return jax.jit(function, compiler_options=quick_options()).lower(shared, given).compile()
 
-        def built(width):
-            given = {path: jax.ShapeDtypeStruct((width, *shape), float) for path, shape in shapes}
-            return jax.jit(jax.vmap(one, in_axes=(None, 0)), compiler_options=quick_options()).lower(numbers, given).compile()
-
+    def fitting():
         program = built(width)
         taken = getattr(program.memory_analysis(), "temp_size_in_bytes", 0)
         if may_shrink and taken > MEMORY and width > 1:
-            width = max(1, int(width * MEMORY / taken))
-            program = built(width)
-        known[place] = program, width
-    return known[place]
+            narrow = max(1, int(width * MEMORY / taken))
+            return built(narrow), narrow
+        return program, width
+
+    shapes = tuple((x.shape, x.dtype) for x in [*shared, *one])
+    return shared, *kept(evaluate, ("sweep", *paths, rest, shapes, width, may_shrink), fitting)
+
+
+def _batch(model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, count: int, chunk: int | None, crew: Crew) -> ChunkedBatch:
+    """The sweep as a batch for workers."""
+    options: Any = dict(width=chunk or LARGEST_CHUNK, memory=MEMORY if chunk is None else None, where="sweep.evaluate", crew=crew)
+    batch = batch_of(_function(evaluate, paths), model, rows, count, owner=evaluate, place=("sweep", *paths), **options)
+    if STATUS in batch.program.results:
+        hint = "Rename it: status says which models were computed."
+        raise JaxbodyError(Problem("BAD_NAME", "sweep.evaluate", f"returns a quantity {STATUS!r}", STATUS, "another name", hint))
+    return batch
+
+
+def _function(evaluate: Evaluate, paths: list[str]) -> Callable[..., Any]:
+    """(model, values of the paths for several models) -> their quantities."""
+
+    def quantities_of(model, *values):
+        def one(*values):
+            return evaluated(evaluate, replace(model, dict(zip(paths, values, strict=True))))
+
+        return jax.vmap(one)(*values)
+
+    return quantities_of
 
 
 def sweep_dataset(columns: dict[str, Any], quantities: dict[str, Any], *, on_grid: bool) -> Any:

@@ -6,6 +6,7 @@ x + s xi, xi normal and independent:   first order    mean f,             varian
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
@@ -16,7 +17,7 @@ import numpy as np
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import check_key, checked_dict, positive_number, whole_number
-from jaxbody.core.arrays import Array, Float, Int, concrete, float_array, module_of
+from jaxbody.core.arrays import Array, Float, Int, concrete, device_array, float_array, module_of
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result, warn_if_failed
@@ -26,6 +27,9 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.parameters.spaces import Parameter, Space
 from jaxbody.parameters.transforms import Shifted
+from jaxbody.workers.batches import Report, batch_of, checked_chunks, gathered, store_of
+from jaxbody.workers.chunk_stores import hash_of
+from jaxbody.workers.executors import crew_of
 
 CHUNK = 256  # samples per batch
 SHOWN = 3  # parameters printed for each quantity
@@ -86,7 +90,17 @@ class Tolerances(Result):
 
 
 def tolerances(
-    model: Model, evaluate: Evaluate, scatter: Scatter, *, samples: int = 1000, key: Any = None, progress: bool | None = None
+    model: Model,
+    evaluate: Evaluate,
+    scatter: Scatter,
+    *,
+    samples: int = 1000,
+    key: Any = None,
+    chunk: int | None = None,
+    workers: Any = None,
+    out: Any = None,
+    chunks: Iterable[int] | None = None,
+    progress: bool | None = None,
 ) -> Tolerances:
     """The scatter of quantities due to independent, normal scatter of parameters.
 
@@ -95,9 +109,18 @@ def tolerances(
         scatter: {path or pattern: standard deviation}, in the parameter's unit, one number or an array of the parameter's shape.
         samples: number of Monte Carlo samples.
         key: random key for these samples; None takes jax.random.key(0).
+        chunk: number of samples evaluated at a time, and with `workers` or `out` sent and stored at a time; None evaluates 256 at a time,
+            and sends as many as take about two seconds.
+        workers: None, a number of processes, or an executor, as in `sweep`; the numbers are the same.
+        out: path of a Zarr store to which each chunk of samples is written when it is done, as in `sweep`: the same call continues an
+            interrupted one.
+        chunks: numbers of the chunks that this call computes, as in `sweep`; None: all.
         progress: None shows a line after five seconds on a terminal or in a notebook, False is silent.
 
-    Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER, WRONG_KIND for a key. Warns NONFINITE if samples are not finite.
+    Ctrl-C returns the samples that are done.
+
+    Errors: UNKNOWN_PATH, LISTED_TWICE, BAD_SCATTER, WRONG_KIND for a key, BAD_CHUNK, BAD_WORKERS, NOT_SENT, OTHER_WORKER, OTHER_STORE,
+    NOT_SAVED. Warns NONFINITE if samples are not finite, LOST and INTERRUPTED, where they are NaN.
 
     >>> def sag(model):
     ...     return {"sag": model["body"].mass * 9.81 / model["suspension"].stiffness}
@@ -105,16 +128,35 @@ def tolerances(
     >>> round(float(result.first[0] / result.nominal[0]), 4), round(float(result.mean[0] / result.nominal[0]), 4)
     (0.05, 1.0025)
     """
-    check_precision("tolerances", model)
+    check_precision("tolerances", model, closures=True)
     with Problems() as problems:
         samples = whole_number(samples, "tolerances.samples", problems, least=2, code="BAD_SCATTER")
         check_key(key, "tolerances.key", problems)
         space = problems.gather(lambda: scattering(model, scatter, "tolerances.scatter"))
+        chunk = None if chunk is None else whole_number(chunk, "tolerances.chunk", problems, code="BAD_CHUNK")
+        chunks = checked_chunks("tolerances", workers, out, chunks, problems, fixed=chunk is not None)
     key = jax.random.key(0) if key is None else key
     with working("tolerances", progress) as line:
-        line(f"derivatives and {samples} samples, as one program")
-        numbers, labels = jax.block_until_ready(_tolerances(space, evaluate, samples, key))
-    return warn_if_failed(Tolerances(*numbers, quantities=labels, parameters=tuple(space.labels)))
+        line(f"derivatives and {samples} samples")
+        (*moments, shares), labels = jax.block_until_ready(_to_second_order(space, evaluate))
+        deviations = np.asarray(_deviations(samples, space.size, key))
+        report = lambda done, _: line(f"{done} of {samples} samples")  # noqa: E731
+        width = min(chunk or CHUNK, samples)
+        if workers is None and out is None:
+            drawn, status = _sampled(space, evaluate, deviations, width, report), np.zeros(samples, int)
+        else:
+            drawn, status = _sampled_by_workers(space, evaluate, deviations, width, chunk, workers, out, chunks, report)
+    worst = status.max(initial=Status.OK.value)
+    code = worst if worst else Status.OK.value if np.isfinite(drawn).all() else Status.NONFINITE.value
+    result = Tolerances(
+        **dict(zip(("nominal", "first", "mean", "deviation"), moments, strict=True)),
+        samples=device_array(drawn),
+        shares=shares,
+        status=jnp.asarray(code),
+        quantities=labels,
+        parameters=tuple(space.labels),
+    )
+    return warn_if_failed(result)
 
 
 def robust(evaluate: Evaluate, scatter: Scatter, *, sigmas: float = 3.0) -> Evaluate:
@@ -190,11 +232,47 @@ def _moments(f, J, H) -> tuple[Array, Array]:
 
 
 @jit_optimized
-def _tolerances(space: Space, evaluate: Evaluate, samples: int, key: Any):
+def _to_second_order(space: Space, evaluate: Evaluate):
+    """The moments and shares, and the names of the quantities."""
     flat = Flat(space, evaluate)
     f, J, H = _expanded(flat)
-    drawn = jax.lax.map(flat, jax.random.normal(key, (samples, space.size)), batch_size=min(CHUNK, samples))
     variance = jnp.sum(J**2, 1)
     shares = J**2 / jnp.where(variance > 0, variance, 1.0)[:, None]
-    status = jnp.where(jnp.isfinite(drawn).all(), Status.OK.value, Status.NONFINITE.value)
-    return (f, jnp.sqrt(variance), *_moments(f, J, H), drawn, shares, status), tuple(labels_of(flat.shapes))
+    return (f, jnp.sqrt(variance), *_moments(f, J, H), shares), tuple(labels_of(flat.shapes))
+
+
+@jit_optimized
+def _deviations(samples: int, size: int, key: Any):
+    return jax.random.normal(key, (samples, size))
+
+
+@jit_optimized
+def _values(space: Space, evaluate: Evaluate, xi: Float[Array, "b k"]):
+    return jax.vmap(Flat(space, evaluate))(xi)
+
+
+def _sampled(space: Space, evaluate: Evaluate, xi: np.ndarray, width: int, report: Report) -> np.ndarray:
+    """The quantities of each sample, in batches of one width."""
+    count, done = len(xi), []
+    for first in range(0, count, width):
+        filled = xi[np.minimum(np.arange(first, first + width), count - 1)]
+        done.append(np.asarray(_values(space, evaluate, device_array(filled)))[: count - first])
+        report(min(first + width, count), 1)
+    return np.concatenate(done)
+
+
+def _sampled_by_workers(
+    space: Space, evaluate: Evaluate, xi: np.ndarray, width: int, chunk: int | None, workers: Any, out: Any, chunks: Any, report: Report
+) -> tuple[np.ndarray, np.ndarray]:
+    """The quantities of each sample and its status."""
+
+    def function(space, xi):
+        return {"values": _values(space, evaluate, xi)}
+
+    with crew_of(workers, "tolerances.workers") as crew:
+        options: Any = dict(width=width, where="tolerances.evaluate", crew=crew, memory=np.inf if chunk is None else None)
+        batch = batch_of(function, space, lambda i, j: [xi[i:j]], len(xi), owner=evaluate, place="tolerances", **options)
+        plan = {"deviations": hash_of(xi)}
+        store = None if out is None else store_of(batch, out, plan, ["deviations"], "sample", any_size=chunk is None)
+        results, status = gathered(batch, crew, "tolerances", report, store, chunks)
+    return results["values"], status

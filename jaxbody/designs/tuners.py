@@ -22,7 +22,7 @@ from jaxbody.core.arrays import device_array, float_array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed
-from jaxbody.designs.programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of
+from jaxbody.designs.programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of, search_by_workers
 from jaxbody.designs.searches import MET, METHODS, Search, one_thread, run, run_in_lockstep, scales
 from jaxbody.designs.tunings import Tuning, tuning_of
 from jaxbody.models.leaf_paths import matching
@@ -30,7 +30,9 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.parameters.spaces import Space, space_of
 from jaxbody.parameters.starts import drawn
+from jaxbody.workers.executors import check_workers
 
+BATCH = 16  # starts that are evaluated together
 MOST_NEIGHBORS = 6  # largest number of catalogue parameters for which all combinations of neighbors are tried
 
 
@@ -49,6 +51,7 @@ def tune(
     max_iterations: int = 200,
     tolerance: float = 1e-10,
     reverse: bool | None = None,
+    workers: Any = None,
     progress: bool | None = None,
 ) -> Tuning:
     """The design with the smallest objective within limits, by exact gradients.
@@ -69,6 +72,8 @@ def tune(
         max_iterations: largest number of iterations from each start; the number of steps with optax.
         tolerance: tolerance of the objective, relative to its value at the start.
         reverse: derivatives by reverse mode; None uses forward mode for up to thirty free numbers.
+        workers: None, a number of processes, or an executor, as in `sweep`, for several starts with a method of SciPy or ipopt; starts are
+            searched in batches of 16 in either case, so that the numbers are the same.
         progress: None shows progress after five seconds, False is silent, True prints every evaluation to stderr.
 
     Stiffness, damping and mass vary by factors, orientations by rotations. If limits are violated, the violation is minimized first. A
@@ -77,7 +82,7 @@ def tune(
 
     Errors: UNKNOWN_PATH, UNKNOWN_NAME, WRONG_KIND for a key, LISTED_TWICE, NOTHING_FREE, TIED_APART, BAD_TIE, START_ON_BOUND,
     START_OUTSIDE, BAD_BOUNDS, BAD_LIMITS, NO_BOUNDS, BAD_CATALOGUE, BAD_METHOD, BAD_OBJECTIVE, NONFINITE_START, MISSING_EXTRA, TRACED,
-    FLOAT32. Warns INFEASIBLE, with the violated limits, and NOT_CONVERGED.
+    FLOAT32, BAD_WORKERS, NOT_SENT, OTHER_WORKER. Warns INFEASIBLE, with the violated limits, NOT_CONVERGED, and LOST.
 
     >>> car = jb.presets.quarter_car(damping=1500.0)
     >>> def sag(model):
@@ -86,7 +91,7 @@ def tune(
     >>> round(float(design.values["suspension.stiffness"]), 1), design.active
     (36787.5, ('sag <= 0.1',))
     """
-    check_precision("tune", model, allow_float32=None)
+    check_precision("tune", model, allow_float32=None, closures=True)
     if not is_concrete(model):
         raise JaxbodyError(Problem("TRACED", "tune.model", "is being traced", hint="Tune outside of jit, vmap and grad."))
     with Problems() as problems:
@@ -95,6 +100,9 @@ def tune(
         max_iterations = whole_number(max_iterations, "tune.max_iterations", problems)
         positive_number(tolerance, "tune.tolerance", problems)
         check_key(key, "tune.key", problems)
+        problems.gather(lambda: check_workers(workers, "tune.workers"))
+        if workers is not None and not isinstance(method, str):
+            problems.add("BAD_WORKERS", "tune.workers", "are for methods of SciPy and ipopt", value=workers, hint="Leave it out.")
         limited = problems.gather(lambda: limits_of(limits or {}))
         space = problems.gather(lambda: space_of(model, free, "tune", bounds=bounds, between=True))
     low, high = space.bounds
@@ -104,19 +112,21 @@ def tune(
     if key is None and not isinstance(method, str):
         key = jax.random.key(0)
     stochastic = not isinstance(method, str) and len(inspect.signature(evaluate).parameters) > 1
-    program = Program(space, evaluate, minimize, limited, width=starts, reverse=reverse, key=key if stochastic else None, progress=progress)
+    program = Program(
+        space, evaluate, minimize, limited, width=min(starts, BATCH), reverse=reverse, key=key if stochastic else None, progress=progress
+    )
     with one_thread(), working("tune", progress) as program.line:
         program.line("first evaluation, compiling")
         check_start(program, U)
         searches = [Search(u, low, high, program.rows) for u in U]
         if isinstance(method, str):
-            run_in_lockstep(program, searches, lambda search: run(search, method, max_iterations, tolerance))
+            _run_scipy(program, searches, method, max_iterations, tolerance, workers)
         else:
             _run_optax(program, searches, method, max_iterations, key)
         best = _best(searches)
         if catalogs:
             searches = _neighbors(program.space, best, catalogs)
-            run_in_lockstep(program, searches, lambda search: run(search, method, max_iterations, tolerance))
+            _run_scipy(program, searches, method, max_iterations, tolerance, workers)
             best = _best(searches)
     if not best.finite:
         check_slopes(program, best)
@@ -195,6 +205,13 @@ def _neighbors_of(catalog: np.ndarray, u) -> np.ndarray:
     above = int(np.searchsorted(catalog, u))
     pair = catalog[max(above - 1, 0) : above + 1]
     return pair[np.argsort(np.abs(pair - u), kind="stable")]
+
+
+def _run_scipy(program: Program, searches: list[Search], method: str, iterations: int, tolerance: float, workers: Any) -> None:
+    if workers is None or program.width == 1:
+        run_in_lockstep(program, searches, lambda search: run(search, method, iterations, tolerance))
+    else:
+        search_by_workers(program, searches, workers, method=method, iterations=iterations, tolerance=tolerance)
 
 
 def _run_optax(program: Program, searches: list[Search], method: optax.GradientTransformation, steps: int, key: Any) -> None:

@@ -18,7 +18,31 @@ from jaxbody.geometry.places import ends
 from jaxbody.geometry.vectors import rotate, rotate_back
 
 
-class Bushing(Element):
+class FramePair(Element):
+    """The base class of elements whose deformation is the relative pose of a frame at each end, six numbers.
+
+    >>> issubclass(jb.Bushing, FramePair) and issubclass(jb.Mount, FramePair)
+    True
+    """
+
+    size = 6
+    jump = (
+        "HALF_TURN",
+        "is turned by 180 degrees",
+        "the deformation of a bushing jumps at half a turn: for larger rotations use a joint (jb.Hinge, jb.Ball), or springs",
+    )
+
+    def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
+        R_A, R = turned(self, A, B)
+        p = rotate_back(R_A, (B.p - A.p) + (rotate(B.R, self.b) - rotate(A.R, self.a)))
+        theta = rotations.log_below_half_turn(R)
+        return jnp.concatenate([rotations.inverse_left_jacobian(theta, p), theta])
+
+    def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
+        return rotations.away_from_half_turn(turned(self, A, B)[1]) / 4
+
+
+class Bushing(FramePair):
     """A linear bushing between a frame at a on one body and a frame at b on another.
 
         V = 1/2 e' K e,   R = 1/2 e_dot' C e_dot,   e = log(X_A^-1 X_B) = (translation, rotation vector), axes of the frame at a
@@ -41,12 +65,6 @@ class Bushing(Element):
     (3,)
     """
 
-    size = 6
-    jump = (
-        "HALF_TURN",
-        "is turned by 180 degrees",
-        "the deformation of a bushing jumps at half a turn: for larger rotations use a joint (jb.Hinge, jb.Ball), or springs",
-    )
     stiffness: Float[Array, "*k"] = field("N/m, N; N, N m/rad", "definite unless allow_negative", code="NEGATIVE_STIFFNESS", hint=MEANT)
     damping: Float[Array, "*k"] = field("N s/m, N s; N s, N m s/rad", "definite unless allow_negative", code="NEGATIVE_DAMPING", hint=MEANT)
     orientation: Float[Array, "4"] = field("", "rotation")
@@ -61,15 +79,6 @@ class Bushing(Element):
             check_signs(self, allow_negative, problems)
             self.orientation = as_quaternion(orientation, "Bushing.orientation", problems)
             self.orientation_b = as_quaternion(orientation_b, "Bushing.orientation_b", problems)
-
-    def deformation(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        R_A, R = turned(self, A, B)
-        p = rotate_back(R_A, (B.p - A.p) + (rotate(B.R, self.b) - rotate(A.R, self.a)))
-        theta = rotations.log_below_half_turn(R)
-        return jnp.concatenate([rotations.inverse_left_jacobian(theta, p), theta])
-
-    def away_from_jump(self, A, B):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
-        return rotations.away_from_half_turn(turned(self, A, B)[1]) / 4
 
     def energy(self, e):
         return 0.5 * jnp.sum(e * _times(self.stiffness, e))

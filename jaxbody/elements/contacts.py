@@ -16,7 +16,7 @@ from jaxbody.core.arrays import Array, Float, scalar
 from jaxbody.core.errors import Problems
 from jaxbody.elements.elements import Element, LineElement
 from jaxbody.geometry.fields import check_domain, field, kind_of, take
-from jaxbody.geometry.places import ends, unit_vector
+from jaxbody.geometry.places import direction, ends
 from jaxbody.geometry.vectors import dot, rotate
 from jaxbody.laws.spring_laws import ramp, ramp_energy, ramp_slope
 
@@ -71,7 +71,7 @@ class Tyre(Touching):
         damping: [N s/m]
         radius: unloaded [m]
         engagement: penetration over which stiffness and damping build up [m]
-        axis: the road's normal, in the road's frame
+        axis: the road's normal, x, y, z or a direction, in the road's frame
 
     Errors: NEGATIVE, NOT_POSITIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE.
 
@@ -87,7 +87,7 @@ class Tyre(Touching):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((hub, road), "Tyre", problems, points=False)
             take(self, problems, stiffness=stiffness, damping=damping, engagement=engagement, radius=radius)
-            self.axis = unit_vector(axis, "Tyre.axis", problems)
+            self.axis = direction(axis, "Tyre.axis", problems)
 
     def deformation(self, hub, road):  # pyright: ignore[reportIncompatibleMethodOverride]  its own frames
         return dot(rotate(road.R, self.axis), hub.point(self.a) - road.point(self.b)) - self.radius

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import numpy as np
 
 from jaxbody.core.arguments import check_returned, is_own
-from jaxbody.core.arrays import float_array
+from jaxbody.core.arrays import concrete, float_array
 from jaxbody.core.errors import JaxbodyError, Problems
 from jaxbody.elements.elements import Element
 from jaxbody.laws.laws import Law, parts
+from jaxbody.laws.memories import memories
 
 
 def check_leaves(problems: Problems, elements: dict[str, Element]) -> None:
@@ -28,10 +30,31 @@ def check_leaves(problems: Problems, elements: dict[str, Element]) -> None:
 
 
 def check_laws(problems: Problems, elements: dict[str, Element]) -> None:
-    """Check that JAX can trace users' laws and that they return one number; each structure is traced once."""
+    """Check that JAX can trace users' laws and that they return one number, and of laws with memory one rate for each state; each structure
+    is traced once."""
     checked = set()
     for name, element in elements.items():
         for field, law in vars(element).items():
             if isinstance(law, Law) and any(map(is_own, parts(law))) and (structure := jax.tree.structure(law)) not in checked:
                 checked.add(structure)
-                check_returned(lambda law, x: law.force(x), law, (), f"elements[{name!r}].{field}", problems)
+                where = f"elements[{name!r}].{field}"
+                for part in memories(law):
+                    _check_memory(part, where, problems)
+                if not memories(law):
+                    check_returned(lambda law, x: law.force(x), law, (), where, problems)
+
+
+def _check_memory(law: Any, where: str, problems: Problems) -> None:
+    """Check the functions of a user's law with memory, and that a hysteretic state stays at rest. Error: RELAXES."""
+    zero = np.zeros(len(law.states))
+    check_returned(lambda law, x: law.restoring_force(x, x, zero + x), law, (), f"{where}.restoring_force", problems)
+    check_returned(lambda law, x: law.rate(x, x, zero + x), law, zero.shape, f"{where}.rate", problems)
+    check_returned(lambda law, x: law.energy(x, zero + x), law, (), f"{where}.energy", problems)
+    if law.massless or problems.collected or any(concrete(x) is None for x in jax.tree.leaves(law)):
+        return
+    rates = np.stack([np.asarray(law.rate(np.float64(e), np.zeros(()), np.asarray(zero + z))) for e, z in ((0.0, 1e-3), (1e-3, -1.0))])
+    if not (rates == 0).all():
+        hint = "Derive it from jb.laws.Viscoelastic, whose coordinates relax."
+        problems.add(
+            "RELAXES", where, f"has the rate {rates[np.nonzero(rates)][0]:.3g} at rest", value=rates, limit="0 at e' = 0", hint=hint
+        )

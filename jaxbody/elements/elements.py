@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.core.errors import Problems, warn
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.geometry import rotations
+from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import Kind, check_domain, field, kind_of
 from jaxbody.geometry.frames import Frame, Pose, Wrench
 from jaxbody.geometry.vectors import cross, dot, product, rotate
@@ -25,7 +26,7 @@ MEANT = "If this is intended, give allow_negative=True."
 ALLOWED = {"NEGATIVE_STIFFNESS": "an equilibrium may be unstable", "NEGATIVE_DAMPING": "the system may gain energy"}
 
 
-class Element(eqx.Module):
+class Element(Described, eqx.Module):
     """The base class of elements between two or more frames, named in `between`; `a` and `b` are the points where it is attached.
 
     An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness are their derivatives. `jb.field` gives
@@ -93,12 +94,32 @@ class Element(eqx.Module):
     def force(self, *frames: Frame) -> Float[Array, "*m"]:
         """dV/de + dR/de_dot, the force opposing the deformation: the tension of a spring [N]."""
         e, e_dot = self.rates(*frames)
-        return jax.grad(self.energy)(e) + self.damping_force(e, e_dot)
+        return self.static_force(e) + self.damping_force(e, e_dot)
 
     def lost_power(self, *frames: Frame) -> Float[Array, ""]:
         """dR/de_dot . e_dot [W]."""
         e, e_dot = self.rates(*frames)
         return jnp.sum(self.damping_force(e, e_dot) * e_dot)
+
+    def static_force(self, e: Float[Array, "*m"]) -> Float[Array, "*m"]:
+        """The force at rest, dV/de."""
+        return jax.grad(self.energy)(e)
+
+    def tangent(self, e: Float[Array, "*m"]) -> Float[Array, "*m *m"]:
+        """The derivative of the force at rest, d2V/de2."""
+        return jax.hessian(self.energy)(e)
+
+    def state_rates(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, "nz"]:
+        """z' of the states of its laws."""
+        raise self._without_states()
+
+    def rest_states(self, e: Float[Array, "*m"]) -> Float[Array, "nz"]:
+        """z at rest."""
+        raise self._without_states()
+
+    def _without_states(self) -> JaxbodyError:
+        hint = "Use an element of jaxbody, such as SpringDamper, or a law without memory."
+        return JaxbodyError(Problem("MEMORY", type(self).__name__, "has a law with memory and does not state its rates", self, hint=hint))
 
     def wrenches(self, *frames: Frame) -> tuple[Wrench, ...]:
         """The wrench on each frame: minus the derivatives of V and R with respect to its displacement and velocity."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from functools import singledispatch
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Float
-from jaxbody.elements.bushings import Bushing
+from jaxbody.elements.bushings import FramePair
 from jaxbody.elements.elements import Element, LineElement, length_and_direction
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame
@@ -100,7 +100,7 @@ def _(line: LineElement, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlo
 
 
 @second_order.register
-def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlocks]:
+def _(bushing: FramePair, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBlocks]:
     """V depends on the relative pose, in the axes of the bushing on A: position t of the end on B and orientation R = exp([theta]), which
     change as t -> t + tau, R -> exp([psi]) R. In world axes, to second order in the displacements of the frames, with b the arm of B and P
     the vector from A's origin to B's end,
@@ -108,7 +108,8 @@ def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBloc
         tau = d_b - d_a + phi_b x b - phi_a x P - phi_a x (d_b - d_a + phi_b x b) + phi_a x (phi_a x P)/2 + phi_b x (phi_b x b)/2
         psi = phi_b - phi_a - phi_a x phi_b/2
     """
-    R_A, R_B = product(A.R, rotations.matrix(bushing.orientation)), product(B.R, rotations.matrix(bushing.orientation_b))
+    turns: Any = bushing
+    R_A, R_B = product(A.R, rotations.matrix(turns.orientation)), product(B.R, rotations.matrix(turns.orientation_b))
     a, b = rotate(A.R, bushing.a), rotate(B.R, bushing.b)
     P = (B.p - A.p) + b
     theta = rotations.log_below_half_turn(product(R_A.T, R_B))
@@ -125,7 +126,9 @@ def _(bushing: Bushing, A: Frame, B: Frame) -> tuple[DeformationSlopes, PairBloc
     }
 
 
-def _in_relative_motion(bushing: Bushing, theta: Float[Array, "3"], t: Float[Array, "3"]) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
+def _in_relative_motion(
+    bushing: FramePair, theta: Float[Array, "3"], t: Float[Array, "3"]
+) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
     """Gradient and Hessian of V in (tau, psi), for e = (J t, theta), J = 1 - [theta]/2 + c [theta]^2, c a function of x = |theta|^2.
 
     With eta = J psi the changes are d theta = eta, d2 theta = N(psi) eta, du = J tau + N(t) eta,
@@ -149,7 +152,7 @@ def _in_relative_motion(bushing: Bushing, theta: Float[Array, "3"], t: Float[Arr
 
     u = rotate(J, t)
     e = jnp.concatenate([u, theta])
-    f, K = jax.grad(bushing.energy)(e), jax.hessian(bushing.energy)(e)
+    f, K = bushing.static_force(e), bushing.tangent(e)
     f_u, N_t = f[:3], N(t)
     p = f[3:] + rotate_back(N_t, f_u)
     w = cross(cross(theta, t), f_u) + cross(t, cross(f_u, theta))

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problems
 from jaxbody.elements.elements import MEANT, LineElement, check_signs
+from jaxbody.elements.law_elements import LawForces
 from jaxbody.geometry.fields import field, take
 from jaxbody.geometry.places import ends
-from jaxbody.laws import laws
+from jaxbody.laws import laws, memories
 
 
 class Spring(LineElement):
@@ -62,18 +63,18 @@ class Spring(LineElement):
         return bool(self.damping == 0)
 
 
-class SpringDamper(LineElement):
+class SpringDamper(LawForces, LineElement):
     """A line element whose spring and damper follow laws: a strut with its bump stop, a rope, an air spring.
 
         V = U_s(|AB| - l0),   R = U_d(d|AB|/dt),   tension = F_s(|AB| - l0) + F_d(d|AB|/dt)
 
     Args:
         a, b: (name, point in its frame [m])
-        spring: a law (jb.laws), the stiffness of a linear one [N/m] or a JAX function x -> F; None: no spring
-        damper: likewise, as a function of the rate; a number is a damping [N s/m]
+        spring: a law (jb.laws), with or without memory, the stiffness of a linear one [N/m] or a JAX function x -> F; None: no spring
+        damper: a law without memory, as a function of the rate; a number is a damping [N s/m]
         free_length: l0, the length at which the spring's law has x = 0 [m]
 
-    Errors: NEGATIVE, NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
+    Errors: NEGATIVE, NEGATIVE_LENGTH, SELF_SPRING, BAD_SHAPE, NON_FINITE, MEMORY, those of the laws.
 
     >>> strut = SpringDamper(("car", [1.4, 0.7, 0]), ("wheel", [0, 0, 0]), free_length=0.5,
     ...                      spring=jb.laws.Linear(2e4) + jb.laws.Stop(gap=0.08, stiffness=1e5, engagement=0.01),
@@ -90,16 +91,7 @@ class SpringDamper(LineElement):
             self.between, (self.a, self.b) = ends((a, b), "SpringDamper", problems)
             take(self, problems, free_length=free_length)
             self.spring = laws.as_law(spring, "SpringDamper.spring", problems)
-            self.damper = laws.as_law(damper, "SpringDamper.damper", problems)
-
-    def energy(self, e):
-        return laws.potential(self.spring, e)
-
-    def dissipation(self, e, e_dot):
-        return laws.potential(self.damper, e_dot)
-
-    def beyond(self, e, e_dot):
-        return laws.beyond(self.spring, e) | laws.beyond(self.damper, e_dot)
+            self.damper = memories.as_damper(damper, "SpringDamper.damper", problems)
 
     def split(self, L):
         e = L - self.free_length
@@ -107,7 +99,7 @@ class SpringDamper(LineElement):
         return k0, laws.force(self.spring, e) - k0 * L, laws.slope(self.spring, e) - k0
 
     def damper_tension(self, e, e_dot):
-        return laws.force(self.damper, e_dot)
+        return memories.rate_force(self.spring, self.damper, e, e_dot)
 
     def has_no_direction(self):
-        return self.damper is None and bool(laws.force(self.spring, jnp.zeros(())) == 0)
+        return self.damper is None and not memories.memories(self.spring) and bool(laws.force(self.spring, jnp.zeros(())) == 0)

@@ -7,35 +7,20 @@ import jax.numpy as jnp
 from jaxbody.core.arguments import warn_of_degrees
 from jaxbody.core.arrays import Array, Float, scalar
 from jaxbody.core.errors import Problems
-from jaxbody.elements.elements import Element, turned
+from jaxbody.elements.elements import turned
+from jaxbody.elements.law_elements import LawForces
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
-from jaxbody.geometry.places import ends, unit_vector
+from jaxbody.geometry.places import direction, ends
 from jaxbody.geometry.vectors import dot, rotate
-from jaxbody.laws import laws
+from jaxbody.laws import laws, memories
 
 
-class LawElement(Element):
+class LawElement(LawForces):
     """The base class of elements with one deformation, a law for it and one for its rate."""
 
     spring: laws.Law | None = field()
     damper: laws.Law | None = field()
-
-    def energy(self, e):
-        return laws.potential(self.spring, e)
-
-    def dissipation(self, e, e_dot):
-        return laws.potential(self.damper, e_dot)
-
-    def beyond(self, e, e_dot):
-        return laws.beyond(self.spring, e) | laws.beyond(self.damper, e_dot)
-
-    def damping_force(self, e, e_dot):
-        return laws.force(self.damper, e_dot)
-
-    def force(self, *frames):
-        e, e_dot = self.rates(*frames)
-        return laws.force(self.spring, e) + laws.force(self.damper, e_dot)
 
 
 class Torsion(LawElement):
@@ -48,14 +33,14 @@ class Torsion(LawElement):
 
     Args:
         a, b: names, or (name, point) with the point where plots show the element
-        axis: n, in the axes of A
-        spring: a law [rad -> N m], a stiffness [N m/rad] or a function; None: no spring
-        damper: likewise [rad/s -> N m], [N m s/rad]
+        axis: n; x, y, z or a direction, in the axes of A
+        spring: a law [rad -> N m], with or without memory, a stiffness [N m/rad] or a function; None: no spring
+        damper: a law without memory [rad/s -> N m], a damping [N m s/rad] or a function
         free_angle: e0 [rad]; it is zero if the spring is relaxed where the axes of the two frames coincide
         orientation: orientation of these axes in A
         orientation_b: orientation of these axes in B
 
-    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, those of the laws.
+    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, BAD_QUATERNION, MEMORY, those of the laws.
     Warns UNIT for a free angle of more than a turn.
 
     >>> spring = Torsion("arm", "base", axis=[0, 0, 1], spring=30.0, damper=0.5)
@@ -78,9 +63,9 @@ class Torsion(LawElement):
     def __init__(self, a, b, *, axis, spring=None, damper=None, free_angle=0.0, orientation=IDENTITY, orientation_b=IDENTITY):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), "Torsion", problems, points=False)
-            self.axis = unit_vector(axis, "Torsion.axis", problems)
+            self.axis = direction(axis, "Torsion.axis", problems)
             self.spring = laws.as_law(spring, "Torsion.spring", problems)
-            self.damper = laws.as_law(damper, "Torsion.damper", problems)
+            self.damper = memories.as_damper(damper, "Torsion.damper", problems)
             self.free_angle = scalar(free_angle, "Torsion.free_angle", problems)
             self.orientation = as_quaternion(orientation, "Torsion.orientation", problems)
             self.orientation_b = as_quaternion(orientation_b, "Torsion.orientation_b", problems)
@@ -108,11 +93,12 @@ class AntiRollBar(LawElement):
     Args:
         left, right: (name of the wheel, point of its drop link)
         body: name of the body that carries the bar, or (name, point)
-        axis: upwards, in body axes
-        spring: a law, or the stiffness at the wheels [N/m]: torsional stiffness of the bar over the square of its lever arm
-        damper: likewise, as a function of the rate [N s/m]
+        axis: upwards; x, y, z or a direction, in body axes
+        spring: a law, with or without memory, or the stiffness at the wheels [N/m]: torsional stiffness of the bar over the square of its
+            lever arm
+        damper: a law without memory, as a function of the rate, or a damping [N s/m]
 
-    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, those of the laws.
+    Errors: NEGATIVE, ZERO_AXIS, SELF_SPRING, BAD_SHAPE, NON_FINITE, MEMORY, those of the laws.
 
     >>> bar = AntiRollBar(("left wheel", [0, -0.1, 0]), ("right wheel", [0, 0.1, 0]), "car", spring=1.2e4)
     >>> bar.between
@@ -127,9 +113,9 @@ class AntiRollBar(LawElement):
     def __init__(self, left, right, body, *, axis=(0, 0, 1), spring=None, damper=None):
         with Problems() as problems:
             self.between, (self.a, self.b, self.c) = ends((left, right, body), "AntiRollBar", problems, points=False)
-            self.axis = unit_vector(axis, "AntiRollBar.axis", problems)
+            self.axis = direction(axis, "AntiRollBar.axis", problems)
             self.spring = laws.as_law(spring, "AntiRollBar.spring", problems)
-            self.damper = laws.as_law(damper, "AntiRollBar.damper", problems)
+            self.damper = memories.as_damper(damper, "AntiRollBar.damper", problems)
 
     @property
     def points(self):

@@ -22,9 +22,11 @@ from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
 from jaxbody.experiments.experiments import Experiment, check_measurements
 from jaxbody.models.models import Model
+from jaxbody.models.preconditions import refuse_closures
 from jaxbody.sensors.instruments import Accelerometer
 from jaxbody.simulations.readings import measure
 from jaxbody.simulations.simulations import simulate
+from jaxbody.statistics.autocorrelations import whiteness
 
 FACTORS = {
     1000.0: "is it in thousandths of the sensor's unit (mm instead of m)?",
@@ -42,6 +44,8 @@ LATE = 0.05  # smallest delay that is reported, in samples
 SIGNIFICANT = 4.0  # and in standard errors
 HEAVY = 0.3  # smallest predicted mean of an accelerometer, relative to gravity, for which gravity is checked
 LIGHT = 0.2  # measured mean, relative to the predicted one, below which gravity counts as missing
+EXPLAINED = 0.5  # share of the variation of a record that its prediction explains, r2, below which it is reported
+UNLIKELY = 6e-5  # unless the rest is white noise, of which this is the p-value at four standard errors
 EARTH = (9.7, 9.9)  # m/s2
 BETTER = 0.7  # relative cost below which another arrangement of channels or axes is reported
 
@@ -83,8 +87,9 @@ def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool
 
     Warns GAIN_FACTOR for a gain near 1000, 57.3, 9.81, 39.4 or their inverses, or negative; DELAY for a delay of more than 0.05 samples and
     4 standard errors of white noise; SWAPPED for two channels whose cost is 30 % lower when exchanged; LEFT_HANDED for three axes that
-    agree with the model only after a reflection; GRAVITY for an accelerometer's record without gravity, or with gravity that the model does
-    not have.
+    agree with the model only after a reflection; UNCORRELATED for a prediction that explains less than half of the variation of the
+    record, r2 < 0.5, where the difference of both is no white noise: in a noisy record of a small motion it is; GRAVITY for an
+    accelerometer's record without gravity, or with gravity that the model does not have.
     Errors: those of `simulate`, WRONG_KIND, NO_DATA.
 
     >>> times = jnp.linspace(0, 1, 50)
@@ -95,6 +100,7 @@ def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool
     >>> diagnose(model, {"run": run}).words
     ()
     """
+    refuse_closures("diagnose", model)
     check_measurements(experiments, "diagnose.experiments").raise_if_any()
     compared, words = [], []
     with working("diagnose", progress) as line:
@@ -108,7 +114,8 @@ def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool
             for key, (y, p, _) in channels.items():
                 compared.append(_compared(key, np.asarray(experiment.times), y, p, step))
                 words += _remarks(compared[-1])
-            words += _swapped(channels) + _mirrored(name, experiment, readings) + _without_gravity(name, model, experiment, readings)
+            arranged = _swapped(channels) + _mirrored(name, experiment, readings)
+            words += arranged + _unrelated(channels, arranged, step) + _without_gravity(name, model, experiment, readings)
     for code, message in words:
         warn(code, message)
     return Diagnosis(jnp.asarray(Status.OK), tuple(compared), tuple(message for _, message in words))
@@ -201,6 +208,56 @@ def _mirrored(run: str, experiment: Experiment, readings: dict[str, np.ndarray])
         if np.linalg.det(U @ Vt) < 0 and mirrored < BETTER * rotated:
             remarks.append(("LEFT_HANDED", f"{run}.{name} agrees with the model only when mirrored: are its axes left-handed?"))
     return remarks
+
+
+def _unrelated(channels: dict[str, Any], arranged: list[tuple[str, str]], step: float) -> list[tuple[str, str]]:
+    """Remarks on channels that hardly follow their prediction, with what they follow instead; not on those that are arranged otherwise.
+
+    In a record of a small motion in much noise a correlation is low too; its difference from the prediction then is white noise."""
+    remarks = []
+    centered = {name: _centered(y, p) for name, (y, p, _) in channels.items()}
+    for name, (y, p, valid) in centered.items():
+        test, r = whiteness((y - p)[valid]), _correlation(y, p)
+        known = any(name.partition("[")[0] in message for _, message in arranged)
+        if known or r**2 >= EXPLAINED or test is None or test.p > UNLIKELY:
+            continue
+        message = (
+            f"{name} hardly follows the prediction, correlation {r:.2g}, R2 {r**2:.2g}: is it the right channel, with the right sign, unit "
+        )
+        message += "and times, or is the guess far off?"
+        near = max((other for other in centered if other != name), key=lambda other: _correlation(y, centered[other][1]) ** 2, default=name)
+        alike, (late, of_shift) = _correlation(y, centered[near][1]), _shift(y, p)
+        if abs(alike) > CORRELATED:
+            message += f" It follows that of {near}, correlation {alike:.2g}."
+        elif abs(of_shift) > CORRELATED:
+            message += f" It follows it {abs(late) * step:.3g} s {'later' if late > 0 else 'earlier'}, correlation {of_shift:.2g}."
+        remarks.append(("UNCORRELATED", message))
+    return remarks
+
+
+def _centered(y: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A record and its prediction from their means, zero for missing samples, and which samples are there."""
+    valid = np.isfinite(y) & np.isfinite(p)
+    return *(np.where(valid, x - np.mean(x, where=valid), 0.0) for x in (y, p)), valid  # pyright: ignore[reportReturnType]
+
+
+def _correlation(y: np.ndarray, p: np.ndarray) -> float:
+    """Of two records without means; 0 for a constant one."""
+    size = float(np.sqrt((y @ y) * (p @ p)))
+    return float(y @ p) / size if size else 0.0
+
+
+def _shift(y: np.ndarray, p: np.ndarray) -> tuple[int, float]:
+    """By how many samples a record is later than its prediction for the largest correlation, up to half the record, and this."""
+    from scipy.signal import correlate, correlation_lags
+
+    lags = correlation_lags(len(y), len(p))
+    near = np.abs(lags) <= len(y) // 2
+    overlap, size = (correlate(a, b, method="fft")[near] for a, b in ((y, p), (y**2, np.ones(len(p)))))
+    other = correlate(np.ones(len(y)), p**2, method="fft")[near]
+    r = overlap / np.sqrt(np.maximum(size * other, np.finfo(float).tiny))
+    best = int(np.argmax(np.abs(r)))
+    return int(lags[near][best]), float(r[best])
 
 
 def _without_gravity(run: str, model: Model, experiment: Experiment, readings: dict[str, np.ndarray]) -> list[tuple[str, str]]:

@@ -190,7 +190,7 @@ class Experiment(Measurement):
     def named(self):
         """The parts with names in paths: the initial state, the motions, the loads, the sensors."""
         return {
-            **({} if not isinstance(self.initial, State) else {"initial": self.initial.named()}),
+            **({} if not isinstance(self.initial, State) else {"initial": self.initial}),
             **self.motion,
             **self.loads,
             **self.sensors,
@@ -200,7 +200,9 @@ class Experiment(Measurement):
         hint = "The experiment has no initial state: give it initial=State(q, v), or the .state of an equilibrium."
         if isinstance(self.initial, Rest):
             hint = "The experiment begins at rest, which follows from the model: give it initial=State(q, v) for a free initial state."
-        missing = {} if isinstance(self.initial, State) else {"initial.q": hint, "initial.v": hint}
+        missing: dict[str, str] = {"initial.z": "The initial state has no z: give it State(q, v, z), or the .state of an equilibrium."}
+        if not isinstance(self.initial, State):
+            missing = {f"initial.{part}": hint for part in "qvz"}
         for name, sensor in self.sensors.items():
             for stage, option in sensor.absent().items():
                 missing[f"{name}.{stage}"] = f"Sensor '{name}' has no {stage}: construct it with {option}."

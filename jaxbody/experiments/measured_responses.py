@@ -95,7 +95,7 @@ class MeasuredResponse(Measurement):
     @property
     def channels(self):
         outputs = component_units(self.outputs)
-        units = {pair: _unit(outputs[pair[0]], self.inputs[pair[1]].unit) for pair in self.pairs}
+        units = {pair: response_unit(outputs[pair[0]], self.inputs[pair[1]].unit) for pair in self.pairs}
         return {_name(pair): ResponseChannel(unit=unit) for pair, unit in units.items()}  # pyright: ignore[reportCallIssue]  the class states the shape
 
     def named(self):
@@ -140,7 +140,7 @@ def _name(pair: tuple[str, str]) -> str:
     return f"{pair[0]}/{pair[1]}"
 
 
-def _unit(above: str, below: str) -> str:
+def response_unit(above: str, below: str) -> str:
     """The unit of a response, "m/N"; "" for a ratio."""
     if above == below:
         return ""

@@ -9,6 +9,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, as_numpy, concrete, device_array
 from jaxbody.core.errors import Problems
+from jaxbody.core.tables import PlotMethod
 from jaxbody.sensors.channels import Channel
 
 
@@ -17,6 +18,7 @@ class Measurement(eqx.Module):
     predictions of a model for them; `linear`: from small motions about its equilibrium, which all measurements of a model share."""
 
     linear: ClassVar[bool] = False
+    plot = PlotMethod()
     measured: eqx.AbstractVar[dict[str, Array]]
     noise: eqx.AbstractVar[dict[str, Array] | None]
 

@@ -108,7 +108,7 @@ def first_frequency(model: Model) -> float:
 
 
 def _mass_and_stiffness(model: Model) -> tuple[Array, Array]:
-    lin = linearize(model, model.reference)
+    lin = linearize(model, model.reference).condensed
     return lin.M, lin.K
 
 
@@ -120,7 +120,7 @@ def _scales(model: Model, M: Float[Array, "n n"], K: Float[Array, "n n"]) -> tup
     weightless = eqx.tree_at(lambda m: m.gravity, model, jnp.zeros_like(model.gravity))
 
     def weight(delta):
-        moved = State(retract(model, state.q, delta), state.v)
+        moved = State(retract(model, state.q, delta), state.v, state.z)
         return potential_energy(model, moved) - potential_energy(weightless, moved)
 
     force = -jax.grad(weight)(jnp.zeros(M.shape[0]))

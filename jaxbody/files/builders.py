@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import inspect
+import json
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,8 +17,9 @@ import numpy as np
 from jaxbody.core import units
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.elements.elements import Element
-from jaxbody.files.documents import Document, EntryPath
+from jaxbody.files.documents import Document, EntryPath, shown
 from jaxbody.files.kinds import PLAIN, SECTIONS, TYPES, Argument, arguments_of, object_schema
+from jaxbody.files.quantities import in_SI
 from jaxbody.files.schemas import Check
 from jaxbody.geometry.fields import check_domain, kind_of
 from jaxbody.geometry.orientations import Euler
@@ -34,6 +37,7 @@ from jaxbody.records.records import Record
 from jaxbody.sensors.sensors import Sensor
 
 IN_PLACE = ("file", "part")  # entries of a record that are no arguments of read_record
+MORE_THAN_A_TURN = r".* rad, more than a turn; if it is in degrees"
 PLACE = re.compile(r"(bodies|supports|joints|elements)\['(.*?)'\]|(gravity)")
 
 
@@ -127,8 +131,26 @@ class Builder:
         columns = {name: _column(spec) for name, spec in values["channels"].items()}
         options = {name: value for name, value in values.items() if name not in (*IN_PLACE, "channels", "time")}
         time = {"time": _column(values["time"])} if "time" in values else {}
-        record = None if file is None else read_record(file, channels=columns, **time, **options)
+        try:
+            record = None if file is None else read_record(file, channels=columns, **time, **options)
+        except JaxbodyError as error:
+            self.problems.collected += [self._of_column(problem, values, path) for problem in error.problems]
+            return None
         return record if record is None or "part" not in values else record.part(*values["part"])
+
+    def _of_column(self, problem: Problem, values: dict[str, Any], path: EntryPath) -> Problem:
+        """A problem of reading a record, at its line; where a unit is missing, at that of the column, with what to write there."""
+        names: dict[str, EntryPath] = {".times": ("time",)}
+        names |= {f"['{name}']": ("channels", name) for name in values["channels"]}
+        entry = next((entry for end, entry in names.items() if problem.code == "NO_UNIT" and problem.where.endswith(end)), None)
+        if entry is None:
+            return self.placed(problem, path, "")
+        spec = values["time"] if entry == ("time",) else values["channels"][entry[-1]]
+        column, example = (spec["columns"] if isinstance(spec, dict) else spec), "ms" if entry == ("time",) else "m/s2"
+        written = f'{shown(entry)} = {{columns = {json.dumps(column, ensure_ascii=False)}, unit = "{example}"}}'
+        without = "" if entry == ("time",) else ', or unit = "1" for numbers without one'
+        hint = f"Write {written} with its unit{without}."
+        return dataclasses.replace(problem, where=self.document.where((*path, *entry)), hint=hint)
 
     def sampled(self, record: Record, value: dict[str, Any]) -> Motion:
         dimensions = {"translation": units.LENGTH, "rotation": units.ANGLE}
@@ -173,16 +195,32 @@ class Builder:
         self.problems.add("OUTSIDE_FOLDER", where, f"names '{name}'", value=name, limit="a file in the folder of this one", hint=hint)
         return None
 
+    def quantity(self, value: Any, unit: str, path: EntryPath) -> Any:
+        """Numbers in SI, whose unit the schema does not know."""
+        return in_SI(value, unit, {}, self.check.system, self.document.where(path), self.problems)
+
     def gather(self, path: EntryPath, kind: str, make: Callable[[], Any]) -> Any:
-        """What `make` returns; None with its problems, at their lines, where it fails."""
+        """What `make` returns; None with its problems, at their lines, where it fails. It does not warn of large angles, whose unit the
+        document states."""
         try:
-            return make()
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", message=MORE_THAN_A_TURN)
+                return make()
         except JaxbodyError as error:
             self.problems.collected += [self.placed(problem, path, kind) for problem in error.problems]
             return None
 
     def own(self, name: str, path: EntryPath) -> type | None:
         """A class of the user's from a module that is allowed."""
+        kind = self.own_object(name, path)
+        if kind is None or (inspect.isclass(kind) and issubclass(kind, Element | Joint | Law | Load | Sensor | Signal)):
+            return kind
+        message = f"names '{name}', which is no element, joint, law, load, motion or sensor"
+        self.problems.add("UNKNOWN_NAME", self.document.where((*path, "type")), message, value=name)
+        return None
+
+    def own_object(self, name: str, path: EntryPath) -> Any:
+        """What "module:name" is in a module that is allowed; None with a problem."""
         module, _, attribute = name.partition(":")
         where = self.document.where((*path, "type"))
         if module not in self.allow:
@@ -190,14 +228,13 @@ class Builder:
             self.problems.add("NOT_ALLOWED", where, f"names the module '{module}'", value=name, limit=str(list(self.allow)), hint=hint)
             return None
         try:
-            kind = getattr(importlib.import_module(module), attribute, None)
+            found = getattr(importlib.import_module(module), attribute, None)
         except ImportError as error:
             self.problems.add("UNKNOWN_NAME", where, f"names the module '{module}', which cannot be imported: {error}", value=name)
             return None
-        if not (inspect.isclass(kind) and issubclass(kind, Element | Joint | Law | Load | Sensor | Signal)):
-            self.problems.add("UNKNOWN_NAME", where, f"names '{name}', which is no element, joint, law, load, motion or sensor", value=name)
-            return None
-        return kind
+        if found is None:
+            self.problems.add("UNKNOWN_NAME", where, f"names '{name}', and the module has no '{attribute}'", value=name)
+        return found
 
     def placed(self, problem: Problem, path: EntryPath, kind: str) -> Problem:
         """The problem of a constructor, at its line."""
@@ -206,7 +243,8 @@ class Builder:
         if found and (*path, found[1]) in self.document.lines:
             path, rest = (*path, found[1]), rest[found.end() :]
         rest = f": {rest}" if rest and rest[0] not in ",.[ " else rest
-        return dataclasses.replace(problem, where=self.document.where(path) + rest)
+        words = {"limit": in_words_of_files(problem.limit), "hint": in_words_of_files(problem.hint)}
+        return dataclasses.replace(problem, where=self.document.where(path) + rest, **words)
 
     def placed_in_model(self, problem: Problem) -> Problem:
         """A problem that the model as a whole has, at its line."""
@@ -214,6 +252,14 @@ class Builder:
         path = tuple(part for part in found.groups() if part) if found else ()
         rest = problem.where[found.end() :] if found else f" {problem.where}"
         return dataclasses.replace(problem, where=self.document.where(path) + rest)
+
+
+def in_words_of_files(text: str) -> str:
+    """A text about arguments of Python, as they are written in a file: `irregular = true` for `irregular=True`, `rate` for `rate=`."""
+    text = re.sub(r"\b(\w+)=\((\"\w+\"), (\"[^\"]+\")\)", r"\1 = {columns = \2, unit = \3}", text)
+    text = re.sub(r"\b(\w+)=(True|False)\b", lambda found: f"{found[1]} = {found[2].lower()}", text)
+    text = re.sub(r"\b(\w+)=(?=[\"\d\[{-])", r"\1 = ", text)
+    return re.sub(r"\b(\w+)=(?=[\s,.;)]|$)", r"\1", text)
 
 
 def _made(kind: type, given: dict[str, Any]) -> Any:

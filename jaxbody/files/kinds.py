@@ -11,28 +11,33 @@ from typing import Any
 
 from jaxbody.elements.bushings import Bushing
 from jaxbody.elements.contacts import Contact, Tyre
+from jaxbody.elements.mounts import Mount
 from jaxbody.elements.springs import Spring, SpringDamper
 from jaxbody.elements.torsions import AntiRollBar, Torsion
 from jaxbody.geometry.fields import Kind
+from jaxbody.geometry.places import DIRECTIONS
 from jaxbody.inputs.base_motions import base_motion
 from jaxbody.inputs.loads import EngineTorque, Force, Load, Unbalance
 from jaxbody.inputs.motions import AtRest, Harmonic, Sampled
+from jaxbody.inputs.port_inputs import BaseMotion, PointForce
 from jaxbody.inputs.roads import Road
 from jaxbody.inputs.signals import Samples, Sine
-from jaxbody.laws import damper_laws, laws, measured_curves, spring_laws
+from jaxbody.laws import damper_laws, hysteresis_laws, laws, measured_curves, rubber_laws, spring_laws
 from jaxbody.models.bodies import Body, Support
-from jaxbody.models.joints import Ball, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
+from jaxbody.models.joints import Ball, Composite, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
 from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
 from jaxbody.sensors.sensors import Sensor
 
-JOINTS = (Free, Fixed, Guide, Hinge, Ball, Translation, HeavePitch, HeavePitchRoll)
-ELEMENTS = (Spring, SpringDamper, Bushing, Torsion, AntiRollBar, Contact, Tyre)
+JOINTS = (Free, Fixed, Guide, Hinge, Ball, Composite, Translation, HeavePitch, HeavePitchRoll)
+ELEMENTS = (Spring, SpringDamper, Bushing, Mount, Torsion, AntiRollBar, Contact, Tyre)
 LAWS = (
     laws.Linear, laws.TwoSided, spring_laws.Polynomial, spring_laws.Stop, spring_laws.TensionOnly, spring_laws.AirSpring,
-    damper_laws.Digressive, damper_laws.Friction, measured_curves.Table,
+    damper_laws.Digressive, damper_laws.Friction, measured_curves.Table, rubber_laws.Maxwell, hysteresis_laws.BoucWen,
+    hysteresis_laws.Dahl, hysteresis_laws.LuGre,
 )  # fmt: skip
 MOTIONS = (AtRest, Harmonic, Road)
 LOADS = (Force, Unbalance, EngineTorque)
+INPUTS = (BaseMotion, PointForce)  # of measured responses
 SENSORS = (
     kinematic_sensors.Position, kinematic_sensors.Velocity, kinematic_sensors.Acceleration, kinematic_sensors.Rotation,
     kinematic_sensors.AngularVelocity, kinematic_sensors.AngularAcceleration, instruments.Accelerometer, instruments.Gyro, instruments.Tilt,
@@ -40,13 +45,18 @@ SENSORS = (
     gauges.Displacement, gauges.StringPotentiometer, gauges.LaserVibrometer, gauges.LaserDistance, attitudes.BodyPose,
     attitudes.Orientation,
 )  # fmt: skip
-TYPES = {kind.__name__: kind for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *LOADS, *SENSORS, Sine)}
+TYPES = {kind.__name__: kind for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *LOADS, *INPUTS, *SENSORS, Sine)}
 FROM_RECORDS = {"Sampled": Sampled, "base_motion": base_motion, "Samples": Samples}  # what is made of channels of a record
-FIELDS: dict[tuple[type, str], str] = {(Contact, "distance"): "free_length"}  # of arguments that are not named as the field is
+FIELDS: dict[tuple[type, str], str] = {  # of arguments that are not named as the field is
+    (Contact, "distance"): "free_length",
+    (PointForce, "direction"): "axis",
+}
 FORMULAS = {"powers": "force/argument^n"}
 LIMITS = {"nonnegative": {"minimum": 0}, "positive": {"exclusiveMinimum": 0}, "fraction": {"minimum": 0, "maximum": 1}}
 PLAIN_TYPES = {"word": "string", "words": "array", "whole": "integer", "flag": "boolean", "own": ["number", "array", "string"]}
-DIRECTION = {"oneOf": [{"type": "string", "enum": ["x", "y", "z"]}, {"type": "array", "unit": ""}]}
+DIRECTION = {"oneOf": [{"type": ["array", "string"], "unit": "", "pattern": "[0-9]"}, {"type": "string", "enum": ["x", "y", "z"]}]}
+OF_INPUT = {"oneOf": [{"type": "string", "enum": list(DIRECTIONS)}, {"type": "array", "unit": ""}]}
+PAIR = {"minItems": 2, "maxItems": 2}
 PLAIN = {"bodies": Body, "supports": Support}  # sections whose objects are all of one class
 SECTIONS = {
     "bodies": "Bodies by name.",
@@ -60,8 +70,8 @@ SECTIONS = {
 class Argument:
     """An argument of a class in a file, and the field of the object that holds it.
 
-    `role`: number, own (a number in the unit of its owner), end (a name and a point), law, signal, direction, name_of (a body, an element),
-    word, words, whole or flag."""
+    `role`: number, own (a number in the unit of its owner), end (a name and a point), law, signal, direction, of_input (a direction, or a
+    turn about one), name_of (a body, an element), word, words, whole or flag."""
 
     name: str
     role: str
@@ -111,13 +121,15 @@ def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
         return "end"
     if name in ("on", "parent", "relative_to"):
         return "element" if issubclass(kind, instruments.OfElement) else "frame"
+    if kind in INPUTS and name in ("axis", "direction"):
+        return "of_input"
     for word, role in (("Law", "law"), ("Signal", "signal")):
         if word in annotation:
             return role
     if metadata.get("static"):
         return next((role for word, role in (("bool", "flag"), ("tuple", "words"), ("int", "whole")) if word in annotation), "word")
     stated = metadata.get("kind", Kind())
-    if issubclass(kind, Sensor) and name == "axis":
+    if stated.domain == "direction" and "Array, '3'" in annotation:
         return "direction"
     return "own" if stated.unit == "unit" else "number"
 
@@ -159,8 +171,8 @@ def argument_schema(argument: Argument) -> dict[str, Any]:
         return {"$ref": f"#/$defs/{argument.role}", **about, **({"words": dict(argument.words)} if argument.words else {})}
     if argument.role in ("frame", "element"):
         return named(argument.role) | about
-    if argument.role == "direction":
-        return DIRECTION | about
+    if argument.role in ("direction", "of_input"):
+        return (DIRECTION if argument.role == "direction" else OF_INPUT) | about
     if argument.role in PLAIN_TYPES:
         return {"type": PLAIN_TYPES[argument.role], **about}
     if argument.kind.domain == "rotation":
@@ -183,3 +195,13 @@ def table_schema(about: str, required: Sequence[str], properties: dict[str, Any]
     """The schema of a table."""
     head = {"type": "object", "description": re.sub(r"\s+", " ", about)}
     return head | {"required": list(required), "additionalProperties": False, "properties": properties}
+
+
+def by_name(what: str, about: str) -> dict[str, Any]:
+    """The schema of a table of objects of one definition by name."""
+    return {"type": "object", "description": about, "additionalProperties": {"$ref": f"#/$defs/{what}"}}
+
+
+def one_of(*names: str) -> dict[str, Any]:
+    """The schema of an object of one of these types."""
+    return {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names]}

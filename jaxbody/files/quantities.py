@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from jaxbody.core import units
-from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 
 LONGEST = 10_000  # characters of one quantity
 NUMBER = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?|[+-]?(?:inf|nan)"
@@ -76,7 +76,7 @@ def in_SI(value: Any, unit: str, words: dict[str, str], system: UnitSystem | Non
         unit: of all numbers, or of parts of a row and rows of a matrix ("N/m, N; N, N m/rad"); "^n" stands for the powers 1, 2, ...
         words: what the words of the unit stand for
 
-    Errors: NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER."""
+    Errors: NO_UNIT, UNKNOWN_UNIT, WRONG_DIMENSION, NOT_A_NUMBER. Warns UNIT for more than a turn in rad."""
     blocks = [[part.strip() for part in row.split(",")] for row in unit.split(";")]
     rows = value if isinstance(value, list) else []
     if len(blocks) > 1 and not any(isinstance(row, list) for row in rows):
@@ -111,7 +111,7 @@ def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
         expected.problems.add("NOT_A_NUMBER", expected.where, message, value=value, limit="a number, or a text with its unit")
         return 0.0
     dimension, value = expected.dimension(index), _float(value)
-    if dimension == units.NONE or value == 0 or math.isinf(value):
+    if dimension == units.NONE or value == 0 or not math.isfinite(value):
         return value
     if expected.system is None:
         si = units.si_words(dimension)
@@ -120,7 +120,15 @@ def _converted(value: Any, expected: _Expected, index: tuple[tuple[int, int], ..
             "NO_UNIT", expected.where, f"is {value:g} without a unit", value=value, limit=f"a unit such as {si}", hint=hint
         )
         return 0.0
+    _warn_of_degrees([value], dimension, expected.system.angle, expected.where)
     return times(value, expected.system.factor(dimension))
+
+
+def _warn_of_degrees(numbers: list[float], dimension: units.Dimension, factor: float, where: str) -> None:
+    """Warn UNIT for an angle in rad of more than one turn. Degrees that are stated are meant."""
+    largest = max(map(abs, numbers))
+    if dimension == units.ANGLE and factor == 1.0 and largest > units.TURN:
+        warn("UNIT", f'{where}: is {largest:g} rad, more than a turn; if it is in degrees, write "{largest:g} deg"')
 
 
 def _float(value: float) -> float:
@@ -159,6 +167,7 @@ def _of_text(text: str, expected: _Expected, index: tuple[tuple[int, int], ...])
         if dimension != unit.dimension:
             expected.problems.collected.append(_mismatch(text, unit, dimension, expected.where))
             return 0.0
+    _warn_of_degrees(numbers, unit.dimension, unit.factor, expected.where)
     values = [times(number, unit.factor) for number in numbers]
     return values if len(values) > 1 else values[0]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +135,7 @@ class Check:
         fitting = [option for option in options if accepts(option, value)]
         types = {option["properties"]["type"]["const"]: option for option in fitting if "type" in option.get("properties", {})}
         if isinstance(value, dict) and types:
-            name = value.get("type")
+            name = value.get("type", next((name for name, option in types.items() if "type" not in option["required"]), None))
             if isinstance(name, str) and ":" in name:
                 return None
             if name is None:
@@ -162,8 +163,10 @@ def resolved(node: dict[str, Any]) -> dict[str, Any]:
 
 
 def accepts(node: dict[str, Any], value: Any) -> bool:
-    """Whether a value is of the type of a schema."""
+    """Whether a value is of the type of a schema, and a text of its pattern."""
     fits = {kind for kind in _types(node) if isinstance(value, TYPES[kind])}
+    if isinstance(value, str) and not re.search(node.get("pattern", ""), value):
+        return False
     return bool(fits) and not (isinstance(value, bool) and "boolean" not in fits)
 
 

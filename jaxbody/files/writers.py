@@ -18,23 +18,11 @@ from jaxbody.files.schemas import VERSION, schema
 from jaxbody.laws.laws import Function, Law, Linear, Sum
 from jaxbody.models.joints import Free
 from jaxbody.models.models import Model
+from jaxbody.models.preconditions import refuse_closures
 
-IN_LINE = 8  # numbers
+IN_LINE = 8  # items
+SMALL = 3  # rows of a matrix in one line
 SHORT = ("supports", "joints")  # sections whose objects take one line each
-HEADING = """A model for jaxbody. Check it with `jaxbody check FILE`; `jaxbody --help` lists what comes next.
-Numbers without a unit are in SI; "21 N/mm" is a number with its own. Bodies: `position` is where the origin O of the body's axes is
-before the model settles, `com` the center of mass from O. Elements: each end is a body, a support or "world", and a point in its axes."""
-TO_FIT = """to fit it to a record, `jaxbody fit FILE --free "*.stiffness"`: a text file of columns with units, t [s], z [mm], base [mm]
-[records.run1]
-file = "run1.csv"
-time = "t"
-channels = {{height = "z", base = "base"}}
-[sensors]
-height = {{type = "Position", on = "{body}", axis = "z"}}
-[experiments.run1]
-record = "run1"
-initial = "rest"
-motion.{support} = {{type = "Sampled", record = "run1", translation = "base", axis = "z"}}"""
 NOT_IN_FILES = "A file holds numbers and names only."
 
 
@@ -47,6 +35,7 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
     if model.gravity.ndim > 1:
         hint = "Write one of them: jax.tree.map(lambda x: x[0], models)."
         raise JaxbodyError(Problem("BAD_SHAPE", "write_model", f"is a batch of {len(model.gravity)} models", limit="one model", hint=hint))
+    refuse_closures("write_model", model)
     layout, writer = model.layout, Writer(allow)
     joints = {name: model.joint(name) for name in layout.bodies}
     sections: dict[str, dict[str, Any]] = {
@@ -134,11 +123,8 @@ def _same(value: Any, default: Any) -> bool:
 
 def toml_of(values: dict[str, Any], units: bool = False) -> str:
     """The text of a document: a table for each body and element, a line for each support and joint. `units`: with the unit of the numbers
-    in each line, and a comment on how to go on."""
+    in each line."""
     document = tomlkit.document()
-    if units:
-        for line in HEADING.splitlines():
-            document.add(tomlkit.comment(line))
     for name, value in values.items():
         if name not in SECTIONS:
             document.add(name, _with_unit(value, schema()["properties"][name]) if units else value)
@@ -154,25 +140,19 @@ def toml_of(values: dict[str, Any], units: bool = False) -> str:
                 table.add(entry, _with_unit(content, nodes.get(entry, {})) if units else _item(content))
             section.add(tomlkit.key(key), table)
         document.add(name, section)
-    if units and "supports" in values:
-        support, body = next(iter(values["supports"])), next(iter(values["bodies"]))
-        document.add(tomlkit.nl())
-        document.add(tomlkit.comment("the motion of a support, for `jaxbody simulate`"))
-        motion = tomlkit.table(is_super_table=True)
-        motion[support] = _item({"type": "Harmonic", "frequency": "1.5 Hz", "translation": "0, 0, 5 mm"})
-        document["motion"] = motion
-        document.add(tomlkit.nl())
-        for line in TO_FIT.format(support=support, body=body).splitlines():
-            document.add(tomlkit.comment(line))
     return tomlkit.dumps(document)
 
 
 def _with_unit(value: Any, node: dict[str, Any]) -> Any:
     """The item of a value, with the unit of its numbers as a comment."""
-    item = _item(value)
-    end = node.get("$ref") == "#/$defs/end"
-    linear = node.get("$ref") == "#/$defs/law" and isinstance(value, float)
-    unit = "m" if end else "force/argument" if linear else node.get("unit", "").partition(",")[0]
+    item, unit = _item(value), node.get("unit", "")
+    if node.get("$ref") == "#/$defs/end":
+        unit = "m"
+    elif node.get("$ref") == "#/$defs/law" and isinstance(value, float):
+        unit = "force/argument"
+    elif ";" in unit and isinstance(value[0], list):
+        return item.comment(f"in blocks {unit}")
+    unit = unit.partition(",")[0]
     return item.comment(si_words(dimension(unit, node.get("words", {})))) if unit else item
 
 
@@ -186,4 +166,5 @@ def _item(value: Any) -> Any:
         return tomlkit.item(value)
     array = tomlkit.array()
     array.extend(map(_item, value))
-    return array.multiline(len(value) > IN_LINE or any(isinstance(x, dict) for x in value))
+    rows = [x for x in value if isinstance(x, dict) or (isinstance(x, list) and len(value) > SMALL)]
+    return array.multiline(len(value) > IN_LINE or bool(rows))

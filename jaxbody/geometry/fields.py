@@ -82,19 +82,33 @@ def kind_of(owner: Any, name: str, words: dict[str, str] | None = None) -> Kind:
     return Kind(resolved(kind.unit, owner, words or {}), domain, kind.code, kind.hint)
 
 
+def words_for(owner: Any, name: str, words: dict[str, str]) -> dict[str, str]:
+    """The words of units for the object in an owner's field: those that the owner has, and those of the field."""
+    return {**words, **{word: resolved(text, owner, words) for word, text in _stated(owner, name)[1].items()}}
+
+
 def kind_along(root: Any, keys: tuple[Any, ...]) -> Kind:
     """The kind of the numbers at a path of JAX keys from a root, with the words from all objects on the path."""
+    return _along(root, keys)[0]
+
+
+def words_along(root: Any, keys: tuple[Any, ...]) -> dict[str, str]:
+    """The words that apply to the object at a path of JAX keys from a root."""
+    return _along(root, keys)[1]
+
+
+def _along(root: Any, keys: tuple[Any, ...]) -> tuple[Kind, dict[str, str]]:
     kind, words, owner = Kind(), {}, root
     for key in keys:
         name = getattr(key, "name", None)
         if isinstance(name, str):
             kind = kind_of(owner, name, words)
-            words = {**words, **{word: resolved(text, owner, words) for word, text in _stated(owner, name)[1].items()}}
+            words = words_for(owner, name, words)
             owner = getattr(owner, name, None)
         else:
             index: Any = getattr(key, "key", getattr(key, "idx", None))
             owner = owner[index] if isinstance(owner, dict | list | tuple) else None
-    return kind
+    return kind, words
 
 
 def _stated(owner: Any, name: str) -> tuple[Kind, dict[str, str]]:

@@ -15,15 +15,12 @@ DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")  # along and about axes
 ORDER = ("first", "second", "third")
 
 
-def unit_vector(axis, where: str, problems: Problems) -> Any:
-    """The unit vector along a direction of any length."""
-    n = checked(axis, ((3,),), where, problems)
-    if n is None:
-        return np.array([0.0, 0, 1])
+def of_length_1(n: Any, where: str, problems: Problems) -> Any:
+    """Rows divided by their lengths. Error: ZERO_AXIS."""
     known = concrete(n)
     if known is None:
-        return n / jnp.linalg.norm(n)
-    if not known.any():
+        return n / jnp.linalg.norm(n, axis=-1, keepdims=True)
+    if not known.any(-1).all():
         problems.add("ZERO_AXIS", where, "has length zero", value=known, limit="> 0", hint="Give a direction, such as [0, 0, 1].")
         return n
     return of_unit_length(known)
@@ -32,7 +29,8 @@ def unit_vector(axis, where: str, problems: Problems) -> Any:
 def direction(given, where: str, problems: Problems) -> Any:
     """The unit vector along x, y or z, given by name, or along a direction of any length. Errors: BAD_DIRECTION, ZERO_AXIS."""
     if not isinstance(given, str):
-        return unit_vector(given, where, problems)
+        n = checked(given, ((3,),), where, problems)
+        return np.array([0.0, 0, 1]) if n is None else of_length_1(n, where, problems)
     if given not in tuple("xyz"):
         problems.add("BAD_DIRECTION", where, f"is {given!r}", value=given, limit="x y z", hint="Give one of these, or three numbers.")
     return np.eye(3)["xyz".find(given)]

@@ -53,6 +53,12 @@ def product(A: Float[Array, "*#n 3 3"], B: Float[Array, "*#n 3 3"]) -> Float[Arr
 
 
 @jax.jit
+def axial(A: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """a of the part [a] of a matrix that is skew: of a rotation its axis times the sine of its angle."""
+    return jnp.array([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]]) / 2
+
+
+@jax.jit
 def skew(a: Float[Array, "*#n 3"]) -> Float[Array, "*#n 3 3"]:
     """[a], the matrix with [a] b = a x b."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import jax
@@ -16,7 +17,7 @@ from jaxbody.core import tables
 from jaxbody.core.arguments import positive_number, whole_number
 from jaxbody.core.arrays import Array, Float, Int, device_array
 from jaxbody.core.errors import Problems, Status, warn, warn_of
-from jaxbody.core.progress_lines import working
+from jaxbody.core.progress_lines import Line, working
 from jaxbody.core.results import Result
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.fits import Fit
@@ -25,6 +26,9 @@ from jaxbody.identification.residuals import Task
 from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
 from jaxbody.parameters.starts import around
+from jaxbody.workers.batches import batch_of, checked_chunks, gathered, store_of
+from jaxbody.workers.chunk_stores import hash_of
+from jaxbody.workers.executors import crew_of
 
 SAME = 1e-3  # largest distance in u, and of costs relative to 1 + cost, of results that count as one optimum
 CLOSE = 2.0  # largest difference of costs (negative log-likelihoods) at which another optimum explains the data about as well
@@ -73,6 +77,9 @@ def multistart(
     seed: int = 0,
     bounds: dict[str, tuple[Any, Any]] | None = None,
     max_evaluations: int = 200,
+    workers: Any = None,
+    out: Any = None,
+    chunks: Iterable[int] | None = None,
     progress: bool | None = None,
     **options: Any,
 ) -> Multistart:
@@ -89,12 +96,18 @@ def multistart(
         seed: random seed of the Sobol points.
         bounds: as in `fit`; where they are finite, the initial guesses lie between them.
         max_evaluations: largest number of steps from each initial guess.
+        workers: None, a number of processes, or an executor, as in `sweep`; the numbers are the same.
+        out: path of a Zarr store to which the ends of each 16 starts are written when they are done, as in `sweep`: the same call continues
+            an interrupted one.
+        chunks: numbers of the 16 starts that this call computes, such as range(i, n, k) for job i of k; None: all.
         progress: as in `fit`.
         options: other options of `fit`.
 
-    The starts are computed in batches of 16. Ctrl-C between batches returns the optima so far.
+    The starts are computed in batches of 16. Ctrl-C between batches returns the optima so far. Starts whose batch is LOST count as not
+    converged.
 
-    Errors: those of `fit`, BAD_NUMBER. Warns SEVERAL_OPTIMA if another optimum has a log-likelihood within 2 of the best.
+    Errors: those of `fit`, BAD_NUMBER, BAD_CHUNK, BAD_WORKERS, NOT_SENT, OTHER_WORKER, OTHER_STORE, NOT_SAVED. Warns SEVERAL_OPTIMA if
+    another optimum has a log-likelihood within 2 of the best, LOST and INTERRUPTED.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 0, 0]), stiffness=30.0)
     >>> model = Model(bodies={"mass": Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, elements={"spring": spring},
@@ -109,25 +122,28 @@ def multistart(
         starts = whole_number(starts, "multistart.starts", problems)
         seed = whole_number(seed, "multistart.seed", problems, least=0)
         positive_number(spread, "multistart.spread", problems)
+        chunks = checked_chunks("multistart", workers, out, chunks, problems, fixed=True)
     with working("multistart", progress) as line:
         with warnings.catch_warnings(record=True) as caught:  # about an optimum that may not be the best
             warnings.simplefilter("always")
             first = fit(model, experiments, free=free, bounds=bounds, progress=progress, **options)
         task = first.task
         points = around(task.space, starts, spread, seed)
-        ends, costs, failures = [np.asarray(first.u)], [float(first.cost)], 0
-        try:
-            for i in range(0, starts, BATCH):
-                u, status, cost = (np.asarray(x) for x in _search(task, device_array(points[i : i + BATCH]), max_evaluations))
+        ends, costs, done = [np.asarray(first.u)], [float(first.cost)], 0
+        if workers is None and out is None:
+            searched = _searched(task, points, max_evaluations)
+        else:
+            searched = [_searched_by_workers(task, points, max_evaluations, workers, out, chunks, line)]
+        with contextlib.suppress(KeyboardInterrupt):
+            for u, status, cost in searched:
+                done += int((status != Status.INTERRUPTED).sum())
                 converged = (status == Status.OK) & np.isfinite(cost)
                 ends += list(u[converged])
                 costs += list(cost[converged])
-                failures += int((~converged).sum())
-                line(message := f"starts {min(i + BATCH, starts)} of {starts}: least cost {min(costs):.9g}")
+                line(message := f"starts {done} of {starts}: least cost {min(costs):.9g}")
                 if progress:
                     print(message, flush=True)
-        except KeyboardInterrupt:
-            starts = i  # pyright: ignore[reportPossiblyUnboundVariable]
+        starts = done
         groups = _grouped(np.array(ends), np.array(costs))
         lowest, best = groups[0][0], first
         if lowest == 0:
@@ -142,7 +158,35 @@ def multistart(
     values = jax.vmap(task.space.values)(device_array(np.array([ends[group[0]] for group in groups])))
     estimates = {path: values[path] for path in first.paths}
     hits = np.array(list(map(len, groups)))
-    return Multistart(best=best, cost=cost, hits=hits, estimates=estimates, starts=starts + 1, failures=failures, status=best.status)
+    return Multistart(
+        best=best, cost=cost, hits=hits, estimates=estimates, starts=starts + 1, failures=starts + 1 - len(ends), status=best.status
+    )
+
+
+Ends = tuple[np.ndarray, ...]  # u, status and cost at the ends of searches
+
+
+def _searched(task: Task, points: np.ndarray, max_steps: int) -> Iterator[Ends]:
+    """The ends of searches from these points, in batches of one width, in their order."""
+    count, width = len(points), min(BATCH, len(points))
+    for first in range(0, count, width):
+        filled = points[np.minimum(np.arange(first, first + width), count - 1)]
+        yield tuple(np.asarray(x)[: count - first] for x in _search(task, device_array(filled), max_steps))
+
+
+def _searched_by_workers(task: Task, points: np.ndarray, max_steps: int, workers: Any, out: Any, chunks: Any, line: Line) -> Ends:
+    """The ends of all searches; those that were not made have the status LOST or INTERRUPTED."""
+
+    def function(task, points):
+        return dict(zip(("u", "end", "cost"), _search(task, points, max_steps), strict=True))
+
+    count, points = len(points), points.astype(np.asarray(device_array(points)).dtype)
+    with crew_of(workers, "multistart.workers") as crew:
+        owner: Any = dict(owner=_searched_by_workers, place=max_steps)
+        batch = batch_of(function, task, lambda i, j: [points[i:j]], count, width=BATCH, where="multistart", crew=crew, **owner)
+        store = None if out is None else store_of(batch, out, {"starts from": hash_of(points)}, ["start"], "start", any_size=False)
+        results, status = gathered(batch, crew, "multistart", lambda done, _: line(f"starts {done} of {count}"), store, chunks)
+    return results["u"], np.where(status == Status.OK, results["end"], status), results["cost"]
 
 
 @jit_optimized

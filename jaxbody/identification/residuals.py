@@ -31,12 +31,13 @@ ReadingsAndResiduals = dict[str, tuple[dict[str, Array], dict[str, Array]]]  # {
 
 
 class Task(eqx.Module):
-    """A least-squares problem: `runs(u)` and `residual(u)` of all measurements of a space."""
+    """A least-squares problem: `runs(u)` and `residual(u)` of all measurements of a space, less an `offset` if there is one."""
 
     space: Space
     noise: Levels
     integration: Integration
     loss: str | None = eqx.field(static=True, default=None)
+    offset: Float[Array, "m"] | None = None
 
     @property
     def experiments(self) -> dict[str, Measurement]:
@@ -84,8 +85,8 @@ class Task(eqx.Module):
 
     def losses(self, runs: ReadingsAndResiduals) -> Float[Array, "m"]:
         """All residuals in one vector, with the loss applied: sorted by name as jit sorts dicts, those of priors last."""
-        parts = _rows(runs)
-        return jnp.concatenate([root(r, None if run == PRIORS else self.loss) for run, r in parts.items()])
+        r = jnp.concatenate([root(r, None if run == PRIORS else self.loss) for run, r in _rows(runs).items()])
+        return r if self.offset is None else r - self.offset
 
     def linearized(self, runs: ReadingsAndResiduals, J) -> tuple[np.ndarray, np.ndarray]:
         """Residuals and Jacobian of the least-squares problem with the same optimum and covariance as the robust one."""

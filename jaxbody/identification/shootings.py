@@ -27,7 +27,10 @@ from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.fitters import fit
 from jaxbody.identification.residuals import first_noise
+from jaxbody.mechanics.element_states import completed
+from jaxbody.mechanics.kinematics import frames_at_time
 from jaxbody.models.models import Model
+from jaxbody.models.preconditions import refuse_closures
 from jaxbody.models.states import State
 from jaxbody.sensors.channels import Channel
 from jaxbody.simulations.readings import readings
@@ -65,7 +68,7 @@ class Segments(Measurement):
 
     @property
     def measured(self):  # pyright: ignore[reportIncompatibleVariableOverride]
-        gaps = jnp.zeros((self.count - 1, self.nodes.q.shape[1] + self.nodes.v.shape[1]))
+        gaps = jnp.zeros((self.count - 1, self.nodes.q.shape[1] + self.nodes.v.shape[1] + self.nodes.z.shape[1]))
         return {**self.whole.measured, "continuity": gaps}
 
     @property
@@ -80,7 +83,7 @@ class Segments(Measurement):
         return reading if name == "continuity" else self.whole.residual(name, reading)
 
     def named(self):
-        return {**self.whole.named(), "nodes": self.nodes.named()}
+        return {**self.whole.named(), "nodes": self.nodes}
 
     def moved_rows(self, path, channel):
         """Readings in a segment depend on its initial state; a gap depends on the initial states of both segments."""
@@ -109,16 +112,15 @@ class Segments(Measurement):
         starts, rows = cuts(len(self.whole.times), self.count)
         motions, loads = motions_of(model, self.whole.motion), tuple(self.whole.loads.values())
         first = first_state(self.whole, model)
-        initial_states = jax.tree.map(
-            lambda x, y: jnp.concatenate([x[None], y]), State(first.q, first.v), State(self.nodes.q, self.nodes.v)
-        )
+        first = completed(model, first, frames_at_time(model, motions, self.whole.times[0], first))
+        initial_states = jax.tree.map(lambda x, y: jnp.concatenate([x[None], y]), first, self.nodes)
 
         def segment(times, initial):
-            return integration.trajectory(model, times, motions, loads, State(initial.q, initial.v))
+            return integration.trajectory(model, times, motions, loads, initial)
 
         parts = jax.vmap(segment)(self.whole.times[starts[:, None] + np.arange(rows)], initial_states)
         ends = jax.tree.map(lambda x: x[np.arange(self.count - 1), np.diff(starts)], parts.state)
-        gaps = [(ends.q - self.nodes.q) / self.scale.q, (ends.v - self.nodes.v) / self.scale.v]
+        gaps = jax.tree.leaves(jax.tree.map(lambda end, node, scale: (end - node) / scale, ends, self.nodes, self.scale))
         owner = self._segment_of_samples()
         joined = jax.tree.map(lambda x: x[owner, np.arange(len(owner)) - starts[owner]], parts.state)
         end = jax.tree.map(lambda x: x[-1], parts.end)
@@ -162,6 +164,7 @@ def multiple_shooting(
     >>> round(float(multiple_shooting(model, {"track": track}, free="spring.stiffness", segments=4).estimates["spring.stiffness"]), 4)
     39.4784
     """
+    refuse_closures("multiple_shooting", model)
     check_measurements(experiments, "multiple_shooting.experiments").raise_if_any()
     shortest = min((len(experiment.times) for experiment in experiments.values()), default=2)
     if not 2 <= segments < shortest:
@@ -218,7 +221,7 @@ def _cut(model: Model, name: str, experiment: Experiment, count: int, options: d
             part = fit(model, {name: part}, free=f"{name}.initial.*", max_evaluations=MAX_EVALUATIONS, **how).experiments[name]
             assert isinstance(part, Experiment)
         motions.append(part.trajectory(model, Integration(**how)).state)
-        state = State(*(x[following - i] for x in (motions[-1].q, motions[-1].v)))
+        state = jax.tree.map(lambda x, last=following - i: x[last], motions[-1])
     nodes = jax.tree.map(lambda *x: jnp.stack([each[0] for each in x]), *motions[1:])
 
     def scale(*parts):

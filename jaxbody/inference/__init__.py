@@ -1,1 +1,1 @@
-"""Uncertainty of fits: profiles, bands, validation."""
+"""Uncertainty of fits: profiles, bands, coverage, validation."""

@@ -54,6 +54,7 @@ class Profile(Result):
     u: np.ndarray
     interval: tuple[float, float]
     status: np.ndarray
+    unit: str = ""  # of the parameter
 
     def explain(self) -> str:
         return (
@@ -67,7 +68,8 @@ class Profile(Result):
         low, high = self.interval
         note = f"{100 * self.level:g} % interval {low:.6g} to {high:.6g}, estimate {self.estimate:.6g}; {self.report()}"
         note = "\n".join([note, *filter(None, [widening(self.degrees_of_freedom, self.level)])])
-        return [tables.PrintedTable(f"Profile of {self.path}", ("value", "tau", "cost"), rows, note)]
+        value = f"value [{self.unit}]" if self.unit else "value"
+        return [tables.PrintedTable(f"Profile of {self.path}", (value, "tau", "cost"), rows, note)]
 
 
 def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None = None) -> Profile:
@@ -92,7 +94,7 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
     True
     """
     check_level(level, "profile.level")
-    i, value = _place(fit, path)
+    i, value, unit = _place(fit, path)
     optimum = (np.asarray(fit.u), 0.0, float(fit.cost))
     with working("profile", progress) as line:
         search = _ProfileSearch(fit, i, level)
@@ -118,11 +120,12 @@ def profile(fit: Fit, path: str, *, level: float = 0.95, progress: bool | None =
             u=u,
             interval=(low, high),
             status=status,
+            unit=unit,
         )
     )
 
 
-def _place(fit: Fit, path: str) -> tuple[int, Any]:
+def _place(fit: Fit, path: str) -> tuple[int, Any, str]:
     """The index of the parameter in u, and its value as a function of that u."""
     fit._assessed()
     for parameter, part in fit.task.space.parts:
@@ -131,7 +134,8 @@ def _place(fit: Fit, path: str) -> tuple[int, Any]:
             message, hint = f"'{path}' does not vary independently", "Give a scalar, such as a stiffness, or a number of a vector."
             raise JaxbodyError(Problem("WRONG_KIND", "profile.path", message, path, hint=hint))
         if path in labels:
-            return part.start + labels.index(path), partial(_value, parameter.form, labels.index(path))
+            number = labels.index(path)
+            return part.start + number, partial(_value, parameter.form, number), fit.task.space.units(parameter)[number]
     problem = unknown(path, "profile.path", tuple(fit.task.space.labels))
     raise JaxbodyError(Problem("UNKNOWN_PATH", "profile.path", problem.message, path, hint=problem.hint))
 

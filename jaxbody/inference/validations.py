@@ -30,10 +30,11 @@ class Validation(Result):
     """Residuals of a fitted model by component of each channel, as "run.channel[0]".
 
     `nrmse`; `rms` of the residuals in the unit of the channel; `excess`, its ratio to the noise estimated by the fit; and `whiteness`, None
-    for short records and for measurements that are no time series. `predicted` and `residuals` are {run: {channel: array}}. `status` is
-    NONFINITE if a run cannot be simulated with the fitted model; `failed` gives the reasons.
+    for short records and for measurements that are no time series. `experiments` holds the runs, `predicted` and `residuals` are {run:
+    {channel: array}}. `status` is NONFINITE if a run cannot be simulated with the fitted model; `failed` gives the reasons.
     """
 
+    experiments: dict[str, Measurement]
     nrmse: dict[str, float]
     rms: dict[str, float]
     excess: dict[str, float]
@@ -108,6 +109,7 @@ def validate(fit: Fit, experiments: dict[str, Measurement]) -> Validation:
     predicted, residuals = ({run: both[k] for run, both in runs.items()} for k in (0, 1))
     return warn_if_failed(
         Validation(
+            experiments=dict(experiments),
             nrmse=nrmse,
             rms=rms,
             excess=excess,

@@ -13,19 +13,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arguments import check_kind, check_one_of, checked_dict, plain
+from jaxbody.core.arguments import check_kind, check_one_of, checked_dict, plain, warn_of_degrees
 from jaxbody.core.arrays import Array, Float, checked, concrete, device_array
 from jaxbody.core.errors import Problems
+from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field, take
 from jaxbody.geometry.frames import Instant, Wrench
-from jaxbody.geometry.places import ends, unit_vector
+from jaxbody.geometry.places import direction, ends
 from jaxbody.geometry.vectors import cross, dot, rotate
 from jaxbody.inputs.signals import Signal, as_signal
 
 STANDARD_GRAVITY = 9.80665  # m/s2
 
 
-class Load(eqx.Module):
+class Load(Described, eqx.Module):
     """The base class of loads: a load of your own derives from it and states `at_point`.
 
     >>> class Thrust(Load):
@@ -104,7 +105,7 @@ class Unbalance(Load):
 
     Args:
         on: the body, or (body, point of the shaft)
-        axis: axis of the shaft, in body axes
+        axis: of the shaft; x, y, z or a direction, in body axes
         unbalance: u [kg m]
         frequency: f at t = 0 [Hz]
         run_up: rate r of the frequency [Hz/s]
@@ -127,10 +128,11 @@ class Unbalance(Load):
     def __init__(self, on, *, axis, unbalance, frequency, run_up=0.0, phase=0.0):
         with Problems() as problems:
             self.on, self.point = _place(on, "Unbalance", problems)
-            self.axis = unit_vector(axis, "Unbalance.axis", problems)
+            self.axis = direction(axis, "Unbalance.axis", problems)
             known = concrete(self.axis)
             self.across = 1 if known is not None and abs(known[0]) > 0.9 else 0
             take(self, problems, unbalance=unbalance, frequency=frequency, run_up=run_up, phase=phase)
+        warn_of_degrees(self.phase, "Unbalance.phase")
 
     def at_point(self, now):
         t = now.t
@@ -154,7 +156,7 @@ class EngineTorque(Load):
 
     Args:
         on: the body
-        axis: n, the direction of the crank, in body axes
+        axis: n, of the crank; x, y, z or a direction, in body axes
         frequency: f of the crank [Hz] (3000 rpm: 50)
         orders: o_i, such as 2, 4, 6 for a four-cylinder four-stroke engine
         amplitudes: T_i [N m]
@@ -178,13 +180,14 @@ class EngineTorque(Load):
     def __init__(self, on, *, axis, frequency, orders, amplitudes, phases=None, mean=0.0):
         with Problems() as problems:
             self.on, self.point = _place(on, "EngineTorque", problems)
-            self.axis = unit_vector(axis, "EngineTorque.axis", problems)
+            self.axis = direction(axis, "EngineTorque.axis", problems)
             take(self, problems, frequency=frequency, mean=mean)
             n = np.size(orders)
             rows = {"orders": orders, "amplitudes": amplitudes, "phases": np.zeros(n) if phases is None else phases}
             for name, value in rows.items():
                 row = checked(value, ((n,),), f"EngineTorque.{name}", problems, "One number for each order.")
                 setattr(self, name, np.zeros(n) if row is None else row)
+        warn_of_degrees(self.phases, "EngineTorque.phases")
 
     def at_point(self, now):
         waves = self.amplitudes * jnp.cos(2 * jnp.pi * self.orders * self.frequency * now.t + self.phases)

@@ -83,7 +83,8 @@ class Harmonic(Motion):
             arrays = {name: checked(value, shapes, f"Harmonic.{name}", problems) for name, (value, shapes) in given.items()}
         for name, array in arrays.items():
             setattr(self, name, device_array(array if name == "frequency" else array * np.ones(3)))
-        warn_of_degrees(rotation, "Harmonic.rotation")
+        for name in ("rotation", "translation_phase", "rotation_phase"):
+            warn_of_degrees(arrays[name], f"Harmonic.{name}")
 
     def __call__(self, t: Float[Array, ""]) -> Float[Array, "6"]:
         amplitude = jnp.concatenate([self.translation, self.rotation])

@@ -13,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arguments import check_one_of, check_returned, kind_of, plain
+from jaxbody.core.arguments import check_one_of, check_returned, kind_of, plain, warn_of_degrees
 from jaxbody.core.arrays import Array, Float, check_times, device_array, functions_as_nodes, shaped
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field
 from jaxbody.inputs.samples import cell, checked_rows, curvatures, interpolated, is_uniform
 
@@ -32,7 +33,7 @@ __all__ = [
 KINDS = ("hold", "linear", "cubic")
 
 
-class Signal(eqx.Module):
+class Signal(Described, eqx.Module):
     """A number or a vector as a function of time. Signals can be added to each other and to functions of time.
 
     >>> Sine(amplitude=[0, 0, 5.0], frequency=2.0, phase=0.0)(jnp.array(0.25)).tolist()[2]
@@ -72,6 +73,9 @@ class SignalSum(Signal):
 
     def kinks(self) -> Array | None:
         return kinks_of(self.terms)
+
+    def _described(self, words):
+        return " + ".join(term._described(words) for term in self.terms)
 
 
 class Delayed(Signal):
@@ -132,6 +136,7 @@ class Sine(Signal):
             self.amplitude = device_array(shaped(amplitude, np.shape(amplitude)[:1], "Sine.amplitude", problems))
             for name, value in (("frequency", frequency), ("phase", phase)):
                 setattr(self, name, device_array(shaped(value, (), f"Sine.{name}", problems)))
+        warn_of_degrees(self.phase, "Sine.phase")
 
     def __call__(self, t):
         return self.amplitude * jnp.cos(2 * jnp.pi * self.frequency * t + self.phase)

@@ -6,6 +6,7 @@ import csv
 import io
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +43,12 @@ def read_mounts(path: Any, bodies: Mapping[str, Body | Support], *, largest: flo
     x, y, z are the place of the mount in world axes, in the reference pose; kx, ky, kz and cx, cy, cz its stiffness and damping along its
     axes, krx ... and crx ... about them; rx, ry, rz [deg] turn its axes from those of the world, first about z, then y, then x. Columns may
     be in any order; others than name, x, y, z, kx, ky, kz may be missing, or empty, which is zero. A unit is in the heading, or in the
-    number, "21 N/mm".
+    number, "21 N/mm". The command `jaxbody new --mounts mounts.csv` prints a model file with these mounts.
 
     Args:
         path: path of the file; columns are separated by commas, semicolons or tabs, lines that start with # are comments
-        bodies: {name: Body or Support}. Columns a and b name the two of each mount; without them, all mounts are between the first of these
-            and the second, or the world
+        bodies: {name: Body or Support}. Columns a and b name the two of each mount; without them, or where they are empty, it is between
+            the first of these and the second, or the world
         largest: largest size of the file [bytes]
 
     Errors, all at once with their lines: those of text files, NO_NUMBERS, UNKNOWN_NAME, MISSING_ENTRY, RAGGED_LINE, DUPLICATE_NAME,
@@ -60,7 +61,28 @@ def read_mounts(path: Any, bodies: Mapping[str, Body | Support], *, largest: flo
     >>> mounts["left"].between, mounts["left"].a.round(9).tolist(), mounts["left"].stiffness.tolist()
     (('engine', 'frame'), [0.0, 0.25, -0.1], [200000.0, 200000.0, 400000.0])
     """
-    path = Path(path)
+    mounts: dict[str, Bushing] = {}
+    with Problems() as problems:
+        for where, values in _lines(Path(path), largest, problems):
+            name = values.get("name", "")
+            if name in mounts:
+                problems.add("DUPLICATE_NAME", where, f"'{name}' is the name of a mount above", value=name)
+            mount = problems.gather(lambda values=values, where=where: _mount(values, bodies, where))
+            if mount is not None:
+                mounts[name] = mount
+    return mounts
+
+
+def mounted_frames(path: Any, *, largest: float = LARGEST) -> tuple[list[str], list[str]]:
+    """The names in column a of a data sheet, which are those of bodies, and the other names in column b, those of supports. Numbers are not
+    checked. Errors: those of text files and of the headings."""
+    lines = [values for _, values in _lines(Path(path), largest, Problems())]
+    first, second = ([values[end] for values in lines if end in values and values[end] != "world"] for end in "ab")
+    return list(dict.fromkeys(first)), [name for name in dict.fromkeys(second) if name not in first]
+
+
+def _lines(path: Path, largest: float, problems: Problems) -> list[tuple[str, dict[str, Any]]]:
+    """Where each line of mounts stands, and its words and numbers in SI."""
     check_file(path, largest)
     lines = decoded(path.read_bytes(), path.name, "utf-8").splitlines()
     rows = [(i + 1, line) for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
@@ -70,22 +92,16 @@ def read_mounts(path: Any, bodies: Mapping[str, Body | Support], *, largest: flo
     if separator == ";" and any("," in line for _, line in rows[1:]):
         raise JaxbodyError(Problem("DECIMAL_COMMA", path.name, "has commas in its numbers", limit="decimal points", hint="Replace them."))
     cells = [(line, [cell.strip() for cell in next(csv.reader(io.StringIO(text), delimiter=separator))]) for line, text in rows]
-    with Problems() as problems:
-        columns = _columns(path.name, *cells[0], problems)
-    mounts: dict[str, Bushing] = {}
-    with Problems() as problems:
-        for line, row in cells[1:]:
-            where = f"{path.name}:{line}"
-            if len(row) != len(columns):
-                problems.add("RAGGED_LINE", where, f"has {len(row)} cells", value=len(row), limit=f"{len(columns)}, as the headings")
-                continue
-            values = _values(row, columns, where, problems)
-            if values["name"] in mounts:
-                problems.add("DUPLICATE_NAME", where, f"'{values['name']}' is the name of a mount above", value=values["name"])
-            mount = problems.gather(lambda values=values, where=where: _mount(values, bodies, where))
-            if mount is not None:
-                mounts[values["name"]] = mount
-    return mounts
+    with Problems() as of_headings:
+        columns = _columns(path.name, *cells[0], of_headings)
+    found = []
+    for line, row in cells[1:]:
+        where = f"{path.name}:{line}"
+        if len(row) == len(columns):
+            found.append((where, _values(row, columns, where, problems)))
+        else:
+            problems.add("RAGGED_LINE", where, f"has {len(row)} cells", value=len(row), limit=f"{len(columns)}, as the headings")
+    return found
 
 
 def _columns(name: str, line: int, headings: list[str], problems: Problems) -> list[tuple[str, str | None]]:
@@ -108,17 +124,27 @@ def _values(row: list[str], columns: list[tuple[str, str | None]], where: str, p
     """The words of a line, and its numbers in SI."""
     values: dict[str, Any] = {}
     for cell, (name, unit) in zip(row, columns, strict=True):
-        if name in WORDS:
+        if not cell:
+            hint = "Write 0 if it is zero." if name in UNITS else ""
+            if name in NEEDED:
+                problems.add("MISSING_ENTRY", f"{where} {name}", "is empty", limit="a number" if hint else "a name", hint=hint)
+        elif name in WORDS:
             values[name] = cell
-        elif cell:
-            with_unit = f"{cell} {unit}" if unit and re.fullmatch(NUMBER, cell) else cell
-            values[name] = in_SI(with_unit, UNITS[name], {}, None, f"{where} {name}", problems)
-            if isinstance(values[name], list):
-                problems.add("NOT_A_NUMBER", f"{where} {name}", f"is '{cell}'", value=cell, limit="one number")
-                values[name] = 0.0
-        elif name in NEEDED:
-            problems.add("MISSING_ENTRY", f"{where} {name}", "is empty", limit="a number", hint="Write 0 if it is zero.")
+        else:
+            values[name] = _number(cell, name, unit, f"{where} {name}", problems)
     return values
+
+
+def _number(cell: str, name: str, unit: str | None, where: str, problems: Problems) -> float:
+    """A cell in SI; its unit is in the heading or beside the number."""
+    own = Problems()
+    value = in_SI(f"{cell} {unit}" if unit and re.fullmatch(NUMBER, cell) else cell, UNITS[name], {}, None, where, own)
+    if isinstance(value, list):
+        own.add("NOT_A_NUMBER", where, f"is '{cell}'", value=cell, limit="one number")
+        value = 0.0
+    hint = f"Write it in the heading, {name} [{UNITS[name]}], or here, {cell} {UNITS[name]}."
+    problems.collected += [replace(problem, hint=hint) if problem.code == "NO_UNIT" else problem for problem in own.collected]
+    return value
 
 
 def _mount(values: dict[str, Any], bodies: Mapping[str, Body | Support], where: str) -> Bushing:

@@ -4,13 +4,13 @@
 
 A law states one of the two; the other is its derivative, or its integral by Gauss-Legendre quadrature. Tension is positive: in
 compression x < 0 and F < 0. All coefficients are arrays and can be free in a fit. Laws can be added. Torsion elements use the same laws
-in rad and N m.
+in rad and N m. Laws with memory: `memories`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -19,13 +19,14 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float, checked, functions_as_nodes
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import check_domain, field, kind_of, take
 
 Number = Float[Array, ""]
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
 
 
-class Law(eqx.Module):
+class Law(Described, eqx.Module):
     """The base class of laws: a law of your own derives from it and states `force` or `potential`.
 
     >>> class Cubic(Law):
@@ -35,6 +36,8 @@ class Law(eqx.Module):
     >>> round(float(Cubic(jnp.array(8.0)).potential(jnp.array(0.5))), 12)
     0.125
     """
+
+    has_memory: ClassVar[bool] = False
 
     def __check_init__(self):
         kind = type(self)
@@ -132,6 +135,9 @@ class Sum(Law):
     def beyond(self, x):
         return jnp.any(jnp.stack([law.beyond(x) for law in self.terms]), 0)
 
+    def _described(self, words):
+        return " + ".join(term._described(words) for term in self.terms)
+
 
 @jax.custom_jvp
 def _integral(law: Law, x: Number) -> Number:
@@ -218,6 +224,11 @@ class TwoSided(Law):
     def __init__(self, *, bump, rebound):
         with Problems() as problems:
             self.bump, self.rebound = (law_of(law, f"TwoSided.{name}", problems) for name, law in (("bump", bump), ("rebound", rebound)))
+            for part in (part for law in (self.bump, self.rebound) for part in parts(law) if part.has_memory):
+                hint = "Add it to the two-sided law: TwoSided(...) + Maxwell(...)."
+                problems.add(
+                    "MEMORY", "TwoSided", f"has memory ({type(part).__name__})", value=part, limit="laws without memory", hint=hint
+                )
 
     def potential(self, x):
         return self._each(x, lambda law, x: law.potential(x))

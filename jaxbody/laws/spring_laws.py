@@ -31,7 +31,7 @@ class Polynomial(Law):
     @property
     def powers(self) -> str:
         """The unit of each coefficient."""
-        return ", ".join(f"force/argument^{i + 1}" for i in range(self.coefficients.shape[-1]))
+        return ", ".join(f"force/argument^{i + 1}" for i in range((1, *self.coefficients.shape)[-1]))
 
     def _sum(self, x, divisors):
         c = self.coefficients / np.asarray(divisors, self.coefficients.dtype)
@@ -88,12 +88,12 @@ class Stop(Law):
         return side * x - self.gap, side
 
 
-def ramp(d: Number, w: Number) -> Number:
+def ramp(d: Float[Array, "*n"], w: Number) -> Float[Array, "*n"]:
     """0 for d < 0, d^2/(2 w) up to w, then d - w/2."""
     return jnp.where(d <= 0, 0.0, jnp.where(d < w, d**2 / (2 * w), d - w / 2))
 
 
-def ramp_energy(d: Number, w: Number) -> Number:
+def ramp_energy(d: Float[Array, "*n"], w: Number) -> Float[Array, "*n"]:
     """The integral of the ramp."""
     return jnp.where(d <= 0, 0.0, jnp.where(d < w, d**3 / (6 * w), d**2 / 2 - d * w / 2 + w**2 / 6))
 

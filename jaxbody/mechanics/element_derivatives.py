@@ -8,9 +8,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxbody.elements.elements import Element
 from jaxbody.geometry.frames import Frame
 from jaxbody.mechanics.energies import each_element, end_rows
 from jaxbody.mechanics.hessians import Configuration, frame_twists
+from jaxbody.models.models import Model
+from jaxbody.models.storage import KindTable
 
 
 class ElementDerivatives(NamedTuple):
@@ -31,18 +34,26 @@ def element_derivatives(at: Configuration) -> list[ElementDerivatives]:
     def of(element, *frames: Frame):
         e, e_dot = element.rates(*frames)
         k = e.size
-
-        def deformation(moves):
-            return element.deformation(*(f.pose().displaced(move) for f, move in zip(frames, moves, strict=True))).reshape(k)
-
-        slopes = jax.jacfwd(deformation)([jnp.zeros(6, e.dtype)] * len(frames))
         damping = jax.jacfwd(lambda rate: element.damping_force(e, rate))(e_dot)
-        return slopes, jax.hessian(element.energy)(e).reshape(k, k), damping.reshape(k, k)
+        return deformation_slopes(element, *frames), element.tangent(e).reshape(k, k), damping.reshape(k, k)
 
     twists = frame_twists(at)
     results = []
     for table, (slopes, *second) in zip(at.model.elements, each_element(at.model, at.frames, of), strict=True):
-        rows = end_rows(at.model, table)
-        J: Any = sum(slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True))
-        results.append(ElementDerivatives(J, *second))
+        results.append(ElementDerivatives(on_coordinates(at.model, table, slopes, twists), *second))
     return results
+
+
+def deformation_slopes(element: Element, *frames: Frame) -> list[Float[Array, "k 6"]]:
+    """de/d(displacement and rotation) of each frame of an element."""
+
+    def deformation(moves):
+        return element.deformation(*(f.pose().displaced(move) for f, move in zip(frames, moves, strict=True))).reshape(-1)
+
+    return jax.jacfwd(deformation)([jnp.zeros(6, frames[0].p.dtype)] * len(frames))
+
+
+def on_coordinates(model: Model, table: KindTable, slopes: list[Float[Array, "ne k 6"]], twists: Any) -> Float[Array, "ne k n"]:
+    """de/d(Delta, Xi) of the elements of a table from their slopes and the twists of the frames."""
+    rows: Any = end_rows(model, table)
+    return sum(slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True))  # pyright: ignore[reportReturnType]

@@ -18,6 +18,7 @@ from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.memories import holding, rest_states
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable
@@ -78,7 +79,9 @@ def lagrangian(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> 
 
 @jit_unoptimized
 def _energy(energy: Callable[[Model, Frame], Array], model: Model, state: State, xi: Xi, xi_dot: Xi) -> Float[Array, ""]:
-    return energy(model, frames_of(model, state, xi, xi_dot))
+    frames = frames_of(model, state, xi, xi_dot)
+    z = state.z if state.z.shape[-1] or not model.layout.nz else rest_states(model, frames.pose())
+    return energy(holding(model, z), frames)
 
 
 def kinetic_less_potential(model: Model, frames: Frame) -> Float[Array, ""]:
@@ -122,11 +125,13 @@ def outside_law_range(model: Model, frames: Frame) -> Bool[Array, "ne"]:
 
 def each_element(model: Model, frames: Frame, function) -> list:
     """function(element, A, B, ...) of every element and its frames, table by table."""
-    results = []
-    for table in model.elements:
-        end_frames = [Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w))) for row in end_rows(model, table)]
-        results.append(jax.vmap(function)(table.rows, *end_frames))
-    return results
+    return [of_table(model, frames, table, function) for table in model.elements]
+
+
+def of_table(model: Model, frames: Frame, table: KindTable, function) -> Any:
+    """function(element, A, B, ...) of the elements of one table."""
+    end_frames = [Frame(*(take(x, row) for x in (frames.p, frames.R, frames.v, frames.w))) for row in end_rows(model, table)]
+    return jax.vmap(function)(table.rows, *end_frames)
 
 
 def end_rows(model: Model, table: KindTable) -> list[np.ndarray]:

@@ -20,15 +20,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
 from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.element_states import completed, state_rates, state_scales
 from jaxbody.mechanics.energies import each_element, kinetic, wrenches
 from jaxbody.mechanics.kinematics import Coordinates, Motions, jacobian, with_world
 from jaxbody.models.joints import Free
 from jaxbody.models.layouts import WORLD, Layout
+from jaxbody.models.memories import apart, holding, rest_states
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
@@ -62,6 +65,10 @@ class Dynamics(eqx.Module):
         """The inputs that depend on time alone."""
         return t
 
+    def holding(self, z: Float[Array, "nz"]) -> Dynamics:
+        """The equations of motion with these states of the elements."""
+        return eqx.tree_at(lambda dynamics: dynamics.coordinates.model, self, holding(self.model, z)) if self.model.layout.nz else self
+
     @abstractmethod
     def driven(self, u: Any, y: Float[Array, "ny"]) -> Float[Array, "ny"]:
         """dy/dt with u = drive(t)."""
@@ -75,21 +82,26 @@ class Dynamics(eqx.Module):
         model, layout = self.model, self.model.layout
         size = size_of(model)
         rate = jnp.sqrt(self._stiffness_sum() / jnp.sum(model.bodies.rows.mass) + jnp.linalg.norm(model.gravity) / size) + 1 / span
-        return self._packed(jnp.where(layout.angular, 1.0, size), rate * jnp.where(layout.turns, 1.0, size))
+        y = self._packed(jnp.where(layout.angular, 1.0, size), rate * jnp.where(layout.turns, 1.0, size))
+        return jnp.concatenate([y, state_scales(model, self._reference_frames(), size)]) if layout.nz else y
 
     @abstractmethod
-    def _packed(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "ny"]:
+    def _packed(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "*n"]:
         """Numbers for each of q and v in the order of y."""
+
+    def _reference_frames(self) -> Frame:
+        return with_world(self.coordinates.supports.at_rest(), self.coordinates.bodies.at_rest())
 
     def _stiffness_sum(self) -> Float[Array, ""]:
         """The sum over the elements of the largest second derivative of V(e) in the reference pose."""
 
         def stiffest(element, *frames):
             e = element.deformation(*(f.pose() for f in frames))
-            return jnp.max(jnp.abs(jax.hessian(element.energy)(e)))
+            return jnp.max(jnp.abs(element.tangent(e)))
 
-        reference = with_world(self.coordinates.supports.at_rest(), self.coordinates.bodies.at_rest())
-        largest = each_element(self.model, reference, stiffest)
+        reference = self._reference_frames()
+        model = apart(self.model, rest_states(self.model, reference.pose()))
+        largest = each_element(model, reference, stiffest)
         return sum((jnp.sum(k) for k in largest), jnp.zeros((), self.model.gravity.dtype))
 
     @abstractmethod
@@ -138,7 +150,7 @@ class Dynamics(eqx.Module):
 
     def reactions(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]):
         """Force and moment about its origin that the bodies and elements exert on each support, in world axes."""
-        now, first = self.instant(t, State(q, v), reactions=True), self.model.layout.first_body
+        now, first = self.instant(t, State(q, v), reactions=True), self.model.layout.first_body  # in a model with memory, holding its z
         assert now.F is not None and now.M is not None
         return now.F[1:first], now.M[1:first]
 
@@ -156,9 +168,11 @@ class JointedBodies(Dynamics):
 
     def driven(self, u: Any, y: Float[Array, "ny"]) -> Float[Array, "ny"]:
         q, v, z = self.model.layout.split(y)
-        return self.model.layout.pack(State(self.coordinates.rate(q, v), self.acceleration(u, q, v), z))
+        here: Any = self.holding(z)
+        v_dot, now, _ = here._solve(u, q, v)
+        return self.model.layout.pack(State(self.coordinates.rate(q, v), v_dot, state_rates(here.model, now) if len(z) else z))
 
-    def _packed(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "ny"]:
+    def _packed(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "*n"]:
         return self.model.layout.pack(State(q, v))
 
     def acceleration(self, t: Float[Array, ""], q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "nv"]:
@@ -220,7 +234,7 @@ class JointedBodies(Dynamics):
 class FreeBodies(Dynamics):
     """Bodies that are all free on the world: the equations of Newton and Euler in body axes, where the mass matrix is constant.
 
-    y = (positions, quaternions, velocities of O, angular velocities), the velocities in body axes."""
+    y = (positions, quaternions, velocities of O, angular velocities, z), the velocities in body axes."""
 
     inverse_mass: Float[Array, "nb 6 6"]
     identity = True
@@ -235,17 +249,21 @@ class FreeBodies(Dynamics):
 
     def _split(self, y):
         n = len(self.model.layout.bodies)
-        return y[: 3 * n].reshape(n, 3), y[3 * n : 7 * n].reshape(n, 4), y[7 * n : 10 * n].reshape(n, 3), y[10 * n :].reshape(n, 3)
+        return y[: 3 * n].reshape(n, 3), y[3 * n : 7 * n].reshape(n, 4), y[7 * n : 10 * n].reshape(n, 3), y[10 * n : 13 * n].reshape(n, 3)
+
+    def _states(self, y):
+        return y[13 * len(self.model.layout.bodies) :]
 
     def pack(self, state: State, t: Any = None):
         R = rotations.matrix(state.q.reshape(-1, 1, 7)[..., 3:])
-        return self._packed(state.q, rotate_back(R, state.v.reshape(-1, 2, 3)))
+        y = self._packed(state.q, rotate_back(R, state.v.reshape(-1, 2, 3)))
+        return jnp.concatenate([y, state.z]) if self.model.layout.nz else y
 
     def unpack(self, y, t: Any = None):
         p, quaternion, v_B, w_B = self._split(y)
         quaternion = rotations.normalize(quaternion)
         R = rotations.matrix(quaternion)
-        return _state(p, quaternion, rotate(R, v_B), rotate(R, w_B))
+        return _state(p, quaternion, rotate(R, v_B), rotate(R, w_B), self._states(y) if self.model.layout.nz else None)
 
     def drive(self, t: Float[Array, ""]):
         """t and the frames of the supports."""
@@ -253,12 +271,13 @@ class FreeBodies(Dynamics):
 
     def driven(self, u, y):
         t, supports = u
-        model = self.model
+        z = self._states(y) if self.model.layout.nz else None
+        model = self.model if z is None else holding(self.model, z)
         bodies = model.bodies.rows
         p, quaternion, v_B, w_B = self._split(y)
         R = rotations.matrix(quaternion)
         v, w = rotate(R, v_B), rotate(R, w_B)
-        now = with_world(supports, Frame(p, R, v, w)).at_time(t, _state(p, quaternion, v, w))
+        now = with_world(supports, Frame(p, R, v, w)).at_time(t, _state(p, quaternion, v, w, z))
         F, M = (x[model.layout.first_body :] for x in wrenches(model, now, self.loads))
         m, c = bodies.mass[:, None], bodies.com
         P = m * (v_B + cross(w_B, c))  # momentum and angular momentum about O, in body axes
@@ -266,8 +285,9 @@ class FreeBodies(Dynamics):
         F_B = rotate_back(R, F) - cross(w_B, P)
         M_B = rotate_back(R, M) - cross(w_B, H) - cross(v_B, P)
         rate = jnp.sum(self.inverse_mass * jnp.concatenate([F_B, M_B], -1)[:, None, :], -1)
+        of_elements = [] if z is None else [state_rates(model, now)]
         return jnp.concatenate(
-            [v.ravel(), rotations.quaternion_rate_body(quaternion, w_B).ravel(), rate[:, :3].ravel(), rate[:, 3:].ravel()]
+            [v.ravel(), rotations.quaternion_rate_body(quaternion, w_B).ravel(), rate[:, :3].ravel(), rate[:, 3:].ravel(), *of_elements]
         )
 
     def acceleration(self, t, q, v):
@@ -304,9 +324,9 @@ class FreeBodies(Dynamics):
         return generalized(v, w), with_world(supports, Frame(q[:, :3], R, v, w)), generalized(jnp.zeros_like(v), -gyroscopic), generalized
 
 
-def _state(p: Float[Array, "nb 3"], quaternion: Float[Array, "nb 4"], v: Float[Array, "nb 3"], w: Float[Array, "nb 3"]) -> State:
+def _state(p: Float[Array, "nb 3"], quaternion: Float[Array, "nb 4"], v: Float[Array, "nb 3"], w: Float[Array, "nb 3"], z=None) -> State:
     """The state of free bodies."""
-    return State(jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([v, w], -1).ravel())
+    return State(jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([v, w], -1).ravel(), z)
 
 
 def _generalized(lin, ang, F: Float[Array, "nb 3"], M: Float[Array, "nb 3"]) -> Float[Array, "nv"]:
@@ -316,7 +336,7 @@ def _generalized(lin, ang, F: Float[Array, "nb 3"], M: Float[Array, "nb 3"]) -> 
 
 def equations_for(layout: Layout) -> type[Dynamics]:
     """The form of the equations of motion: `FreeBodies` if every body is free on the world, else `JointedBodies`."""
-    free = all(block.kind is Free for block in layout.blocks) and set(layout.parents) == {WORLD}
+    free = all(block.kind is Free for block in layout.joints) and set(layout.parents) == {WORLD}
     return FreeBodies if free else JointedBodies
 
 
@@ -336,6 +356,15 @@ def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
     return jnp.concatenate([top, jnp.concatenate([-GC, G], -1)], -2)
 
 
+@jit_unoptimized
+def state_slopes(model: Model, state: State) -> Float[Array, "ny ny"]:
+    """df/dy of y' = f(t, y) at t = 0, with the supports at rest in their reference poses."""
+    dynamics = dynamics_of(model, ())
+    state = completed(model, state, dynamics.coordinates.at_rest(state.q))
+    zero = jnp.zeros((), state.q.dtype)
+    return jax.jacfwd(lambda y: dynamics.rate(zero, y))(dynamics.pack(state))
+
+
 def acceleration(model: Model, state: State, t: Any = 0.0, motions: Motions = (), loads: tuple[Load, ...] = ()) -> Float[Array, "nv"]:
     """dv/dt from the equations of motion, in the speeds of the state."""
-    return dynamics_of(model, motions, loads).acceleration(jnp.asarray(t, state.q.dtype), state.q, state.v)
+    return dynamics_of(holding(model, state.z), motions, loads).acceleration(jnp.asarray(t, state.q.dtype), state.q, state.v)

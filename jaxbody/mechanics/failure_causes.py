@@ -15,6 +15,7 @@ from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.energies import each_element
 from jaxbody.mechanics.equations_of_motion import acceleration
 from jaxbody.mechanics.kinematics import Coordinates, Motions, frames_at_time
+from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 
@@ -46,9 +47,10 @@ def nonfinite_ahead(model: Model, motions: Motions, loads: tuple[Load, ...], t: 
 @jit_unoptimized
 def _numbers(model: Model, motions: Motions, loads: tuple[Load, ...], t, state: State, ahead):
     """Which numbers are finite `ahead` of a state: of the motions, of the elements with their e and e_dot, of the loads."""
+    model = holding(model, state.z)
     change = acceleration(model, state, t, motions, loads)
     v = state.v + ahead * jnp.where(jnp.isfinite(change), change, 0.0)
-    moved, moment = State(Coordinates(model).retract(state.q, ahead * state.v), v), t + ahead
+    moved, moment = State(Coordinates(model).retract(state.q, ahead * state.v), v, state.z), t + ahead
     now = frames_at_time(model, motions, moment, moved)
 
     def numbers(element, *frames):
@@ -85,7 +87,7 @@ def nonfinite_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Array, 
 
 @jit_unoptimized
 def _finite(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> dict[str, Bool[Array, ""]]:
-    coordinates = Coordinates(model)
+    coordinates = Coordinates(model := relaxed(model))
     frames = coordinates.at_rest(coordinates.retract(q, delta))
 
     def finite(element, *frames):
@@ -122,7 +124,10 @@ def _away(model: Model, motions: Motions, times: Float[Array, "nt"], states: Sta
     def away(element, *frames):
         return jax.jvp(element.away_from_jump, tuple(f.pose() for f in frames), tuple(f.rates() for f in frames))
 
-    return jax.vmap(lambda t, state: each_element(model, frames_at_time(model, motions, t, state), away))(times, states)
+    def at(t, state):
+        return each_element(holding(model, state.z), frames_at_time(model, motions, t, state), away)
+
+    return jax.vmap(at)(times, states)
 
 
 def _messages(model: Model, moments: list[Any]) -> list[tuple[str, str]]:

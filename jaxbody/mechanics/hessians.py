@@ -25,10 +25,12 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.elements.second_derivatives import Block, PairBlocks, dissipation_hessian, second_order, turning
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, product, rotate, skew
+from jaxbody.mechanics.element_states import completed
 from jaxbody.mechanics.energies import each_element, potential, wrenches
 from jaxbody.mechanics.equations_of_motion import equations_for
 from jaxbody.mechanics.kinematics import Coordinates, jacobian
 from jaxbody.models.layouts import Layout
+from jaxbody.models.memories import apart
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.numerics.xla_workarounds import sums, take
@@ -127,8 +129,8 @@ def damping(at: Configuration) -> Square:
 
 @jit_unoptimized
 def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
-    """M, C and K at a state, with the supports at rest in their reference poses."""
-    at = configuration_at(Coordinates(model), state.q, state.v, base=False)
+    """M, C and K at a state, with the supports at rest in their reference poses and massless coordinates held."""
+    at = configuration_at(Coordinates(apart(model, completed(model, state).z)), state.q, state.v, base=False)
     return mass(at), damping(at), stiffness(at)
 
 
@@ -145,9 +147,9 @@ def _precedence(layout: Layout) -> np.ndarray:
     """(n, n): 1 where column i turns the axis of column j, 1/2 where both turn one joint together, or are one."""
     movers, n = layout.movers, len(layout.movers)
     turns = np.concatenate([layout.turns, np.tile([0, 0, 0, 1, 1, 1], len(layout.supports))])
-    in_series = np.array([block.kind.in_series for block in layout.blocks for _ in block.motions] + [False] * layout.nxi, dtype=bool)
+    in_series = np.array([block.kind.in_series for block in layout.joints for _ in block.motions] + [False] * layout.nxi, dtype=bool)
     earlier = np.triu(np.ones((n, n)), 1) + np.eye(n) / 2
-    of_one_joint = turns[:, None] * turns * np.where(in_series, earlier, 0.5)
+    of_one_joint = np.where(in_series, earlier, 0.5 * turns[:, None] * turns)
     return np.where(movers[:, None] == movers, of_one_joint, layout.carries[np.ix_(movers, movers)])
 
 

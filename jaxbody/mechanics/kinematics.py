@@ -13,7 +13,7 @@ from jaxbody.geometry.frames import Frame, Instant, Pose, stack
 from jaxbody.geometry.vectors import cross, rotate
 from jaxbody.inputs.signals import Signal
 from jaxbody.models.layouts import Layout
-from jaxbody.models.models import Model, at_rest_in, body_poses, rest_poses, support_poses
+from jaxbody.models.models import Model, at_reference, body_poses, rest_poses, support_poses
 from jaxbody.models.states import State
 from jaxbody.numerics.xla_workarounds import take
 
@@ -64,7 +64,7 @@ class Coordinates(Chart):
     @property
     def reference(self) -> State:
         """The state of rest in the reference pose."""
-        return at_rest_in(self.model, self.rest)
+        return at_reference(self.model, self.rest, self.supports, self.bodies)
 
     def supports_at(self, xi: Float[Array, "ns 6"], xi_dot: Float[Array, "ns 6"]) -> Frame:
         """Frames of the supports displaced by Xi from their reference poses, with the rate Xi'."""

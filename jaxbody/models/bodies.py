@@ -10,13 +10,14 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, checked, concrete, vector
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
+from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import check_domain, field, kind_of
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion, matrix
 
 EPS = np.finfo(np.float64).eps
 
 
-class Body(eqx.Module):
+class Body(Described, eqx.Module):
     """A rigid body.
 
     Args:
@@ -75,7 +76,7 @@ class Body(eqx.Module):
         return cls(mass, inertia, com=com, position=position, orientation=orientation)
 
 
-class Support(eqx.Module):
+class Support(Described, eqx.Module):
     """A frame whose motion is imposed, relative to its reference pose: `position` [m] and `orientation` (as for a body).
 
     >>> Support(position=[0, -1, 0]).position.tolist()

@@ -6,6 +6,7 @@ of the body for a pose of the parent (`pose`) and the velocity of the body per u
 """
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import equinox as eqx
@@ -13,19 +14,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arguments import plain
-from jaxbody.core.arrays import Array, Float, vector
+from jaxbody.core.arrays import Array, Float, checked, vector
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
+from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Pose
-from jaxbody.geometry.places import unit_vector
+from jaxbody.geometry.places import direction, of_length_1
 from jaxbody.geometry.vectors import cross, product, rotate
 from jaxbody.models.layouts import MOVES, TURNS, CoordinateBlock
 
+STEPS = ("move", "turn")
 Axes = tuple[Float[Array, "nv 3"], Float[Array, "nv 3"]]
 
 
-class Joint(eqx.Module):
+class Joint(Described, eqx.Module):
     """The base class of joints: nq coordinates, nv speeds; `motions` describes each speed, `turns` says which are rotations [rad/s];
     `in_series`, whether an earlier rotation turns the axes of later ones (else the rotations of a joint act together).
 
@@ -136,9 +139,10 @@ class Fixed(Joint):
 
 
 class Guide(Joint):
-    """Sliding along a straight line: q is the displacement [m] from the reference pose along `axis` (unit vector, parent's frame).
+    """Sliding along a straight line: q is the displacement [m] from the reference pose along `axis` (x, y, z or a
+    direction, parent's frame).
 
-    >>> Guide("base", axis=[0, 0, 2.0]).axis.tolist()
+    >>> Guide("base", axis="z").axis.tolist()
     [0.0, 0.0, 1.0]
     """
 
@@ -150,7 +154,7 @@ class Guide(Joint):
     def __init__(self, parent: str, *, axis):
         with Problems() as problems:
             self.parent = parent
-            self.axis = unit_vector(axis, "Guide.axis", problems)
+            self.axis = direction(axis, "Guide.axis", problems)
 
     def pose(self, q, parent, rest):
         return parent @ Pose(rest.p + q[0] * self.axis, rest.R)
@@ -161,8 +165,8 @@ class Guide(Joint):
 
 
 class Hinge(Joint):
-    """Turning about a line: q is the angle [rad] from the reference pose about `axis` (unit vector) through the point `at`,
-    both in the parent's frame; without `at`, through the body's reference point O.
+    """Turning about a line: q is the angle [rad] from the reference pose about `axis` (x, y, z or a direction) through the point
+    `at`, both in the parent's frame; without `at`, through the body's reference point O.
 
     >>> model = Model(bodies={"arm": Body(mass=1.0, inertia=[1, 1, 1], com=[1, 0, 0])}, joints={"arm": Hinge("world", axis=[0, 0, 1])})
     >>> model.reference.q.tolist()
@@ -178,7 +182,7 @@ class Hinge(Joint):
     def __init__(self, parent: str, *, axis, at=None):
         with Problems() as problems:
             self.parent = parent
-            self.axis = unit_vector(axis, "Hinge.axis", problems)
+            self.axis = direction(axis, "Hinge.axis", problems)
             self.at = None if at is None else vector(at, "Hinge.at", problems)  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def pose(self, q, parent, rest):
@@ -258,6 +262,87 @@ class Series(Joint):
         turns = jnp.array(self.turns)[:, None]
         n = jnp.stack(directions)
         return jnp.where(turns, 0.0, n), jnp.where(turns, n, 0.0)
+
+
+class Composite(Joint):
+    """Several motions without mass between them: q = displacements [m] and angles [rad] from the reference pose, v = q'. Each motion moves
+    the lines of those after it,
+
+        X = X_parent M_1(q_1) ... M_n(q_n) X_rest
+
+    Args:
+        parent: `world`, a support or a body
+        steps: "move" or "turn" for each motion
+        directions: a row for each motion: the direction along which it moves, or about which it turns, in the parent's frame, in the
+            reference pose
+        points: a row for each motion: a point of the line about which it turns, likewise [m]; without effect for one that moves
+
+    Errors: UNKNOWN_NAME, BAD_SHAPE, ZERO_AXIS, NON_FINITE. A puck on a table:
+
+    >>> plane = Composite("table", ["move", "move", "turn"], directions=[[1, 0, 0], [0, 1, 0], [0, 0, 1]], points=[[0, 0, 0.1]] * 3)
+    >>> plane.motions
+    ('move 1', 'move 2', 'turn 3')
+    """
+
+    steps: tuple[str, ...] = eqx.field(static=True)
+    directions: Float[Array, "n 3"] = field("", "direction")
+    points: Float[Array, "n 3"] = field("m")
+    in_series = True
+
+    def __init__(self, parent: str, steps: Sequence[str], *, directions, points):
+        with Problems() as problems:
+            self.parent = parent
+            self.steps = tuple(map(plain, steps))
+            if not self.steps:
+                problems.add("BAD_SHAPE", "Composite.steps", "is empty", limit="one or more", hint="Use Fixed for no motion.")
+            for step in self.steps:
+                if step not in STEPS:
+                    hint = "A slide moves, a hinge turns."
+                    problems.add("UNKNOWN_NAME", "Composite.steps", f"has {step!r:.60}", value=step, limit="move, turn", hint=hint)
+            rows = (len(self.steps), 3)
+            hint = "Give a row of three numbers for each step."
+            self.points = checked(points, (rows,), "Composite.points", problems, hint)
+            lines = checked(directions, (rows,), "Composite.directions", problems, hint)
+            if lines is not None:
+                self.directions = of_length_1(lines, "Composite.directions", problems)
+
+    @property
+    def nq(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return len(self.steps)
+
+    @property
+    def nv(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return len(self.steps)
+
+    @property
+    def motions(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return tuple(f"{step} {i + 1}" for i, step in enumerate(self.steps))
+
+    @property
+    def turns(self) -> tuple[bool, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return tuple(step == "turn" for step in self.steps)
+
+    def _after_each(self, q: Float[Array, "n"]) -> list[Pose]:
+        """1, M_1, M_1 M_2, ..."""
+        poses = [Pose(jnp.zeros(3, q.dtype), jnp.eye(3, dtype=q.dtype))]
+        for n, at, turn, x in zip(self.directions, self.points, self.turns, q, strict=True):
+            if turn:
+                R = rotations.about(n, x)
+                poses.append(poses[-1] @ Pose(at - rotate(R, at), R))
+            else:
+                poses.append(Pose(poses[-1].point(x * n), poses[-1].R))
+        return poses
+
+    def pose(self, q, parent, rest):
+        return parent @ self._after_each(q)[-1] @ rest
+
+    def axes(self, q, parent, body):
+        moves, turns = [], []
+        for n, at, turn, moved in zip(self.directions, self.points, self.turns, self._after_each(q), strict=False):
+            n = rotate(parent.R, rotate(moved.R, n))
+            moves.append(cross(n, body.p - parent.point(moved.point(at))) if turn else n)
+            turns.append(n if turn else jnp.zeros_like(n))
+        return jnp.stack(moves), jnp.stack(turns)
 
 
 class Translation(Series):

@@ -21,8 +21,9 @@ TURNS = ("turn about x", "turn about y", "turn about z")
 
 @dataclass(frozen=True)
 class CoordinateBlock:
-    """The coordinates of one owner, such as the joint of a body: nq numbers in q, nv in v, nz in z. A motion in m is small compared with
-    the size of the model, any other compared with 1. The value at rest is a function of the owner's parameters, and so the owner's."""
+    """The coordinates of one owner, the joint of a body or an element with memory: nq numbers in q, nv in v, nz in z. A motion in m is
+    small compared with the size of the model, any other compared with 1. The value at rest is a function of the owner's parameters, and so
+    the owner's."""
 
     owner: str
     kind: type[Any]  # the owner's class
@@ -30,7 +31,10 @@ class CoordinateBlock:
     q_units: tuple[str, ...]
     v_units: tuple[str, ...]
     quaternion: bool = False  # whether the last four numbers of q are one
-    nz: int = 0
+    states: tuple[str, ...] = ()  # a description of each state in z
+    z_units: tuple[str, ...] = ()
+    massless: tuple[bool, ...] = ()  # whether each state is a massless coordinate, with a row in M, C and K
+    arguments: tuple[str, ...] = ()  # the unit of the deformation that each state follows
 
     @property
     def nq(self) -> int:
@@ -40,6 +44,10 @@ class CoordinateBlock:
     def nv(self) -> int:
         return len(self.v_units)
 
+    @property
+    def nz(self) -> int:
+        return len(self.states)
+
 
 @dataclass(frozen=True)
 class Layout:
@@ -48,7 +56,7 @@ class Layout:
     bodies: tuple[str, ...]
     supports: tuple[str, ...]
     parents: tuple[str, ...]
-    blocks: tuple[CoordinateBlock, ...]  # first those of the joints, in the order of the bodies
+    blocks: tuple[CoordinateBlock, ...]  # those of the joints, in the order of the bodies, then those of elements, in that of their tables
 
     @cached_property
     def _hash(self) -> int:
@@ -69,6 +77,16 @@ class Layout:
     def first_body(self) -> int:
         return 1 + len(self.supports)
 
+    @property
+    def joints(self) -> tuple[CoordinateBlock, ...]:
+        """The blocks of the joints of the bodies."""
+        return self.blocks[: len(self.bodies)]
+
+    @cached_property
+    def with_rows(self) -> tuple[CoordinateBlock, ...]:
+        """The blocks of the joints, and those of elements with numbers in q and v."""
+        return self.joints + tuple(block for block in self.blocks[len(self.bodies) :] if block.nv)
+
     @cached_property
     def q_slices(self) -> dict[str, slice]:
         return self._slices([block.nq for block in self.blocks])
@@ -76,6 +94,10 @@ class Layout:
     @cached_property
     def v_slices(self) -> dict[str, slice]:
         return self._slices([block.nv for block in self.blocks])
+
+    @cached_property
+    def z_slices(self) -> dict[str, slice]:
+        return self._slices([block.nz for block in self.blocks])
 
     def _slices(self, widths: list[int]) -> dict[str, slice]:
         ends = np.cumsum([0, *widths]).tolist()
@@ -118,10 +140,10 @@ class Layout:
 
     def normalized(self, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
         """q with its quaternions normalized."""
-        parts = [q[self.q_slices[block.owner]] for block in self.blocks]
+        parts = [q[self.q_slices[block.owner]] for block in self.with_rows]
         normal = [
             jnp.concatenate([part[:-4], rotations.normalize(part[-4:])]) if block.quaternion else part
-            for block, part in zip(self.blocks, parts, strict=True)
+            for block, part in zip(self.with_rows, parts, strict=True)
         ]
         return jnp.concatenate(normal)
 
@@ -131,8 +153,8 @@ class Layout:
         return take(x, rows.ravel()).reshape(rows.shape)
 
     def joined(self, pieces: list[tuple[tuple[str, ...], Array]]) -> Array:
-        """The rows of all owners, given for some at a time, in the order of the blocks."""
-        order = tuple(block.owner for block in self.blocks)
+        """The rows of all owners with rows in q and v, given for some at a time, in the order of the blocks."""
+        order = tuple(block.owner for block in self.with_rows)
         if len(pieces) == 1 and pieces[0][0] == order:
             return pieces[0][1].reshape(-1, *pieces[0][1].shape[2:])
         rows = {name: part[i] for owners, part in pieces for i, name in enumerate(owners)}
@@ -171,6 +193,30 @@ class Layout:
     def angular(self) -> np.ndarray:
         """(nq,): True for angles and for the four numbers of a quaternion, which describe three rotations."""
         return np.array([unit != "m" for unit in self.q_units], dtype=bool)
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """A description of each state in z: "engine mount A, branch 2"."""
+        return tuple(f"{block.owner}, {state}" for block in self.blocks for state in block.states)
+
+    @cached_property
+    def z_units(self) -> tuple[str, ...]:
+        return tuple(unit for block in self.blocks for unit in block.z_units)
+
+    @cached_property
+    def massless(self) -> np.ndarray:
+        """The places in z of massless coordinates."""
+        return np.flatnonzero([massless for block in self.blocks for massless in block.massless])
+
+    @cached_property
+    def follows_angles(self) -> np.ndarray:
+        """(nz,): True for states that follow an angle."""
+        return np.array([unit == "rad" for block in self.blocks for unit in block.arguments], dtype=bool)
+
+    @cached_property
+    def inner(self) -> tuple[str, ...]:
+        """A description of each massless coordinate."""
+        return tuple(self.states[i] for i in self.massless)
 
     # The tree of the joints
 

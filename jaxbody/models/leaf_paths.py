@@ -65,9 +65,11 @@ def leaves_of(tree: Any, prefix: str = "") -> list[Leaf]:
     numbers = numbered(tree)
     if not isinstance(tree, Model):
         roots, parts = tree.named(), numbers.named().items()
-        return [Leaf(f"{prefix}{name}.{path}", n, None, 0, kind) for name, part in parts for path, n, kind in _fields(part, roots[name])]
+        sizes = [np.size(x) for x in jax.tree.leaves(tree)]  # a state without z has none
+        found = [(f"{prefix}{name}.{path}", n, kind) for name, part in parts for path, n, kind in _fields(part, roots[name])]
+        return [Leaf(path, n, None, 0, kind) for path, n, kind in found if sizes[n]]
     found = []
-    tables = lambda model: (model.bodies, model.supports, *model.joints, *model.elements)  # noqa: E731
+    tables = lambda model: (model.bodies, model.supports, *model.joints, *model.elements, *model.closures)  # noqa: E731
     for table, rows in zip(tables(numbers), [table.rows for table in tables(tree)], strict=True):
         for (path, n, kind), rank in zip(_fields(table.rows, rows), table.ranks, strict=True):
             found += [Leaf(f"{prefix}{name}.{path}", n, row, rank, kind) for row, name in enumerate(table.names)]

@@ -11,7 +11,7 @@ import numpy as np
 from jaxbody.core.arguments import check_kind
 from jaxbody.core.arrays import concrete
 from jaxbody.core.errors import Problems, unknown, warn
-from jaxbody.elements.bushings import Bushing
+from jaxbody.elements.bushings import FramePair
 from jaxbody.elements.elements import LineElement
 from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry.orientations import matrix
@@ -69,13 +69,13 @@ def of_kind(problems: Problems, group: str, things: dict[str, Any], kind: type) 
     return {name: thing for name, thing in things.items() if isinstance(thing, kind)}
 
 
-def check_links(problems: Problems, bodies, supports, elements, joints) -> None:
-    """Check that elements and joints end on existing parts, and every chain of joints on the world or a support."""
+def check_links(problems: Problems, bodies, supports, groups: dict[str, dict[str, Any]], joints) -> None:
+    """Check that elements, closures and joints end on existing parts, and every chain of joints on the world or a support."""
     frames = (*bodies, *supports, WORLD)
-    for name, element in elements.items():
-        for end in element.between:
+    for group, name, thing in [(group, *each) for group, things in groups.items() for each in things.items()]:
+        for end in thing.between:
             if end not in frames:
-                problem = unknown(end, f"elements[{name!r}]", frames)
+                problem = unknown(end, f"{group}[{name!r}]", frames)
                 limit = "a body, a support or world"
                 problems.add("UNKNOWN_BODY", problem.where, f"body or support {problem.message}", value=end, limit=limit, hint=problem.hint)
     for name, joint in joints.items():
@@ -97,7 +97,7 @@ def check_links(problems: Problems, bodies, supports, elements, joints) -> None:
                 f"is its own parent: {' on '.join(chain[: chain.index(name, 1) + 1] if name in chain[1:] else chain[:4])}",
                 value=name,
                 limit="a tree that ends at world or a support",
-                hint="Give one of them another parent, and close the loop by a stiff Bushing in place of that joint.",
+                hint="Give one of them another parent, and close the loop by a closure (jb.closures) or a stiff Bushing in its place.",
             )
 
 
@@ -154,4 +154,4 @@ def warn_of_oddities(bodies, supports, elements) -> None:
             warn("USELESS_SPRING", f"elements['{name}'] joins {' and '.join(element.between)}: it acts on no body")
 
 
-CHECKS = ((LineElement, _check_length), (Bushing, _check_turn), (Torsion, _check_turn))
+CHECKS = ((LineElement, _check_length), (FramePair, _check_turn), (Torsion, _check_turn))

@@ -18,12 +18,15 @@ from jaxbody.core.errors import JaxbodyError, Problems, unknown
 from jaxbody.elements.element_checks import check_laws, check_leaves
 from jaxbody.elements.elements import Element
 from jaxbody.geometry import rotations
+from jaxbody.geometry.closures import Closure
+from jaxbody.geometry.descriptions import text_of
 from jaxbody.geometry.fields import field, kind_of, units_of
 from jaxbody.geometry.frames import Pose
-from jaxbody.laws.laws import Law, Sum
+from jaxbody.laws.laws import Law
 from jaxbody.models.bodies import Body, Support, warn_of_points
 from jaxbody.models.joints import Free, Joint
 from jaxbody.models.layouts import WORLD, Layout
+from jaxbody.models.memories import blocks_of, rest_states
 from jaxbody.models.model_checks import check_links, check_names, check_reference, of_kind, warn_of_oddities
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable, tabulate, tabulate_by_structure
@@ -37,10 +40,12 @@ class Model(tables.Printed, eqx.Module):
         supports: {name: support}
         elements: {name: element}
         joints: {name of the body that the joint carries: joint}; a body without a joint is free
+        closures: {name: closure}, which close loops of joints: `jb.closures`
         gravity: [m/s2], in world axes
 
-    `model["AB"]` is the element, body or support of that name, `model.joint("arm")` a body's joint, `model.reference` the state at rest in
-    the reference pose. A derivative with respect to a model is a model. All problems of an input are reported in one error.
+    `model["AB"]` is the element, body, support or closure of that name, `model.joint("arm")` a body's joint, `model.reference` the state
+    at rest in the reference pose as it is drawn, in which closures may be open: `assemble` closes them. A derivative with
+    respect to a model is a model. All problems of an input are reported in one error.
 
     >>> model = Model(bodies={"plate": Body(mass=3.0, inertia=[0.3, 0.9, 1.2])},
     ...               elements={"AB": Spring(("plate", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=100.0, free_length=0.8)})
@@ -52,6 +57,7 @@ class Model(tables.Printed, eqx.Module):
     supports: KindTable
     joints: tuple[KindTable, ...]
     elements: tuple[KindTable, ...]
+    closures: tuple[KindTable, ...]
     layout: Layout = eqx.field(static=True)
     gravity: Float[Array, "3"] = field("m/s2")
 
@@ -62,6 +68,7 @@ class Model(tables.Printed, eqx.Module):
         supports: dict[str, Support] | None = None,
         elements: Mapping[str, Element] | None = None,
         joints: dict[str, Joint] | None = None,
+        closures: dict[str, Closure] | None = None,
         gravity=(0, 0, 0),
     ):
         with Problems() as problems:
@@ -69,14 +76,16 @@ class Model(tables.Printed, eqx.Module):
                 checked_dict(bodies, "bodies", "name: jb.Body(...)", problems),
                 checked_dict(supports, "supports", "name: jb.Support(...)", problems),
             )
-            elements, joints = (
+            elements, joints, closures = (
                 checked_dict(elements, "elements", "name: jb.Spring(...)", problems),
                 checked_dict(joints, "joints", "name: jb.Hinge(...)", problems),
+                checked_dict(closures, "closures", "name: jb.closures.Ball(...)", problems),
             )
-        check_names(problems, bodies=bodies, supports=supports, elements=elements)
+        check_names(problems, bodies=bodies, supports=supports, elements=elements, closures=closures)
         bodies, supports = of_kind(problems, "bodies", bodies, Body), of_kind(problems, "supports", supports, Support)
         elements, joints = of_kind(problems, "elements", elements, Element), of_kind(problems, "joints", joints, Joint)
-        check_links(problems, bodies, supports, elements, joints)
+        closures = of_kind(problems, "closures", closures, Closure)
+        check_links(problems, bodies, supports, {"elements": elements, "closures": closures}, joints)
         gravity = vector(gravity, "gravity", problems)
         elements = {name: functions_as_nodes(element) for name, element in elements.items()}
         check_leaves(problems, elements)
@@ -85,12 +94,13 @@ class Model(tables.Printed, eqx.Module):
         problems.raise_if_any()
         every_joint = {name: joints.get(name, Free()) for name in bodies}
         parents, blocks = zip(*((joint.parent, joint.block(name)) for name, joint in every_joint.items()), strict=True)
-        self.layout = Layout(tuple(bodies), tuple(supports), parents, blocks)
+        self.elements = tabulate_by_structure(elements)
+        self.layout = Layout(tuple(bodies), tuple(supports), parents, blocks + blocks_of(self.elements))
         by_depth = {name: every_joint[name] for name in sorted(bodies, key=lambda name: self.layout.depths[name])}
         self.bodies = tabulate(bodies)
         self.supports = tabulate(supports, Support())
         self.joints = tabulate_by_structure(by_depth, lambda name: self.layout.depths[name])
-        self.elements = tabulate_by_structure(elements)
+        self.closures = tabulate_by_structure(closures)
         self.gravity = device_array(gravity)
         warn_of_oddities(bodies, supports, elements)
         carrying = {joint.parent for joint in every_joint.values()}
@@ -98,17 +108,22 @@ class Model(tables.Printed, eqx.Module):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All names of bodies, supports and elements."""
-        return self.layout.bodies + self.layout.supports + self.element_names
+        """All names of bodies, supports, elements and closures."""
+        return self.layout.bodies + self.layout.supports + self.element_names + self.closure_names
 
     @property
     def element_names(self) -> tuple[str, ...]:
         return tuple(name for table in self.elements for name in table.names)
 
+    @property
+    def closure_names(self) -> tuple[str, ...]:
+        return tuple(name for table in self.closures for name in table.names)
+
     def __getitem__(self, name: str) -> Any:
-        for table in (self.bodies, self.supports, *self.elements):
-            if name in table.names:
-                return table.row(name)
+        for tables_of_kind in ((self.bodies, self.supports), self.elements, self.closures):
+            for table in tables_of_kind:
+                if name in table.names:
+                    return table.row(name)
         raise JaxbodyError(unknown(name, "model[...]", self.names))
 
     def joint(self, body: str) -> Joint:
@@ -120,7 +135,7 @@ class Model(tables.Printed, eqx.Module):
 
     @property
     def reference(self) -> State:
-        """The state at rest in the reference pose."""
+        """The state at rest in the reference pose, elements with memory relaxed."""
         return _reference(self)
 
     def _tables(self) -> list[tables.PrintedTable]:
@@ -133,12 +148,13 @@ class Model(tables.Printed, eqx.Module):
         for table in self.elements:
             columns, kind = self._columns(table), type(table.rows).__name__.lower()
             rows = [
-                (name, *link, *(_shown(getattr(table.row(name), c)) for c in columns))
+                (name, *link, *(_cell(table.row(name), column) for column in columns))
                 for name, link in zip(table.names, table.links, strict=True)
             ]
             heads = ("from", "to", "on")[: len(table.links[0])]
             shown.append(tables.PrintedTable("", (kind, *heads, *columns.values()), rows))
-        return shown
+        rows = [(n, type(t.rows).__name__.lower(), *link) for t in self.closures for n, link in zip(t.names, t.links, strict=True)]
+        return [*shown, tables.PrintedTable("", ("closure", "kind", "from", "to"), rows)] if rows else shown
 
     def _columns(self, table: KindTable) -> dict[str, str]:
         """Fields of elements that are printed, with their column headings: laws, numbers and matrices of coefficients, but no points and
@@ -154,14 +170,10 @@ class Model(tables.Printed, eqx.Module):
         return heads
 
 
-def _shown(value: Any) -> Any:
-    """The name of a law, with its coefficient if it has only one."""
-    if not isinstance(value, Law):
-        return value
-    if isinstance(value, Sum):
-        return " + ".join(_shown(term) for term in value.terms)
-    numbers = jax.tree.leaves(value)
-    return type(value).__name__ + (f" {tables.number(numbers[0])}" if len(numbers) == 1 else "")
+def _cell(element: Element, name: str) -> Any:
+    """A number, whose unit is in the heading, or a law with its numbers and units."""
+    value = getattr(element, name)
+    return text_of(element, name) if isinstance(value, Law) else value
 
 
 def _places(names: tuple[str, ...], order: tuple[str, ...]) -> np.ndarray:
@@ -178,7 +190,19 @@ def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
 
 @jit_unoptimized
 def _reference(model: Model) -> State:
-    return at_rest_in(model, rest_poses(model, support_poses(model), body_poses(model)))
+    supports, bodies = support_poses(model), body_poses(model)
+    return at_reference(model, rest_poses(model, supports, bodies), supports, bodies)
+
+
+def at_reference(model: Model, rest: Pose, supports: Pose, bodies: Pose) -> State:
+    """The state of rest in the reference pose, in which bodies have these poses relative to their parents; elements with memory are
+    relaxed."""
+    state = at_rest_in(model, rest)
+    if not model.layout.nz:
+        return state
+    world = Pose(jnp.zeros((1, 3), bodies.p.dtype), np.eye(3, dtype=bodies.R.dtype)[None])
+    poses = Pose(*(jnp.concatenate([getattr(x, name) for x in (world, supports, bodies)]) for name in ("p", "R")))
+    return State(state.q, state.v, rest_states(model, poses))
 
 
 def at_rest_in(model: Model, rest: Pose) -> State:

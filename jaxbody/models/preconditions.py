@@ -17,17 +17,20 @@ from jaxbody.numerics.precisions import begin
 
 MOST_MEMORY = 8e9  # bytes that the matrices of a model may take
 PER_ELEMENT = 2000  # bytes: 1400 were measured with 10 000 springs
+PER_FREQUENCY = 40  # bytes for each number of a matrix: 33 were measured with 300 coordinates and 200 frequencies
 _warned_of_float32 = False
 
 
-def check_precision(where: str, model: Model, *, allow_float32: bool | None = True) -> None:
+def check_precision(where: str, model: Model, *, allow_float32: bool | None = True, closures: bool = False) -> None:
     """Warn once about float32; refuse it where half the digits would be lost, unless allowed (None: it cannot be allowed). A change of the
-    x64 switch after the model was built is an error."""
+    x64 switch after the model was built is an error, and so are closures in a function that does not take them."""
     global _warned_of_float32
     if not isinstance(model, Model):
         raise JaxbodyError(
             Problem("WRONG_KIND", f"{where}.model", f"is a {type(model).__name__}", model, "jb.Model", "Give the model first.")
         )
+    if not closures:
+        refuse_closures(where, model)
     x64 = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
     dtype = model.gravity.dtype
     if x64 != (dtype == jnp.float64):
@@ -53,13 +56,24 @@ def check_precision(where: str, model: Model, *, allow_float32: bool | None = Tr
         warn("FLOAT32", f"{where}: computing in float32, with about 7 digits; for 16, use {switch}")
 
 
-def check_memory(where: str, model: Model) -> None:
-    """Check the memory of about ten matrices of all coordinates, and of the contributions of all elements. Error: TOO_LARGE."""
+def refuse_closures(where: str, model: Model) -> None:
+    """Error: CLOSED_LOOPS."""
+    if model.closures:
+        message, hint = f"has closures ({', '.join(model.closure_names)})", "It takes trees of joints; stiff bushings may close loops."
+        raise JaxbodyError(Problem("CLOSED_LOOPS", f"{where}.model", message, limit="no closures", hint=hint))
+
+
+def check_memory(where: str, model: Model, frequencies: int = 0) -> None:
+    """Check the memory of about ten matrices of all coordinates, of the contributions of all elements, and of complex matrices at these
+    frequencies. Error: TOO_LARGE."""
     coordinates, elements = model.layout.nv, sum(len(table.names) for table in model.elements)
     needed = 10 * 8 * coordinates**2 + PER_ELEMENT * elements
-    if needed > MOST_MEMORY:
-        message = f"has {coordinates} coordinates and {elements} elements, whose matrices need about {needed / 1e9:.3g} GB"
-        hint = "Join bodies that move together (jb.Fixed, Body.of_parts), or increase jaxbody.models.preconditions.MOST_MEMORY."
+    at_frequencies = PER_FREQUENCY * frequencies * coordinates**2
+    if needed + at_frequencies > MOST_MEMORY:
+        at, needed = f" at {frequencies} frequencies" if at_frequencies > needed else "", needed + at_frequencies
+        message = f"has {coordinates} coordinates and {elements} elements, whose matrices{at} need about {needed / 1e9:.3g} GB"
+        fewer = "Give fewer frequencies at a time" if at else "Join bodies that move together (jb.Fixed, Body.of_parts)"
+        hint = f"{fewer}, or increase jaxbody.models.preconditions.MOST_MEMORY."
         raise JaxbodyError(Problem("TOO_LARGE", f"{where}.model", message, needed, f"{MOST_MEMORY / 1e9:g} GB", hint))
 
 
@@ -82,8 +96,15 @@ def unattached(model: Model) -> list[str]:
     return [name for name in model.layout.bodies if name not in tied]
 
 
+def check_without_memory(where: str, model: Model) -> None:
+    """Refuse a model with elements with memory where these have no place yet. Error: MEMORY."""
+    if model.layout.nz:
+        message = f"has elements with memory, which it does not take yet: {', '.join(model.layout.states[:4])}"
+        raise JaxbodyError(Problem("MEMORY", f"{where}.model", message, limit="laws without memory", hint="Replace their laws."))
+
+
 def check_state(model: Model, state: Any, where: str) -> None:
-    """Check that q and v have the model's shapes and precision, are finite and have unit quaternions; all problems in one error."""
+    """Check that q, v and z have the model's shapes and precision, are finite and have unit quaternions; all problems in one error."""
     with Problems() as problems:
         if not isinstance(state, State):
             raise JaxbodyError(
@@ -97,10 +118,13 @@ def check_state(model: Model, state: Any, where: str) -> None:
                 )
             )
         layout = model.layout
-        for name, count in (("q", layout.nq), ("v", layout.nv)):
+        for name, count in (("q", layout.nq), ("v", layout.nv), ("z", layout.nz)):
             value = getattr(state, name)
             if np.shape(value) != (count,):
-                parts = ", ".join(f"{block.owner} {getattr(block, 'n' + name)}" for block in layout.blocks)
+                if name == "z" and np.shape(value) == (0,):  # the states of rest are meant
+                    continue
+                counts = {block.owner: getattr(block, "n" + name) for block in layout.blocks}
+                parts = ", ".join(f"{owner} {n}" for owner, n in counts.items() if n) or "no element has memory"
                 problems.add(
                     "BAD_SHAPE",
                     f"{where}.{name}",
@@ -111,7 +135,7 @@ def check_state(model: Model, state: Any, where: str) -> None:
                 )
                 continue
             number, one = getattr(value, "dtype", None), model.gravity.dtype
-            if number in (np.float32, np.float64) and jax.dtypes.canonicalize_dtype(number) != one:
+            if count and number in (np.float32, np.float64) and jax.dtypes.canonicalize_dtype(number) != one:
                 hint = f"Give jb.State(numpy.asarray(state.q, '{one}'), numpy.asarray(state.v, '{one}'))."
                 problems.add(
                     "X64_CHANGED", f"{where}.{name}", f"is {number}, the model {one}", value=number, limit="one precision", hint=hint
@@ -127,7 +151,7 @@ def check_state(model: Model, state: Any, where: str) -> None:
                     limit="finite",
                 )
             elif known is not None and name == "q":
-                for block in layout.blocks:
+                for block in layout.joints:
                     part = known[layout.q_slices[block.owner]][-4:]
                     if block.quaternion and abs(np.linalg.norm(part) - 1) > 1e-3:
                         problems.add(

@@ -17,7 +17,7 @@ def size_of(model: Model) -> Float[Array, ""]:
     zero, the largest distance from the world's origin; if that is zero too, 1 m."""
     xp: Any = np if is_concrete(model) else jnp  # outside of compiled programs no operation of JAX is run
     on_bodies, anywhere = [np.zeros((1, 3), model.gravity.dtype), model.bodies.rows.com], [model.bodies.rows.position]
-    for table in model.elements:
+    for table in (*model.elements, *model.closures):
         for end, points in enumerate(table.rows.points):
             on_body = np.array([link[end] in model.layout.bodies for link in table.links])
             on_bodies.append(xp.where(on_body[:, None], points, 0.0))

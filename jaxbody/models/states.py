@@ -10,9 +10,11 @@ from jaxbody.geometry.fields import field
 
 
 class State(eqx.Module):
-    """Coordinates q and speeds v of the joints, in the order of the bodies, and internal states z of elements. For a free body
-    q = (position of O, unit quaternion w, x, y, z), v = (velocity of O, angular velocity), in world axes. Leading axes are times or
-    samples.
+    """Coordinates q and speeds v of the joints, in the order of the bodies, and states z of elements with memory, in the order of
+    `model.layout.states`. For a free body q = (position of O, unit quaternion w, x, y, z), v = (velocity of O, angular velocity), in world
+    axes. Leading axes are times or samples.
+
+    Where z is left out although elements have memory, it is that of rest in this configuration: branches are relaxed, hysteresis is 0.
 
     >>> state = State(q=jnp.array([0.3]), v=jnp.array([0.0]))
     >>> state.z.shape
@@ -26,7 +28,3 @@ class State(eqx.Module):
     def __init__(self, q, v, z=None):
         self.q, self.v = q, v
         self.z = jnp.zeros((*jnp.shape(q)[:-1], 0), jnp.result_type(q)) if z is None else z
-
-    def named(self) -> State:
-        """The parts that have names in paths: q and v."""
-        return eqx.tree_at(lambda state: state.z, self, None)

@@ -13,6 +13,7 @@ Source: A. P. Seyranian, E. Lund, N. Olhoff, Structural Optimization 8 (1994) 20
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -20,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Complex, Float, Int, module_of
-from jaxbody.core.jax_internals import linear_one_way
+from jaxbody.core.jax_internals import Zero, new_operation
 from jaxbody.numerics.lanes import in_lanes
 
 CLUSTERED = 1e-6  # relative distance of eigenvalues below which they belong to one cluster
@@ -49,6 +50,38 @@ def averaged(x: Float[Array, "*m n"], cluster: Int[Array, "n"]) -> Float[Array, 
 
 
 # First and second derivatives of eigenvalues
+
+
+def linear_one_way(name: str, forward: Callable[..., Any], backward: Callable[..., Any], again: Any = None) -> Callable[..., Array]:
+    """A function of a tangent and of known arrays, with its own transpose; all functions take leading axes of batches.
+
+    A custom rule of JAX would transpose `forward`, which here need not be linear, and cannot inspect a cotangent.
+
+    Args:
+        name: name of the operation
+        forward: the function of (tangent, *known)
+        backward: its transpose, of (cotangent, *known)
+        again: the derivative of forward with respect to the tangent, of (tangent, *known); None: forward itself
+    """
+
+    def jvp(primals, tangents):
+        out = primitive.bind(*primals)
+        if type(tangents[0]) is Zero:
+            return out, jnp.zeros_like(out)
+        return out, (again or primitive.bind)(tangents[0], *primals[1:])
+
+    def transpose(cotangent, t, *known):
+        return (Zero(t.aval) if type(cotangent) is Zero else backward(cotangent, *known), *(None for _ in known))
+
+    def batch(args, axes):
+        size = next(x.shape[axis] for x, axis in zip(args, axes, strict=True) if axis is not None)
+        moved = (
+            jnp.broadcast_to(x, (size, *x.shape)) if axis is None else jnp.moveaxis(x, axis, 0) for x, axis in zip(args, axes, strict=True)
+        )
+        return primitive.bind(*moved), 0
+
+    primitive = new_operation(name, forward, batch=batch, jvp=jvp, transpose=transpose)
+    return primitive.bind
 
 
 def _alone(cluster: Array) -> Array:
@@ -219,6 +252,24 @@ def companion(M: Any, C: Any, K: Any) -> Any:
     xp, n = module_of(M), len(M)
     rates = xp.linalg.solve(M.astype(K.dtype), xp.concatenate([-K, -C.astype(K.dtype)], 1))
     return xp.concatenate([np.eye(n, 2 * n, n, dtype=K.dtype), rates])
+
+
+def first_order(M: Any, C: Any, K: Any, n: int) -> tuple[Any, Any]:
+    """A and B of x' = A x + B f, x = (Delta, Delta', y), where M (Delta, y)'' + C (Delta, y)' + K (Delta, y) = f.
+
+    The rows of y, those after the first n, have M = 0 and a definite C_yy."""
+    ny, eye = len(M) - n, np.eye(n, dtype=K.dtype)
+    d, y = slice(n), slice(n, None)
+    resist = jnp.linalg.inv(C[y, y]).astype(K.dtype)
+    y_rate = -resist @ jnp.concatenate([K[y, d], C[y, d].astype(K.dtype), K[y, y]], 1)
+    y_force = jnp.concatenate([jnp.zeros((ny, n), K.dtype), resist], 1)
+    forces = [-jnp.concatenate([K[d, d], C[d, d].astype(K.dtype), K[d, y]], 1), jnp.eye(n, n + ny, dtype=K.dtype)]
+    rates = [
+        jnp.linalg.solve(M[d, d].astype(K.dtype), X - C[d, y].astype(K.dtype) @ own)
+        for X, own in zip(forces, (y_rate, y_force), strict=True)
+    ]
+    top = jnp.concatenate([jnp.zeros((n, n), K.dtype), eye, jnp.zeros((n, ny), K.dtype)], 1)
+    return jnp.concatenate([top, rates[0], y_rate]), jnp.concatenate([jnp.zeros((n, n + ny), K.dtype), rates[1], y_force])
 
 
 @jax.custom_jvp

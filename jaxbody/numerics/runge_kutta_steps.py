@@ -44,6 +44,7 @@ class Method:
 
 @functools.cache
 def method_of(solver: diffrax.AbstractERK) -> Method:
+    """The coefficients of a solver of diffrax, worked out once."""
     return Method(solver)
 
 

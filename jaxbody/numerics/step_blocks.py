@@ -180,7 +180,7 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
     )
     course = Course(TRIAL * end, none, none, jnp.full((), Status.OK.value))
     size = BLOCK if keep else min(max(len(times) // 8, 16), BLOCK)  # for few samples few steps are kept
-    blocks = problem.max_steps // BLOCK + len(reach) + 1 if keep else 0
+    blocks = problem.max_steps // BLOCK + len(reach) + 2 if keep else 0  # full ones, one for each window, the last ones
     of_block = (begun, jnp.zeros(BLOCK, y0.dtype))
     _check_memory(problem.max_steps, blocks, sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(of_block)))
     kept = jax.tree.map(lambda x: jnp.zeros((blocks, *x.shape), x.dtype), of_block)
@@ -190,11 +190,13 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
     begun = begun._replace(y=y, f=f, last=begun.last._replace(c=c))
 
     def running(begun, course):
-        return (course.code == Status.OK.value) & (begun.tau < end)
+        """Until all samples up to the end are computed: one step may reach over many windows."""
+        return begun.filled < jnp.where(course.code == Status.OK.value, end, begun.tau)
 
     def block(carry):
         begun, course, out, kept, n = carry
-        goal = jnp.where(running(begun, course), row_at(reach, begun.window), -1.0)
+        on = running(begun, course)
+        goal = jnp.where(on, row_at(reach, begun.window), -1.0)
         tau, y, f, course, steps = _advance(problem, arguments, times[0], begun, course, goal, end, size, n == 0)
         values, fill = _sampled(times, begun, steps, tau)
         out = _put(out, begun.window, jnp.where(fill[:, None], values, row_at(out, begun.window)))
@@ -204,7 +206,7 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
                 kept,
                 (begun, jnp.where(jnp.isfinite(steps.h[1:]), steps.h[1:], 0.0)),
             )
-        through = (tau >= goal) & (begun.window < len(reach) - 1)
+        through = on & (tau >= goal) & (begun.window < len(reach) - 1)
         begun = Begun(tau, y, f, _last(steps), begun.window + through.astype(begun.window.dtype), jnp.where(through, -1.0, tau))
         return begun, course, out, kept, n + 1
 

@@ -40,7 +40,7 @@ statics/descents.py
     2 * LANES [LANES]                 for up to six coordinates calls of fusions take longer than memory: equilibria of T4 72 to 48 ms
 vibrations/damped_modes.py
     _complex_modes                    LAPACK may run forever on NaN
-responses/frequency_responses.py
+responses/dynamic_matrices.py
     _eliminated [lu_solve]            LAPACK solves one frequency after another
 inputs/motions.py
     Harmonic [a sine for each row]    one sine and cosine where frequencies are equal: T3 31 to 28
@@ -48,6 +48,14 @@ compilation/compile_options.py
     fast_loops                        small loops as one function: T1 3.5 to 0.9 ms, jaxlib 0.10.2 and 0.12.0; wide vectors: T3 6.8 to 5.0
     NO_FUSION_EMITTERS                compiling a motion 1.3 to 0.7 s; jaxlib 0.12 has no such option
     UNOPTIMIZED                       first frequencies 3.9 to 2.4 s
+compilation/array_functions.py
+    known_to_xla                      options are tried once, as not every version has them
+workers/chunk_programs.py
+    one_at_a_time                     two programs with LAPACK in one process may wait for each other for ever, jaxlib 0.10
+workers/executors.py
+    processes                         the same, for executors of threads
+compilation/kept_programs.py
+    _first_results                    saved code that lacks functions fails only when it runs: it is replaced then
 
 One workaround replaced by the plain form, all others kept: processor time in ms, 640 members of T3 and 2560 of T4, jaxlib 0.10.2,
 fast_loops, 2026-11-22, on a busy machine; differences below a fifth are scatter.

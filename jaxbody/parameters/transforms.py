@@ -228,21 +228,28 @@ class Rotated(Parametrization):
 
 
 class Direction(Parametrization):
-    """n = (n0 + B u)/|n0 + B u|."""
+    """n = (n0 + B u)/|n0 + B u|, for each row of several."""
 
     @property
     def size(self) -> int:
-        return 2
+        return 2 * (self.start.size // 3)
 
     def value(self, u):
-        other = jnp.eye(3, dtype=u.dtype)[jnp.argmin(jnp.abs(self.start))]
-        b = cross(self.start, other)
-        b = b / jnp.sqrt(dot(b, b))
-        moved = self.start + u[0] * b + u[1] * cross(self.start, b)
-        return moved / jnp.sqrt(dot(moved, moved))
+        tilt = tilted if self.start.ndim == 1 else jax.vmap(tilted)
+        return tilt(self.start, u.reshape(*self.start.shape[:-1], 2))
 
     def labels(self):
-        return ["[tilt 1]", "[tilt 2]"]
+        rows = np.ndindex(self.start.shape[:-1])
+        return [f"[{', '.join(map(str, (*row, tilt)))}]" for row in rows for tilt in ("tilt 1", "tilt 2")]
+
+
+def tilted(n: Float[Array, "3"], u: Float[Array, "2"]) -> Float[Array, "3"]:
+    """A direction tilted along two directions normal to it."""
+    other = jnp.eye(3, dtype=u.dtype)[jnp.argmin(jnp.abs(n))]
+    b = cross(n, other)
+    b = b / jnp.sqrt(dot(b, b))
+    moved = n + u[0] * b + u[1] * cross(n, b)
+    return moved / jnp.sqrt(dot(moved, moved))
 
 
 class InitialConfiguration(Parametrization):

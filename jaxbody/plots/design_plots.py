@@ -17,8 +17,18 @@ BINS = 40
 
 
 def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
-    """The objective at every finite trial of the best start: filled circles where all limits are met, open circles elsewhere."""
-    ax = axes_or_new(ax, 5.0, 3.0)
+    """The objective at every finite trial of the best start: filled circles where all limits are met, open circles elsewhere.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> def trade(model):
+    ...     c = model["suspension"].damping / 1500.0
+    ...     return {"shake": c + 1 / c, "travel": 1 / c}
+    >>> bounds = {"*.damping": (500.0, 5000.0)}
+    >>> ax = plot_tuning(tune(car, trade, minimize="shake", free=["suspension.damping"], bounds=bounds, starts=1))
+    >>> ax.get_xlabel(), ax.get_ylabel()
+    ('trial', 'shake')
+    """
+    ax = axes_or_new(ax, 6.2, 3.0)
     objective, violation = tuning.history.T
     kept = violation <= 1e-6
     count = np.arange(1, len(objective) + 1)
@@ -28,7 +38,7 @@ def plot_tuning(tuning: Tuning, *, ax: Any = None) -> Any:
         ax.plot(count[~kept], objective[~kept], "o", ms=4, mfc="white", color=COLORS[1], label="outside the limits")
     ax.set(xlabel="trial", ylabel=tuning.minimize)
     ax.xaxis.get_major_locator().set_params(integer=True)
-    ax.legend(frameon=False, fontsize=8)
+    legend(ax, 2)
     return ax
 
 
@@ -59,11 +69,20 @@ def plot_front(front: Front, *, ax: Any = None) -> Any:
 def plot_tornado(sensitivities: Sensitivities, quantity: str | None = None, *, ax: Any = None) -> Any:
     """A tornado chart: the change of a quantity when each parameter decreases or increases, the 15 strongest parameters from the top.
 
-    quantity: its name; None takes the first one. Error: UNKNOWN_NAME."""
+    quantity: its name; None takes the first one. Error: UNKNOWN_NAME.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> def trade(model):
+    ...     c = model["suspension"].damping / 1500.0
+    ...     return {"shake": c + 1 / c, "travel": 1 / c}
+    >>> ax = plot_tornado(sensitivities(car, trade, free=["suspension.damping"]), "travel")
+    >>> ax.get_xlabel(), [text.get_text() for text in ax.get_yticklabels()]
+    ('travel', ['suspension.damping'])
+    """
     quantity = quantity or sensitivities.quantities[0]
     row, every = sensitivities.row(quantity), sensitivities.order(quantity)
     order = every[:MOST_BARS]
-    ax = axes_or_new(ax, 6.0, 0.8 + 0.3 * len(order))
+    ax = axes_or_new(ax, 7.0, 0.8 + 0.3 * max(len(order), 2))
     nominal = sensitivities.nominal[row]
     place = np.arange(len(order))
     for ends, sign, color in ((sensitivities.low, "less", COLORS[0]), (sensitivities.high, "more", COLORS[1])):
@@ -74,14 +93,23 @@ def plot_tornado(sensitivities: Sensitivities, quantity: str | None = None, *, a
     if len(every) > len(order):
         ax.set_title(f"the strongest {len(order)} of {len(every)} parameters", fontsize=9)
     ax.set_xlabel(quantity)
-    ax.legend(frameon=False, fontsize=8, loc="lower right")
+    legend(ax, 2)
     return ax
 
 
 def plot_tolerances(tolerances: Tolerances, quantity: str | None = None, *, ax: Any = None) -> Any:
     """A histogram of the samples of a quantity, with the normal densities predicted to first and second order.
 
-    quantity: its name; None takes the first one. Error: UNKNOWN_NAME."""
+    quantity: its name; None takes the first one. Error: UNKNOWN_NAME.
+
+    >>> car = jb.presets.quarter_car(damping=1500.0)
+    >>> def trade(model):
+    ...     c = model["suspension"].damping / 1500.0
+    ...     return {"shake": c + 1 / c, "travel": 1 / c}
+    >>> ax = plot_tolerances(tolerances(car, trade, {"suspension.damping": 150.0}, samples=200), "travel")
+    >>> [text.get_text() for text in ax.get_legend().get_texts()]
+    ['200 samples', 'first order', 'second order', 'nominal']
+    """
     quantity = quantity or tolerances.quantities[0]
     row = tolerances.row(quantity)
     ax = axes_or_new(ax, 5.0, 3.2)

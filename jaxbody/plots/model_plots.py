@@ -19,8 +19,7 @@ from jaxbody.models.joints import Guide
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
-from jaxbody.plots.annotations import Label, annotate
-from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT, axes_or_new, check_known
+from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT, Label, annotate, axes_or_new, check_known
 from jaxbody.vibrations.damped_modes import ComplexModes
 from jaxbody.vibrations.linearizations import Linearization
 from jaxbody.vibrations.natural_modes import Modes
@@ -85,7 +84,12 @@ def draw_mode(
         view: as in `draw_model`.
         ax: axes to draw into; None makes a new figure.
 
-    Error: UNKNOWN_MODE."""
+    Error: UNKNOWN_MODE.
+
+    >>> lin = linearize(jb.presets.quarter_car(), jb.presets.quarter_car().reference)
+    >>> draw_mode(lin, modes(lin), 2).get_title().splitlines()
+    ['mode 2: 8.796 Hz', 'wheel bounce 100 %']
+    """
     model, count = lin.model, modes.frequency.shape[0]
     if not 1 <= number <= count:
         raise JaxbodyError(
@@ -157,19 +161,8 @@ class Scene:
 
 def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarray:
     """The matrix (2, 3) that maps world coordinates to the drawing's right and up."""
-    if view is not None and view != "oblique" and not (len(view) == 2 and view[0] != view[1] and set(view) <= set(AXES)):
-        raise JaxbodyError(
-            Problem(
-                "BAD_VIEW",
-                "view",
-                f"is {view!r}",
-                view,
-                "two of x, y, z",
-                "Give 'oblique', or the axes that point right and up, such as 'xy'.",
-            )
-        )
     if view is not None and view != "oblique":
-        return np.eye(3)[[AXES.index(axis) for axis in view]]
+        return look_along(view)
     spread = np.ptp(np.concatenate([scene.all_points() for scene in scenes]), axis=0)
     weight = np.abs(np.asarray(model.gravity))
     up = int(np.argmax(weight)) if weight.any() else int(np.argsort(spread)[1])
@@ -180,6 +173,14 @@ def projection(view: str | None, model: Model, scenes: list[Scene]) -> np.ndarra
     if view == "oblique" or spread[away] > 1e-6 * spread.max():
         look[:, away] = (-0.45, -0.28) if (right, up) in ((0, 1), (1, 2), (2, 0)) else (0.45, 0.28)
     return look
+
+
+def look_along(view: str) -> np.ndarray:
+    """The matrix (2, 3) of a view named by the axes that point right and up, such as "xz". Error: BAD_VIEW."""
+    if not (len(view) == 2 and view[0] != view[1] and set(view) <= set(AXES)):
+        hint = "Give 'oblique', or the axes that point right and up, such as 'xy'."
+        raise JaxbodyError(Problem("BAD_VIEW", "view", f"is {view!r}", view, "two of x, y, z", hint))
+    return np.eye(3)[[AXES.index(axis) for axis in view]]
 
 
 def _axes(ax: Any, scenes: list[Scene], look: np.ndarray) -> Any:

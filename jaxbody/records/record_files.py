@@ -72,10 +72,20 @@ def read_record(
         problems.gather(lambda unit=unit, where=where: None if unit is None else units.parse(unit, where))
     asked = [column for columns, _ in (*wanted.values(), *([clock] if clock else [])) for column in columns]
     text = {"encoding": encoding, "separator": separator, "decimal": decimal, "skip": skip, "footer": footer}
-    contents = problems.gather(lambda: readers.read_columns(path, list(dict.fromkeys(asked)), format=format, largest=largest, **text))
-    problems.raise_if_any()
-    notes = list(contents.notes)
-    times, time_unit = _clock(contents.columns, clock, options.get("rate"), name, problems, notes)
+
+    def read(names: list[Asked]) -> Any:
+        return readers.read_columns(path, list(dict.fromkeys(names)), format=format, largest=largest, **text)
+
+    contents = problems.gather(lambda: read(asked))
+    absent = {problem.value for problem in problems.collected if problem.code == "UNKNOWN_CHANNEL"}
+    others = [column for column in asked if column not in absent]
+    if absent and others:  # which may have problems too
+        contents = problems.gather(lambda: read(others))
+        wanted = {key: (columns, unit) for key, (columns, unit) in wanted.items() if not absent & {*columns}}
+    if contents is None:
+        raise JaxbodyError(*problems.collected)
+    notes, without = list(contents.notes), clock is not None and bool(absent & {*clock[0]})
+    times, time_unit = (None, "s") if without else _clock(contents.columns, clock, options.get("rate"), name, problems, notes)
     given = {}
     for key, (columns, unit) in wanted.items():
         parts = [_part(contents.columns[column], column) for column in columns]

@@ -8,17 +8,16 @@ gravity and tension. Frequencies are the last axis of all arrays, so that operat
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from equinox import Module, field
+from equinox import field
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Bool, Complex, Float, Int, checked, concrete, device_array, float_array, is_concrete
+from jaxbody.core.arrays import Array, Complex, Float, Int, checked, concrete, device_array, float_array, is_concrete
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
@@ -26,17 +25,15 @@ from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
-from jaxbody.numerics.eigenproblems import ZERO, companion, natural
-from jaxbody.numerics.precisions import reachable
+from jaxbody.models.preconditions import check_memory
+from jaxbody.numerics.eigenproblems import ZERO, natural
+from jaxbody.responses.dynamic_matrices import DynamicMatrices, is_unstable, solved
 from jaxbody.responses.modal_dampings import NO_MODES, with_modal_damping
 from jaxbody.sensors.instruments import LoadCell
 from jaxbody.sensors.sensors import Sensor
 from jaxbody.vibrations.linearizations import Linearization, check_system
 from jaxbody.vibrations.ports import Ports, check_ports, port_matrices, reads_matrices
 
-LARGEST_UNROLLED = 16  # coordinates; beyond them LAPACK at each frequency costs less than compiling this elimination
-GROWS = 1e-6  # real part of an eigenvalue, relative to the largest eigenvalue, above which it is not rounding
-INVERTED = 1e-7  # relative error of the inverse of the modes, above which the modal sum is inaccurate
 METHODS = ("direct", "modal")
 
 
@@ -142,9 +139,9 @@ def frequency_response(
         method: "direct", by elimination at each frequency, or "modal", the sum over all complex modes; both agree to rounding.
 
     Errors: BAD_FREQUENCY below 0 Hz, and at 0 Hz for an input that is a velocity or an acceleration, UNKNOWN_NAME, WRONG_KIND,
-    BAD_COMPONENT, BAD_METHOD, BAD_SHAPE, NON_FINITE, NEGATIVE loss factors or damping ratios, BAD_OPTION for either with sensors of forces;
-    warns UNSTABLE, SINGULAR_K at 0 Hz, DEFECTIVE (modes), NONFINITE (an undamped resonance), and for modal damping NOT_SYMMETRIC,
-    SINGULAR_M.
+    BAD_COMPONENT, BAD_METHOD, BAD_SHAPE, NON_FINITE, TOO_LARGE, NEGATIVE loss factors or damping ratios, BAD_OPTION for either with sensors
+    of forces; warns UNSTABLE, SINGULAR_K at 0 Hz, DEFECTIVE (modes), NONFINITE (an undamped resonance), and for modal damping
+    NOT_SYMMETRIC, SINGULAR_M.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -163,6 +160,8 @@ def frequency_response(
     if method not in METHODS:
         with Problems() as problems:
             problems.add("BAD_METHOD", "frequency_response.method", f"is {method!r}", value=method, limit=" ".join(METHODS))
+    check_inner_rows(lin, "frequency_response", loss_factor=loss_factor, modal_damping=modal_damping)
+    check_memory("frequency_response", lin.model, f.size if method == "direct" else 0)
     static = is_concrete(f) and not np.asarray(f).all()
     if static:
         _check_bounded_at_rest(u, ins)
@@ -171,8 +170,22 @@ def frequency_response(
     return warn_if_failed(FrequencyResponse(f, values, status, u, y, u_units, y_units))
 
 
+def check_inner_rows(lin: Linearization, where: str, **options: Any) -> None:
+    """Elements with memory have damping of their own: no other is added to a system with their rows. Error: MEMORY."""
+    with Problems() as problems:
+        for name, given in options.items() if lin.inner else ():
+            if given is not None:
+                hint = "Give the linear system's `condensed`, or leave the option out."
+                problems.add("MEMORY", f"{where}.{name}", "is given beside elements with memory", value=given, limit="None", hint=hint)
+
+
 def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:
     """Frequencies, after a check that they are in one row and positive (with `static`, 0 is allowed too)."""
+    return device_array(checked_frequencies(given, where, static=static))
+
+
+def checked_frequencies(given: Any, where: str, *, static: bool = False) -> Float[Array, "nf"]:
+    """The same, not yet on a device."""
     with Problems() as problems:
         array = float_array(given, where)
         array = checked(array, ((max(array.size, 1),),), where, problems, "Give frequencies [Hz] in one row.")
@@ -181,7 +194,7 @@ def check_frequencies(given: Any, where: str, *, static: bool = False) -> Float[
             i, limit = int(np.flatnonzero(wrong)[0]), ">= 0" if static else "> 0"
             hint = "Give their magnitudes." if known[i] < 0 else "Leave 0 out."
             problems.add("BAD_FREQUENCY", where, f"is {known[i]:g} Hz at index {i}", value=float(known[i]), limit=limit, hint=hint)
-    return device_array(array)
+    return array  # pyright: ignore[reportReturnType]  which is not None here
 
 
 def _check_bounded_at_rest(names: tuple[str, ...], inputs: tuple[Any, ...]) -> None:
@@ -235,19 +248,20 @@ def response_values(
     """(values (ny, nu, nf), status); `static` where 0 Hz is among the frequencies."""
     nv, X = lin.M.shape[-1], ports.X
     s = jax.lax.complex(jnp.zeros_like(f), 2 * jnp.pi * f)
-    whole = _Matrices(*lin.whole, None if eta is None else hysteretic_damping(lin, eta))
+    whole = DynamicMatrices(*lin.whole, None if eta is None else hysteretic_damping(lin, eta), lin.inner)
     scale = s[None] ** -jnp.array(ports.orders, s.dtype)[:, None] if any(ports.orders) else jnp.ones((len(ports.orders), 1), s.dtype)
     own = jax.tree.map(lambda A: A[:nv, :nv], whole)
     right = ports.F[:nv, :, None].astype(s.dtype) - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale[None]
-    Delta, complete = _solved(own, s, jnp.broadcast_to(right, (nv, X.shape[1], f.shape[0])), method)
+    Delta, complete = solved(own, s, jnp.broadcast_to(right, (nv, X.shape[1], f.shape[0])), method)
     Y = ports.Y
-    rows = _Matrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, ports, lin, eta))
+    rows = DynamicMatrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, ports, lin, eta), lin.inner)
     on_bodies, on_supports = jax.tree.map(lambda A: A[:, :nv], rows), jax.tree.map(lambda A: A[:, nv:] @ X, rows)
     values = on_bodies.times(s, Delta) + on_supports.at(s) * scale[None] + ports.G[:, :, None].astype(s.dtype)
     values = values if ports.chains is None else values * ports.chains.at(s)[:, None]
     free = jnp.array(False)
     if static:
-        squares = jnp.abs(jax.lax.stop_gradient(natural(lin.K, lin.M)[0]))
+        slow = jax.lax.stop_gradient(lin.condensed)
+        squares = jnp.abs(natural(slow.K, slow.M)[0])
         free = jnp.min(squares, initial=jnp.inf) <= ZERO * jnp.max(squares, initial=0.0)
         values = jnp.where(free & (f == 0), jnp.nan, values)
     status = lin.kept_status(jnp.select(
@@ -259,90 +273,9 @@ def response_values(
     return values * jnp.where(failed, jnp.nan, 1.0), status
 
 
-class _Matrices(Module):
-    """The matrices of D = K + s C + s^2 M + i H, s = i w."""
-
-    K: Float[Array, "k n"]
-    C: Float[Array, "k n"]
-    M: Float[Array, "k n"]
-    H: Float[Array, "k n"] | None
-
-    def moved(self, left: Array, right: Array) -> _Matrices:
-        return jax.tree.map(lambda A: left @ A @ right, self)
-
-    def at(self, s: Complex[Array, "nf"]) -> Complex[Array, "k n nf"]:
-        K = self.K.astype(s.dtype) if self.H is None else jax.lax.complex(self.K, self.H)
-        C, M, s = self.C.astype(s.dtype), self.M.astype(s.dtype), s[None, None]
-        return K[:, :, None] + C[:, :, None] * s + M[:, :, None] * s**2
-
-    def times(self, s: Complex[Array, "nf"], x: Complex[jax.Array, "n m nf"]) -> Complex[jax.Array, "k m nf"]:
-        """D(s) x by real products."""
-        parts = jax.tree.leaves(self)
-        re, im = (jnp.split(jnp.tensordot(jnp.concatenate(parts), part, 1), len(parts)) for part in (x.real, x.imag))
-        product = [jax.lax.complex(re_, im_) for re_, im_ in zip(re, im, strict=True)]
-        return sum((a * b for a, b in zip(product[1:], (s[None, None], s[None, None] ** 2, 1j), strict=False)), product[0])
-
-
-def _solved(own: _Matrices, s, b: Complex[Array, "n m nf"], method: str) -> tuple[Complex[Array, "n m nf"], Bool[Array, ""]]:
-    """D(s)^-1 b, with the derivatives of linear systems for both methods; and whether the modes, if used, are complete."""
-    frozen, at = jax.lax.stop_gradient((own, s))
-    solve, complete = _modal_sum(frozen, at) if method == "modal" else (_eliminated(frozen, at), jnp.array(True))
-    return jax.lax.custom_linear_solve(lambda x: own.times(s, x), b, lambda _, b: solve(b, False), lambda _, b: solve(b, True)), complete
-
-
-def _eliminated(A: _Matrices, s) -> Callable[[jax.Array, bool], jax.Array]:
-    """The map b -> D^-1 b or its transpose, from one elimination. In the coordinates of the real modes no pivoting is needed: D is diagonal
-    except for damping, and no entry of C exceeds the mean of two on its diagonal."""
-    n = len(A.M)
-    if n > LARGEST_UNROLLED:
-        factors = jax.scipy.linalg.lu_factor(jnp.moveaxis(A.at(s), -1, 0))
-        return lambda b, transposed: jax.vmap(lambda LU, b: jax.scipy.linalg.lu_solve(LU, b, int(transposed)), (0, -1), -1)(factors, b)
-    shapes = natural(A.K, A.M)[1]
-    D = A.moved(shapes.T, shapes).at(s)
-    D = jnp.concatenate([D, jnp.broadcast_to(shapes.T[:, :, None].astype(D.dtype), D.shape)], 1)
-    for i in range(n):  # the first column is eliminated and dropped
-        row = D[i, 1:] / D[i, :1]
-        D = jnp.where((jnp.arange(n) == i)[:, None, None], row, D[:, 1:] - D[:, :1] * row[None])
-    inverse = jnp.tensordot(shapes.astype(D.dtype), D, 1)
-    return lambda b, transposed: _product(jnp.swapaxes(inverse, 0, 1) if transposed else inverse, b)
-
-
-def _product(A: Complex[jax.Array, "k n nf"], x: Complex[jax.Array, "n m nf"]) -> Complex[jax.Array, "k m nf"]:
-    """The product A x at each frequency."""
-    pairs = [(A[:, j, None], x[j][None]) for j in range(len(x))]
-    none = jnp.zeros((len(A), *x.shape[1:]), A.real.dtype)
-    re = sum((a.real * b.real - a.imag * b.imag for a, b in pairs), none)
-    return jax.lax.complex(re, sum((a.real * b.imag + a.imag * b.real for a, b in pairs), none))
-
-
-def _modal_sum(A: _Matrices, s) -> tuple[Callable[[jax.Array, bool], jax.Array], Bool[Array, ""]]:
-    """The map b -> D^-1 b or its transpose, D^-1 = left diag(1/(s - pole)) right; and whether the modes are a basis."""
-    n = len(A.M)
-    matrix = companion(A.M, A.C, A.K if A.H is None else A.K + 1j * A.H)
-    unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n:, :n])))  # of frequency, so that displacements and rates have the same scale
-    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit)]).astype(matrix.dtype)
-    balanced = matrix * scale[None] / scale[:, None]
-    poles, vectors = jnp.linalg.eig(balanced)
-    inverse = jnp.linalg.inv(vectors)
-    error = jnp.max(jnp.abs((vectors * poles[None]) @ inverse - balanced.astype(inverse.dtype))) / jnp.max(jnp.abs(balanced))
-    right = inverse[:, n:] @ (jnp.linalg.inv(A.M) / unit).astype(inverse.dtype)
-
-    def solve(b, transposed):
-        L, R = (right.T, vectors[:n].T) if transposed else (vectors[:n], right)
-        return jnp.tensordot(L, jnp.tensordot(R, b, 1) / (s[None] - poles[:, None])[:, None], 1)
-
-    return solve, error < reachable(INVERTED, error.dtype, 1024)
-
-
-def is_unstable(A: _Matrices) -> Bool[Array, ""]:
-    """Whether a free motion grows, which is UNSTABLE."""
-    values = jnp.linalg.eigvals(companion(*jax.lax.stop_gradient((A.M, A.C, A.K))))
-    return jnp.max(values.real) > reachable(GROWS, values.real.dtype, 256) * jnp.max(jnp.abs(values))
-
-
 def hysteretic_damping(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Array, "n n"]:
     """H of (Delta, Xi): the sum over the elements of eta V''(e) de de."""
-    at = configuration_at(Coordinates(lin.model), lin.state.q)
+    at = configuration_at(Coordinates(lin.held), lin.state.q)
     H = [x.elastic() for x in element_derivatives(at)]
     return jnp.tensordot(eta, jnp.concatenate(H), 1) if H else jnp.zeros((len(at.turns),) * 2)
 

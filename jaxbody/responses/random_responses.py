@@ -19,7 +19,14 @@ from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.port_inputs import KINDS, UNITS
-from jaxbody.responses.frequency_responses import check_frequencies, check_loss_factors, check_without_force_sensors, response_values
+from jaxbody.models.preconditions import check_memory
+from jaxbody.responses.frequency_responses import (
+    check_frequencies,
+    check_inner_rows,
+    check_loss_factors,
+    check_without_force_sensors,
+    response_values,
+)
 from jaxbody.responses.modal_dampings import with_modal_damping
 from jaxbody.responses.spectra import Band, CrossPSD, Spectrum, check_spectra, trapezoids
 from jaxbody.vibrations.linearizations import Linearization, check_system
@@ -112,6 +119,8 @@ def random_response(
     for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
         check_without_force_sensors(option, f"random_response.{what}", sensors, lin.model)
     eta = check_loss_factors(loss_factor, lin.model, "random_response.loss_factor")
+    check_inner_rows(lin, "random_response", loss_factor=loss_factor, modal_damping=modal_damping)
+    check_memory("random_response", lin.model, f.size)
     lin = with_modal_damping(lin, modal_damping, "random_response.modal_damping")
     psd, rms, status = _random_response(lin, f, weights, coarse, port_matrices(lin, ins, sensors), ins, names, spectra, eta)
     return warn_if_failed(RandomResponse(f, psd, rms, weights, coarse, status, y, y_units))

@@ -367,6 +367,7 @@ def _unit(unit: Any, where: str, problems: Problems) -> tuple[str, str, float]:
 
 
 def check_not_negative(value: Any, where: str, problems: Problems) -> None:
+    """Problem: NEGATIVE, for densities that are known."""
     known = concrete(value)
     if known is not None and (known < 0).any():
         problems.add("NEGATIVE", where, f"is {known.min():g}", value=float(known.min()), limit=">= 0", hint="A density is not negative.")

@@ -11,7 +11,7 @@ from jaxbody.core.arrays import Array, Float, concrete, vector
 from jaxbody.core.errors import Problem, Problems
 from jaxbody.geometry.fields import field
 from jaxbody.geometry.frames import Frame, Pose
-from jaxbody.geometry.places import direction, ends, unit_vector
+from jaxbody.geometry.places import direction, ends
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model, pose_at_reference
@@ -142,7 +142,7 @@ class LaserLine(Sensor):
             if (origin is None) != (normal is None):
                 problems.add("NO_SURFACE", kind, "has only one of `origin` and `normal`", hint="Give both or neither.")
             self.origin = None if origin is None else vector(origin, f"{kind}.origin", problems)
-            self.normal = None if normal is None else unit_vector(normal, f"{kind}.normal", problems)
+            self.normal = None if normal is None else direction(normal, f"{kind}.normal", problems)
             self.chained(problems, **chain)
 
     def distance(self, frame: Pose) -> Float[Array, ""]:
@@ -170,9 +170,9 @@ class LaserVibrometer(LaserLine):
     Args:
         on: name of the body or support
         point: position in body axes [m]
-        axis: direction of the beam, in world axes
+        axis: of the beam; x, y, z or a direction, in world axes
         origin: a point of the beam, in world axes [m]
-        normal: normal of the plane surface through `point`, in body axes
+        normal: of the plane surface through `point`; x, y, z or a direction, in body axes
         chain: `gain`, `bias`, `delay`, `lag`, `start`: see Sensor
 
     Errors: ZERO_AXIS, NO_SURFACE, GRAZING, UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, BAD_LAG.

@@ -192,7 +192,7 @@ class Elongation(OfElement):
     """Deformation of an element: elongation [m] of a spring, tension positive; the angle [rad] of a Torsion; as an output of responses its
     change from equilibrium. `gain`, `bias`, `delay`, `lag`, `start`: see Sensor.
 
-    A bushing needs a `component`: 0 to 2 for its displacements [m], 3 to 5 for its rotations [rad], in the axes of its end a.
+    A bushing needs a `component`: 0 to 2 for the displacements [m], 3 to 5 for the rotations [rad] of its end b, in the axes of its end a.
     Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_LAG.
 
     >>> Elongation("AB").unit, Elongation("mount", component=5).unit
@@ -209,7 +209,8 @@ class LoadCell(OfElement):
     """The force in an element [N], tension positive, its damper included; the moment [N m] of a Torsion. `gain`, `bias`, `delay`, `lag`,
     `start`: see Sensor.
 
-    A bushing needs a `component`: 0 to 2 for its forces [N], 3 to 5 for its moments [N m], in the axes of its end a.
+    A bushing needs a `component`: 0 to 2 for the forces [N], 3 to 5 for the moments [N m] that oppose its deformation, in the axes of its
+    end a: positive where its end b is displaced along the axis.
     Errors: UNKNOWN_NAME, BAD_COMPONENT, BAD_SHAPE, NON_FINITE, BAD_LAG.
 
     >>> LoadCell("AB").unit, LoadCell("mount", component=5).unit

@@ -210,7 +210,7 @@ class Rotation(Kinematic):
         R_0, B_0 = (pose_at_reference(model, name).R for name in self.names)
         return self._turned(self._seen(model, frames), product(B_0.T, R_0))
 
-    def change(self, model, frames, rest):
+    def change(self, model, frames, rest, at_rest):
         return self._turned(self._seen(model, frames), self._seen(model, rest))
 
     def _seen(self, model: Model, frames: Instant) -> Float[Array, "3 3"]:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import Array, Float, checked, concrete
 from jaxbody.core.errors import Problem, Problems, unknown
+from jaxbody.geometry.descriptions import Described
 from jaxbody.geometry.fields import check_domain, field, kind_of
 from jaxbody.geometry.frames import Instant
 from jaxbody.geometry.vectors import to_rank
@@ -30,7 +31,7 @@ class Chain(TypedDict, total=False):
     start: Any
 
 
-class Sensor(Channel):
+class Sensor(Described, Channel):
     """The base class of sensors: `reading` of the frames at one time, `transduced` into a record, and `residual`, reading minus measured.
 
         y(t) = gain x_lag(t) + bias,   lag x_lag' + x_lag = x(t - delay),   x_lag(t_0) = start
@@ -110,9 +111,10 @@ class Sensor(Channel):
     def reading(self, model: Model, frames: Instant) -> Reading:
         """The measured quantity at one time, before the chain."""
 
-    def change(self, model: Model, frames: Instant, rest: Instant) -> Float[Array, "*s"]:
-        """The residual from a reading at rest, whose derivatives are the rows of an output of responses."""
-        now, before = (self.reading(model, instant) for instant in (frames, rest))
+    def change(self, model: Model, frames: Instant, rest: Instant, at_rest: Model) -> Float[Array, "*s"]:
+        """The residual from a reading at rest, whose derivatives are the rows of an output of responses; the model, and that at rest, hold
+        the states of their elements."""
+        now, before = self.reading(model, frames), self.reading(at_rest, rest)
         return self.residual(*(x if self.bias is None else self.disturbed(x, self.bias) for x in (now, before)))
 
     def transduced(self, times: Float[Array, "nt"], x: Float[Array, "nt *r"]) -> Float[Array, "nt *r"]:

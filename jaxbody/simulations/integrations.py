@@ -11,13 +11,16 @@ import optimistix
 
 from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.core.errors import Status
+from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.inputs.signals import kinks_of
 from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.canonical_equations import Canonical
+from jaxbody.mechanics.element_states import completed
 from jaxbody.mechanics.energies import outside_law_range
 from jaxbody.mechanics.equations_of_motion import Dynamics, dynamics_of
 from jaxbody.mechanics.kinematics import frames_at_time
+from jaxbody.models.models import Model
+from jaxbody.models.states import State
 from jaxbody.numerics.adjoints import Blocks, Driven, Unstarted
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.precisions import reachable
@@ -52,7 +55,7 @@ MOTION, CANONICAL = Driven(_drive, _driven), diffrax.ODETerm(_canonical)
 def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
     """The jitted core of `simulate`: arrays only, never raises."""
     dynamics = dynamics_of(model, motions, loads)
-    initial = dynamics.coordinates.reference if initial is None else initial
+    initial = dynamics.coordinates.reference if initial is None else _completed(dynamics, initial, times[0])
     by_default = (
         solver is None
         and isinstance(stepsize_controller, diffrax.ConstantStepSize | None)
@@ -60,6 +63,8 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
         and isinstance(meter, diffrax.NoProgressMeter)
     )
     in_blocks = by_default or isinstance(adjoint, Blocks)
+    if isinstance(solver, Gauss):
+        _check_without_memory(model)
     form, term = (Canonical(dynamics), CANONICAL) if isinstance(solver, Gauss) else (dynamics, MOTION)
     y0 = form.pack(initial, times[0])
     chosen = _in_blocks if in_blocks else _as_given
@@ -85,6 +90,20 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     statistics = {name: solution.stats[name] for name in ("num_accepted_steps", "num_rejected_steps")}
     end = (t_end, final)
     return Trajectory(times=times, state=state, status=code, statistics=statistics, end=end, model=model, motions=motions, loads=loads)
+
+
+def _check_without_memory(model: Model) -> None:
+    """Gauss integrates coordinates and momenta, and no other states. Error: MEMORY."""
+    if model.layout.nz:
+        message = f"is jb.Gauss, but the model has elements with memory: {', '.join(model.layout.states[:4])}"
+        hint = "Leave solver= out, or give diffrax.Kvaerno5() for stiff models."
+        raise JaxbodyError(Problem("MEMORY", "solver", message, limit="models without memory", hint=hint))
+
+
+def _completed(dynamics: Dynamics, state: State, t) -> State:
+    """The state with the z of rest at time t where it has none."""
+    frames = dynamics.coordinates.frames(state.q, state.v, dynamics.coordinates.supports_moving(dynamics.motions, t))
+    return completed(dynamics.model, state, frames)
 
 
 @jax.custom_jvp

@@ -13,6 +13,7 @@ from jaxbody.core.errors import Problems
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.kinematics import Motions, frames_at_time
+from jaxbody.models.memories import holding
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.sensors.sensors import Sensor, check_sensors, noise_levels
@@ -21,6 +22,7 @@ from jaxbody.simulations.trajectories import Trajectory
 
 def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sensor], loads: tuple[Load, ...] = ()) -> dict[str, Array]:
     """The readings of all sensors at one time, before their chains; accelerations are computed once, if any sensor needs them."""
+    model = holding(model, state.z)
     if any(sensor.accelerations for sensor in sensors.values()):
         instant = dynamics_of(model, motions, loads).instant(t, state, reactions=any(sensor.reactions for sensor in sensors.values()))
     else:

@@ -18,6 +18,7 @@ from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.inputs.motions import AtRest, Motion, as_motion, check_motion
+from jaxbody.mechanics.equations_of_motion import state_slopes
 from jaxbody.mechanics.failure_causes import force_jump_messages, force_jumps_along
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions
@@ -185,7 +186,8 @@ def check_steps(
 
 def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None) -> None:
     """Warn about constant steps that are too long for the fastest small motion about the initial state, y' = A y."""
-    fastest = np.abs(np.linalg.eigvals(companion(*map(np.asarray, matrices(model, initial))))).max(initial=0.0)
+    A = state_slopes(model, initial) if model.layout.nz else companion(*map(np.asarray, matrices(model, initial)))
+    fastest = np.abs(np.linalg.eigvals(np.asarray(A))).max(initial=0.0)
     if dt * fastest > STABLE and not isinstance(solver, diffrax.AbstractImplicitSolver):
         remedy = f"Take dt0 below {STABLE / fastest:.3g} s, leave the steps to the default controller, or use an implicit solver"
         warn(

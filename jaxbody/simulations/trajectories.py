@@ -25,11 +25,12 @@ from jaxbody.mechanics.failure_causes import force_jump_at, force_jump_messages,
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.leaf_paths import by_name, springs_of
+from jaxbody.models.memories import holding
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import in_float64
-from jaxbody.statics.equilibria import massless_motions
+from jaxbody.statics.null_motions import massless_motions
 
 
 class Trajectory(Labeled, Result):
@@ -67,7 +68,7 @@ class Trajectory(Labeled, Result):
 
     @property
     def forces(self) -> dict[str, Array]:
-        """{element: tension (nt,), its damper included}; for a bushing its six forces and moments (nt, 6)."""
+        """{element: tension (nt,), its damper included}; for a bushing the six forces and moments (nt, 6) that oppose its deformation."""
         return self._of_elements(_forces)
 
     @property
@@ -154,6 +155,9 @@ class Trajectory(Labeled, Result):
             variables["elongation"] = (("time", "spring"), rows_of([elongations[name] for name in springs], -1), "m")
             variables["force"] = (("time", "spring"), rows_of([forces[name] for name in springs], -1), "N")
             coordinates["spring"] = springs
+        if model.layout.nz:
+            variables["z"] = (("time", "state"), self.state.z, ", ".join(dict.fromkeys(model.layout.z_units)))
+            coordinates["state"] = list(model.layout.states)
         if reactions:
             variables["reaction_force"] = (("time", "support", "axis"), rows_of([force for force, _ in reactions.values()], -2), "N")
             variables["reaction_moment"] = (("time", "support", "axis"), rows_of([moment for _, moment in reactions.values()], -2), "N m")
@@ -247,7 +251,7 @@ def _evaluate(function: Callable, batch_axes: int, model, motions, loads, times,
 
     def one(numbers, t, state, others):
         model, motions, loads = combine(numbers, rest)
-        return function(model, motions, t, state, *loads, *combine(others, fixed))
+        return function(holding(model, state.z), motions, t, state, *loads, *combine(others, fixed))
 
     over_batch = jax.vmap(in_lanes(one), in_axes=(None, 0, 0, None))
     for _ in range(batch_axes):

@@ -23,11 +23,13 @@ from jaxbody.mechanics.energies import each_element, frames_of
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name, springs_of
+from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.statics.equilibria import DESCENDED, LOADABLE, Equilibrium, SearchResult, equilibrium_at, equilibrium_of, search_under_loads
+from jaxbody.statics.forces_at_rest import along_and_about
 from jaxbody.statics.load_paths import AppliedLoads, alike, residual, summed
 
 MAX_STEPS = 200  # of a search
@@ -139,15 +141,15 @@ class LoadCases(Labeled, Result):
                 rows.append((label, name, _text(self.displacements[name][i], 6), _text(self.rotations[name][i], 6), "", ""))
                 label = ""
             for name, stroke in self.strokes.items():
-                s, f = np.atleast_1d(stroke[i]), np.atleast_1d(self.forces[name][i])
-                turn, moment = (s[3:], f[3:]) if len(s) == 6 and np.any(f[3:]) else ("", "")
-                rows.append(("", name, _text(s[:3], 6), _text(turn, 6), _text(f[:3], 1), _text(moment, 1)))
+                (s, turn), (f, moment) = (along_and_about(self.unloaded.model, name, x[i]) for x in (stroke, self.forces[name]))
+                turn = turn if np.any(moment) else None
+                rows.append(("", name, _text(s, 6), _text(turn, 6), _text(f, 1), _text(moment if np.any(moment) else None, 1)))
         columns = ("case", "", "displacement or stroke [m]", "rotation [rad]", "force [N]", "moment [N m]")
         return [tables.PrintedTable("Load cases", columns, rows, self.report())]
 
 
 def _text(values: Any, digits: int) -> str:
-    return "" if isinstance(values, str) else " ".join(f"{float(x):.{digits}f}" for x in values)
+    return "" if values is None else " ".join(f"{float(x):.{digits}f}" for x in np.atleast_1d(values))
 
 
 def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | State | None = None) -> LoadCases:
@@ -189,8 +191,8 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     owner = np.repeat(np.arange(len(each)), [len(group) for group in each])
     weights = (np.arange(len(each))[:, None] == owner).astype(float)
     changes = stack([-STANDARD_GRAVITY * case.acceleration for case in cases.values()])
-    q = None if start is None else start.q
-    unloaded = equilibrium_of(model, q, MAX_STEPS)
+    q, z = (None, None) if start is None else (start.q, start.z)
+    unloaded = equilibrium_of(model, q, MAX_STEPS, z)
     warn_if_failed(unloaded)
     groups, members = alike(loads)
     applied = AppliedLoads(groups, tuple(device_array(weights[:, group]) for group in members), changes)
@@ -201,7 +203,7 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
 
 @jit_unoptimized
 def _load_cases(model: Model, unloaded: Equilibrium, searches: SearchResult, applied: AppliedLoads, names: tuple[str, ...]) -> LoadCases:
-    coordinates = Coordinates(model)
+    coordinates = Coordinates(relaxed(model, unloaded.state.z))
     rest = configuration_at(coordinates, unloaded.state.q, base=False)
     scale = scale_of(model, size_of(model))
 
@@ -212,7 +214,7 @@ def _load_cases(model: Model, unloaded: Equilibrium, searches: SearchResult, app
         return weight * jnp.maximum(jnp.max(jnp.abs(force)), jnp.max(jnp.abs(moment)) / size_of(model))
 
     def one(applied, search):
-        eq = equilibrium_at(coordinates, search, applied)
+        eq = equilibrium_at(coordinates, search, applied, model)
         largest = jnp.max(jnp.abs(residual(rest, applied) - residual(rest, applied, 0.0)) * scale, initial=0.0)
         total = jnp.sum(model.bodies.rows.mass) * jnp.max(jnp.abs(applied.gravity))
         for load, weight in zip(applied.loads, applied.weights, strict=True):
@@ -232,7 +234,7 @@ def _load_cases(model: Model, unloaded: Equilibrium, searches: SearchResult, app
 
 def _deformed(model: Model, state: State) -> tuple[Pose, tuple[Array, ...], tuple[Array, ...]]:
     """Poses of the bodies, deformations and forces of the elements in a state."""
-    frames = frames_of(model, state)
+    model, frames = holding(model, state.z), frames_of(model, state)
     both = each_element(model, frames, lambda s, *F: (s.deformation(*(f.pose() for f in F)), s.force(*F)))
     bodies = frames[model.layout.first_body :].pose()
     return bodies, tuple(e for e, _ in both), tuple(f for _, f in both)

@@ -20,26 +20,28 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import whole_number
 from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, is_concrete
-from jaxbody.core.datasets import Labeled, dataset, rows_of
+from jaxbody.core.datasets import AXES, Labeled, dataset, rows_of
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.energies import each_element, outside_law_range, potential
 from jaxbody.mechanics.failure_causes import nonfinite_downhill
-from jaxbody.mechanics.hessians import configuration_at, stiffness
+from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.leaf_paths import by_name, springs_of
+from jaxbody.models.memories import relaxed, rest_states
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
-from jaxbody.models.sizes import scale_of, scaled, size_of
+from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
-from jaxbody.numerics.eigenproblems import MASSLESS
 from jaxbody.numerics.precisions import in_float64, reachable
 from jaxbody.numerics.xla_workarounds import any_of_batch
-from jaxbody.statics.descents import SINGULAR, descend, eigenvalue_signs
+from jaxbody.statics.descents import descend, eigenvalue_signs
+from jaxbody.statics.forces_at_rest import element_rows, on_supports, support_rows
 from jaxbody.statics.load_paths import AppliedLoads, Path, dead_forces, follow_load_path, residual, tangent, with_gravity, with_load_gravity
+from jaxbody.statics.null_motions import zero_modes
 
 RUNAWAY = 20  # distance from the start, in sizes of the model, beyond which the model falls without limit
 NOT_AT_REST = (Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, Status.STALE)  # no linearization about such a state
@@ -51,7 +53,7 @@ DESCENDED = "by descent of the potential of the loads, which cannot be raised st
 
 class Equilibrium(Labeled, Result):
     """An equilibrium: `state`, `residual` dV/dDelta - Q [N, N m], `energy` V [J], `stable`, `negative` (number of negative eigenvalues of
-    K), `steps`, `elongations` by name.
+    K), `steps`, and by name `elongations`, `forces` of the elements and `reactions` of the supports.
 
     `status` is OK, or NOT_CONVERGED, UNSTABLE, SINGULAR_K, TABLE_RANGE, NO_EQUILIBRIUM or LIMIT_POINT. Under loads, `load_factor` is the
     fraction of them that is carried, `path` the eigenvalues of K along the load path; `descended`: K is singular without the loads, so that
@@ -66,6 +68,8 @@ class Equilibrium(Labeled, Result):
     status: Int[Array, ""]
     steps: Int[Array, ""]
     deformations: tuple[Array, ...]
+    element_forces: tuple[Array, ...]
+    on_supports: Float[Array, "ns 6"]
     model: Model
     loads: tuple[Load, ...]
     load_factor: Float[Array, ""]
@@ -76,7 +80,22 @@ class Equilibrium(Labeled, Result):
     @property
     def elongations(self) -> dict[str, Array]:
         """{element: elongation [m], tension positive}; for a bushing its six deformations."""
-        return by_name(tuple(table.names for table in self.model.elements), self.deformations)
+        return self._of_elements(self.deformations)
+
+    @property
+    def forces(self) -> dict[str, Array]:
+        """{element: tension [N], or moment [N m] of a Torsion}; for a bushing the six forces and moments that oppose its deformation."""
+        return self._of_elements(self.element_forces)
+
+    @property
+    def reactions(self) -> dict[str, tuple[Float[Array, "3"], Float[Array, "3"]]]:
+        """{support: (force [N], moment about its origin [N m])}, in world axes, exerted by its elements and by all that it carries by
+        joints, with weights and, as far as they are carried, loads."""
+        rows = {name: self.on_supports[..., i, :] for i, name in enumerate(self.layout.supports)}
+        return {name: (row[..., :3], row[..., 3:]) for name, row in rows.items()}
+
+    def _of_elements(self, rows: tuple[Array, ...]) -> dict[str, Array]:
+        return by_name(tuple(table.names for table in self.model.elements), rows, axis=self.energy.ndim)
 
     @property
     def layout(self) -> Layout:
@@ -131,7 +150,7 @@ class Equilibrium(Labeled, Result):
     def _how_much(self) -> str:
         """A sentence on the fraction of the weights that is carried."""
         weightless = with_gravity(self.model, -self.model.gravity)
-        start = equilibrium_of(weightless, None, 200)
+        start = equilibrium_of(weightless, None, 200, None)
         if int(start.status) not in LOADABLE:
             return "none was found by descent, with the weights or without them"
         applied = AppliedLoads((), np.zeros(0), self.model.gravity)
@@ -139,35 +158,53 @@ class Equilibrium(Labeled, Result):
         return f"none was found by descent; {100 * factor:.4g} % of the weights is carried"
 
     def to_xarray(self) -> Any:
-        """An xarray.Dataset: q by part, residual by coordinate, elongation by spring, energy, status."""
+        """An xarray.Dataset: q by part, residual by coordinate, elongation and force by spring, reactions by support, energy, status."""
         layout, springs = self.model.layout, springs_of(self.model)
-        parts = [f"{block.owner} {i}" for block in layout.blocks for i in range(block.nq)]
+        parts = [f"{block.owner} {i}" for block in layout.joints for i in range(block.nq)]
         variables = {
             "q": (("part",), self.state.q, ""),
+            **({"z": (("state",), self.state.z, ", ".join(dict.fromkeys(layout.z_units)))} if layout.nz else {}),
             "residual": (("coordinate",), self.residual, "N or N m"),
             "energy": ((), self.energy, "J"),
             "stable": ((), self.stable, ""),
             "status": ((), self.status, ""),
         }
-        coordinates = {"part": parts, "coordinate": list(layout.coordinates)}
+        coordinates = {"part": parts, "coordinate": list(layout.coordinates)} | ({"state": list(layout.states)} if layout.nz else {})
         if springs:
             variables["elongation"] = (("spring",), rows_of([self.elongations[name] for name in springs], -1), "m")
+            variables["force"] = (("spring",), rows_of([self.forces[name] for name in springs], -1), "N")
             coordinates["spring"] = springs
+        for name in (name for name in self.elongations if name not in springs):
+            variables[f"{name}_deformation"] = (("component",), self.elongations[name], "m, rad")
+            variables[f"{name}_force"] = (("component",), self.forces[name], "N, N m")
+        if layout.supports:
+            variables["reaction_force"] = (("support", "axis"), self.on_supports[..., :3], "N")
+            variables["reaction_moment"] = (("support", "axis"), self.on_supports[..., 3:], "N m")
+            coordinates |= {"support": list(layout.supports), "axis": AXES}
         return dataset(variables, coordinates, "equilibrium")
+
+    def _states(self) -> list[tuple[Any, ...]]:
+        """Each state of elements with memory, with its unit."""
+        layout = self.layout
+        return [
+            (f"{name} [{unit}]", tables.without_dust(self.state.z[..., i]))
+            for i, (name, unit) in enumerate(zip(layout.states, layout.z_units, strict=True))
+        ]
 
     def _tables(self) -> list[tables.PrintedTable]:
         q, layout = tables.without_dust(self.state.q), self.layout
-        rows = [(block.owner, block.kind.__name__.lower(), q[..., layout.q_slices[block.owner]]) for block in layout.blocks]
+        rows = [(block.owner, block.kind.__name__.lower(), q[..., layout.q_slices[block.owner]]) for block in layout.joints]
         note = self.message(Equilibrium._known) if is_concrete(self.status) else ""
         note += "; there may be others" if note == "ok" else ""
         if is_concrete(self.descended) and np.any(self.descended):
             note += f"; {DESCENDED}"
-        elements = [(name, tables.without_dust(e)) for name, e in self.elongations.items()]
         largest = np.abs(self.residual).max() if is_concrete(self.residual) and self.residual.size else None
-        return [
-            tables.PrintedTable("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows),
-            tables.PrintedTable("", ("element", "elongation [m]"), elements, f"largest residual {tables.number(largest)} N or N m; {note}"),
-        ]
+        columns, elements = element_rows(self.model, self.elongations, self.forces)
+        shown = [tables.PrintedTable("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows), tables.PrintedTable("", columns, elements)]
+        shown += [tables.PrintedTable("", ("state", "at rest"), self._states())] if layout.nz else []
+        shown += [tables.PrintedTable("", *support_rows(self.reactions))] if self.layout.supports else []
+        shown[-1].note = f"largest residual {tables.number(largest)} N or N m; {note}"
+        return shown
 
 
 def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Load] | None = None, max_steps: int = 200) -> Equilibrium:
@@ -176,7 +213,8 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
         dV/dDelta = Q,   K = d2V/dDelta2 - dQ/dDelta positive definite
 
     Args:
-        start: the state to start from; by default the reference pose.
+        start: the state to start from; by default the reference pose. Massless coordinates of elements with memory are relaxed; hysteretic
+            states, which stay at rest, are those of `start`, by default 0, and stability is counted with them fixed.
         loads: {name: load}, evaluated at time 0 and raised from zero along the stable branch; by default none. Where K is singular without
             loads (an unstressed string pushed sideways) the search descends V minus the work of dead forces instead, and the result is
             `descended`.
@@ -199,11 +237,11 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
             problems.gather(lambda: check_state(model, start, "start"))
         acting = problems.gather(lambda: loads_of(loads, model.layout.bodies))
         max_steps = whole_number(max_steps, "equilibrium.max_steps", problems, least=0)
-    q = None if start is None else start.q
-    result = equilibrium_of(model, q, max_steps)
+    q, z = (None, None) if start is None else (start.q, start.z)
+    result = equilibrium_of(model, q, max_steps, z)
     if acting:
         applied = AppliedLoads(acting, device_array(np.ones(len(acting))), device_array(np.zeros(3)))
-        result = _equilibrium_at(model, search_under_loads(model, result, q, applied, max_steps), applied)
+        result = _equilibrium_at(model, search_under_loads(model, result, q, applied, max_steps), applied, result.state.z)
     return warn_if_failed(result)
 
 
@@ -222,10 +260,10 @@ class SearchResult(eqx.Module):
 
 
 @jit_unoptimized
-def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, max_steps: int) -> Equilibrium:
-    """The jitted core of `equilibrium` without loads."""
-    coordinates = Coordinates(model)
-    return equilibrium_at(coordinates, search_by_descent(coordinates, start, max_steps), no_loads(model.gravity.dtype))
+def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, max_steps: int, z: Float[Array, "nz"] | None = None) -> Equilibrium:
+    """The jitted core of `equilibrium` without loads; `z`: hysteretic states."""
+    coordinates = Coordinates(relaxed(model, z))
+    return equilibrium_at(coordinates, search_by_descent(coordinates, start, max_steps), no_loads(model.gravity.dtype), model)
 
 
 def search_by_descent(
@@ -251,7 +289,7 @@ def search_under_loads(
     search, settled = _along_path(model, unloaded, applied, many)
 
     def descended():
-        return _by_descent(model, start, applied, max_steps, many, search, settled)
+        return _by_descent(model, start, applied, max_steps, many, search, settled, unloaded.state.z)
 
     if is_concrete(settled):
         return search if np.asarray(settled).all() else descended()
@@ -262,7 +300,7 @@ def search_under_loads(
 def _along_path(model: Model, unloaded: Equilibrium, applied: AppliedLoads, many: bool) -> tuple[SearchResult, Bool[Array, "*n"]]:
     """The search along the load path from the unloaded equilibrium, and whether its result is valid: it is not if K is singular at the
     start, unless the path reached its end or a limit point."""
-    frozen, loads, q0 = jax.lax.stop_gradient((Coordinates(model), applied, unloaded.state.q))
+    frozen, loads, q0 = jax.lax.stop_gradient((Coordinates(relaxed(model, unloaded.state.z)), applied, unloaded.state.q))
     size = size_of(frozen.model)
     usable = jnp.isin(unloaded.status, jnp.array(LOADABLE))
 
@@ -279,10 +317,10 @@ def _along_path(model: Model, unloaded: Equilibrium, applied: AppliedLoads, many
 
 @jit_unoptimized
 def _by_descent(
-    model: Model, start, applied: AppliedLoads, max_steps: int, many: bool, search: SearchResult, settled: Bool[Array, "*n"]
+    model: Model, start, applied: AppliedLoads, max_steps: int, many: bool, search: SearchResult, settled: Bool[Array, "*n"], z
 ) -> SearchResult:
     """The search by descent of the potential of model and loads, where the result of the path is not valid."""
-    coordinates = Coordinates(model)
+    coordinates = Coordinates(relaxed(model, z))
 
     def one(applied, others):
         along_path, settled = others
@@ -301,26 +339,30 @@ def _by_descent(
 
 
 @jit_unoptimized
-def _equilibrium_at(model: Model, search: SearchResult, applied: AppliedLoads) -> Equilibrium:
-    return equilibrium_at(Coordinates(model), search, applied)
+def _equilibrium_at(model: Model, search: SearchResult, applied: AppliedLoads, z: Float[Array, "nz"]) -> Equilibrium:
+    return equilibrium_at(Coordinates(relaxed(model, z)), search, applied, model)
 
 
-def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: AppliedLoads) -> Equilibrium:
-    """The equilibrium where a search ended: its stability, its derivative, the deformations."""
+def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: AppliedLoads, given: Model) -> Equilibrium:
+    """The equilibrium where a search ended: its stability, its derivative, deformations and forces. `given`: the model, whose
+    elements with memory are relaxed in the coordinates."""
     failed = search.status != Status.OK
     q = _implicit((coordinates, applied), search.q, ~failed & ~search.singular)
     model, at = coordinates.model, configuration_at(coordinates, q, base=False)
     zero, frames = jnp.zeros(model.layout.nv, q.dtype), at.frames
+    elements = each_element(model, frames, lambda s, *F: (s.deformation(*(f.pose() for f in F)), s.force(*F)))
     outside = outside_law_range(model, frames) if has_range(model.elements) else jnp.zeros(len(model.element_names), bool)
     status = jnp.select(
         [failed, search.negative > 0, search.singular, jnp.any(outside)],
         [search.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
+    state = State(q, zero, rest_states(model, frames.pose()) if model.layout.nz else None)
     return Equilibrium(
-        state=State(q, zero), residual=residual(at, applied, search.factor), negative=search.negative, status=status, steps=search.steps,
-        energy=potential(with_load_gravity(at, applied).model, frames), stable=~failed & (search.negative == 0), model=model,
-        deformations=tuple(each_element(model, frames, lambda s, *F: s.deformation(*(f.pose() for f in F)))), loads=applied.loads,
-        load_factor=search.factor, path=search.path, descended=jnp.asarray(search.descended), beyond=outside,
+        state=state, residual=residual(at, applied, search.factor), negative=search.negative, status=status, steps=search.steps,
+        energy=potential(with_load_gravity(at, applied).model, frames), stable=~failed & (search.negative == 0), model=given,
+        deformations=tuple(e for e, _ in elements), element_forces=tuple(force for _, force in elements),
+        on_supports=on_supports(coordinates, q, applied, search.factor), loads=applied.loads, load_factor=search.factor, path=search.path,
+        descended=jnp.asarray(search.descended), beyond=outside,
     )  # fmt: skip
 
 
@@ -347,41 +389,3 @@ def _implicit_jvp(primals, tangents):
     K = tangent(configuration_at(coordinates, q, base=False), applied)
     delta = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), change)
     return q, coordinates.rate(q, delta)
-
-
-@jit_unoptimized
-def _stiffness(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nv nv"]:
-    return stiffness(configuration_at(Coordinates(model), q, base=False))
-
-
-def zero_modes(model: Model, state: State) -> list[str]:
-    """The motions that K does not resist at a state, as text: "'plate' free to turn about z". Motions of single coordinates come first."""
-    layout = model.layout
-    scale = np.asarray(scale_of(model, size_of(model)))
-    K = np.asarray(_stiffness(model, state.q))
-    return describe_null_motions(layout, scaled(K, scale), reachable(SINGULAR, K.dtype), "free to")
-
-
-def massless_motions(layout: Layout, M: Any) -> list[str]:
-    """The motions that a mass matrix does not resist, as text."""
-    M = np.asarray(M)
-    size = np.sqrt(np.where(np.diagonal(M) > 0, np.diagonal(M), 1.0))
-    return describe_null_motions(layout, M / size / size[:, None], MASSLESS, "has no inertia to")
-
-
-def describe_null_motions(layout: Layout, matrix: np.ndarray, tolerance: float, what: str) -> list[str]:
-    """The motions whose eigenvalues are zero, relative to the largest. Motions of single coordinates come first."""
-    values, vectors = np.linalg.eigh(matrix)
-    null = vectors[:, np.abs(values) <= tolerance * max(np.abs(values).max(initial=0.0), 1e-300)]
-    texts, rest = [], null
-    for i, (body, motion) in enumerate(layout.motions):
-        unit = np.eye(layout.nv)[i]
-        if np.linalg.norm(unit - null @ (null.T @ unit)) < 1e-5:
-            texts.append(f"'{body}' {what} {motion}")
-            rest = rest - np.outer(unit, unit @ rest)
-    u, s, _ = np.linalg.svd(rest, full_matrices=False)
-    for vector in u.T[s > 1e-3]:
-        largest = [int(i) for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.1][:4]
-        parts = [f"{np.sign(vector[largest[0]]) * vector[i]:+.2f} ('{layout.motions[i][0]}' {layout.motions[i][1]})" for i in largest]
-        texts.append(f"{what} move together: " + " ".join(parts))
-    return texts

@@ -17,6 +17,7 @@ from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.hessians import configuration_at, expansion, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.memories import relaxed
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision
 from jaxbody.models.sizes import scale_of, scaled, size_of
@@ -118,7 +119,7 @@ def _same(one: Equilibrium, other: Equilibrium, tolerance: float) -> bool:
 
 @jit_optimized
 def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium:
-    size, coordinates = size_of(model), Coordinates(model)
+    size, coordinates = size_of(model), Coordinates(relaxed(model))
     scale = scale_of(model, size)
     reach = spread * size * scale * jnp.where(model.layout.turns, 2.0, 1.0)
     moves: Any = reach[None] * jax.random.normal(key, (starts, len(scale)), size.dtype)
@@ -149,7 +150,9 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
     def equilibrium(q, signs, converged, steps):
         status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)
         negative, singular = signs
-        return equilibrium_at(coordinates, SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype)), no_loads(q.dtype))
+        return equilibrium_at(
+            coordinates, SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype)), no_loads(q.dtype), model
+        )
 
     both = [jax.vmap(search)(q) for search in (descent, newton_search)]
     return jax.vmap(equilibrium)(*jax.tree.map(lambda *x: jnp.concatenate(x), *both))

@@ -24,6 +24,7 @@ from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.hessians import configuration_at, slope
 from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
+from jaxbody.models.memories import relaxed, rest_states
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, check_state
 from jaxbody.models.sizes import scale_of, size_of
@@ -138,7 +139,7 @@ def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[i
 
     def unbalanced(u):
         new_model, q, _ = changed(u)
-        return slope(configuration_at(Coordinates(new_model), q, base=False)) * scale
+        return slope(configuration_at(Coordinates(relaxed(new_model, state.z)), q, base=False)) * scale
 
     def step(u, _):
         A = jax.jacfwd(unbalanced)(u)
@@ -155,6 +156,7 @@ def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[i
         Status.OK.value,
     )
     new_model, q, delta = changed(u)
-    balanced, moving = State(q, jnp.zeros(layout.nv, q.dtype)), tuple(layout.coordinates[i] for i in rows)
+    z = rest_states(new_model, Coordinates(new_model).at_rest(q).pose(), state.z) if layout.nz else None
+    balanced, moving = State(q, jnp.zeros(layout.nv, q.dtype), z), tuple(layout.coordinates[i] for i in rows)
     paths = tuple(leaf.path for leaf in leaves)
     return Preload(status, u[:n], (u - start)[:n], delta[np.array(rows, int)], residual / scale, balanced, new_model, paths, moving)

@@ -18,6 +18,7 @@ from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates, Motions
+from jaxbody.models.memories import relaxed
 from jaxbody.models.models import Model, at_rest_in, rest_poses
 from jaxbody.models.states import State
 from jaxbody.statics.equilibria import AT_REST, Equilibrium, equilibrium_at, no_loads, search_by_descent
@@ -38,7 +39,7 @@ def as_initial(initial: Any) -> Any:
 @jit_unoptimized
 def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     """The state of rest at time t, NaN where there is none, and its equilibrium."""
-    coordinates = Coordinates(model)
+    coordinates = Coordinates(relaxed(model))
     xi, xi_dot = jnp.zeros((0, 6)), jnp.zeros((0, 6))
     if motions:
         xi, xi_dot = jax.jvp(lambda t: jnp.stack([motion(t) for motion in motions]), (t,), (jnp.ones_like(t),))
@@ -47,12 +48,12 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
         return eqx.tree_at(lambda c: c.supports, coordinates, coordinates.supports.displaced(xi))
 
     on_supports, unloaded = displaced(xi), no_loads(model.gravity.dtype)
-    eq = equilibrium_at(on_supports, search_by_descent(on_supports, _start(coordinates, on_supports), MAX_STEPS), unloaded)
+    eq = equilibrium_at(on_supports, search_by_descent(on_supports, _start(coordinates, on_supports), MAX_STEPS), unloaded, model)
     q, valid = eq.state.q, jnp.isin(eq.status, jnp.array(AT_REST))
     drift = jax.jvp(lambda xi: residual(configuration_at(displaced(xi), q, base=False), unloaded), (xi,), (xi_dot,))[1]
     K = tangent(configuration_at(on_supports, q, base=False), unloaded)
     v = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), drift)
-    return State(jnp.where(valid, q, jnp.nan), v), eq
+    return State(jnp.where(valid, q, jnp.nan), v, eq.state.z), eq
 
 
 def _start(coordinates: Coordinates, on_supports: Coordinates):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -132,21 +132,22 @@ def comfort(at: Design, weights: dict[str, str]) -> Array:
     return objectives.comfort(at.ride, weights)
 
 
-class Evaluation:
-    """The quantities of a design as a function of the model, as `tune` takes it."""
+def own_quantity(of: Callable[..., Any], unit: str) -> Quantity:
+    """A function of the user's as a quantity: of the model, and by keyword of what the file states beside it."""
+    return Quantity(lambda at, **options: of(at.model, **options), tuple(inspect.signature(of).parameters)[1:], unit, on_roads=False)
 
-    def __init__(self, quantities: dict[str, dict[str, Any]], sensors: dict[str, Sensor], roads: dict[str, tuple[str, float]], band: Any):
+
+class Evaluation:
+    """The quantities of a design as a function of the model, as `tune` takes it. `quantities`: each kind, and what it is a function of."""
+
+    def __init__(self, quantities: dict[str, tuple[Quantity, dict[str, Any]]], sensors: dict[str, Sensor], roads: Any, band: Any):
         self.quantities, self.sensors, self.roads, self.band = quantities, sensors, roads, band
 
     def __call__(self, model: Model) -> dict[str, Array]:
         design = Design(model, self.sensors, self.roads, self.band)
-        return {name: QUANTITIES[stated["type"]].of(design, **_options(stated)) for name, stated in self.quantities.items()}
+        return {name: kind.of(design, **options) for name, (kind, options) in self.quantities.items()}
 
 
-def sensors_of(quantities: dict[str, dict[str, Any]]) -> set[str]:
+def sensors_of(stated: Iterable[dict[str, Any]]) -> set[str]:
     """The names of the sensors that quantities are about."""
-    return {name for stated in quantities.values() for name in (stated.get("sensor"), *stated.get("weights", {})) if name}
-
-
-def _options(stated: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in stated.items() if name != "type"}
+    return {name for options in stated for name in (options.get("sensor"), *options.get("weights", {})) if name}

@@ -1,4 +1,4 @@
-"""The schema of model files, made of the arguments of all kinds of objects and of `read_record`, `Experiment` and `fit`.
+"""The schema of model files, made of the arguments of all kinds of objects and of the functions that a study is for.
 
     python -c "from jaxbody.studies.schema_sections import write_schema; write_schema()"
 
@@ -12,26 +12,24 @@ import json
 from typing import Any
 
 from jaxbody.designs.tuners import tune
-from jaxbody.experiments.experiments import Experiment
 from jaxbody.files import kinds
-from jaxbody.files.kinds import DIRECTION, PLAIN_TYPES, SECTIONS, named, object_schema, table_schema, texts_of
+from jaxbody.files.kinds import DIRECTION, PAIR, PLAIN_TYPES, SECTIONS, by_name, named, object_schema, one_of, table_schema, texts_of
 from jaxbody.files.schemas import SCHEMA_FILE, VERSION
 from jaxbody.identification.fitters import fit
+from jaxbody.identification.multistarts import multistart
 from jaxbody.inputs.base_motions import base_motion
 from jaxbody.inputs.signals import KINDS
 from jaxbody.models.bodies import Body, Support
-from jaxbody.records.record_files import read_record
-from jaxbody.records.records import Record
 from jaxbody.responses.comfort_weightings import WEIGHTINGS
 from jaxbody.studies.design_quantities import QUANTITIES
+from jaxbody.studies.measured_sections import measured_sections
 
-PAIR = {"minItems": 2, "maxItems": 2}
 OF_STUDIES = {
     "records": "Measured data by name.",
     "sensors": "What instruments read, by name.",
     "loads": "Forces and moments on bodies, by name.",
     "motion": "Motions of supports, by the name of the support.",
-    "experiments": "Measured runs by name.",
+    "experiments": "Measured runs, modes and responses by name.",
     "designs": "What `tune` minimizes and limits, by name.",
 }
 SINGULAR = {"bodies": "body"} | {name: name.removesuffix("s") for name in (*SECTIONS, *OF_STUDIES) if name != "bodies"}
@@ -79,14 +77,13 @@ def schema() -> dict[str, Any]:
         "support": object_schema(Support),
         **of_type,
         **{name: _of_record(name, kind) for name, kind in kinds.FROM_RECORDS.items()},
-        "column": _column(),
-        "record": _record(),
-        "experiment": _experiment(),
+        "input": one_of(*(kind.__name__ for kind in kinds.INPUTS)),
+        **measured_sections(),
         "quantity": one_of(*(f"quantity {name}" for name in QUANTITIES)),
         **{f"quantity {name}": _quantity(name) for name in QUANTITIES},
         "design": _design(),
     }
-    sections = {name: _by_name(SINGULAR[name], text) for name, text in (SECTIONS | OF_STUDIES).items()}
+    sections = {name: by_name(SINGULAR[name], text) for name, text in (SECTIONS | OF_STUDIES).items()}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A model of jaxbody",
@@ -117,16 +114,6 @@ def write_schema() -> None:
     SCHEMA_FILE.write_text(json.dumps(schema(), indent=1) + "\n", encoding="utf-8")
 
 
-def _by_name(what: str, about: str) -> dict[str, Any]:
-    """The schema of a table of such objects by name."""
-    return {"type": "object", "description": about, "additionalProperties": {"$ref": f"#/$defs/{what}"}}
-
-
-def one_of(*names: str) -> dict[str, Any]:
-    """The schema of an object of one of these types."""
-    return {"oneOf": [{"$ref": f"#/$defs/{name}"} for name in names]}
-
-
 def _of_record(name: str, kind: Any) -> dict[str, Any]:
     """The schema of an object that is made of channels of a record."""
     texts = texts_of(base_motion)
@@ -144,53 +131,6 @@ def _of_record(name: str, kind: Any) -> dict[str, Any]:
         properties |= {"kind": {"type": "string", "enum": list(KINDS), "description": "The interpolation between samples."}}
     about = (inspect.getdoc(kind) or "").partition("\n\n")[0]
     return table_schema(about, ["type", "record", *({"base_motion": ["acceleration"], "Samples": ["channel"]}.get(name, []))], properties)
-
-
-def _column() -> dict[str, Any]:
-    number = {"type": ["string", "integer"]}
-    columns = {"oneOf": [number, {"type": "array", "items": number}]}
-    table = {"type": "object", "required": ["columns"], "additionalProperties": False}
-    return {
-        "description": "The name or number (from 0) of a column, a list of them, or {columns = ..., unit = ...}.",
-        "oneOf": [*columns["oneOf"], table | {"properties": {"columns": columns, "unit": {"type": "string"}}}],
-    }
-
-
-def _record() -> dict[str, Any]:
-    """The schema of a record: the arguments of `read_record`."""
-    texts = texts_of(Record) | texts_of(read_record)
-    types = {
-        "encoding": "string", "separator": "string", "decimal": "string", "format": "string", "skip": "integer", "footer": "integer",
-        "fill": "string", "max_gap": "integer", "irregular": "boolean", "drop_duplicates": "boolean", "drop": "string",
-    }  # fmt: skip
-    properties = {
-        "file": {"type": "string", "description": "A file in the folder of this one."},
-        "time": {"$ref": "#/$defs/column", "description": texts["time"]},
-        "channels": _by_name("column", texts["channels"]),
-        "rate": {"type": ["number", "string"], "unit": "Hz", "description": texts["rate"]},
-        "part": {"type": ["array", "string"], "unit": "s", **PAIR, "description": "Start and end of the part that is used."},
-    }
-    properties |= {name: {"type": kind, "description": texts[name]} for name, kind in types.items()}
-    return table_schema("A measured record, as `read_record` reads it.", ["file", "channels"], properties)
-
-
-def _experiment() -> dict[str, Any]:
-    own, start = {"type": PLAIN_TYPES["own"]}, {"type": "array"}
-    state = table_schema("Coordinates and speeds of the joints, in the order of the bodies.", ["q", "v"], {"q": start, "v": start})
-    properties = {
-        "record": named("record"),
-        "sensors": {"type": "array", "items": named("sensor"), "description": "Default: all whose names are channels of the record."},
-        "motion": {
-            "type": "object",
-            "additionalProperties": {"$ref": "#/$defs/motion"},
-            "description": "Default: the motions of the file.",
-        },
-        "loads": {"type": "object", "additionalProperties": {"$ref": "#/$defs/load"}, "description": "Default: the loads of the file."},
-        "initial": {"oneOf": [{"type": "string", "enum": ["rest"]}, state], "description": texts_of(Experiment)["initial"]},
-        "noise": {"type": "object", "additionalProperties": own, "description": "Standard deviations by sensor. Default: estimated."},
-        "leave_out": {"type": ["number", "string"], "unit": "s", "description": texts_of(Experiment)["leave_out"]},
-    }
-    return table_schema("One measured run.", ["record"], properties)
 
 
 def _quantity(name: str) -> dict[str, Any]:
@@ -221,11 +161,12 @@ def _design() -> dict[str, Any]:
     properties = {
         "free": _fit()["properties"]["free"],
         "minimize": {"type": "string", "description": texts["minimize"]},
-        "quantities": _by_name("quantity", "What is minimized or limited, by name."),
+        "quantities": by_name("quantity", "What is minimized or limited, by name: of a type below, or module:function."),
         "limits": {"type": "object", "additionalProperties": own, "description": texts["limits"]},
         "bounds": _fit()["properties"]["bounds"],
         "catalogues": {"type": "object", "additionalProperties": {"type": ["array", "string"]}, "description": texts["catalogues"]},
         "starts": {"type": "integer", "description": texts["starts"]},
+        "key": {"type": "integer", "description": "Seed of the random key for the drawn designs. Default: 0."},
         "roads": {
             "type": "object", "description": "Uneven roads under supports, by name, independent of each other.",
             "additionalProperties": table_schema("An uneven road.", ["class", "speed"], road),
@@ -237,12 +178,15 @@ def _design() -> dict[str, Any]:
 
 def _fit() -> dict[str, Any]:
     """The schema of what `fit` is asked for."""
-    texts, pair = texts_of(fit), {"type": "array", **PAIR}
+    texts, of_starts, pair = texts_of(fit), texts_of(multistart), {"type": "array", **PAIR}
     properties = {
         "free": {"oneOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}], "description": texts["free"]},
         "bounds": {"type": "object", "additionalProperties": pair, "description": texts["bounds"]},
         "priors": {"type": "object", "additionalProperties": pair, "description": texts["priors"]},
         "loss": {"type": "string", "description": texts["loss"]},
         "max_evaluations": {"type": "integer", "description": texts["max_evaluations"]},
+        "starts": {"type": "integer", "description": f"{of_starts['starts']} Default: none; `jaxbody fit` then runs `multistart`."},
+        "spread": {"type": "number", "description": of_starts["spread"]},
+        "seed": {"type": "integer", "description": of_starts["seed"]},
     }
     return table_schema("What `jaxbody fit` estimates from the experiments.", ["free"], properties)

@@ -8,6 +8,7 @@ from dataclasses import field as attribute
 from pathlib import Path
 from typing import Any
 
+from jaxbody.core.tables import Printed, PrintedTable, in_numpy
 from jaxbody.experiments.measurements import Measurement
 from jaxbody.files.builders import Builder
 from jaxbody.files.documents import LARGEST, Document, read_document
@@ -19,11 +20,11 @@ from jaxbody.sensors.sensors import Sensor
 from jaxbody.studies.study_builders import StudyBuilder
 
 
-@dataclass(frozen=True)
-class Study:
-    """A model and what a file states beside it, by name, as `simulate`, `measure` and `fit` take it. `fit` holds arguments of `fit`: free,
-    bounds, priors, loss; `designs` those of `tune`; `files`, the curves and records
-    that belong to it.
+@dataclass(frozen=True, repr=False)
+class Study(Printed):
+    """A model and what a file states beside it, by name, as `simulate`, `measure` and `fit` take it. `experiments` are those to fit,
+    `held_out` those for `validate`. `fit` holds arguments of `fit`, or of `multistart` where it states `starts`; `designs` those of `tune`;
+    `files`, the curves and records that belong to it.
 
     >>> study = Study(jb.presets.quarter_car(), {"road": Harmonic(frequency=1.5, translation=[0, 0, 0.01])})
     >>> trajectory = simulate(study.model, [0.0, 0.1], motion=study.motion, loads=study.loads, initial="rest")
@@ -37,11 +38,42 @@ class Study:
     fit: dict[str, Any] = attribute(default_factory=dict)
     designs: dict[str, dict[str, Any]] = attribute(default_factory=dict)
     files: list[Path] = attribute(default_factory=list)
+    held_out: dict[str, Measurement] = attribute(default_factory=dict)
+
+    def _tables(self) -> list[PrintedTable]:
+        parts = {"supports": self.model.layout.supports, "elements": self.model.element_names, "motion of": self.motion}
+        parts |= {"loads": self.loads, "sensors": self.sensors}
+        bodies, *_ = in_numpy(self.model)._tables()
+        bodies.title, bodies.note = "Study", "\n".join(f"{what}: {', '.join(names)}" for what, names in parts.items() if names)
+        runs = [(name, run, "fit") for name, run in self.experiments.items()]
+        runs += [(name, run, "validation") for name, run in self.held_out.items()]
+        free = self.fit.get("free", ())
+        designs = [
+            (name, design["minimize"], ", ".join(_listed(design["free"])), ", ".join(design["limits"]))
+            for name, design in self.designs.items()
+        ]
+        shown = [
+            PrintedTable("", ("experiment", "kind", "channels", "over", "for"), [_row_of(*run) for run in runs]),
+            PrintedTable("", ("free in the fit",), [(path,) for path in _listed(free)]),
+            PrintedTable("", ("design", "minimizes", "free", "limits"), designs),
+        ]
+        return [bodies, *(table for table in shown if table.rows)]
+
+
+def _listed(free: Any) -> list[str]:
+    return [free] if isinstance(free, str) else list(free)
+
+
+def _row_of(name: str, run: Measurement, use: str) -> tuple[str, ...]:
+    """An experiment: what was measured, over how many times, frequencies or modes."""
+    over, x, unit = run.axis(next(iter(run.channels)))
+    span = f"{len(x)} of {over}" + (f", {float(x[0]):.6g} to {float(x[-1]):.6g} {unit}" if unit else "")
+    return name, type(run).__name__, ", ".join(run.channels), span, use
 
 
 def read_study(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST) -> Study:
-    """The model in a file, as `read_model` reads it, and what it states beside it: motions of supports, loads, sensors, experiments with
-    their records, and what is free in a fit.
+    """The model in a file, as `read_model` reads it, and what it states beside it: motions of supports, loads, sensors, records in
+    time, measured modes and responses as experiments, what is free in a fit, and designs.
 
         [records.run1]
         file = "run1.csv"                                     # in the folder of this file
@@ -55,15 +87,30 @@ def read_study(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST
         record = "run1"
         motion.road = {type = "Sampled", record = "run1", translation = "base", axis = "z"}
         initial = "rest"
+        # validate = true                                     # where it is held out of the fit, to validate the fitted model
+
+        [experiments.modal]                                   # Experiment where no type is stated
+        type = "MeasuredModes"
+        frequency = "1.21, 9.8 Hz"                            # or a column: file = "modes.csv", frequency = {columns = "f"}
+        noise = {frequency = "0.02 Hz"}
+
+        [experiments.hammer]
+        type = "MeasuredResponse"
+        file = "hammer.csv"
+        frequencies = {columns = "f"}
+        inputs.hammer = {type = "PointForce", on = "car", direction = "z"}
+        measured.height.hammer = {real = {columns = "re"}, imaginary = {columns = "im", unit = "mm/N"}}
 
         [fit]
         free = "spring.stiffness"
         bounds = {"spring.stiffness" = ["10 N/mm", "90 N/mm"]}
 
     Args:
-        path, allow, largest: as in `read_model`
+        path, largest: as in `read_model`
+        allow: names of your modules whose classes and functions the file may use: type = "mine.laws:Cubic"; a quantity of a design,
+            {type = "mine.costs:price", unit = "kg", rate = 3}, is the function price(model, rate=3), which returns SI units of `unit`
 
-    Errors: those of `read_model`, `read_record` and `Experiment`.
+    Errors: those of `read_model`, `read_record`, `Experiment`, `MeasuredModes` and `MeasuredResponse`.
 
     >>> import pathlib, tempfile
     >>> folder = pathlib.Path(tempfile.mkdtemp())
@@ -88,8 +135,8 @@ def study_of(document: Document, values: dict[str, Any], folder: Path, allow: Se
     parts = StudyBuilder(builder, builder.model())
     motion, loads, sensors = parts.motions(), parts.loads(), parts.sensors()
     experiments = parts.experiments(motion, loads, sensors) if measured else {}
-    builder.problems.raise_if_any()
+    held_out = {name: experiments.pop(name) for name in parts.held_out() if name in experiments}
     fit = parts.fit(experiments) if measured else {}
-    designs = parts.designs(sensors)
+    designs = parts.designs(sensors) if len(sensors) == len(values.get("sensors", {})) else {}
     builder.problems.raise_if_any()
-    return Study(parts.model, motion, loads, sensors, experiments, fit, designs, builder.files)
+    return Study(parts.model, motion, loads, sensors, experiments, fit, designs, builder.files, held_out)

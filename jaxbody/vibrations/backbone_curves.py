@@ -39,6 +39,7 @@ from jaxbody.geometry.vectors import rotate, rotate_back
 from jaxbody.mechanics.energies import kinetic, potential
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
+from jaxbody.models.preconditions import check_without_memory
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.numerics.eigenproblems import ZERO
 from jaxbody.vibrations.linearizations import Linearization, check_system
@@ -147,6 +148,7 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
     (-0.0625, 0.4)
     """
     check_system(lin, "backbones", allow_float32=allow_float32)
+    check_without_memory("backbones", lin.model)
     return warn_if_failed(_backbones(lin))
 
 

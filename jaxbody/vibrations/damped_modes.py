@@ -14,8 +14,9 @@ from jaxbody.core.arrays import Array, Complex, Float, Int
 from jaxbody.core.errors import Status
 from jaxbody.core.results import warn_if_failed
 from jaxbody.geometry.vectors import cross
+from jaxbody.mechanics.inner_rows import following
 from jaxbody.models.sizes import scaled
-from jaxbody.numerics.eigenproblems import cholesky_of_mass, companion, pole_clusters, poles, refused_if_shared
+from jaxbody.numerics.eigenproblems import cholesky_of_mass, companion, first_order, pole_clusters, poles, refused_if_shared
 from jaxbody.numerics.precisions import reachable
 from jaxbody.statics.descents import SINGULAR
 from jaxbody.vibrations.linearizations import Linearization, LinearSystem, check_system
@@ -33,12 +34,15 @@ class ComplexModes(ModalResult):
     An oscillating mode has conjugate `poles`, s = -zeta w +- i w sqrt(1 - zeta^2); an overdamped mode has two real ones, the slower first.
     `frequency` [Hz], damped, |Im s|/(2 pi); `natural_frequency` [Hz], |s1 s2|^(1/2)/(2 pi); `damping_ratio` zeta = -(s1 + s2)/(2 |s1
     s2|^(1/2)), above 1 where overdamped; `decay_rate` -Re s [1/s] of the slower pole; `shapes` (columns, complex) of the first pole, u* M u
-    = 1, the component of largest modulus real and positive. `cluster`: equal numbers for modes whose poles coincide (derivatives as in
+    = 1, the component of largest modulus real and positive; of elements with memory without their massless coordinates. These have single
+    real poles, `relaxations` [1/s], the slowest first, one for each: the real poles with the largest part of their energy in them.
+    `cluster`: equal numbers for modes whose poles coincide (derivatives as in
     `modes`). `status`: UNSTABLE if a mode grows, SINGULAR_K if one has a pole at zero; SINGULAR_M, NONFINITE as in `modes`."""
 
     natural_frequency: Float[Array, "n"]
     decay_rate: Float[Array, "n"]
     poles: Complex[Array, "n 2"]
+    relaxations: Float[Array, "ny"]
 
     def roots(self):
         return np.asarray(self.poles)[:, 0]
@@ -53,13 +57,16 @@ class ComplexModes(ModalResult):
             natural_frequency=(("mode",), self.natural_frequency, "Hz"),
             decay_rate=(("mode",), self.decay_rate, "1/s"),
             pole=(("mode", "pair"), self.poles, "1/s"),
+            **({"relaxation": (("branch",), self.relaxations, "1/s")} if np.shape(self.relaxations)[-1] else {}),
         )
 
     @tables.summarized("Complex modes", 1, frequency="frequency [Hz]", damping_ratio="damping ratio")
     def _tables(self) -> list[tables.PrintedTable]:
         natural = np.asarray(self.natural_frequency)
         decay = tables.without_dust(self.decay_rate, natural.max(initial=0.0)) + 0.0
-        return self.table("Complex modes", {
+        rows = [(str(i + 1), pole) for i, pole in enumerate(np.asarray(self.relaxations))]
+        relaxations = [tables.PrintedTable("", ("relaxation", "pole [1/s]"), rows)] if rows else []
+        return relaxations + self.table("Complex modes", {
             "frequency [Hz]": self.frequency, "natural frequency [Hz]": natural,
             "damping ratio": tables.without_dust(self.damping_ratio, 1.0), "decay rate [1/s]": decay,
         })  # fmt: skip
@@ -70,7 +77,8 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
 
         (s^2 M + s (C + G) + K) u = 0
 
-    K and D need not be symmetric. Differentiable, on the CPU: all results of single poles, sums where poles coincide; at a double pole with
+    Elements with memory are included without approximation, whatever their relaxation times. K and D need not be symmetric.
+    Differentiable, on the CPU: all results of single poles, sums where poles coincide; at a double pole with
     one shape, as at critical damping, the derivative is infinite and given as NaN. Errors: FLOAT32 unless `allow_float32`; warns UNSTABLE,
     SINGULAR_K, and of the status of `lin`. Source: D. J. Inman, Vibration with Control (2006), 3.4 and 4.
 
@@ -86,17 +94,25 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
 
 @jit_unoptimized
 def _complex_modes(lin: LinearSystem) -> ComplexModes:
-    n, unit = len(lin.M), jax.lax.stop_gradient(lin.scale)  # nondimensional; results do not depend on it
+    n, unit = lin.model.layout.nv, jax.lax.stop_gradient(lin.scale)  # nondimensional; results do not depend on it
     M, D, K = (scaled(X, unit) for X in (lin.M, lin.D, lin.K))
-    finite, massless = jnp.isfinite(jnp.stack([M, D, K])).all(), jnp.isnan(cholesky_of_mass(M)).any()
-    M, D, K = (jnp.where(finite & ~massless, X, np.eye(n)) for X in (M, D, K))  # LAPACK may not terminate on NaN
-    A = companion((M + M.T) / 2, D, K)
+    finite, massless = jnp.isfinite(jnp.stack([M, D, K])).all(), jnp.isnan(cholesky_of_mass(M[:n, :n])).any()
+    M, D, K = (jnp.where(finite & ~massless, X, np.eye(len(M))) for X in (M, D, K))  # LAPACK may not terminate on NaN
+    M = (M + M.T) / 2
+    A = first_order(M, D, K, n)[0] if lin.inner else companion(M, D, K)
     s, X = poles(A)
+    relaxations, fastest = jnp.zeros(0, K.dtype), jnp.max(jnp.abs(jax.lax.stop_gradient(s)), initial=0.0)
+    stiffness = A[n:, :n]
+    if lin.inner:
+        single, others = _relaxing(*jax.lax.stop_gradient((s, X, M, K)), n)
+        relaxations = jnp.where(s[single].imag == 0, s[single].real, jnp.nan)
+        s, X, M, K = s[others], X[:, others], M[:n, :n], K[:n, :n] + K[:n, n:] @ following(K, n, lin.inner)[n:]
+        stiffness, unit = jnp.linalg.solve(M, K), unit[:n]
     frozen, U = jax.lax.stop_gradient((s, X[:n]))
     pairs = _paired(frozen, U, M, K)
     both = s[pairs]
-    singular = jnp.linalg.svd(A[n:, :n], compute_uv=False)
-    largest = jnp.max(jnp.abs(frozen), initial=0.0)
+    singular = jnp.linalg.svd(stiffness, compute_uv=False)
+    largest = fastest
     at_rest = (jnp.min(singular, initial=jnp.inf) <= SINGULAR * jnp.max(singular, initial=0.0)) & (jnp.abs(both) <= REST * largest)
     rigid = jnp.any(at_rest, axis=1)
     one, other = jnp.where(at_rest, 0.0, both).T
@@ -106,7 +122,7 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
     ratio = jnp.where(product > 0, -(one + other).real / (2 * w), jnp.nan)
     own_status = jnp.select(
         # a change of the spin is a motion that nothing resists
-        [~finite, massless, jnp.any(jnp.maximum(one.real, other.real) > reachable(GROWS, largest.dtype, 256) * largest),
+        [~finite, massless, jnp.any(jnp.concatenate([one.real, other.real, relaxations]) > reachable(GROWS, largest.dtype, 256) * largest),
          jnp.sum(rigid) > int(isinstance(lin, SpinLinearization))],
         [Status.NONFINITE.value, Status.SINGULAR_M.value, Status.UNSTABLE.value, Status.SINGULAR_K.value], Status.OK.value,
     )  # fmt: skip
@@ -119,7 +135,27 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
         x * steady for x in (jnp.abs(one.imag) / (2 * jnp.pi), natural, ratio, -jnp.maximum(one.real, other.real))
     )
     cluster, both = pole_clusters(frozen[pairs[:, 0]]), jnp.stack([one, other], -1) * valid
-    return ComplexModes(frequency, ratio, shapes * valid, cluster, status, lin.M, lin.model, lin.basis, natural, decay, both)
+    relaxations = relaxations * valid
+    return ComplexModes(
+        frequency, ratio, shapes * valid, cluster, status, lin.M[:n, :n], lin.model, lin.basis, natural, decay, both, relaxations
+    )
+
+
+def _relaxing(s: Complex[Array, "m"], X: Complex[Array, "m m"], M, K, n: int) -> tuple[Int[Array, "ny"], Int[Array, "k"]]:
+    """The single poles of ny massless coordinates, the slowest first: the real ones with the largest share of energy in these, beyond
+    that of slow motions; and the other poles."""
+    U, Y = X[:n], X[2 * n :]
+    T = following(K, n, len(K) - n).astype(X.dtype)
+    follows, K_yy = T[n:] @ U, K[n:, n:].astype(X.dtype)
+
+    def energy(A, x):
+        return jnp.sum(jnp.conj(x) * (A.astype(x.dtype) @ x), 0).real
+
+    own, whole = energy(K_yy, Y - follows), energy(K, jnp.concatenate([U, follows])) + jnp.abs(s) ** 2 * energy(M[:n, :n], U)
+    share = jnp.where(jnp.imag(s) == 0, own / (own + jnp.abs(whole)), -1.0)
+    order = jnp.argsort(-share, stable=True)
+    single, others = order[: len(Y)], jnp.sort(order[len(Y) :])
+    return single[jnp.argsort(-jnp.real(s[single]))], others
 
 
 def _paired(s: Complex[Array, "m"], U: Complex[Array, "n m"], M, K) -> Int[Array, "n 2"]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
-from jaxbody.core.arguments import checked_dict
+from jaxbody.core.arguments import checked_dict, kind_of
 from jaxbody.core.arrays import Array, Float, Int, is_concrete, shaped, stack
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
@@ -25,17 +25,21 @@ from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.element_derivatives import element_derivatives
+from jaxbody.mechanics.element_states import completed
 from jaxbody.mechanics.energies import each_element, gravity_energy, potential
 from jaxbody.mechanics.hessians import configuration_at, damping, expansion, mass
+from jaxbody.mechanics.inner_rows import following, inner_rows, inserted
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name
+from jaxbody.models.memories import apart, holding, settled
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_memory, check_precision, check_state
 from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.lanes import in_lanes
-from jaxbody.statics.equilibria import NOT_AT_REST, Equilibrium, zero_modes
+from jaxbody.statics.equilibria import NOT_AT_REST, Equilibrium
 from jaxbody.statics.load_paths import generalized_force, stiffness_of_loads
+from jaxbody.statics.null_motions import zero_modes
 from jaxbody.vibrations.mode_names import Basis, basis_at
 from jaxbody.vibrations.state_spaces import StateSpace, state_space
 
@@ -59,8 +63,14 @@ class LinearSystem(Labeled, Result):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """The names of the rows of M, C, K."""
-        return self.model.layout.coordinates
+        """The names of the rows of M, C, K: those of Delta, then of massless coordinates of elements that have rows of their own."""
+        layout = self.model.layout
+        return layout.coordinates + layout.inner[: self.inner]
+
+    @property
+    def inner(self) -> int:
+        """The number of massless coordinates that have rows."""
+        return self.M.shape[-1] - self.model.layout.nv
 
     @property
     def base_coordinates(self) -> tuple[str, ...]:
@@ -80,7 +90,11 @@ class LinearSystem(Labeled, Result):
     @property
     def scale(self) -> Float[Array, "nv"]:
         """The change of each coordinate of one meter."""
-        return scale_of(self.model, size_of(self.model))
+        size = size_of(self.model)
+        scale, layout = scale_of(self.model, size), self.model.layout
+        if not self.inner:
+            return scale
+        return jnp.concatenate([scale, jnp.where(layout.follows_angles[layout.massless], 1 / size, 1.0)])
 
     def kept_status(self, own: Array, failures: tuple[Status, ...] = ()) -> Int[Array, ""]:
         """The status of a result: that of the system where it is about no rest or steady motion, or one of `failures`; else its `own`."""
@@ -110,6 +124,9 @@ class LinearSystem(Labeled, Result):
 class Linearization(LinearSystem):
     """The matrices of small motions about `state`, rows and columns as in `coordinates` and `base_coordinates`.
 
+    Massless coordinates y of elements with memory have rows after those of Delta, with M = 0; `condensed` and `instantaneous` are without
+    them. Hysteretic states have none: to first order they are springs, and their losses are of higher order.
+
     The chart: Delta of a free body is the displacement of its O and a rotation vector, in world axes; for other joints, their coordinates,
         in axes of the parent. Away from equilibrium K depends on the chart; its split depends on it everywhere."""
 
@@ -120,6 +137,7 @@ class Linearization(LinearSystem):
     C_bb: Float[Array, "nxi nxi"]
     K_bb: Float[Array, "nxi nxi"]
     loads: tuple[Load, ...]
+    slow: bool = eqx.field(static=True, default=False)  # whether massless coordinates follow, and so have no rows
     exported = tuple(f"{name}{block}" for name in ("M", "C", "K") for block in ("", "_tilde", "_bb"))
 
     @property
@@ -129,14 +147,29 @@ class Linearization(LinearSystem):
         return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)  # pyright: ignore[reportReturnType]  of three
 
     @property
+    def held(self) -> Model:
+        """The model with its laws with memory as the rows have them."""
+        return (settled if self.slow else apart)(self.model, self.state.z)
+
+    @property
+    def condensed(self) -> Linearization:
+        """The system without rows of massless coordinates, which follow slow motions: T' H T of M, C and K, K_yy y + K_yx x = 0."""
+        return _condensed(self) if self.inner else self
+
+    @property
+    def instantaneous(self) -> Linearization:
+        """The system without rows of massless coordinates, which are held: for motions much faster than any relaxation."""
+        return _instantaneous(self) if self.inner else self
+
+    @property
     def K_elastic(self) -> Float[Array, "nv nv"]:
-        """sum of V''(e) de de over the elements."""
-        return sum(self.K_elastic_by_element.values(), jnp.zeros_like(self.K))
+        """sum of V''(e) de de over the elements; of massless coordinates without their rows, those that `slow` says."""
+        return sum(self.K_elastic_by_element.values(), jnp.zeros_like(self.K[..., : self.model.layout.nv, : self.model.layout.nv]))
 
     @property
     def K_geometric(self) -> Float[Array, "nv nv"]:
         """sum of V'(e) d2e over the elements: the stiffness due to tension."""
-        return sum(self.K_geometric_by_element.values(), jnp.zeros_like(self.K))
+        return sum(self.K_geometric_by_element.values(), jnp.zeros_like(self.K[..., : self.model.layout.nv, : self.model.layout.nv]))
 
     @property
     def K_gravity(self) -> Float[Array, "nv nv"]:
@@ -150,11 +183,11 @@ class Linearization(LinearSystem):
 
     @property
     def K_elastic_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
-        return by_name(_names(self.model), _split(self.model, self.state)[0])
+        return by_name(_names(self.model), _split(self)[0])
 
     @property
     def K_geometric_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
-        return by_name(_names(self.model), _split(self.model, self.state)[1])
+        return by_name(_names(self.model), _split(self)[1])
 
     def note(self):
         return "chart: displacement of O and rotation vector, in world axes (joints: their coordinates, axes of the parent)"
@@ -189,9 +222,9 @@ class Linearization(LinearSystem):
 def check_system(lin: Any, where: str, kind: type[LinearSystem] = Linearization, *, allow_float32: bool | None = True) -> None:
     """Refuse what is no linear system of this kind, such as one about a spin, and float32 where it would lose half the digits."""
     if not isinstance(lin, kind):
-        message = f"is a {type(lin).__name__}"
-        hint = "Give linearize(model, equilibrium(model)); for a result of linearize_spin, use complex_modes."
-        raise JaxbodyError(Problem("WRONG_KIND", f"{where}.lin", message, lin, "a Linearization", hint))
+        spins = isinstance(lin, LinearSystem)
+        hint = "Use complex_modes." if spins else "Give linearize(model, equilibrium(model)): all else is computed from it."
+        raise JaxbodyError(Problem("WRONG_KIND", f"{where}.lin", f"is {kind_of(lin)}", lin, "a Linearization", hint))
     check_precision(where, lin.model, allow_float32=allow_float32)
 
 
@@ -228,6 +261,9 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
 
         F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
 
+    Massless coordinates of elements with memory are held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force
+    depends on the path.
+
     Errors: UNKNOWN_NAME for a support, BAD_SHAPE.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
@@ -240,6 +276,10 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
     check_precision("excitation", model)
     state = at.state if isinstance(at, Equilibrium) else at
     check_state(model, state, "state")
+    if len(model.layout.inner) < model.layout.nz:
+        hint = "Simulate the displacement with a jb.Motion."
+        message = "has hysteretic elements, whose force depends on the path of the displacement"
+        raise JaxbodyError(Problem("MEMORY", "excitation.model", message, limit="elements without hysteresis", hint=hint))
     with Problems() as problems:
         given = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
         problems.collected += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
@@ -256,31 +296,58 @@ def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
 @jit_unoptimized
 def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
     """`status`: status of the equilibrium; None for other states."""
-    n = model.layout.nv
-    numbers, rest = eqx.partition(model, eqx.is_array)
+    nv, ny = model.layout.nv, len(model.layout.inner)
+    state = completed(model, state)
+    n, (numbers, rest) = nv + ny, eqx.partition(apart(model, state.z), eqx.is_array)
 
     def matrices(numbers, q, v):
         at = configuration_at(Coordinates(eqx.combine(numbers, rest)), q, v)
         _, slope, stiffness = expansion(at)
-        return [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in (mass(at), damping(at), stiffness)], slope[:n]
+        whole = mass(at), damping(at), stiffness
+        if ny:
+            inner, zero = inner_rows(at), jnp.zeros((ny, len(stiffness)), q.dtype)
+            rows = (zero, jnp.zeros((ny, ny), q.dtype)), (inner.C_yx, inner.C_yy), (inner.K_yx, inner.K_yy)
+            whole = tuple(inserted(H, *row, nv) for H, row in zip(whole, rows, strict=True))
+        return [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in whole], slope[:nv]
 
     ((M, M_tilde, M_bb), (C, C_tilde, C_bb), (K, K_tilde, K_bb)), slope = in_lanes(matrices, reversible=True)(numbers, state.q, state.v)
-    K = K - _load_stiffness(model, state, loads)
+    K = K - _padded(_load_stiffness(model, state, loads), ny)
     if status is None:
         status = jnp.array(Status.OK.value)
     else:
         size = size_of(model)
         scale = scale_of(model, size)
         unbalanced = slope - generalized_force(model, state.q, loads, jnp.ones(len(loads), state.q.dtype), jnp.zeros_like(slope))
-        largest = jnp.max(jnp.abs(scaled(K, scale)), initial=0.0) * size
+        largest = jnp.max(jnp.abs(scaled(K[:nv, :nv], scale)), initial=0.0) * size
         stale = jnp.max(jnp.abs(unbalanced * scale), initial=0.0) > jnp.finfo(unbalanced.dtype).eps ** 0.5 * largest
         status = jnp.where(stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status)
     return Linearization(M, C, K, status, state, model, M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, loads)
 
 
+def _padded(K: Float[Array, "nv nv"], ny: int) -> Float[Array, "n n"]:
+    return jnp.pad(K, (0, ny)) if ny else K
+
+
+@jit_unoptimized
+def _condensed(lin: Linearization) -> Linearization:
+    nv, ny = lin.model.layout.nv, lin.inner
+    K, C, M = lin.whole
+    T = following(K, nv, ny)
+    blocks = [(H[:nv, :nv], -H[:nv, nv:], H[nv:, nv:]) for H in (T.T @ H @ T for H in (M, C, K))]
+    (M, C, K), tilde, bb = zip(*blocks, strict=True)
+    return Linearization(M, C, K, lin.status, lin.state, lin.model, *tilde, *bb, lin.loads, slow=True)  # pyright: ignore[reportCallIssue]
+
+
+def _instantaneous(lin: Linearization) -> Linearization:
+    nv = lin.model.layout.nv
+    M, C, K = (H[..., :nv, :nv] for H in (lin.M, lin.C, lin.K))
+    M_x, C_x, K_x = (H[..., :nv, :] for H in (lin.M_tilde, lin.C_tilde, lin.K_tilde))
+    return Linearization(M, C, K, lin.status, lin.state, lin.model, M_x, C_x, K_x, lin.M_bb, lin.C_bb, lin.K_bb, lin.loads)
+
+
 @jit_unoptimized
 def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nv"]:
-    zero = jnp.zeros(model.layout.nv, xi.dtype)
+    zero, model = jnp.zeros(model.layout.nv, xi.dtype), holding(model, completed(model, state).z)
 
     def slope(xi):
         return jax.grad(lambda d: potential(model, _frames(model, state, d, zero, xi, jnp.zeros_like(xi))))(zero)
@@ -303,8 +370,9 @@ def _gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
 
 
 @jit_unoptimized
-def _split(model: Model, state: State):
+def _split(lin: Linearization):
     """Elastic and geometric stiffness of every element, table by table: V'' de de, and the rest of the Hessian, V' d2e."""
+    model, state = lin.held, lin.state
     zero, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
 
     def potentials(d):

@@ -22,7 +22,7 @@ from jaxbody.models.models import Model
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.vibrations.linearizations import Linearization, check_system
 from jaxbody.vibrations.mode_names import AXES, basis_at, direction_names, mark_note, mode_names, upward_axis
-from jaxbody.vibrations.natural_modes import modes_of
+from jaxbody.vibrations.natural_modes import modes_of, without_inner_rows
 
 LEAST_LOSS = 1e-12  # relative to the largest loss of a mode, below which a mode has no dissipation
 SEPARATION = 1e-8  # of coinciding frequencies: above rounding, below the tolerance of clusters
@@ -130,20 +130,26 @@ class ModeEnergies(Labeled, Result):
 OTHERS = ("tension", "gravity", "loads")
 
 
-def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | None = None, allow_float32: bool = False) -> ModeEnergies:
-    """The shares of bodies, elements and dampers in the energies of each natural mode [%].
+def mode_energies(
+    lin: Linearization, *, forward: str | None = None, up: str | None = None, stiffness: str = "relaxed", allow_float32: bool = False
+) -> ModeEnergies:
+    """The shares of bodies, elements and dampers in the energies of each natural mode [%], in the order of `modes(lin)`.
+
+    The linearization is all it needs: the modes are computed from it.
 
         kinetic      100 v_i (M v)_i/(phi' M phi)     v: velocities of a body along phi, of its center of mass and angular
         strain       100 de' V'' de/(phi' K phi)      de: change of an element's deformation along phi
         dissipation  100 de' R'' de/(phi' C phi)
 
     Args:
+        lin: `linearize(model, equilibrium(model))`; not its modes.
         forward: a world axis, such as "x", that names fore-aft, lateral, roll and pitch; by default these are named by their axes.
         up: a world axis, such as "z", that names bounce and yaw; by default the axis opposite to gravity, if gravity is along a world axis.
+        stiffness: of elements with memory, as in `modes`.
         allow_float32: whether to compute in float32; by default an error.
 
     Where frequencies coincide, energies are averaged over their space, because this average has derivatives and single shapes do not.
-    Errors: BAD_DIRECTION, FLOAT32 unless `allow_float32`; warns as `modes` does.
+    Errors: WRONG_KIND, BAD_DIRECTION, FLOAT32 unless `allow_float32`; warns as `modes` does.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0)})
@@ -152,7 +158,8 @@ def mode_energies(lin: Linearization, *, forward: str | None = None, up: str | N
     """
     check_system(lin, "mode_energies", allow_float32=allow_float32)
     directions = _directions(lin.model, forward, up)
-    return warn_if_failed(ModeEnergies(*_energies(lin), model=lin.model, directions=directions))
+    energies = _energies(without_inner_rows(lin, stiffness, "mode_energies"))
+    return warn_if_failed(ModeEnergies(*energies, model=lin.model, directions=directions))
 
 
 def _directions(model: Model, forward: str | None, up: str | None) -> tuple[str, ...]:
@@ -192,7 +199,7 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     basis = basis_at(lin.model, lin.state.q)
     moving = basis.velocities @ shapes
     kinetic = moving * (basis.momenta @ shapes)
-    elements = element_derivatives(configuration_at(Coordinates(lin.model), lin.state.q, lin.state.v))
+    elements = element_derivatives(configuration_at(Coordinates(lin.held), lin.state.q, lin.state.v))
     changes = [x.J[..., : len(shapes)] @ shapes for x in elements]
     none = jnp.zeros((0, len(values)), shapes.dtype)
     elastic, loss = (
@@ -214,6 +221,7 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
 def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
     """Shares, of sum 1, of bodies and directions (6 for each body) in the kinetic energy of each mode. Coinciding modes are separated along
     the coordinates by small increases of the diagonal of K, up to SEPARATION, different for each coordinate."""
+    lin = lin.condensed
     increase = SEPARATION * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))
     _, shapes = natural(lin.K + jnp.diag(increase), lin.M)
     basis = basis_at(lin.model, lin.state.q)

@@ -135,7 +135,7 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
 
     def one(value):
         lin = linearized(value)
-        return complex_modes(lin) if isinstance(lin, SpinLinearization) else modes(lin), lin.M
+        return complex_modes(lin) if isinstance(lin, SpinLinearization) else modes(lin), lin.M[: lin.model.layout.nv, : lin.model.layout.nv]
 
     at_values, M = eqx.filter_vmap(one)(jnp.asarray(given))
     return warn_if_failed(_track(jnp.asarray(given), at_values, M))

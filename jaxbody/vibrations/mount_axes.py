@@ -15,7 +15,7 @@ from jaxbody.core.arrays import Array, Float, Int, is_concrete, shaped
 from jaxbody.core.datasets import AXES, Labeled, dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back, skew
+from jaxbody.geometry.vectors import axial, cross, dot, rotate, rotate_back, skew
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.joints import Free
 from jaxbody.numerics.eigenproblems import natural
@@ -165,11 +165,11 @@ def _free(lin: Linearization, body: str, where: str) -> str:
 
 @jit_unoptimized
 def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
+    lin = lin.condensed
     rows = lin.model.layout.v_slices[body]
     K = (lin.K[rows, rows] + lin.K[rows, rows].T) / 2
     A, P, D = K[:3, :3], K[3:, :3], K[3:, 3:]  # a translation n needs the moment P n
-    axial = jnp.stack([P[2, 1] - P[1, 2], P[0, 2] - P[2, 0], P[1, 0] - P[0, 1]])
-    p = jnp.linalg.solve(jnp.trace(A) * jnp.eye(3, dtype=A.dtype) - A, axial)
+    p = jnp.linalg.solve(jnp.trace(A) * jnp.eye(3, dtype=A.dtype) - A, 2 * axial(P))
     stiffness, n = natural(A, jnp.eye(3, dtype=A.dtype))
     about_p = (P - skew(p) @ A) @ n
     points = cross(n.T, about_p.T) / stiffness[:, None]
@@ -185,7 +185,7 @@ def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
 
 @jit_unoptimized
 def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) -> TorqueRollAxis:
-    rows, row = lin.model.layout.v_slices[body], lin.model.bodies.rows
+    lin, rows, row = lin.condensed, lin.model.layout.v_slices[body], lin.model.bodies.rows
     i = lin.model.layout.bodies.index(body)
     M, K = lin.M[rows, rows], (lin.K[rows, rows] + lin.K[rows, rows].T) / 2
     p, R = _origin(lin, body)

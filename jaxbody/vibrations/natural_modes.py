@@ -12,17 +12,18 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Inexact, Int
 from jaxbody.core.datasets import Labeled, dataset
-from jaxbody.core.errors import Status
+from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.models.layouts import Layout
 from jaxbody.models.models import Model
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import reachable
-from jaxbody.statics.equilibria import massless_motions
+from jaxbody.statics.null_motions import massless_motions
 from jaxbody.vibrations.linearizations import Linearization, check_system
 from jaxbody.vibrations.mode_names import Basis, mark_note, names_of_shapes
 
+STIFFNESSES = ("relaxed", "instantaneous")
 SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is round-off
 
 
@@ -113,13 +114,19 @@ class Modes(ModalResult):
         return self.table("Modes", {"frequency [Hz]": self.frequency, "damping ratio": tables.without_dust(self.damping_ratio, 1.0)})
 
 
-def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
+def modes(lin: Linearization, *, stiffness: str = "relaxed", allow_float32: bool = False) -> Modes:
     """Natural frequencies, mass-normalized shapes and damping ratios of small motions.
 
         K phi = w^2 M phi,   frequency = w/(2 pi),   damping ratio = phi' C phi/(2 w)
 
-    The damping ratio is exact where C is diagonal in the modes, otherwise accurate to first order in C. Errors: FLOAT32 unless
-    `allow_float32`; warns UNSTABLE, SINGULAR_K, SINGULAR_M, NONFINITE.
+    The damping ratio is exact where C is diagonal in the modes, otherwise accurate to first order in C.
+
+    Args:
+        stiffness: of elements with memory, "relaxed": their massless coordinates follow slow motions, or "instantaneous": they are held, as
+            in motions much faster than their relaxation; `complex_modes` has neither assumption
+        allow_float32: whether to compute in float32; by default an error
+
+    Errors: FLOAT32 unless `allow_float32`, BAD_OPTION; warns UNSTABLE, SINGULAR_K, SINGULAR_M, NONFINITE.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
     ...               elements={"s": Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=50.0, free_length=1.0, damping=2.0)})
@@ -128,7 +135,14 @@ def modes(lin: Linearization, *, allow_float32: bool = False) -> Modes:
     (0.795775, 0.1)
     """
     check_system(lin, "modes", allow_float32=allow_float32)
-    return warn_if_failed(_modes(lin))
+    return warn_if_failed(_modes(without_inner_rows(lin, stiffness, "modes")))
+
+
+def without_inner_rows(lin: Linearization, stiffness: str, where: str) -> Linearization:
+    """The system whose elements with memory are relaxed or held. Error: BAD_OPTION."""
+    if stiffness not in STIFFNESSES:
+        raise JaxbodyError(Problem("BAD_OPTION", f"{where}.stiffness", f"is {stiffness!r}", stiffness, " or ".join(map(repr, STIFFNESSES))))
+    return lin.condensed if stiffness == "relaxed" else lin.instantaneous
 
 
 @jit_unoptimized
@@ -139,7 +153,9 @@ def _modes(lin: Linearization) -> Modes:
 
 @jit_unoptimized
 def modes_of(lin: Linearization) -> tuple[Array, ...]:
-    """Frequency, shapes, damping ratio, eigenvalues, cluster and status."""
+    """Frequency, shapes, damping ratio, eigenvalues, cluster and status; of elements with memory the relaxed stiffness, unless the system
+    has no rows for them."""
+    lin = lin.condensed
     values, shapes = natural(lin.K, lin.M)
     cluster = clusters(values)
     largest = jnp.max(jnp.abs(values), initial=0.0)

@@ -29,6 +29,7 @@ from jaxbody.mechanics.element_derivatives import ElementDerivatives, element_de
 from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists, slope
 from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.memories import apart
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.sensors.instruments import LoadCell, Reaction
@@ -140,8 +141,9 @@ def rows_of(lin: Any, at: Configuration, twists, sensors: tuple[Sensor, ...], F:
     """Y and G of all outputs, and the indices of elements and reactions. Each input exerts, per unit, the generalized force F and the
     `wrenches`: force and moment on each body about its origin, in world axes."""
     model, zero = lin.model, jnp.zeros(len(F), F.dtype)
-    others = [sensor for sensor in sensors if not (isinstance(sensor, Kinematic | LoadCell) or reads_matrices(sensor, model))]
-    elements = _by_name(model, at) if any(isinstance(sensor, LoadCell) for sensor in sensors) else {}
+    of_elements = () if lin.inner else (LoadCell,)  # whose rows are those of the element; with massless coordinates they are read
+    others = [sensor for sensor in sensors if not (isinstance(sensor, (Kinematic, *of_elements)) or reads_matrices(sensor, model))]
+    elements = _by_name(model, at) if any(isinstance(sensor, of_elements) for sensor in sensors) else {}
     readings = iter(_read_rows(lin, at, twists, others, wrenches) if others else ())
     held = slope(at)[model.layout.nv :] if any(reads_matrices(sensor, model) for sensor in sensors) else zero
     rows = []
@@ -150,7 +152,7 @@ def rows_of(lin: Any, at: Configuration, twists, sensors: tuple[Sensor, ...], F:
             moved = sensor.rows(model, at.frames, twists).reshape(len(F), -1).T
             Y = jnp.zeros((3, *moved.shape), F.dtype).at[sensor.order].set(moved)
             rows.append(_Rows(Y, jnp.zeros((len(moved), F.shape[1]), F.dtype)))
-        elif isinstance(sensor, LoadCell):
+        elif isinstance(sensor, of_elements):
             i, derivatives = elements[sensor.on]
             k = sensor.component or 0
             Y = jnp.stack([derivatives.stiffness[k] @ derivatives.J, derivatives.damping[k] @ derivatives.J, zero])[:, None]
@@ -183,7 +185,13 @@ def _by_name(model: Model, at: Configuration) -> dict[str, tuple[int, ElementDer
 def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sensors: list[Sensor], wrenches) -> list[_Rows]:
     """The rows of sensors by the derivatives of their readings; accelerations are those of x'': no equation of motion is solved."""
     model, q, layout, frames = lin.model, lin.state.q, lin.model.layout, at.frames
-    dynamics, zero = dynamics_of(model, (), lin.loads), jnp.zeros(twists.shape[1], q.dtype)
+    dynamics, zero = dynamics_of(lin.held, (), lin.loads), jnp.zeros(twists.shape[1], q.dtype)
+    own, places = slice(layout.nv, layout.nv + lin.inner), layout.massless
+
+    def held(x, rate) -> Model:
+        """The model with displaced massless coordinates."""
+        z = lin.state.z
+        return apart(model, z.at[places].add(x[own]), jnp.zeros_like(z).at[places].set(rate[own])) if lin.inner else lin.held
 
     def moved(x, rate, change, u) -> Instant:
         (dp, turn), (v, w), (a, alpha) = (jnp.split(jnp.einsum("fni,n->fi", twists, y), 2, -1) for y in (x, rate, change))
@@ -193,15 +201,15 @@ def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sens
         now = Instant(frames.p + step.p, frames.R + step.R, v, w, t, state, a, alpha)
         if any(sensor.reactions for sensor in sensors):
             extra = jnp.tensordot(u, wrenches, 1)
-            now = dynamics.with_reactions(now, (extra[:, :3], extra[:, 3:]))
+            now = dynamics_of(held(x, rate), (), lin.loads).with_reactions(now, (extra[:, :3], extra[:, 3:]))
         return now
 
     start = (zero, zero, zero, jnp.zeros(len(wrenches), q.dtype))
     rest = jax.lax.stop_gradient(moved(*start))
 
     def readings(*motion):
-        instant = moved(*motion)
-        return jnp.concatenate([jnp.ravel(sensor.change(model, instant, rest)) for sensor in sensors])
+        instant, present = moved(*motion), held(*motion[:2])
+        return jnp.concatenate([jnp.ravel(sensor.change(present, instant, rest, dynamics.model)) for sensor in sensors])
 
     ends = np.cumsum([len(sensor.components) for sensor in sensors])[:-1]
     *rows, direct = jax.jacfwd(readings, (0, 1, 2, 3))(*start)
@@ -222,10 +230,12 @@ def _reaction_rows(lin: Any, sensor: Reaction, held: Float[Array, "nxi"], F: Flo
 @jit_unoptimized
 def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ...]) -> Ports:
     """The matrices between these inputs and outputs on a linearization."""
-    model, layout = lin.model, lin.model.layout
-    at = configuration_at(Coordinates(model), lin.state.q)
+    layout = lin.model.layout
+    at = configuration_at(Coordinates(lin.held), lin.state.q)
     twists = frame_twists(at)
-    zero, still = jnp.zeros(layout.nv + layout.nxi, lin.M.dtype), jnp.zeros(layout.nxi, lin.M.dtype)
+    if lin.inner:  # massless coordinates move no frame
+        twists = jnp.insert(twists, np.full(lin.inner, layout.nv), 0.0, axis=1)
+    zero, still = jnp.zeros(twists.shape[1], lin.M.dtype), jnp.zeros(layout.nxi, lin.M.dtype)
     forces = [_force_row(port, at.frames, twists, layout.frame) if isinstance(port, PointForce) else zero for port in inputs]
     moved = [still.at[_place(port, layout)].set(1.0) if isinstance(port, BaseMotion) else still for port in inputs]
     F, X = (jnp.reshape(jnp.asarray(rows, still.dtype), (len(inputs), n)).T for rows, n in ((forces, len(zero)), (moved, len(still))))

@@ -23,7 +23,7 @@ from jaxbody.inputs.motions import AtRest
 from jaxbody.mechanics.equations_of_motion import Dynamics, dynamics_of
 from jaxbody.mechanics.hessians import configuration_at, damping, mass, stiffness
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import check_precision, check_state
+from jaxbody.models.preconditions import check_precision, check_state, check_without_memory
 from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.precisions import reachable
@@ -80,6 +80,7 @@ def linearize_spin(model: Model, at: State) -> SpinLinearization:
     6.0
     """
     check_precision("linearize_spin", model)
+    check_without_memory("linearize_spin", model)
     check_state(model, at, "at")
     return warn_if_failed(_linearize_spin(model, at))
 

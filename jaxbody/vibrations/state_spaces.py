@@ -56,11 +56,12 @@ def state_space(lin: Any, inputs: dict[str, Any], outputs: dict[str, Any]) -> St
     _check_without_delay(outputs)
     ports = port_matrices(lin, ins, sensors)
     A, B, C, D, status = _state_space(lin, ports)
-    own = lin.coordinates
+    own, inner = lin.model.layout.coordinates, lin.coordinates[lin.model.layout.nv :]
     integrated = [(name, port.kind) for name, port in zip(u, ins, strict=True) if getattr(port, "kind", "displacement") != "displacement"]
     states = (
         *own,
         *(f"rate of {name}" for name in own),
+        *inner,
         *(f"displacement of {name}" for name, _ in integrated),
         *(f"velocity of {name}" for name, kind in integrated if kind == "acceleration"),
         *(f"lagged {y[i]}" for i in (() if ports.chains is None else ports.chains.lagged)),
@@ -79,31 +80,42 @@ def _check_without_delay(outputs: dict[str, Any]) -> None:
 
 @jit_unoptimized
 def _state_space(lin: Any, ports: Ports):
-    """The states are p = Delta - g u and r = Delta' - g u' - h u, so that no derivative of u is needed, then Xi and Xi' of inputs that are
+    """The states are p = Delta - g u, r = Delta' - g u' - h u and, of massless coordinates, w = y - j u, so that no derivative of u is
+    needed, then Xi and Xi' of inputs that are
     velocities (Xi) and accelerations (both):
 
     Delta'' = M^-1 (F f + K~ Xi + C~ Xi' + M~ Xi'' - C Delta' - K Delta),   u = Xi:   g = M^-1 M~,  h = M^-1 (C~ - C g)
                                                                             u = Xi':  g = 0,        h = M^-1 M~"""
-    orders, nv, m = ports.orders, lin.M.shape[-1], len(ports.orders)
+    orders, nv, ny, m = ports.orders, lin.model.layout.nv, lin.inner, len(ports.orders)
     integrated = [(k, j) for k in (0, 1) for j in range(m) if orders[j] > k]  # the k-th derivative of Xi of input j is a state
-    n = 2 * nv + len(integrated)
-    rows = np.eye(n + 3 * m, dtype=lin.M.dtype)  # of the states p and r, those of Xi, and of u, u', u''
-    p, r, u, du, ddu = rows[:nv], rows[nv : 2 * nv], *np.split(rows[n:], 3)
+    moving = 2 * nv + ny
+    n = moving + len(integrated)
+    rows = np.eye(n + 3 * m, dtype=lin.M.dtype)  # of the states p, r and w, those of Xi, and of u, u', u''
+    p, r, w, u, du, ddu = rows[:nv], rows[nv : 2 * nv], rows[2 * nv : moving], *np.split(rows[n:], 3)
     chains = np.array([  # each derivative of the motion of each input: a state below the order of the input, then u, u', u''
-        [rows[2 * nv + integrated.index((k, j))] if k < orders[j] else (u, du, ddu)[k - orders[j]][j] for j in range(m)] for k in range(3)
+        [rows[moving + integrated.index((k, j))] if k < orders[j] else (u, du, ddu)[k - orders[j]][j] for j in range(m)] for k in range(3)
     ])  # fmt: skip
     Xi = ports.X @ chains
-    stiffness, damping, driven = (
-        jnp.linalg.solve(lin.M, A)
-        for A in (lin.K, lin.C, lin.K_tilde @ Xi[0] + lin.C_tilde @ Xi[1] + lin.M_tilde @ Xi[2] + ports.F[:nv] @ u)
-    )
+    K, C, forces = lin.K, lin.C, lin.K_tilde @ Xi[0] + lin.C_tilde @ Xi[1] + lin.M_tilde @ Xi[2] + ports.F[: nv + ny] @ u
+    K_y, C_y, of_y = (jnp.linalg.solve(C[nv:, nv:], A[nv:]) if ny else A[nv:] for A in (K, C[:, :nv], forces))
+    if ny:  # y' = of_y - K_y (Delta, y) - C_y Delta' in the other rows
+        K, C, forces = K[:nv] - C[:nv, nv:] @ K_y, C[:nv, :nv] - C[:nv, nv:] @ C_y, forces[:nv] - C[:nv, nv:] @ of_y
+    stiffness, damping, driven = (jnp.linalg.solve(lin.M[:nv, :nv], A) for A in (K, C, forces))
     g = driven @ ddu.T
     h = driven @ du.T - damping @ g
     Delta = p + g @ u
     rate = r + h @ u + g @ du
-    acceleration = driven - damping @ rate - stiffness @ Delta
-    slopes = jnp.concatenate([rate - g @ du, acceleration - h @ du - g @ ddu, *(chains[k + 1, j][None] for k, j in integrated)])
-    x = jnp.stack([jnp.concatenate(pair) for pair in zip((Delta, rate, acceleration), Xi, strict=True)])
+    y = y_rate = y_slope = w
+    if ny:
+        jump = of_y @ du.T - C_y @ g
+        y = w + jump @ u
+        y_rate = of_y - K_y @ jnp.concatenate([Delta, y]) - C_y @ rate
+        y_slope = y_rate - jump @ du
+    acceleration = driven - damping @ rate - stiffness @ jnp.concatenate([Delta, y])
+    of_Xi = [chains[k + 1, j][None] for k, j in integrated]
+    slopes = jnp.concatenate([rate - g @ du, acceleration - h @ du - g @ ddu, y_slope, *of_Xi])
+    own = ((Delta, y), (rate, y_rate), (acceleration, jnp.zeros_like(y)))
+    x = jnp.stack([jnp.concatenate([*parts, base]) for parts, base in zip(own, Xi, strict=True)])
     C, D, first, second = jnp.split(jnp.einsum("kyn,knw->yw", ports.Y, x), [n, n + m, n + 2 * m], 1)
     D, size = D + ports.G, jnp.max(jnp.abs(ports.Y), axis=(0, 2))[:, None] * 1e-12
     improper = (jnp.abs(first) > size) | (jnp.abs(second) > size)

@@ -1,8 +1,10 @@
 """The command on model files: the examples of its help, results as in Python, messages and exit codes."""
 
 import contextlib
-import importlib.util
+import csv
 import io
+import json
+import os
 import re
 import shlex
 import subprocess
@@ -13,6 +15,7 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.app import commands
+from jaxbody.core.jax_internals import code_can_be_run
 
 NAMES = list(commands.COMMANDS)
 
@@ -47,7 +50,14 @@ def record():
     run = jb.simulate(car, times, motion={"road": jb.Sampled(times, translation=base)}, initial="rest")
     z = np.asarray(run.poses["body"].p)[:, 2] + np.random.default_rng(0).normal(0, 1e-4, 100)
     rows = [",".join(map(repr, row)) for row in np.stack([times, 1000 * z, 1000 * base[:, 2]], 1).tolist()]
-    return "\n".join(["t [s],z [mm],base [mm]", *rows])
+    return "\n".join(["t [s],x [mm],base [mm]", *rows])
+
+
+def uncommented(text, without="nothing"):
+    """The text of a new file with its measured data, but for one section."""
+    start = text.index("\n# [records.run1]")
+    sections = ["[" + section for section in re.sub("^# ", "", text[start:], flags=re.M).split("\n[")[1:]]
+    return "\n".join([text[:start], *(section for section in sections if not section.startswith(without))])
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +69,7 @@ def texts():
             assert commands.main(["new", name]) == 0
         printed[name] = out.getvalue()
     text = printed["quarter_car"]
-    comment = text.index("# to fit it")
-    measured = text[:comment] + re.sub("^# (?!to fit)", "", text[comment:], flags=re.M)
+    measured = uncommented(text, without="[experiments.modal]")
     measured = measured.replace("[elements.suspension]", "[elements.suspension]\ndamping = 1500.0") + DESIGN
     return {"engine.toml": printed["engine"], "car.toml": text, "measured.toml": measured}
 
@@ -96,11 +105,101 @@ def test_every_ready_model_is_printed_and_read_again(name, capsys, folder):
     assert commands.main(["check", "model.toml"]) == 0 and "no errors" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", dir(jb.presets))
+def test_measured_data_of_a_new_file_are_read_when_they_are_there(name, capsys, folder):
+    assert commands.main(["new", name]) == 0
+    text = capsys.readouterr().out
+    (folder / "model.toml").write_text(uncommented(text))
+    heads = re.search(r"with the columns (.*)", text)[1].split(", ")
+    rows = [",".join(f"{x!r}" for x in (t, *[0.1 * t] * (len(heads) - 1))) for t in (0.0, 0.1, 0.2, 0.3)]
+    (folder / "run1.csv").write_text("\n".join([",".join(heads), *rows]))
+    assert commands.main(["check", "model.toml"]) == 0 and "2 experiments" in capsys.readouterr().out
+    study = jb.read_study("model.toml")
+    assert set(study.experiments) == {"run1", "modal"} and study.fit["free"]
+    measured = study.experiments["modal"].measured["frequency"]
+    np.testing.assert_allclose(
+        jb.modes(jb.linearize(study.model, study.model.reference)).frequency[:2], measured, atol=0.006
+    )  # two decimals
+    assert all(jb.paths(study.model, path) for path in study.fit["free"])
+
+
+SLOW = ("engine_on_mounts", "full_car", "isolated_table", "half_car")
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name in SLOW else name for name in dir(jb.presets) if name != "double_pendulum"]
+)
+def test_the_design_of_a_new_file_is_tuned(name, capsys, folder):
+    assert commands.main(["new", name]) == 0
+    (folder / "model.toml").write_text(capsys.readouterr().out)
+    assert commands.main(["tune", "model.toml", "--write"]) == 0
+    said = capsys.readouterr()
+    assert "best of 1 starts; ok" in said.out and "wrote model.toml" in said.out and not said.err
+    tuned, before = jb.read_model("model.toml"), getattr(jb.presets, name)()
+    assert any(not np.array_equal(x, jb.paths(before)[path]) for path, x in jb.paths(tuned).items())
+
+
 def test_new_without_a_name_lists_the_ready_models(capsys):
     assert commands.main(["new"]) == 0
     assert set(dir(jb.presets)) == set(re.findall(r"\w+", capsys.readouterr().out.partition(":")[2]))
     assert commands.main(["new", "quarter_cat"]) == 2
     assert "Did you mean 'quarter_car'?" in capsys.readouterr().err
+
+
+SHEET = """name; a; b; x [mm]; y [mm]; z [mm]; kx [N/mm]; ky [N/mm]; kz [N/mm]; rz [deg]; cz [N s/mm]; krx; kry; krz
+left; engine; frame; 1100; 250; 500; 200; 210; 400; 45; 0.5; 30 N m/deg; 0; 0
+right; engine; frame; 1100; -250; 50 cm; 200; 210; 400; ; 0.5; 0; 0; 0
+rear; engine; sub frame; 700; 0; 400; 100; 100; 150; ; 0.5; 0; 0; 0
+link; sub frame; world; 700; 0; 400; 900; 900; 900; ; 0.5; 90 kN m/rad; 90 kN m/rad; 90 kN m/rad
+"""
+
+
+def test_a_data_sheet_of_mounts_becomes_a_file(capsys, folder):
+    """The mounts are those that Python reads, with points in the axes of the sheet, and their numbers can be set; the masses are marked as
+    placeholders in each line, and said to be."""
+    (folder / "mounts.csv").write_text(SHEET)
+    assert commands.main(["new", "--mounts", "mounts.csv"]) == 0
+    said = capsys.readouterr()
+    assert "not in mounts.csv: replace the placeholders" in said.err and said.out.count(": a placeholder") == 6 and "-0.0]" not in said.out
+    (folder / "mounts.toml").write_text(said.out)
+    assert commands.main(["check", "mounts.toml"]) == 0 and "2 bodies, 1 support, 4 elements, 2 sensors" in capsys.readouterr().out
+    model = jb.read_model("mounts.toml")
+    frames = {"engine": model["engine"], "frame": model["frame"], "sub frame": model["sub frame"]}
+    for name, mount in jb.read_mounts("mounts.csv", frames).items():
+        assert model[name].between == mount.between
+        for field in ("a", "b", "stiffness", "damping", "orientation", "orientation_b"):
+            np.testing.assert_array_equal(getattr(model[name], field), getattr(mount, field))
+    assert model["right"].a.tolist() == [1.1, -0.25, 0.5]
+    words = [
+        "modes",
+        "mounts.toml",
+        "--set",
+        "engine.mass=180 kg",
+        "--set",
+        "engine.com=1, 0, 0.6 m",
+        "--set",
+        "rear.stiffness=90, 90, 90 N/mm",
+    ]
+    assert commands.main(words) == 0 and "engine" in capsys.readouterr().out
+    (folder / "mounts.csv").write_text(SHEET.replace("kx [N/mm]", "kx [mm]").replace("right;", "left;"))
+    assert commands.main(["new", "--mounts", "mounts.csv"]) == 2
+    said = capsys.readouterr()
+    assert (
+        not said.out
+        and "mounts.csv:2 kx: is '200 mm', in m" in said.err
+        and "mounts.csv:3: 'left' is the name of a mount above" in said.err
+    )
+
+
+def test_a_data_sheet_without_names_of_bodies_is_of_an_engine_on_a_frame(capsys, folder):
+    (folder / "mounts.csv").write_text("name,x [mm],y [mm],z [mm],kx [N/mm],ky [N/mm],kz [N/mm]\nm,0,0,10,1,2,3\n")
+    assert commands.main(["new", "--mounts", "mounts.csv"]) == 0
+    (folder / "mounts.toml").write_text(capsys.readouterr().out)
+    assert jb.read_model("mounts.toml")["m"].between == ("engine", "frame")
+
+
+def test_a_new_engine_has_no_gravity_and_its_file_says_so(texts):
+    assert "\ngravity = [0.0, 0.0, 0.0] # m/s2; zero, as in the source of this model\n" in texts["engine.toml"]
 
 
 def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
@@ -129,26 +228,115 @@ def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     ],
 )
 def test_numbers_are_saved_as_parquet_and_netcdf(words, column, label, capsys, folder):
-    pandas, xarray = pytest.importorskip("pandas"), pytest.importorskip("xarray")
+    pandas, xarray, _ = (pytest.importorskip(name) for name in ("pandas", "xarray", "pyarrow"))
     assert commands.main([*words, "--out", "numbers.csv"]) == 0
     assert commands.main([*words, "--out", "numbers.nc"]) == 0
     data = xarray.open_dataset("numbers.nc", engine="scipy")
     read = np.asarray(data[column.replace("/", " per ")])
     assert read.size and label in data[column.replace("/", " per ")].dims
-    if importlib.util.find_spec("pyarrow"):
-        assert commands.main([*words, "--out", "numbers.parquet"]) == 0
-        np.testing.assert_array_equal(pandas.read_parquet("numbers.parquet")[column], read)
-    else:
-        assert commands.main([*words, "--out", "numbers.parquet"]) == 2 and "MISSING_EXTRA" in capsys.readouterr().err
+    assert commands.main([*words, "--out", "numbers.parquet"]) == 0
+    frame = pandas.read_parquet("numbers.parquet")
+    np.testing.assert_array_equal(frame[column], read)
+    assert label in (frame.index.name, *frame.columns)
     if "[" in label:
         head, *rows = [row.split(",") for row in (folder / "numbers.csv").read_text().splitlines()]
         np.testing.assert_array_equal(np.array(rows, float)[:, head.index(column)], read)
+
+
+def test_numbers_in_parquet_have_units_and_are_read_again(capsys, folder):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    assert commands.main(["simulate", "measured.toml", "--duration", "0.5", "--out", "motion.parquet"]) == 0
+    assert commands.main(["simulate", "measured.toml", "--duration", "0.5", "--out", "motion.csv"]) == 0
+    columns = {"z": ("body z", "m"), "force": ("force of tyre", "N"), "acc": ("seat", "m/s2")}
+    in_parquet = {name: f"{column} [{unit}]" for name, (column, unit) in columns.items()}
+    records = [
+        jb.read_record("motion.parquet", time="time [s]", channels=in_parquet),
+        jb.read_record("motion.csv", time="time", channels={name: column for name, (column, _) in columns.items()}),
+    ]
+    assert records[0].units == records[1].units == {"z": "m", "force": "N", "acc": "m/s2"}
+    for name in columns:
+        np.testing.assert_array_equal(records[0][name], records[1][name])
+    assert commands.main(["modes", "measured.toml", "--out", "modes.parquet"]) == 0
+    fields = parquet.read_schema("modes.parquet")
+    stated = {name: fields.field(name).metadata[b"unit"].decode() for name in ("frequency", "damping_ratio", "eigenvalue")}
+    assert stated == {"frequency": "Hz", "damping_ratio": "1", "eigenvalue": "rad2/s2"}
+
+
+def test_complex_numbers_have_the_same_names_in_parquet_and_netcdf(capsys, folder):
+    pandas, xarray, _ = (pytest.importorskip(name) for name in ("pandas", "xarray", "pyarrow"))
+    for name in ("modes.parquet", "modes.nc"):
+        assert commands.main(["modes", "measured.toml", "--damped", "--out", name]) == 0
+    frame, data = pandas.read_parquet("modes.parquet"), xarray.open_dataset("modes.nc", engine="scipy")
+    car = jb.read_model("measured.toml")
+    poles = jb.complex_modes(jb.linearize(car, jb.equilibrium(car))).poles
+    for half, part in (("real", np.real), ("imaginary", np.imag)):
+        np.testing.assert_array_equal(data[f"pole_{half}"], part(poles))
+        np.testing.assert_array_equal(frame.filter(like=f"pole_{half}["), part(poles))
+        assert data[f"pole_{half}"].attrs["units"] == frame.attrs["units"][f"pole_{half}[0]"] == "1/s"
+    names = {column.partition("[")[0] for column in frame if "_real" in column or "_imaginary" in column}
+    assert names == {str(name) for name in data.data_vars if str(name).endswith(("_real", "_imaginary"))}
+
+
+def test_the_package_for_parquet_is_named_when_it_is_missing(capsys, monkeypatch, folder):
+    pytest.importorskip("xarray")
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
+    assert commands.main(["modes", "car.toml", "--out", "numbers.parquet"]) == 2
+    said = capsys.readouterr().err
+    assert "MISSING_EXTRA" in said and "jaxbody[files]" in said
 
 
 def test_a_fit_without_data_or_parameters_says_both(capsys, folder):
     assert commands.main(["fit", "car.toml"]) == 2
     said = capsys.readouterr().err
     assert "has no experiments" in said and "does not say what is free" in said
+
+
+def held_out(text):
+    """The text of a file with a second experiment, the second half of the record from a free start, which is held out."""
+    return (
+        text
+        + """
+[records.run2]
+file = "run1.csv"
+time = "t"
+channels = {reading = "x", base = "base"}
+part = "0.4, 1.6 s"
+[experiments.run2]
+record = "run2"
+validate = true
+initial = "rest"
+motion.road = {type = "Sampled", record = "run2", translation = "base", axis = "z"}
+"""
+    )
+
+
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
+def test_a_fit_is_validated_by_the_experiments_that_are_held_out(capsys, folder):
+    """The fit is that without them; the comparison is that of `validate`, printed, saved and drawn in the report."""
+    words = ["measured.toml", "--free", "suspension.stiffness", "--out"]
+    assert commands.main(["fit", *words, "fit.csv"]) == 0
+    alone = capsys.readouterr().out.replace("saved fit.csv\n", "")
+    (folder / "measured.toml").write_text(held_out((folder / "measured.toml").read_text()))
+    assert commands.main(["check", "measured.toml"]) == 0 and "1 experiment, 1 held-out experiment" in capsys.readouterr().out
+    assert commands.main(["fit", *words, "fit.csv"]) == 0
+    said = capsys.readouterr().out
+    study = jb.read_study("measured.toml")
+    assert list(study.experiments) == ["run1"] and list(study.held_out) == ["run2"]
+    validation = jb.validate(jb.fit(study.model, study.experiments, free="suspension.stiffness"), study.held_out)
+    assert alone in said and str(validation) in said and "run2.reading" not in alone
+    (row,) = [line for line in (folder / "fit.csv").read_text().splitlines() if line.startswith("run2.reading,")]
+    assert float(row.split(",")[3]) == pytest.approx(validation.rms["run2.reading"], rel=1e-5)
+    assert commands.main(["report", "measured.toml", "--part", "fit", "--free", "suspension.stiffness", "--out", "fit.html"]) == 0
+    text = (folder / "fit.html").read_text()
+    assert "<h2>Validation</h2>" in text and "run2, reading: measured, and predicted without a fit to it" in text
+
+
+def test_a_fit_needs_an_experiment_that_is_not_held_out(capsys, folder):
+    text = (folder / "measured.toml").read_text()
+    (folder / "measured.toml").write_text(text.replace('record = "run1"  ', 'validate = true\nrecord = "run1"  '))
+    assert commands.main(["fit", "measured.toml"]) == 2
+    assert "measured.toml: has validate = true in all experiments" in capsys.readouterr().err
 
 
 def test_a_design_is_that_of_python_and_is_written_into_the_file(capsys, folder):
@@ -166,7 +354,7 @@ def test_a_design_is_that_of_python_and_is_written_into_the_file(capsys, folder)
     bounds = {"suspension.damping": (100.0, 9000.0), "suspension.stiffness": (5e3, 9e4)}
     limits = {"travel": (None, 0.05), "bounce": (0.8, 2.0)}
     expected = jb.tune(car, drive, free=free, minimize="comfort", limits=limits, bounds=bounds)
-    assert commands.main(["tune", "measured.toml", "--write"]) == 0
+    assert commands.main(["tune", "measured.toml", "--design", "ride", "--write"]) == 0
     assert "wrote measured.toml" in capsys.readouterr().out
     tuned = jb.paths(jb.read_model("measured.toml"))
     for path in free:
@@ -174,11 +362,26 @@ def test_a_design_is_that_of_python_and_is_written_into_the_file(capsys, folder)
     assert abs(float(expected.after["comfort"]) - float(expected.before["comfort"])) > 0.1
 
 
+@pytest.mark.parametrize("words", ["show", "modes --draw 2", "simulate --duration 0.2", "equilibrium"])
+def test_a_page_in_three_dimensions_is_saved(words, capsys, folder):
+    pytest.importorskip("viser")
+    name, *options = words.split()
+    assert commands.main([name, "car.toml", *options, "--out", "page.html"]) == 0 and "saved page.html" in capsys.readouterr().out
+    assert "viser" in (folder / "page.html").read_text()
+
+
+def test_the_package_for_pages_is_named_when_it_is_missing(capsys, monkeypatch, folder):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert commands.main(["show", "car.toml", "--out", "page.html"]) == 2
+    said = capsys.readouterr().err
+    assert "MISSING_EXTRA" in said and "pip install 'jaxbody[view]'" in said and not (folder / "page.html").exists()
+
+
 def test_readings_of_sensors_are_saved_with_a_motion(capsys, folder):
     assert commands.main(["simulate", "measured.toml", "--duration", "0.1", "--out", "motion.csv"]) == 0
     head, *rows = (folder / "motion.csv").read_text().splitlines()
     columns = dict(zip(head.split(","), np.array([row.split(",") for row in rows], float).T, strict=True))
-    assert len(rows) == 11 and np.array_equal(columns["height [m]"], columns["body z [m]"])
+    assert len(rows) == 11 and np.array_equal(columns["reading [m]"], columns["body z [m]"])
 
 
 def test_the_numbers_are_those_of_python(capsys, folder):
@@ -226,8 +429,17 @@ def test_the_random_response_and_load_cases_are_those_of_python(capsys, folder):
     assert str(expected) in capsys.readouterr().out
     table = np.loadtxt(folder / "psd.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table, np.stack([expected.frequencies, expected.psd[0]], 1), rtol=1e-9)
-    assert commands.main(["load-cases", "car.toml", *damped, "--case", "bump=0,0,2"]) == 0
-    assert str(jb.load_cases(car, {"bump": jb.LoadCase(acceleration=[0, 0, 2])})) in capsys.readouterr().out
+    assert commands.main(["load-cases", "car.toml", *damped, "--case", "bump=0,0,2", "--out", "cases.csv"]) == 0
+    cases = jb.load_cases(car, {"bump": jb.LoadCase(acceleration=[0, 0, 2])})
+    assert str(cases) in capsys.readouterr().out
+    (row,) = csv.DictReader((folder / "cases.csv").read_text().splitlines())
+    assert row["case"] == "bump" and float(row["displacement of body z [m]"]) == float(cases.displacements["body"][0, 2])
+    assert float(row["stroke of tyre [m]"]) == float(cases.strokes["tyre"][0])
+    assert float(row["force of suspension [N]"]) == float(cases.forces["suspension"][0])
+    words = ["report", "car.toml", *damped, "--part", "load-cases", "--out", "cases.html"]
+    assert commands.main(words) == 2 and "--case: is missing" in capsys.readouterr().err
+    assert commands.main([*words, "--case", "bump=0,0,2"]) == 0
+    assert "<h2>Load cases</h2>" in (folder / "cases.html").read_text() and "<figcaption>" in (folder / "cases.html").read_text()
     for wrong in ("bump", "bump=1,2", "=1,2,3", "bump=x,0,0"):
         with pytest.raises(SystemExit):
             commands.main(["load-cases", "car.toml", "--case", wrong])
@@ -252,7 +464,7 @@ def test_values_are_set_by_name_and_pattern(capsys):
         ("check car.toml --set motion.road.frequency='2 m'", "is '2 m', in m (allowed: a unit such as 1/s)"),
         ("check car.toml --set car", "car: is not a path and a value"),
         ("check car.toml --set body.mass.x=3", "body.mass.x=3: names nothing that has entries"),
-        ("modes car.toml --out modes.xls", "--out: is modes.xls (allowed: .csv .parquet .nc .png .svg .pdf)"),
+        ("modes car.toml --out modes.xls", "--out: is modes.xls (allowed: .csv .parquet .nc .png .svg .pdf .html)"),
         ("check car.toml --out car.png", "--out: is a picture, which this command does not draw"),
         ("show car.toml --out none/car.png", "none/car.png: cannot be written"),
         ("response car.toml --input z --output body.z", "--input: is 'z' (allowed: a name and a direction, such as road.z)"),
@@ -289,3 +501,88 @@ def test_a_file_with_an_error_is_refused_before_JAX_is_imported(folder):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["2", "False", "False"] and "car.toml:" in done.stderr
+
+
+OWN_PROCESS = """
+import gc, json, sys
+sys.argv[1:] = json.loads(sys.argv[1])
+import jaxbody as jb
+from jaxbody.app import commands
+with jb.compile_times() as times:
+    code = commands.main()
+kept = jb.keep_programs()
+libraries = [name for name in {libraries} if name in sys.modules]
+print(json.dumps([code, times.count, kept.loaded, kept.saved, [run.done() for run in kept.ahead.values()], libraries, gc.isenabled()]))
+"""
+SLOW_TO_IMPORT = ("diffrax", "lineax", "matplotlib", "optax", "optimistix", "pandas", "scipy.optimize", "scipy.signal", "scipy.stats")
+
+
+@pytest.mark.long
+@pytest.mark.everywhere
+def test_a_second_process_imports_and_compiles_no_more_than_it_needs(folder, monkeypatch):
+    """The modes of a model without experiments: three programs, loaded ahead and compiled by the first process; the numbers are the same,
+    also with other stiffnesses."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    (folder / "cache").mkdir()
+
+    def process(*words):
+        program = OWN_PROCESS.replace("{libraries}", repr(SLOW_TO_IMPORT))
+        command = [sys.executable, "-c", program, json.dumps(words)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=600)
+        assert done.returncode == 0, done.stderr
+        *table, state = done.stdout.strip().splitlines()
+        return table, json.loads(state)
+
+    programs, modes = ["equilibrium_of", "_linearize", "_modes"], ("modes", "engine.toml")
+    first, (code, _, loaded, saved, ahead, libraries, collecting) = process(*modes)
+    assert (code, loaded, saved, ahead, libraries, collecting) == (0, [], programs, [], [], True)
+    second, (code, compiled, loaded, saved, ahead, libraries, collecting) = process(*modes)
+    assert second == first and (code, loaded, saved, libraries, collecting) == (0, programs, [], [], True)
+    if code_can_be_run():
+        assert compiled == 0 and ahead == [True] * 3
+    other, (code, _, loaded, saved, *_) = process(*modes, "--set", "*.stiffness=100, 200, 900 N/mm")
+    assert other != first and (code, loaded, saved) == (0, programs, [])
+
+
+def test_what_is_too_large_is_refused_with_its_estimate_and_the_setting(capsys, folder):
+    size = (folder / "car.toml").stat().st_size
+    assert commands.main(["check", "car.toml", "--largest", "500"]) == 2
+    said = capsys.readouterr().err
+    assert f"car.toml: has {size} bytes (allowed: 500 bytes). Set largest={1.1 * size:.2g} (--largest {1.1 * size:.2g})" in said
+    assert f"about {60 * size / 1e9:.2g} GB of memory" in said and "TOO_LARGE" in said
+    assert commands.main(["check", "car.toml", "--largest", f"{1.1 * size:.2g}"]) == 0
+    many = {f"b{i}": {"mass": 1, "inertia": [1, 1, 1]} for i in range(2000)}  # ten matrices of 12 000 x 12 000 numbers
+    (folder / "many.json").write_text(json.dumps({"jaxbody": 1, "units": "SI", "bodies": many}))
+    capsys.readouterr()
+    assert commands.main(["modes", "many.json"]) == 2
+    said = capsys.readouterr().err
+    assert "12000 coordinates and 0 elements, whose matrices need about 11.5 GB (allowed: 8 GB)" in said and "MOST_MEMORY" in said
+
+
+SPRINGS = """
+import pathlib, resource, sys
+import jaxbody as jb
+
+lines = ['jaxbody = 1', 'bodies.box = {mass = "2 kg", inertia = "1, 1, 1 kg m2"}']
+lines += ['joints.box = {type = "Guide", parent = "world", axis = [0, 0, 1]}']
+for i in range(100_000):
+    lines += [f'[elements.s{i}]', 'type = "Spring"', 'a = ["box", "1, 0, 0 mm"]', 'b = ["world", "1, 0, -400 mm"]', 'stiffness = "20 N/mm"']
+path = pathlib.Path(sys.argv[1])
+path.write_text("\\n".join(lines))
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+model = jb.read_model(path)
+equilibrium = jb.equilibrium(model)
+stiffness = float(jb.linearize(model, equilibrium).K[0, 0])
+print(path.stat().st_size, 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before), stiffness)
+"""
+
+
+@pytest.mark.long
+def test_100_000_springs_are_read_within_the_estimate_of_memory(folder):
+    words = [sys.executable, "-c", SPRINGS, str(folder / "springs.toml")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=900, env=os.environ | {"JAX_ENABLE_X64": "1"})
+    assert done.returncode == 0, done.stderr
+    size, memory, stiffness = map(float, done.stdout.split())
+    assert size < 2e7 and memory < 60 * size + 3e8  # the second: JAX and its compiler
+    assert stiffness == pytest.approx(1e5 * 20e3, rel=1e-12)

@@ -9,6 +9,7 @@ import pytest
 from report_pages import Page, check_golden, numbers
 
 import jaxbody as jb
+from jaxbody.plots.pictures import picture_of
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 
@@ -86,6 +87,46 @@ def test_what_cannot_be_reported_is_named(tmp_path, engine):
             jb.report(given, tmp_path / path)
     with pytest.raises(jb.JaxbodyError, match="NO_FILE"):
         jb.report({"m": engine[1]["Modes"]}, tmp_path / "a.html", files=[tmp_path / "none.csv"])
+
+
+def test_a_result_is_drawn_as_by_its_plot_and_a_batch_has_a_note(engine, tmp_path):
+    """With the caption of the one table of pictures."""
+    import jax
+
+    model, modes = engine[1]["Engine"], engine[1]["Modes"]
+    cases = jb.load_cases(model, {"bump": jb.LoadCase(acceleration=[0, 0, 2])})
+    batch = jax.tree.map(lambda x: np.stack([x, x]), modes)
+    page = Page(jb.report({"Cases": cases, "Modes": modes, "Two": batch}, tmp_path / "drawn.html"))
+    assert page.pictures == [picture_of(type(result)).caption for result in (cases, modes)]
+    assert page.headings[1:] == ["Cases", "Modes", "Two"] and any("Not drawn" in note and "batch of 2" in note for note in page.notes)
+
+
+@pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")  # residuals that are no noise
+def test_a_fit_to_many_records_draws_those_with_the_largest_misfits(tmp_path):
+    """Ten masses on springs of 100 N/m and one damper each read; the model has one stiffness for all, so that the fourth, which is softer,
+    and the eighth, whose record is another motion, fit worst."""
+    times = np.linspace(0, 2, 41)
+    frequencies = np.array([1.0, 1.0, 1.0, 1.06, 1.0, 1.0, 1.0, 1.5, 1.0, 1.0])
+    rng = np.random.default_rng(3)
+    names = [f"m{i}" for i in range(10)]
+    model = jb.Model(
+        bodies={name: jb.Body(1.0, [1, 1, 1]) for name in names},
+        joints={name: jb.Guide("world", axis=[1, 0, 0]) for name in names},
+        elements={f"s{name}": jb.Spring((name, [0, 0, 0]), ("world", [-1, 0, 0]), stiffness=35.0, free_length=1.0) for name in names},
+    )
+    sensors = {f"x{name}": jb.Position(name, axis="x") for name in names}
+    data = {f"x{name}": 0.1 * np.cos(2 * np.pi * f * times) + rng.normal(0, 1e-4, 41) for name, f in zip(names, frequencies, strict=True)}
+    data["xm0"][5:9] = np.nan
+    start = jb.State(np.full(10, 0.1), np.zeros(10))
+    run = jb.Experiment(times, sensors=sensors, measured=data, initial=start, noise=1e-4)
+    fit = jb.fit(model, {"run": run}, free="sm0.stiffness = *.stiffness")
+    page = Page(jb.report({"Fit": fit}, tmp_path / "fit.html"))
+    assert len(page.pictures) == 6
+    assert [picture.partition(":")[0] for picture in page.pictures[:2]] == ["run, xm7", "run, xm3"]
+    assert any("6 of 10 records are drawn" in note and "plot_fit(fit, run=..., sensor=...)" in note for note in page.notes)
+    few = jb.Experiment(times, sensors={"xm0": sensors["xm0"]}, measured={"xm0": data["xm0"]}, initial=start, noise=1e-4)
+    page = Page(jb.report({"Fit": jb.fit(model, {"run": few}, free="sm0.stiffness")}, tmp_path / "few.html"))
+    assert len(page.pictures) == 1 and not any("are drawn" in note for note in page.notes)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")

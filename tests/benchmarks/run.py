@@ -9,7 +9,7 @@ Includes MuJoCo, Exudyn and SciPy if they are installed.
     --only TEXT          only tasks whose name begins with TEXT, such as "T4"
     --without, --with    only without, or only with the option
     --no-peers           C only
-    --write              put the table into README.md, between its two marks
+    --write              put the tables into the manual's page of speed, between its two marks
 
 All tasks call the public functions on a Model, inside a jitted function of the stiffnesses.
 """
@@ -34,7 +34,7 @@ STARTS = {"motion": 1.5, "frequencies": 1.5, "motion in jit": 1.5, "gradient in 
 IMPORTS = "imports"
 COMPILATION = 1.2  # ratio of times for twenty times the springs
 WORDS = {"T1": "10 s of motion", "T2": "its gradient", "T3": "1000 x 1 s", "T4": "10000 x frequencies"}
-README = Path(__file__).parents[2] / "README.md"
+PAGE = Path(__file__).parents[2] / "examples" / "docs" / "measured" / "speed.md"
 MARKS = "<!-- benchmarks: written by tests/benchmarks/run.py --write -->", "<!-- end of benchmarks -->"
 
 
@@ -97,7 +97,7 @@ def starts_of(job: str, rounds: int = 3) -> dict[str, float]:
 
 
 def markdown(results: dict[str, dict[bool, dict]], starts: dict[str, dict[str, float]]) -> str:
-    """The table that the README shows."""
+    """The tables that the manual shows."""
     shown = f"{machine()}; {datetime.date.today().isoformat()}. Median times in milliseconds; in parentheses the ratio to C and the error."
     lines = [shown, ""]
     for job, by_option in results.items():
@@ -131,11 +131,11 @@ def markdown(results: dict[str, dict[bool, dict]], starts: dict[str, dict[str, f
 
 
 def write(results, starts) -> None:
-    """Between the marks of the README."""
-    text = README.read_text()
+    """Between the marks of the page."""
+    text = PAGE.read_text()
     before, _, rest = text.partition(MARKS[0])
     _, _, after = rest.partition(MARKS[1])
-    README.write_text(f"{before}{MARKS[0]}\n{markdown(results, starts)}\n{MARKS[1]}{after}")
+    PAGE.write_text(f"{before}{MARKS[0]}\n{markdown(results, starts)}\n{MARKS[1]}{after}")
 
 
 def machine() -> str:

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import time
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -14,10 +15,13 @@ import pytest
 
 import jaxbody as jb
 from jaxbody.compilation import kept_programs
+from jaxbody.compilation.array_functions import array_function
 from jaxbody.compilation.kept_programs import KeptPrograms, keep_programs
+from jaxbody.core.jax_internals import code_can_be_run
 
 pytestmark = pytest.mark.everywhere
 
+CODE = code_can_be_run()
 ALL_KEPT = jax.__version_info__ >= (0, 8)  # jax 0.7 cannot export all that the gradient consists of
 
 PROCESS = """
@@ -73,11 +77,13 @@ def test_a_second_process_traces_nothing_and_computes_the_same_numbers(folder):
 
 @pytest.fixture
 def kept(tmp_path, monkeypatch):
-    """Programs of this process in a folder of their own, with none of JAX's beside them."""
+    """Programs of this process in a folder of their own; JAX's cache is that of all tests, or beside it."""
     monkeypatch.setattr(kept_programs, "_kept", None)
-    monkeypatch.setattr(kept_programs.compilation_cache, "reset_cache", lambda: None)
-    monkeypatch.setattr(jax.config, "update", lambda *_: None)
-    return keep_programs(tmp_path / "programs")
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", before or str(tmp_path / "of_jax"))
+    yield keep_programs(tmp_path / "programs")
+    jax.config.update("jax_compilation_cache_dir", before)
+    kept_programs.compilation_cache.reset_cache()
 
 
 SMALL = jb.presets.quarter_car(damping=1500.0)
@@ -102,7 +108,7 @@ def same(a, b):
 def test_a_program_is_saved_once_and_loaded_then(kept):
     expected = poses(SMALL)
     assert (kept.saved, kept.loaded, kept.left_out) == (["_reference"], [], {})
-    assert sorted(path.suffix for path in kept.folder.iterdir()) == [".program", ".types"]
+    assert sorted(path.suffix for path in kept.folder.iterdir()) == [".code"] * CODE + [".program", ".types"]
     assert all(path.stat().st_mode & 0o777 == 0o600 for path in kept.folder.iterdir())
     assert same(poses(SMALL), expected) and kept.saved == ["_reference"]
     second = again(kept.folder)
@@ -132,9 +138,120 @@ def test_a_damaged_file_is_replaced(kept, damage):
         path.write_bytes(DAMAGES[damage](data))
     second = again(kept.folder)
     assert same(poses(SMALL), expected) and (second.saved, second.loaded) == (["_reference"], [])
-    assert {path: path.read_bytes().split(b"\n", 1)[1][:100] for path in whole} == {
-        path: data.split(b"\n", 1)[1][:100] for path, data in whole.items()
-    }
+    begins = {path.name: data.split(b"\n", 1)[1][:100] for path, data in whole.items()}
+    replaced = {name: (second.read(name) or b"")[:100] for name in begins}
+    assert all(replaced.values())
+    assert all(replaced[name] == begin for name, begin in begins.items() if not name.endswith(".code"))  # XLA numbers its code anew
+
+
+needs_code = pytest.mark.skipif(not CODE, reason="this version of JAX, or a device that is no CPU, cannot run saved code")
+
+
+@needs_code
+def test_saved_code_runs_without_lowering(kept):
+    """To the last digit as when it was compiled. The arrays may go to another device, like those of any program."""
+    expected = poses(SMALL)
+    second = again(kept.folder)
+    with jb.compile_times() as times:
+        q = SMALL.reference.q
+    assert (times.count, second.loaded, second.saved) == (0, ["_reference"], [])
+    assert np.array_equal(q, expected.q) and not q.committed
+
+
+def program_and_code(folder):
+    return next(folder.glob("*.program")), next(folder.glob("*.code"))
+
+
+def incomplete(code):
+    """XLA notices a function that is missing only when it calls it."""
+
+    def run(arrays):
+        raise jax.errors.JaxRuntimeError("NOT_FOUND: Function broadcast_pad_fusion not found")
+
+    return run
+
+
+@needs_code
+@pytest.mark.parametrize("broken", [lambda code: None, incomplete])
+def test_the_exported_program_replaces_code_that_does_not_run(kept, broken, monkeypatch):
+    expected = poses(SMALL)
+    program, code = program_and_code(kept.folder)
+    second, before = again(kept.folder), code.read_bytes()
+    with monkeypatch.context() as patched:
+        patched.setattr(kept_programs, "runner", broken)
+        assert same(poses(SMALL), expected) and (second.saved, second.loaded) == ([], ["_reference"])
+    assert code.read_bytes() != before and second.read(code.name)
+    program.unlink()
+    third = again(kept.folder)
+    assert same(poses(SMALL), expected) and (third.saved, third.loaded) == ([], ["_reference"])
+
+
+@needs_code
+def test_saved_code_takes_arrays_of_numpy(kept):
+    expected = poses(SMALL)
+    second = again(kept.folder)
+    assert np.array_equal(jax.tree.map(np.asarray, SMALL).reference.q, expected.q) and second.loaded == ["_reference"]
+
+
+def test_programs_of_random_keys_are_kept_without_code(kept):
+    key = jax.random.key(3)
+    program, arrays = array_function(jax.random.split, (key,))
+    first = kept_programs.call(program, (), arrays)[0]
+    second = again(kept.folder)
+    for (keys,) in (first, kept_programs.call(program, (), arrays)[0]):
+        assert np.array_equal(jax.random.key_data(keys), jax.random.key_data(jax.random.split(key)))
+    assert len(kept.saved) == 1 and second.loaded == kept.saved and second.left_out == {} and not list(kept.folder.glob("*.code"))
+
+
+@needs_code
+def test_bytes_that_are_no_code_are_not_run(kept):
+    poses(SMALL)
+    kept.write("some.code", zlib.compress(b"no code"), "f")
+    assert kept.loaded_code("some.code") is None
+
+
+@needs_code
+def test_code_is_not_taken_from_the_cache_of_jax(kept, monkeypatch):
+    """What XLA has loaded lacks functions when it is saved again."""
+    monkeypatch.setattr(kept_programs, "code_can_be_run", lambda: False)
+    expected = poses(SMALL)  # compiled with JAX's cache
+    monkeypatch.undo()
+    enabled = jax.config.jax_enable_compilation_cache
+    assert [path.suffix for path in sorted(kept.folder.iterdir(), key=lambda path: path.suffix)] == [".program", ".types"]
+    again(kept.folder)
+    poses(SMALL)
+    program_and_code(kept.folder)[0].unlink()
+    third = again(kept.folder)
+    assert same(poses(SMALL), expected) and third.loaded == ["_reference"] and third.saved == []
+    assert jax.config.jax_enable_compilation_cache == enabled
+
+
+@needs_code
+def test_code_is_of_the_options_of_xla_and_jax(kept, monkeypatch):
+    poses(SMALL)
+    names = {kept_programs._settings()}
+    monkeypatch.setenv("XLA_FLAGS", f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_prefer_vector_width=128")
+    names.add(kept_programs._settings())
+    with jax.default_matmul_precision("float32"):
+        names.add(kept_programs._settings())
+    assert len(names) == 3
+    second = again(kept.folder)
+    poses(SMALL)
+    assert second.loaded == ["_reference"] and len(list(kept.folder.glob("*.code"))) == 2
+
+
+@needs_code
+def test_code_of_the_last_process_with_a_task_is_loaded_ahead(kept):
+    expected = poses(SMALL)
+    kept.note_task("modes car.toml")
+    for task, count in {"modes bus.toml": 0, "modes car.toml": 1}.items():
+        second = again(kept.folder)
+        second.load_ahead(task)
+        assert [name.endswith(".code") for name in second.ahead] == [True] * count
+        if second.ahead:
+            assert next(iter(second.ahead.values())).result() is not None
+            program_and_code(kept.folder)[1].unlink()  # it is in memory
+        assert same(poses(SMALL), expected) and second.loaded == ["_reference"]
 
 
 def test_what_a_program_depends_on_is_in_its_name(kept, monkeypatch):
@@ -154,6 +271,7 @@ def test_the_source_of_the_package_is_part_of_the_name(monkeypatch, tmp_path):
     (tmp_path / "inner").mkdir()
     (tmp_path / "inner" / "a.py").write_text("x = 1")
     monkeypatch.setattr(kept_programs.resources, "files", lambda _: tmp_path)
+    monkeypatch.setattr(kept_programs, "hash_of_source", kept_programs.hash_of_source.__wrapped__)  # else it is computed once
     texts = [kept_programs._versions.__wrapped__()]
     (tmp_path / "inner" / "a.py").write_text("x = 2")
     assert kept_programs._versions.__wrapped__() != texts[0]
@@ -224,10 +342,32 @@ def test_two_writers_at_once_do_no_harm(kept):
     assert [path.name for path in kept.folder.iterdir()] == ["same"]
 
 
-def test_arrays_on_another_device_and_calls_without_jit_go_past_it(kept):
+def test_calls_without_jit_or_in_search_of_nan_go_past_it(kept):
     with jax.disable_jit():
         poses(SMALL)
+    with jax.debug_nans(True):
+        poses(SMALL)
     assert kept.saved == []
+
+
+ON_TWO = """
+import sys
+import jax, jax.numpy as jnp
+import jaxbody as jb
+kept = jb.keep_programs(sys.argv[1])
+model = jb.presets.quarter_car()
+first, second = jax.devices()
+for device in (second, first):
+    assert jax.device_put(model, device).reference.q.shape == (2,)
+    print(kept.saved)
+"""
+
+
+def test_programs_for_another_device_are_not_kept(tmp_path):
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    command = [sys.executable, "-c", ON_TWO, str(tmp_path / "programs")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env=environment)
+    assert done.stdout.splitlines() == ["[]", "['_reference']"], done.stderr
 
 
 def test_no_program_is_kept_unless_asked_for():

@@ -132,6 +132,7 @@ def fitted():
 KEYED = {
     "measure": lambda fitted, key: jb.measure(simulate(), {"z": PLACE}, noise=1e-3, key=key),
     "bands": lambda fitted, key: jb.bands(fitted, lambda m: m["s"].stiffness, samples=4, key=key),
+    "coverage": lambda fitted, key: jb.coverage(fitted, replicates=2, key=key),
     "tune": lambda fitted, key: tune(key=key, bounds={"s.stiffness": (200.0, 800.0)}, starts=2),
     "sweep": lambda fitted, key: jb.sweep(model(), heaviness, {"*.mass": (1.0, 2.0)}, samples=2, key=key),
     "tolerances": lambda fitted, key: jb.tolerances(model(), heaviness, {"*.mass": 0.1}, samples=4, key=key),

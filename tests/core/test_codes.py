@@ -5,21 +5,34 @@ import re
 from pathlib import Path
 
 import jaxbody as jb
-from jaxbody.core.errors import CODES
+from jaxbody.core.error_codes import CODES
 
 NOT_CODES = {
     "ABCDEFGH",
+    "ASCE7",
     "CLASS",
+    "CQC",
     "FILE",
+    "GIF",
     "JAX_COMPILATION_CACHE_DIR",
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
+    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES",
+    "MKL_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "PJRT_NPROC",
     "MODULE",
     "PATH",
+    "PNG",
     "TEXT",
     "NAME",
     "NFKC",
     "NONE",
     "NRMSE",
     "PSD",
+    "RGB",
+    "RK4",
+    "SRSS",
     "XDG_CACHE_HOME",
     "XLA_FLAGS",
     "ZYX",

@@ -44,7 +44,7 @@ def test_a_batch_of_trajectories_has_samples_and_bushings_their_components(rng):
     springs = SimpleNamespace(names=("s", "t"), rows=SimpleNamespace(size=1))
     bushings = SimpleNamespace(names=("b",), rows=SimpleNamespace(size=6))
     batch = SimpleNamespace(
-        model=SimpleNamespace(elements=(springs, bushings), layout=SimpleNamespace(supports=("base",))),
+        model=SimpleNamespace(elements=(springs, bushings), layout=SimpleNamespace(supports=("base",), nz=0)),
         times=random(),
         poses={name: SimpleNamespace(p=random(3), quaternion=random(4)) for name in ("base", "mass")},
         energies={"kinetic": random(), "potential": random()},

@@ -9,13 +9,14 @@ import pytest
 
 import jaxbody as jb
 
-OF_TESTS = {"test", "judges"}
+NOT_OF_FUNCTIONS = {"test", "judges", "docs"}
+OF_CALLERS = {"distributed"}  # whose objects are given to jaxbody, which does not import it
 PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
 PACKAGES = [
-    (wanted.partition(">=")[0].lower(), extra)
+    (wanted.partition(">=")[0].lower().replace("-", "_"), extra)
     for extra, all_ in PROJECT["optional-dependencies"].items()
     for wanted in all_
-    if extra not in OF_TESTS
+    if extra not in NOT_OF_FUNCTIONS and wanted.partition(">=")[0] not in OF_CALLERS
 ]
 
 
@@ -42,7 +43,33 @@ def tuned(folder):
     jb.tune(car, lambda car: {"mass": car["body"].mass}, free=["body.mass"], minimize="mass", method="ipopt")
 
 
+def counted(folder):
+    record = jb.Record(np.arange(8.0) / 10, {"x": ([0, 1, -1, 2, 0, 1, 0, 1.5], "N")})
+    jb.fatigue_damage(record, {"x": jb.SNCurve(3.0, cycles=1e6, level=1.0, unit="N")})
+
+
+def viewed(suffix):
+    return lambda folder: jb.view(jb.presets.quarter_car()).save(folder / f"car{suffix}")
+
+
+def shaped(folder):
+    path = folder / "part.stl"
+    path.write_bytes(bytes(100))
+    jb.Shape.file(path)
+
+
+def swept(**options):
+    def sweep(folder):
+        out = {name: folder / "sweep.zarr" for name in options.pop("stored", ())}
+        jb.sweep(jb.presets.quarter_car(), lambda car: {"mass": car["body"].mass}, {"body.mass": [250.0, 300.0]}, **options, **out)
+
+    return sweep
+
+
 USES = {
+    "loky": swept(workers=2),
+    "zarr": swept(chunk=1, stored=["out"]),
+    "rainflow": counted,
     "xarray": labeled,
     "pandas": tabulated,
     "casadi": tuned,
@@ -51,6 +78,9 @@ USES = {
     "pyuff": reading(b"    -1", ".uff"),
     "nptdms": reading(b"TDSm", ".tdms"),
     "asammdf": reading(b"MDF ", ".mf4"),
+    "viser": viewed(".html"),
+    "imageio_ffmpeg": viewed(".mp4"),
+    "trimesh": shaped,
 }
 
 

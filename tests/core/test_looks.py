@@ -14,6 +14,12 @@ import pytest
 import jaxbody as jb
 from jaxbody.core.results import Result
 from jaxbody.identification.multistarts import Multistart
+from jaxbody.inference.coverages import Coverage
+from jaxbody.mechanisms.alignment_curves import SuspensionCurves
+from jaxbody.mechanisms.assemblies import Assembly
+from jaxbody.mechanisms.driven_positions import Drive
+from jaxbody.responses.dynamic_stiffnesses import DynamicStiffness
+from jaxbody.shocks.matched_records import MatchedRecord
 from jaxbody.statics.cases import LoadCases
 from jaxbody.statics.equilibrium_searches import Equilibria
 from jaxbody.statics.load_paths import Path
@@ -48,6 +54,11 @@ def one_of(**law):
     )
 
 
+def looped():
+    rod = jb.closures.Rod(("mass", [0, 0, 0]), ("world", [0, 0, 0]))
+    return jb.Model(bodies={"mass": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[1, 0, 0])}, closures={"rod": rod})
+
+
 def quantities(model):
     c = model["spring"].stiffness / 30.0
     return {"shake": c + 1 / c, "travel": 1 / c}
@@ -77,22 +88,39 @@ def made():
         jb.simulate(model, TIMES[:3]), eq, eqx.tree_at(lambda e: e.path, eq, path, is_leaf=lambda x: x is None),
         Equilibria(0, (still,), np.ones(1), np.ones(1), 4),
         LoadCases(jnp.zeros(1, int), jnp.ones(1), eq.state, eq, x, x, strokes, forces, jnp.array([True]), jnp.array([True]), ("bump",)),
-        jb.preload(one),
+        jb.preload(one), Assembly(looped(), eq.state, jnp.zeros((2, 1)), jnp.ones((1, 6)), jnp.array(0)),
+        SuspensionCurves({"x": o[:1]}, {"toe": o[:1]}, {"x": {"toe": o[:1]}}, lin.K[:1], i[:1], model, (Drive("x", 0, "m"),)),
         lin, lin.state_space(shaken, moved), modes, jb.complex_modes(lin), jb.mode_energies(lin), jb.elastic_axes(lin, "box"),
         jb.torque_roll_axis(lin, "box", [1, 0, 0]),
         Backbones(o, lin.K, 0 * i, o, lin.K, lin.K, o, o, o, i, model.layout),
         SpinLinearization(lin.M, lin.C, lin.K, lin.status, lin.state, model, lin.C, lin.K, lin.K[0]),
         Branches(o[:2], *(jnp.ones((2, *shape)) for shape in [(nv,), (nv,), (nv, nv)]), jnp.array([i, i]), jnp.array([o, o]), i[:2], modes),
-        jb.frequency_response(small, [1.0, 2.0], shaken, moved),
+        DynamicStiffness(o, o + 1j, o[0], i[0]), jb.frequency_response(small, [1.0, 2.0], shaken, moved),
         jb.random_response(small, jb.Band(0.5, 5.0), shaken, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}),
+        *shocked(small, moved),
         jb.weighted_signal(np.arange(400) / 400, np.cos(np.arange(400)), "Wk"), jb.base_motion(acceleration, "acc", axis=[1, 0, 0]),
         result, Multistart(result, np.ones(1), np.ones(1, int), result.estimates, 4, 3, result.status),
         jb.validate(result, {"later": measured(TIMES)}),
+        Coverage(("spring.stiffness",), 0.95, *np.zeros((3, 4, 1)), *np.ones((2, 1)), np.zeros(4, int)),
         jb.profile(result, free[0]), jb.bands(result, lambda model: model["spring"].stiffness), jb.diagnose(one, {"run": measured(TIMES)}),
         jb.plausibility(one),
         jb.tune(one, quantities, free=free, minimize="shake", bounds=bounds, starts=1), jb.sensitivities(one, quantities, free=free),
         jb.tolerances(one, quantities, {"spring.stiffness": 1.0}, samples=100),
         jb.pareto(one, quantities, minimize=["shake", "travel"], free=free, bounds=bounds, points=3),
+    ]  # fmt: skip
+
+
+def shocked(small, moved):
+    """Of spectra, peaks and fatigue."""
+    record = np.arange(40) / 10, np.cos(np.arange(40.0))
+    ride = jb.random_response(
+        small, jb.Band(0.5, 5.0), {"base": jb.BaseMotion("base", "x")}, moved, {"base": jb.PowerLaw(1.0, unit="m2/Hz")}
+    )
+    o = jnp.ones(3)
+    return [
+        jb.shock_spectrum(record, [1.0, 2.0], damping=[0.02, 0.05]), jb.spectrum_response(small, {"base": {"x": record}}, moved),
+        MatchedRecord(o, o, o, o, o, o, o, jnp.array(0.05), jnp.array(0)), jb.peak_factor(ride, 30.0),
+        jb.fatigue_damage(ride, {"mass": jb.SNCurve(3.0, cycles=1e6, level=1.0, unit="m")}, duration=60.0),
     ]  # fmt: skip
 
 

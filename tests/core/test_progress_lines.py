@@ -115,6 +115,7 @@ CALLS = {
     "multistart": (lambda: jb.multistart(on_guide(), run(), free=FREE, starts=2), "multistart: starts 2 of 2: least cost"),
     "multiple_shooting": (lambda: jb.multiple_shooting(on_guide(), run(), free=FREE, segments=2),
                           "multiple shooting: all segments, slack"),
+    "coverage": (lambda: jb.coverage(jb.fit(on_guide(), run(), free=FREE), replicates=16), "coverage: 16 of 16 replicates"),
     "profile": (lambda: jb.profile(jb.fit(on_guide(), run(), free=FREE), FREE[0]), "profile: point 1 below the estimate, tau"),
     "diagnose": (lambda: jb.diagnose(on_guide(), run()), "diagnose: 'run'"),
     "tune": (lambda: jb.tune(on_guide(), stiff, free=FREE, minimize="f", bounds=BOUNDS), "tune: evaluation 1, f 100"),

@@ -1,5 +1,7 @@
 """Fronts against closed forms: a quarter car between comfort and travel, three circles, and objectives without a conflict."""
 
+import warnings
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -74,6 +76,19 @@ def test_three_objectives_have_the_triangle_between_their_corners(car):
     assert (x > -1e-4).all() and (y > -1e-4).all() and (x + y < 1 + 1e-4).all()
     assert len(x) >= 12 and np.ptp(x) > 0.99 and np.ptp(y) > 0.99
     assert front.to_xarray()["slope over three"].shape == x.shape
+
+
+@pytest.mark.long
+def test_a_front_is_the_same_by_two_processes(car):
+    """Its ends are searched from 18 initial designs, in two chunks."""
+    pytest.importorskip("loky", reason="needs jaxbody[cluster]")
+    options = dict(minimize=["one", "two"], points=4, starts=18, **PLANE)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", jb.JaxbodyWarning)  # of four points one does not converge, in either way
+        one, two = (jb.pareto(car, distances, workers=workers, **options) for workers in (None, 2))
+    assert (one.status == two.status).all() and len(two.status) == 4
+    for name, objective in one.objectives.items():
+        np.testing.assert_array_equal(objective, two.objectives[name])
 
 
 def test_objectives_that_agree_have_one_design(car):

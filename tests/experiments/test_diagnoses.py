@@ -55,6 +55,13 @@ PLANTED = {
     "late": (lambda m: {"edge": later(m["edge"], 0.012)}, "DELAY", "run.edge 0.6 samples later"),
     "early": (lambda m: {"edge": later(m["edge"], -0.02)}, "DELAY", "run.edge samples earlier"),
     "swapped": (lambda m: {"edge": m["side"], "side": m["edge"]}, "SWAPPED", "run.edge run.side exchanged"),
+    "another channel": (lambda m: {"edge": m["side"]}, "UNCORRELATED", "run.edge hardly follows run.side correlation R2 sign unit times"),
+    "much later": (lambda m: {"edge": later(m["edge"], 0.5)}, "UNCORRELATED", "run.edge hardly follows 0.5 s later"),
+    "not connected": (
+        lambda m: {"edge": m["edge"] - m["edge"] + np.random.default_rng(5).normal(0, 1e-4, 201)},
+        "UNCORRELATED",
+        "run.edge hardly",
+    ),
     "left-handed": (lambda m: {"corner": mirrored(m["corner"])}, "LEFT_HANDED", "run.corner mirrored"),
 }
 
@@ -74,6 +81,26 @@ def test_sound_records_pass(swing):
         result, codes = diagnosed(swing, lambda m: {}, key)
         assert codes == [] and result.words == () and "no remarks" in str(result)
     assert all(abs(c.gain - 1) < 0.05 and abs(c.delay) < 0.1 for c in result.channels)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003, 0.03, 0.3])
+def test_a_sound_record_in_much_noise_is_not_called_unrelated(swing, noise):
+    """Up to a hundred times the motion, 20 realizations: the correlation is low, but what is left is white noise, which is taken for
+    another motion once in 16000."""
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        result, codes = diagnosed(swing, lambda m: {name: x + noise * rng.normal(size=x.shape) for name, x in m.items()})
+        assert "UNCORRELATED" not in codes, str(result)
+    if noise == 0.3:
+        assert all(c.correlation**2 < 0.5 for c in result.channels)
+
+
+def test_a_prediction_at_rest_is_unrelated_to_a_motion(swing):
+    model, _, readings = swing
+    run = jb.Experiment(TIMES, initial="rest", sensors=SENSORS, measured={name: np.asarray(x) for name, x in readings.items()})
+    with pytest.warns(jb.JaxbodyWarning, match="hardly follows the prediction"):
+        words = jb.diagnose(model, {"run": run}).words
+    assert len(words) == 5
 
 
 def test_gravity_that_was_taken_out_of_a_record_is_named(swing):

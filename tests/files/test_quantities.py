@@ -1,8 +1,12 @@
 """Numbers with units in files, against conversions by hand."""
 
+import re
+import warnings
+
 import numpy as np
 import pytest
 
+import jaxbody as jb
 from jaxbody.core.errors import Problems
 from jaxbody.files.quantities import in_SI, unit_system
 
@@ -70,3 +74,68 @@ def test_unit_systems_are_complete(stated):
     problems = Problems()
     unit_system(stated, "f:1 units", problems)
     assert {problem.code for problem in problems.collected} == {"BAD_UNIT"}
+
+
+SWING = """jaxbody = 1
+bodies.arm = {mass = "2 kg", inertia = "1, 1, 1 kg m2"}
+joints.arm = {type = "Hinge", parent = "world", axis = [0, 0, 1]}
+elements.twist = {type = "Torsion", a = "arm", b = "world", axis = [0, 0, 1], spring = "1 N m/rad", free_angle = ANGLE}
+"""
+
+
+@pytest.mark.parametrize(
+    "angle, units, warned",
+    [
+        ('"30 rad"', "", '30 rad, more than a turn; if it is in degrees, write "30 deg"'),
+        ('"-30 rad"', "", '30 rad, more than a turn; if it is in degrees, write "30 deg"'),
+        ("30", 'units = "SI"', '30 rad, more than a turn; if it is in degrees, write "30 deg"'),
+        ('"540 deg"', "", ""),  # a wound spring
+        ("540", 'units = {length = "mm", mass = "kg", time = "s", angle = "deg"}', ""),
+        ('"6.2 rad"', "", ""),
+        ('"0.5 rad"', 'units = "SI"', ""),
+    ],
+)
+def test_more_than_a_turn_in_rad_is_warned_of_once_with_its_line(angle, units, warned, tmp_path):
+    path = tmp_path / "swing.toml"
+    path.write_text(SWING.replace("ANGLE", angle).replace("jaxbody = 1", f"jaxbody = 1\n{units}"))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        jb.read_model(path)
+    assert [str(each.message) for each in caught] == ([f"swing.toml:5 elements.twist.free_angle: is {warned} [UNIT]"] if warned else [])
+    assert not warned or caught[0].filename == __file__
+
+
+def test_angles_of_every_kind_are_checked(tmp_path):
+    """Rows of angles, phases, angles of a state; not angular velocities, nor stiffnesses about angles."""
+    path = tmp_path / "swing.toml"
+    path.write_text(
+        SWING.replace("ANGLE", '"0 rad"').replace("1 N m/rad", "100 N m/rad")
+        + """supports.table = {}
+motion.table = {type = "Harmonic", frequency = "1 Hz", rotation = "0, 0, 20 rad", translation_phase = "90 rad"}
+loads.pull = {type = "Force", on = "arm", moment = {type = "Sine", amplitude = "0, 0, 3 N m", frequency = "2 Hz", phase = "45 rad"}}
+loads.wheel = {type = "Unbalance", on = "arm", axis = "z", unbalance = "5 kg mm", frequency = "20 Hz", phase = "-9 rad"}
+"""
+    )
+    path.write_text(path.read_text().replace('axis = "z"', "axis = [0, 0, 1]"))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        jb.read_study(path)
+    said = [str(each.message) for each in caught]
+    assert [re.search(r":(\d+) (\S+): is (\S+) rad", text).groups() for text in said] == [
+        ("6", "motion.table.rotation", "20"),
+        ("6", "motion.table.translation_phase", "90"),
+        ("7", "loads.pull.moment.phase", "45"),
+        ("8", "loads.wheel.phase", "9"),
+    ]
+
+
+def test_constructors_warn_of_phases_in_degrees():
+    for make, where in (
+        (lambda: jb.Harmonic(frequency=1.0, translation=[0, 0, 1], translation_phase=90.0), "Harmonic.translation_phase is 90 rad"),
+        (lambda: jb.Harmonic(frequency=1.0, rotation=[0, 0, 1], rotation_phase=[0, 0, -90.0]), "Harmonic.rotation_phase is 90 rad"),
+        (lambda: jb.signals.Sine(amplitude=1.0, frequency=1.0, phase=45.0), "Sine.phase is 45 rad"),
+        (lambda: jb.Unbalance("a", axis=[0, 0, 1], unbalance=1.0, frequency=1.0, phase=45.0), "Unbalance.phase is 45 rad"),
+        (lambda: jb.EngineTorque("a", axis=[0, 0, 1], frequency=1.0, orders=[2], amplitudes=[1], phases=[45]), "EngineTorque.phases is 45"),
+    ):
+        with pytest.warns(jb.JaxbodyWarning, match=where):
+            make()

@@ -119,8 +119,24 @@ def test_validation_on_a_run_held_out(result):
     assert message.whiteness["later.x"].lags > 5 and f"{100 * (1 - expected):.2f} %" in str(message)
 
 
+def test_a_validation_is_drawn_over_time(result):
+    """What was measured, what the fitted model predicts there, and their difference below."""
+    again = run(motion(*TRUTH) + SIGMA * np.random.default_rng(10).normal(size=len(TIMES)))["run"]
+    validation = jb.validate(result, {"again": again})
+    above, below = validation.plot().figure.axes
+    measured, predicted = (line.get_ydata() for line in above.lines)
+    np.testing.assert_array_equal(measured, again.measured["x"])
+    np.testing.assert_allclose(predicted, 1 + motion(*map(float, result.estimates.values())), atol=1e-6)  # of the integration
+    np.testing.assert_allclose(below.lines[0].get_ydata(), measured - predicted, atol=1e-15)
+    assert (above.get_ylabel(), below.get_xlabel(), below.get_ylabel()) == ("x [m]", "time [s]", "residual [m]")
+    assert above.get_title() == f"again, x: fit {100 * (1 - validation.nrmse['again.x']):.1f} %"
+    assert {text.get_text() for text in above.get_legend().texts} == {"measured", "predicted"}
+    with pytest.raises(jb.JaxbodyError, match="'y' is unknown"):
+        validation.plot(sensor="y")
+
+
 def test_a_pose_is_validated_component_by_component(result):
-    """Of a sensor with two units; small rotations were read with noise."""
+    """Of a sensor with two units; small rotations were read with noise. Each unit has a panel of its own."""
     noise = np.random.default_rng(9).normal(size=(len(TIMES), 6)) * np.repeat([SIGMA, 1e-3], 3)
     turn = np.concatenate([np.ones((len(TIMES), 1)), noise[:, 3:] / 2], axis=1)
     position = np.array([1.0, 0, 0]) + motion(*TRUTH)[:, None] * [1, 0, 0] + noise[:, :3]
@@ -131,6 +147,9 @@ def test_a_pose_is_validated_component_by_component(result):
     along = 1 + motion(*map(float, result.estimates.values())) - position[:, 0]
     for channel, expected in (("posed.pose[0]", along), ("posed.pose[1]", noise[:, 1]), ("posed.pose[5]", noise[:, 5])):
         assert message.rms[channel] == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-4), channel
+    titles = [title for ax in message.plot().figure.axes if (title := ax.get_title())]
+    assert [title.partition(":")[0] for title in titles] == ["posed, pose position", "posed, pose orientation"]
+    assert titles[0].count("%") == titles[1].count("%") == 3
 
 
 def test_a_run_that_cannot_be_simulated_has_a_status(result):

@@ -56,6 +56,8 @@ def test_columns_name_the_bodies(tmp_path):
         ("210; 400; ;", "210; 4 5; ;", "mounts.csv:4 kz: is '4 5'"),
         ("right; 100; ", "right; ", "mounts.csv:4: has 9 cells"),
         ("right;", "left;", "mounts.csv:4: 'left' is the name of a mount above"),
+        ("right;", ";", "mounts.csv:4 name: is empty (allowed: a name)"),
+        ("kx [N/mm]", "kx", "Write it in the heading, kx [N/m], or here, 200 N/m."),
         ("0.5; 0\n", "0,5; 0\n", "mounts.csv: has commas in its numbers"),
         (SHEET[22:], "", "mounts.csv: has no line of headings and lines of mounts"),
     ],
@@ -71,3 +73,9 @@ def test_an_unknown_body_is_named(tmp_path):
     text = "name,a,x [m],y [m],z [m],kx [N/m],ky [N/m],kz [N/m]\nm,engin,0,0,1,1,2,3\n"
     with pytest.raises(jb.JaxbodyError, match=r"mounts.csv:2: 'engin' is unknown. Did you mean 'engine'\?"):
         jb.read_mounts(sheet(tmp_path, text), BODIES)
+
+
+def test_bodies_of_empty_cells_are_those_without_columns(tmp_path):
+    text = "name,a,b,x [m],y [m],z [m],kx [N/m],ky [N/m],kz [N/m]\nm,,,0,0,1,1,2,3\nn,frame,world,0,0,1,1,2,3\n"
+    mounts = jb.read_mounts(sheet(tmp_path, text), BODIES)
+    assert [mount.between for mount in mounts.values()] == [("engine", "frame"), ("frame", "world")]

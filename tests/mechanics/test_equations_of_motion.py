@@ -148,6 +148,7 @@ def floating_model(rng, names, springs, damping):
     return jb.Model(bodies=bodies, supports=supports, elements=elements, gravity=[0.7, -9.81, 0.4])
 
 
+STEPS = ["turn", "move", "turn", "move"]
 MODELS = {
     "one body on three springs": (["plate"], [("plate", "base")] * 3),
     "two bodies": (
@@ -320,6 +321,7 @@ def test_every_joint_on_a_support_and_on_a_body_moves_and_reacts_as_by_euler_lag
         "piston": jb.Guide("bob", axis=rng.normal(size=3)),
         "dinghy": jb.Free("slider"),
         "wheel": jb.Hinge("car", axis=rng.normal(size=3), at=rng.normal(size=3)),
+        "tool": jb.Composite("knee", STEPS, directions=rng.normal(size=(4, 3)), points=rng.normal(size=(4, 3))),
     }
     tree = tree_model(rng, on_supports | on_bodies, bushing=True)
     assert equations_for(tree.layout) is JointedBodies
@@ -338,6 +340,7 @@ def test_matrices_are_the_hessians_that_define_them():
         "wheel": jb.Hinge("car", axis=rng.normal(size=3), at=rng.normal(size=3)),
         "half": jb.HeavePitch("wheel"),
         "block": jb.Translation("half"),
+        "tool": jb.Composite("lump", STEPS, directions=rng.normal(size=(4, 3)), points=rng.normal(size=(4, 3))),
     }
     tree = tree_model(rng, joints, bushing=False)
     x, x_dot = random_coordinates(tree, rng, 10)

@@ -27,6 +27,10 @@ def spring(a="engine", b="base", **changed):
     return jb.Spring((a, [0, 0, 0]), (b, [0, 0, 0]), **{"stiffness": 1.0} | changed)
 
 
+def composite(steps, **more):
+    return jb.Composite("base", steps, **{"directions": [[0, 0, 1]] * len(steps), "points": [[0, 0, 0]] * len(steps)} | more)
+
+
 def bushing(**changed):
     return jb.Bushing(("engine", [0, 0, 0]), ("base", [0, 0, 0]), **{"stiffness": [1.0, 1.0, 1.0]} | changed)
 
@@ -167,6 +171,23 @@ BAD = {
     "no Body": (lambda: model(bodies={"engine": 3.0}), "WRONG_KIND", "bodies['engine']", 3.0, "float Body"),
     "no end": (lambda: jb.Spring("engine", ("base", [0, 0, 0]), stiffness=1), "BAD_END", "Spring, first end", "engine", "'engine' point"),
     "axis of no length": (lambda: jb.Guide("base", axis=[0, 0, 0]), "ZERO_AXIS", "Guide.axis", None, "zero > 0 direction"),
+    "composite of nothing": (
+        lambda: composite([], directions=np.zeros((0, 3)), points=np.zeros((0, 3))),
+        "BAD_SHAPE",
+        "Composite.steps",
+        None,
+        "empty Fixed",
+    ),
+    "composite of a word": (lambda: composite(["slide"]), "UNKNOWN_NAME", "Composite.steps", "slide", "move turn"),
+    "composite of a number": (lambda: composite([3]), "UNKNOWN_NAME", "Composite.steps", 3, "move turn"),
+    "composite of other rows": (lambda: composite(["move"], points=[]), "BAD_SHAPE", "Composite.points", (0,), "(1, 3) row each step"),
+    "composite without an axis": (
+        lambda: composite(["move"], directions=[[0, 0, 0]]),
+        "ZERO_AXIS",
+        "Composite.directions",
+        None,
+        "zero > 0 direction",
+    ),
     "a body on itself": (
         lambda: model(joints={"engine": jb.Fixed("engine")}),
         "LOOP",
@@ -426,6 +447,25 @@ def test_a_model_whose_matrices_exceed_the_memory_is_refused():
     for compute in (lambda: jb.linearize(many, state), lambda: jb.equilibrium(many), lambda: jb.find_equilibria(many)):
         with pytest.raises(
             jb.JaxbodyError, match=r"12000 coordinates and 0 elements, whose matrices need about 11\.5 GB \(allowed: 8 GB\)"
+        ) as refused:
+            compute()
+        assert refused.value.code == "TOO_LARGE"
+
+
+def test_responses_at_too_many_frequencies_are_refused(monkeypatch):
+    """Complex matrices of 2 x 2 at a million frequencies need 40 bytes for each number, 0.16 GB."""
+    car = jb.presets.quarter_car()
+    lin = jb.linearize(car, car.reference)
+    inputs, outputs = {"road": jb.BaseMotion("road", "z")}, {"body": jb.Position("body", axis="z")}
+    frequencies = np.linspace(0.1, 50, 1_000_000)
+    spectra = {"road": jb.Unevenness.iso("C").at_speed(20.0)}
+    monkeypatch.setattr("jaxbody.models.preconditions.MOST_MEMORY", 1e8)
+    for compute in (
+        lambda: jb.frequency_response(lin, frequencies, inputs, outputs),
+        lambda: jb.random_response(lin, frequencies, inputs, outputs, spectra),
+    ):
+        with pytest.raises(
+            jb.JaxbodyError, match=r"whose matrices at 1000000 frequencies need about 0\.16 GB.*Give fewer frequencies"
         ) as refused:
             compute()
         assert refused.value.code == "TOO_LARGE"

@@ -14,6 +14,8 @@ from jaxbody.mechanics.kinematics import Coordinates
 RNG = np.random.default_rng(7)
 AXIS, AT = np.array([0.6, -0.5, 1.1]), np.array([0.3, -0.8, 0.4])
 UNIT = AXIS / np.linalg.norm(AXIS)
+STEPS = ["turn", "move", "turn", "move"]
+LINES = RNG.normal(size=(2, 4, 3))
 JOINTS = {
     "free": jb.Free,
     "fixed": jb.Fixed,
@@ -25,6 +27,7 @@ JOINTS = {
     "translation": jb.Translation,
     "half car": jb.HeavePitch,
     "full car": jb.HeavePitchRoll,
+    "composite": lambda parent: jb.Composite(parent, STEPS, directions=LINES[0], points=LINES[1]),
 }
 NAMES = [f"{kind} on {parent}" for parent, kind in itertools.product(["world", "base", "carrier"], JOINTS)]
 NAMES += ["ball at on hinge at on carrier", "hinge at on full car on base"]  # a body on a body on a body
@@ -125,6 +128,12 @@ def pose_by_hand(kind, q, at, rest):
     if kind.endswith("car"):  # R = R_y R_x: each turn about an axis that the one before it has turned
         R = Rotation.from_euler("YX"[: len(q) - 1], q[1:]).as_matrix()
         return transform(rest[:3, 3] + [0, 0, q[0]], R @ rest[:3, :3])
+    if kind == "composite":
+        T = np.eye(4)
+        for step, n, at, x in zip(STEPS, LINES[0] / np.linalg.norm(LINES[0], axis=1, keepdims=True), LINES[1], q, strict=True):
+            turn = transform(at) @ transform(R=Rotation.from_rotvec(x * n).as_matrix()) @ transform(-at)
+            T = T @ (turn if step == "turn" else transform(x * n))
+        return T @ rest
     R = matrix(q) if kind.startswith("ball") else Rotation.from_rotvec(q[0] * UNIT).as_matrix()
     return transform(at) @ transform(R=R) @ transform(-at) @ rest
 
@@ -230,10 +239,24 @@ def test_a_joint_may_turn_any_number_of_times(q):
     more = np.zeros(LAYOUT.nv)
     for name in LAYOUT.bodies:
         mine = LAYOUT.v_slices[name]
-        if name.startswith(("hinge", "half", "full")):
+        if name.startswith(("hinge", "half", "full", "composite")):
             more[mine] = 6 * np.pi * LAYOUT.turns[mine]
         elif name.startswith(("free", "ball", "carrier")):
             more[mine][-3:] = 6 * np.pi * UNIT
     before, after = (frames_and_axes(x, V, XI, XI_DOT)[0] for x in (q, retract(q, more)))
     assert np.abs(before.R - after.R).max() <= 1e-13
     assert np.abs(before.p - after.p).max() <= 1e-13 * np.abs(before.p).max()
+
+
+def test_a_direction_may_be_named():
+    """x, y and z, wherever an axis is asked for."""
+    for letter, n in zip("xyz", np.eye(3), strict=True):
+        for thing in (
+            jb.Guide("world", axis=letter),
+            jb.Hinge("world", axis=letter),
+            jb.Torsion("a", "b", axis=letter, spring=1.0),
+            jb.Unbalance("a", axis=letter, unbalance=1.0, frequency=1.0),
+        ):
+            np.testing.assert_array_equal(thing.axis, n)
+    with pytest.raises(jb.JaxbodyError, match=r"Hinge.axis: is 'w' \(allowed: x y z\)"):
+        jb.Hinge("world", axis="w")

@@ -8,7 +8,7 @@ from jaxbody.models.layouts import CoordinateBlock, Layout
 from jaxbody.models.states import State
 
 JOINTS = {"top": Ball("base"), "arm": Hinge("top", axis=[0, 0, 1]), "box": Free(), "sled": Guide("arm", axis=[1, 0, 0])}
-MOUNT = CoordinateBlock("mount", object, ("flow of the fluid",), ("m",), ("m/s",), nz=2)
+MOUNT = CoordinateBlock("mount", object, ("flow of the fluid",), ("m",), ("m/s",), states=("branch 1", "branch 2"))
 LAYOUT = Layout(
     tuple(JOINTS), ("base",), tuple(joint.parent for joint in JOINTS.values()), (*(j.block(name) for name, j in JOINTS.items()), MOUNT)
 )

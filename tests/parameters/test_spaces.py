@@ -80,3 +80,17 @@ def test_all_problems_of_parameters_are_reported_at_once(model):
         ("BAD_BOUNDS", "fit.bounds['body.orientation']"),
         ("START_ON_BOUND", "left.damping"),
     ]
+
+
+def test_directions_in_rows_stay_of_length_one_and_tilt_each_by_itself():
+    """Two small tilts turn a direction by their length, normal to it, and no other; the formula is (n + t)/|n + t|."""
+    rows = np.array([[1.0, 2.0, 2.0], [0.0, -3.0, 4.0]])
+    joint = jb.Composite("world", ["turn", "move"], directions=rows, points=np.zeros((2, 3)))
+    body = jb.Model(bodies={"body": jb.Body(mass=2.0, inertia=[1, 1, 1])}, joints={"body": joint})
+    space = space_of(body, ["body.directions"], "fit")
+    n = rows / np.linalg.norm(rows, axis=1, keepdims=True)
+    assert space.labels == [f"body.directions[{row}, tilt {i}]" for row in (0, 1) for i in (1, 2)]
+    moved = np.asarray(space.place(jnp.array([0.3, -0.2, 0.0, 0.0]))[0].joint("body").directions)
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 1, rtol=1e-15)
+    np.testing.assert_allclose(np.arccos(moved[0] @ n[0]), np.arctan(np.hypot(0.3, 0.2)), rtol=1e-12)
+    np.testing.assert_allclose(moved[1], n[1], rtol=1e-15)

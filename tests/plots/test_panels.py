@@ -40,7 +40,7 @@ def test_the_responses_of_a_car_are_all_named_and_a_panel_has_one_unit(response)
     forces, phases = (axes for axes in ax.figure.axes if axes is not ax)
     assert_named_and_distinct(ax, 20)
     assert_named_and_distinct(forces, 16)
-    assert (ax.get_ylabel(), forces.get_ylabel(), phases.get_ylabel()) == ("magnitude", "magnitude [N per m]", "phase [degrees]")
+    assert (ax.get_ylabel(), forces.get_ylabel(), phases.get_ylabel()) == ("magnitude [-]", "magnitude [N per m]", "phase [degrees]")
     assert len(phases.lines) == 36 and not ax.xaxis.get_tick_params()["labelbottom"] and phases.get_xlabel() == "frequency [Hz]"
     np.testing.assert_allclose(lines(forces)["force fl of road fl"].get_ydata(), np.abs(response["force fl", "road fl"]), rtol=1e-14)
     ax = plots.plot_transmissibility(response, ax=Figure(figsize=(7, 4)).subplots())
@@ -76,10 +76,25 @@ def test_moments_have_a_panel_of_their_own():
     start = jb.State(jnp.array([0.2]), jnp.zeros(1))
     ax = plots.plot_forces(jb.simulate(model, jnp.linspace(0, 0.01, 3), initial=start), ax=Figure().subplots())
     (below,) = (axes for axes in ax.figure.axes if axes is not ax)
-    assert (ax.get_ylabel(), below.get_ylabel()) == ("force, tension positive [N]", "moment [N m]")
+    assert (ax.get_ylabel(), below.get_ylabel()) == ("force opposing\nthe deformation [N]", "moment [N m]")
     assert set(lines(below)) == {"torsion", "bushing about z"} and "spring" in lines(ax) and "torsion" not in lines(ax)
     assert abs(lines(below)["torsion"].get_ydata()[0]) == pytest.approx(6.0)
     assert abs(lines(below)["bushing about z"].get_ydata()[0]) == pytest.approx(1.0)
+
+
+def test_tension_is_a_word_of_what_has_a_length(car):
+    """A bushing deforms along its axes, as the place of its second end seen from its first, and its force is positive with that."""
+    engine = jb.presets.engine_on_mounts(gravity=9.81)
+    cases = {"bump": jb.LoadCase(acceleration=[0, 0, 1])}
+    ax = jb.load_cases(engine, cases).plot(ax=Figure().subplots())
+    labels = [axes.get_ylabel() for axes in ax.figure.axes]
+    assert labels[:2] == ["stroke [m]", "force opposing\nthe deformation [N]"]
+    run = jb.simulate(engine, jnp.linspace(0, 0.02, 3))
+    ax = plots.plot_force_strokes(run, ax=Figure().subplots())
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("deformation [m]", labels[1])
+    along_z = dict(zip([line.get_label() for line in ax.lines], ax.lines, strict=True))["mount 1 z"].get_xydata()
+    assert np.all(along_z[1:, 0] * along_z[1:, 1] > 0)
+    assert jb.load_cases(car, cases).plot(ax=Figure().subplots()).figure.axes[1].get_ylabel() == "force, tension positive [N]"
 
 
 def test_thirty_two_lines_look_different():

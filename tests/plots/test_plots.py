@@ -153,7 +153,7 @@ def test_measured_quaternions_are_drawn_with_the_sign_of_those_fitted_and_their_
     plots.plot_fit(fit, ax=ax)
     below = ax.figure.axes[1]
     np.testing.assert_allclose(below.lines[2].get_ydata(), -0.02, atol=1e-12)
-    assert ax.get_ylabel() == "imu, from its mean" and below.get_ylabel() == "residual [rad]" and "imu z" in lines(ax)
+    assert ax.get_ylabel() == "imu, from its mean [-]" and below.get_ylabel() == "residual [rad]" and "imu z" in lines(ax)
 
 
 def test_a_response_is_drawn_by_magnitude_and_phase(ax):
@@ -176,7 +176,7 @@ def test_modes_are_marks_at_whole_numbers_frequencies_first(ax):
     assert below.get_xlabel() == "mode" and all(tick == round(tick) for tick in below.get_xticks())
     other = Figure().subplots()
     plots.plot_fit(fitted(modes, damping_ratio=np.full(3, 0.02)), sensor="damping_ratio", ax=other)
-    assert other.get_ylabel() == "damping_ratio"
+    assert other.get_ylabel() == "damping_ratio [-]"
 
 
 def test_a_history_shows_where_noise_was_estimated_again_and_what_failed(ax):

@@ -9,6 +9,7 @@ from data import data
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
+from universal_files import uff_set
 
 import jaxbody as jb
 from jaxbody.core import units
@@ -121,24 +122,6 @@ def as_mat73(path):
         file["t"], file["acc"] = 1e3 * TIMES[None], (X / 9.80665).T
     with open(path, "r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file".ljust(124))
-
-
-def uff_set(**fields):
-    """A set 58 with all that the package wants to have."""
-    exponents = {f"{axis}_{of}_unit_exp": 0 for axis in ("abscissa", "ordinate", "orddenom", "z_axis") for of in ("len", "force", "temp")}
-    labels = {f"{axis}_axis_units_lab": "NONE" for axis in ("abscissa", "ordinate", "orddenom", "z_axis")}
-    kinds = {f"{axis}_spec_data_type": 0 for axis in ("ordinate", "orddenom", "z_axis")}
-    where = {"rsp_node": 4, "rsp_ent_name": "NONE", "ref_node": 0, "ref_dir": 0, "ref_ent_name": "NONE", "ver_num": 0, "load_case_id": 0}
-    even = {
-        "abscissa_spacing": 1,
-        "abscissa_min": 0.0,
-        "abscissa_inc": 1 / 200,
-        "abscissa_spec_data_type": 17,
-        "z_axis_value": 0.0,
-        "x": TIMES,
-    }
-    common = {"type": 58, "binary": 0, "func_type": 1, "ord_data_type": 4, "num_pts": 50, **{f"id{i}": "NONE" for i in range(1, 6)}}
-    return {**common, **exponents, **labels, **kinds, **where, **even, **fields}
 
 
 def as_uff(path):

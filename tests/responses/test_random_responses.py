@@ -290,16 +290,12 @@ def test_pictures_show_their_data(lin, ride, monkeypatch):
     np.testing.assert_allclose(ax.lines[1].get_ydata(), np.abs(response["wheel", "road"]), rtol=1e-14)
     phases = ax.figure.axes[-1].lines
     assert abs(phases[0].get_ydata()[0]) < 5 and phases[0].get_ydata()[-1] < -150
-    assert plots.plot_transmissibility(response, ax=axes[1]).get_ylabel() == "transmissibility"
+    assert plots.plot_transmissibility(response, ax=axes[1]).get_ylabel() == "transmissibility [-]"
     ax = plots.plot_psd(ride, outputs=("stroke", "tyre"), ax=axes[2])
     assert f"{float(ride['stroke']):.3g} m" in ax.lines[0].get_label()
     np.testing.assert_array_equal(ax.lines[1].get_ydata(), ride.psd[2])
-    for call in (
-        lambda: plots.plot_psd(ride, outputs=("stroke", "acceleration")),
-        lambda: plots.plot_psd(ride, outputs=("seat",)),
-    ):
-        with pytest.raises(jb.JaxbodyError):
-            call()
+    with pytest.raises(jb.JaxbodyError, match="UNKNOWN_NAME"):
+        plots.plot_psd(ride, outputs=("seat",))
     forces = jb.frequency_response(lin, [1.0, 2.0], ROAD, {"tyre": jb.LoadCell("tyre")})
     with pytest.raises(jb.JaxbodyError, match="BAD_UNIT"):
         plots.plot_transmissibility(forces)

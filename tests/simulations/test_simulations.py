@@ -311,6 +311,54 @@ def test_a_sample_of_a_batch_that_fails_does_not_disturb_its_neighbors():
     assert np.isfinite(batch.state.q[1, 0]).all()
 
 
+STONE = jb.Model(
+    bodies={"stone": jb.Body(mass=2.0, inertia=[1, 1, 1])}, joints={"stone": jb.Guide("world", axis="z")}, gravity=[0, 0, -9.81]
+)
+
+
+def fallen(speed, g=9.81, samples=5001, **options):
+    """Times, and heights of a stone thrown upwards: long steps, each of which reaches over many samples."""
+    times = jnp.linspace(0.0, 5.0, samples)
+    thrown = jb.State(STONE.reference.q, jnp.array([1.0]) * speed)
+    model = jb.replace(STONE, {"gravity": jnp.array([0.0, 0.0, -1.0]) * g})
+    return times, jb.simulate(model, times, initial=thrown, **options).state.q[:, 0]
+
+
+@pytest.mark.parametrize("samples", [1025, 2049, 5001, 12289])  # around numbers of samples that are computed together, and far above
+def test_a_step_may_reach_over_thousands_of_samples(samples):
+    """A parabola, which every step reproduces to round-off; the last step covers nearly all of the time."""
+    times, z = fallen(3.0, samples=samples)
+    np.testing.assert_allclose(z, 3 * times - 9.81 / 2 * times**2, rtol=0, atol=1e-11)
+
+
+def test_derivatives_and_batches_of_steps_that_reach_over_thousands_of_samples():
+    """Of the mean square height by speed and gravity, in both modes and by members of a batch, one of which hardly moves."""
+
+    def mean_square(thrown):
+        return jnp.mean(fallen(*thrown)[1] ** 2)
+
+    def exact(thrown):
+        t = jnp.linspace(0.0, 5.0, 5001)
+        return jnp.mean((thrown[0] * t - thrown[1] / 2 * t**2) ** 2)
+
+    thrown = jnp.array([[3.0, 9.81], [1e-9, 0.0], [-20.0, 1.6]])
+    np.testing.assert_allclose(jax.vmap(mean_square)(thrown), jax.vmap(exact)(thrown), rtol=1e-12, atol=1e-20)
+    slope = jax.grad(exact)(thrown[0])
+    np.testing.assert_allclose(jax.grad(mean_square)(thrown[0]), slope, rtol=1e-11)
+    np.testing.assert_allclose(jax.jacfwd(mean_square)(thrown[0]), slope, rtol=1e-11)
+
+
+def test_samples_before_an_early_end_are_kept_though_a_step_reached_over_them():
+    """Eight steps, of which the last covers some thousand samples of a fall."""
+    times = jnp.linspace(0.0, 1.0, 14001)
+    with pytest.warns(jb.JaxbodyWarning, match="MAX_STEPS"):
+        cut = jb.simulate(STONE, times, max_steps=8)
+    z = np.asarray(cut.state.q[:, 0])
+    reached = int(np.isfinite(z).sum())
+    np.testing.assert_allclose(z[:reached], -9.81 / 2 * times[:reached] ** 2, rtol=0, atol=1e-12)
+    assert 2048 < reached < 14001 and np.isnan(z[reached:]).all()
+
+
 # Messages of failed integrations
 
 

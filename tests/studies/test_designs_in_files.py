@@ -1,5 +1,9 @@
 """Designs in files: each kind of quantity as in Python, units of limits and bounds, problems with their lines."""
 
+import re
+import sys
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -85,7 +89,8 @@ def test_a_design_is_what_tune_takes(file):
         ('sensor = "load"', 'sensor = "lode"', "designs.ride.quantities.load.sensor: sensor 'lode' is unknown. Did you mean 'load'?"),
         ('"frequency", mode = 1', '"frequency"', "designs.ride.quantities.first: has no 'mode'"),
         ('"frequency", mode = 1', '"frequency", mode = 3', "designs.ride.quantities.first.mode: is 3 (allowed: 1 to 2)"),
-        ('"frequency"', '"os:system"', "designs.ride.quantities.first.type: 'os:system' is unknown"),
+        ('"frequency"', '"os:system"', "designs.ride.quantities.first.type: names the module 'os' (allowed: [])"),
+        ("starts = 2", "key = -1", "designs.ride.key: is -1 (allowed: 0 to 4294967295)"),
         ('"frequency"', '"frequence"', "designs.ride.quantities.first.type: 'frequence' is unknown"),
         ('path = "suspension.stiffness"', 'path = "suspension.stif"', "designs.ride.quantities.k.path: 'suspension.stif' matches nothing"),
     ],
@@ -98,3 +103,97 @@ def test_problems_of_designs_are_reported_with_their_line(old, new, message, fil
         jb.read_study(file)
     assert message in str(error.value)
     assert new == "" or f"car.toml:{line} {message}" in str(error.value)
+
+
+OWN = """
+import subprocess
+
+import jaxbody as jb
+
+
+def steel(model, density, *, factor=2.0):
+    return factor * density * model["suspension"].stiffness
+
+
+def second(model):
+    return jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency[1]
+
+
+NUMBER = 3.0
+run = subprocess.run
+"""
+OF_OWN = """
+[designs.light]
+free = ["suspension.stiffness", "tyre.stiffness"]
+minimize = "steel"
+limits = {second = ["11 Hz", inf], first = ["66 1/min", inf]}
+bounds = {"*.stiffness" = ["10 N/mm", "0.4 kN/mm"]}
+starts = 3
+key = 5
+[designs.light.quantities]
+steel = {type = "my_costs:steel", unit = "kg", density = 2e-3}
+second = {type = "my_costs:second", unit = "1/min"}
+first = {type = "frequency", mode = 1}
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    (tmp_path / "my_costs.py").write_text(OWN)
+    monkeypatch.syspath_prepend(tmp_path)
+    path = tmp_path / "own.toml"
+    path.write_text(toml_of(values_of(jb.presets.quarter_car(damping=1500.0))) + OF_OWN)
+    yield path
+    sys.modules.pop("my_costs", None)
+
+
+def test_functions_of_allowed_modules_are_quantities(own, capsys, monkeypatch):
+    from jaxbody.app import commands
+
+    study = jb.read_study(own, allow=["my_costs"])
+    design = study.designs["light"]
+    assert design["limits"] == {"second": (11.0, np.inf), "first": (1.1, np.inf)}
+    assert design["starts"] == 3 and jnp.array_equal(jax.random.key_data(design["key"]), jax.random.key_data(jax.random.key(5)))
+
+    def quantities(model):
+        frequency = jb.modes(jb.linearize(model, jb.equilibrium(model))).frequency
+        return {"steel": 4e-3 * model["suspension"].stiffness, "second": frequency[1], "first": frequency[0]}
+
+    options = {name: value for name, value in design.items() if name != "evaluate"}
+    expected = jb.tune(study.model, quantities, **options)
+    found = jb.tune(study.model, **design)
+    np.testing.assert_allclose(found.values["suspension.stiffness"], expected.values["suspension.stiffness"], rtol=1e-6)
+    assert found.active == expected.active == ("first >= 1.1", "tyre.stiffness <= 400000")
+    monkeypatch.chdir(own.parent)
+    assert commands.main(["tune", "own.toml", "--allow", "my_costs"]) == 0 and str(found) in capsys.readouterr().out
+    assert commands.main(["tune", "own.toml"]) == 2 and "allow=['my_costs']" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "old, new, message",
+    [
+        ("my_costs:steel", "my_costs:stell", "steel.type: names 'my_costs:stell', and the module has no 'stell'"),
+        ("my_costs:steel", "my_costs:NUMBER", "steel.type: names 'my_costs:NUMBER', which is no function of that module"),
+        ("my_costs:steel", "my_costs:run", "steel.type: names 'my_costs:run', which is no function of that module"),
+        ("my_costs:steel", "my_costs:jb.Body", "steel.type: names 'my_costs:jb.Body', and the module has no 'jb.Body'"),
+        ("my_costs:steel", "subprocess:run", "steel.type: names the module 'subprocess' (allowed: ['my_costs'])"),
+        ("density = 2e-3", "densty = 2e-3", "steel.densty: 'densty' is unknown. Did you mean 'density'?"),
+        (", density = 2e-3", "", "steel: has no 'density'"),
+        ('unit = "kg"', 'unit = "EUR"', "steel.unit: unit 'EUR' is unknown"),
+        ('"1/min"}', '"mm"}', "limits.second: is '11 Hz', in 1/s (allowed: a unit such as m)"),
+    ],
+)
+def test_problems_of_own_quantities_are_reported_with_their_line(old, new, message, own):
+    text = own.read_text()
+    assert old in text
+    own.write_text(text.replace(old, new, 1))
+    with pytest.raises(jb.JaxbodyError) as error:
+        jb.read_study(own, allow=["my_costs"])
+    where = "designs.light." + ("" if message.startswith("limits") else "quantities.")
+    assert re.search(rf"own.toml:\d+ {re.escape(where + message)}", str(error.value)), str(error.value)
+
+
+def test_no_module_is_imported_that_is_not_allowed(own):
+    with pytest.raises(jb.JaxbodyError, match="NOT_ALLOWED"):
+        jb.read_study(own)
+    assert "my_costs" not in sys.modules

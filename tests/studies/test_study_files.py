@@ -1,5 +1,6 @@
 """Studies in files: motions, loads, sensors and experiments, as in Python, and problems with their lines."""
 
+import re
 import tomllib
 
 import jax
@@ -8,6 +9,7 @@ import pytest
 from mutated_files import check_changed
 
 import jaxbody as jb
+from jaxbody.files.builders import in_words_of_files
 from jaxbody.files.kinds import SENSORS
 from jaxbody.files.schemas import schema
 
@@ -95,7 +97,7 @@ record = "run1"
 sensors = ["height"]
 motion = {}
 loads = {kick = {type = "Unbalance", on = "car", axis = [0, 1, 0], unbalance = "5 kg mm", frequency = "20 Hz"}}
-initial = {q = ["5 mm"], v = ["-1 mm/s"]}
+initial = {q = ["5 mm"], v = "-1 mm/s"}
 leave_out = "50 ms"
 [fit]
 free = ["spring.stiffness", "free.initial.v"]
@@ -149,39 +151,93 @@ def test_experiments_are_those_of_python(car):
     np.testing.assert_allclose(study.fit["priors"]["spring.stiffness"], (3e4, 3e3))
 
 
-@pytest.mark.parametrize(
-    "old, new, message",
-    [
-        ('"run1.csv"', '"run2.csv"', "car.toml:15 records.run1: "),
-        ('"run1.csv"', '"../run1.csv"', "car.toml:16 records.run1.file: names '../run1.csv'"),
-        ('height = "z"', 'height = "y"', "car.toml:15 records.run1: run1.csv"),
-        ("part =", "parts =", "car.toml:19 records.run1.parts: 'parts' is unknown. Did you mean 'part'?"),
-        ('"0, 0.2 s"', '"5, 6 s"', "car.toml:15 records.run1: Record.part: has 0 samples"),
-        ('"Position", on = "car"', '"Position", on = "cart"', "car.toml:21 sensors.height.on: body or support 'cart' is unknown"),
-        ('bias = "1 mm"', 'bias = "1 N"', "car.toml:21 sensors.height.bias: is '1 N', in N (allowed: a unit such as m)"),
-        ('on = "car", axis = "z"}\n[loads', 'on = "car", axis = "w"}\n[loads', "car.toml:22 sensors.acc.axis: 'w' is unknown"),
-        ('channel = "pull"', 'channel = "pul"', "car.toml:26 loads.push.force: Record: has no channel 'pul'"),
-        ('channel = "pull"', 'channel = "base"', "car.toml:26 loads.push.force.channel: is the channel 'base', which is in m"),
-        ('record = "run1"\ntranslation', 'record = "run"\ntranslation', "car.toml:29 motion.road.record: record 'run' is unknown"),
-        ('translation = "base"', 'rotation = "base"', "car.toml:30 motion.road.rotation: is the channel 'base', which is in m"),
-        ('type = "Position", on', 'type = "jaxbody.laws:Linear", on', "car.toml:21 sensors.height"),
-        ('translation = "base"\naxis = "z"', 'translation = "base"', "car.toml:30 motion.road.translation: is the channel 'base' of one"),
-        ('height = "0.1 mm"', 'height = "0.1 g"', "car.toml:35 experiments.run1.noise.height: is '0.1 g'"),
-        ('height = "0.1 mm"', 'heigt = "0.1 mm"', "car.toml:35 experiments.run1.noise['heigt']: 'heigt' is unknown"),
-        ('["height"]', '["hight"]', "car.toml:38 experiments.free.sensors[0]: sensor 'hight' is unknown"),
-        ('["5 mm"]', '["5 deg"]', "car.toml:41 experiments.free.initial.q: is '5 deg'"),
-        ('"Unbalance", on = "car"', '"Unbalance", on = "road"',
-            "car.toml:40 experiments.free.loads.kick: is on 'road', which is not a body"),
-        ('["10 N/mm", inf]', '["10 N/m2", inf]', "car.toml:45 fit.bounds.'spring.stiffness': is '10 N/m2'"),
-        ('"free.initial.v" = ["-1', '"free.initial.w" = ["-1', "car.toml:45 fit.bounds.'free.initial.w': 'free.initial.w' matches nothing"),
-    ],
-)  # fmt: skip
+MISTAKES = [
+    ('"run1.csv"', '"run2.csv"', "car.toml:15 records.run1: "),
+    ('"run1.csv"', '"../run1.csv"', "car.toml:16 records.run1.file: names '../run1.csv'"),
+    ('height = "z"', 'height = "y"', "car.toml:15 records.run1: run1.csv"),
+    ('{columns = "a", unit = "g"}', '"a"', 'car.toml:18 records.run1.channels.acc: has no unit in the file (allowed: one unit). '
+        'Write channels.acc = {columns = "a", unit = "m/s2"} with its unit, or unit = "1" for numbers without one.'),
+    ('time = "t"', 'time = "a"',
+        'car.toml:17 records.run1.time: has no unit in the file (allowed: one unit). Write time = {columns = "a", unit = "ms"} with'),
+    ('time = "t"\n', "", 'Give time = {columns = "t", unit = "s"}, or rate [Hz].'),
+    ("part =", "parts =", "car.toml:19 records.run1.parts: 'parts' is unknown. Did you mean 'part'?"),
+    ('"0, 0.2 s"', '"5, 6 s"', "car.toml:15 records.run1: Record.part: has 0 samples"),
+    ('"Position", on = "car"', '"Position", on = "cart"', "car.toml:21 sensors.height.on: body or support 'cart' is unknown"),
+    ('bias = "1 mm"', 'bias = "1 N"', "car.toml:21 sensors.height.bias: is '1 N', in N (allowed: a unit such as m)"),
+    ('on = "car", axis = "z"}\n[loads', 'on = "car", axis = "w"}\n[loads', "car.toml:22 sensors.acc.axis: 'w' is unknown"),
+    ('channel = "pull"', 'channel = "pul"', "car.toml:26 loads.push.force: Record: has no channel 'pul'"),
+    ('channel = "pull"', 'channel = "base"', "car.toml:26 loads.push.force.channel: is the channel 'base', which is in m"),
+    ('record = "run1"\ntranslation', 'record = "run"\ntranslation', "car.toml:29 motion.road.record: record 'run' is unknown"),
+    ('translation = "base"', 'rotation = "base"', "car.toml:30 motion.road.rotation: is the channel 'base', which is in m"),
+    ('type = "Position", on', 'type = "jaxbody.laws:Linear", on', "car.toml:21 sensors.height"),
+    ('translation = "base"\naxis = "z"', 'translation = "base"', "car.toml:30 motion.road.translation: is the channel 'base' of one"),
+    ('height = "0.1 mm"', 'height = "0.1 g"', "car.toml:35 experiments.run1.noise.height: is '0.1 g'"),
+    ('height = "0.1 mm"', 'heigt = "0.1 mm"', "car.toml:35 experiments.run1.noise['heigt']: 'heigt' is unknown"),
+    ('["height"]', '["hight"]', "car.toml:38 experiments.free.sensors[0]: sensor 'hight' is unknown"),
+    ('["5 mm"]', '["5 deg"]', "car.toml:41 experiments.free.initial.q: is '5 deg'"),
+    ('"Unbalance", on = "car"', '"Unbalance", on = "road"',
+        "car.toml:40 experiments.free.loads.kick: is on 'road', which is not a body"),
+    ('free = ["spring.stiffness"', 'free = ["spring.stifness"', "car.toml:44 fit.free: 'spring.stifness' matches nothing"),
+    ('["10 N/mm", inf]', '["10 N/m2", inf]', "car.toml:45 fit.bounds.'spring.stiffness': is '10 N/m2'"),
+    ('"free.initial.v" = ["-1', '"free.initial.w" = ["-1', "car.toml:45 fit.bounds.'free.initial.w': 'free.initial.w' matches nothing"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("old, new, message", MISTAKES)
 def test_problems_of_studies_are_reported_with_their_line(old, new, message, car):
     assert old in CAR
     car.write_text(CAR.replace(old, new, 1))
     with pytest.raises(jb.JaxbodyError) as error:
         jb.read_study(car)
     assert message in str(error.value)
+
+
+def test_a_study_prints_what_is_in_it(car):
+    car.write_text(CAR.replace('leave_out = "50 ms"', 'leave_out = "50 ms"\nvalidate = true').replace(', "free.initial.v"]', "]", 1)
+                   .replace(', "free.initial.v" = ["-1 cm/s", "1 cm/s"]', "") + DESIGN)  # fmt: skip
+    study = jb.read_study(car)
+    text = str(study)
+    assert re.search(r"car +guide +road +400 ", text) and "motion of: road\nloads: push\nsensors: height, acc" in text
+    assert re.search(r"run1 +Experiment +height, acc +21 of time, 0 to 0.2 s +fit\n", text)
+    assert re.search(r"free +Experiment +height +21 of time, 0 to 0.2 s +validation\n", text)
+    assert "free in the fit\n  spring.stiffness\n" in text
+    (name, design), *_ = study.designs.items()
+    assert re.search(rf"{name} +{design['minimize']} ", text) and "array(" not in text and len(text) < 1500
+    assert "validation" in study._repr_html_()
+
+
+IN_ONE_EXPERIMENT = [".noise.height: ", ".loads.kick: ", ".initial.q: ", "fit.free: ", "fit.bounds.'spring.stiffness': "]
+TOGETHER = {  # mistakes of one file, by what is reported of them
+    "in a record and what does not need it": ["records.run1: run1.csv", ".channels.acc: ", ".time: ", *IN_ONE_EXPERIMENT],
+    "in what is made of a record": ["channel 'pul'", "motion.road.rotation: ", *IN_ONE_EXPERIMENT],
+    "in a sensor": ["sensors.height.bias: ", ".loads.kick: ", ".initial.q: ", "fit.bounds.'spring.stiffness': "],
+}
+
+
+@pytest.mark.parametrize("case", TOGETHER)
+def test_several_mistakes_are_reported_at_once(case, car):
+    """Each of them, and nothing that only follows from them."""
+    text, expected = CAR, []
+    for word in TOGETHER[case]:
+        old, new, message = next(mistake for mistake in MISTAKES if word in mistake[2])
+        assert old in text
+        text, expected = text.replace(old, new, 1), [*expected, message]
+    car.write_text(text)
+    with pytest.raises(jb.JaxbodyError) as error:
+        jb.read_study(car)
+    reported = [str(problem) for problem in error.value.problems]
+    assert len(reported) == len(expected) and all(any(message in line for line in reported) for message in expected), reported
+
+
+def test_hints_are_in_the_words_of_files():
+    for python, written in (
+        ("Give irregular=True if the times are correct.", "Give irregular = true if the times are correct."),
+        ('give decimal=",", separator=";"', 'give decimal = ",", separator = ";"'),
+        ("give footer=3.", "give footer = 3."),
+        ("Leave out rate= to use the times.", "Leave out rate to use the times."),
+        ("jb.replace(model, {path: 1}) for a == b", "jb.replace(model, {path: 1}) for a == b"),
+    ):
+        assert in_words_of_files(python) == written
 
 
 def test_a_motion_needs_a_channel_of_lengths(car):

@@ -8,6 +8,7 @@ import scipy.linalg
 
 import jaxbody as jb
 from jaxbody.vibrations.mode_names import MARK_NOTE, mode_names
+from jaxbody.vibrations.spins import SpinLinearization
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +136,18 @@ def test_printing_modes_compiles_one_small_program_at_most(car):
     with jb.compile_times() as second:
         str(again), str(damped), repr(modes), again.report()
     assert second.count == 0
+
+
+def test_what_is_no_linearization_is_refused_with_what_to_give(car):
+    """Modes, a model or an equilibrium in its place; a rotor's linear system has complex modes only."""
+    modes = jb.modes(car)
+    for given, what in ((modes, "a Modes"), (car.model, "a Model"), ([car], "a list")):
+        with pytest.raises(
+            jb.JaxbodyError, match=rf"mode_energies.lin: is {what} .*Give linearize\(model, equilibrium\(model\)\).*WRONG_KIND"
+        ):
+            jb.mode_energies(given)
+    with pytest.raises(jb.JaxbodyError, match=r"modes.lin: is a SpinLinearization .*Use complex_modes"):
+        jb.modes(SpinLinearization(car.M, car.C, car.K, car.status, car.state, car.model, car.C, car.K, car.K[0]))
 
 
 def test_batches_of_modes_print_a_summary(car):

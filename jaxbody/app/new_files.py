@@ -1,0 +1,250 @@
+"""New files for a newcomer to edit: a ready model with a motion, sensors, a design and, as comments, measured data; the mounts of a data
+sheet with a body on them."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import jaxbody as jb
+from jaxbody.files.writers import toml_of, values_of
+from jaxbody.interchange.mount_tables import mounted_frames
+
+HEADING = """# A model for jaxbody. Check it with `jaxbody check FILE`; `jaxbody --help` lists what comes next.
+# Numbers without a unit are in SI; "21 N/mm" is a number with its own. Bodies: `position` is where the origin O of the body's axes is
+# before the model settles, `com` the center of mass from O. Elements: each end is a body, a support or "world", and a point in its axes.
+"""
+OF_SHEET = """# The mounts are those of {file}, in its axes. Mass, center of mass and inertia of {bodies} are not in it: write yours below.
+"""
+PLACEHOLDER = ", not in the sheet: a placeholder"
+PLACEHOLDER_MASS, PLACEHOLDER_INERTIA = 100.0, [5.0, 5.0, 5.0]
+MOTION = """
+# the motion of a support, for `jaxbody simulate FILE`
+[motion]
+{support} = {{type = "Harmonic", frequency = "1.5 Hz", translation = "0, 0, 5 mm"}}
+"""
+SENSORS = """
+# what is read: in `jaxbody simulate FILE --out motion.csv`, and below
+[sensors]
+{sensors}
+"""
+DESIGN = """
+# what `jaxbody tune FILE` chooses; with --write, the numbers are written into the file
+[designs.first]
+{design}
+"""
+MEASURED = """
+# measured data for `jaxbody fit FILE`: remove the # before the lines that you have data for
+# [records.run1]
+# file = "run1.csv"                      # a text file beside this one, with the columns t [s], x [{unit}]{base}
+# time = "t"
+# channels = {{reading = "x"{channel}}}
+# [experiments.run1]
+# record = "run1"                        # a channel is read by the sensor of the same name
+# initial = {initial}
+{motion}# # validate = true                      # to hold it out, and validate by it what is fitted to the others
+# [experiments.modal]
+# type = "MeasuredModes"
+# frequency = "{frequencies} Hz"
+# noise = {{frequency = "0.02 Hz"}}        # standard deviation; without it, estimated
+# [fit]
+# free = ["{fitted}"]
+"""
+ON_BASE = '# motion.{support} = {{type = "Sampled", record = "run1", translation = "base", axis = "z"}}\n'
+
+
+@dataclass(frozen=True)
+class Start:
+    """What a newcomer would read, tune and fit of a ready model. `initial`: of an experiment that no support moves."""
+
+    frequencies: str  # [Hz]
+    sensors: str
+    fitted: str
+    design: str = ""
+    unit: str = "mm"
+    initial: str = '"rest"'
+
+
+STARTS = {
+    "quarter_car": Start(
+        "1.41, 8.8",
+        'reading = {type = "Position", on = "body", axis = "z"}',
+        "suspension.stiffness",
+        """free = ["suspension.stiffness"]
+minimize = "bounce"
+limits = {sag = ["-120 mm", inf]}        # lower and upper
+bounds = {"suspension.stiffness" = ["10 N/mm", "90 N/mm"]}
+[designs.first.quantities]
+bounce = {type = "frequency", mode = 1}
+sag = {type = "deflection", element = "suspension"}  # negative in compression""",
+    ),
+    "half_car": Start(
+        "0.93, 1.5",
+        'reading = {type = "Position", on = "body", axis = "z"}',
+        "front spring.stiffness",
+        """free = ["front spring.stiffness", "rear spring.stiffness"]
+minimize = "coupling"
+limits = {lowest = ["0.9 Hz", inf]}      # lower and upper
+bounds = {"*.stiffness" = ["10 N/mm", "90 N/mm"]}
+[designs.first.quantities]
+coupling = {type = "coupling_of_modes"}  # of heave and pitch
+lowest = {type = "frequency", mode = 1}""",
+    ),
+    "full_car": Start(
+        "1.34, 1.57",
+        'reading = {type = "Acceleration", on = "car", axis = "z"}\ntravel = {type = "Elongation", on = "spring fl"}',
+        "car.mass",
+        """free = ["spring fl.damping = spring fr.damping", "spring rl.damping = spring rr.damping"]
+minimize = "discomfort"
+limits = {travel = ["-inf", "60 mm"]}    # lower and upper
+bounds = {"*.damping" = ["0.2 N s/mm", "9 N s/mm"]}
+[designs.first.roads]
+"road fl" = {class = "C", speed = "72 km/h"}
+"road fr" = {class = "C", speed = "72 km/h"}
+"road rl" = {class = "C", speed = "72 km/h"}
+"road rr" = {class = "C", speed = "72 km/h"}
+[designs.first.quantities]
+discomfort = {type = "comfort", weights = {reading = "Wk"}}
+travel = {type = "stroke", sensor = "travel"}""",
+        unit="g",
+    ),
+    "engine_on_mounts": Start(
+        "7.5, 8.63",
+        'reading = {type = "Position", on = "engine", axis = "z"}',
+        "engine.mass",
+        """free = ["mount 2.stiffness"]
+minimize = "coupling"
+limits = {lowest = ["7 Hz", inf]}        # lower and upper
+bounds = {"*.stiffness" = ["40 N/mm", "1 kN/mm"]}
+[designs.first.quantities]
+coupling = {type = "coupling_of_modes"}
+lowest = {type = "frequency", mode = 1}""",
+    ),
+    "isolated_table": Start(
+        "3.62, 3.73",
+        'reading = {type = "Position", on = "table", axis = "z"}',
+        "table.mass",
+        """free = ["isolator 1.stiffness = isolator *.stiffness"]
+minimize = "near"
+limits = {lowest = ["4 Hz", inf]}        # lower and upper
+bounds = {"*.stiffness" = ["10 N/mm", "0.2 kN/mm"]}
+[designs.first.quantities]
+near = {type = "band_intrusion", band = "5, 9 Hz"}  # 0 if no natural frequency lies there
+lowest = {type = "frequency", mode = 1}""",
+    ),
+    "stewart_table": Start(
+        "2.69, 2.69",
+        'reading = {type = "Position", on = "table", axis = "z"}',
+        "table.mass",
+        """free = ["leg 1.stiffness = leg *.stiffness"]
+minimize = "stiffness"
+limits = {lowest = ["3 Hz", inf]}        # lower and upper
+bounds = {"*.stiffness" = ["1 N/mm", "90 N/mm"]}
+[designs.first.quantities]
+stiffness = {type = "value", path = "leg 1.stiffness"}
+lowest = {type = "frequency", mode = 1}""",
+    ),
+    "elastic_pendulum": Start(
+        "0.5, 0.5",
+        'reading = {type = "Position", on = "bob", axis = "z"}',
+        "spring.stiffness",
+        """free = ["spring.stiffness"]
+minimize = "stiffness"
+limits = {bounce = ["1.2 Hz", inf]}      # lower and upper
+bounds = {"spring.stiffness" = ["10 N/m", "90 N/m"]}
+[designs.first.quantities]
+stiffness = {type = "value", path = "spring.stiffness"}
+bounce = {type = "frequency", mode = 3}""",
+        initial='{q = "0, 0, 20 mm", v = "0, 0, 0 m/s"}',
+    ),
+    "double_pendulum": Start(
+        "0.43, 1.14",
+        'reading = {type = "JointAngle", on = "lower"}',
+        "lower.mass",
+        unit="deg",
+        initial='{q = "10, 0 deg", v = "0, 0 deg/s"}',
+    ),
+    "coupled_gliders": Start(
+        "0.5, 0.87",
+        'reading = {type = "Position", on = "one", axis = "x"}',
+        "middle.stiffness",
+        """free = ["middle.stiffness"]
+minimize = "stiffness"
+limits = {second = ["1 Hz", inf]}        # lower and upper
+bounds = {"middle.stiffness" = ["1 N/m", "20 N/m"]}
+[designs.first.quantities]
+stiffness = {type = "value", path = "middle.stiffness"}
+second = {type = "frequency", mode = 2}""",
+        initial='{q = "20, 0 mm", v = "0, 0 m/s"}',
+    ),
+}
+
+
+def text_of(name: str) -> str:
+    """The text of the file of a ready model."""
+    model, start = getattr(jb.presets, name)(), STARTS[name]
+    support = next((toml_key(name) for name in model.layout.supports), "")
+    on_base = {"base": ", base [mm]", "channel": ', base = "base"', "motion": ON_BASE.format(support=support)}
+    measured = MEASURED.format(
+        unit=start.unit,
+        fitted=start.fitted,
+        initial=start.initial,
+        frequencies=start.frequencies,
+        **(on_base if support else dict.fromkeys(on_base, "")),
+    )
+    return "".join(
+        [
+            HEADING,
+            _text_of_model(model),
+            MOTION.format(support=support) if support else "",
+            SENSORS.format(sensors=start.sensors),
+            DESIGN.format(design=start.design) if start.design else "",
+            measured,
+        ]
+    )
+
+
+def text_of_mounts(path: Path) -> str:
+    """The text of a file with the mounts of a data sheet. The names in column a are bodies, without masses in the sheet; they are at
+    the origin, so that points in their axes are those of the sheet."""
+    bodies, supports = mounted_frames(path)
+    bodies, supports = bodies or ["engine"], supports or ["frame"]
+    origin = {bodies[0]: jb.Support(), **dict.fromkeys([*supports, *bodies[1:]], jb.Support())}
+    mounts = jb.read_mounts(path, origin)
+    ends = [end for mount in mounts.values() for end in zip(mount.between, mount.points, strict=True)]
+    places = {name: [point for end, point in ends if end == name] for name in origin}
+    centers = {name: np.mean(points, 0).round(3) for name, points in places.items() if points}
+    model = jb.Model(
+        bodies={name: jb.Body(PLACEHOLDER_MASS, PLACEHOLDER_INERTIA, com=centers[name]) for name in bodies if name in centers},
+        supports={name: jb.Support() for name in supports if name in centers},
+        elements=mounts,
+        gravity=[0, 0, -9.81],
+    )
+    text = re.sub("^((?:mass|inertia|com) = .*)$", rf"\1{PLACEHOLDER}", _text_of_model(model), flags=re.M)
+    support = toml_key(model.layout.supports[0]) if model.layout.supports else ""
+    sensors = "\n".join(f'{toml_key(f"{name}_z")} = {{type = "Position", on = "{name}", axis = "z"}}' for name in model.layout.bodies)
+    return "".join(
+        [
+            HEADING,
+            OF_SHEET.format(file=path.name, bodies=" and ".join(model.layout.bodies)),
+            text,
+            MOTION.format(support=support) if support else "",
+            SENSORS.format(sensors=sensors),
+        ]
+    )
+
+
+def _text_of_model(model: jb.Model) -> str:
+    """The model with its units, without negative zeros."""
+    text = toml_of(values_of(jax.tree.map(lambda x: x + 0.0, model)), units=True)
+    return text.replace("gravity = [0.0, 0.0, 0.0] # m/s2", "gravity = [0.0, 0.0, 0.0] # m/s2; zero, as in the source of this model")
+
+
+def toml_key(name: str) -> str:
+    """A name as TOML writes it before "="."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)

@@ -1,0 +1,1 @@
+"""Peaks of random responses, level crossings, and fatigue damage from densities and records."""

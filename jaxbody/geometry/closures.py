@@ -1,0 +1,257 @@
+"""Closures: joints and rods that close loops, as conditions c(X_A, X_B) = 0 on the poses of two frames.
+
+The joints of a model form a tree; a closure joins two of its frames once more. With the points a and b, each in its own frame, and the
+rotation R of B on A from the reference pose, both in the axes of A:
+
+    d = R_A' (x_b - x_a)
+    R = R_A' R_B R_0',   R_0 = R_A' R_B in the reference pose
+
+so that in the reference pose as it is drawn R = 1, and the points need not meet: `assemble` moves them together.
+"""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import Array, Float, scalar
+from jaxbody.core.errors import Problems
+from jaxbody.geometry.fields import check_domain, field, kind_of
+from jaxbody.geometry.frames import Pose
+from jaxbody.geometry.places import direction, ends
+from jaxbody.geometry.vectors import axial, cross, dot, product, rotate, rotate_back
+
+__all__ = ["Ball", "Closure", "Equation", "Guide", "Hinge", "Inline", "Rod", "Weld"]
+
+
+class Closure(eqx.Module):
+    """The base class of closures between two frames, named in `between`, at the points `a` and `b` in their axes.
+
+    A closure of your own states `rows`, a description of each condition, and `gap`, the values of the conditions, in meters. A wheel that
+    rolls on a rail of height 0.1 m:
+
+    >>> class OnRail(jb.closures.Closure):
+    ...     rows = ("height",)
+    ...     def gap(self, A, B, rest):
+    ...         return self.offset(A, B)[2:] - 0.1
+    >>> OnRail(("world", "wheel"), jnp.zeros(3), jnp.zeros(3)).between
+    ('world', 'wheel')
+    """
+
+    between: tuple[str, ...] = eqx.field(static=True)
+    rows: eqx.AbstractClassVar[tuple[str, ...]]
+    a: Float[Array, "3"] = field("m")
+    b: Float[Array, "3"] = field("m")
+
+    @property
+    def points(self) -> tuple[Float[Array, "*rows 3"], ...]:
+        """The points that it joins, one in each frame."""
+        return self.a, self.b
+
+    @abstractmethod
+    def gap(self, A: Pose, B: Pose, rest: Pose) -> Float[Array, "rows"]:
+        """c, zero where the loop is closed: lengths [m], or sines of angles where a description begins with "turn"; `rest` is the pose of
+        B on A in the reference poses."""
+
+    def offset(self, A: Pose, B: Pose) -> Float[Array, "3"]:
+        """d, from a to b in the axes of A."""
+        return rotate_back(A.R, (B.p - A.p) + (rotate(B.R, self.b) - rotate(A.R, self.a)))
+
+
+class AlongAxis(Closure):
+    """The base class of closures with an axis n, in the frame of their first end."""
+
+    axis: Float[Array, "3"] = field("", "direction")
+
+    def placed(self, a: Any, b: Any, axis: Any) -> None:
+        kind = type(self).__name__
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), kind, problems)
+            self.axis = direction(axis, f"{kind}.axis", problems)
+
+
+class Ball(Closure):
+    """The points a and b coincide: d = 0.
+
+    Args:
+        a, b: (name of a body, a support or `world`, point in its frame [m])
+
+    Errors: BAD_END, SELF_SPRING, BAD_SHAPE, NON_FINITE.
+
+    >>> jb.closures.Ball(("upper arm", [0, 0.4, 0]), ("upright", [0, 0, 0.3])).rows
+    ('x', 'y', 'z')
+    """
+
+    rows = ("x", "y", "z")
+
+    def __init__(self, a, b):
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "Ball", problems)
+
+    def gap(self, A, B, rest):
+        return self.offset(A, B)
+
+
+class Hinge(AlongAxis):
+    """The points a and b coincide, and B turns on A about n alone: d = 0 and t . R n = 0 for the two directions t across n.
+
+    Args:
+        a, b: (name of a body, a support or `world`, point in its frame [m])
+        axis: n, x, y, z or a direction, in the frame of the first end
+
+    Errors: BAD_END, SELF_SPRING, ZERO_AXIS, BAD_DIRECTION, BAD_SHAPE, NON_FINITE.
+
+    >>> jb.closures.Hinge(("coupler", [0.12, 0, 0]), ("rocker", [0.08, 0, 0]), axis="z").rows
+    ('x', 'y', 'z', 'turn 1', 'turn 2')
+    """
+
+    rows = ("x", "y", "z", "turn 1", "turn 2")
+
+    def __init__(self, a, b, *, axis):
+        self.placed(a, b, axis)
+
+    def gap(self, A, B, rest):
+        n = rotate(_turn(A, B, rest), self.axis)
+        return jnp.concatenate([self.offset(A, B), _across(self.axis, n)])
+
+
+class Guide(AlongAxis):
+    """B slides on A along n and does not turn: t . d = 0 for the two directions t across n, and R = 1.
+
+    Args:
+        a, b: (name of a body, a support or `world`, point in its frame [m])
+        axis: n, x, y, z or a direction, in the frame of the first end
+
+    Errors: BAD_END, SELF_SPRING, ZERO_AXIS, BAD_DIRECTION, BAD_SHAPE, NON_FINITE.
+
+    >>> len(jb.closures.Guide(("housing", [0, 0, 0]), ("rack", [0, 0, 0]), axis="y").rows)
+    5
+    """
+
+    rows = ("across 1", "across 2", "turn x", "turn y", "turn z")
+
+    def __init__(self, a, b, *, axis):
+        self.placed(a, b, axis)
+
+    def gap(self, A, B, rest):
+        return jnp.concatenate([_across(self.axis, self.offset(A, B)), axial(_turn(A, B, rest))])
+
+
+class Inline(AlongAxis):
+    """The point b of B slides along the line through a of A, as the top of a strut does: t . d = 0 for the two directions t across n.
+
+    Args:
+        a, b: (name of a body, a support or `world`, point in its frame [m])
+        axis: n, x, y, z or a direction, in the frame of the first end
+
+    Errors: BAD_END, SELF_SPRING, ZERO_AXIS, BAD_DIRECTION, BAD_SHAPE, NON_FINITE.
+
+    >>> jb.closures.Inline(("upright", [0, 0, 0]), ("world", [0, 0, 0.6]), axis="z").rows
+    ('across 1', 'across 2')
+    """
+
+    rows = ("across 1", "across 2")
+
+    def __init__(self, a, b, *, axis):
+        self.placed(a, b, axis)
+
+    def gap(self, A, B, rest):
+        return _across(self.axis, self.offset(A, B))
+
+
+class Weld(Closure):
+    """B is fixed on A, turned as in the reference pose, with b at a: d = 0 and R = 1.
+
+    Args:
+        a, b: (name of a body, a support or `world`, point in its frame [m])
+
+    Errors: BAD_END, SELF_SPRING, BAD_SHAPE, NON_FINITE.
+
+    >>> len(jb.closures.Weld(("left half", [0, 0, 0]), ("right half", [0, 0, 0])).rows)
+    6
+    """
+
+    rows = (*Ball.rows, "turn x", "turn y", "turn z")
+
+    def __init__(self, a, b):
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "Weld", problems)
+
+    def gap(self, A, B, rest):
+        return jnp.concatenate([self.offset(A, B), axial(_turn(A, B, rest))])
+
+
+class Rod(Closure):
+    """A rod without mass between a and b, with a ball joint at each end: (d . d - L^2)/(2 L) = 0.
+
+    Args:
+        a, b: (name of a body, a support or `world`, point in its frame [m])
+        length: L [m]; None: the distance of the points in the reference pose
+
+    Errors: NOT_POSITIVE, BAD_END, SELF_SPRING, BAD_SHAPE, NON_FINITE.
+
+    >>> jb.closures.Rod(("rack", [0, 0.2, 0]), ("upright", [0.15, 0, 0])).rows
+    ('length',)
+    """
+
+    length: Float[Array, ""] | None = field("m", "positive")
+    rows = ("length",)
+
+    def __init__(self, a, b, *, length=None):
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends((a, b), "Rod", problems)
+            self.length = None if length is None else scalar(length, "Rod.length", problems)
+            if self.length is not None:
+                check_domain(self.length, kind_of(self, "length"), "Rod.length", problems)
+
+    def gap(self, A, B, rest):
+        d = self.offset(A, B)
+        drawn = rest.point(self.b) - self.a
+        L = jnp.sqrt(dot(drawn, drawn)) if self.length is None else self.length
+        return ((dot(d, d) - L**2) / (2 * L))[None]
+
+
+class Equation(Closure):
+    """A condition of your own: function(A, B) = 0, with the poses of two frames (p, R and `point`), in meters.
+
+    Args:
+        function: from two poses to a number or a row of numbers
+        between: the names of the two frames
+
+    A point at a distance of 2 m from another:
+
+    >>> sphere = jb.closures.Equation(lambda A, B: jnp.linalg.norm(B.p - A.point(jnp.array([1.0, 0, 0]))) - 2.0, ("world", "ball"))
+    >>> sphere.rows
+    ('equation 1',)
+    """
+
+    function: Callable[..., Any] = field(static=True)
+    rows: tuple[str, ...] = field(static=True)  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def __init__(self, function: Callable[..., Any], between: tuple[str, str]):
+        with Problems() as problems:
+            self.between, (self.a, self.b) = ends(between, "Equation", problems, points=False)
+        self.function = function
+        pose = Pose(jnp.zeros(3), jnp.eye(3))
+        values = jax.eval_shape(lambda A, B: jnp.atleast_1d(function(A, B)), pose, pose)
+        self.rows = tuple(f"equation {i + 1}" for i in range(values.shape[0]))
+
+    def gap(self, A, B, rest):
+        return jnp.atleast_1d(self.function(A, B))
+
+
+def _turn(A: Pose, B: Pose, rest: Pose) -> Float[Array, "3 3"]:
+    """R, in the axes of A."""
+    return product(product(A.R.T, B.R), rest.R.T)
+
+
+def _across(n: Float[Array, "3"], d: Float[Array, "3"]) -> Float[Array, "2"]:
+    """The components of d along two directions across n: t_1, across the axis that is farthest from n, and n x t_1."""
+    farthest = jnp.asarray(np.eye(3, dtype=n.dtype))[jnp.argmin(jnp.abs(n))]
+    t = cross(n, farthest)
+    t = t / jnp.sqrt(dot(t, t))
+    return jnp.stack([dot(t, d), dot(cross(n, t), d)])

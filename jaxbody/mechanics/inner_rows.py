@@ -1,0 +1,71 @@
+"""Rows of the massless coordinates y of elements in the matrices of small motions: the derivatives of V and R in (Delta, y, Xi).
+
+    K_yy = V_yy,   K_yx = V_ye de/dx,   C_yy = R_yy,   C_yx = R_ye de/dx,   M_yy = M_yx = 0,   x of (Delta, Xi)
+
+Slow motions take y along, K_yy y + K_yx x = 0: the matrices of these are T' H T with x -> (x, y) = T x.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.scipy.linalg import block_diag
+
+from jaxbody.core.arrays import Array, Float
+from jaxbody.laws.memories import Apart, memories
+from jaxbody.mechanics.element_derivatives import deformation_slopes, on_coordinates
+from jaxbody.mechanics.energies import of_table
+from jaxbody.mechanics.hessians import Configuration, Square, frame_twists
+
+
+class InnerRows(NamedTuple):
+    """The blocks of K and C between y and (Delta, Xi), and of y."""
+
+    K_yx: Float[Array, "ny n"]
+    K_yy: Float[Array, "ny ny"]
+    C_yx: Float[Array, "ny n"]
+    C_yy: Float[Array, "ny ny"]
+
+
+def inner_rows(at: Configuration) -> InnerRows:
+    """The rows at a configuration of a model whose massless coordinates are apart."""
+    twists, parts = frame_twists(at), []
+
+    def of(element, *frames):
+        return deformation_slopes(element, *frames), element.inner(*element.rates(*frames))
+
+    for table in at.model.elements:
+        if any(law.law.massless for law in memories(table.rows, Apart)):
+            slopes, (V_ye, V_yy, R_ye, R_yy) = of_table(at.model, at.frames, table, of)
+            J = on_coordinates(at.model, table, slopes, twists)
+            n, ny = V_ye.shape[:2]
+            K_yx, C_yx = (jnp.reshape(H.reshape(n, ny, -1) @ J, (n * ny, -1)) for H in (V_ye, R_ye))
+            parts.append(InnerRows(K_yx, _diagonal(V_yy), C_yx, _diagonal(R_yy)))
+    K_yx, C_yx = (jnp.concatenate([getattr(part, name) for part in parts]) for name in ("K_yx", "C_yx"))
+    K_yy, C_yy = (block_diag(*(getattr(part, name) for part in parts)) for name in ("K_yy", "C_yy"))
+    return InnerRows(K_yx, K_yy, C_yx, C_yy)
+
+
+def _diagonal(blocks: Float[Array, "n k k"]) -> Array:
+    """The matrix with these blocks on its diagonal."""
+    n, k, _ = blocks.shape
+    return jnp.swapaxes(jnp.eye(n, dtype=blocks.dtype)[:, :, None, None] * blocks[:, None], 1, 2).reshape(n * k, n * k)
+
+
+def inserted(H: Square, H_yx: Float[Array, "ny n"], H_yy: Float[Array, "ny ny"], nv: int) -> Float[Array, "m m"]:
+    """The matrix of (Delta, y, Xi) from that of (Delta, Xi)."""
+    return jnp.block(
+        [
+            [H[:nv, :nv], H_yx[:, :nv].T, H[:nv, nv:]],
+            [H_yx[:, :nv], H_yy, H_yx[:, nv:]],
+            [H[nv:, :nv], H_yx[:, nv:].T, H[nv:, nv:]],
+        ]
+    )
+
+
+def following(K: Square, nv: int, ny: int) -> Float[Array, "n m"]:
+    """T, by which y follows slow motions of (Delta, Xi)."""
+    own, x = slice(nv, nv + ny), jnp.concatenate([jnp.arange(nv), jnp.arange(nv + ny, len(K))])
+    one = jnp.eye(len(x), dtype=K.dtype)
+    return jnp.concatenate([one[:nv], -jnp.linalg.solve(K[own, own], K[own][:, x]), one[nv:]])

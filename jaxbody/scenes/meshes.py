@@ -1,0 +1,187 @@
+"""Triangle meshes of what is drawn: solids, coils, wheels, arrows, ribbons. Lengths along z are 1 where a drawing stretches them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+ROUND = 24  # sides of a circle
+SHARP = np.cos(np.deg2rad(35))  # edges between faces that turn more are drawn
+
+
+class Mesh(NamedTuple):
+    """Vertices (v, 3) and triangles (f, 3), counterclockwise as seen from outside."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def placed(self, p: np.ndarray, R: np.ndarray | None = None, scale: float | np.ndarray = 1.0) -> Mesh:
+        """Scaled, then rotated, then moved by p."""
+        scaled = self.vertices * scale
+        return Mesh((scaled if R is None else scaled @ R.T) + p, self.faces)
+
+    def normals(self) -> np.ndarray:
+        """The unit normals of the triangles; zero for one without area."""
+        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
+        n = np.cross(b - a, c - a)
+        length = np.linalg.norm(n, axis=-1, keepdims=True)
+        return n / np.where(length > 0, length, 1.0)
+
+    def edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pairs of vertices (e, 2) of sharp edges, and of those with one triangle, and their two triangles (e, 2)."""
+        pairs = np.sort(np.concatenate([self.faces[:, [0, 1]], self.faces[:, [1, 2]], self.faces[:, [2, 0]]]), axis=1)
+        owners = np.tile(np.arange(len(self.faces)), 3)
+        unique, inverse, count = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+        order = np.argsort(inverse.ravel(), kind="stable")
+        first = np.concatenate([[0], np.cumsum(count)[:-1]])
+        n = self.normals()
+        one, other = owners[order[first]], owners[order[first + (count > 1)]]
+        sharp = (count == 1) | (np.sum(n[one] * n[other], -1) < SHARP)
+        return unique[sharp], np.stack([one, other], -1)[sharp]
+
+
+def joined(meshes: Sequence[Mesh]) -> Mesh:
+    """One mesh of several."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
+    return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+
+
+def hull(points: np.ndarray) -> Mesh:
+    """The convex hull of points that span a volume."""
+    from scipy.spatial import ConvexHull
+
+    solid = ConvexHull(points - points.mean(0), qhull_options="QJ")
+    used, faces = np.unique(solid.simplices, return_inverse=True)
+    vertices, faces = points[used], faces.reshape(-1, 3)
+    a, b, c = np.moveaxis(vertices[faces], 1, 0)
+    inward = np.sum(np.cross(b - a, c - a) * solid.equations[:, :3], -1) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return Mesh(vertices, faces)
+
+
+def box(size: np.ndarray | Sequence[float]) -> Mesh:
+    """A box with these edge lengths about the origin."""
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return Mesh(corners * size, np.array([face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]))
+
+
+def revolved(profile: np.ndarray, sides: int = ROUND) -> Mesh:
+    """A profile of rows (radius, z), with z rising along the outside, turned about z; it ends on the axis, or where it starts."""
+    closed = np.array_equal(profile[0], profile[-1])
+    angle = 2 * np.pi * np.arange(sides) / sides
+    circle = np.stack([np.cos(angle), np.sin(angle)], -1)
+    rows = profile[:-1] if closed else profile
+    rings = [np.array([[r, 0.0, z]]) if r == 0 else np.concatenate([r * circle, np.full((sides, 1), z)], -1) for r, z in rows]
+    starts = np.cumsum([0, *(len(ring) for ring in rings)])
+    around = [start + (np.arange(sides) if len(ring) > 1 else np.zeros(sides, int)) for start, ring in zip(starts, rings, strict=False)]
+    faces = []
+    for lower, upper in zip(around, [*around[1:], around[0]], strict=True) if closed else pairwise(around):
+        a, b, c, d = lower, np.roll(lower, -1), np.roll(upper, -1), upper
+        faces += [np.stack(corners, -1) for corners in ((a, b, c), (a, c, d)) if len({*map(int, (x[0] for x in corners))}) == 3]
+    return Mesh(np.concatenate(rings), np.concatenate(faces))
+
+
+def cylinder(radius: float, low: float = 0.0, high: float = 1.0, sides: int = ROUND) -> Mesh:
+    """A cylinder about z."""
+    return revolved(np.array([[0, low], [radius, low], [radius, high], [0, high]]), sides)
+
+
+def sphere(radius: float, sides: int = 16) -> Mesh:
+    """A ball about the origin."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, sides // 2 + 1)
+    profile = radius * np.stack([np.cos(angle), np.sin(angle)], -1)
+    profile[[0, -1], 0] = 0
+    return revolved(profile, sides)
+
+
+def arrow(radius: float, head: float) -> Mesh:
+    """An arrow from 0 to 1 along z, whose head has this share of its length."""
+    return revolved(np.array([[0, 0], [radius, 0], [radius, 1 - head], [2.6 * radius, 1 - head], [0, 1]]), 12)
+
+
+def ring(inner: float, outer: float, low: float, high: float) -> Mesh:
+    """A tube about z with a wall between two radii."""
+    return revolved(np.array([[inner, low], [outer, low], [outer, high], [inner, high], [inner, low]]))
+
+
+def tyre(radius: float, width: float) -> Mesh:
+    """A tyre about z with rounded shoulders and an opening for the rim."""
+    r, w = radius, width / 2
+    bead, shoulder = 0.62 * r, 0.10 * r
+    half = np.array([[bead, 0.8 * w], [bead + shoulder, w], [r - shoulder, w], [r - 0.3 * shoulder, 0.85 * w], [r, 0.55 * w]])
+    return revolved(np.concatenate([half * [1, -1], half[::-1], half[:1] * [1, -1]]), 36)
+
+
+def wire(path: np.ndarray, radius: float, sides: int = 6) -> Mesh:
+    """A round wire along a path (n, 3), closed at its ends, with axes transported along it."""
+    tangent = np.gradient(path, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    side = np.empty_like(path)
+    side[0] = across(tangent[0])
+    for i in range(1, len(path)):
+        rest = side[i - 1] - (side[i - 1] @ tangent[i]) * tangent[i]
+        side[i] = rest / np.linalg.norm(rest)
+    angle = 2 * np.pi * np.arange(sides) / sides
+    rim = np.cos(angle)[:, None, None] * side + np.sin(angle)[:, None, None] * np.cross(tangent, side)
+    rings = np.moveaxis(path + radius * rim, 0, 1).reshape(-1, 3)
+    here, there = np.arange(sides), np.roll(np.arange(sides), -1)
+    starts = sides * np.arange(len(path) - 1)[:, None]
+    a, b, c, d = starts + here, starts + there, starts + sides + there, starts + sides + here
+    sleeve = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    first, last = np.full(sides, len(rings)), np.full(sides, len(rings) + 1)
+    end = sides * (len(path) - 1)
+    caps = [np.stack([first, there, here], -1), np.stack([last, end + here, end + there], -1)]
+    return Mesh(np.concatenate([rings, path[[0, -1]]]), np.concatenate([sleeve, *caps]))
+
+
+def coil(radius: float, thickness: float, length: float, turns: int, points: int = 14) -> Mesh:
+    """A coil spring about z with straight ends, from z = 0 to 1; its wire is round where it is stretched to `length`."""
+    straight, lead = 0.08, 0.5  # share of the length, and turns over which the radius grows
+    angle = np.linspace(0, turns, turns * points + 1)
+    r = radius * np.clip(np.minimum(angle, turns - angle) / lead, 0, 1)
+    z = straight + (1 - 2 * straight) * angle / turns
+    helix = np.stack([r * np.cos(2 * np.pi * angle), r * np.sin(2 * np.pi * angle), length * z], -1)
+    path = np.concatenate([[[0, 0, 0], [0, 0, 0.6 * straight * length]], helix, [[0, 0, (1 - 0.6 * straight) * length], [0, 0, length]]])
+    mesh = wire(path, thickness)
+    vertices = mesh.vertices / [1, 1, length]
+    return Mesh(vertices * [1, 1, 0] + np.clip(vertices * [0, 0, 1], 0, 1), mesh.faces)
+
+
+def spiral(inner: float, outer: float, thickness: float, turns: float = 2.5) -> Mesh:
+    """A flat spiral about z, for a torsion spring."""
+    s = np.linspace(0, 1, 64)
+    r, angle = inner + (outer - inner) * s, 2 * np.pi * turns * s
+    return wire(np.stack([r * np.cos(angle), r * np.sin(angle), 0 * s], -1), thickness)
+
+
+def ribbon(x: np.ndarray, z: np.ndarray, width: float) -> Mesh:
+    """A strip along x at the heights z, facing up."""
+    y = np.full_like(x, width / 2)
+    vertices = np.concatenate([np.stack([x, -y, z], -1), np.stack([x, y, z], -1)])
+    a = np.arange(len(x) - 1)
+    right, left = np.stack([a, a + 1, len(x) + a + 1], -1), np.stack([a, len(x) + a + 1, len(x) + a], -1)
+    return Mesh(vertices, np.concatenate([right, left]))
+
+
+def slab(x: np.ndarray, z: np.ndarray, width: float, thickness: float) -> Mesh:
+    """A strip along x at the heights z, with sides down to below the lowest."""
+    top, n = ribbon(x, z, width), len(x)
+    foot = np.full(n, z.min() - thickness)
+    sides = []
+    for sign in (-1, 1):
+        y = np.full(n, sign * width / 2)
+        wall = np.concatenate([np.stack([x, y, foot], -1), np.stack([x, y, z], -1)])
+        sides.append(Mesh(wall, top.faces if sign < 0 else top.faces[:, ::-1]))
+    return joined([top, *sides])
+
+
+def across(direction: np.ndarray) -> np.ndarray:
+    """A unit vector across a unit vector: horizontal, or along y for a vertical one."""
+    least = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    rest = least - (least @ direction) * direction
+    return rest / np.linalg.norm(rest)

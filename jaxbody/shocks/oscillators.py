@@ -1,0 +1,164 @@
+"""Oscillators under an acceleration of straight lines between equally spaced samples: their peaks and histories by an exact recurrence.
+
+With x'' + 2 zeta w x' + w^2 x = -a and the pole s = -zeta w + i w sqrt(1 - zeta^2), the complex state r' = s r - c a gives
+
+    Im(r) = x                     c = 1/Im(s)
+            x'                    c = s/Im(s)
+            x'' + a               c = s^2/Im(s)
+
+and, for any complex c, any sum of them. Over a step h, with z = s h,
+
+    r_{k+1} = e^z r_k - c h ((phi1 - phi2) a_k + phi2 a_{k+1}),   phi1 = (e^z - 1)/z,   phi2 = (e^z - 1 - z)/z^2
+
+Source: N. C. Nigam, P. C. Jennings, Bull. Seismol. Soc. Am. 59 (1969) 909, whose recurrence of x and x' this is.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from jaxbody.compilation.compile_options import jit_vectorized
+from jaxbody.core.arrays import Array, Complex, Float
+
+SIDES = ("maximax", "positive", "negative")
+UNROLLED = 4  # steps in one pass of the loop; on a CPU faster than 1, 2, 3, 6 and 8
+SMALL = 0.5  # |z| below which the functions phi are power series
+TERMS = 14
+ROUNDING = 1e-9  # of a time, relative to the step
+REFINED = 10  # steps of Newton's rule, or halvings of a bracket
+
+
+class Peak(NamedTuple):
+    """The value of a peak at a sample, the sample, and the state less `c h phi2` times the acceleration there."""
+
+    value: Float[Array, "n"]
+    sample: Array
+    state: Complex[jax.Array, "n"]
+
+
+def poles(frequency: Float[Array, "n"], damping: Float[Array, "n"]) -> Complex[jax.Array, "n"]:
+    """s = w (-zeta + i sqrt(1 - zeta^2)), w = 2 pi f."""
+    w = 2 * jnp.pi * frequency
+    return jax.lax.complex(-damping * w, w * jnp.sqrt(1 - damping**2))
+
+
+def steps(s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], h: Any) -> tuple[Complex[jax.Array, "n"], ...]:
+    """e^z, and the factors of a_k and a_{k+1} in a step."""
+    h = jnp.asarray(h).astype(s.dtype)
+    z = s * h
+    small = jnp.abs(z) < SMALL
+    near, far = jnp.where(small, z, 0.0), jnp.where(small, 1.0, z)
+    first, second = jnp.zeros_like(z), jnp.zeros_like(z)
+    for k in range(TERMS, 0, -1):  # by Horner's rule, sum z^(k-1)/k! and sum z^(k-1)/(k + 1)!
+        first, second = 1 + first * near / (k + 1), 1 + second * near / (k + 2)
+    e = jnp.exp(far)
+    phi1 = jnp.where(small, first, (e - 1) / far)
+    phi2 = jnp.where(small, second / 2, (e - 1 - far) / far**2)
+    return jnp.exp(z), -c * h * (phi1 - phi2), -c * h * phi2
+
+
+@jit_vectorized
+def peaks(
+    a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], side: str, parts: int | None
+) -> Float[Array, "n"]:
+    """The largest |Im(r)|, Im(r) or -Im(r) of oscillators at rest at the first sample: at the samples if `parts` is None, else of the
+    continuous response, from the largest of so many points in each step on by Newton's rule."""
+    if parts is None:
+        return _largest(a, h, s, c, side).value
+    weights = jnp.arange(parts) / parts
+    a = jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
+    return _refined(a, h / parts, s, c, side, _largest(a, h / parts, s, c, side, kept=True))[0]
+
+
+@jit_vectorized
+def influences(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], parts: int):
+    """Continuous peaks of |Im(r)| and their derivatives by the samples (n, nt): responses to the hat of each sample at the time of the
+    peak."""
+    weights, n = jnp.arange(parts) / parts, len(a)
+    fine = jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
+    value, time, sign = _refined(fine, h / parts, s, c, "maximax", _largest(fine, h / parts, s, c, "maximax", kept=True))
+    k = jnp.clip(jnp.floor(time / h).astype(int), 0, n - 2)
+    late, part = time - k * h, time / h - k
+    e, before, after = steps(s, c, h)
+    _, first, last = steps(s, c, late)  # of a_k and a(time) in the last, shorter step
+    left = (k[:, None] - jnp.arange(n)[None]).astype(late.dtype)  # steps from each sample to the last before the peak
+    decayed = jnp.exp(s[:, None] * jnp.where(left >= 0, left * h + late[:, None], 0.0))
+    inner = jnp.where(left > 0, (before / e)[:, None] * decayed, 0.0)
+    inner = inner + jnp.where((left >= 0) & (jnp.arange(n) > 0)[None], after[:, None] * decayed, 0.0)
+    here, following = (left == 0).astype(late.dtype), (left == -1).astype(late.dtype)
+    inner = inner + (first + last * (1 - part))[:, None] * here + (last * part)[:, None] * following
+    return value, sign[:, None] * jnp.imag(inner)
+
+
+@jit_vectorized
+def history(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "m n"]) -> Float[Array, "nt m"]:
+    """The sums over oscillators of Im(c r) at the samples, with the states r of c = 1."""
+    e, before, after = steps(s, jnp.ones_like(s), h)
+    drive = e * after + before
+
+    def step(w, now):
+        return e * w + drive * now, jnp.imag(c @ (w + after * now))
+
+    return jax.lax.scan(step, -after * a[0], a, unroll=UNROLLED)[1]
+
+
+def _signed(y: Array, side: str) -> Array:
+    return jnp.abs(y) if side == "maximax" else y if side == "positive" else -y
+
+
+def _largest(a, h, s, c, side: str, kept: bool = False) -> Peak:
+    """The peak at the samples; `kept` with its place and state."""
+    e, before, after = steps(s, c, h)
+    drive = e * after + before  # of w = r - after a, whose step needs one acceleration
+    er, ei, dr, di, own = e.real, e.imag, drive.real, drive.imag, after.imag
+    zero, start = jnp.zeros_like(er), (-after.real * a[0], -own * a[0])  # r = 0
+    places = (jnp.zeros(er.shape, jnp.int32), zero, zero) if kept else ()
+
+    def step(carry, now):
+        re, im, best, *place = carry
+        y = _signed(im + own * now[0], side)
+        larger = y > best
+        if kept:
+            place = [jnp.where(larger, new, old) for new, old in zip((now[1], re, im), place, strict=True)]
+        return (er * re - ei * im + dr * now[0], er * im + ei * re + di * now[0], jnp.where(larger, y, best), *place), None
+
+    rows = (a, jnp.arange(len(a), dtype=jnp.int32)) if kept else (a,)
+    (_, _, best, *place), _ = jax.lax.scan(step, (*start, zero, *places), rows, unroll=UNROLLED)
+    return Peak(best, place[0], jax.lax.complex(place[1], place[2])) if kept else Peak(best, jnp.zeros(0), e[:0])
+
+
+def _refined(a, h, s, c, side: str, peak: Peak) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
+    """The peak of the continuous response beside the sample, its time, and the sign of the response there.
+
+    It is in the step into which the response grows, where its rate is zero: by Newton's rule, or bisection where that leaves the bracket.
+    In derivatives its time is constant, as they do not depend on that of a maximum."""
+    k = peak.sample
+    now = a[k]
+    r = peak.state + steps(s, c, h)[2] * now
+    sign = jnp.where(_signed(jnp.imag(r), side) == jnp.imag(r), 1.0, -1.0)
+    ahead = jnp.where(sign * jnp.imag(s * r - c * now) > 0, 1, -1)
+    other = jnp.clip(k + ahead, 0, len(a) - 1)
+    slope = (a[other] - now) * ahead / h
+    whole = c * now / s + c * slope / s**2
+
+    def at(t):
+        return (r - whole) * jnp.exp(s * t) + whole + c * slope * t / s
+
+    def closer(bracket, _):
+        low, high, t = bracket
+        rate = s * at(t) - c * (now + slope * t)
+        grows = sign * ahead * jnp.imag(rate) > 0
+        low, high = jnp.where(grows, t, low), jnp.where(grows, high, t)
+        curvature = jnp.imag(s * rate - c * slope)
+        newton = t - jnp.imag(rate) / jnp.where(curvature == 0, 1.0, curvature)
+        middle = (low + high) / 2
+        inside = jnp.abs(newton - middle) <= jnp.abs(high - low) / 2 + ROUNDING * h
+        return (low, high, jnp.where(inside, newton, middle)), None
+
+    zero, end = jnp.zeros_like(now), jnp.where(other == k, 0.0, ahead * h)
+    t = jax.lax.scan(closer, (zero, end, end / 2), None, length=REFINED)[0][2]
+    t = jax.lax.stop_gradient(t)
+    return _signed(jnp.imag(at(t)), side), k * h + t, sign

@@ -1,0 +1,1 @@
+"""Views in three dimensions: a scene in a browser, in a notebook, in pictures."""

@@ -1,0 +1,47 @@
+"""The camera: a direction that suits the model, a distance from which all that moves is in view, and its perspective."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxbody.scenes.animations import Animation
+
+ANGLE = np.deg2rad(28.0)  # of view, vertical
+ASPECT = 1.5  # width over height of the picture for which the distance is chosen
+FILLED = 0.93  # share of the picture that is used
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera at `position` that looks at `target`; the columns of `axes` point right, up and toward it."""
+
+    position: np.ndarray
+    target: np.ndarray
+    axes: np.ndarray
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Picture coordinates (n, 2), in units of the distance of the picture's plane, and depths (n,) [m]."""
+        x = (points - self.position) @ self.axes
+        depth = -x[:, 2]
+        return x[:, :2] / np.where(depth > 0, depth, np.nan)[:, None], depth
+
+
+def camera_for(animation: Animation, direction: np.ndarray | None = None) -> Camera:
+    """The camera for an animation. `direction`: from what is seen to the camera, in world axes; None chooses it."""
+    up, right = animation.up, animation.right
+    front = np.cross(right, up)
+    aside, above = np.deg2rad(animation.seen_from)
+    usual = np.cos(above) * (np.cos(aside) * front + np.sin(aside) * right) + np.sin(above) * up
+    z = usual if direction is None else direction / np.linalg.norm(direction)
+    x = np.cross(up, z)
+    x = right if np.linalg.norm(x) < 1e-6 else x / np.linalg.norm(x)
+    axes = np.stack([x, np.cross(z, x), z], -1)
+    points = animation.outline()
+    low, high = (points @ axes).min(0), (points @ axes).max(0)
+    target = axes @ ((low + high) / 2)
+    seen = (points - target) @ axes
+    half = np.tan(ANGLE / 2) * FILLED
+    distance = float(np.max(seen[:, 2] + np.maximum(np.abs(seen[:, 1]) / half, np.abs(seen[:, 0]) / (ASPECT * half))))
+    return Camera(target + max(distance, 1e-6 * animation.size) * z, target, axes)

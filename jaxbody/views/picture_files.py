@@ -1,0 +1,106 @@
+"""Pictures of an animation in files: PNG of one frame, GIF and MP4 of all. No display is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxbody.core.errors import import_extra
+from jaxbody.core.progress_lines import working
+from jaxbody.core.source_files import writing
+from jaxbody.scenes.animations import Animation
+from jaxbody.views.drawn_frames import BRIGHTEST, DARKEST, Painter
+
+RATES = {".gif": 20, ".mp4": 30}  # frames per second of playing
+MOST = 600  # frames
+LOOKED_AT = 6  # pictures whose colors a GIF may use
+NEARLY_WHITE = 248  # of 255: colors from there on are white
+SWATCH = 16  # height of the strip of shades of each part in the sheet whose colors it uses [pixels]
+
+
+def save_png(path: Path, painter: Painter, frame: int) -> None:
+    """One frame. Error: NOT_SAVED."""
+    from PIL import Image
+
+    image = Image.fromarray(painter.picture(frame))
+    with writing(path):
+        image.save(path, format="PNG", optimize=True)
+
+
+def save_gif(path: Path, painter: Painter) -> None:
+    """All frames in a loop, with one palette, so that only what changes is stored. Error: NOT_SAVED."""
+    from PIL import Image
+
+    animation = painter.animation
+    frames, pauses = _frames(animation, RATES[".gif"])
+    images = [Image.fromarray(array) for array in _drawn(painter, frames, path.name)]
+    palette = _palette(images[:: max(1, len(images) // LOOKED_AT)], animation)
+    small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    with writing(path):
+        small[0].save(path, format="GIF", save_all=True, append_images=small[1:], duration=pauses, loop=0, optimize=True)
+
+
+def _palette(images: list[Any], animation: Animation) -> Any:
+    """A picture with 256 colors: those of these pictures, of small parts too, and white."""
+    from matplotlib.colors import to_rgb
+    from PIL import Image
+
+    width, height = images[0].size
+    colors = sorted({part.color for part in animation.parts})
+    sheet = Image.new("RGB", (width, height * len(images) + SWATCH * len(colors)))
+    for k, image in enumerate(images):
+        sheet.paste(image, (0, k * height))
+    for k, color in enumerate(colors):
+        shades = np.clip(np.linspace(DARKEST, BRIGHTEST, width)[:, None] * to_rgb(color), 0, 1)
+        strip = np.round(255 * np.repeat(shades[None], SWATCH, 0)).astype(np.uint8)
+        sheet.paste(Image.fromarray(strip), (0, len(images) * height + k * SWATCH))
+    reduced = sheet.quantize(256, method=Image.Quantize.MEDIANCUT)
+    entries = np.array(reduced.getpalette()).reshape(-1, 3)
+    entries[entries.min(1) >= NEARLY_WHITE] = 255
+    reduced.putpalette(entries.ravel().tolist())
+    return reduced
+
+
+def save_mp4(path: Path, painter: Painter) -> None:
+    """All frames, H.264. Errors: MISSING_EXTRA, NOT_SAVED."""
+    ffmpeg = import_extra("imageio_ffmpeg", "view")
+    rate = RATES[".mp4"]
+    frames, pauses = _frames(painter.animation, rate)
+    counts = np.diff(np.round(np.cumsum([0, *pauses]) * rate / 1000)).astype(int)
+    with writing(path):
+        path.open("wb").close()  # ffmpeg would say this in its own way
+    writer = None
+    for array, count in zip(_drawn(painter, frames, path.name), counts, strict=True):
+        if writer is None:
+            height, width = array.shape[:2]
+            writer = ffmpeg.write_frames(str(path), (width, height), fps=rate, macro_block_size=2, quality=7)
+            writer.send(None)
+        for _ in range(count):
+            writer.send(np.ascontiguousarray(array))
+    if writer is not None:
+        writer.close()
+
+
+def _frames(animation: Animation, rate: int) -> tuple[list[int], list[int]]:
+    """The frames that are shown at a rate, and how long each [ms], in steps of 10 ms, which is the unit of GIF."""
+    if not animation.moves:
+        return [0], [1000]
+    duration = float(animation.seconds[-1] + animation.pauses[-1])
+    count = int(np.clip(round(duration * rate), 2, MOST))
+    wanted = np.arange(count) * duration / count
+    frames = np.clip(np.searchsorted(animation.seconds, wanted + 1e-9, side="right") - 1, 0, len(animation.seconds) - 1)
+    shown, first = np.unique(frames, return_index=True)
+    starts = np.append(wanted[first], duration)
+    ticks = np.maximum(np.diff(np.round(starts * 100)), 2)
+    return shown.tolist(), [int(10 * tick) for tick in ticks]
+
+
+def _drawn(painter: Painter, frames: list[int], name: str) -> Iterator[np.ndarray]:
+    """The pictures of these frames, one after the other."""
+    with working(f"view, {name}") as line:
+        for k, i in enumerate(frames):
+            line(f"frame {k + 1} of {len(frames)}")
+            yield painter.picture(i)

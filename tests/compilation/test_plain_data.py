@@ -1,0 +1,103 @@
+"""Static values and structures become text and are the same again; what has no name has no text, and no text runs anything."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody.compilation.array_functions import Remainder
+from jaxbody.compilation.plain_data import Unnamed, text_of, value_of
+from jaxbody.core.errors import Status
+from jaxbody.core.jax_internals import tree_of_node
+from jaxbody.models.leaf_paths import Leaf, numbered
+
+pytestmark = pytest.mark.everywhere
+
+MODEL = jb.presets.quarter_car(damping=1500.0)
+
+
+class Own:
+    pass
+
+
+VALUES = {
+    "none": None,
+    "numbers": (True, 1, -0.0, 1.5, 1 + 2j, float("inf"), 0.1),
+    "text": ("", "[1]", "K~ µ", 'a "b" \\'),
+    "collections": [[], (), {}, {"a": (1,), 2: [None]}, {1, 2}, frozenset({"x"})],
+    "enumeration": Status.AT_BOUND,
+    "number of NumPy": np.float32(0.1),
+    "types": (np.dtype("float64"), jax.typeof(jnp.zeros((2, 3))), jax.typeof(1.0)),
+    "class": (jb.Spring, int, type(None)),
+    "function": (jb.modes, tree_of_node),
+    "dataclass": Leaf("AB.stiffness", 3, 0, 0),
+}
+
+
+@pytest.mark.parametrize("name", VALUES)
+def test_values_are_the_same_again(name):
+    value = VALUES[name]
+    again = value_of(text_of(value))
+    assert again == value and type(again) is type(value) and text_of(again) == text_of(value)
+    assert repr(again) == repr(value)  # also the sign of zero
+
+
+def test_not_a_number_is_one_again():
+    assert np.isnan(value_of(text_of(float("nan"))))
+
+
+@pytest.mark.parametrize("tree", [MODEL, {"b": (1, [2, None]), "a": Leaf}, ((), None, [])], ids=["model", "dictionary", "empty"])
+def test_structures_of_trees_are_the_same_again(tree):
+    structure = jax.tree.structure(tree)
+    again = value_of(text_of(structure))
+    assert again == structure and hash(again) == hash(structure)
+    leaves = list(range(structure.num_leaves))
+    assert jax.tree.leaves(jax.tree.unflatten(again, leaves)) == leaves
+
+
+def test_a_model_of_another_structure_has_another_text():
+    texts = {text_of(jax.tree.structure(model)) for model in (MODEL, jb.replace(MODEL, {"*.stiffness": 3.0}), jb.presets.full_car())}
+    assert len(texts) == 2 and numbered(MODEL) is not None
+
+
+def test_what_a_result_is_besides_its_arrays_is_the_same_again():
+    value = (jax.tree.structure(MODEL), (None, ("free",), (Status.OK,)))
+    assert value_of(text_of(Remainder(value))).value == value
+
+
+@pytest.mark.parametrize("value", [lambda x: x, Own, Own(), np.zeros(2), MODEL.joint, object()])
+def test_what_has_no_name_has_no_text(value):
+    with pytest.raises(Unnamed):
+        text_of((1, value))
+
+
+def test_a_function_made_in_another_has_no_text():
+    def inner():
+        pass
+
+    inner.__module__ = "jaxbody.compilation.plain_data"
+    with pytest.raises(Unnamed, match="<locals>"):
+        text_of(inner)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{}",
+        "[]",
+        '["unknown",1]',
+        '["name","os:system"]',
+        '["name","builtins:eval"]',
+        '["name","jaxbody.core.units:no such thing"]',
+        '["object","subprocess:Popen",["args",["list","true"]]]',
+        '["object","jaxbody.core.units:length"]',
+        '["tree",["name","builtins:int"],null]',
+        '["float","not a number"]',
+        "[" * 100_000,
+    ],
+)
+def test_other_texts_are_refused(text):
+    with pytest.raises(ValueError):
+        value_of(text)

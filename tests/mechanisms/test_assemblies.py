@@ -1,0 +1,165 @@
+"""Assembly of closed loops: closed forms of linkages, redundant conditions, derivatives, and messages."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxbody as jb
+from jaxbody.mechanics.constraints import gaps
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.mechanisms.driven_positions import drives_of, position, positions
+
+BAR = jb.Body(mass=1.0, inertia=[1, 1, 1])
+CRANK, COUPLER, ROCKER, GROUND = 0.04, 0.12, 0.08, 0.1
+
+# crank, coupler and rocker angles [deg], rates [rad/s] and accelerations [rad/s2] of coupler and rocker where the crank turns at 25 rad/s
+# and 15 rad/s2: Freudenstein, after Norton, Design of Machinery; REFERENCES2 2.1
+OPEN = [
+    (0, 36.33605751, 62.72038726, -16.66666667, -16.66666667, 348.116635, 934.125673),
+    (40, 20.29788279, 57.32488007, -4.12091442, 6.99798524, 296.089193, 470.133530),
+    (120, 21.96428431, 96.25042326, 3.48646845, 12.85780849, 89.111244, -65.238176),
+    (180, 34.77194403, 121.18862233, 7.14285714, 7.14285714, 81.498743, -179.428045),
+    (240, 54.16851181, 128.45465077, 8.05199309, -1.31934695, -57.611420, -223.206447),
+]
+CROSSED = (40, -60.97796680, -98.00496408, -9.25877230, -20.37767196, 597.622400, 423.578063)
+
+
+def four_bar(closure=None, crank=CRANK, coupler=COUPLER, rocker=ROCKER):
+    """Links along x in the drawing, so that angles are coordinates (that of the coupler relative to the crank); hinges about z."""
+    joints = {
+        "crank": jb.Hinge("world", axis="z", at=[0, 0, 0]),
+        "coupler": jb.Hinge("crank", axis="z", at=[crank, 0, 0]),
+        "rocker": jb.Hinge("world", axis="z", at=[GROUND, 0, 0]),
+    }
+    pin = closure or jb.closures.Hinge(("coupler", [crank + coupler, 0, 0]), ("rocker", [GROUND + rocker, 0, 0]), axis="z")
+    return jb.Model(bodies=dict.fromkeys(joints, BAR), joints=joints, closures={"pin": pin})
+
+
+def state(*degrees):
+    return jb.State(jnp.deg2rad(jnp.array(degrees)), jnp.zeros(3))
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """Rates and accelerations of the coordinates for a rate and an acceleration of the crank, next to an assembled state."""
+    model = four_bar()
+    drives = drives_of(model, {"crank": "crank.q"}, "test")
+
+    @jax.jit
+    def rates(q, rate, acceleration):
+        at = lambda t: position(model, drives, q[:1] + rate * t + acceleration * t**2 / 2, q)  # noqa: E731
+        return jax.jacfwd(at)(0.0), jax.jacfwd(jax.jacfwd(at))(0.0)
+
+    return model, rates
+
+
+@pytest.mark.parametrize("crank, coupler, rocker, w3, w4, a3, a4", [*OPEN, CROSSED])
+def test_a_four_bar_linkage_moves_as_by_freudenstein(motion, crank, coupler, rocker, w3, w4, a3, a4):
+    model, rates = motion
+    rough = state(crank, coupler - crank + 10.0, rocker - 10.0)
+    q = jb.assemble(model, start=rough, hold=["crank"]).state.q
+    found = np.rad2deg([q[0] + q[1], q[2]])
+    np.testing.assert_allclose((found - [coupler, rocker] + 180) % 360 - 180, 0, atol=1e-8)
+    v, a = rates(q, 25.0, 15.0)
+    np.testing.assert_allclose([v[0] + v[1], v[2]], [w3, w4], atol=1e-8)
+    np.testing.assert_allclose([a[0] + a[1], a[2]], [a3, a4], atol=1e-6)  # the digits of the table
+
+
+def test_conditions_out_of_the_plane_are_redundant_and_do_no_harm():
+    done = jb.assemble(four_bar(), start=state(40.0, -20.0, 57.0))
+    assert done.freedoms == 1 and len(done.redundant) == 3 and done.ok
+    assert set(done.redundant) == {"pin z", "pin turn 1", "pin turn 2"}
+    assert "implied by the others: pin z" in repr(done)
+
+
+@pytest.mark.parametrize("name", ["Ball", "Rod", "Inline"])
+def test_other_closures_of_the_same_linkage_move_alike(name):
+    """A ball joint; a rod in place of the coupler; the point of the rocker on a line of the coupler and at its end's distance."""
+    ends = ("coupler", [CRANK + COUPLER, 0, 0]), ("rocker", [GROUND + ROCKER, 0, 0])
+    start = state(40.0, 20.0 - 40.0, 57.0)
+    expected = jb.assemble(four_bar(), start=start, hold=["crank"]).state.q
+    if name == "Ball":
+        q = jb.assemble(four_bar(jb.closures.Ball(*ends)), start=start, hold=["crank"]).state.q
+        np.testing.assert_allclose(q, expected, atol=1e-12)
+    elif name == "Rod":
+        rod = jb.closures.Rod(("crank", [CRANK, 0, 0]), ends[1], length=COUPLER)
+        q = jb.assemble(four_bar(rod), start=start, hold=["crank"]).state.q
+        np.testing.assert_allclose(q[2], expected[2], atol=1e-12)
+    else:
+        line = jb.closures.Inline(("coupler", [CRANK, 0, 0]), ends[1], axis="x")
+        q = jb.assemble(four_bar(line), start=jb.State(expected, jnp.zeros(3)), hold=["crank"]).state.q
+        np.testing.assert_allclose(q, expected, atol=1e-12)
+
+
+def test_guides_welds_and_equations_hold_what_they_say():
+    """A box on the world: gaps of a pose that is moved and turned, by hand."""
+    box = jb.Body(mass=1.0, inertia=[1, 1, 1])
+    ends = ("world", [0, 0, 0]), ("box", [0, 0, 0])
+    equation = jb.closures.Equation(lambda A, B: B.p[0] * 2.0 - A.p[0], ("world", "box"))
+    kinds = {"guide": jb.closures.Guide(*ends, axis="x"), "weld": jb.closures.Weld(*ends), "rule": equation}
+    model = jb.Model(bodies={"box": box}, closures=kinds)
+    angle = 0.3
+    q = jnp.array([0.5, 0.2, -0.1, np.cos(angle / 2), 0, 0, np.sin(angle / 2)])
+    coordinates = Coordinates(model)
+    c = gaps(model, coordinates, coordinates.at_rest(q))
+    sine = [0.0, 0.0, np.sin(angle)]  # times the size of the model, 1 m
+    assert np.sort(np.abs(c[:2])).tolist() == pytest.approx([0.1, 0.2])
+    np.testing.assert_allclose(c[2:5], sine, atol=1e-12)
+    np.testing.assert_allclose(c[5:11], [0.5, 0.2, -0.1, *sine], atol=1e-12)
+    np.testing.assert_allclose(c[11], 1.0, atol=1e-12)
+
+
+def test_an_assembled_state_has_derivatives_by_lengths():
+    """The rocker's angle by the length of the crank: the law of cosines, differentiated by differences of the closed form."""
+
+    def rocker(crank):
+        return jb.assemble(four_bar(crank=crank), start=state(90.0, 0.0 - 90.0, 80.0), hold=["crank"]).state.q[2]
+
+    def closed_form(crank):
+        diagonal = np.hypot(GROUND, crank)
+        return np.pi - np.arctan2(crank, GROUND) - np.arccos((diagonal**2 + ROCKER**2 - COUPLER**2) / (2 * diagonal * ROCKER))
+
+    rocker = jax.jit(rocker)
+    assert float(rocker(CRANK)) == pytest.approx(closed_form(CRANK), abs=1e-12)
+    h = 1e-5
+    difference = (closed_form(CRANK + h) - closed_form(CRANK - h)) / (2 * h)
+    second = (closed_form(CRANK + 1e-4) - 2 * closed_form(CRANK) + closed_form(CRANK - 1e-4)) / 1e-8
+    reverse, forward_of_reverse = jax.jit(lambda x: jax.jvp(jax.grad(rocker), (x,), (1.0,)))(CRANK)
+    assert float(reverse) == pytest.approx(difference, rel=1e-8)
+    assert float(jax.jit(jax.jacfwd(rocker))(CRANK)) == pytest.approx(difference, rel=1e-8)
+    assert float(forward_of_reverse) == pytest.approx(second, rel=1e-5)
+
+
+def test_a_turn_of_the_crank_one_position_after_the_other():
+    model = four_bar()
+    q = jb.assemble(model, start=state(0.0, 36.0, 62.0), hold=["crank"]).state.q
+    drives = drives_of(model, {"crank": "crank.q"}, "test")
+    turns = jnp.linspace(0.0, 2 * np.pi, 37)[:, None]
+    each, status = jax.jit(positions)(model, drives, turns, q)
+    assert (np.asarray(status) == 0).all()
+    for crank, coupler, rocker, *_ in OPEN:
+        i = round(crank / 10)
+        np.testing.assert_allclose(np.rad2deg([each[i, 0] + each[i, 1], each[i, 2]]), [coupler, rocker], atol=1e-8)
+    np.testing.assert_allclose(each[-1] - each[0], [2 * np.pi, -2 * np.pi, 0.0], atol=1e-9)  # the coupler's is relative to the crank
+
+
+def test_what_cannot_be_assembled_is_named():
+    with pytest.warns(jb.JaxbodyWarning, match=r"NOT_CLOSED.*'pin x' stays 0.3.* m apart"):
+        done = jb.assemble(four_bar(coupler=0.5, rocker=0.08))
+    assert done.report().startswith("NOT_CLOSED")
+
+
+def test_bad_input():
+    with pytest.raises(jb.JaxbodyError, match=r"closures.*is a Hinge"):
+        jb.Model(bodies={"a": BAR}, closures={"pin": jb.Hinge("world", axis="z")})
+    with pytest.raises(jb.JaxbodyError, match=r"closures\['pin'\].*UNKNOWN_BODY"):
+        jb.Model(bodies={"a": BAR}, closures={"pin": jb.closures.Ball(("b", [0, 0, 0]), ("a", [0, 0, 0]))})
+    with pytest.raises(jb.JaxbodyError, match="NOT_POSITIVE"):
+        jb.closures.Rod(("a", [0, 0, 0]), ("world", [0, 0, 0]), length=0.0)
+    with pytest.raises(jb.JaxbodyError, match="ZERO_AXIS"):
+        jb.closures.Inline(("a", [0, 0, 0]), ("world", [0, 0, 0]), axis=[0, 0, 0])
+    with pytest.raises(jb.JaxbodyError, match=r"has no closures.*NO_CLOSURE"):
+        jb.assemble(jb.Model(bodies={"a": BAR}))
+    with pytest.raises(jb.JaxbodyError, match=r"assemble.hold.*UNKNOWN_NAME"):
+        jb.assemble(four_bar(), hold=["cranc"])
