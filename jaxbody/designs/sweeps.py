@@ -14,9 +14,8 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxbody.compilation.compile_options import quick_options
 from jaxbody.core.arguments import check_key, checked_dict, whole_number
-from jaxbody.core.arrays import device_array, float_array
+from jaxbody.core.arrays import float_array
 from jaxbody.core.datasets import dataset
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, import_extra
 from jaxbody.core.progress_lines import working
@@ -24,7 +23,7 @@ from jaxbody.designs.programs import Evaluate, evaluated
 from jaxbody.models.leaf_paths import replace
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
-from jaxbody.workers.batches import ChunkedBatch, arrays_apart, batch_of, checked_chunks, gathered, kept, store_of, stored
+from jaxbody.workers.batches import ChunkedBatch, batch_of, checked_chunks, computed_here, gathered, store_of, stored
 from jaxbody.workers.chunk_stores import STATUS, hash_of
 from jaxbody.workers.executors import Crew, crew_of
 
@@ -210,38 +209,14 @@ def _extremes(columns: dict[str, Any], rows: PointsOf, count: int) -> dict[str, 
 def _evaluated(
     model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, count: int, chunk: int | None, report: Callable[[int, int], None]
 ) -> dict[str, np.ndarray]:
-    """The quantities at all points, computed chunk by chunk."""
-    numbers, program, width = _program(model, evaluate, paths, rows, min(count, chunk or LARGEST_CHUNK), chunk is None)
-    parts = []
-    for first in range(0, count, width):
-        last = min(first + width, count)
-        given = [np.concatenate([x, np.repeat(x[-1:], width - len(x), 0)]) for x in rows(first, last)]  # the last chunk is filled up
-        quantities = program(numbers, [device_array(x) for x in given])
-        parts.append({name: np.asarray(x)[: last - first] for name, x in quantities.items()})
-        report(last, 1)
+    """The quantities at all points, computed chunk by chunk in this process."""
+    options: Any = dict(width=chunk or LARGEST_CHUNK, memory=MEMORY if chunk is None else None)
+    parts, done = [], 0
+    for part in computed_here(_function(evaluate, paths), model, rows, count, owner=evaluate, place=("sweep", *paths), **options):
+        parts.append(part)
+        done += len(next(iter(part.values())))
+        report(done, 1)
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def _program(model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, width: int, may_shrink: bool):
-    """The numbers of the model, the compiled program for chunks of `width` models, and its width, which is smaller if the chunk would take
-    too much memory."""
-    one = rows(0, 1)
-    function, shared, rest = arrays_apart(_function(evaluate, paths), model)
-
-    def built(width):
-        given = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in one]
-        return jax.jit(function, compiler_options=quick_options()).lower(shared, given).compile()
-
-    def fitting():
-        program = built(width)
-        taken = getattr(program.memory_analysis(), "temp_size_in_bytes", 0)
-        if may_shrink and taken > MEMORY and width > 1:
-            narrow = max(1, int(width * MEMORY / taken))
-            return built(narrow), narrow
-        return program, width
-
-    shapes = tuple((x.shape, x.dtype) for x in [*shared, *one])
-    return shared, *kept(evaluate, ("sweep", *paths, rest, shapes, width, may_shrink), fitting)
 
 
 def _batch(model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, count: int, chunk: int | None, crew: Crew) -> ChunkedBatch:

@@ -27,7 +27,7 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.parameters.spaces import Parameter, Space
 from jaxbody.parameters.transforms import Shifted
-from jaxbody.workers.batches import Report, batch_of, checked_chunks, gathered, store_of
+from jaxbody.workers.batches import Report, batch_of, checked_chunks, computed_here, gathered, store_of
 from jaxbody.workers.chunk_stores import hash_of
 from jaxbody.workers.executors import crew_of
 
@@ -246,18 +246,21 @@ def _deviations(samples: int, size: int, key: Any):
     return jax.random.normal(key, (samples, size))
 
 
-@jit_optimized
-def _values(space: Space, evaluate: Evaluate, xi: Float[Array, "b k"]):
-    return jax.vmap(Flat(space, evaluate))(xi)
+def _values(space: Space, evaluate: Evaluate) -> dict[str, Any]:
+    """(space, deviations of several samples) -> {"values": their quantities}."""
+
+    def values(space, xi):
+        return {"values": jax.vmap(Flat(space, evaluate))(xi)}
+
+    return dict(function=values, tree=space, owner=evaluate, place="tolerances")
 
 
 def _sampled(space: Space, evaluate: Evaluate, xi: np.ndarray, width: int, report: Report) -> np.ndarray:
     """The quantities of each sample, in batches of one width."""
-    count, done = len(xi), []
-    for first in range(0, count, width):
-        filled = xi[np.minimum(np.arange(first, first + width), count - 1)]
-        done.append(np.asarray(_values(space, evaluate, device_array(filled)))[: count - first])
-        report(min(first + width, count), 1)
+    done = []
+    for part in computed_here(rows=lambda i, j: [xi[i:j]], count=len(xi), width=width, **_values(space, evaluate)):
+        done.append(part["values"])
+        report(sum(map(len, done)), 1)
     return np.concatenate(done)
 
 
@@ -266,12 +269,9 @@ def _sampled_by_workers(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The quantities of each sample and its status."""
 
-    def function(space, xi):
-        return {"values": _values(space, evaluate, xi)}
-
     with crew_of(workers, "tolerances.workers") as crew:
         options: Any = dict(width=width, where="tolerances.evaluate", crew=crew, memory=np.inf if chunk is None else None)
-        batch = batch_of(function, space, lambda i, j: [xi[i:j]], len(xi), owner=evaluate, place="tolerances", **options)
+        batch = batch_of(rows=lambda i, j: [xi[i:j]], count=len(xi), **options, **_values(space, evaluate))
         plan = {"deviations": hash_of(xi)}
         store = None if out is None else store_of(batch, out, plan, ["deviations"], "sample", any_size=chunk is None)
         results, status = gathered(batch, crew, "tolerances", report, store, chunks)

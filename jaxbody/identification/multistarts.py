@@ -12,7 +12,6 @@ import jax
 import numpy as np
 import optimistix
 
-from jaxbody.compilation.compile_options import jit_optimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import positive_number, whole_number
 from jaxbody.core.arrays import Array, Float, Int, device_array
@@ -26,7 +25,7 @@ from jaxbody.identification.residuals import Task
 from jaxbody.identification.traced_fits import solve
 from jaxbody.models.models import Model
 from jaxbody.parameters.starts import around
-from jaxbody.workers.batches import batch_of, checked_chunks, gathered, store_of
+from jaxbody.workers.batches import batch_of, checked_chunks, computed_here, gathered, store_of
 from jaxbody.workers.chunk_stores import hash_of
 from jaxbody.workers.executors import crew_of
 
@@ -168,37 +167,33 @@ Ends = tuple[np.ndarray, ...]  # u, status and cost at the ends of searches
 
 def _searched(task: Task, points: np.ndarray, max_steps: int) -> Iterator[Ends]:
     """The ends of searches from these points, in batches of one width, in their order."""
-    count, width = len(points), min(BATCH, len(points))
-    for first in range(0, count, width):
-        filled = points[np.minimum(np.arange(first, first + width), count - 1)]
-        yield tuple(np.asarray(x)[: count - first] for x in _search(task, device_array(filled), max_steps))
+    for part in computed_here(**_search(task, points, max_steps)):
+        yield part["u"], part["end"], part["cost"]
 
 
 def _searched_by_workers(task: Task, points: np.ndarray, max_steps: int, workers: Any, out: Any, chunks: Any, line: Line) -> Ends:
     """The ends of all searches; those that were not made have the status LOST or INTERRUPTED."""
-
-    def function(task, points):
-        return dict(zip(("u", "end", "cost"), _search(task, points, max_steps), strict=True))
-
-    count, points = len(points), points.astype(np.asarray(device_array(points)).dtype)
     with crew_of(workers, "multistart.workers") as crew:
-        owner: Any = dict(owner=_searched_by_workers, place=max_steps)
-        batch = batch_of(function, task, lambda i, j: [points[i:j]], count, width=BATCH, where="multistart", crew=crew, **owner)
+        batch = batch_of(**_search(task, points, max_steps), where="multistart", crew=crew)
         store = None if out is None else store_of(batch, out, {"starts from": hash_of(points)}, ["start"], "start", any_size=False)
-        results, status = gathered(batch, crew, "multistart", lambda done, _: line(f"starts {done} of {count}"), store, chunks)
+        results, status = gathered(batch, crew, "multistart", lambda done, _: line(f"starts {done} of {len(points)}"), store, chunks)
     return results["u"], np.where(status == Status.OK, results["end"], status), results["cost"]
 
 
-@jit_optimized
-def _search(task: Task, points: Float[Array, "n m"], max_steps: int):
-    """u, status and cost at the end of the search from each point."""
+def _search(task: Task, points: np.ndarray, max_steps: int) -> dict[str, Any]:
+    """The batch of searches from these points: for each u, status and cost at its end."""
 
-    def search(start):
-        u, status, _ = solve(task, start, optimistix.LevenbergMarquardt(rtol=1e-9, atol=1e-9), max_steps)
-        r = task.residual(u)
-        return u, status, 0.5 * r @ r
+    def search(task, points):
+        def one(start):
+            u, status, _ = solve(task, start, optimistix.LevenbergMarquardt(rtol=1e-9, atol=1e-9), max_steps)
+            r = task.residual(u)
+            return {"u": u, "end": status, "cost": 0.5 * r @ r}
 
-    return jax.vmap(search)(points)
+        return jax.vmap(one)(points)
+
+    points = points.astype(np.asarray(device_array(points)).dtype)
+    rows = lambda i, j: [points[i:j]]  # noqa: E731
+    return dict(function=search, tree=task, rows=rows, count=len(points), width=BATCH, owner=_search, place=max_steps)
 
 
 def _grouped(ends: np.ndarray, costs: np.ndarray) -> list[list[int]]:

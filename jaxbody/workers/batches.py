@@ -13,6 +13,8 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from jaxbody.compilation.compile_options import quick_options
+from jaxbody.core.arrays import device_array
 from jaxbody.core.errors import Problems, Status, warn
 from jaxbody.workers.chunk_programs import ChunkProgram, ComputedChunk, FailedChunk, Types, exported, types_of
 from jaxbody.workers.chunk_stores import ChunkStore, hash_of
@@ -78,6 +80,43 @@ def kept(owner: Any, place: Any, make: Callable[[], Any]) -> Any:
 
 
 programs: weakref.WeakKeyDictionary[Any, dict[Any, Any]] = weakref.WeakKeyDictionary()
+
+
+def computed_here(
+    function: Callable[..., Any],
+    tree: Any,
+    rows: Callable[[int, int], list[np.ndarray]],
+    count: int,
+    *,
+    width: int,
+    owner: Any,
+    place: Any = (),
+    memory: float | None = None,
+) -> Iterator[dict[str, np.ndarray]]:
+    """The results by function(tree, *rows) of `width` rows at a time, in their order, by this process and without workers; arguments as in
+    `batch_of`. The program is that of workers but not made data, so that the numbers are the same, and callbacks are possible."""
+    apart, shared, rest = arrays_apart(function, tree)
+    one, width = rows(0, 1), min(width, count)
+
+    def compiled(width: int) -> Any:
+        given = [jax.ShapeDtypeStruct((width, *x.shape[1:]), x.dtype) for x in one]
+        return jax.jit(apart, compiler_options=quick_options()).lower(shared, given).compile()
+
+    def fitting() -> tuple[Any, int]:
+        program = compiled(width)
+        taken = getattr(program.memory_analysis(), "temp_size_in_bytes", 0)
+        if memory is not None and taken > memory and width > 1:
+            narrow = max(1, int(width * memory / taken))
+            return compiled(narrow), narrow
+        return program, width
+
+    shapes = tuple((x.shape, x.dtype) for x in [*shared, *one])
+    program, width = kept(owner, ("here", place, rest, shapes, width, memory, jax.config.read("jax_enable_x64")), fitting)
+    for first in range(0, count, width):
+        last = min(first + width, count)
+        given = [np.concatenate([x, np.repeat(x[-1:], width - len(x), 0)]) for x in rows(first, last)]  # the last rows are filled up
+        results = program(shared, [device_array(x) for x in given])
+        yield {name: np.asarray(x)[: last - first] for name, x in results.items()}
 
 
 def checked_chunks(where: str, workers: Any, out: Any, chunks: Any, problems: Problems, *, fixed: bool) -> list[int] | None:
