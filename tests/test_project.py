@@ -355,11 +355,8 @@ SLOW = [
 ]
 
 
-NOT_YET_TYPED = ("shocks", "fatigue")  # packages that still promote ranks and types implicitly
-
-
 def marks_of(module):
-    return [pytest.mark.long] * (module in SLOW) + [pytest.mark.untyped] * (module.split(".")[0] in NOT_YET_TYPED)
+    return [pytest.mark.long] * (module in SLOW)
 
 
 @pytest.mark.everywhere  # each public function has an example

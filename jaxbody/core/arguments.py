@@ -32,7 +32,7 @@ def kind_of(value: Any) -> str:
     return f"{'an' if name[0] in 'AEIOUaeiou' else 'a'} {name}"
 
 
-def checked_dict(things: Any, where: str, kind: str, problems: Problems) -> dict[str, Any]:
+def checked_dict(things: Any, where: str, kind: str, problems: Problems) -> dict[Any, Any]:
     """The dict with Python strings as names; empty if `things` is not a dict, with a problem added."""
     if things is None:
         return {}

@@ -139,7 +139,7 @@ def width(zeroth: Float[Array, "*n"], first: Float[Array, "*n"], second: Float[A
 def factors(rate: Float[Array, "*n"], delta: Float[Array, "*n"], T: Any, formula: str) -> tuple[Array, Array]:
     """Mean and standard deviation of the peak factor."""
     if formula == "Vanmarcke":
-        a = jnp.linspace(0.0, HIGHEST, POINTS + 1)
+        a = jnp.broadcast_to(jnp.linspace(0.0, HIGHEST, POINTS + 1), (*rate.shape, POINTS + 1))
         above = 1 - _vanmarcke(a, rate[..., None] * T, delta[..., None])
         mean, square = jnp.trapezoid(above, a, axis=-1), 2 * jnp.trapezoid(a * above, a, axis=-1)
         return mean, jnp.sqrt(square - mean**2)

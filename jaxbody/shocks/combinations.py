@@ -35,7 +35,7 @@ def combined(modal: Float[Array, "*b n"], rest: Float[Array, "*b"], rho: Float[A
     `rho`: correlations, of SRSS those within clusters alone."""
     if combine == "absolute":
         same = (rho == 1).astype(modal.dtype)
-        each = jnp.abs(modal @ same) / jnp.sum(same, 0)
+        each = jnp.abs(modal @ (same / jnp.sum(same, 0)[None]))
         parts = jnp.concatenate([each, jnp.abs(rest)[..., None]], -1)
         total = jnp.sum(parts, -1)
     else:

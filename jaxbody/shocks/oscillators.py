@@ -50,7 +50,7 @@ def steps(s: Complex[jax.Array, "n"], c: Complex[jax.Array, "n"], h: Any) -> tup
     h = jnp.asarray(h).astype(s.dtype)
     z = s * h
     small = jnp.abs(z) < SMALL
-    near, far = jnp.where(small, z, 0.0), jnp.where(small, 1.0, z)
+    near, far = jnp.where(small, z, jnp.zeros_like(z)), jnp.where(small, jnp.ones_like(z), z)
     first, second = jnp.zeros_like(z), jnp.zeros_like(z)
     for k in range(TERMS, 0, -1):  # by Horner's rule, sum z^(k-1)/k! and sum z^(k-1)/(k + 1)!
         first, second = 1 + first * near / (k + 1), 1 + second * near / (k + 2)
@@ -80,15 +80,16 @@ def influences(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Com
     weights, n = jnp.arange(parts) / parts, len(a)
     fine = jnp.append((a[:-1, None] + jnp.diff(a)[:, None] * weights[None]).ravel(), a[-1])
     value, time, sign = _refined(fine, h / parts, s, c, "maximax", _largest(fine, h / parts, s, c, "maximax", kept=True))
-    k = jnp.clip(jnp.floor(time / h).astype(int), 0, n - 2)
-    late, part = time - k * h, time / h - k
+    whole = jnp.clip(jnp.floor(time / h), 0, n - 2)
+    k, late, part = whole.astype(int), time - whole * h, time / h - whole
     e, before, after = steps(s, c, h)
     _, first, last = steps(s, c, late)  # of a_k and a(time) in the last, shorter step
     left = (k[:, None] - jnp.arange(n)[None]).astype(late.dtype)  # steps from each sample to the last before the peak
-    decayed = jnp.exp(s[:, None] * jnp.where(left >= 0, left * h + late[:, None], 0.0))
-    inner = jnp.where(left > 0, (before / e)[:, None] * decayed, 0.0)
-    inner = inner + jnp.where((left >= 0) & (jnp.arange(n) > 0)[None], after[:, None] * decayed, 0.0)
-    here, following = (left == 0).astype(late.dtype), (left == -1).astype(late.dtype)
+    decayed = jnp.exp(s[:, None] * jnp.where(left >= 0, left * h + late[:, None], 0.0).astype(s.dtype))
+    none, part = jnp.zeros_like(decayed), part.astype(s.dtype)
+    inner = jnp.where(left > 0, (before / e)[:, None] * decayed, none)
+    inner = inner + jnp.where((left >= 0) & (jnp.arange(n) > 0)[None], after[:, None] * decayed, none)
+    here, following = (left == 0).astype(s.dtype), (left == -1).astype(s.dtype)
     inner = inner + (first + last * (1 - part))[:, None] * here + (last * part)[:, None] * following
     return value, sign[:, None] * jnp.imag(inner)
 
@@ -97,7 +98,7 @@ def influences(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Com
 def history(a: Float[Array, "nt"], h: Any, s: Complex[jax.Array, "n"], c: Complex[jax.Array, "m n"]) -> Float[Array, "nt m"]:
     """The sums over oscillators of Im(c r) at the samples, with the states r of c = 1."""
     e, before, after = steps(s, jnp.ones_like(s), h)
-    drive = e * after + before
+    drive, a = e * after + before, a.astype(s.dtype)
 
     def step(w, now):
         return e * w + drive * now, jnp.imag(c @ (w + after * now))
@@ -135,13 +136,13 @@ def _refined(a, h, s, c, side: str, peak: Peak) -> tuple[Float[Array, "n"], Floa
 
     It is in the step into which the response grows, where its rate is zero: by Newton's rule, or bisection where that leaves the bracket.
     In derivatives its time is constant, as they do not depend on that of a maximum."""
-    k = peak.sample
-    now = a[k]
+    k, h = peak.sample, jnp.asarray(h, a.dtype)
+    now = a[k].astype(s.dtype)
     r = peak.state + steps(s, c, h)[2] * now
     sign = jnp.where(_signed(jnp.imag(r), side) == jnp.imag(r), 1.0, -1.0)
     ahead = jnp.where(sign * jnp.imag(s * r - c * now) > 0, 1, -1)
-    other = jnp.clip(k + ahead, 0, len(a) - 1)
-    slope = (a[other] - now) * ahead / h
+    other, onward = jnp.clip(k + ahead, 0, len(a) - 1), ahead.astype(a.dtype)
+    slope = (a[other] - a[k]).astype(s.dtype) * (onward / h).astype(s.dtype)
     whole = c * now / s + c * slope / s**2
 
     def at(t):
@@ -149,8 +150,9 @@ def _refined(a, h, s, c, side: str, peak: Peak) -> tuple[Float[Array, "n"], Floa
 
     def closer(bracket, _):
         low, high, t = bracket
-        rate = s * at(t) - c * (now + slope * t)
-        grows = sign * ahead * jnp.imag(rate) > 0
+        late = t.astype(s.dtype)
+        rate = s * at(late) - c * (now + slope * late)
+        grows = sign * onward * jnp.imag(rate) > 0
         low, high = jnp.where(grows, t, low), jnp.where(grows, high, t)
         curvature = jnp.imag(s * rate - c * slope)
         newton = t - jnp.imag(rate) / jnp.where(curvature == 0, 1.0, curvature)
@@ -158,7 +160,7 @@ def _refined(a, h, s, c, side: str, peak: Peak) -> tuple[Float[Array, "n"], Floa
         inside = jnp.abs(newton - middle) <= jnp.abs(high - low) / 2 + ROUNDING * h
         return (low, high, jnp.where(inside, newton, middle)), None
 
-    zero, end = jnp.zeros_like(now), jnp.where(other == k, 0.0, ahead * h)
+    zero, end = jnp.zeros_like(onward), jnp.where(other == k, 0.0, onward * h)
     t = jax.lax.scan(closer, (zero, end, end / 2), None, length=REFINED)[0][2]
     t = jax.lax.stop_gradient(t)
-    return _signed(jnp.imag(at(t)), side), k * h + t, sign
+    return _signed(jnp.imag(at(t.astype(s.dtype))), side), k.astype(a.dtype) * h + t, sign

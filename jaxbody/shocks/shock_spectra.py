@@ -55,7 +55,7 @@ class ShockSpectrum(Labeled, ResponseSpectrum, Result):
             hint = 'Compute it with kind="pseudo" and side="maximax".'
             message = f"is of {self.kind} responses, {self.side}"
             raise JaxbodyError(Problem("BAD_KIND", "ShockSpectrum.kind", message, self.kind, "pseudo or relative, maximax", hint))
-        return self.values * ((2 * jnp.pi * self.frequencies) ** 2 if self.kind == "relative" else 1.0)
+        return self.values * ((2 * jnp.pi * self.frequencies[None]) ** 2 if self.kind == "relative" else 1.0)
 
     def covers(self) -> tuple[Any, Any]:
         return jnp.min(self.frequencies), jnp.max(self.frequencies)

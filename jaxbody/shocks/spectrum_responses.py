@@ -271,9 +271,9 @@ def modal_peaks(modal: ModalExcitation, given: Any, e: int, taken: Array) -> tup
 def _combined(modal: ModalExcitation, taken: Array, peaks: Float[Array, "ne ny n"], rigid: Float[Array, "ne"], combine: str):
     """The fields of a result, up to its status."""
     w2 = (2 * jnp.pi * modal.frequency) ** 2
-    follows = modal.participation[:, None] * (modal.readings[2] - modal.readings[0] / w2)[None]  # of modes that move with the base
-    rest = (modal.rest.T + jnp.sum(jnp.where(taken, 0.0, follows), -1)) * rigid[:, None]
-    peaks = jnp.where(taken, peaks, 0.0)
+    follows = modal.participation[:, None] * (modal.readings[2] - modal.readings[0] / w2[None])[None]  # of modes that move with the base
+    rest = (modal.rest.T + jnp.sum(jnp.where(taken[None, None], 0.0, follows), -1)) * rigid[:, None]
+    peaks = jnp.where(taken[None, None], peaks, 0.0)
     same = together(modal.cluster)
     rho = correlations(modal.frequency, modal.damping, modal.cluster) if combine == "CQC" else same.astype(w2.dtype)
     each, parts = combined(peaks, rest, rho, combine)

@@ -10,8 +10,6 @@ from test_peak_factors import driven, shaken, signal_of
 
 import jaxbody as jb
 
-pytestmark = pytest.mark.untyped  # not yet: the package still promotes ranks and types implicitly
-
 K, N0, S0 = 5.0, 1e6, 0.02  # of ranges of displacement [m]
 
 

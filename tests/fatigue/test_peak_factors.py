@@ -8,8 +8,6 @@ import pytest
 import jaxbody as jb
 from jaxbody.fatigue.peak_factors import crossing_rate, factors, quantile, width
 
-pytestmark = pytest.mark.untyped  # not yet: the package still promotes ranks and types implicitly
-
 RATE, SAMPLES = 64.0, 2**18  # Hz, of an hour and more
 
 

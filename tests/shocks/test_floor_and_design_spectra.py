@@ -8,8 +8,6 @@ from scipy.signal import lsim
 
 import jaxbody as jb
 
-pytestmark = pytest.mark.untyped  # not yet: the package still promotes ranks and types implicitly
-
 M, K, C = 2.0, 1200.0, 5.0
 
 

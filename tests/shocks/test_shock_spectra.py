@@ -10,8 +10,6 @@ from scipy.integrate import solve_ivp
 import jaxbody as jb
 from jaxbody.shocks.oscillators import history, poles
 
-pytestmark = pytest.mark.untyped  # not yet: the package still promotes ranks and types implicitly
-
 PERIODS = np.array([0.1, 0.2, 0.5, 1.0, 2.0])
 
 

@@ -13,8 +13,6 @@ from scipy.signal import lsim
 import jaxbody as jb
 from jaxbody.shocks.combinations import correlations
 
-pytestmark = pytest.mark.untyped  # not yet: the package still promotes ranks and types implicitly
-
 CQC = {0.3: 0.00512768817, 0.5: 0.0184864518, 0.8: 0.165634665, 0.9: 0.473027683, 0.95: 0.791406378}
 
 
