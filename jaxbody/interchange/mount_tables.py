@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import re
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
-from jaxbody.core.source_files import check_file, decoded
 from jaxbody.elements.bushings import Bushing
 from jaxbody.files.documents import LARGEST
-from jaxbody.files.quantities import NUMBER, in_SI
 from jaxbody.geometry.orientations import Euler, matrix
+from jaxbody.interchange.unit_tables import Columns, lines_of
 from jaxbody.models.bodies import Body, Support
-from jaxbody.records.text_tables import split_unit
 
 AXES = ("x", "y", "z")
 UNITS = {
@@ -30,8 +24,7 @@ UNITS = {
     **{f"c{axis}": "N s/m" for axis in AXES},
     **{f"cr{axis}": "N m s/rad" for axis in AXES},
 }
-WORDS = ("name", "a", "b")
-NEEDED = ("name", *AXES, "kx", "ky", "kz")
+COLUMNS = Columns(("name", "a", "b"), UNITS, ("name", *AXES, "kx", "ky", "kz"))
 
 
 def read_mounts(path: Any, bodies: Mapping[str, Body | Support], *, largest: float = LARGEST) -> dict[str, Bushing]:
@@ -63,7 +56,7 @@ def read_mounts(path: Any, bodies: Mapping[str, Body | Support], *, largest: flo
     """
     mounts: dict[str, Bushing] = {}
     with Problems() as problems:
-        for where, values in _lines(Path(path), largest, problems):
+        for where, values in lines_of(Path(path), COLUMNS, "mounts", largest, problems):
             name = values.get("name", "")
             if name in mounts:
                 problems.add("DUPLICATE_NAME", where, f"'{name}' is the name of a mount above", value=name)
@@ -76,75 +69,9 @@ def read_mounts(path: Any, bodies: Mapping[str, Body | Support], *, largest: flo
 def mounted_frames(path: Any, *, largest: float = LARGEST) -> tuple[list[str], list[str]]:
     """The names in column a of a data sheet, which are those of bodies, and the other names in column b, those of supports. Numbers are not
     checked. Errors: those of text files and of the headings."""
-    lines = [values for _, values in _lines(Path(path), largest, Problems())]
+    lines = [values for _, values in lines_of(Path(path), COLUMNS, "mounts", largest, Problems())]
     first, second = ([values[end] for values in lines if end in values and values[end] != "world"] for end in "ab")
     return list(dict.fromkeys(first)), [name for name in dict.fromkeys(second) if name not in first]
-
-
-def _lines(path: Path, largest: float, problems: Problems) -> list[tuple[str, dict[str, Any]]]:
-    """Where each line of mounts stands, and its words and numbers in SI."""
-    check_file(path, largest)
-    lines = decoded(path.read_bytes(), path.name, "utf-8").splitlines()
-    rows = [(i + 1, line) for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith("#")]
-    if len(rows) < 2:
-        raise JaxbodyError(Problem("NO_NUMBERS", path.name, "has no line of headings and lines of mounts", limit=", ".join(NEEDED)))
-    separator = max(";\t,", key=rows[0][1].count)
-    if separator == ";" and any("," in line for _, line in rows[1:]):
-        raise JaxbodyError(Problem("DECIMAL_COMMA", path.name, "has commas in its numbers", limit="decimal points", hint="Replace them."))
-    cells = [(line, [cell.strip() for cell in next(csv.reader(io.StringIO(text), delimiter=separator))]) for line, text in rows]
-    with Problems() as of_headings:
-        columns = _columns(path.name, *cells[0], of_headings)
-    found = []
-    for line, row in cells[1:]:
-        where = f"{path.name}:{line}"
-        if len(row) == len(columns):
-            found.append((where, _values(row, columns, where, problems)))
-        else:
-            problems.add("RAGGED_LINE", where, f"has {len(row)} cells", value=len(row), limit=f"{len(columns)}, as the headings")
-    return found
-
-
-def _columns(name: str, line: int, headings: list[str], problems: Problems) -> list[tuple[str, str | None]]:
-    """The name and the unit of each column."""
-    columns = [split_unit(heading) for heading in headings]
-    found = [column for column, _ in columns]
-    where = f"{name}:{line}"
-    for column in found:
-        if column not in UNITS and column not in WORDS:
-            problems.collected.append(unknown(column, where, (*WORDS, *UNITS)))
-    for column in NEEDED:
-        if column not in found:
-            problems.add("MISSING_ENTRY", where, f"has no column '{column}'", value=found, limit=", ".join(NEEDED))
-    for column in {column for column in found if found.count(column) > 1}:
-        problems.add("DUPLICATE_NAME", where, f"has the column '{column}' twice", value=column)
-    return columns
-
-
-def _values(row: list[str], columns: list[tuple[str, str | None]], where: str, problems: Problems) -> dict[str, Any]:
-    """The words of a line, and its numbers in SI."""
-    values: dict[str, Any] = {}
-    for cell, (name, unit) in zip(row, columns, strict=True):
-        if not cell:
-            hint = "Write 0 if it is zero." if name in UNITS else ""
-            if name in NEEDED:
-                problems.add("MISSING_ENTRY", f"{where} {name}", "is empty", limit="a number" if hint else "a name", hint=hint)
-        elif name in WORDS:
-            values[name] = cell
-        else:
-            values[name] = _number(cell, name, unit, f"{where} {name}", problems)
-    return values
-
-
-def _number(cell: str, name: str, unit: str | None, where: str, problems: Problems) -> float:
-    """A cell in SI; its unit is in the heading or beside the number."""
-    own = Problems()
-    value = in_SI(f"{cell} {unit}" if unit and re.fullmatch(NUMBER, cell) else cell, UNITS[name], {}, None, where, own)
-    if isinstance(value, list):
-        own.add("NOT_A_NUMBER", where, f"is '{cell}'", value=cell, limit="one number")
-        value = 0.0
-    hint = f"Write it in the heading, {name} [{UNITS[name]}], or here, {cell} {UNITS[name]}."
-    problems.collected += [replace(problem, hint=hint) if problem.code == "NO_UNIT" else problem for problem in own.collected]
-    return value
 
 
 def _mount(values: dict[str, Any], bodies: Mapping[str, Body | Support], where: str) -> Bushing:
