@@ -99,6 +99,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.inputs.roads": ("Road",),
     "jaxbody.inputs.signals": ("Delayed",),
     "jaxbody.inputs.splines": ("Spline",),
+    "jaxbody.interchange.hard_point_tables": ("read_hard_points",),
     "jaxbody.interchange.mjcf_readers": ("read_mjcf",),
     "jaxbody.interchange.mjcf_writers": ("write_mjcf",),
     "jaxbody.interchange.mount_tables": ("read_mounts",),
@@ -108,7 +109,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.mechanisms.assemblies": ("assemble",),
     "jaxbody.mechanisms.corners": ("Corner",),
     "jaxbody.mechanisms.alignment_curves": ("suspension_curves",),
-    "jaxbody.mechanisms.ready_corners": ("double_wishbone", "macpherson"),
+    "jaxbody.mechanisms.ready_corners": ("double_wishbone", "five_link", "macpherson"),
     "jaxbody.mechanisms.wheels": ("Wheel",),
     "jaxbody.models.bodies": ("Body", "Support"),
     "jaxbody.models.joints": (

@@ -77,6 +77,7 @@ from jaxbody.inputs.pulses import Triangle as Triangle
 from jaxbody.inputs.roads import Road as Road
 from jaxbody.inputs.signals import Delayed as Delayed
 from jaxbody.inputs.splines import Spline as Spline
+from jaxbody.interchange.hard_point_tables import read_hard_points as read_hard_points
 from jaxbody.interchange.mjcf_readers import read_mjcf as read_mjcf
 from jaxbody.interchange.mjcf_writers import write_mjcf as write_mjcf
 from jaxbody.interchange.mount_tables import read_mounts as read_mounts
@@ -90,6 +91,7 @@ from jaxbody.mechanisms.alignment_curves import suspension_curves as suspension_
 from jaxbody.mechanisms.assemblies import assemble as assemble
 from jaxbody.mechanisms.corners import Corner as Corner
 from jaxbody.mechanisms.ready_corners import double_wishbone as double_wishbone
+from jaxbody.mechanisms.ready_corners import five_link as five_link
 from jaxbody.mechanisms.ready_corners import macpherson as macpherson
 from jaxbody.mechanisms.wheels import Wheel as Wheel
 from jaxbody.models.bodies import Body as Body

@@ -228,6 +228,7 @@ CODES = {
     "WRONG_FORMAT": ("the content of a file does not match its extension", 'give format="..."'),
     "WRONG_GRADIENT": ("this adjoint gives wrong gradients with constant steps", "use diffrax.DirectAdjoint() or ForwardMode()"),
     "WRONG_KIND": ("an argument is of the wrong kind", "give one of the kind that the message states"),
+    "WRONG_SIDE": ("hard points are on the other side of the car than the wheel", "correct the signs of y: positive on the left"),
     "X64_CHANGED": ("the switch jax_enable_x64 was changed after the model was built", "build the model again"),
     "ZERO_AXIS": ("a direction has length zero", "give a direction, such as [0, 0, 1]"),
     "ZERO_LENGTH": ("two points coincide where a direction is needed", "move one, or use a Bushing"),

@@ -1,4 +1,4 @@
-"""Ready suspensions of one wheel, by their hard points: double wishbone, MacPherson strut.
+"""Ready suspensions of one wheel, by their hard points: double wishbone, MacPherson strut, five links.
 
 A hard point is given once, in the axes of the car, x forward, y to the left, z up [m], with the wheel in its design position; all bodies
 have these axes and this origin there. Right wheels have points with negative y. The functions can be part of a compiled function of the
@@ -44,6 +44,24 @@ DOUBLE_WISHBONE = {
 }
 _COMMON = ("lower inner front", "lower inner rear", "lower outer", "tie rod inner", "tie rod outer", "axle inner", "wheel center")
 MACPHERSON = {name: DOUBLE_WISHBONE[name] for name in _COMMON} | {"strut upper": (-0.04, 0.7, 0.85)}
+FIVE_LINK = {
+    "lower front inner": (0.22, 0.38, 0.2),
+    "lower front outer": (0.04, 0.66, 0.19),
+    "lower rear inner": (-0.16, 0.36, 0.19),
+    "lower rear outer": (-0.03, 0.66, 0.2),
+    "upper front inner": (0.12, 0.42, 0.5),
+    "upper front outer": (-0.01, 0.61, 0.51),
+    "upper rear inner": (-0.18, 0.4, 0.49),
+    "upper rear outer": (-0.07, 0.62, 0.5),
+    "tie rod inner": (0.12, 0.34, 0.25),
+    "tie rod outer": (0.15, 0.66, 0.26),
+    "axle inner": (0.0, 0.66, 0.298),
+    "wheel center": (0.0, 0.76, 0.3),
+    "spring lower": (-0.03, 0.62, 0.22),
+    "spring upper": (-0.02, 0.52, 0.62),
+}
+LINKS = ("lower front", "lower rear", "upper front", "upper rear")
+ACROSS = ("tie rod inner",)  # points that may be on the other side of the car
 
 
 def double_wishbone(hard_points: Points | None = None, *, stiffness=30e3, force=4000.0, radius=0.3) -> Corner:
@@ -54,7 +72,7 @@ def double_wishbone(hard_points: Points | None = None, *, stiffness=30e3, force=
         stiffness, force: of the spring [N/m], and its compression in the design position [N]
         radius: loaded radius of the wheel [m]
 
-    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE. Source: hard points of the public project suspension-explorer.
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE. Source: hard points of the public project suspension-explorer.
 
     >>> round(float(jnp.rad2deg(double_wishbone().curves(0.0)["camber"][0])), 6)
     -1.909152
@@ -83,7 +101,7 @@ def macpherson(hard_points: Points | None = None, *, stiffness=30e3, force=4000.
         stiffness, force: of the spring [N/m], and its compression in the design position [N]
         radius: loaded radius of the wheel [m]
 
-    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE. Source: hard points of the public project suspension-explorer.
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE. Source: hard points of the public project suspension-explorer.
 
     >>> round(float(jnp.rad2deg(macpherson().curves(0.0)["kingpin"][0])), 6)
     17.102729
@@ -103,7 +121,37 @@ def macpherson(hard_points: Points | None = None, *, stiffness=30e3, force=4000.
     return Corner(model, _wheel(points, radius, upper))
 
 
+def five_link(hard_points: Points | None = None, *, stiffness=30e3, force=4000.0, radius=0.3) -> Corner:
+    """A wheel on four links and a tie rod to a rack, with a spring on the upright. The links have no mass; the upright turns about no fixed
+    line, so that the steering axis of the curves is the screw axis of steering.
+
+    Args:
+        hard_points: {name: place [m]} of those that differ; the names are those of `FIVE_LINK` beside this function
+        stiffness, force: of the spring [N/m], and its compression in the design position [N]
+        radius: loaded radius of the wheel [m]
+
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE.
+
+    >>> corner = five_link({"tie rod outer": [0.15, 0.7, 0.265]})
+    >>> corner.model.layout.bodies, [name for name, _ in corner.model.closures]
+    (('upright', 'rack'), ['lower front link', 'lower rear link', 'upper front link', 'upper rear link', 'tie rod'])
+    """
+    points = _points(FIVE_LINK, hard_points, "five_link")
+    lower, upper = points["spring lower"], points["spring upper"]
+    free_length = _distance(upper, lower) + force / stiffness
+    links = {f"{name} link": Rod(("world", points[f"{name} inner"]), ("upright", points[f"{name} outer"])) for name in LINKS}
+    model = Model(
+        bodies={"upright": _body(UPRIGHT, points, "wheel center"), "rack": _body(RACK, points, "tie rod inner")},
+        joints={"rack": Guide("world", axis="y")},
+        closures=links | {"tie rod": Rod(("rack", points["tie rod inner"]), ("upright", points["tie rod outer"]))},
+        elements={"spring": Spring(("upright", lower), ("world", upper), stiffness=stiffness, free_length=free_length)},
+    )
+    center = points["wheel center"]
+    return Corner(model, Wheel("upright", center=center, axis=center - points["axle inner"], radius=radius))
+
+
 def _points(source: Points, given: Points | None, where: str) -> dict[str, Any]:
+    """All hard points: those of the source, and in their place those that are given, on one side of the car."""
     points = {name: np.asarray(point) for name, point in source.items()}
     with Problems() as problems:
         for name, point in (given or {}).items():
@@ -112,7 +160,20 @@ def _points(source: Points, given: Points | None, where: str) -> dict[str, Any]:
                 problems.collected.append(unknown(name, place, tuple(source)))
                 continue
             points[name] = checked(point, ((3,),), place, problems, "Give x, y and z in meters.")
+        if not problems.collected and is_concrete(points):
+            _check_side(points, given or {}, where, problems)
     return points
+
+
+def _check_side(points: dict[str, Any], given: Points, where: str, problems: Problems) -> None:
+    """Whether all points are on the side of the wheel. Problem: WRONG_SIDE."""
+    side = "y > 0 on the left" if points["wheel center"][1] > 0 else "y < 0 on the right"
+    wrong = [name for name, point in points.items() if name not in ACROSS and point[1] * points["wheel center"][1] < 0]
+    if wrong:
+        listed = ", ".join(f"'{name}' at y = {float(points[name][1]):.6g} m" for name in wrong)
+        own = [name for name in wrong if name not in given]
+        hint = "Give all points of a right wheel: those that are not given are those of a left one." if own else "Correct the signs of y."
+        problems.add("WRONG_SIDE", f"{where}.hard_points", f"has {listed}", value=wrong, limit=f"{side}, as the wheel center", hint=hint)
 
 
 def _distance(a: Any, b: Any) -> Any:

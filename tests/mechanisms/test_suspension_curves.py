@@ -7,9 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
-from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE
+from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE, FIVE_LINK
 
 TRAVEL = np.linspace(-0.1, 0.1, 11)
 
@@ -169,6 +171,51 @@ def test_the_roll_center_is_where_the_front_view_instant_center_says():
     assert abs(curves["side view angle of the contact"][5]) < 1e-12
 
 
+LINKS = [name.removesuffix(" inner") for name in FIVE_LINK if name.endswith(" inner") and name != "axle inner"]
+
+
+def upright(travel, rack):
+    """Displacement and turn of the upright of the five links: five distances and the height of the wheel, by SciPy."""
+    P = {name: np.array(point) for name, point in FIVE_LINK.items()}
+    inner = np.array([P[f"{name} inner"] + [0, rack * (name == "tie rod"), 0] for name in LINKS])
+    outer, lengths = (
+        np.array([P[f"{name} outer"] for name in LINKS]),
+        [np.linalg.norm(P[f"{name} outer"] - P[f"{name} inner"]) for name in LINKS],
+    )
+
+    def gaps(x):
+        R = Rotation.from_rotvec(x[3:])
+        ends = x[:3] + R.apply(outer)
+        return [*(np.linalg.norm(ends - inner, axis=1) - lengths), (x[:3] + R.apply(P["wheel center"]))[2] - P["wheel center"][2] - travel]
+
+    x = least_squares(gaps, np.zeros(6), jac="3-point", xtol=1e-15, ftol=1e-15, gtol=1e-15).x
+    assert np.abs(gaps(x)).max() < 1e-14
+    return x[:3], Rotation.from_rotvec(x[3:])
+
+
+def test_five_links_over_travel_and_steering_are_where_five_distances_say():
+    corner = jb.five_link()
+    travel, rack = np.array([-0.08, -0.03, 0.0, 0.05, 0.08]), np.array([0.0, 0.02, 0.0, -0.03, 0.01])
+    curves = corner.curves(travel, rack)
+    center, inner = np.array(FIVE_LINK["wheel center"]), np.array(FIVE_LINK["axle inner"])
+    for i, (z, y) in enumerate(zip(travel, rack, strict=True)):
+        p, R = upright(z, y)
+        a, place = R.apply(center - inner), p + R.apply(center)
+        expected = [-np.arctan2(a[2], a[1]), np.arctan2(a[0], a[1]), *place]
+        np.testing.assert_allclose([curves[n][i] for n in ("camber", "toe", "wheel x", "wheel y", "wheel z")], expected, atol=1e-11)
+    # the steering axis is the screw axis of a small turn by the rack: w x v/|w|^2 is a point of it, w its direction
+    h = 1e-4
+    (p1, R1), (p0, R0) = upright(0.0, h), upright(0.0, -h)
+    w, v = (R1 * R0.inv()).as_rotvec() / (2 * h), (p1 - p0) / (2 * h)  # of the upright, and of its point at the origin
+    w, v = w * np.sign(w[2]), v * np.sign(w[2])
+    contact = np.array([curves[f"contact {axis}"][2] for axis in "xyz"])
+    line = np.cross(w, v) / (w @ w)
+    K = line + w * (contact[2] - line[2]) / w[2]
+    expected = np.arctan2(-w[0], w[2]), np.arctan2(-w[1], w[2]), (K - contact)[0], (contact - K)[1]
+    for name, value in zip(("caster", "kingpin", "trail", "scrub radius"), expected, strict=True):
+        assert float(curves[name][2]) == pytest.approx(value, abs=1e-7)  # of the differences
+
+
 def loss(point):
     curves = jb.double_wishbone({"upper outer": point}).curves(np.array([-0.05, 0.05]), np.array([0.0, 0.01]))
     return jnp.sum(curves["toe"] ** 2) + jnp.sum(curves["camber"]) + 1e-5 * jnp.sum(curves["wheel rate"])
@@ -208,5 +255,9 @@ def test_bad_input():
         call({"travel": jb.Position("upright", corner.wheel.center), "rack": "rack.q"}, {"travel": 0.0, "rack": 0.0})
     with pytest.raises(jb.JaxbodyError, match=r"uper outer.*Did you mean 'upper outer'"):
         jb.double_wishbone({"uper outer": (0, 0, 0)})
+    with pytest.raises(jb.JaxbodyError, match=r"'upper outer' at y = -0.7 m.*y > 0 on the left, as the wheel center.*WRONG_SIDE"):
+        jb.double_wishbone({"upper outer": (0, -0.7, 0.5)})
+    with pytest.raises(jb.JaxbodyError, match=r"'lower outer' at y = 0.9 m.*Give all points of a right wheel"):
+        jb.double_wishbone({"wheel center": (0, -0.9, 0.3)})
     with pytest.raises(jb.JaxbodyError, match=r"closures.*CLOSED_LOOPS"):
         jb.simulate(corner.model, [0.0, 0.1])
