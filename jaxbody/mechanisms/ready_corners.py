@@ -17,7 +17,7 @@ from jaxbody.core.arrays import checked, is_concrete
 from jaxbody.core.errors import Problems, unknown
 from jaxbody.elements.springs import Spring
 from jaxbody.geometry.closures import Ball as BallClosure
-from jaxbody.geometry.closures import Inline, Rod
+from jaxbody.geometry.closures import Closure, Inline, Rod
 from jaxbody.mechanisms.corners import Corner
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.bodies import Body
@@ -133,13 +133,13 @@ def five_link(hard_points: Points | None = None, *, stiffness=30e3, force=4000.0
     Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE, WRONG_SIDE.
 
     >>> corner = five_link({"tie rod outer": [0.15, 0.7, 0.265]})
-    >>> corner.model.layout.bodies, [name for name, _ in corner.model.closures]
-    (('upright', 'rack'), ['lower front link', 'lower rear link', 'upper front link', 'upper rear link', 'tie rod'])
+    >>> corner.model.closures[0].names
+    ('lower front link', 'lower rear link', 'upper front link', 'upper rear link', 'tie rod')
     """
     points = _points(FIVE_LINK, hard_points, "five_link")
     lower, upper = points["spring lower"], points["spring upper"]
     free_length = _distance(upper, lower) + force / stiffness
-    links = {f"{name} link": Rod(("world", points[f"{name} inner"]), ("upright", points[f"{name} outer"])) for name in LINKS}
+    links: dict[str, Closure] = {f"{name} link": Rod(("world", points[f"{name} inner"]), ("upright", points[f"{name} outer"])) for name in LINKS}
     model = Model(
         bodies={"upright": _body(UPRIGHT, points, "wheel center"), "rack": _body(RACK, points, "tie rod inner")},
         joints={"rack": Guide("world", axis="y")},
