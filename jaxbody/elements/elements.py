@@ -29,7 +29,8 @@ ALLOWED = {"NEGATIVE_STIFFNESS": "an equilibrium may be unstable", "NEGATIVE_DAM
 class Element(Described, eqx.Module):
     """The base class of elements between two or more frames, named in `between`; `a` and `b` are the points where it is attached.
 
-    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness are their derivatives. `jb.field` gives
+    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness are their derivatives. One with inertia
+    states `kinetic_energy` too. `jb.field` gives
     the unit and the domain of its numbers, which `replace`, `fit` and `tune` respect. Two equal charges, one of which floats above the
     other where strength / e^2 = m g:
 

@@ -354,8 +354,11 @@ def all_free(layout: Layout) -> bool:
 
 def dynamics_of(model: Model, motions: Motions, loads: tuple[Load, ...] = ()) -> Dynamics:
     """A model under imposed motions and loads, in the form that suits it."""
-    form = FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies
-    return form(model, motions, loads)
+    return _form_of(model)(model, motions, loads)
+
+
+def _form_of(model: Model) -> type[Dynamics]:
+    return FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies
 
 
 def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:

@@ -179,7 +179,8 @@ class OfElement(Components):
 
     def read(self, model: Model, frames: Instant, of: Callable[..., Any]) -> Float[Array, ""]:
         element = model[self.on]
-        value = of(element, *(frames.frame(model.layout.frame(end)) for end in element.between))
+        rows = [model.layout.frame(end) for end in element.between]
+        value = of(element, *(frames.frame(row) if element.has_inertia() else frames[row] for row in rows))
         return value if self.component is None else value[self.component]
 
     def problem(self, model, where):
@@ -207,8 +208,8 @@ class Elongation(OfElement):
 
 
 class LoadCell(OfElement):
-    """The force in an element [N], tension positive, its damper and its inertia included; the moment [N m] of a Torsion. `gain`, `bias`, `delay`, `lag`,
-    `start`: see Sensor.
+    """The force in an element [N], tension positive, its damper and its inertia included; the moment [N m] of a Torsion. `gain`, `bias`,
+    `delay`, `lag`, `start`: see Sensor.
 
     A bushing needs a `component`: 0 to 2 for the forces [N], 3 to 5 for the moments [N m] that oppose its deformation, in the axes of its
     end a: positive where its end b is displaced along the axis.
@@ -227,11 +228,11 @@ class LoadCell(OfElement):
         return model[self.on].has_inertia()
 
 
-def _force(element: Element, *ends: Instant) -> Array:
+def _force(element: Element, *ends: Any) -> Array:
     if not element.has_inertia():
         return element.force(*ends)
-    changes = tuple(end.changes() for end in ends)
-    return element.force(*ends) + element.inertial_force(tuple(Frame(end.p, end.R, end.v, end.w) for end in ends), changes)
+    frames, changes = (tuple(ends) for ends in zip(*((Frame(end.p, end.R, end.v, end.w), end.changes()) for end in ends), strict=True))
+    return element.force(*frames) + element.inertial_force(frames, changes)
 
 
 class WrenchSensor(Components):

@@ -34,10 +34,10 @@ class ModeEnergies(Labeled, Result):
     """Shares in percent, a column for each mode, ascending. Modes of coinciding frequencies each have the mean over their space.
 
     `kinetic` {body: (6, n)}: translation of the center of mass and rotation, in world axes; `inertia` {element: (n,)}: of elements with
-    inertia, such as inerters; the sum of both is 100. `strain` {element: (n,)}: V''(e) de de; with `other_strain`, {"tension", "gravity", "loads"}, the contributions of tension, weights and loads to K, the sum is 100
-    (NaN for a mode of zero frequency). `dissipation` {element: (n,)}: the sum is 100, or 0 without dissipation. `velocities` (bodies, 6,
-    n): velocities of the centers of mass and angular velocities, along the shape. `names`: each mode by the body and direction with most of
-    its kinetic energy."""
+    inertia, such as inerters; the sum of both is 100. `strain` {element: (n,)}: V''(e) de de; with `other_strain`, {"tension", "gravity",
+    "loads"}, the contributions of tension, weights and loads to K, the sum is 100 (NaN for a mode of zero frequency). `dissipation`
+    {element: (n,)}: the sum is 100, or 0 without dissipation. `velocities` (bodies, 6, n): velocities of the centers of mass and angular
+    velocities, along the shape. `names`: each mode by the body and direction with most of the bodies' kinetic energy."""
 
     index = "mode"
     frequency: Float[Array, "n"]
@@ -228,7 +228,8 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     top = jnp.max(jnp.abs(values), initial=0.0)
     stiff = jnp.where(jnp.abs(values) > ZERO * top, 1.0, jnp.nan)[None]
     return (
-        frequency, share(kinetic, moved, 0.0), share(inertial, moved, 0.0), share(elastic, strain, 0.0) * stiff, share(others, strain, 0.0) * stiff,
+        frequency, share(kinetic, moved, 0.0), share(inertial, moved, 0.0),
+        share(elastic, strain, 0.0) * stiff, share(others, strain, 0.0) * stiff,
         share(loss, dissipated, LEAST_LOSS * jnp.max(jnp.abs(dissipated), initial=0.0)), velocities, cluster, status,
     )  # fmt: skip
 
@@ -245,8 +246,8 @@ def _kinetic_energies(lin: Linearization, shapes: Float[Array, "n m"]) -> list[F
 
 
 def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
-    """Shares, of sum 1, of bodies and directions (6 for each body) in the bodies' kinetic energy in each mode. Coinciding modes are separated along
-    the coordinates by small increases of the diagonal of K, up to SEPARATION, different for each coordinate."""
+    """Shares, of sum 1, of bodies and directions (6 for each body) in the bodies' kinetic energy in each mode. Coinciding modes are
+    separated along the coordinates by small increases of the diagonal of K, up to SEPARATION, different for each coordinate."""
     lin = lin.condensed
     increase = SEPARATION * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))
     _, shapes = natural(lin.K + jnp.diag(increase), lin.M)

@@ -156,9 +156,7 @@ def test_free_motion_with_large_rotations_keeps_its_energy():
     turned = jnp.arccos(jnp.clip(jnp.abs(run.state.q[:, 3]), 0, 1))
     assert float(2 * turned.max()) > 2.0
     steps = jnp.linspace(0, 1, 401)
-    gauss = jb.simulate(
-        model, steps, initial=start(model), solver=jb.Gauss(3), stepsize_controller=diffrax.ConstantStepSize(), dt0=1 / 400
-    )
+    gauss = jb.simulate(model, steps, initial=start(model), solver=jb.Gauss(3), stepsize_controller=diffrax.ConstantStepSize(), dt0=1 / 400)
     np.testing.assert_allclose(gauss.state.q[200], run.state.q[5], atol=1e-7)
     np.testing.assert_allclose(gauss.state.v[-1], run.state.v[10], atol=1e-6)
 
@@ -261,7 +259,8 @@ def test_derivatives_of_motions_and_frequencies():
         reverse, forward = jax.grad(function)(x), jax.jacfwd(function)(x)
         np.testing.assert_allclose(forward, reverse, rtol=1e-9, atol=1e-9 * float(jnp.abs(reverse).max()))
         h = 1e-4
-        steps = [np.array([float(function(x + s * h * e)) for s in (-2, -1, 1, 2)]) @ np.array([1, -8, 8, -1]) / (12 * h) for e in jnp.eye(5)]
+        around = np.array([[float(function(x + s * h * e)) for s in (-2, -1, 1, 2)] for e in jnp.eye(5)])
+        steps = around @ np.array([1, -8, 8, -1]) / (12 * h)
         np.testing.assert_allclose(reverse, steps, rtol=1e-6, atol=1e-6 * float(jnp.abs(reverse).max()))
 
 
