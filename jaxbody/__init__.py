@@ -67,6 +67,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.elements.bushings": ("Bushing",),
     "jaxbody.elements.contacts": ("Contact", "Tyre"),
     "jaxbody.elements.elements": ("Element",),
+    "jaxbody.elements.inerters": ("Inerter",),
     "jaxbody.elements.mounts": ("Mount",),
     "jaxbody.elements.springs": ("Spring", "SpringDamper"),
     "jaxbody.elements.torsions": ("AntiRollBar", "Torsion"),

@@ -27,6 +27,7 @@ from jaxbody.elements.bushings import Bushing as Bushing
 from jaxbody.elements.contacts import Contact as Contact
 from jaxbody.elements.contacts import Tyre as Tyre
 from jaxbody.elements.elements import Element as Element
+from jaxbody.elements.inerters import Inerter as Inerter
 from jaxbody.elements.mounts import Mount as Mount
 from jaxbody.elements.springs import Spring as Spring
 from jaxbody.elements.springs import SpringDamper as SpringDamper

@@ -76,6 +76,8 @@ def models(draw, numbers=NUMBERS):
             return kind(a, b, distance=draw(above_zero), **stiffness)
         if kind is jb.Tyre:
             return kind(a, b, radius=draw(above_zero), axis=draw(directions), **stiffness)
+        if kind is jb.Inerter:
+            return kind(a, b, inertance=draw(above_zero))
         both = {"spring": draw(SOME_LAWS), "damper": draw(SOME_LAWS)}
         if kind is jb.SpringDamper:
             return kind(a, b, **both, free_length=draw(above_zero))

@@ -1,4 +1,4 @@
-"""The base class of elements: deformation e(A, B) between two or more frames, potential energy V(e) and dissipation R(e, e_dot).
+"""The base class of elements: deformation e(A, B) between two or more frames, V(e), R(e, e_dot) and, of some, T(e, e_dot).
 
 Forces and stiffness are derivatives of these. Points and orientations at an end are in the frame of the body or support of that end.
 """
@@ -29,7 +29,8 @@ ALLOWED = {"NEGATIVE_STIFFNESS": "an equilibrium may be unstable", "NEGATIVE_DAM
 class Element(Described, eqx.Module):
     """The base class of elements between two or more frames, named in `between`; `a` and `b` are the points where it is attached.
 
-    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness are their derivatives. `jb.field` gives
+    An element of your own states `deformation`, `energy` and `dissipation`; forces and stiffness are their derivatives. One with inertia
+    states `kinetic_energy` too. `jb.field` gives
     the unit and the domain of its numbers, which `replace`, `fit` and `tune` respect. Two equal charges, one of which floats above the
     other where strength / e^2 = m g:
 
@@ -71,6 +72,15 @@ class Element(Described, eqx.Module):
     def dissipation(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, ""]:
         """R(e, e_dot) [W], half the dissipated power where damping is linear."""
 
+    def kinetic_energy(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, ""]:
+        """T(e, e_dot) [J], quadratic in e_dot, of an element with inertia: only one that states it has any."""
+        return jnp.zeros(())
+
+    @classmethod
+    def has_inertia(cls) -> bool:
+        """Whether it states a kinetic energy."""
+        return cls.kinetic_energy is not Element.kinetic_energy
+
     def beyond(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Bool[Array, ""]:
         """True where a law is used beyond the range for which it is known."""
         return jnp.array(False)
@@ -95,6 +105,15 @@ class Element(Described, eqx.Module):
         """dV/de + dR/de_dot, the force opposing the deformation: the tension of a spring [N]."""
         e, e_dot = self.rates(*frames)
         return self.static_force(e) + self.damping_force(e, e_dot)
+
+    def momentum(self, e: Float[Array, "*m"], e_dot: Float[Array, "*m"]) -> Float[Array, "*m"]:
+        """dT/de_dot."""
+        return jax.grad(self.kinetic_energy, argnums=1)(e, e_dot)
+
+    def inertial_force(self, frames: tuple[Frame, ...], changes: tuple[Frame, ...]) -> Float[Array, "*m"]:
+        """d/dt dT/de_dot - dT/de, which adds to `force`; `changes` are the derivatives of the frames in time."""
+        _, rate = jax.jvp(lambda *frames: self.momentum(*self.rates(*frames)), frames, changes)
+        return rate - jax.grad(self.kinetic_energy)(*self.rates(*frames))
 
     def lost_power(self, *frames: Frame) -> Float[Array, ""]:
         """dR/de_dot . e_dot [W]."""
@@ -123,8 +142,15 @@ class Element(Described, eqx.Module):
 
     def wrenches(self, *frames: Frame) -> tuple[Wrench, ...]:
         """The wrench on each frame: minus the derivatives of V and R with respect to its displacement and velocity."""
+        return self._pulled_back(self.force(*frames), frames)
+
+    def inertial_wrenches(self, frames: tuple[Frame, ...], changes: tuple[Frame, ...]) -> tuple[Wrench, ...]:
+        """The wrench of its inertia on each frame."""
+        return self._pulled_back(self.inertial_force(frames, changes), frames)
+
+    def _pulled_back(self, force: Float[Array, "*m"], frames: tuple[Frame, ...]) -> tuple[Wrench, ...]:
         _, pull_back = jax.vjp(self.deformation, *(f.pose() for f in frames))
-        return tuple(_wrench(cotangent, f.R) for cotangent, f in zip(pull_back(-self.force(*frames)), frames, strict=True))
+        return tuple(_wrench(cotangent, f.R) for cotangent, f in zip(pull_back(-force), frames, strict=True))
 
 
 def _wrench(cotangent: Pose, R: Float[Array, "3 3"]) -> Wrench:

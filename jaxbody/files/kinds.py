@@ -11,6 +11,7 @@ from typing import Any
 
 from jaxbody.elements.bushings import Bushing
 from jaxbody.elements.contacts import Contact, Tyre
+from jaxbody.elements.inerters import Inerter
 from jaxbody.elements.mounts import Mount
 from jaxbody.elements.springs import Spring, SpringDamper
 from jaxbody.elements.torsions import AntiRollBar, Torsion
@@ -29,7 +30,7 @@ from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
 from jaxbody.sensors.sensors import Sensor
 
 JOINTS = (Free, Fixed, Guide, Hinge, Ball, Composite, Translation, HeavePitch, HeavePitchRoll)
-ELEMENTS = (Spring, SpringDamper, Bushing, Mount, Torsion, AntiRollBar, Contact, Tyre)
+ELEMENTS = (Spring, SpringDamper, Bushing, Mount, Torsion, AntiRollBar, Contact, Tyre, Inerter)
 LAWS = (
     laws.Linear, laws.TwoSided, spring_laws.Polynomial, spring_laws.Stop, spring_laws.TensionOnly, spring_laws.AirSpring,
     damper_laws.Digressive, damper_laws.Friction, measured_curves.Table, rubber_laws.Maxwell, hysteresis_laws.BoucWen,

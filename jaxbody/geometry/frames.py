@@ -87,6 +87,12 @@ class Instant(Frame):
         a, alpha, F, M = (None if x is None else x[row] for x in (self.a, self.alpha, self.F, self.M))
         return Instant(self.p[row], self.R[row], self.v[row], self.w[row], self.t, self.state, a, alpha, F, M)
 
+    def changes(self) -> Frame:
+        """The derivative of the frames in time: (v, [w] R, a, alpha)."""
+        assert self.a is not None and self.alpha is not None
+        rates = self.rates()
+        return Frame(rates.p, rates.R, self.a, self.alpha)
+
     def acceleration(self, row: int, a_B: Float[Array, "3"]) -> Float[Array, "3"]:
         """World acceleration a + alpha x r + w x (w x r), r = R a, of a point fixed in a frame."""
         assert self.a is not None and self.alpha is not None

@@ -35,7 +35,7 @@ def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> F
 
 
 def kinetic_energy(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
-    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies [J]. Source: (10), (11) of the paper.
+    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies, and of the energies of inerters [J]. Source: (10), (11) of the paper.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
     >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
@@ -94,7 +94,9 @@ def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
     bodies, moving = model.bodies.rows, frames[model.layout.first_body :]
     v_C = moving.velocity(bodies.com)
     w_B = rotate_back(moving.R, moving.w)
-    return 0.5 * jnp.sum(bodies.mass * dot(v_C, v_C) + dot(w_B, rotate(bodies.inertia, w_B)))
+    T = 0.5 * jnp.sum(bodies.mass * dot(v_C, v_C) + dot(w_B, rotate(bodies.inertia, w_B)))
+    inertial = (of_table(model, frames, table, lambda s, *F: s.kinetic_energy(*s.rates(*F))) for table in inertial_tables(model))
+    return sum(map(jnp.sum, inertial), T)
 
 
 def gravity_energy(model: Model, frames: Frame) -> Float[Array, ""]:
@@ -126,6 +128,11 @@ def outside_law_range(model: Model, frames: Frame) -> Bool[Array, "ne"]:
 def each_element(model: Model, frames: Frame, function) -> list:
     """function(element, A, B, ...) of every element and its frames, table by table."""
     return [of_table(model, frames, table, function) for table in model.elements]
+
+
+def inertial_tables(model: Model) -> list[KindTable]:
+    """The tables of elements that have a kinetic energy."""
+    return [table for table in model.elements if table.rows.has_inertia()]
 
 
 def of_table(model: Model, frames: Frame, table: KindTable, function) -> Any:

@@ -3,8 +3,10 @@
     about O, in world axes:  m (a_O + alpha x c + w x (w x c)) = F,   J alpha + w x J w + m c x a_O = M        (16)-(19) of the paper
     speeds:               sum J_b' (inertia J_b v' + bias - wrench) = 0, J_b the velocity of body b per unit of each speed
 
+The inertia of elements adds J_e' T_e'' J_e to the mass matrix, and its force at v' = 0 to the wrenches.
+
 Tests compare them with the Lagrange equations of L = T - V with R. Where every body is free on the world the mass matrix is constant in
-body axes and is inverted once: `dynamics_of` chooses between the two forms, and no one else asks.
+body axes and is inverted once, unless elements have inertia: `dynamics_of` chooses between the two forms, and no one else asks.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
 from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.element_inertias import element_inertia, inertial_wrenches
 from jaxbody.mechanics.element_states import completed, state_rates, state_scales
-from jaxbody.mechanics.energies import each_element, kinetic, wrenches
+from jaxbody.mechanics.energies import each_element, inertial_tables, kinetic, wrenches
 from jaxbody.mechanics.kinematics import Coordinates, Motions, jacobian, with_world
 from jaxbody.models.joints import Free
 from jaxbody.models.layouts import WORLD, Layout
@@ -44,7 +47,6 @@ class Dynamics(eqx.Module):
     coordinates: Coordinates
     motions: Motions
     loads: tuple[Load, ...]
-    identity: eqx.AbstractClassVar[bool]  # whether the speeds are the velocities of the bodies in world axes, so that their Jacobian is 1
 
     def __init__(self, model: Model, motions: Motions, loads: tuple[Load, ...] = ()):
         self.coordinates, self.motions, self.loads = Coordinates(model), motions, loads
@@ -121,7 +123,7 @@ class Dynamics(eqx.Module):
         """Applied minus inertial force and moment on each body about its origin, for the accelerations of the frames."""
         first = self.model.layout.first_body
         bodies, moving = self.model.bodies.rows, now[first:]
-        a, alpha, F, M = (jnp.asarray(x)[first:] for x in (now.a, now.alpha, *wrenches(self.model, now, self.loads)))
+        a, alpha, F, M = (jnp.asarray(x)[first:] for x in (now.a, now.alpha, *_acting(self.model, now, self.loads)))
         c, m = rotate(moving.R, bodies.com), bodies.mass[:, None]
         force = m * (a + cross(alpha, c) + cross(moving.w, cross(moving.w, c)))
 
@@ -144,7 +146,7 @@ class Dynamics(eqx.Module):
             F, M = F + extra[0], M + extra[1]
         outboard = jnp.asarray(self.model.layout.carries[:, first:], F.dtype)[..., None]
         moment = M[None] + cross(now.p[first:][None] - now.p[:, None], F[None])
-        direct = (jnp.concatenate([x[:first], jnp.zeros_like(F)]) for x in wrenches(self.model, now))  # elements on world and supports
+        direct = (jnp.concatenate([x[:first], jnp.zeros_like(F)]) for x in _acting(self.model, now))  # elements on world and supports
         F, M = (x + jnp.sum(outboard * of_bodies, 1) for x, of_bodies in zip(direct, (F[None], moment), strict=True))
         return replace(now, F=F, M=M)
 
@@ -157,8 +159,6 @@ class Dynamics(eqx.Module):
 
 class JointedBodies(Dynamics):
     """Bodies on joints of any kind, with y = (q, v, z) of the state."""
-
-    identity = False
 
     def pack(self, state: State, t: Any = None) -> Float[Array, "ny"]:
         return self.model.layout.pack(state)
@@ -195,7 +195,12 @@ class JointedBodies(Dynamics):
         turning = jnp.sum(J_C[:, None] * ang[:, :, None, :], -1)
         mass = jnp.sum(m[..., None] * lin_C[:, :, None] * lin_C[:, None] + ang[:, :, None] * turning[:, None], (0, 3))
         momenta = jnp.sum(m * lin_C * moving.velocity(bodies.com)[:, None] + turning * moving.w[:, None], (0, 2))
-        return mass, momenta
+        if not inertial_tables(self.model):
+            return mass, momenta
+        twists = jnp.concatenate([lin, ang], -1)
+        of_others = jnp.zeros((self.model.layout.first_body, *twists.shape[1:]), twists.dtype)
+        parts = element_inertia(self.model, frames, jnp.concatenate([of_others, twists]))
+        return mass + parts[0], momenta + parts[1]
 
     def _bias(self, t, q, v):
         """The instant at v' = 0, when accelerations are the derivatives of the velocities along the motion, and the axes."""
@@ -237,7 +242,6 @@ class FreeBodies(Dynamics):
     y = (positions, quaternions, velocities of O, angular velocities, z), the velocities in body axes."""
 
     inverse_mass: Float[Array, "nb 6 6"]
-    identity = True
 
     def __init__(self, model: Model, motions: Motions, loads: tuple[Load, ...] = ()):
         super().__init__(model, motions, loads)
@@ -334,15 +338,27 @@ def _generalized(lin, ang, F: Float[Array, "nb 3"], M: Float[Array, "nb 3"]) -> 
     return jnp.sum(lin * F[:, None] + ang * M[:, None], (0, 2))
 
 
-def equations_for(layout: Layout) -> type[Dynamics]:
-    """The form of the equations of motion: `FreeBodies` if every body is free on the world, else `JointedBodies`."""
-    free = all(block.kind is Free for block in layout.joints) and set(layout.parents) == {WORLD}
-    return FreeBodies if free else JointedBodies
+def _acting(model: Model, now: Instant, loads: tuple[Load, ...] = ()) -> tuple[Array, Array]:
+    """Force and moment on each frame about its origin, those of the inertia of elements included."""
+    F, M = wrenches(model, now, loads)
+    if not inertial_tables(model):
+        return F, M
+    more = inertial_wrenches(model, now)
+    return F + more[0], M + more[1]
+
+
+def all_free(layout: Layout) -> bool:
+    """Whether every body is free on the world, so that the speeds are the velocities of the bodies and their Jacobian is 1."""
+    return all(block.kind is Free for block in layout.joints) and set(layout.parents) == {WORLD}
 
 
 def dynamics_of(model: Model, motions: Motions, loads: tuple[Load, ...] = ()) -> Dynamics:
     """A model under imposed motions and loads, in the form that suits it."""
-    return equations_for(model.layout)(model, motions, loads)
+    return _form_of(model)(model, motions, loads)
+
+
+def _form_of(model: Model) -> type[Dynamics]:
+    return FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies
 
 
 def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:

@@ -7,7 +7,7 @@ and H the gradient and the Hessian of V in the delta of all frames:
     K         J' H J + G d2 delta/dx dx,  where for x_i nearer to the root than x_j, n_i the axis about which x_i turns,
               d2 delta/dx_i dx_j = (n_i x J_j, n_i x J_j / 2) for displacement and rotation; (ij + ji)/2 for the turns of one joint
               that act together; of turns in series, the earlier one is nearer to the root
-    M         J' (inertias) J
+    M         J' (inertias) J, and those of the elements that have inertia
     C         J' (R'' of the elements) J
 
 Rows: the speeds v, then six for each support. Where every body is free on the world J is the identity.
@@ -25,9 +25,10 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.elements.second_derivatives import Block, PairBlocks, dissipation_hessian, second_order, turning
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, product, rotate, skew
+from jaxbody.mechanics.element_inertias import element_inertia
 from jaxbody.mechanics.element_states import completed
-from jaxbody.mechanics.energies import each_element, potential, wrenches
-from jaxbody.mechanics.equations_of_motion import equations_for
+from jaxbody.mechanics.energies import each_element, inertial_tables, potential, wrenches
+from jaxbody.mechanics.equations_of_motion import all_free
 from jaxbody.mechanics.kinematics import Coordinates, jacobian
 from jaxbody.models.layouts import Layout
 from jaxbody.models.memories import apart
@@ -61,7 +62,7 @@ def configuration_at(
     if base:
         own = np.tile(np.eye(6), (len(layout.supports), 1))
         linear, angular = jnp.concatenate([linear, own[:, :3]]), jnp.concatenate([angular, own[:, 3:]])
-    J = None if equations_for(layout).identity else jnp.concatenate(jacobian(layout, frames, linear, angular), -1)
+    J = None if all_free(layout) else jnp.concatenate(jacobian(layout, frames, linear, angular), -1)
     return Configuration(model, q, frames, angular, J, base)
 
 
@@ -119,7 +120,13 @@ def mass(at: Configuration) -> Square:
     m, c = bodies.mass[:, None], rotate(R, bodies.com)
     turned = product(product(R, (bodies.inertia + jnp.swapaxes(bodies.inertia, -1, -2)) / 2), jnp.swapaxes(R, -1, -2))
     inertia = Block(h=bodies.mass, x=m * c, y=m * c, Q=turned - m[..., None] * product(skew(c), skew(c)))
-    return _projected(at.J, _hessian(at.model, inertia, [], at.base))
+    M = _projected(at.J, _hessian(at.model, inertia, [], at.base))
+    if not inertial_tables(at.model):
+        return M
+    twists = jnp.eye(len(M), dtype=M.dtype).reshape(-1, 6, len(M)).swapaxes(1, 2) if at.J is None else at.J
+    of_frames = jnp.zeros((len(at.model.layout.frames), *twists.shape[1:]), M.dtype)
+    of_frames = of_frames.at[np.array(at.model.layout.moving(base=at.base))].set(twists)
+    return M + element_inertia(at.model, at.frames, of_frames)[0]
 
 
 def damping(at: Configuration) -> Square:

@@ -13,6 +13,7 @@ from jaxbody.core.arrays import concrete
 from jaxbody.core.errors import Problems, unknown, warn
 from jaxbody.elements.bushings import FramePair
 from jaxbody.elements.elements import LineElement
+from jaxbody.elements.inerters import Inerter
 from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry.orientations import matrix
 from jaxbody.models.bodies import warn_of_tiny
@@ -115,17 +116,18 @@ def check_reference(problems: Problems, bodies, supports, elements) -> None:
 
 
 def _check_length(problems: Problems, where: str, line, A, B) -> None:
-    """Check the length of a line: it may be zero if the free length is zero, there is no damper and the force is zero."""
+    """Check the length of a line: that of a spring may be zero if its free length is zero, there is no damper and the force is zero."""
     ends = [p + R @ point for (p, R), point in zip((A, B), (line.a, line.b), strict=True)]
     length, size = np.linalg.norm(ends[1] - ends[0]), np.abs(ends).max() or 1.0
-    if length <= 1e-12 * size and not (line.free_length == 0 and line.has_no_direction()):
+    if length <= 1e-12 * size and not (isinstance(line, LineElement) and line.free_length == 0 and line.has_no_direction()):
+        remedy = "To give it one," if isinstance(line, Inerter) else "Use a Bushing, a free length and damping of 0, or"
         problems.add(
             "ZERO_LENGTH",
             where,
             f"has length {length:.3g} m in the reference pose, which gives it no direction",
             value=length,
             limit="> 0",
-            hint=f"Use a Bushing, a free length and damping of 0, or move a point by more than {1e-6 * size:.1g} m.",
+            hint=f"{remedy} move a point by more than {1e-6 * size:.1g} m.",
         )
 
 
@@ -154,4 +156,4 @@ def warn_of_oddities(bodies, supports, elements) -> None:
             warn("USELESS_SPRING", f"elements['{name}'] joins {' and '.join(element.between)}: it acts on no body")
 
 
-CHECKS = ((LineElement, _check_length), (FramePair, _check_turn), (Torsion, _check_turn))
+CHECKS = ((LineElement, _check_length), (Inerter, _check_length), (FramePair, _check_turn), (Torsion, _check_turn))

@@ -65,7 +65,8 @@ def plot_mode_energies(energies: ModeEnergies, *, kind: str = "kinetic", ax: Any
 
 def _rows(energies: ModeEnergies, kind: str) -> dict[str, np.ndarray]:
     if kind == "kinetic":
-        return dict(zip(energies.rows, np.asarray(energies.kinetic_shares).reshape(-1, energies.frequency.shape[-1]), strict=True))
+        shares = np.asarray(energies.kinetic_shares).reshape(-1, energies.frequency.shape[-1])
+        return dict(zip(energies.rows, shares, strict=True)) | {name: np.asarray(row) for name, row in energies.inertia.items()}
     rows = energies.strain | energies.other_strain if kind == "strain" else energies.dissipation
     return {name: np.asarray(row) for name, row in rows.items()}
 

@@ -13,6 +13,7 @@ from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.tables import without_dust
 from jaxbody.elements.contacts import Tyre
 from jaxbody.elements.elements import LineElement
+from jaxbody.elements.inerters import Inerter
 from jaxbody.geometry.frames import Pose
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.joints import Guide
@@ -200,12 +201,14 @@ def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, al
         if isinstance(table.rows, Tyre):
             _wheels(ax, scene, table, look, size, edge, alpha, ground)
             continue
-        zigzag = isinstance(table.rows, LineElement)
+        zigzag, slim = isinstance(table.rows, LineElement), isinstance(table.rows, LineElement | Inerter)
         for name, link in zip(table.names, table.links, strict=True):
             A, B = (end @ look.T for end in scene.ends[name])
             path = _zigzag(A, B, 0.022 * size) if zigzag else np.array([A, B])
-            ax.plot(*path.T, color=springs, lw=1.1 if zigzag else 3.0, alpha=alpha, solid_joinstyle="round", zorder=4)
-            ax.plot(*np.array([A, B]).T, "." if zigzag else "s", color=springs, ms=4, alpha=alpha, zorder=5)
+            ax.plot(*path.T, color=springs, lw=1.1 if slim else 3.0, alpha=alpha, solid_joinstyle="round", zorder=4)
+            ax.plot(*np.array([A, B]).T, "." if slim else "s", color=springs, ms=4, alpha=alpha, zorder=5)
+            if isinstance(table.rows, Inerter):
+                ax.plot(*((A + B) / 2), "o", mfc="white", mec=springs, mew=1.6, ms=9, alpha=alpha, zorder=5)  # its flywheel
             for end, here, there in zip(link[:2], (A, B), (B, A), strict=True):
                 if ground and end not in layout.bodies:
                     _ground(ax, here, here - there, 0.035 * size)

@@ -1,5 +1,5 @@
-"""Elements as drawn parts: springs as coils that stretch, dampers as cylinders with rods, bushings, torsion springs, anti-roll bars,
-contacts."""
+"""Elements as drawn parts: springs as coils that stretch, dampers as cylinders with rods, inerters, bushings, torsion springs, anti-roll
+bars, contacts."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from jaxbody.elements.bushings import FramePair
 from jaxbody.elements.contacts import Contact, Tyre
 from jaxbody.elements.elements import LineElement
+from jaxbody.elements.inerters import Inerter
 from jaxbody.elements.springs import Spring, SpringDamper
 from jaxbody.elements.torsions import AntiRollBar, Torsion
 from jaxbody.geometry.orientations import matrix
@@ -44,6 +45,8 @@ def _parts(name: str, element: Any, ends: list[np.ndarray], sequence: PoseSequen
         return [DrawnPart(("elements", name, side), ball, COLORS[5], at, opacity=0.6) for side, at in zip("ab", ends, strict=True)]
     if isinstance(element, LineElement):
         return _line_element(name, element, ends[0], ends[1], size)
+    if isinstance(element, Inerter):
+        return _inerter(name, ends[0], ends[1], size)
     if isinstance(element, FramePair):
         return _bushing(name, element, ends, sequence, size, up)
     if isinstance(element, Torsion):
@@ -82,6 +85,17 @@ def _line_element(name: str, element: LineElement, A: np.ndarray, B: np.ndarray,
             piston = rod(("elements", name, "piston"), cylinder(0.4 * inner, sides=12), GRAY, A, B)
         parts += [piston, DrawnPart(("elements", name, "damper"), cylinder(inner, -max(tube, 0.02 * length), 0.0, sides=18), DAMPER, B, R)]
     return parts
+
+
+def _inerter(name: str, A: np.ndarray, B: np.ndarray, size: float) -> list[DrawnPart]:
+    """A flywheel in the middle of a rod."""
+    R, lengths = axes_along_lines(B - A)
+    radius = float(np.clip(0.12 * lengths[0], 0.008 * size, 0.03 * size))
+    wheel = cylinder(radius, -0.3 * radius, 0.3 * radius)
+    return [
+        rod(("elements", name, "rod"), cylinder(0.2 * radius, sides=10), GRAY, A, B),
+        DrawnPart(("elements", name, "flywheel"), wheel, DAMPER, (A + B) / 2, R),
+    ]
 
 
 def _bushing(name: str, element: Any, ends, sequence: PoseSequence, size: float, up: np.ndarray) -> list[DrawnPart]:

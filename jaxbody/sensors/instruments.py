@@ -9,10 +9,11 @@ import jax.numpy as jnp
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, concrete, vector
 from jaxbody.core.errors import Problem, Problems, unknown
+from jaxbody.elements.elements import Element
 from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry import rotations
 from jaxbody.geometry.fields import field
-from jaxbody.geometry.frames import Instant
+from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.places import direction
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
@@ -178,7 +179,8 @@ class OfElement(Components):
 
     def read(self, model: Model, frames: Instant, of: Callable[..., Any]) -> Float[Array, ""]:
         element = model[self.on]
-        value = of(element, *(frames[model.layout.frame(end)] for end in element.between))
+        rows = [model.layout.frame(end) for end in element.between]
+        value = of(element, *(frames.frame(row) if element.has_inertia() else frames[row] for row in rows))
         return value if self.component is None else value[self.component]
 
     def problem(self, model, where):
@@ -206,8 +208,8 @@ class Elongation(OfElement):
 
 
 class LoadCell(OfElement):
-    """The force in an element [N], tension positive, its damper included; the moment [N m] of a Torsion. `gain`, `bias`, `delay`, `lag`,
-    `start`: see Sensor.
+    """The force in an element [N], tension positive, its damper and its inertia included; the moment [N m] of a Torsion. `gain`, `bias`,
+    `delay`, `lag`, `start`: see Sensor.
 
     A bushing needs a `component`: 0 to 2 for the forces [N], 3 to 5 for the moments [N m] that oppose its deformation, in the axes of its
     end a: positive where its end b is displaced along the axis.
@@ -220,7 +222,17 @@ class LoadCell(OfElement):
     units_of_parts = ("N", "N m")
 
     def reading(self, model, frames):
-        return self.read(model, frames, lambda element, *ends: element.force(*ends))
+        return self.read(model, frames, _force)
+
+    def needs_accelerations(self, model):
+        return model[self.on].has_inertia()
+
+
+def _force(element: Element, *ends: Any) -> Array:
+    if not element.has_inertia():
+        return element.force(*ends)
+    frames, changes = (tuple(ends) for ends in zip(*((Frame(end.p, end.R, end.v, end.w), end.changes()) for end in ends), strict=True))
+    return element.force(*frames) + element.inertial_force(frames, changes)
 
 
 class WrenchSensor(Components):

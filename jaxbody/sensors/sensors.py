@@ -107,6 +107,10 @@ class Sensor(Described, Channel):
                 "BAD_CHAIN", f"{kind}.start", "is the initial value of a lag, which is not given", value=self.start, hint="Give lag=..."
             )
 
+    def needs_accelerations(self, model: Model) -> bool:
+        """Whether its reading on this model needs the accelerations of the frames."""
+        return self.accelerations
+
     @abstractmethod
     def reading(self, model: Model, frames: Instant) -> Reading:
         """The measured quantity at one time, before the chain."""

@@ -23,7 +23,7 @@ from jaxbody.simulations.trajectories import Trajectory
 def read(model: Model, motions: Motions, t, state: State, sensors: dict[str, Sensor], loads: tuple[Load, ...] = ()) -> dict[str, Array]:
     """The readings of all sensors at one time, before their chains; accelerations are computed once, if any sensor needs them."""
     model = holding(model, state.z)
-    if any(sensor.accelerations for sensor in sensors.values()):
+    if any(sensor.needs_accelerations(model) for sensor in sensors.values()):
         instant = dynamics_of(model, motions, loads).instant(t, state, reactions=any(sensor.reactions for sensor in sensors.values()))
     else:
         instant = frames_at_time(model, motions, t, state)

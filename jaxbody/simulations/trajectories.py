@@ -19,7 +19,8 @@ from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
 from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.energies import damping_power, each_element, kinetic, outside_law_range, potential
+from jaxbody.mechanics.element_inertias import accelerated
+from jaxbody.mechanics.energies import damping_power, each_element, inertial_tables, kinetic, outside_law_range, potential
 from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.failure_causes import force_jump_at, force_jump_messages, force_jumps_along, nonfinite_ahead
 from jaxbody.mechanics.hessians import matrices
@@ -68,8 +69,9 @@ class Trajectory(Labeled, Result):
 
     @property
     def forces(self) -> dict[str, Array]:
-        """{element: tension (nt,), its damper included}; for a bushing the six forces and moments (nt, 6) that oppose its deformation."""
-        return self._of_elements(_forces)
+        """{element: tension (nt,), its damper and its inertia included}; for a bushing the six forces and moments (nt, 6) that oppose its
+        deformation."""
+        return self._of_elements(_forces_with_inertia, loads=True) if inertial_tables(self.model) else self._of_elements(_forces)
 
     @property
     def energies(self) -> dict[str, Array]:
@@ -94,8 +96,8 @@ class Trajectory(Labeled, Result):
         lead = (slice(None),) * self.times.ndim
         return {name: (part_of(force, (*lead, i)), part_of(moment, (*lead, i))) for i, name in enumerate(self.model.layout.supports)}
 
-    def _of_elements(self, function: Callable) -> dict[str, Array]:
-        return by_name(tuple(table.names for table in self.model.elements), self.at_samples(function), axis=self.times.ndim)
+    def _of_elements(self, function: Callable, *, loads: bool = False) -> dict[str, Array]:
+        return by_name(tuple(table.names for table in self.model.elements), self.at_samples(function, loads=loads), axis=self.times.ndim)
 
     def at_samples(self, function: Callable, *more: Any, loads: bool = False) -> Any:
         """function(model, motions, t, state, *more) at every sample, with `loads` (..., state, loads, *more); leading axes of a batch are
@@ -211,6 +213,15 @@ def _deformations(model, motions, t, state):
 
 def _forces(model, motions, t, state):
     return tuple(each_element(model, frames_at_time(model, motions, t, state), lambda s, *F: s.force(*F)))
+
+
+def _forces_with_inertia(model, motions, t, state, loads):
+    """Forces of the elements, with those of their inertia at the accelerations of the motion."""
+    now, forces = dynamics_of(model, motions, loads).accelerated(t, state), []
+    for table, force in zip(model.elements, _forces(model, motions, t, state), strict=True):
+        inertia = accelerated(model, now, table, lambda s, *F: s.inertial_force(*F)) if table.rows.has_inertia() else 0.0
+        forces.append(force + inertia)
+    return tuple(forces)
 
 
 def _energies(model, motions, t, state):

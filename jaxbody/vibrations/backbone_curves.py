@@ -36,11 +36,12 @@ from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import MESSAGES, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.vectors import rotate, rotate_back
-from jaxbody.mechanics.energies import kinetic, potential
+from jaxbody.mechanics.energies import inertial_tables, kinetic, of_table, potential
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.preconditions import check_without_memory
 from jaxbody.models.sizes import scale_of, size_of
+from jaxbody.models.storage import KindTable
 from jaxbody.numerics.eigenproblems import ZERO
 from jaxbody.vibrations.linearizations import Linearization, check_system
 from jaxbody.vibrations.natural_modes import modes_of
@@ -239,7 +240,8 @@ def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, 
 
 
 def _inertia(lin: Linearization, phi: Float[Array, "nv"]):
-    """T2, t = grad T1, and b, by Newton and Euler: the virtual power of the rates of momentum and angular momentum of each body."""
+    """T2, t = grad T1, and b, by Newton and Euler: the virtual power of the rates of momentum and angular momentum of each body, and of the
+    forces of the inertia of elements."""
     model, coordinates, q = lin.model, Coordinates(lin.model), lin.state.q
     bodies = model.bodies.rows
 
@@ -256,7 +258,21 @@ def _inertia(lin: Linearization, phi: Float[Array, "nv"]):
 
     rates = jax.jvp(momenta, (q,), (coordinates.rate(q, phi),))[1]
     (b,) = jax.vjp(velocities, jnp.zeros_like(phi))[1](rates)
+    for table in inertial_tables(model):
+        b = b + _force_of_inertia(coordinates, table, q, phi)
     return along(phi, 2), jax.grad(lambda u: along(u, 1))(phi), b
+
+
+def _force_of_inertia(coordinates: Coordinates, table: KindTable, q: Float[Array, "nq"], phi: Float[Array, "nv"]) -> Float[Array, "nv"]:
+    """de/dDelta' (d/dt dT/de_dot - dT/de) at constant speeds phi, of the elements of a table."""
+
+    def of(q, v, function):
+        frames = coordinates.at_rest(q, v)
+        return of_table(coordinates.model, frames, table, lambda element, *ends: function(element, *element.rates(*ends)))
+
+    rate = jax.jvp(lambda q: of(q, phi, lambda s, e, e_dot: s.momentum(e, e_dot)), (q,), (coordinates.rate(q, phi),))[1]
+    force = rate - of(q, phi, lambda s, e, e_dot: jax.grad(s.kinetic_energy)(e, e_dot))
+    return jax.vjp(lambda v: of(q, v, lambda s, e, e_dot: e_dot), jnp.zeros_like(phi))[1](force)[0]
 
 
 def _along(function, coordinates: Coordinates, q: Float[Array, "nq"], u: Float[Array, "nv"], order: int) -> tuple[Array, ...]:

@@ -16,6 +16,7 @@ from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import Problems
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.element_derivatives import element_derivatives
+from jaxbody.mechanics.energies import inertial_tables, of_table
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
@@ -32,15 +33,16 @@ MOST_MODES = 12  # of a table
 class ModeEnergies(Labeled, Result):
     """Shares in percent, a column for each mode, ascending. Modes of coinciding frequencies each have the mean over their space.
 
-    `kinetic` {body: (6, n)}: translation of the center of mass and rotation, in world axes; the sum is 100. `strain` {element: (n,)}:
-    V''(e) de de; with `other_strain`, {"tension", "gravity", "loads"}, the contributions of tension, weights and loads to K, the sum is 100
-    (NaN for a mode of zero frequency). `dissipation` {element: (n,)}: the sum is 100, or 0 without dissipation. `velocities` (bodies, 6,
-    n): velocities of the centers of mass and angular velocities, along the shape. `names`: each mode by the body and direction with most of
-    its kinetic energy."""
+    `kinetic` {body: (6, n)}: translation of the center of mass and rotation, in world axes; `inertia` {element: (n,)}: of elements with
+    inertia, such as inerters; the sum of both is 100. `strain` {element: (n,)}: V''(e) de de; with `other_strain`, {"tension", "gravity",
+    "loads"}, the contributions of tension, weights and loads to K, the sum is 100 (NaN for a mode of zero frequency). `dissipation`
+    {element: (n,)}: the sum is 100, or 0 without dissipation. `velocities` (bodies, 6, n): velocities of the centers of mass and angular
+    velocities, along the shape. `names`: each mode by the body and direction with most of the bodies' kinetic energy."""
 
     index = "mode"
     frequency: Float[Array, "n"]
     kinetic_shares: Float[Array, "nb 6 n"]
+    inertia_shares: Float[Array, "ni n"]
     strain_shares: Float[Array, "ne n"]
     other_shares: Float[Array, "3 n"]
     dissipation_shares: Float[Array, "ne n"]
@@ -53,6 +55,11 @@ class ModeEnergies(Labeled, Result):
     @property
     def kinetic(self) -> dict[str, Float[Array, "6 n"]]:
         return {name: self.kinetic_shares[..., i, :, :] for i, name in enumerate(self.model.layout.bodies)}
+
+    @property
+    def inertia(self) -> dict[str, Float[Array, "n"]]:
+        names = (name for table in inertial_tables(self.model) for name in table.names)
+        return {name: self.inertia_shares[..., i, :] for i, name in enumerate(names)}
 
     @property
     def strain(self) -> dict[str, Float[Array, "n"]]:
@@ -73,9 +80,12 @@ class ModeEnergies(Labeled, Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Each mode by the body and direction with most of its kinetic energy, and its share; several bodies if they share it, in phase or
+        """Each mode by the body and direction with most of the bodies' kinetic energy, and its share; several if they share it, in phase or
         in opposition. "~" marks frequencies that nearly coincide."""
-        return mode_names(self.model.layout.bodies, self.directions, self.kinetic_shares, self.velocities, self.cluster, self.frequency)
+        shares = np.asarray(self.kinetic_shares)
+        if self.inertia:
+            shares = 100 * shares / shares.sum((0, 1))
+        return mode_names(self.model.layout.bodies, self.directions, shares, self.velocities, self.cluster, self.frequency)
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: shares [%] by mode, body and direction, element."""
@@ -87,6 +97,8 @@ class ModeEnergies(Labeled, Result):
             "dissipation": (("element", "mode"), self.dissipation_shares, "%"),
             "status": ((), self.status, ""),
         }
+        if self.inertia:
+            variables["inertia"] = (("inertial_element", "mode"), self.inertia_shares, "%")
         model, count = self.model, np.shape(self.frequency)[-1]
         coordinates = {
             "mode": list(range(1, count + 1)),
@@ -94,7 +106,7 @@ class ModeEnergies(Labeled, Result):
             "direction": list(self.directions),
             "element": list(model.element_names),
             "other": list(self.other_strain),
-        }
+        } | ({"inertial_element": list(self.inertia)} if self.inertia else {})
         return dataset(variables, coordinates, "energies of modes")
 
     def _tables(self) -> list[tables.PrintedTable]:
@@ -105,7 +117,7 @@ class ModeEnergies(Labeled, Result):
             ]
         heads = tuple(f"{f:.4g} Hz" for f in self.frequency)
         parts = {
-            "Kinetic energy [%]": dict(zip(self.rows, self.kinetic_shares.reshape(-1, count), strict=True)),
+            "Kinetic energy [%]": dict(zip(self.rows, self.kinetic_shares.reshape(-1, count), strict=True)) | self.inertia,
             "Strain energy [%]": self.strain | {name: x for name, x in self.other_strain.items() if np.abs(x).max() > 1e-6},
             "Dissipation [%]": {name: x for name, x in self.dissipation.items() if np.any(x > 0)},
         }
@@ -138,7 +150,8 @@ def mode_energies(
     The linearization is all it needs: the modes are computed from it.
 
         kinetic      100 v_i (M v)_i/(phi' M phi)     v: velocities of a body along phi, of its center of mass and angular
-        strain       100 de' V'' de/(phi' K phi)      de: change of an element's deformation along phi
+        inertia      100 de' T'' de/(phi' M phi)      de: change of an element's deformation along phi
+        strain       100 de' V'' de/(phi' K phi)
         dissipation  100 de' R'' de/(phi' C phi)
 
     Args:
@@ -202,6 +215,8 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     elements = element_derivatives(configuration_at(Coordinates(lin.held), lin.state.q, lin.state.v))
     changes = [x.J[..., : len(shapes)] @ shapes for x in elements]
     none = jnp.zeros((0, len(values)), shapes.dtype)
+    inertial = jnp.concatenate([none, *_kinetic_energies(lin, shapes)])
+    moved = jnp.sum(kinetic, (0, 1)) + jnp.sum(inertial, 0) if len(inertial) else jnp.sum(kinetic, (0, 1))
     elastic, loss = (
         jnp.concatenate([none, *(jnp.sum(de * (H @ de), 1) for de, H in zip(changes, second, strict=True))])
         for second in ([x.stiffness for x in elements], [x.damping for x in elements])
@@ -213,17 +228,30 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     top = jnp.max(jnp.abs(values), initial=0.0)
     stiff = jnp.where(jnp.abs(values) > ZERO * top, 1.0, jnp.nan)[None]
     return (
-        frequency, share(kinetic, jnp.sum(kinetic, (0, 1)), 0.0), share(elastic, strain, 0.0) * stiff, share(others, strain, 0.0) * stiff,
+        frequency, share(kinetic, moved, 0.0), share(inertial, moved, 0.0),
+        share(elastic, strain, 0.0) * stiff, share(others, strain, 0.0) * stiff,
         share(loss, dissipated, LEAST_LOSS * jnp.max(jnp.abs(dissipated), initial=0.0)), velocities, cluster, status,
     )  # fmt: skip
 
 
+def _kinetic_energies(lin: Linearization, shapes: Float[Array, "n m"]) -> list[Float[Array, "ne m"]]:
+    """Twice the kinetic energies of the elements with inertia along these shapes, table by table."""
+    coordinates, tables = Coordinates(lin.held), inertial_tables(lin.held)
+
+    def energies(v):
+        frames = coordinates.at_rest(lin.state.q, v)
+        return [2 * of_table(lin.held, frames, table, lambda s, *F: s.kinetic_energy(*s.rates(*F))) for table in tables]
+
+    return jax.vmap(energies, 1, 1)(shapes) if tables else []
+
+
 def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
-    """Shares, of sum 1, of bodies and directions (6 for each body) in the kinetic energy of each mode. Coinciding modes are separated along
-    the coordinates by small increases of the diagonal of K, up to SEPARATION, different for each coordinate."""
+    """Shares, of sum 1, of bodies and directions (6 for each body) in the bodies' kinetic energy in each mode. Coinciding modes are
+    separated along the coordinates by small increases of the diagonal of K, up to SEPARATION, different for each coordinate."""
     lin = lin.condensed
     increase = SEPARATION * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))
     _, shapes = natural(lin.K + jnp.diag(increase), lin.M)
     basis = basis_at(lin.model, lin.state.q)
     kinetic = (basis.velocities @ shapes) * (basis.momenta @ shapes)
-    return kinetic.reshape(-1, kinetic.shape[-1])  # phi' M phi = 1
+    kinetic = kinetic.reshape(-1, kinetic.shape[-1])
+    return kinetic / jnp.sum(kinetic, 0)[None] if inertial_tables(lin.model) else kinetic  # else phi' M phi = 1

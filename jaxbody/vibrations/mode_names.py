@@ -1,4 +1,4 @@
-"""Names of modes: the bodies and the direction with most of the kinetic energy, and whether several move in phase or in opposition.
+"""Names of modes: the bodies and the direction with most of their kinetic energy, and whether several move in phase or in opposition.
 
 The shares of a body in the energy of the shape phi, of its center of mass and its rotation, in world axes: conj(v_i) (M_b v)_i/(phi* M
 phi), v its velocities along phi.
@@ -35,7 +35,8 @@ MARK_NOTE = (
 
 class Basis(eqx.Module):
     """What the coordinates of a linear system move: per unit of each speed the velocity of the center of mass and the angular velocity of
-    every body, in world axes, and the momenta that belong to these; so that M = sum over the bodies of velocities' momenta."""
+    every body, in world axes, and the momenta that belong to these; M is the sum over the bodies of velocities' momenta, and the part of
+    elements with inertia."""
 
     velocities: Float[Array, "*b nb 6 nv"]
     momenta: Float[Array, "*b nb 6 nv"]

@@ -141,9 +141,13 @@ def rows_of(lin: Any, at: Configuration, twists, sensors: tuple[Sensor, ...], F:
     """Y and G of all outputs, and the indices of elements and reactions. Each input exerts, per unit, the generalized force F and the
     `wrenches`: force and moment on each body about its origin, in world axes."""
     model, zero = lin.model, jnp.zeros(len(F), F.dtype)
-    of_elements = () if lin.inner else (LoadCell,)  # whose rows are those of the element; with massless coordinates they are read
-    others = [sensor for sensor in sensors if not (isinstance(sensor, (Kinematic, *of_elements)) or reads_matrices(sensor, model))]
-    elements = _by_name(model, at) if any(isinstance(sensor, of_elements) for sensor in sensors) else {}
+
+    def of_element(sensor) -> bool:
+        """Whether its rows are those of an element; with massless coordinates or accelerations it is read."""
+        return isinstance(sensor, LoadCell) and not (lin.inner or sensor.needs_accelerations(model))
+
+    others = [sensor for sensor in sensors if not (isinstance(sensor, Kinematic) or of_element(sensor) or reads_matrices(sensor, model))]
+    elements = _by_name(model, at) if any(map(of_element, sensors)) else {}
     readings = iter(_read_rows(lin, at, twists, others, wrenches) if others else ())
     held = slope(at)[model.layout.nv :] if any(reads_matrices(sensor, model) for sensor in sensors) else zero
     rows = []
@@ -152,7 +156,7 @@ def rows_of(lin: Any, at: Configuration, twists, sensors: tuple[Sensor, ...], F:
             moved = sensor.rows(model, at.frames, twists).reshape(len(F), -1).T
             Y = jnp.zeros((3, *moved.shape), F.dtype).at[sensor.order].set(moved)
             rows.append(_Rows(Y, jnp.zeros((len(moved), F.shape[1]), F.dtype)))
-        elif isinstance(sensor, of_elements):
+        elif isinstance(sensor, LoadCell) and of_element(sensor):
             i, derivatives = elements[sensor.on]
             k = sensor.component or 0
             Y = jnp.stack([derivatives.stiffness[k] @ derivatives.J, derivatives.damping[k] @ derivatives.J, zero])[:, None]

@@ -69,6 +69,11 @@ def wrenches(model, _):
     return jax.vmap(on_first)(jnp.linspace(-0.8, 0.3, 12), jnp.geomspace(1e-9, 1.0, 12)).ravel()
 
 
+def inertia(model, _):
+    """The kinetic energy of an element at some rates."""
+    return jax.vmap(lambda rate: model["s"].kinetic_energy(0.0, rate))(AT)
+
+
 def of_body(model, _):
     """Weight, and angular momentum of turns about three axes and one between them."""
     body = model["mass"]
@@ -136,6 +141,7 @@ FITTED = {  # of each class that states a field with a domain that ends: what is
         of_memory,
     ),
     jb.Mount: (jb.Mount(HERE, ("world", [0, 0, 0.1]), x=2.0, y=3.0, rz=0.5, damping=[0.5, 0.4, 0.3, 0.2, 0.2, 0.1]), wrenches),
+    jb.Inerter: (jb.Inerter(HERE, ("world", [0, 0, 0.1]), inertance=50.0), inertia),
     Pulse: (PULSE, of_motion),
     jb.Trapezoid: (PULSE, of_motion),
     jb.Road: (jb.Road([0.0, 1.0, 1.5, 3.0], [0.0, 0.0, 0.2, 0.2], speed=1.0, footprint=0.5), of_road),

@@ -11,7 +11,7 @@ import pytest
 import jaxbody as jb
 from jaxbody.compilation.compile_options import UNOPTIMIZED
 from jaxbody.geometry import rotations
-from jaxbody.mechanics.equations_of_motion import FreeBodies, JointedBodies, acceleration, dynamics_of, equations_for
+from jaxbody.mechanics.equations_of_motion import FreeBodies, JointedBodies, acceleration, dynamics_of
 from jaxbody.mechanics.kinematics import Coordinates
 
 SAMPLES = 100
@@ -221,7 +221,7 @@ def test_free_bodies_move_as_by_euler_lagrange_and_the_paper(name):
 
     floating, tree, reactions = by_library(model, motions, times, state)
     lagrange, lagrange_reactions = by_lagrange(model, motions, times, x, jnp.concatenate(x_dot, 1))
-    assert equations_for(model.layout) is FreeBodies
+    assert isinstance(dynamics_of(model, motions), FreeBodies)
     assert relative_difference(floating, expected) < 1e-10
     assert relative_difference(tree, expected) < 1e-10
     assert relative_difference(lagrange, expected) < 1e-10
@@ -324,11 +324,63 @@ def test_every_joint_on_a_support_and_on_a_body_moves_and_reacts_as_by_euler_lag
         "tool": jb.Composite("knee", STEPS, directions=rng.normal(size=(4, 3)), points=rng.normal(size=(4, 3))),
     }
     tree = tree_model(rng, on_supports | on_bodies, bushing=True)
-    assert equations_for(tree.layout) is JointedBodies
-    assert_moves_as_by_euler_lagrange(tree, (shaking(rng), shaking(rng)), rng)
+    motions = (shaking(rng), shaking(rng))
+    assert isinstance(dynamics_of(tree, motions), JointedBodies)
+    assert_moves_as_by_euler_lagrange(tree, motions, rng)
 
 
-def test_matrices_are_the_hessians_that_define_them():
+class Varying(jb.Element):
+    """An inertance that depends on the length: b |AB|^2."""
+
+    b_of_length: jax.Array
+
+    def deformation(self, A, B):
+        return jnp.linalg.norm(B.point(self.b) - A.point(self.a))
+
+    def energy(self, e):
+        return jnp.zeros_like(e)
+
+    def dissipation(self, e, e_dot):
+        return jnp.zeros_like(e)
+
+    def kinetic_energy(self, e, e_dot):
+        return 0.5 * self.b_of_length * e**2 * e_dot**2
+
+
+def with_inerters(model, *links):
+    """The model with an inerter, and an element of one's own with a kinetic energy, between each two of these."""
+    rng, added = np.random.default_rng(6), {}
+    for one, other in links:
+        a, b = 0.4 * rng.normal(size=3), 4 * rng.normal(size=3)
+        added[f"{one} {other}"] = jb.Inerter((one, a), (other, b), inertance=rng.uniform(1, 4))
+        added[f"own {one} {other}"] = Varying((one, other), jnp.array(a), jnp.array(b), jnp.array(rng.uniform(0.05, 0.2)))
+    layout = model.layout
+    return jb.Model(
+        bodies={name: model[name] for name in layout.bodies}, supports={name: model[name] for name in layout.supports},
+        joints={name: model.joint(name) for table in model.joints for name in table.names},
+        elements={name: model[name] for name in model.element_names} | added, gravity=model.gravity,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("free", [True, False])
+def test_elements_with_inertia_act_as_by_euler_lagrange(free):
+    rng = np.random.default_rng(7)
+    if free:
+        model, links = floating_model(rng, *MODELS["two bodies"], damping=3.0), [("plate", "base"), ("rotor", "plate")]
+    else:
+        joints = {
+            "arm": jb.Hinge("base", axis=rng.normal(size=3), at=rng.normal(size=3)),
+            "knee": jb.Ball("arm", at=rng.normal(size=3)),
+            "slider": jb.Guide("knee", axis=rng.normal(size=3)),
+        }
+        model, links = tree_model(rng, joints, bushing=False), [("slider", "stand"), ("knee", "base"), ("arm", "slider")]
+    model, motions = with_inerters(model, *links), tuple(shaking(rng) for _ in model.layout.supports)
+    assert isinstance(dynamics_of(model, motions), JointedBodies)
+    assert_moves_as_by_euler_lagrange(model, motions, rng)
+
+
+@pytest.mark.parametrize("inerters", [False, True])
+def test_matrices_are_the_hessians_that_define_them(inerters):
     rng = np.random.default_rng(5)
     joints = {
         "raft": jb.Free("base"),
@@ -343,6 +395,8 @@ def test_matrices_are_the_hessians_that_define_them():
         "tool": jb.Composite("lump", STEPS, directions=rng.normal(size=(4, 3)), points=rng.normal(size=(4, 3))),
     }
     tree = tree_model(rng, joints, bushing=False)
+    if inerters:
+        tree = with_inerters(tree, ("raft", "base"), ("tool", "stand"), ("wheel", "tool"), ("car", "world"))
     x, x_dot = random_coordinates(tree, rng, 10)
     states = states_of(tree, x, x_dot)
     n, nxi = tree.layout.nv, tree.layout.nxi
