@@ -166,12 +166,12 @@ from jaxbody.statics.cases import load_cases as load_cases
 from jaxbody.statics.equilibria import equilibrium as equilibrium
 from jaxbody.statics.equilibrium_searches import find_equilibria as find_equilibria
 from jaxbody.statics.preloads import preload as preload
+from jaxbody.statics.rest_states import excitation as excitation
 from jaxbody.studies.study_files import Study as Study
 from jaxbody.studies.study_files import read_study as read_study
 from jaxbody.vibrations.backbone_curves import backbones as backbones
 from jaxbody.vibrations.damped_modes import complex_modes as complex_modes
 from jaxbody.vibrations.damped_modes import whirl as whirl
-from jaxbody.vibrations.linearizations import excitation as excitation
 from jaxbody.vibrations.linearizations import linearize as linearize
 from jaxbody.vibrations.modal_energies import mode_energies as mode_energies
 from jaxbody.vibrations.mode_branches import mac as mac

@@ -152,6 +152,7 @@ class Status(enum.IntEnum):
     STALE = 27
     LOST = 28
     NOT_CLOSED = 29
+    SINGULAR_CLOSURE = 30
 
 
 MESSAGES = {status: CODES[status.name][0] for status in Status}

@@ -23,12 +23,15 @@ from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.mechanics.kinematics import Chart, Coordinates, with_world
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import scale_of, size_of
+from jaxbody.models.storage import KindTable
+from jaxbody.numerics.small_systems import independent_rows
 
 Conditions = Callable[[Model, Any, Float[Array, "nq"]], Float[Array, "n"]]  # F of the model, of other numbers and of q
 STEPS = 30  # of the search; ten are enough from a rough drawing
 ORDERS = 4  # of derivatives that are exact
 LARGEST_STEP = 0.5  # of an increment, of the size of the model or in rad
 PRECISE = 1e-12  # of the size of the model; about where rounding begins
+CLOSED = 1e-9  # of the size of the model
 RANK = 1e-9  # singular values below this part of the largest count as zero
 
 
@@ -37,17 +40,51 @@ def names_of_rows(model: Model) -> tuple[str, ...]:
     return tuple(f"{name} {row}" for table in model.closures for name in table.names for row in table.rows.rows)
 
 
+def redundant_rows(model: Model, slopes: Float[Array, "n nv"]) -> tuple[str, ...]:
+    """The conditions that follow from the others, such as those out of the plane of a planar linkage, by their slopes in meters."""
+    independent = independent_rows(np.asarray(slopes))
+    return tuple(name for i, name in enumerate(names_of_rows(model)) if i not in independent)
+
+
+def turning_rows(model: Model) -> np.ndarray:
+    """(n,): True for conditions on angles."""
+    return np.array([turns for table in model.closures for _ in table.names for turns in _turning(table)], bool)
+
+
+def _turning(table: KindTable) -> np.ndarray:
+    return np.array([row.startswith("turn") for row in table.rows.rows])
+
+
 def gaps(model: Model, coordinates: Coordinates, frames: Frame) -> Float[Array, "n"]:
     """c of all closures, in meters: sines of angles times the size of the model."""
     drawn = with_world(coordinates.supports.at_rest(), coordinates.bodies.at_rest())
-    size, found = size_of(model), []
+    size, found = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
     for table in model.closures:
         A, B = ([model.layout.frame(link[end]) for link in table.links] for end in (0, 1))
         rest = _poses(drawn, A).inverse() @ _poses(drawn, B)
         values = jax.vmap(lambda closure, *poses: closure.gap(*poses))(table.rows, _poses(frames, A), _poses(frames, B), rest)
-        turns = np.array([row.startswith("turn") for row in table.rows.rows])
-        found.append((values * jnp.where(turns, size, 1.0)[None]).ravel())
+        found.append((values * jnp.where(_turning(table), size, 1.0)[None]).ravel())
     return jnp.concatenate([jnp.zeros(0, frames.p.dtype), *found])
+
+
+def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
+    """c(q), with the supports in their reference poses."""
+    return gaps_at(Coordinates(model), q)
+
+
+def gaps_at(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n"]:
+    """c(q)."""
+    return gaps(coordinates.model, coordinates, coordinates.at_rest(q))
+
+
+def closed(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
+    """The nearest q in which all closures are fulfilled, as far as it is reached."""
+    return _searched(closure_gaps, None, model, None, q)
+
+
+def how_open(model: Model, q: Float[Array, "nq"]) -> Float[Array, ""]:
+    """The largest |c| over the size of the model."""
+    return _largest(closure_gaps(model, None, q)) / size_of(model)
 
 
 def _poses(frames: Frame, rows: list[int]) -> Pose:

@@ -8,11 +8,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.elements.elements import Element
 from jaxbody.geometry.frames import Frame
-from jaxbody.mechanics.energies import each_element, end_rows
-from jaxbody.mechanics.hessians import Configuration, frame_twists
+from jaxbody.mechanics.energies import each_element, end_rows, gravity_energy
+from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists
+from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
+from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable
 
 
@@ -57,3 +60,29 @@ def on_coordinates(model: Model, table: KindTable, slopes: list[Float[Array, "ne
     """de/d(Delta, Xi) of the elements of a table from their slopes and the twists of the frames."""
     rows: Any = end_rows(model, table)
     return sum(slope @ jnp.swapaxes(twists[row], 1, 2) for slope, row in zip(slopes, rows, strict=True))  # pyright: ignore[reportReturnType]
+
+
+def frames_displaced(model: Model, state: State, delta: Float[Array, "nv"], xi: Float[Array, "*ns 6"] | None = None) -> Frame:
+    """The table of frames at q (+) Delta, at rest, with the supports displaced by Xi."""
+    coordinates = Coordinates(model)
+    zero = jnp.zeros((len(model.layout.supports), 6), delta.dtype)
+    supports = coordinates.supports_at(zero if xi is None else xi.reshape(-1, 6), zero)
+    return coordinates.frames(coordinates.retract(state.q, delta), jnp.zeros_like(delta), supports)
+
+
+@jit_unoptimized
+def gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
+    """The Hessian of the potential energy of the weights."""
+    return jax.hessian(lambda d: gravity_energy(model, frames_displaced(model, state, d)))(jnp.zeros(model.layout.nv, state.q.dtype))
+
+
+@jit_unoptimized
+def split_stiffness(model: Model, state: State):
+    """Elastic and geometric stiffness of every element, table by table: V'' de de, and the rest of the Hessian, V' d2e."""
+    zero = jnp.zeros(n := model.layout.nv, state.q.dtype)
+
+    def potentials(d):
+        return each_element(model, frames_displaced(model, state, d), lambda s, *F: s.potential(*(f.pose() for f in F)))
+
+    elastic = [x.elastic()[:, :n, :n] for x in element_derivatives(configuration_at(Coordinates(model), state.q))]
+    return elastic, [k - e for k, e in zip(jax.hessian(potentials)(zero), elastic, strict=True)]

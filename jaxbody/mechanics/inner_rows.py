@@ -16,7 +16,8 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.laws.memories import Apart, memories
 from jaxbody.mechanics.element_derivatives import deformation_slopes, on_coordinates
 from jaxbody.mechanics.energies import of_table
-from jaxbody.mechanics.hessians import Configuration, Square, frame_twists
+from jaxbody.mechanics.hessians import Configuration, Square, configuration_at, damping, expansion, frame_twists, mass
+from jaxbody.mechanics.kinematics import Coordinates
 
 
 class InnerRows(NamedTuple):
@@ -69,3 +70,16 @@ def following(K: Square, nv: int, ny: int) -> Float[Array, "n m"]:
     own, x = slice(nv, nv + ny), jnp.concatenate([jnp.arange(nv), jnp.arange(nv + ny, len(K))])
     one = jnp.eye(len(x), dtype=K.dtype)
     return jnp.concatenate([one[:nv], -jnp.linalg.solve(K[own, own], K[own][:, x]), one[nv:]])
+
+
+def whole_matrices(coordinates: Coordinates, q: Float[Array, "nq"], v: Float[Array, "nv"]):
+    """M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi); y apart in the model of the coordinates."""
+    at, layout = configuration_at(coordinates, q, v), coordinates.model.layout
+    nv, ny = layout.nv, len(layout.inner)
+    _, slope, stiffness = expansion(at)
+    whole = mass(at), damping(at), stiffness
+    if ny:
+        inner, zero = inner_rows(at), jnp.zeros((ny, len(stiffness)), q.dtype)
+        rows = (zero, jnp.zeros((ny, ny), q.dtype)), (inner.C_yx, inner.C_yy), (inner.K_yx, inner.K_yy)
+        whole = tuple(inserted(H, *row, nv) for H, row in zip(whole, rows, strict=True))
+    return whole, slope

@@ -18,10 +18,9 @@ from jaxbody.core.errors import JaxbodyError, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import axial, cross, dot, product, rotate
-from jaxbody.mechanics.constraints import RANK, solve, values_and_slopes
+from jaxbody.mechanics.constraints import RANK, closure_gaps, solve, values_and_slopes
 from jaxbody.mechanics.energies import each_element
 from jaxbody.mechanics.kinematics import Chart, Coordinates
-from jaxbody.mechanisms.assemblies import closure_gaps
 from jaxbody.mechanisms.driven_positions import Drive, conditions, drives_of, position, positions, readings
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.models import Model

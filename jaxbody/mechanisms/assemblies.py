@@ -3,27 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Float, Int
 from jaxbody.core.errors import JaxbodyError, Problem, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.mechanics.constraints import gaps, names_of_rows, solve, values_and_slopes
-from jaxbody.mechanics.kinematics import Chart, Coordinates
+from jaxbody.mechanics.constraints import (
+    CLOSED,
+    closure_gaps,
+    names_of_rows,
+    redundant_rows,
+    solve,
+    values_and_slopes,
+)
+from jaxbody.mechanics.kinematics import Chart
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, check_state
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
-
-CLOSED = 1e-9  # of the size of the model
-INDEPENDENT = 1e-8  # of the largest pivot
+from jaxbody.numerics.small_systems import independent_rows
 
 
 class Assembly(Result):
@@ -36,28 +38,15 @@ class Assembly(Result):
     slopes: Float[Array, "n nv"]
     status: Int[Array, ""]
 
-    @cached_property
-    def _order(self) -> tuple[int, np.ndarray]:
-        """The number of independent conditions, and all conditions, those first."""
-        slopes = np.asarray(self.slopes)
-        if slopes.size == 0:
-            return 0, np.arange(len(slopes))
-        factors: Any = scipy.linalg.qr(slopes.T, mode="economic", pivoting=True)
-        _, r, order = factors
-        pivots = np.abs(np.diag(r))
-        return int(np.sum(pivots > INDEPENDENT * pivots[0])), order
-
     @property
     def freedoms(self) -> int:
         """The number of speeds that the closures leave free."""
-        return self.model.layout.nv - self._order[0]
+        return self.model.layout.nv - len(independent_rows(np.asarray(self.slopes)))
 
     @property
     def redundant(self) -> tuple[str, ...]:
         """Conditions that follow from the others, such as those out of the plane of a planar linkage."""
-        count, order = self._order
-        names = names_of_rows(self.model)
-        return tuple(names[i] for i in sorted(order[count:]))
+        return redundant_rows(self.model, self.slopes)
 
     def explain(self) -> str:
         """The condition that is furthest from being fulfilled."""
@@ -114,12 +103,6 @@ def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = 
     if start is not None:
         check_state(model, start, "assemble.start")
     return warn_if_failed(_assembled(model, model.reference if start is None else start, tuple(hold)))
-
-
-def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
-    """c(q)."""
-    coordinates = Coordinates(model)
-    return gaps(model, coordinates, coordinates.at_rest(q))
 
 
 def _held(model: Model, names: tuple[str, ...]) -> np.ndarray:

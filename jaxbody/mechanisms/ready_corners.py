@@ -139,7 +139,9 @@ def five_link(hard_points: Points | None = None, *, stiffness=30e3, force=4000.0
     points = _points(FIVE_LINK, hard_points, "five_link")
     lower, upper = points["spring lower"], points["spring upper"]
     free_length = _distance(upper, lower) + force / stiffness
-    links: dict[str, Closure] = {f"{name} link": Rod(("world", points[f"{name} inner"]), ("upright", points[f"{name} outer"])) for name in LINKS}
+    links: dict[str, Closure] = {
+        f"{name} link": Rod(("world", points[f"{name} inner"]), ("upright", points[f"{name} outer"])) for name in LINKS
+    }
     model = Model(
         bodies={"upright": _body(UPRIGHT, points, "wheel center"), "rack": _body(RACK, points, "tie rod inner")},
         joints={"rack": Guide("world", axis="y")},

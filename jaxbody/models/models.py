@@ -13,7 +13,7 @@ import numpy as np
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
 from jaxbody.core.arguments import checked_dict
-from jaxbody.core.arrays import Array, Float, device_array, functions_as_nodes, vector
+from jaxbody.core.arrays import Array, Float, device_array, functions_as_nodes, is_concrete, vector
 from jaxbody.core.errors import JaxbodyError, Problems, unknown
 from jaxbody.elements.element_checks import check_laws, check_leaves
 from jaxbody.elements.elements import Element
@@ -22,6 +22,7 @@ from jaxbody.geometry.closures import Closure
 from jaxbody.geometry.descriptions import text_of
 from jaxbody.geometry.fields import field, kind_of, units_of
 from jaxbody.geometry.frames import Pose
+from jaxbody.geometry.vectors import cross
 from jaxbody.laws.laws import Law
 from jaxbody.models.bodies import Body, Support, warn_of_points
 from jaxbody.models.joints import Free, Joint
@@ -30,6 +31,11 @@ from jaxbody.models.memories import blocks_of, rest_states
 from jaxbody.models.model_checks import check_links, check_names, check_reference, of_kind, warn_of_oddities
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable, tabulate, tabulate_by_structure
+from jaxbody.numerics.small_systems import independent_rows
+
+CLOSED = 1e-6  # of the largest distance of a point: the reference pose is drawn closed
+DISPLACED = 0.3  # of such a distance, or in rad: away from singular positions
+NEARLY_LARGEST = 0.5  # of pivots: of such coordinates the last depends on the others, so that the first stay independent
 
 
 class Model(tables.Printed, eqx.Module):
@@ -59,6 +65,7 @@ class Model(tables.Printed, eqx.Module):
     elements: tuple[KindTable, ...]
     closures: tuple[KindTable, ...]
     layout: Layout = eqx.field(static=True)
+    independent: tuple[int, ...] | None = eqx.field(static=True)  # speeds that closures leave free, in the reference pose; None if traced
     gravity: Float[Array, "3"] = field("m/s2")
 
     def __init__(
@@ -102,6 +109,8 @@ class Model(tables.Printed, eqx.Module):
         self.joints = tabulate_by_structure(by_depth, lambda name: self.layout.depths[name])
         self.closures = tabulate_by_structure(closures)
         self.gravity = device_array(gravity)
+        self.independent = None
+        self.independent = independent_speeds(self)
         warn_of_oddities(bodies, supports, elements)
         carrying = {joint.parent for joint in every_joint.values()}
         warn_of_points({name: body for name, body in bodies.items() if isinstance(every_joint[name], Free) and name not in carrying})
@@ -182,10 +191,8 @@ def _places(names: tuple[str, ...], order: tuple[str, ...]) -> np.ndarray:
 
 def rest_poses(model: Model, supports: Pose, bodies: Pose) -> Pose:
     """Pose of each body on its parent in the reference pose, rows in the order of the bodies, from its pose in the world."""
-    world = Pose(jnp.zeros((1, 3), bodies.p.dtype), np.eye(3, dtype=bodies.R.dtype)[None])
-    p, R = (jnp.concatenate([getattr(x, name) for x in (world, supports, bodies)]) for name in ("p", "R"))
-    rows = _places(model.layout.parents, model.layout.frames)
-    return Pose(p[rows], R[rows]).inverse() @ bodies
+    parents = _poses_at(_joined_poses(_world(bodies), supports, bodies), _places(model.layout.parents, model.layout.frames))
+    return parents.inverse() @ bodies
 
 
 @jit_unoptimized
@@ -236,3 +243,82 @@ def pose_at_reference(model: Model, name: str) -> Pose:
     poses, names = (support_poses(model), layout.supports) if name in layout.supports else (body_poses(model), layout.bodies)
     i = names.index(name)
     return Pose(poses.p[i], poses.R[i])
+
+
+def independent_speeds(model: Model) -> tuple[int, ...] | None:
+    """The speeds that remain free when those of the largest pivots follow from the closures: in the reference pose, or, where it is drawn
+    open and may be singular, such as with all links in line, in one displaced from it."""
+    nv = model.layout.nv
+    if not model.closures:
+        return tuple(range(nv))
+    if not is_concrete(model):
+        return None
+    with jax.ensure_compile_time_eval():
+        columns, open_ = _closure_slopes(model, jnp.zeros(nv, model.gravity.dtype))
+        if open_ > CLOSED:
+            columns, _ = _closure_slopes(model, DISPLACED * jnp.sin(1.0 + 2.4 * jnp.arange(nv, dtype=model.gravity.dtype)))
+    dependent = independent_rows(np.array(columns).T, enough=NEARLY_LARGEST)
+    return tuple(i for i in range(nv) if i not in dependent)
+
+
+@jit_unoptimized
+def _closure_slopes(model: Model, delta: Float[Array, "nv"]) -> tuple[Float[Array, "n nv"], Float[Array, ""]]:
+    """dc/dDelta of all closures, by increments in meters, displaced from the reference pose by such; and the largest |c| over the largest
+    distance of a point."""
+    layout, supports, bodies = model.layout, support_poses(model), body_poses(model)
+    rest = rest_poses(model, supports, bodies)
+    length = jnp.max(jnp.stack([jnp.max(jnp.abs(x), initial=0.0) for table in model.closures for x in table.rows.points]))
+    length = jnp.where(length > 0, length, 1.0)
+    q, delta = at_rest_in(model, rest).q, delta * jnp.where(layout.turns, 1.0, length)
+    drawn = _joined_poses(_world(bodies), supports, bodies)
+    known, order, linear, angular = _joined_poses(_world(bodies), supports), list(layout.frames[: layout.first_body]), [], []
+    for table in model.joints:
+        parent = _poses_at(known, _places(table.links, tuple(order)))
+
+        def moved(joint, q, delta, parent, rest):
+            q = joint.retract(q, delta)
+            pose = joint.pose(q, parent, rest)
+            return pose, joint.axes(q, parent, pose)
+
+        place, move = layout.rows_of(table.names, q, layout.q_slices), layout.rows_of(table.names, delta, layout.v_slices)
+        own, axes = jax.vmap(moved)(table.rows, place, move, parent, _poses_at(rest, _places(table.names, layout.bodies)))
+        known, order = _joined_poses(known, own), [*order, *table.names]
+        linear.append((table.names, axes[0]))
+        angular.append((table.names, axes[1]))
+    frames = _poses_at(known, _places(layout.frames, tuple(order)))
+    moves, turns, movers = layout.joined(linear), layout.joined(angular), layout.movers[: layout.nv]
+    carried = jnp.asarray(layout.carries[movers].T, q.dtype)[..., None]
+    arms = frames.p[:, None] - frames.p[movers][None]
+    twists = jnp.concatenate([carried * (moves[None] + cross(turns[None], arms)), carried * turns[None]], -1)
+    slopes, gaps = [], []
+    for table in model.closures:
+        A, B = (_places(end, layout.frames) for end in zip(*table.links, strict=True))
+
+        def of(closure, A, B, twist_A, twist_B, rest):
+            def gap(xi):
+                return closure.gap(A.displaced(xi[0]), B.displaced(xi[1]), rest)
+
+            zero = jnp.zeros((2, 6), q.dtype)
+            return jnp.einsum("nei,evi->nv", jax.jacfwd(gap)(zero), jnp.stack([twist_A, twist_B])), gap(zero)
+
+        before = _poses_at(drawn, A).inverse() @ _poses_at(drawn, B)
+        J, c = jax.vmap(of)(table.rows, _poses_at(frames, A), _poses_at(frames, B), twists[A], twists[B], before)
+        of_angle = np.array([row.startswith("turn") for row in table.rows.rows])
+        unit = jnp.where(of_angle, length, 1.0)
+        slopes.append((J * unit[None, :, None]).reshape(-1, layout.nv))
+        gaps.append((c * unit[None]).ravel())
+    return jnp.concatenate(slopes) * jnp.where(layout.turns, 1 / length, 1.0)[None], jnp.max(jnp.abs(jnp.concatenate(gaps))) / length
+
+
+def _world(like: Pose) -> Pose:
+    """The pose of the world."""
+    return Pose(jnp.zeros((1, 3), like.p.dtype), np.eye(3, dtype=like.R.dtype)[None])
+
+
+def _joined_poses(*parts: Pose) -> Pose:
+    return Pose(*(jnp.concatenate([getattr(x, name) for x in parts]) for name in ("p", "R")))
+
+
+def _poses_at(frames: Pose, rows: np.ndarray) -> Pose:
+    """Some rows of a table of poses."""
+    return Pose(frames.p[rows], frames.R[rows])

@@ -78,7 +78,7 @@ def check_memory(where: str, model: Model, frequencies: int = 0) -> None:
 
 
 def check_attached(model: Model) -> None:
-    """Check that every body has a path of elements and joints to the world or a support."""
+    """Check that every body has a path of elements, joints and closures to the world or a support."""
     loose = unattached(model)
     if loose:
         message, hint = "has no path of elements or joints to world or a support", "It has no equilibrium; attach it or leave it out."
@@ -86,8 +86,8 @@ def check_attached(model: Model) -> None:
 
 
 def unattached(model: Model) -> list[str]:
-    """Bodies without a path of elements and joints to the world or a support."""
-    links = [link for table in model.elements for link in table.links]
+    """Bodies without a path of elements, joints and closures to the world or a support."""
+    links = [link for table in (*model.elements, *model.closures) for link in table.links]
     links += [link for link in zip(model.layout.bodies, model.layout.parents, strict=True) if model.layout.block(link[0]).nv < 6]
     tied, frontier = set(), {WORLD, *model.layout.supports}
     while frontier:

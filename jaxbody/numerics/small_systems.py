@@ -1,4 +1,4 @@
-"""Small symmetric systems of equations, solved without LAPACK, whose calls would split a compiled loop."""
+"""Small systems of equations: symmetric ones, solved without LAPACK, whose calls would split a compiled loop, and which rows depend."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.numerics.xla_workarounds import kept
 
 LARGEST_UNROLLED = 30
+DEPENDENT = 1e-8  # of the longest row
 
 
 def solve_spd(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
@@ -44,3 +45,20 @@ def solve_if_definite(A: Float[Array, "n n"], b: Float[Array, "n"]) -> tuple[Flo
         row = Ab[i, 1:] / Ab[i, 0]
         Ab = jnp.where((np.arange(n) == i)[:, None], row, Ab[:, 1:] - Ab[:, :1] * row[None])
     return kept(Ab[:, 0]), jnp.all(jnp.stack(pivots) > 0) if n else jnp.array(True)
+
+
+def independent_rows(matrix: np.ndarray, *, enough: float = 1.0) -> list[int]:
+    """The rows of a matrix of which the others are sums, in the order of elimination: each time the last one that is not shorter than
+    `enough` of the longest, after the parts along those before are taken off."""
+    rest, chosen, longest = np.array(matrix), [], 0.0
+    for _ in range(min(rest.shape)):
+        sizes = np.linalg.norm(rest, axis=1)
+        longest = max(longest, sizes.max())
+        if sizes.max() <= DEPENDENT * longest:
+            break
+        row = int(np.flatnonzero(sizes >= enough * sizes.max())[-1])
+        chosen.append(row)
+        along = rest[row] / sizes[row]
+        rest -= np.outer(rest @ along, along)
+        rest[row] = 0.0
+    return chosen

@@ -151,7 +151,7 @@ def frequency_response(
     >>> round(float(response["mass", "base"][0].real * (1 - (2.0 * 2 * jnp.pi) ** 2 / 25)), 12)
     1.0
     """
-    check_system(lin, "frequency_response")
+    check_system(lin, "frequency_response", closures=True)
     f = check_frequencies(frequencies, "frequency_response.frequencies", static=True)
     (u, ins, u_units), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "frequency_response")
     for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):
@@ -277,7 +277,8 @@ def hysteretic_damping(lin: Linearization, eta: Float[Array, "ne"]) -> Float[Arr
     """H of (Delta, Xi): the sum over the elements of eta V''(e) de de."""
     at = configuration_at(Coordinates(lin.held), lin.state.q)
     H = [x.elastic() for x in element_derivatives(at)]
-    return jnp.tensordot(eta, jnp.concatenate(H), 1) if H else jnp.zeros((len(at.turns),) * 2)
+    whole = jnp.tensordot(eta, jnp.concatenate(H), 1) if H else jnp.zeros((len(at.turns),) * 2)
+    return whole if lin.dependent is None else lin.dependent.of(whole)
 
 
 def _elastic_rows(Y, H, ports: Ports, lin: Linearization, eta) -> Float[Array, "ny n"]:

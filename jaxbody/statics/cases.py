@@ -28,9 +28,10 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
-from jaxbody.statics.equilibria import DESCENDED, LOADABLE, Equilibrium, SearchResult, equilibrium_at, equilibrium_of, search_under_loads
+from jaxbody.statics.equilibria import DESCENDED, Equilibrium, equilibrium_at, equilibrium_of
 from jaxbody.statics.forces_at_rest import along_and_about
 from jaxbody.statics.load_paths import AppliedLoads, alike, residual, summed
+from jaxbody.statics.rest_searches import LOADABLE, SearchResult, search_under_loads
 
 MAX_STEPS = 200  # of a search
 NEGLIGIBLE = 1e-9  # relative to the applied loads: less than this in every coordinate is round-off
@@ -170,7 +171,7 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     >>> [round(float(z), 6) for z in cases.displacements["engine"][:, 2]]
     [-0.005516, 0.001]
     """
-    check_precision("load_cases", model)
+    check_precision("load_cases", model, closures=True)
     check_memory("load_cases", model)
     check_attached(model)
     with Problems() as problems:

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float, Int
+from jaxbody.mechanics.free_motions import is_closed, moved, on_closures
 from jaxbody.mechanics.hessians import configuration_at, expansion
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.sizes import scaled
@@ -29,6 +30,8 @@ TINY = 1e-6  # step, relative to the size, whose decrease of energy may be less 
 def descend(coordinates: Coordinates, q, scale, size, max_steps, applied: AppliedLoads | None = None):
     """(q, signs of K, converged, steps) by Newton's method with a shift that makes every step descend, under dead forces."""
     numbers, rest = eqx.partition((coordinates, applied), eqx.is_array)
+    if coordinates.model.closures:
+        return _descend(coordinates, applied, q, scale, size, max_steps)
     lanes = 2 * LANES if len(scale) <= 6 else LANES  # more share the overhead of a loop, with fewer all of K stays in the cache
     return in_lanes(lambda numbers, *given: _descend(*eqx.combine(numbers, rest), *given), lanes=lanes)(numbers, q, scale, size, max_steps)
 
@@ -37,17 +40,21 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
     tolerance, least = reachable(TOLERANCE, q.dtype, NEWTON), reachable(LEAST_SHIFT, q.dtype, 8)
     tiny_step, least_slope = reachable(TINY, q.dtype, 8 * NEWTON), reachable(1e-14, q.dtype)
 
-    def expand(at):
-        return expansion(at) if applied is None else expansion(with_load_gravity(at, applied), dead_forces(at, applied))
+    def expand(q):
+        """V, and its scaled slope and stiffness, on the closures; no energy where these stay open."""
+        at = configuration_at(coordinates, q, base=False)
+        value, slope, K = expansion(at) if applied is None else expansion(with_load_gravity(at, applied), dead_forces(at, applied))
+        slope, K = on_closures(coordinates, q, slope * scale, scaled(K, scale), scale)
+        return jnp.where(is_closed(coordinates.model, q), value, jnp.nan) if coordinates.model.closures else value, slope, K
 
     def step(carry):
         """Evaluate the trial configuration, keep it if it is better, propose the next."""
         best, trial, shift, expected, tiny, _, n = carry
-        value, slope, K = expand(configuration_at(coordinates, trial, base=False))
+        value, slope, K = expand(trial)
         # below `tiny` rounding of the energy hides its decrease
         falls = (expected > 0) & (best[1] - value >= 1e-4 * expected)
         accept = jnp.isfinite(value) & (falls | tiny | (n == 0))
-        best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (trial, value, slope * scale, scaled(K, scale)), best)
+        best = jax.tree.map(lambda a, b: jnp.where(accept, a, b), (trial, value, slope, K), best)
         shift = jnp.where(accept, jnp.where(shift > 1e-3, shift / 10, 0.0), jnp.maximum(4 * shift, 0.1))
         _, _, slope, K = best
         unit = jnp.max(jnp.abs(K), initial=0.0)
@@ -61,7 +68,7 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
         at_rest = jnp.max(jnp.abs(slope), initial=0.0) <= least_slope * unit * size  # also on a saddle, which no Newton step leaves
         near = accept & (jnp.sqrt(jnp.abs(jnp.sum(slope * y)) / unit) <= tolerance * size)
         done = definite & (near | at_rest) & jnp.isfinite(best[1])
-        trial = coordinates.retract(best[0], scale * y)
+        trial = moved(coordinates, best[0], scale * y)
         return best, trial, shift, expected, definite & (longest < tiny_step * size), done, n + 1
 
     n = len(scale)

@@ -3,6 +3,8 @@ function theorem.
 
     dV/dDelta = 0,    dq/dp = -K^-1 d2V/dDelta dp
 
+With closures c = 0 it is dV/dDelta + J' lambda = 0, J = dc/dDelta; stability is that of the motions they leave free (free_motions).
+
 The search is by descent (descents). Loads, which may have no potential, are then raised step by step (load_paths); where that cannot start,
 because K is singular without them, the search descends the potential of dead loads and weights.
 """
@@ -11,7 +13,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,39 +26,40 @@ from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.laws.measured_curves import has_range
+from jaxbody.mechanics.constraints import gaps_at, names_of_rows
 from jaxbody.mechanics.energies import each_element, outside_law_range, potential
 from jaxbody.mechanics.failure_causes import nonfinite_downhill
-from jaxbody.mechanics.hessians import configuration_at
+from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
+from jaxbody.mechanics.hessians import Configuration, configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.leaf_paths import by_name, springs_of
 from jaxbody.models.memories import relaxed, rest_states
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision, check_state
-from jaxbody.models.sizes import scale_of, size_of
+from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
-from jaxbody.numerics.precisions import in_float64, reachable
-from jaxbody.numerics.xla_workarounds import any_of_batch
-from jaxbody.statics.descents import descend, eigenvalue_signs
+from jaxbody.numerics.precisions import in_float64
+from jaxbody.statics.closure_forces import ClosureForces, closure_forces
 from jaxbody.statics.forces_at_rest import element_rows, on_supports, support_rows
-from jaxbody.statics.load_paths import AppliedLoads, Path, dead_forces, follow_load_path, residual, tangent, with_gravity, with_load_gravity
+from jaxbody.statics.load_paths import AppliedLoads, Path, residual, tangent, with_gravity, with_load_gravity
 from jaxbody.statics.null_motions import zero_modes
+from jaxbody.statics.rest_searches import LOADABLE, SearchResult, along_path, no_loads, search_by_descent, search_under_loads
 
-RUNAWAY = 20  # distance from the start, in sizes of the model, beyond which the model falls without limit
-NOT_AT_REST = (Status.NOT_CONVERGED, Status.NO_EQUILIBRIUM, Status.LIMIT_POINT, Status.STALE)  # no linearization about such a state
-AT_REST = (Status.OK, Status.TABLE_RANGE)  # stable and isolated: a run may start there
-LOADABLE = (*AT_REST, Status.SINGULAR_K)  # loads may be raised from there
-SOFTEST = 1e-7  # least ratio of eigenvalues of K at the start of a path; with only cubic springs a search ends at 1e-9
+CODES = ("NOT_CONVERGED", "NO_EQUILIBRIUM", "LIMIT_POINT", "STALE", "NOT_CLOSED", "SINGULAR_CLOSURE")
+NOT_AT_REST = tuple(Status[code] for code in CODES)  # no linearization about such a state
 DESCENDED = "by descent of the potential of the loads, which cannot be raised step by step because K is singular without them"
 
 
 class Equilibrium(Labeled, Result):
-    """An equilibrium: `state`, `residual` dV/dDelta - Q [N, N m], `energy` V [J], `stable`, `negative` (number of negative eigenvalues of
-    K), `steps`, and by name `elongations`, `forces` of the elements and `reactions` of the supports.
+    """An equilibrium: `state`, `residual` dV/dDelta + J' lambda - Q [N, N m], `energy` V [J], `stable`, `negative` (number of negative
+    eigenvalues of K), `steps`, and by name `elongations`, `forces` of the elements and `reactions` of the supports.
 
-    `status` is OK, or NOT_CONVERGED, UNSTABLE, SINGULAR_K, TABLE_RANGE, NO_EQUILIBRIUM or LIMIT_POINT. Under loads, `load_factor` is the
-    fraction of them that is carried, `path` the eigenvalues of K along the load path; `descended`: K is singular without the loads, so that
-    the search descended their potential."""
+    Of a model with closures, `closure_reactions` are the forces of closures, `redundant` the conditions that others imply.
+
+    `status` is OK, or NOT_CONVERGED, UNSTABLE, SINGULAR_K, TABLE_RANGE, NO_EQUILIBRIUM, LIMIT_POINT, NOT_CLOSED or SINGULAR_CLOSURE. Under
+    loads, `load_factor` is the fraction of them that is carried, `path` the eigenvalues of K along the load path; `descended`: K is
+    singular without the loads, so that the search descended their potential."""
 
     index = "coordinate"
     state: State
@@ -76,6 +78,7 @@ class Equilibrium(Labeled, Result):
     path: Path | None
     descended: Bool[Array, ""]
     beyond: Bool[Array, "ne"]  # the elements used beyond the points of their tables
+    closed: ClosureForces | None = None  # None without closures
 
     @property
     def elongations(self) -> dict[str, Array]:
@@ -93,6 +96,17 @@ class Equilibrium(Labeled, Result):
         joints, with weights and, as far as they are carried, loads."""
         rows = {name: self.on_supports[..., i, :] for i, name in enumerate(self.layout.supports)}
         return {name: (row[..., :3], row[..., 3:]) for name, row in rows.items()}
+
+    @property
+    def closure_reactions(self) -> dict[str, dict[str, Float[Array, ""]]]:
+        """{closure: {condition: force [N], or moment [N m] of a "turn"}}, by its second frame on its first along the condition, so that
+        positive forces resist an increase of c; NaN where closures share a force, so that it is not determined."""
+        return self.closed.by_name(self.model) if self.closed else {}
+
+    @property
+    def redundant(self) -> tuple[str, ...]:
+        """Conditions of closures that follow from the others, such as those out of the plane of a planar linkage."""
+        return self.closed.redundant(self.model) if self.closed else ()
 
     def _of_elements(self, rows: tuple[Array, ...]) -> dict[str, Array]:
         return by_name(tuple(table.names for table in self.model.elements), rows, axis=self.energy.ndim)
@@ -118,6 +132,8 @@ class Equilibrium(Labeled, Result):
         status = Status(int(self.status))
         if status == Status.SINGULAR_K:
             return "report() names it"
+        if self.closed and status in (Status.NOT_CLOSED, Status.SINGULAR_CLOSURE):
+            return self.closed.explain(self.model, status)
         if status == Status.UNSTABLE:
             return f"{int(self.negative)} negative eigenvalue(s) of K; start from a state moved along that mode to descend"
         if status == Status.TABLE_RANGE:
@@ -154,7 +170,7 @@ class Equilibrium(Labeled, Result):
         if int(start.status) not in LOADABLE:
             return "none was found by descent, with the weights or without them"
         applied = AppliedLoads((), np.zeros(0), self.model.gravity)
-        factor = float(_along_path(weightless, start, applied, False)[0].factor)
+        factor = float(along_path(weightless, start, applied, False)[0].factor)
         return f"none was found by descent; {100 * factor:.4g} % of the weights is carried"
 
     def to_xarray(self) -> Any:
@@ -177,6 +193,9 @@ class Equilibrium(Labeled, Result):
         for name in (name for name in self.elongations if name not in springs):
             variables[f"{name}_deformation"] = (("component",), self.elongations[name], "m, rad")
             variables[f"{name}_force"] = (("component",), self.forces[name], "N, N m")
+        if self.closed:
+            variables["closure_reaction"] = (("condition",), self.closed.reactions, "N or N m")
+            coordinates["condition"] = list(names_of_rows(self.model))
         if layout.supports:
             variables["reaction_force"] = (("support", "axis"), self.on_supports[..., :3], "N")
             variables["reaction_moment"] = (("support", "axis"), self.on_supports[..., 3:], "N m")
@@ -203,7 +222,8 @@ class Equilibrium(Labeled, Result):
         shown = [tables.PrintedTable("Equilibrium", ("body", "joint", "q [m, rad, -]"), rows), tables.PrintedTable("", columns, elements)]
         shown += [tables.PrintedTable("", ("state", "at rest"), self._states())] if layout.nz else []
         shown += [tables.PrintedTable("", *support_rows(self.reactions))] if self.layout.supports else []
-        shown[-1].note = f"largest residual {tables.number(largest)} N or N m; {note}"
+        shown += [self.closed.table(self.model)] if self.closed else []
+        shown[-1].note = f"{shown[-1].note}largest residual {tables.number(largest)} N or N m; {note}"
         return shown
 
 
@@ -220,6 +240,10 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
             `descended`.
         max_steps: largest number of steps of the search.
 
+    With closures the search starts from the nearest configuration that fulfils them and stays on them,
+
+        dV/dDelta + J' lambda = Q,   c = 0,   K + d2(lambda c)/dDelta2 positive definite where J Delta = 0
+
     Differentiable with respect to the model in forward and reverse mode, to any order; the derivative of a search that failed, or through a
     singular K, is NaN. Errors: UNATTACHED, BAD_SHAPE, UNKNOWN_BODY for a load; warns if the status is not OK. Source: (63) of the paper.
 
@@ -229,7 +253,7 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     >>> round(float(equilibrium(model).elongations["s"]), 12)
     0.02
     """
-    check_precision("equilibrium", model)
+    check_precision("equilibrium", model, closures=True)
     check_memory("equilibrium", model)
     check_attached(model)
     with Problems() as problems:
@@ -245,97 +269,11 @@ def equilibrium(model: Model, *, start: State | None = None, loads: dict[str, Lo
     return warn_if_failed(result)
 
 
-class SearchResult(eqx.Module):
-    """The end of a search: the configuration, the number of negative eigenvalues of K and whether one is zero, the status except for
-    stability."""
-
-    q: Float[Array, "nq"]
-    negative: Int[Array, ""]
-    singular: Bool[Array, ""]
-    status: Int[Array, ""]
-    steps: Int[Array, ""]
-    factor: Float[Array, ""]
-    path: Path | None = None
-    descended: Any = False
-
-
 @jit_unoptimized
 def equilibrium_of(model: Model, start: Float[Array, "nq"] | None, max_steps: int, z: Float[Array, "nz"] | None = None) -> Equilibrium:
     """The jitted core of `equilibrium` without loads; `z`: hysteretic states."""
     coordinates = Coordinates(relaxed(model, z))
     return equilibrium_at(coordinates, search_by_descent(coordinates, start, max_steps), no_loads(model.gravity.dtype), model)
-
-
-def search_by_descent(
-    coordinates: Coordinates, start: Float[Array, "nq"] | None, max_steps, applied: AppliedLoads | None = None
-) -> SearchResult:
-    """The search by descent from the start, or from the reference pose."""
-    frozen, applied = jax.lax.stop_gradient((coordinates, applied))
-    start = frozen.reference.q if start is None else jax.lax.stop_gradient(start)
-    size = size_of(frozen.model)
-    q, (negative, singular), converged, steps = descend(frozen, start, scale_of(frozen.model, size), size, max_steps, applied)
-    moved = jnp.max(jnp.abs(q - start) * jnp.where(frozen.model.layout.angular, size, 1.0), initial=0.0)
-    runaway = ~converged & (moved > RUNAWAY * size)
-    status = jnp.select([runaway, ~converged], [Status.NO_EQUILIBRIUM.value, Status.NOT_CONVERGED.value], Status.OK.value)
-    return SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype))
-
-
-def search_under_loads(
-    model: Model, unloaded: Equilibrium, start, applied: AppliedLoads, max_steps: int, *, many: bool = False
-) -> SearchResult:
-    """The search under loads, by their path or by descent; `many`: for each row of the weights and changes of gravity.
-
-    There are two programs, because few models need the second; inside a user's program both are part of it."""
-    search, settled = _along_path(model, unloaded, applied, many)
-
-    def descended():
-        return _by_descent(model, start, applied, max_steps, many, search, settled, unloaded.state.z)
-
-    if is_concrete(settled):
-        return search if np.asarray(settled).all() else descended()
-    return jax.lax.cond(any_of_batch(~jnp.all(settled)), descended, lambda: search)
-
-
-@jit_unoptimized
-def _along_path(model: Model, unloaded: Equilibrium, applied: AppliedLoads, many: bool) -> tuple[SearchResult, Bool[Array, "*n"]]:
-    """The search along the load path from the unloaded equilibrium, and whether its result is valid: it is not if K is singular at the
-    start, unless the path reached its end or a limit point."""
-    frozen, loads, q0 = jax.lax.stop_gradient((Coordinates(relaxed(model, unloaded.state.z)), applied, unloaded.state.q))
-    size = size_of(frozen.model)
-    usable = jnp.isin(unloaded.status, jnp.array(LOADABLE))
-
-    def one(applied, _):
-        q, K, factor, path, ahead = follow_load_path(frozen, q0, applied, scale_of(frozen.model, size), size)
-        status = jnp.where(factor >= 1, Status.OK.value, jnp.where(ahead, Status.LIMIT_POINT.value, Status.NO_EQUILIBRIUM.value))
-        negative, singular = eigenvalue_signs((K + K.T) / 2)
-        search = SearchResult(q, negative, singular, status, unloaded.steps, factor, path, jnp.array(False))
-        return search, usable & ((factor >= 1) | (ahead & (factor > 0)) | (path.smallest[0] > reachable(SOFTEST, q0.dtype)))
-
-    starts = jnp.zeros(len(applied.gravity))
-    return loads.each(one, starts) if many else one(loads, starts)
-
-
-@jit_unoptimized
-def _by_descent(
-    model: Model, start, applied: AppliedLoads, max_steps: int, many: bool, search: SearchResult, settled: Bool[Array, "*n"], z
-) -> SearchResult:
-    """The search by descent of the potential of model and loads, where the result of the path is not valid."""
-    coordinates = Coordinates(relaxed(model, z))
-
-    def one(applied, others):
-        along_path, settled = others
-        descent = search_by_descent(coordinates, start, max_steps, applied)
-        dead = jnp.isfinite(dead_forces(configuration_at(coordinates, descent.q, base=False), applied).V)
-        status = jnp.where(dead, descent.status, Status.NO_EQUILIBRIUM.value)
-        ok = status == Status.OK
-        factor = jnp.where(ok, descent.factor, 0.0)
-        descent = SearchResult(
-            descent.q, descent.negative, descent.singular, status, descent.steps, factor, along_path.path, jnp.array(True)
-        )
-        return jax.tree.map(lambda a, b: jnp.where(settled | (~ok & (along_path.factor > 0)), a, b), along_path, descent)
-
-    frozen, ends = jax.lax.stop_gradient(applied), (search, settled)
-    return frozen.each(one, ends) if many else one(frozen, ends)
 
 
 @jit_unoptimized
@@ -356,19 +294,19 @@ def equilibrium_at(coordinates: Coordinates, search: SearchResult, applied: Appl
         [failed, search.negative > 0, search.singular, jnp.any(outside)],
         [search.status, Status.UNSTABLE.value, Status.SINGULAR_K.value, Status.TABLE_RANGE.value], Status.OK.value
     )  # fmt: skip
+    unbalanced, reactions = residual(at, applied, search.factor), on_supports(coordinates, q, applied, search.factor)
+    forces = closure_forces(coordinates, q, unbalanced) if model.closures else None
+    if forces is not None:
+        unbalanced, reactions = unbalanced + forces.on_coordinates, reactions - forces.on_supports
+        status = jnp.where(~failed & forces.singular, Status.SINGULAR_CLOSURE.value, status)
     state = State(q, zero, rest_states(model, frames.pose()) if model.layout.nz else None)
     return Equilibrium(
-        state=state, residual=residual(at, applied, search.factor), negative=search.negative, status=status, steps=search.steps,
+        state=state, residual=unbalanced, negative=search.negative, status=status, steps=search.steps,
         energy=potential(with_load_gravity(at, applied).model, frames), stable=~failed & (search.negative == 0), model=given,
         deformations=tuple(e for e, _ in elements), element_forces=tuple(force for _, force in elements),
-        on_supports=on_supports(coordinates, q, applied, search.factor), loads=applied.loads, load_factor=search.factor, path=search.path,
-        descended=jnp.asarray(search.descended), beyond=outside,
+        on_supports=reactions, loads=applied.loads, load_factor=search.factor, path=search.path,
+        descended=jnp.asarray(search.descended), beyond=outside, closed=forces,
     )  # fmt: skip
-
-
-def no_loads(dtype) -> AppliedLoads:
-    """No loads and no change of gravity."""
-    return AppliedLoads((), jnp.zeros(0, dtype), jnp.zeros(3, dtype))
 
 
 @jax.custom_jvp
@@ -385,7 +323,25 @@ def _implicit_jvp(primals, tangents):
     def unbalanced(dependencies):
         return residual(configuration_at(dependencies[0], q, base=False), dependencies[1])
 
+    at = configuration_at(coordinates, q, base=False)
+    if coordinates.model.closures:
+        return q, coordinates.rate(q, _change_on_closures((coordinates, applied), tangents[0], at, valid))
     _, change = jax.jvp(unbalanced, (primals[0],), (tangents[0],))
-    K = tangent(configuration_at(coordinates, q, base=False), applied)
+    K = tangent(at, applied)
     delta = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), change)
     return q, coordinates.rate(q, delta)
+
+
+def _change_on_closures(dependencies: tuple[Coordinates, AppliedLoads], tangents: Any, at: Configuration, valid: Bool[Array, ""]):
+    """Delta of an equilibrium on closures, for a change of what it depends on."""
+    coordinates, applied = dependencies
+    r, K = residual(at, applied), tangent(at, applied)
+    multipliers = multipliers_at(coordinates, at.q, r)
+
+    def unbalanced(dependencies):
+        coordinates, applied = dependencies
+        closing = constraint_force(coordinates, at.q, multipliers)
+        return residual(configuration_at(coordinates, at.q, base=False), applied) + closing, gaps_at(coordinates, at.q)
+
+    _, change = jax.jvp(unbalanced, (dependencies,), (tangents,))
+    return implied_change(coordinates, at.q, r, jnp.where(valid, K, jnp.nan), change)

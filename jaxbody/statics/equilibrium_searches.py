@@ -22,7 +22,8 @@ from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision
 from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.statics.descents import SINGULAR, descend, eigenvalue_signs
-from jaxbody.statics.equilibria import Equilibrium, SearchResult, equilibrium_at, no_loads
+from jaxbody.statics.equilibria import Equilibrium, equilibrium_at
+from jaxbody.statics.rest_searches import SearchResult, no_loads
 
 SAME = 1e-9  # relative to the spread of energies: within it two results may be one equilibrium
 DESCENT_STEPS, NEWTON_STEPS = 200, 60

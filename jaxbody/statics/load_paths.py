@@ -21,6 +21,7 @@ from jaxbody.elements.second_derivatives import turning
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import cross, dot, product, rotate, skew
 from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.free_motions import moved, on_closures
 from jaxbody.mechanics.hessians import Configuration, DeadForces, configuration_at, slope, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
@@ -162,7 +163,7 @@ def follow_load_path(coordinates: Coordinates, q, applied: AppliedLoads, scale: 
 
     def nondimensional(q, factor):
         at = configuration_at(coordinates, q, base=False)
-        return residual(at, applied, factor) * scale, scaled(tangent(at, applied, factor), scale)
+        return on_closures(coordinates, q, residual(at, applied, factor) * scale, scaled(tangent(at, applied, factor), scale), scale)
 
     def iterate(carry):
         at, q, target, length, iteration, steps, top, path = carry
@@ -170,7 +171,7 @@ def follow_load_path(coordinates: Coordinates, q, applied: AppliedLoads, scale: 
         unit = jnp.max(jnp.abs(K), initial=0.0)
         y = -jnp.linalg.solve(K + shift * jnp.where(unit > 0, unit, 1.0) * np.eye(n, dtype=dtype), r)
         longest = jnp.max(jnp.abs(y), initial=0.0)
-        moved = coordinates.retract(q, scale * y)
+        shifted = moved(coordinates, q, scale * y)
         values = jnp.linalg.eigvalsh((K + K.T) / 2)
         top = jnp.where(steps == 0, jnp.max(jnp.abs(values), initial=0.0), top)
         smallest = jnp.min(values, initial=jnp.inf) / jnp.where(top > 0, top, 1.0)
@@ -178,10 +179,10 @@ def follow_load_path(coordinates: Coordinates, q, applied: AppliedLoads, scale: 
         good = arrived & (smallest > -zero_stiffness)
         ended = arrived | (smallest < -zero_stiffness) | (iteration >= ITERATIONS) | ~(longest <= FARTHEST * size)
         path = Path(*(x.at[steps].set(jnp.where(good, new, x[steps])) for x, new in ((path.factor, target), (path.smallest, smallest))))
-        at = jax.tree.map(lambda new, old: jnp.where(good, new, old), _At(moved, target, K), at)
+        at = jax.tree.map(lambda new, old: jnp.where(good, new, old), _At(shifted, target, K), at)
         length = jnp.where(ended, jnp.where(good, 2 * length, length / 4), length)
         return (
-            at, jnp.where(ended, at.q, moved), jnp.where(ended, jnp.minimum(1.0, at.factor + length), target), length,
+            at, jnp.where(ended, at.q, shifted), jnp.where(ended, jnp.minimum(1.0, at.factor + length), target), length,
             jnp.where(ended, 0, iteration + 1), jnp.where(good, steps + 1, steps), top, path,
         )  # fmt: skip
 
@@ -206,7 +207,7 @@ def _negative_ahead(nondimensional, coordinates: Coordinates, at: _At, scale, si
     moves = size * jnp.concatenate([s := jnp.logspace(-4, 0, 9, dtype=at.q.dtype), -s])
 
     def smallest(s):
-        K = nondimensional(coordinates.retract(at.q, scale * s * softest), at.factor)[1]
+        K = nondimensional(moved(coordinates, at.q, scale * s * softest), at.factor)[1]
         values = jnp.linalg.eigvalsh((K + K.T) / 2)
         return jnp.min(values, initial=jnp.inf) / jnp.max(jnp.abs(values), initial=1e-300)
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Float
-from jaxbody.mechanics.hessians import configuration_at, stiffness
+from jaxbody.mechanics.free_motions import on_closures
+from jaxbody.mechanics.hessians import configuration_at, slope, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.memories import relaxed
@@ -22,37 +23,40 @@ from jaxbody.statics.descents import SINGULAR
 
 @jit_unoptimized
 def _stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
-    return stiffness(configuration_at(Coordinates(relaxed(model, state.z)), state.q, base=False))
+    """Scaled K, along the closures where there are some."""
+    coordinates = Coordinates(relaxed(model, state.z))
+    at, scale = configuration_at(coordinates, state.q, base=False), scale_of(model, size_of(model))
+    return on_closures(coordinates, state.q, slope(at) * scale, scaled(stiffness(at), scale), scale)[1]
 
 
 def zero_modes(model: Model, state: State) -> list[str]:
     """The motions that K does not resist at a state, as text: "'plate' free to turn about z". Motions of single coordinates come first."""
     layout = model.layout
-    scale = np.asarray(scale_of(model, size_of(model)))
     K = np.asarray(_stiffness(model, state))
-    return describe_null_motions(layout, scaled(K, scale), reachable(SINGULAR, K.dtype), "free to")
+    return describe_null_motions(layout.motions, K, reachable(SINGULAR, K.dtype), "free to")
 
 
-def massless_motions(layout: Layout, M: Any) -> list[str]:
-    """The motions that a mass matrix does not resist, as text."""
+def massless_motions(layout: Layout, M: Any, independent: tuple[int, ...] | None = None) -> list[str]:
+    """The motions that a mass matrix does not resist, as text; `independent`: its coordinates, by default all."""
     M = np.asarray(M)
     size = np.sqrt(np.where(np.diagonal(M) > 0, np.diagonal(M), 1.0))
-    return describe_null_motions(layout, M / size / size[:, None], MASSLESS, "has no inertia to")
+    motions = layout.motions if independent is None else tuple(layout.motions[i] for i in independent)
+    return describe_null_motions(motions, M / size / size[:, None], MASSLESS, "has no inertia to")
 
 
-def describe_null_motions(layout: Layout, matrix: np.ndarray, tolerance: float, what: str) -> list[str]:
+def describe_null_motions(motions: tuple[tuple[str, str], ...], matrix: np.ndarray, tolerance: float, what: str) -> list[str]:
     """The motions whose eigenvalues are zero, relative to the largest. Motions of single coordinates come first."""
     values, vectors = np.linalg.eigh(matrix)
     null = vectors[:, np.abs(values) <= tolerance * max(np.abs(values).max(initial=0.0), 1e-300)]
     texts, rest = [], null
-    for i, (body, motion) in enumerate(layout.motions):
-        unit = np.eye(layout.nv)[i]
+    for i, (body, motion) in enumerate(motions):
+        unit = np.eye(len(motions))[i]
         if np.linalg.norm(unit - null @ (null.T @ unit)) < 1e-5:
             texts.append(f"'{body}' {what} {motion}")
             rest = rest - np.outer(unit, unit @ rest)
     u, s, _ = np.linalg.svd(rest, full_matrices=False)
     for vector in u.T[s > 1e-3]:
         largest = [int(i) for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > 0.1][:4]
-        parts = [f"{np.sign(vector[largest[0]]) * vector[i]:+.2f} ('{layout.motions[i][0]}' {layout.motions[i][1]})" for i in largest]
+        parts = [f"{np.sign(vector[largest[0]]) * vector[i]:+.2f} ('{motions[i][0]}' {motions[i][1]})" for i in largest]
         texts.append(f"{what} move together: " + " ".join(parts))
     return texts

@@ -12,17 +12,24 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
-from jaxbody.core.arrays import is_concrete
-from jaxbody.core.errors import JaxbodyError, Problem, Status
+from jaxbody.core.arguments import checked_dict
+from jaxbody.core.arrays import Array, Float, is_concrete, shaped, stack
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
+from jaxbody.mechanics.element_derivatives import frames_displaced
+from jaxbody.mechanics.element_states import completed
+from jaxbody.mechanics.energies import potential
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates, Motions
-from jaxbody.models.memories import relaxed
+from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model, at_rest_in, rest_poses
+from jaxbody.models.preconditions import check_precision, check_state
 from jaxbody.models.states import State
-from jaxbody.statics.equilibria import AT_REST, Equilibrium, equilibrium_at, no_loads, search_by_descent
+from jaxbody.statics.equilibria import Equilibrium, equilibrium_at
 from jaxbody.statics.load_paths import residual, tangent
+from jaxbody.statics.rest_searches import AT_REST, no_loads, search_by_descent
 
 MAX_STEPS = 200
 
@@ -77,3 +84,45 @@ def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str
             Problem(Status(int(eq.status)).name, where, f'is "rest", but there is no equilibrium: {eq.report()}', "rest", hint=hint)
         )
     return state
+
+
+def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nv"]:
+    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, with the bodies held fixed:
+
+        F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
+
+    Massless coordinates of elements with memory are held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force
+    depends on the path.
+
+    Errors: UNKNOWN_NAME for a support, BAD_SHAPE.
+
+    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
+    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
+    ...               supports={"base": Support()}, elements={"s": spring})
+    >>> force = excitation(model, model.reference, {"base": [0, 0.1, 0, 0, 0, 0]})
+    >>> round(float(force[0]), 9)
+    5.0
+    """
+    check_precision("excitation", model)
+    state = at.state if isinstance(at, Equilibrium) else at
+    check_state(model, state, "state")
+    if len(model.layout.inner) < model.layout.nz:
+        hint = "Simulate the displacement with a jb.Motion."
+        message = "has hysteretic elements, whose force depends on the path of the displacement"
+        raise JaxbodyError(Problem("MEMORY", "excitation.model", message, limit="elements without hysteresis", hint=hint))
+    with Problems() as problems:
+        given = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
+        problems.collected += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
+        known = [name for name in model.layout.supports if name in given]
+        xi = {name: shaped(given[name], (6,), f"excitation[{name!r}]", problems) for name in known}
+    return _excitation(model, state, stack([xi.get(name, np.zeros(6)) for name in model.layout.supports]))
+
+
+@jit_unoptimized
+def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nv"]:
+    zero, model = jnp.zeros(model.layout.nv, xi.dtype), holding(model, completed(model, state).z)
+
+    def slope(xi):
+        return jax.grad(lambda d: potential(model, frames_displaced(model, state, d, xi)))(zero)
+
+    return slope(jnp.zeros_like(xi)) - slope(xi)

@@ -88,13 +88,13 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     >>> round(float(damped.decay_rate[0]), 9), round(float(damped.damping_ratio[0]), 9), round(float(damped.frequency[0] * 2 * jnp.pi), 9)
     (3.0, 0.6, 4.0)
     """
-    check_system(lin, "complex_modes", LinearSystem, allow_float32=allow_float32)
+    check_system(lin, "complex_modes", LinearSystem, allow_float32=allow_float32, closures=True)
     return warn_if_failed(_complex_modes(lin))
 
 
 @jit_unoptimized
 def _complex_modes(lin: LinearSystem) -> ComplexModes:
-    n, unit = lin.model.layout.nv, jax.lax.stop_gradient(lin.scale)  # nondimensional; results do not depend on it
+    n, unit = lin.nv, jax.lax.stop_gradient(lin.scale)  # nondimensional; results do not depend on it
     M, D, K = (scaled(X, unit) for X in (lin.M, lin.D, lin.K))
     finite, massless = jnp.isfinite(jnp.stack([M, D, K])).all(), jnp.isnan(cholesky_of_mass(M[:n, :n])).any()
     M, D, K = (jnp.where(finite & ~massless, X, np.eye(len(M))) for X in (M, D, K))  # LAPACK may not terminate on NaN
@@ -128,6 +128,8 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
     )  # fmt: skip
     shapes = refused_if_shared(X[:n] * unit[:, None].astype(X.dtype), pole_clusters(frozen))[:, pairs[:, 0]]
     shapes = _normalized(shapes, M / unit[None] / unit[:, None])
+    if lin.model.closures:
+        shapes = _turned(lin.expanded(shapes))
     status = lin.kept_status(own_status)
     valid = jnp.where(finite & ~massless, 1.0, jnp.nan)
     steady = jnp.where(status == Status.NOT_STEADY, jnp.nan, valid)
@@ -181,10 +183,15 @@ def _paired(s: Complex[Array, "m"], U: Complex[Array, "n m"], M, K) -> Int[Array
 
 def _normalized(shapes: Complex[Array, "nv n"], M: Float[Array, "nv nv"]) -> Complex[Array, "nv n"]:
     """u* M u = 1, the component of largest modulus real and positive."""
-    largest = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=0)[None], 0)
-    shapes = shapes * jnp.conj(largest) / jnp.abs(largest).astype(shapes.dtype)
+    shapes = _turned(shapes)
     size = jnp.sqrt(jnp.sum(jnp.conj(shapes) * (M.astype(shapes.dtype) @ shapes), 0, keepdims=True).real)
     return shapes / size.astype(shapes.dtype)
+
+
+def _turned(shapes: Complex[Array, "nv n"]) -> Complex[Array, "nv n"]:
+    """The component of largest modulus is real and positive."""
+    largest = jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), axis=0)[None], 0)
+    return shapes * jnp.conj(largest) / jnp.abs(largest).astype(shapes.dtype)
 
 
 def whirl(lin: SpinLinearization, modes: ComplexModes) -> Float[Array, "n"]:

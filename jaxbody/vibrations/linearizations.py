@@ -11,27 +11,25 @@ from abc import abstractmethod
 from typing import Any, ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
-from jaxbody.core.arguments import checked_dict, kind_of
-from jaxbody.core.arrays import Array, Float, Int, is_concrete, shaped, stack
+from jaxbody.core.arguments import kind_of
+from jaxbody.core.arrays import Array, Float, Inexact, Int, is_concrete
 from jaxbody.core.datasets import Labeled, dataset
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
+from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.geometry.frames import Frame
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.element_derivatives import element_derivatives
+from jaxbody.mechanics.constraints import how_open
+from jaxbody.mechanics.element_derivatives import gravity_stiffness, split_stiffness
 from jaxbody.mechanics.element_states import completed
-from jaxbody.mechanics.energies import each_element, gravity_energy, potential
-from jaxbody.mechanics.hessians import configuration_at, damping, expansion, mass
-from jaxbody.mechanics.inner_rows import following, inner_rows, inserted
+from jaxbody.mechanics.free_motions import DependentMotions, closure_stiffness, dependent_motions
+from jaxbody.mechanics.inner_rows import following, whole_matrices
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name
-from jaxbody.models.memories import apart, holding, settled
+from jaxbody.models.memories import apart, settled
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_memory, check_precision, check_state
 from jaxbody.models.sizes import scale_of, scaled, size_of
@@ -44,6 +42,8 @@ from jaxbody.vibrations.mode_names import Basis, basis_at
 from jaxbody.vibrations.state_spaces import StateSpace, state_space
 
 UNITS = {"M": "kg, kg m, kg m2", "C": "N s/m, N s, N m s", "G": "N s/m, N s, N m s", "K": "N/m, N, N m"}
+NEARLY_CLOSED = 1e-6  # of the size of the model
+SINGULAR_CLOSURES = 1e-7  # smallest singular value of J_d, relative to the largest
 HEADINGS = UNITS | dict.fromkeys(("C", "G"), "N s/m, ...")
 
 
@@ -65,12 +65,26 @@ class LinearSystem(Labeled, Result):
     def coordinates(self) -> tuple[str, ...]:
         """The names of the rows of M, C, K: those of Delta, then of massless coordinates of elements that have rows of their own."""
         layout = self.model.layout
-        return layout.coordinates + layout.inner[: self.inner]
+        return tuple(layout.coordinates[i] for i in self.independent) + layout.inner[: self.inner]
+
+    @property
+    def independent(self) -> tuple[int, ...]:
+        """The places of the system's own coordinates among those of the model: all of them, or with closures those that follow no other."""
+        return self.model.independent or ()
+
+    @property
+    def nv(self) -> int:
+        """The number of coordinates with inertia."""
+        return len(self.independent)
+
+    def expanded(self, shapes: Inexact[Array, "nf n"]) -> Inexact[Array, "nv n"]:
+        """Shapes (columns) in all coordinates of the model, from those of the system."""
+        return shapes
 
     @property
     def inner(self) -> int:
         """The number of massless coordinates that have rows."""
-        return self.M.shape[-1] - self.model.layout.nv
+        return self.M.shape[-1] - self.nv
 
     @property
     def base_coordinates(self) -> tuple[str, ...]:
@@ -91,7 +105,7 @@ class LinearSystem(Labeled, Result):
     def scale(self) -> Float[Array, "nv"]:
         """The change of each coordinate of one meter."""
         size = size_of(self.model)
-        scale, layout = scale_of(self.model, size), self.model.layout
+        scale, layout = scale_of(self.model, size)[..., np.array(self.independent, int)], self.model.layout
         if not self.inner:
             return scale
         return jnp.concatenate([scale, jnp.where(layout.follows_angles[layout.massless], 1 / size, 1.0)])
@@ -137,6 +151,7 @@ class Linearization(LinearSystem):
     C_bb: Float[Array, "nxi nxi"]
     K_bb: Float[Array, "nxi nxi"]
     loads: tuple[Load, ...]
+    dependent: DependentMotions | None = None  # of a model with closures
     slow: bool = eqx.field(static=True, default=False)  # whether massless coordinates follow, and so have no rows
     exported = tuple(f"{name}{block}" for name in ("M", "C", "K") for block in ("", "_tilde", "_bb"))
 
@@ -145,6 +160,13 @@ class Linearization(LinearSystem):
         """K, C and M of (Delta, Xi)."""
         blocks = ((self.K, self.K_tilde, self.K_bb), (self.C, self.C_tilde, self.C_bb), (self.M, self.M_tilde, self.M_bb))
         return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)  # pyright: ignore[reportReturnType]  of three
+
+    def expanded(self, shapes):
+        return shapes if self.dependent is None else self.dependent.N.astype(shapes.dtype) @ shapes
+
+    def reduced(self, H: Float[Array, "*m nv nv"]) -> Float[Array, "*m nf nf"]:
+        """N' H N: a matrix of the model's coordinates in those of the system."""
+        return H if self.dependent is None else jnp.swapaxes(self.dependent.N, -1, -2) @ H @ self.dependent.N
 
     @property
     def held(self) -> Model:
@@ -164,30 +186,35 @@ class Linearization(LinearSystem):
     @property
     def K_elastic(self) -> Float[Array, "nv nv"]:
         """sum of V''(e) de de over the elements; of massless coordinates without their rows, those that `slow` says."""
-        return sum(self.K_elastic_by_element.values(), jnp.zeros_like(self.K[..., : self.model.layout.nv, : self.model.layout.nv]))
+        return sum(self.K_elastic_by_element.values(), jnp.zeros_like(self.K[..., : self.nv, : self.nv]))
 
     @property
     def K_geometric(self) -> Float[Array, "nv nv"]:
         """sum of V'(e) d2e over the elements: the stiffness due to tension."""
-        return sum(self.K_geometric_by_element.values(), jnp.zeros_like(self.K[..., : self.model.layout.nv, : self.model.layout.nv]))
+        return sum(self.K_geometric_by_element.values(), jnp.zeros_like(self.K[..., : self.nv, : self.nv]))
 
     @property
     def K_gravity(self) -> Float[Array, "nv nv"]:
         """Hessian of the potential energy of the weights; (40) of the paper."""
-        return _gravity_stiffness(self.model, self.state)
+        return self.reduced(gravity_stiffness(self.model, self.state))
 
     @property
     def K_loads(self) -> Float[Array, "nv nv"]:
         """-dQ/dDelta of the loads of the equilibrium; not symmetric where they have no potential."""
-        return -_load_stiffness(self.model, self.state, self.loads)
+        return -self.reduced(_load_stiffness(self.model, self.state, self.loads))
+
+    @property
+    def K_closures(self) -> Float[Array, "nv nv"]:
+        """Hessian of lambda c: the stiffness due to the forces of closures; zero without closures."""
+        return _closure_stiffness(self) if self.dependent else jnp.zeros_like(self.K[..., : self.nv, : self.nv])
 
     @property
     def K_elastic_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
-        return by_name(_names(self.model), _split(self)[0])
+        return by_name(_names(self.model), [self.reduced(H) for H in split_stiffness(self.held, self.state)[0]])
 
     @property
     def K_geometric_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
-        return by_name(_names(self.model), _split(self)[1])
+        return by_name(_names(self.model), [self.reduced(H) for H in split_stiffness(self.held, self.state)[1]])
 
     def note(self):
         return "chart: displacement of O and rotation vector, in world axes (joints: their coordinates, axes of the parent)"
@@ -197,6 +224,9 @@ class Linearization(LinearSystem):
             return "; ".join(zero_modes(self.model, self.state))
         if int(self.status) == Status.STALE:
             return "compute the equilibrium of the changed model again"
+        if int(self.status) == Status.SINGULAR_CLOSURE:
+            names = ", ".join(f"'{name}'" for name in self.coordinates)
+            return f"{names} do not determine the other coordinates"
         return "the state is not an equilibrium" if int(self.status) else ""
 
     def state_space(self, inputs: dict[str, Any], outputs: dict[str, Any]) -> StateSpace:
@@ -219,17 +249,23 @@ class Linearization(LinearSystem):
         return state_space(self, inputs, outputs)
 
 
-def check_system(lin: Any, where: str, kind: type[LinearSystem] = Linearization, *, allow_float32: bool | None = True) -> None:
-    """Refuse what is no linear system of this kind, such as one about a spin, and float32 where it would lose half the digits."""
+def check_system(
+    lin: Any, where: str, kind: type[LinearSystem] = Linearization, *, allow_float32: bool | None = True, closures: bool = False
+) -> None:
+    """Refuse what is no linear system of this kind, such as one about a spin, and float32 where it would lose half the digits; unless
+    `closures`, also a system with closures."""
     if not isinstance(lin, kind):
         spins = isinstance(lin, LinearSystem)
         hint = "Use complex_modes." if spins else "Give linearize(model, equilibrium(model)): all else is computed from it."
         raise JaxbodyError(Problem("WRONG_KIND", f"{where}.lin", f"is {kind_of(lin)}", lin, "a Linearization", hint))
-    check_precision(where, lin.model, allow_float32=allow_float32)
+    check_precision(where, lin.model, allow_float32=allow_float32, closures=closures)
 
 
 def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     """M, C, K and their blocks that couple to the supports, at an equilibrium or any state, with the supports at their reference poses.
+
+    Of a model with closures the rows are those of independent coordinates, chosen in its reference pose; the others follow,
+    Delta = N Delta_i + S Xi, and every matrix is T' H T, T = [[N, S], [0, 1]], with H of K the Hessian of V + lambda c.
 
     Loads of the equilibrium are included: K = d2V/dDelta2 - dQ/dDelta. The status of a failed equilibrium is kept; it is STALE, with a
     warning, if numbers of the model have changed so that the state is no longer an equilibrium. Errors: BAD_SHAPE, NON_FINITE for a state,
@@ -241,56 +277,56 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     >>> float(lin.K[0, 0]), float(lin.M[0, 0])
     (50.0, 2.0)
     """
-    check_precision("linearize", model)
+    check_precision("linearize", model, closures=True)
+    if model.independent is None:
+        message, hint = "was built from numbers that are being traced", "Build it outside of jit and change its numbers by jb.replace."
+        raise JaxbodyError(Problem("CLOSED_LOOPS", "linearize.model", message, limit="a model with closures and given numbers", hint=hint))
     check_memory("linearize", model)
     if isinstance(at, Equilibrium):
         if at.layout != model.layout:
             hint = "Give the equilibrium of this model, or a state."
             message = "is of a model with other bodies, supports or joints"
             raise JaxbodyError(Problem("OTHER_MODEL", "linearize.at", message, at.layout, "an equilibrium of this model", hint))
-        result = _linearize(model, at.state, at.status, at.loads)
+        linearized = _linearize_closed if model.closures else _linearize
+        result = linearized(model, at.state, at.status, at.loads)
         if is_concrete(result.status) and np.any(np.asarray(result.status) == Status.STALE):
             warn_if_failed(result)
         return result
     check_state(model, at, "state")
-    return _linearize(model, at, None, ())
+    return _linearize_closed(model, at, None, ()) if model.closures else _linearize(model, at, None, ())
 
 
-def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nv"]:
-    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, with the bodies held fixed:
-
-        F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
-
-    Massless coordinates of elements with memory are held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force
-    depends on the path.
-
-    Errors: UNKNOWN_NAME for a support, BAD_SHAPE.
-
-    >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
-    >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
-    ...               supports={"base": Support()}, elements={"s": spring})
-    >>> force = excitation(model, model.reference, {"base": [0, 0.1, 0, 0, 0, 0]})
-    >>> round(float(force[0]), 9)
-    5.0
-    """
-    check_precision("excitation", model)
-    state = at.state if isinstance(at, Equilibrium) else at
-    check_state(model, state, "state")
-    if len(model.layout.inner) < model.layout.nz:
-        hint = "Simulate the displacement with a jb.Motion."
-        message = "has hysteretic elements, whose force depends on the path of the displacement"
-        raise JaxbodyError(Problem("MEMORY", "excitation.model", message, limit="elements without hysteresis", hint=hint))
-    with Problems() as problems:
-        given = checked_dict(displaced, "excitation.displaced", "support: 6 numbers", problems)
-        problems.collected += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
-        known = [name for name in model.layout.supports if name in given]
-        xi = {name: shaped(given[name], (6,), f"excitation[{name!r}]", problems) for name in known}
-    return _excitation(model, state, stack([xi.get(name, np.zeros(6)) for name in model.layout.supports]))
+@jit_unoptimized
+def _linearize_closed(model: Model, state: State, status: Int[Array, ""] | None, loads: tuple[Load, ...]) -> Linearization:
+    """`_linearize` of a model with closures."""
+    layout, independent = model.layout, model.independent or ()
+    nv, ny, nf = layout.nv, len(layout.inner), len(independent)
+    state = completed(model, state)
+    coordinates, q = Coordinates(apart(model, state.z)), state.q
+    (M, C, K), slope = whole_matrices(coordinates, q, state.v)
+    r = slope[:nv] - generalized_force(model, q, loads, jnp.ones(len(loads), q.dtype), jnp.zeros(nv, q.dtype))
+    moves = dependent_motions(coordinates, q, r, independent)
+    x = np.r_[:nv, nv + ny : len(K)]  # the rows of (Delta, Xi)
+    K = jnp.asarray(K).at[np.ix_(x, x)].add(closure_stiffness(coordinates, q, moves.multipliers))
+    K = K.at[:nv, :nv].add(-_load_stiffness(model, state, loads))
+    n = nf + ny
+    blocks = [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in (moves.of(H, ny) for H in (M, C, K))]
+    (M, C, K), tilde, bb = zip(*blocks, strict=True)
+    given = jnp.array(Status.OK.value) if status is None else status
+    size, scale = size_of(model), scale_of(model, size_of(model))[np.array(independent, int)]
+    if status is not None:
+        largest = jnp.max(jnp.abs(scaled(K[:nf, :nf], scale)), initial=0.0) * size
+        stale = jnp.max(jnp.abs(moves.N.T @ r * scale), initial=0.0) > jnp.finfo(r.dtype).eps ** 0.5 * largest
+        given = jnp.where(stale & ~jnp.isin(given, jnp.array(NOT_AT_REST)), Status.STALE.value, given)
+    fails = [how_open(model, q) > NEARLY_CLOSED, moves.smallest < SINGULAR_CLOSURES]
+    given = jnp.select(fails, [Status.NOT_CLOSED.value, Status.SINGULAR_CLOSURE.value], given)
+    return Linearization(M, C, K, given, state, model, *tilde, *bb, loads, moves)  # pyright: ignore[reportCallIssue]
 
 
-def _frames(model: Model, state: State, delta, v, xi, xi_dot) -> Frame:
-    coordinates = Coordinates(model)
-    return coordinates.frames(coordinates.retract(state.q, delta), v, coordinates.supports_at(xi.reshape(-1, 6), xi_dot.reshape(-1, 6)))
+@jit_unoptimized
+def _closure_stiffness(lin: Linearization) -> Float[Array, "nf nf"]:
+    nv, moves = lin.model.layout.nv, lin.dependent
+    return lin.reduced(closure_stiffness(Coordinates(lin.held), lin.state.q, moves.multipliers)[:nv, :nv])  # pyright: ignore[reportOptionalMemberAccess]
 
 
 @jit_unoptimized
@@ -301,13 +337,7 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
     n, (numbers, rest) = nv + ny, eqx.partition(apart(model, state.z), eqx.is_array)
 
     def matrices(numbers, q, v):
-        at = configuration_at(Coordinates(eqx.combine(numbers, rest)), q, v)
-        _, slope, stiffness = expansion(at)
-        whole = mass(at), damping(at), stiffness
-        if ny:
-            inner, zero = inner_rows(at), jnp.zeros((ny, len(stiffness)), q.dtype)
-            rows = (zero, jnp.zeros((ny, ny), q.dtype)), (inner.C_yx, inner.C_yy), (inner.K_yx, inner.K_yy)
-            whole = tuple(inserted(H, *row, nv) for H, row in zip(whole, rows, strict=True))
+        whole, slope = whole_matrices(Coordinates(eqx.combine(numbers, rest)), q, v)
         return [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in whole], slope[:nv]
 
     ((M, M_tilde, M_bb), (C, C_tilde, C_bb), (K, K_tilde, K_bb)), slope = in_lanes(matrices, reversible=True)(numbers, state.q, state.v)
@@ -330,29 +360,19 @@ def _padded(K: Float[Array, "nv nv"], ny: int) -> Float[Array, "n n"]:
 
 @jit_unoptimized
 def _condensed(lin: Linearization) -> Linearization:
-    nv, ny = lin.model.layout.nv, lin.inner
+    nv, ny = lin.nv, lin.inner
     K, C, M = lin.whole
     T = following(K, nv, ny)
     blocks = [(H[:nv, :nv], -H[:nv, nv:], H[nv:, nv:]) for H in (T.T @ H @ T for H in (M, C, K))]
     (M, C, K), tilde, bb = zip(*blocks, strict=True)
-    return Linearization(M, C, K, lin.status, lin.state, lin.model, *tilde, *bb, lin.loads, slow=True)  # pyright: ignore[reportCallIssue]
+    return Linearization(M, C, K, lin.status, lin.state, lin.model, *tilde, *bb, lin.loads, lin.dependent, slow=True)  # pyright: ignore[reportCallIssue]
 
 
 def _instantaneous(lin: Linearization) -> Linearization:
-    nv = lin.model.layout.nv
+    nv = lin.nv
     M, C, K = (H[..., :nv, :nv] for H in (lin.M, lin.C, lin.K))
     M_x, C_x, K_x = (H[..., :nv, :] for H in (lin.M_tilde, lin.C_tilde, lin.K_tilde))
-    return Linearization(M, C, K, lin.status, lin.state, lin.model, M_x, C_x, K_x, lin.M_bb, lin.C_bb, lin.K_bb, lin.loads)
-
-
-@jit_unoptimized
-def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nv"]:
-    zero, model = jnp.zeros(model.layout.nv, xi.dtype), holding(model, completed(model, state).z)
-
-    def slope(xi):
-        return jax.grad(lambda d: potential(model, _frames(model, state, d, zero, xi, jnp.zeros_like(xi))))(zero)
-
-    return slope(jnp.zeros_like(xi)) - slope(xi)
+    return Linearization(M, C, K, lin.status, lin.state, lin.model, M_x, C_x, K_x, lin.M_bb, lin.C_bb, lin.K_bb, lin.loads, lin.dependent)
 
 
 def _load_stiffness(model: Model, state: State, loads: tuple[Load, ...]) -> Float[Array, "nv nv"]:
@@ -361,24 +381,3 @@ def _load_stiffness(model: Model, state: State, loads: tuple[Load, ...]) -> Floa
 
 def _names(model: Model) -> tuple[tuple[str, ...], ...]:
     return tuple(table.names for table in model.elements)
-
-
-@jit_unoptimized
-def _gravity_stiffness(model: Model, state: State) -> Float[Array, "nv nv"]:
-    zero, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
-    return jax.hessian(lambda d: gravity_energy(model, _frames(model, state, d, zero, rest, rest)))(zero)
-
-
-@jit_unoptimized
-def _split(lin: Linearization):
-    """Elastic and geometric stiffness of every element, table by table: V'' de de, and the rest of the Hessian, V' d2e."""
-    model, state = lin.held, lin.state
-    zero, rest = jnp.zeros(model.layout.nv, state.q.dtype), jnp.zeros(model.layout.nxi, state.q.dtype)
-
-    def potentials(d):
-        frames = _frames(model, state, d, zero, rest, rest)
-        return each_element(model, frames, lambda s, *F: s.potential(*(f.pose() for f in F)))
-
-    n = len(zero)
-    elastic = [x.elastic()[:, :n, :n] for x in element_derivatives(configuration_at(Coordinates(model), state.q))]
-    return elastic, [k - e for k, e in zip(jax.hessian(potentials)(zero), elastic, strict=True)]

@@ -169,7 +169,7 @@ def mode_energies(
     >>> mode_energies(linearize(model, equilibrium(model)), up="y").names
     ('mass bounce 100 %',)
     """
-    check_system(lin, "mode_energies", allow_float32=allow_float32)
+    check_system(lin, "mode_energies", allow_float32=allow_float32, closures=True)
     directions = _directions(lin.model, forward, up)
     energies = _energies(without_inner_rows(lin, stiffness, "mode_energies"))
     return warn_if_failed(ModeEnergies(*energies, model=lin.model, directions=directions))
@@ -210,10 +210,11 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
         return 100 * averaged(part, cluster) / jnp.where(nonzero, averaged(whole, cluster), 1.0) * nonzero.astype(part.dtype)
 
     basis = basis_at(lin.model, lin.state.q)
-    moving = basis.velocities @ shapes
-    kinetic = moving * (basis.momenta @ shapes)
+    whole = lin.expanded(shapes)
+    moving = basis.velocities @ whole
+    kinetic = moving * (basis.momenta @ whole)
     elements = element_derivatives(configuration_at(Coordinates(lin.held), lin.state.q, lin.state.v))
-    changes = [x.J[..., : len(shapes)] @ shapes for x in elements]
+    changes = [x.J[..., : len(whole)] @ whole for x in elements]
     none = jnp.zeros((0, len(values)), shapes.dtype)
     inertial = jnp.concatenate([none, *_kinetic_energies(lin, shapes)])
     moved = jnp.sum(kinetic, (0, 1)) + jnp.sum(inertial, 0) if len(inertial) else jnp.sum(kinetic, (0, 1))
@@ -250,7 +251,7 @@ def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
     separated along the coordinates by small increases of the diagonal of K, up to SEPARATION, different for each coordinate."""
     lin = lin.condensed
     increase = SEPARATION * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))
-    _, shapes = natural(lin.K + jnp.diag(increase), lin.M)
+    shapes = lin.expanded(natural(lin.K + jnp.diag(increase), lin.M)[1])
     basis = basis_at(lin.model, lin.state.q)
     kinetic = (basis.velocities @ shapes) * (basis.momenta @ shapes)
     kinetic = kinetic.reshape(-1, kinetic.shape[-1])

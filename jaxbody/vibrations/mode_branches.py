@@ -135,7 +135,7 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
 
     def one(value):
         lin = linearized(value)
-        return complex_modes(lin) if isinstance(lin, SpinLinearization) else modes(lin), lin.M[: lin.model.layout.nv, : lin.model.layout.nv]
+        return complex_modes(lin) if isinstance(lin, SpinLinearization) else modes(lin), lin.M[: lin.nv, : lin.nv]
 
     at_values, M = eqx.filter_vmap(one)(jnp.asarray(given))
     return warn_if_failed(_track(jnp.asarray(given), at_values, M))
@@ -145,6 +145,8 @@ def track(linearized: Callable[[Any], Linearization | SpinLinearization], values
 def _track(values: Float[Array, "k"], at_values: Modes | ComplexModes, M: Float[Array, "k nv nv"]) -> Branches:
     n = at_values.frequency.shape[1]
     frozen = jax.lax.stop_gradient((at_values.shapes, M))
+    if at_values.model.closures:  # of which M has the independent coordinates
+        frozen = frozen[0][:, np.array(at_values.model.independent, int)], frozen[1]
 
     def step(carry, given):
         """From reference shapes and labels (equal for references of one cluster) to those at the next value."""

@@ -28,7 +28,8 @@ SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is 
 
 
 class ModalResult(Labeled, Result):
-    """The base class of natural and complex modes: `shapes` (columns) in the coordinates of a linear system with the mass matrix `M`."""
+    """The base class of natural and complex modes: `shapes` (columns) in the coordinates of the model, `M` the mass matrix of
+    the linear system."""
 
     index = "mode"
     frequency: Float[Array, "n"]
@@ -61,7 +62,7 @@ class ModalResult(Labeled, Result):
     def explain(self) -> str:
         status, (growing, still) = Status(int(self.status)), self.growing_and_still()
         if status == Status.SINGULAR_M:
-            return "; ".join(massless_motions(self.layout, self.M))
+            return "; ".join(massless_motions(self.layout, self.M, self.model.independent))
         marked = {Status.UNSTABLE: (growing, "growing motion"), Status.SINGULAR_K: (still, "zero frequency")}.get(status)
         return f"{tables.counted(int(marked[0].sum()), 'mode')} of {marked[1]}" if marked else ""
 
@@ -134,7 +135,7 @@ def modes(lin: Linearization, *, stiffness: str = "relaxed", allow_float32: bool
     >>> round(float(natural.frequency[0]), 6), round(float(natural.damping_ratio[0]), 6)
     (0.795775, 0.1)
     """
-    check_system(lin, "modes", allow_float32=allow_float32)
+    check_system(lin, "modes", allow_float32=allow_float32, closures=True)
     return warn_if_failed(_modes(without_inner_rows(lin, stiffness, "modes")))
 
 
@@ -148,6 +149,9 @@ def without_inner_rows(lin: Linearization, stiffness: str, where: str) -> Linear
 @jit_unoptimized
 def _modes(lin: Linearization) -> Modes:
     frequency, shapes, damping_ratio, eigenvalues, cluster, status = modes_of(lin)
+    shapes = lin.expanded(shapes)
+    if lin.dependent is not None:  # the largest of all coordinates is positive
+        shapes = shapes * jnp.sign(jnp.take_along_axis(shapes, jnp.argmax(jnp.abs(shapes), 0)[None], 0))
     return Modes(frequency, damping_ratio, shapes, cluster, status, lin.M, lin.model, lin.basis, eigenvalues)
 
 

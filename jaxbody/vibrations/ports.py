@@ -149,7 +149,10 @@ def rows_of(lin: Any, at: Configuration, twists, sensors: tuple[Sensor, ...], F:
     others = [sensor for sensor in sensors if not (isinstance(sensor, Kinematic) or of_element(sensor) or reads_matrices(sensor, model))]
     elements = _by_name(model, at) if any(map(of_element, sensors)) else {}
     readings = iter(_read_rows(lin, at, twists, others, wrenches) if others else ())
-    held = slope(at)[model.layout.nv :] if any(reads_matrices(sensor, model) for sensor in sensors) else zero
+    held = zero
+    if any(reads_matrices(sensor, model) for sensor in sensors):
+        held = slope(at)[model.layout.nv :]
+        held = held if lin.dependent is None else held + lin.dependent.reaction
     rows = []
     for sensor in sensors:
         if isinstance(sensor, Kinematic):
@@ -159,7 +162,8 @@ def rows_of(lin: Any, at: Configuration, twists, sensors: tuple[Sensor, ...], F:
         elif isinstance(sensor, LoadCell) and of_element(sensor):
             i, derivatives = elements[sensor.on]
             k = sensor.component or 0
-            Y = jnp.stack([derivatives.stiffness[k] @ derivatives.J, derivatives.damping[k] @ derivatives.J, zero])[:, None]
+            J = derivatives.J if lin.dependent is None else derivatives.J @ lin.dependent.whole(0, model.layout.nxi)
+            Y = jnp.stack([derivatives.stiffness[k] @ J, derivatives.damping[k] @ J, zero])[:, None]
             rows.append(_Rows(Y, jnp.zeros((1, F.shape[1]), F.dtype), i))
         elif isinstance(sensor, Reaction) and reads_matrices(sensor, model):
             rows.append(_reaction_rows(lin, sensor, held, F))
@@ -190,7 +194,8 @@ def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sens
     """The rows of sensors by the derivatives of their readings; accelerations are those of x'': no equation of motion is solved."""
     model, q, layout, frames = lin.model, lin.state.q, lin.model.layout, at.frames
     dynamics, zero = dynamics_of(lin.held, (), lin.loads), jnp.zeros(twists.shape[1], q.dtype)
-    own, places = slice(layout.nv, layout.nv + lin.inner), layout.massless
+    own, places = slice(lin.nv, lin.nv + lin.inner), layout.massless
+    T = None if lin.dependent is None else lin.dependent.whole(lin.inner, layout.nxi)[: layout.nv]
 
     def held(x, rate) -> Model:
         """The model with displaced massless coordinates."""
@@ -200,7 +205,8 @@ def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sens
     def moved(x, rate, change, u) -> Instant:
         (dp, turn), (v, w), (a, alpha) = (jnp.split(jnp.einsum("fni,n->fi", twists, y), 2, -1) for y in (x, rate, change))
         step = Frame(frames.p, frames.R, dp, turn).rates()
-        state = State(dynamics.coordinates.retract(q, x[: layout.nv]), rate[: layout.nv])
+        delta, v_own = (y[: layout.nv] if T is None else T @ y for y in (x, rate))
+        state = State(dynamics.coordinates.retract(q, delta), v_own)
         t = jnp.zeros((), q.dtype)
         now = Instant(frames.p + step.p, frames.R + step.R, v, w, t, state, a, alpha)
         if any(sensor.reactions for sensor in sensors):
@@ -239,6 +245,8 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ..
     twists = frame_twists(at)
     if lin.inner:  # massless coordinates move no frame
         twists = jnp.insert(twists, np.full(lin.inner, layout.nv), 0.0, axis=1)
+    if lin.dependent is not None:
+        twists = jnp.einsum("fni,nm->fmi", twists, lin.dependent.whole(lin.inner, layout.nxi))
     zero, still = jnp.zeros(twists.shape[1], lin.M.dtype), jnp.zeros(layout.nxi, lin.M.dtype)
     forces = [_force_row(port, at.frames, twists, layout.frame) if isinstance(port, PointForce) else zero for port in inputs]
     moved = [still.at[_place(port, layout)].set(1.0) if isinstance(port, BaseMotion) else still for port in inputs]
@@ -252,6 +260,10 @@ def check_ports(lin: Any, inputs: Any, outputs: Any, where: str) -> tuple[tuple[
     """(names, inputs, units) and outputs; raises all errors at once."""
     with Problems() as problems:
         checked = inputs_of(lin.model, inputs, where, problems), outputs_of(lin.model, outputs, where, problems)
+        for name, sensor in outputs.items() if lin.model.closures and not problems.collected else ():
+            if sensor.reactions and not reads_matrices(sensor, lin.model):
+                message, hint = "reads the reaction of a joint of a model with closures", "Read that of a support, or a LoadCell."
+                problems.add("CLOSED_LOOPS", f"{where}.outputs[{name!r}]", message, value=sensor, limit="other sensors", hint=hint)
     return checked
 
 

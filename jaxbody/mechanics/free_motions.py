@@ -1,0 +1,194 @@
+"""The motions that closures leave free at a configuration, and the forces of closures, with J = dc/dDelta and r = dV/dDelta - Q:
+
+    P = 1 - J^+ J          on the null space of J
+    lambda = -(J^+)' r     the multipliers, with which r + J' lambda = 0 at rest
+    H = K + d2(lambda c)   second derivatives along the closures: those of V on them are P H P
+
+In scaled increments, in meters. J^+ is the least squares inverse: conditions that repeat others do no harm, and the multipliers of those
+that share a force are the least.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxbody.core.arrays import Array, Bool, Float
+from jaxbody.mechanics.constraints import CLOSED, RANK, closed, gaps, gaps_at, how_open, values_and_slopes
+from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.models import Model
+from jaxbody.models.sizes import scale_of, scaled, size_of
+
+UNIQUE = 1e-6  # a multiplier that changes by less than this while the others of one share a force is unique
+
+
+class FreeMotions(NamedTuple):
+    """J and J^+ at a configuration."""
+
+    J: Float[Array, "n nv"]
+    inverse: Float[Array, "nv n"]
+
+    @property
+    def projector(self) -> Float[Array, "nv nv"]:
+        """P."""
+        return jnp.eye(len(self.inverse), dtype=self.J.dtype) - self.inverse @ self.J
+
+    @property
+    def unique(self) -> Bool[Array, "n"]:
+        """The conditions whose multiplier is determined."""
+        return 1 - jnp.sum(self.inverse.T * self.J, 1) < UNIQUE
+
+    def multipliers(self, r: Float[Array, "nv"]) -> Float[Array, "n"]:
+        """lambda."""
+        return -self.inverse.T @ r
+
+    def stiffness(self, H: Float[Array, "nv nv"]) -> Float[Array, "nv nv"]:
+        """P H P, and across the free motions the largest stiffness, so that these are neither free nor unstable."""
+        P = self.projector
+        K, unit = P.T @ H @ P, jnp.max(jnp.abs(H), initial=0.0)
+        return K + jnp.where(unit > 0, unit, 1.0) * (jnp.eye(len(P), dtype=P.dtype) - P)
+
+
+def scale_at(model: Model) -> Float[Array, "nv"]:
+    """The change of each speed per scaled increment, a constant."""
+    return jax.lax.stop_gradient(scale_of(model, size_of(model)))
+
+
+def free_motions(coordinates: Coordinates, q: Float[Array, "nq"], scale: Float[Array, "nv"]) -> FreeMotions:
+    """The free motions at q."""
+    J = values_and_slopes(coordinates, lambda q: gaps_at(coordinates, q), q)[1] * scale[None]
+    return FreeMotions(J, jnp.linalg.pinv(J, rtol=RANK))
+
+
+def curvature(coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]) -> Float[Array, "nv nv"]:
+    """d2(lambda c)/dDelta2."""
+    zero = jnp.zeros(coordinates.model.layout.nv, q.dtype)
+    return jax.hessian(lambda delta: multipliers @ gaps_at(coordinates, coordinates.retract(q, delta)))(zero)
+
+
+def on_closures(
+    coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Array, "nv"], K: Float[Array, "nv nv"], scale: Float[Array, "nv"]
+) -> tuple[Float[Array, "nv"], Float[Array, "nv nv"]]:
+    """Scaled r and K along the closures; as they are for a model without."""
+    if not coordinates.model.closures:
+        return r, K
+    free = free_motions(coordinates, q, scale)
+    H = K + scaled(curvature(coordinates, q, free.multipliers(r)), scale)
+    return free.projector @ r, free.stiffness(H)
+
+
+def moved(coordinates: Coordinates, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
+    """q (+) Delta, from there to the closures."""
+    q = coordinates.retract(q, delta)
+    return closed(coordinates.model, q) if coordinates.model.closures else q
+
+
+def is_closed(model: Model, q: Float[Array, "nq"]) -> Bool[Array, ""]:
+    """Whether all closures are fulfilled; True for a model without."""
+    return how_open(model, q) <= CLOSED if model.closures else jnp.array(True)
+
+
+def multipliers_at(coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Array, "nv"]) -> Float[Array, "n"]:
+    """lambda at q."""
+    scale = scale_at(coordinates.model)
+    return free_motions(coordinates, q, scale).multipliers(r * scale)
+
+
+def implied_change(
+    coordinates: Coordinates,
+    q: Float[Array, "nq"],
+    r: Float[Array, "nv"],
+    K: Float[Array, "nv nv"],
+    change: tuple[Float[Array, "nv"], Float[Array, "n"]],
+) -> Float[Array, "nv"]:
+    """Delta of an equilibrium on closures, of which r + J' lambda, at fixed q and lambda, and c change so:
+
+    J Delta = -dc,   P (H Delta + dr) = 0"""
+    scale = scale_at(coordinates.model)
+    free = free_motions(coordinates, q, scale)
+    H = scaled(K + curvature(coordinates, q, free.multipliers(r * scale)), scale)
+    across = -free.inverse @ change[1]
+    along = -jnp.linalg.solve(free.stiffness(H), free.projector @ (change[0] * scale + H @ across))
+    return scale * (across + along)
+
+
+def slopes_by_supports(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n nxi"]:
+    """dc/dXi."""
+    layout = coordinates.model.layout
+    zero = jnp.zeros((len(layout.supports), 6), q.dtype)
+
+    def displaced(xi):
+        frames = coordinates.frames(q, jnp.zeros(layout.nv, q.dtype), coordinates.supports_at(xi, zero))
+        return gaps(coordinates.model, coordinates, frames)
+
+    J = jax.jacfwd(displaced)(zero)
+    return J.reshape(len(J), layout.nxi)
+
+
+def constraint_force(coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]) -> Float[Array, "nv"]:
+    """J' lambda."""
+    zero = jnp.zeros(coordinates.model.layout.nv, q.dtype)
+    return jax.grad(lambda delta: multipliers @ gaps_at(coordinates, coordinates.retract(q, delta)))(zero)
+
+
+class DependentMotions(eqx.Module):
+    """N, of all coordinates per unit of the independent ones, S, per unit of the supports' Xi, the multipliers lambda, `reaction` lambda
+    dc/dXi, and `smallest`: the smallest singular value of J_d, zero where the coordinates do not determine the others."""
+
+    N: Float[Array, "nv nf"]
+    S: Float[Array, "nv nxi"]
+    multipliers: Float[Array, "n"]
+    reaction: Float[Array, "nxi"]
+    smallest: Float[Array, ""]
+
+    def of(self, H: Float[Array, "n n"], inner: int = 0) -> Float[Array, "m m"]:
+        """T' H T of a matrix of (Delta, y, Xi), or of Delta alone; y: `inner` coordinates without mass."""
+        nv = len(self.N)
+        if len(H) == nv:
+            return self.N.T @ H @ self.N
+        T = self.whole(inner, len(H) - nv - inner)
+        return T.T @ H @ T
+
+    def whole(self, inner: int, nxi: int) -> Float[Array, "n m"]:
+        """T, of (Delta, y, Xi)."""
+        zero = jnp.zeros((len(self.N), inner), self.N.dtype)
+        top = jnp.concatenate([self.N, zero, self.S[:, :nxi]], 1)
+        own = jnp.eye(inner + nxi, dtype=self.N.dtype)
+        return jnp.concatenate([top, jnp.concatenate([jnp.zeros((len(own), self.N.shape[1]), own.dtype), own], 1)])
+
+
+def dependent_motions(
+    coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Array, "nv"], independent: tuple[int, ...]
+) -> DependentMotions:
+    """Those at q, where r = dV/dDelta - Q."""
+    scale, nv = scale_at(coordinates.model), coordinates.model.layout.nv
+    own = np.array(independent, int)
+    others = np.setdiff1d(np.arange(nv), own)
+    free = free_motions(coordinates, q, scale)
+    J_d, J_i = free.J[:, others], free.J[:, own]
+    inverse = jnp.linalg.pinv(J_d, rtol=RANK)
+    J_Xi = slopes_by_supports(coordinates, q)
+    N = jnp.zeros((nv, len(own)), q.dtype).at[own].set(np.eye(len(own))).at[others].set(-inverse @ J_i)
+    S = jnp.zeros((nv, J_Xi.shape[1]), q.dtype).at[others].set(-inverse @ J_Xi)
+    multipliers = -inverse.T @ (r * scale)[others]
+    values = jnp.linalg.svdvals(jax.lax.stop_gradient(J_d))
+    open_ = jnp.max(jnp.abs(jax.lax.stop_gradient(free.J @ N)), initial=0.0)  # where more conditions hold than in the reference pose
+    smallest = jnp.where(open_ > 1e-6 * values[0], 0.0, values[-1] / jnp.maximum(values[0], 1e-300))
+    return DependentMotions(scale[:, None] * N / scale[own][None], scale[:, None] * S, multipliers, multipliers @ J_Xi, smallest)
+
+
+def closure_stiffness(coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]) -> Float[Array, "n n"]:
+    """The Hessian of lambda c in (Delta, Xi)."""
+    model, layout = coordinates.model, coordinates.model.layout
+    zero = jnp.zeros((len(layout.supports), 6), q.dtype)
+
+    def work(x):
+        supports = coordinates.supports_at(x[layout.nv :].reshape(zero.shape), zero)
+        frames = coordinates.frames(coordinates.retract(q, x[: layout.nv]), jnp.zeros(layout.nv, q.dtype), supports)
+        return multipliers @ gaps(model, coordinates, frames)
+
+    return jax.hessian(work)(jnp.zeros(layout.nv + layout.nxi, q.dtype))
