@@ -14,7 +14,6 @@ from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.inputs.signals import kinks_of
 from jaxbody.laws.measured_curves import has_range
-from jaxbody.mechanics.canonical_equations import Canonical
 from jaxbody.mechanics.element_states import completed
 from jaxbody.mechanics.energies import outside_law_range
 from jaxbody.mechanics.equations_of_motion import Dynamics, dynamics_of
@@ -24,6 +23,7 @@ from jaxbody.models.states import State
 from jaxbody.numerics.adjoints import Blocks, Driven, Unstarted
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.precisions import reachable
+from jaxbody.simulations.canonical_equations import Canonical
 from jaxbody.simulations.trajectories import Trajectory
 
 FINEST = {"float64": 0.0, "float32": 1.5e-5}  # least local error; below it float32 takes shorter steps without a gain
