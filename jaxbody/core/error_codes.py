@@ -175,10 +175,7 @@ CODES = {
     "SATURATED": ("a channel stays at its largest value", "measure with a wider range, or leave those samples out"),
     "SELF_SPRING": ("both ends are on one body", "attach them to different bodies or supports"),
     "SEVERAL_OPTIMA": ("another optimum explains the data about as well", "measure more, or give priors"),
-    "SINGULAR_CLOSURE": (
-        "closures are not independent in this position, which they are elsewhere",
-        "move the position, or the reference pose, away from it",
-    ),
+    "SINGULAR_CLOSURE": ("closures that are independent elsewhere are not in this position", "move away from it"),
     "SINGULAR_K": ("the stiffness matrix is singular: a motion is not resisted", "constrain the motion that the message names"),
     "SINGULAR_M": ("the mass matrix is singular: a motion has no inertia", "give it mass or inertia"),
     "SLOW_COMPILATION": ("a function took over a minute to compile", "cache programs with JAX_COMPILATION_CACHE_DIR; see jb.compile_times"),

@@ -244,6 +244,7 @@ def at_the_end(x):
     return jb.simulate(model, jnp.linspace(0, 0.3, 4), initial=start(model), rtol=1e-11).state.v[-1]
 
 
+@pytest.mark.long
 def test_derivatives_of_motions_and_frequencies():
     x = jnp.array([1.5, 0.8, -0.2, 0.1, 0.0])
     weights = jnp.linspace(1, 2, 12)

@@ -142,6 +142,7 @@ def test_trail_and_scrub_radius_are_measured_on_the_ground(double):
     np.testing.assert_allclose(double["scrub radius"][5], (C - K)[1], atol=1e-12)
 
 
+@pytest.mark.long
 def test_the_screw_axis_of_steering_is_the_line_through_the_ball_joints():
     """With the lower arm held, steering turns the upright about both ball joints."""
     corner = jb.double_wishbone()

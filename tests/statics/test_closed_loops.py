@@ -191,6 +191,7 @@ def test_stability_is_counted_on_the_closures():
     assert int(eq.negative) == 1 and not eq.stable
 
 
+@pytest.mark.long
 def test_equilibria_have_derivatives_by_stiffness_and_by_points():
     model = parallelogram()
 

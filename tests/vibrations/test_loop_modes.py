@@ -125,6 +125,7 @@ def test_a_four_bar_linkage_has_the_frequency_of_its_effective_inertia():
     assert float(modes.frequency[0]) == pytest.approx(np.sqrt(stiffness / inertia) / (2 * np.pi), rel=1e-9)  # differences of fourth order
 
 
+@pytest.mark.long
 def test_frequencies_have_derivatives_by_points():
     model = four_bar(0.5)
     end = np.asarray(model["pin"].a)
@@ -188,6 +189,7 @@ def test_a_base_drives_a_closed_loop_as_by_its_equation_of_motion():
     np.testing.assert_allclose(np.asarray(spectrum.psd)[0], np.abs(follows) ** 2, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_blocks_of_the_base_are_second_derivatives_of_the_energies_on_the_closures():
     """K | -K~ | K_bb and M | -M~ | M_bb as Hessians of V and T along q(q_i, Xi) from solving c = 0."""
     model = jb.Model(
