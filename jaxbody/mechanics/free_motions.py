@@ -181,7 +181,7 @@ def dependent_motions(
     return DependentMotions(scale[:, None] * N / scale[own][None], scale[:, None] * S, multipliers, multipliers @ J_Xi, smallest)
 
 
-def closure_stiffness(coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]) -> Float[Array, "n n"]:
+def closure_stiffness(coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]) -> Float[Array, "m m"]:
     """The Hessian of lambda c in (Delta, Xi)."""
     model, layout = coordinates.model, coordinates.model.layout
     zero = jnp.zeros((len(layout.supports), 6), q.dtype)

@@ -75,7 +75,7 @@ class Gauss(AbstractSolver):
             return terms.vf(t, y, args)
 
         def slopes(k: Float[Array, "stages ny"]) -> Float[Array, "stages ny"]:
-            return jax.vmap(slope)(t0 + jnp.asarray(c, y0.dtype) * h, y0 + h * weighted(A, k))
+            return jax.vmap(slope)(t0 + jnp.asarray(c, y0.dtype) * h, y0[None] + h * weighted(A, k))
 
         first = slope(t0, y0)
         k, settled = fixed_point(slopes, jnp.broadcast_to(first, (self.stages, *first.shape)))
@@ -90,7 +90,7 @@ class Gauss(AbstractSolver):
 
 def weighted(A: np.ndarray, k: Float[Array, "stages ny"]) -> Array:
     """A k, computed as a sum."""
-    return jnp.sum(jnp.asarray(A, k.dtype)[..., None] * k, -2)
+    return jnp.sum(jnp.asarray(A, k.dtype)[..., None] * k[(None,) * (np.ndim(A) - 1)], -2)
 
 
 def fixed_point(function, guess: Array) -> tuple[Array, Array]:

@@ -37,7 +37,7 @@ class ModalResult(Labeled, Result):
     shapes: Inexact[Array, "nv n"]
     cluster: Int[Array, "n"]
     status: Int[Array, ""]
-    M: Float[Array, "nv nv"]
+    M: Float[Array, "nf nf"]
     model: Model
     basis: Basis
 
@@ -98,7 +98,7 @@ class Modes(ModalResult):
     gives NaN, as for functions of a single shape. Sums over a cluster and functions of its space have derivatives in both modes; second
     derivatives exist for single modes."""
 
-    eigenvalues: Float[Array, "nv"]
+    eigenvalues: Float[Array, "n"]
 
     def roots(self):
         return np.asarray(self.frequency)
