@@ -79,15 +79,14 @@ def double_wishbone(hard_points: Points | None = None, *, stiffness=30e3, force=
     """
     points = _points(DOUBLE_WISHBONE, hard_points, "double_wishbone")
     lower, upper = points["spring lower"], points["spring upper"]
-    free_length = _distance(upper, lower) + force / stiffness
     model = Model(
         bodies=_bodies(points) | {"upper arm": _body(ARM, points, "upper outer")},
         joints={**_joints(points), "upper arm": _hinge(points, "upper inner front", "upper inner rear")},
         closures={
             "upper ball": BallClosure(("upper arm", points["upper outer"]), ("upright", points["upper outer"])),
-            "tie rod": Rod(("rack", points["tie rod inner"]), ("upright", points["tie rod outer"])),
+            "tie rod": _tie_rod(points),
         },
-        elements={"spring": Spring(("lower arm", lower), ("world", upper), stiffness=stiffness, free_length=free_length)},
+        elements={"spring": _spring("lower arm", lower, upper, stiffness, force)},
     )
     return Corner(model, _wheel(points, radius, points["upper outer"]))
 
@@ -108,15 +107,14 @@ def macpherson(hard_points: Points | None = None, *, stiffness=30e3, force=4000.
     """
     points = _points(MACPHERSON, hard_points, "macpherson")
     lower, upper = points["lower outer"], points["strut upper"]
-    free_length = _distance(upper, lower) + force / stiffness
     model = Model(
         bodies=_bodies(points),
         joints=_joints(points),
         closures={
             "strut": Inline(("upright", lower), ("world", upper), axis=upper - lower),
-            "tie rod": Rod(("rack", points["tie rod inner"]), ("upright", points["tie rod outer"])),
+            "tie rod": _tie_rod(points),
         },
-        elements={"spring": Spring(("upright", lower), ("world", upper), stiffness=stiffness, free_length=free_length)},
+        elements={"spring": _spring("upright", lower, upper, stiffness, force)},
     )
     return Corner(model, _wheel(points, radius, upper))
 
@@ -138,18 +136,16 @@ def five_link(hard_points: Points | None = None, *, stiffness=30e3, force=4000.0
     """
     points = _points(FIVE_LINK, hard_points, "five_link")
     lower, upper = points["spring lower"], points["spring upper"]
-    free_length = _distance(upper, lower) + force / stiffness
     links: dict[str, Closure] = {
         f"{name} link": Rod(("world", points[f"{name} inner"]), ("upright", points[f"{name} outer"])) for name in LINKS
     }
     model = Model(
         bodies={"upright": _body(UPRIGHT, points, "wheel center"), "rack": _body(RACK, points, "tie rod inner")},
         joints={"rack": Guide("world", axis="y")},
-        closures=links | {"tie rod": Rod(("rack", points["tie rod inner"]), ("upright", points["tie rod outer"]))},
-        elements={"spring": Spring(("upright", lower), ("world", upper), stiffness=stiffness, free_length=free_length)},
+        closures=links | {"tie rod": _tie_rod(points)},
+        elements={"spring": _spring("upright", lower, upper, stiffness, force)},
     )
-    center = points["wheel center"]
-    return Corner(model, Wheel("upright", center=center, axis=center - points["axle inner"], radius=radius))
+    return Corner(model, _wheel(points, radius))
 
 
 def _points(source: Points, given: Points | None, where: str) -> dict[str, Any]:
@@ -207,6 +203,16 @@ def _hinge(points: dict[str, Any], front: str, rear: str) -> Hinge:
     return Hinge("world", axis=points[front] - points[rear], at=points[front])
 
 
-def _wheel(points: dict[str, Any], radius: Any, upper: Any) -> Wheel:
-    center = points["wheel center"]
-    return Wheel("upright", center=center, axis=center - points["axle inner"], radius=radius, kingpin=[points["lower outer"], upper])
+def _wheel(points: dict[str, Any], radius: Any, upper: Any = None) -> Wheel:
+    """The wheel; `upper`: the upper point of its steering axis, whose lower one is the lower outer point."""
+    center, kingpin = points["wheel center"], None if upper is None else [points["lower outer"], upper]
+    return Wheel("upright", center=center, axis=center - points["axle inner"], radius=radius, kingpin=kingpin)
+
+
+def _tie_rod(points: dict[str, Any]) -> Rod:
+    return Rod(("rack", points["tie rod inner"]), ("upright", points["tie rod outer"]))
+
+
+def _spring(on: str, lower: Any, upper: Any, stiffness: Any, force: Any) -> Spring:
+    """The spring from a body up to the car, compressed by `force` in the design position."""
+    return Spring((on, lower), ("world", upper), stiffness=stiffness, free_length=_distance(upper, lower) + force / stiffness)
