@@ -210,9 +210,8 @@ def _evaluated(
     model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, count: int, chunk: int | None, report: Callable[[int, int], None]
 ) -> dict[str, np.ndarray]:
     """The quantities at all points, computed chunk by chunk in this process."""
-    options: Any = dict(width=chunk or LARGEST_CHUNK, memory=MEMORY if chunk is None else None)
     parts, done = [], 0
-    for part in computed_here(_function(evaluate, paths), model, rows, count, owner=evaluate, place=("sweep", *paths), **options):
+    for part in computed_here(**_points(model, evaluate, paths, rows, count, chunk)):
         parts.append(part)
         done += len(next(iter(part.values())))
         report(done, 1)
@@ -221,12 +220,17 @@ def _evaluated(
 
 def _batch(model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, count: int, chunk: int | None, crew: Crew) -> ChunkedBatch:
     """The sweep as a batch for workers."""
-    options: Any = dict(width=chunk or LARGEST_CHUNK, memory=MEMORY if chunk is None else None, where="sweep.evaluate", crew=crew)
-    batch = batch_of(_function(evaluate, paths), model, rows, count, owner=evaluate, place=("sweep", *paths), **options)
+    batch = batch_of(**_points(model, evaluate, paths, rows, count, chunk), where="sweep.evaluate", crew=crew)
     if STATUS in batch.program.results:
         hint = "Rename it: status says which models were computed."
         raise JaxbodyError(Problem("BAD_NAME", "sweep.evaluate", f"returns a quantity {STATUS!r}", STATUS, "another name", hint))
     return batch
+
+
+def _points(model: Model, evaluate: Evaluate, paths: list[str], rows: PointsOf, count: int, chunk: int | None) -> dict[str, Any]:
+    """The batch of the points of a sweep."""
+    sizes = dict(count=count, width=chunk or LARGEST_CHUNK, memory=MEMORY if chunk is None else None)
+    return dict(function=_function(evaluate, paths), tree=model, rows=rows, owner=evaluate, place=("sweep", *paths), **sizes)
 
 
 def _function(evaluate: Evaluate, paths: list[str]) -> Callable[..., Any]:

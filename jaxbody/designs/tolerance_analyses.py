@@ -246,19 +246,20 @@ def _deviations(samples: int, size: int, key: Any):
     return jax.random.normal(key, (samples, size))
 
 
-def _values(space: Space, evaluate: Evaluate) -> dict[str, Any]:
-    """(space, deviations of several samples) -> {"values": their quantities}."""
+def _samples(space: Space, evaluate: Evaluate, xi: np.ndarray) -> dict[str, Any]:
+    """The batch of the samples with these deviations: for each the values of its quantities."""
 
     def values(space, xi):
         return {"values": jax.vmap(Flat(space, evaluate))(xi)}
 
-    return dict(function=values, tree=space, owner=evaluate, place="tolerances")
+    rows = lambda i, j: [xi[i:j]]  # noqa: E731
+    return dict(function=values, tree=space, rows=rows, count=len(xi), owner=evaluate, place="tolerances")
 
 
 def _sampled(space: Space, evaluate: Evaluate, xi: np.ndarray, width: int, report: Report) -> np.ndarray:
     """The quantities of each sample, in batches of one width."""
     done = []
-    for part in computed_here(rows=lambda i, j: [xi[i:j]], count=len(xi), width=width, **_values(space, evaluate)):
+    for part in computed_here(**_samples(space, evaluate, xi), width=width):
         done.append(part["values"])
         report(sum(map(len, done)), 1)
     return np.concatenate(done)
@@ -271,7 +272,7 @@ def _sampled_by_workers(
 
     with crew_of(workers, "tolerances.workers") as crew:
         options: Any = dict(width=width, where="tolerances.evaluate", crew=crew, memory=np.inf if chunk is None else None)
-        batch = batch_of(rows=lambda i, j: [xi[i:j]], count=len(xi), **options, **_values(space, evaluate))
+        batch = batch_of(**_samples(space, evaluate, xi), **options)
         plan = {"deviations": hash_of(xi)}
         store = None if out is None else store_of(batch, out, plan, ["deviations"], "sample", any_size=chunk is None)
         results, status = gathered(batch, crew, "tolerances", report, store, chunks)
