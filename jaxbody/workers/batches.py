@@ -16,7 +16,7 @@ import numpy as np
 from jaxbody.compilation.compile_options import quick_options
 from jaxbody.core.arrays import device_array
 from jaxbody.core.errors import Problems, Status, warn
-from jaxbody.workers.chunk_programs import ChunkProgram, ComputedChunk, FailedChunk, Types, exported, types_of
+from jaxbody.workers.chunk_programs import ChunkProgram, ComputedChunk, FailedChunk, Types, exported, filled, types_of
 from jaxbody.workers.chunk_stores import ChunkStore, hash_of
 from jaxbody.workers.dispatches import dispatched
 from jaxbody.workers.executors import Crew, check_workers
@@ -114,8 +114,7 @@ def computed_here(
     program, width = kept(owner, ("here", place, rest, shapes, width, memory, jax.config.read("jax_enable_x64")), fitting)
     for first in range(0, count, width):
         last = min(first + width, count)
-        given = [np.concatenate([x, np.repeat(x[-1:], width - len(x), 0)]) for x in rows(first, last)]  # the last rows are filled up
-        results = program(shared, [device_array(x) for x in given])
+        results = program(shared, [device_array(filled(x, 0, width)) for x in rows(first, last)])
         yield {name: np.asarray(x)[: last - first] for name, x in results.items()}
 
 

@@ -58,8 +58,8 @@ class ChunkProgram:
         loaded, count, parts = self.loaded(), len(rows[0]), []
         with one_at_a_time, precision(self.x64):
             for first in range(0, count, loaded.width):
-                at = np.minimum(np.arange(first, first + loaded.width), count - 1)
-                parts.append({name: np.asarray(y) for name, y in loaded.call(shared, [x[at] for x in rows]).items()})
+                given = [filled(x, first, loaded.width) for x in rows]
+                parts.append({name: np.asarray(y) for name, y in loaded.call(shared, given).items()})
         results = {name: np.concatenate([part[name] for part in parts])[:count] for name in parts[0]}
         if types_of(results, 1) != self.results:
             raise other_worker(f"returns {types_of(results, 1)}", self.results)
@@ -138,6 +138,11 @@ def _export(program: Any, given: tuple[Any, ...]) -> jax.export.Exported:
         if not names or any("callback" in name for name in names):
             raise
         return jax.export.export(program, disabled_checks=list(map(jax.export.DisabledSafetyCheck.custom_call, names)))(*given)
+
+
+def filled(x: np.ndarray, first: int, width: int) -> np.ndarray:
+    """`width` rows from the first, filled up with the last one."""
+    return x[np.minimum(np.arange(first, first + width), len(x) - 1)]
 
 
 def types_of(arrays: dict[str, Any], axes: int = 0) -> Types:
