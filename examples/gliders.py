@@ -61,7 +61,7 @@ def run_of(part):
 
 # %%
 half = jb.fit(model, {"track": run_of(record.part(0, 11.0))}, free=free)
-fit = jb.fit(half.model, {"track": run_of(record)}, free=free)
+fit = jb.fit(model, {"track": run_of(record)}, free=free)
 print(fit)
 trajectory = jb.simulate(half.model, record.times, initial=half.experiments["track"].initial)
 predicted, later = jb.measure(trajectory, sensors), record.times > 11.0
