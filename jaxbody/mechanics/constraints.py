@@ -12,6 +12,7 @@ forward and reverse mode, whatever steps led there, and the inverse has no deriv
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -19,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.geometry.frames import Frame, Pose
+from jaxbody.geometry.frames import Frame
 from jaxbody.mechanics.kinematics import Chart, Coordinates, with_world
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import scale_of, size_of
@@ -27,6 +28,7 @@ from jaxbody.models.storage import KindTable
 from jaxbody.numerics.small_systems import independent_rows
 
 Conditions = Callable[[Model, Any, Float[Array, "nq"]], Float[Array, "n"]]  # F of the model, of other numbers and of q
+CLOSING = 12  # steps of an initial state
 STEPS = 30  # of the search; ten are enough from a rough drawing
 ORDERS = 4  # of derivatives that are exact
 LARGEST_STEP = 0.5  # of an increment, of the size of the model or in rad
@@ -57,14 +59,23 @@ def _turning(table: KindTable) -> np.ndarray:
 
 def gaps(model: Model, coordinates: Coordinates, frames: Frame) -> Float[Array, "n"]:
     """c of all closures, in meters: sines of angles times the size of the model."""
-    drawn = with_world(coordinates.supports.at_rest(), coordinates.bodies.at_rest())
+    found = each_closure(coordinates, lambda closure, rest, poses: closure.gap(*poses, rest), frames.pose())
+    return jnp.concatenate([jnp.zeros(0, frames.p.dtype), *found])
+
+
+def each_closure(coordinates: Coordinates, function: Callable[..., Array], *of_frames: Any) -> list[Array]:
+    """function(closure, rest, (a row for A, a row for B) of each of these tables of frames), in meters, one row for each condition."""
+    model = coordinates.model
+    drawn = with_world(coordinates.supports.at_rest(), coordinates.bodies.at_rest()).pose()
     size, found = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
     for table in model.closures:
-        A, B = ([model.layout.frame(link[end]) for link in table.links] for end in (0, 1))
-        rest = _poses(drawn, A).inverse() @ _poses(drawn, B)
-        values = jax.vmap(lambda closure, *poses: closure.gap(*poses))(table.rows, _poses(frames, A), _poses(frames, B), rest)
-        found.append((values * jnp.where(_turning(table), size, 1.0)[None]).ravel())
-    return jnp.concatenate([jnp.zeros(0, frames.p.dtype), *found])
+        rows = [np.array([model.layout.frame(link[end]) for link in table.links]) for end in (0, 1)]
+        A, B = (jax.tree.map(lambda x, at=at: x[at], drawn) for at in rows)
+        ends = [tuple(jax.tree.map(lambda x, at=at: x[at], table) for at in rows) for table in of_frames]
+        values = jax.vmap(function)(table.rows, A.inverse() @ B, *ends)
+        unit = jnp.where(_turning(table), size, 1.0)[None]
+        found.append((values * unit.reshape(*unit.shape, *[1] * (values.ndim - 2))).reshape(-1, *values.shape[2:]))
+    return found
 
 
 def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
@@ -82,13 +93,20 @@ def closed(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     return _searched(closure_gaps, None, model, None, q)
 
 
+def closed_on(coordinates: Coordinates, supports: Frame, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
+    """The nearest q in which all closures are fulfilled on moved supports, as a function of q and of the model: steps with all their
+    derivatives."""
+
+    def conditions(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
+        return gaps(model, coordinates, coordinates.frames(q, jnp.zeros(model.layout.nv, q.dtype), supports))
+
+    step = partial(_stepped, conditions, None, coordinates.model, None)
+    return jax.lax.scan(lambda q, _: (step(q), None), q, length=CLOSING)[0]
+
+
 def how_open(model: Model, q: Float[Array, "nq"]) -> Float[Array, ""]:
     """The largest |c| over the size of the model."""
     return _largest(closure_gaps(model, None, q)) / size_of(model)
-
-
-def _poses(frames: Frame, rows: list[int]) -> Pose:
-    return Pose(frames.p[np.array(rows)], frames.R[np.array(rows)])
 
 
 def solve(conditions: Conditions, model: Model, values: Any, start: Float[Array, "nq"], held: np.ndarray | None = None):

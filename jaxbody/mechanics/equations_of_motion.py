@@ -6,7 +6,7 @@
 The inertia of elements adds J_e' T_e'' J_e to the mass matrix, and its force at v' = 0 to the wrenches.
 
 Tests compare them with the Lagrange equations of L = T - V with R. Where every body is free on the world the mass matrix is constant in
-body axes and is inverted once, unless elements have inertia: `dynamics_of` chooses between the two forms, and no one else asks.
+body axes and is inverted once, unless elements have inertia: `closed_loops.dynamics_of` chooses between the forms, and no one else asks.
 """
 
 from __future__ import annotations
@@ -22,14 +22,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.element_inertias import element_inertia, inertial_wrenches
-from jaxbody.mechanics.element_states import completed, state_rates, state_scales
+from jaxbody.mechanics.element_states import state_rates, state_scales
 from jaxbody.mechanics.energies import each_element, inertial_tables, kinetic, wrenches
 from jaxbody.mechanics.kinematics import Coordinates, Motions, jacobian, with_world
 from jaxbody.models.joints import Free
@@ -182,7 +181,11 @@ class JointedBodies(Dynamics):
         """v', the instant with the accelerations at v' = 0, and the velocities per unit of each speed."""
         now, axes = self._bias(t, q, v)
         J = jacobian(self.model.layout, now, *axes)
-        return solve_spd(self.inertia(now, *J)[0], _generalized(*J, *self._net(now))), now, J
+        return self._accelerations(self.inertia(now, *J)[0], _generalized(*J, *self._net(now)), now, J), now, J
+
+    def _accelerations(self, mass: Float[Array, "nv nv"], forces: Float[Array, "nv"], now: Instant, J) -> Float[Array, "nv"]:
+        """v' of the mass matrix, the generalized forces at v' = 0, the instant and the velocities per unit of each speed."""
+        return solve_spd(mass, forces)
 
     def inertia(
         self, frames: Frame, lin: Float[Array, "nb nv 3"], ang: Float[Array, "nb nv 3"]
@@ -352,15 +355,6 @@ def all_free(layout: Layout) -> bool:
     return all(block.kind is Free for block in layout.joints) and set(layout.parents) == {WORLD}
 
 
-def dynamics_of(model: Model, motions: Motions, loads: tuple[Load, ...] = ()) -> Dynamics:
-    """A model under imposed motions and loads, in the form that suits it."""
-    return _form_of(model)(model, motions, loads)
-
-
-def _form_of(model: Model) -> type[Dynamics]:
-    return FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies
-
-
 def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
     """The inverse of [[m I, -m [c]], [m [c], J_C - m [c][c]]], the mass of each body about O (42), from the inverse of J_C, as v_C = v_O -
     [c] w."""
@@ -370,17 +364,3 @@ def inverse_mass(model: Model) -> Float[Array, "nb 6 6"]:
     CG, GC = product(C, G), product(G, C)
     top = jnp.concatenate([np.eye(3, dtype=C.dtype)[None] / bodies.mass[:, None, None] - product(CG, C), CG], -1)
     return jnp.concatenate([top, jnp.concatenate([-GC, G], -1)], -2)
-
-
-@jit_unoptimized
-def state_slopes(model: Model, state: State) -> Float[Array, "ny ny"]:
-    """df/dy of y' = f(t, y) at t = 0, with the supports at rest in their reference poses."""
-    dynamics = dynamics_of(model, ())
-    state = completed(model, state, dynamics.coordinates.at_rest(state.q))
-    zero = jnp.zeros((), state.q.dtype)
-    return jax.jacfwd(lambda y: dynamics.rate(zero, y))(dynamics.pack(state))
-
-
-def acceleration(model: Model, state: State, t: Any = 0.0, motions: Motions = (), loads: tuple[Load, ...] = ()) -> Float[Array, "nv"]:
-    """dv/dt from the equations of motion, in the speeds of the state."""
-    return dynamics_of(holding(model, state.z), motions, loads).acceleration(jnp.asarray(t, state.q.dtype), state.q, state.v)

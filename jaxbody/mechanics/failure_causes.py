@@ -12,8 +12,8 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.elements.second_derivatives import second_order
 from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.closed_loops import acceleration
 from jaxbody.mechanics.energies import each_element
-from jaxbody.mechanics.equations_of_motion import acceleration
 from jaxbody.mechanics.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model

@@ -25,12 +25,17 @@ RESULTS = diffrax.RESULTS
 
 class Driven(diffrax.ODETerm):
     """y' = driven(u, y, args) with u = drive(t, args), the part that depends on time alone. `Blocks` compute u for all stages of a step at
-    once. Both are traced once for each shape, also where diffeqsolve looks at their shapes only; give functions of a module."""
+    once. Both are traced once for each shape, also where diffeqsolve looks at their shapes only; give functions of a module. `project`:
+    the state next to y at a time, project(t, y, args), that fulfils conditions which solutions fulfil; None without such conditions."""
 
     drive: Callable[[Any, Any], Any]
     driven: Callable[[Any, Any, Any], Any]
+    project: Callable[[Any, Any, Any], Any] | None
 
-    def __init__(self, drive: Callable[[Any, Any], Any], driven: Callable[[Any, Any, Any], Any]):
+    def __init__(
+        self, drive: Callable[[Any, Any], Any], driven: Callable[[Any, Any, Any], Any], project: Callable[[Any, Any, Any], Any] | None = None
+    ):
+        self.project = project
         self.drive, self.driven = (eqx.filter_jit(part, inline=True) for part in (drive, driven))  # pyright: ignore
         self.vector_field = jax.tree_util.Partial(_whole, self.drive, self.driven)
 
@@ -102,12 +107,14 @@ class Blocks(diffrax.AbstractAdjoint):
         y0, unravel = ravel_pytree(init_state.y)
         if control is not None and control.dtmin is None:
             control = dataclasses.replace(control, dtmin=reachable(1e-13, times.dtype, 1) * (times[-1] - times[0]))
+        project = None
         if self.times is not None and isinstance(within(terms), Driven):
-            drive, rate, arguments = within(terms).drive, within(terms).driven, args
+            drive, rate, project, arguments = within(terms).drive, within(terms).driven, within(terms).project, args
         else:
             drive, rate, arguments = _time, _rate, (_field(terms, t0, y0, unravel, args), args)
         first = dt0 if self.first is None else self.first
-        problem, rest = eqx.partition(InitialValueProblem(drive, rate, method_of(solver), max_steps, control, first, kinks), eqx.is_array)
+        method = method_of(solver)
+        problem, rest = eqx.partition(InitialValueProblem(drive, rate, method, max_steps, control, first, kinks, project), eqx.is_array)
         problem = eqx.combine(lax.stop_gradient(problem), rest)
         if self.forward_only:
             ended = step_blocks.solve(problem, arguments, y0, times)

@@ -65,7 +65,8 @@ def _polynomials(solver: diffrax.AbstractERK, b: np.ndarray) -> np.ndarray:
 class InitialValueProblem(NamedTuple):
     """y' = rate(u, y, arguments) with u = drive(t, arguments), the part that depends on time alone.
 
-    `control`: a diffrax.PIDController that states tolerances, smallest step and limits of step control; None for constant steps; `first`:
+    `project`: project(t, y, arguments), the state next to y that fulfils conditions which a solution fulfils, NaN where there is none; None
+    without such conditions. `control`: a diffrax.PIDController that states tolerances, smallest step and limits of step control; None for constant steps; `first`:
     the first or the constant step; `max_steps`: most steps; `kinks`: ascending times of kinks of the rate, at which steps end."""
 
     drive: Callable[[Array, Any], Any]
@@ -75,6 +76,7 @@ class InitialValueProblem(NamedTuple):
     control: Any
     first: Float[Array, ""] | None = None
     kinks: Float[Array, "nk"] | None = None
+    project: Callable[[Array, Array, Any], Array] | None = None
 
 
 def rate(problem: InitialValueProblem, arguments, t, y):
@@ -108,6 +110,22 @@ def step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array,
     return y, f, k
 
 
+def projected(problem: InitialValueProblem, arguments, t, y, f, trial: Bool[Array, ""] | None = None):
+    """The state after a step to the time t, projected, its rate, and P(y) - y; None without a projection. After a trial step the rate
+    remains."""
+    if problem.project is None:
+        return y, f, None
+    there = problem.project(t, y, arguments)
+    rate_there = rate(problem, arguments, t, there)
+    return there, rate_there if trial is None else jnp.where(trial, f, rate_there), there - y
+
+
+def rows_of_polynomial(problem: InitialValueProblem) -> int:
+    """The number of coefficients of the polynomial of a step."""
+    rows = len(problem.method.P) + 1
+    return rows if problem.project is None else max(rows, 4)
+
+
 def error_ratio(problem: InitialValueProblem, y, y1, k) -> Float[Array, ""]:
     """A step's error over its tolerance."""
     scale = problem.control.atol + problem.control.rtol * jnp.maximum(jnp.abs(y), jnp.abs(y1))
@@ -120,9 +138,13 @@ def _sum(a, k: Float[Array, "n ny"]) -> Float[Array, "ny"]:
     return sum(terms[1:], terms[0])
 
 
-def polynomial(method: Method, y, k) -> Float[Array, "n ny"]:
-    """c_0, c_1 ... of the state c_0 + c_1 theta + ... in the step."""
-    return jnp.stack([y, *(_sum(p, k) for p in method.P)])
+def polynomial(method: Method, y, k, off: Array | None = None) -> Float[Array, "n ny"]:
+    """c_0, c_1 ... of the state c_0 + c_1 theta + ... in the step, with theta^2 (3 - 2 theta) (P(y1) - y1) where it ends projected."""
+    c = [y, *(_sum(p, k) for p in method.P)]
+    if off is not None:
+        c += [jnp.zeros_like(y)] * (4 - len(c))
+        c[2], c[3] = c[2] + 3 * off, c[3] - 2 * off
+    return jnp.stack(c)
 
 
 def first_length(problem: InitialValueProblem, y0, f0, f1, dt, end) -> Float[Array, ""]:

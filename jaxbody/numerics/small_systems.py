@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
@@ -12,6 +14,7 @@ from jaxbody.numerics.xla_workarounds import kept
 
 LARGEST_UNROLLED = 30
 DEPENDENT = 1e-8  # of the longest row
+SHORTEST = 1e-11  # of the longest row: shorter ones are round-off
 
 
 def solve_spd(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
@@ -62,3 +65,76 @@ def independent_rows(matrix: np.ndarray, *, enough: float = 1.0) -> list[int]:
         rest -= np.outer(rest @ along, along)
         rest[row] = 0.0
     return chosen
+
+
+class SaddlePoint(NamedTuple):
+    """[M J'; J 0] with symmetric positive definite M, ready to be solved. Rows of J that follow from others do no harm: J has `rank`
+    independent ones, found by orthonormalizing its rows in the metric of M^-1, the longest remaining first.
+
+    `inverse`: M^-1, and `of_rows`: S with A S A = A for A = J M^-1 J', both constants; derivatives are those of the solution."""
+
+    M: Float[Array, "n n"]
+    J: Float[Array, "m n"]
+    inverse: Float[Array, "n n"]
+    of_rows: Float[Array, "m m"]
+
+    def solve(self, f: Float[Array, "n"], g: Float[Array, "m"]) -> tuple[Float[Array, "n"], Float[Array, "m"]]:
+        """x and l with M x + J' l = f and J x = g."""
+        n = len(f)
+
+        def product(xl):
+            x, l = xl[:n], xl[n:]
+            return jnp.concatenate([times(self.M, x) + times(self.J.T, l), times(self.J, x)])
+
+        def solution(_, fg):
+            x = times(self.inverse, fg[:n])
+            l = times(self.of_rows, times(self.J, x) - fg[n:])
+            return jnp.concatenate([x - times(self.inverse, times(self.J.T, l)), l])
+
+        xl = lax.custom_linear_solve(product, jnp.concatenate([f, g]), solution, symmetric=True)
+        return xl[:n], xl[n:]
+
+
+def saddle_point(M: Float[Array, "n n"], J: Float[Array, "m n"], rank: int) -> SaddlePoint:
+    """[M J'; J 0] of a J with at most `rank` independent rows."""
+    fixed_M, fixed_J = lax.stop_gradient((M, J))
+    inverse = inverse_spd(fixed_M)
+    combined = _orthonormal_rows(fixed_J, jnp.sum(fixed_J[:, None] * inverse[None], -1), rank)
+    return SaddlePoint(M, J, inverse, jnp.sum(combined[:, :, None] * combined[:, None], 0))
+
+
+def _orthonormal_rows(J: Float[Array, "m n"], D: Float[Array, "m n"], rank: int) -> Float[Array, "rank m"]:
+    """The combinations C of rows that are orthonormal, C J (C D)' = 1, with D = J M^-1; zero for rows that are missing."""
+    m, n = J.shape
+
+    def one(carry, _):
+        rows, first = carry
+        sizes = jnp.sum(rows[:, :n] * rows[:, n : 2 * n], -1)
+        chosen = (jnp.arange(m) == jnp.argmax(sizes))[:, None]
+        row = jnp.sum(jnp.where(chosen, rows, 0.0), 0)
+        size = jnp.max(sizes)
+        first = jnp.maximum(first, size)
+        good = size > SHORTEST**2 * first
+        unit = jnp.where(good, row / jnp.sqrt(jnp.where(good, size, 1.0)), 0.0)
+        along = jnp.sum(rows[:, :n] * unit[n : 2 * n], -1)
+        return (jnp.where(chosen, 0.0, rows - along[:, None] * unit), first), unit[2 * n :]
+
+    start = jnp.concatenate([J, D, jnp.eye(m, dtype=J.dtype)], -1), jnp.zeros((), J.dtype)
+    return lax.scan(one, start, length=rank)[1]
+
+
+def inverse_spd(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """The inverse of a symmetric positive definite matrix."""
+    n = len(A)
+    if n > LARGEST_UNROLLED:
+        return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(A), True), jnp.eye(n, dtype=A.dtype))
+    both = jnp.concatenate([A, jnp.eye(n, dtype=A.dtype)], -1)
+    for i in range(n):
+        row = both[i, 1:] / both[i, 0]
+        both = jnp.where((np.arange(n) == i)[:, None], row, both[:, 1:] - both[:, :1] * row[None])
+    return both
+
+
+def times(A: Float[Array, "m n"], x: Float[Array, "n"]) -> Float[Array, "m"]:
+    """A x, as a sum."""
+    return jnp.sum(A * x[None], -1)

@@ -21,7 +21,18 @@ from jaxbody.core.errors import JaxbodyError, Status
 from jaxbody.core.errors import Problem as Wrong
 from jaxbody.core.jax_internals import linear_with_transpose
 from jaxbody.numerics.lanes import in_lanes
-from jaxbody.numerics.runge_kutta_steps import InitialValueProblem, error_ratio, first_length, polynomial, rate, root, row_at, step
+from jaxbody.numerics.runge_kutta_steps import (
+    InitialValueProblem,
+    error_ratio,
+    first_length,
+    polynomial,
+    projected,
+    rate,
+    root,
+    row_at,
+    rows_of_polynomial,
+    step,
+)
 from jaxbody.numerics.xla_workarounds import any_of_batch, carried
 
 BLOCK = 128  # steps, at most
@@ -139,7 +150,7 @@ def _backward(kept, of_samples: Float[jax.Array, "nt ny"], of_y: Float[Array, "n
     _, to_varied, to_times, (to_y, to_f, to_c) = lax.while_loop(
         lambda carry: carry[0] > 0,
         back,
-        (n, *nothing, (of_y, jnp.zeros_like(y0), jnp.zeros((len(problem.method.P) + 1, len(y0)), y0.dtype))),
+        (n, *nothing, (of_y, jnp.zeros_like(y0), jnp.zeros((rows_of_polynomial(problem), len(y0)), y0.dtype))),
     )
     _, pull = jax.vjp(lambda varied, t, y: rate(problem, combine(varied, fixed), t, y), varied, times[0], y0)
     a, b, c = pull(to_f)
@@ -174,7 +185,7 @@ def _march_on(problem: InitialValueProblem, arguments: Any, y0, times, keep: boo
         zero,
         y0,
         jnp.zeros_like(y0),
-        Steps(zero, zero, jnp.zeros((len(problem.method.P) + 1, len(y0)), y0.dtype).at[0].set(y0)),
+        Steps(zero, zero, jnp.zeros((rows_of_polynomial(problem), len(y0)), y0.dtype).at[0].set(y0)),
         none,
         zero - 1,
     )
@@ -255,6 +266,7 @@ def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: 
         h = lax.stop_gradient(jnp.where(course.h > 0.9999 * left, left, course.h))
         trial = i == 0
         y1, f1, k = step(problem, arguments, t0 + tau, y, f, h, trial)
+        y1, f1, off = projected(problem, arguments, t0 + tau + h, y1, f1, trial)
         good, longer, code = (jnp.array(True), course.h, course.code) if problem.control is None else control(course, y, y1, k, h)
         made, tries = on & good & ~trial, course.accepted + course.rejected + 1
         tau1 = jnp.where(h == left, to, tau + h)
@@ -264,7 +276,7 @@ def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: 
         f0 = k[1] / h  # the rate at the start, for a trial step
         begin = course._replace(h=first_length(problem, *lax.stop_gradient((y, f0, f1)), problem.method.A[1, 1] * h, end))
         after = jax.tree.map(lambda new, old: jnp.where(trial, new, old), begin, after)
-        made_step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), polynomial(problem.method, y, k))
+        made_step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), polynomial(problem.method, y, k, off))
         steps = jax.tree.map(lambda all, new: lax.dynamic_update_index_in_dim(all, new, i, 0), steps, made_step)
         tau, y, f = (jnp.where(made, new, old) for new, old in ((tau1, tau), (y1, y), (f1, jnp.where(trial, f0, f))))
         return tau, y, f, jax.tree.map(lambda new, old: jnp.where(on, new, old), after, course), steps, i + 1
@@ -281,7 +293,8 @@ def _repeat(problem: InitialValueProblem, arguments, t0, begun: Begun, lengths: 
     def one(carry, h):
         tau, y, f = carry
         y1, f1, k = step(problem, arguments, t0 + tau, y, f, h)
-        return (tau + h, y1, f1), Steps(tau, h, polynomial(problem.method, y, k))
+        y1, f1, off = projected(problem, arguments, t0 + tau + h, y1, f1)
+        return (tau + h, y1, f1), Steps(tau, h, polynomial(problem.method, y, k, off))
 
     (_, y, f), steps = lax.scan(one, (begun.tau, begun.y, begun.f), lengths)
     return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, steps), y, f

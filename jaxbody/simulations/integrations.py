@@ -14,9 +14,10 @@ from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.inputs.signals import kinks_of
 from jaxbody.laws.measured_curves import has_range
+from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
 from jaxbody.mechanics.element_states import completed
 from jaxbody.mechanics.energies import outside_law_range
-from jaxbody.mechanics.equations_of_motion import Dynamics, dynamics_of
+from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.mechanics.kinematics import frames_at_time
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
@@ -48,14 +49,20 @@ def _canonical(t, y, canonical: Canonical) -> Array:
     return canonical.rate(t, y)
 
 
-MOTION, CANONICAL = Driven(_drive, _driven), diffrax.ODETerm(_canonical)
+def _projected(t, y, dynamics: ClosedLoops) -> Array:
+    return dynamics.projected(t, y)
+
+
+MOTION, LOOPS, CANONICAL = Driven(_drive, _driven), Driven(_drive, _driven, _projected), diffrax.ODETerm(_canonical)
 
 
 @jit_optimized
 def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_controller, adjoint, dt0, max_steps, meter) -> Trajectory:
     """The jitted core of `simulate`: arrays only, never raises."""
     dynamics = dynamics_of(model, motions, loads)
-    initial = dynamics.coordinates.reference if initial is None else _completed(dynamics, initial, times[0])
+    initial, closing = dynamics.coordinates.reference if initial is None else _completed(dynamics, initial, times[0]), None
+    if isinstance(dynamics, ClosedLoops):
+        initial, closing = dynamics.closed(times[0], initial)
     by_default = (
         solver is None
         and isinstance(stepsize_controller, diffrax.ConstantStepSize | None)
@@ -65,7 +72,8 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     in_blocks = by_default or isinstance(adjoint, Blocks)
     if isinstance(solver, Gauss):
         _check_without_memory(model)
-    form, term = (Canonical(dynamics), CANONICAL) if isinstance(solver, Gauss) else (dynamics, MOTION)
+    motion = LOOPS if model.closures else MOTION
+    form, term = (Canonical(dynamics), CANONICAL) if isinstance(solver, Gauss) else (dynamics, motion)
     y0 = form.pack(initial, times[0])
     chosen = _in_blocks if in_blocks else _as_given
     options = chosen(dynamics, times, rtol, stepsize_controller, adjoint, dt0, max_steps)
@@ -89,7 +97,9 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
     statistics = {name: solution.stats[name] for name in ("num_accepted_steps", "num_rejected_steps")}
     end = (t_end, final)
-    return Trajectory(times=times, state=state, status=code, statistics=statistics, end=end, model=model, motions=motions, loads=loads)
+    return Trajectory(
+        times=times, state=state, status=code, statistics=statistics, end=end, model=model, motions=motions, loads=loads, closing=closing
+    )
 
 
 def _check_without_memory(model: Model) -> None:

@@ -18,7 +18,7 @@ from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
 from jaxbody.inputs.loads import Load, loads_of
 from jaxbody.inputs.motions import AtRest, Motion, as_motion, check_motion
-from jaxbody.mechanics.equations_of_motion import state_slopes
+from jaxbody.mechanics.closed_loops import state_slopes
 from jaxbody.mechanics.failure_causes import force_jump_messages, force_jumps_along
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions
@@ -99,7 +99,7 @@ def simulate(
     >>> trajectory.poses["mass"].p.shape
     (11, 3)
     """
-    check_precision("simulate", model)
+    check_precision("simulate", model, closures=True)
     initial = as_initial(initial)
     with Problems() as problems:
         motions = problems.gather(lambda: motions_of(model, motion))

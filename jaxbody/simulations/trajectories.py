@@ -19,9 +19,9 @@ from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
 from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.loads import Load
+from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.element_inertias import accelerated
 from jaxbody.mechanics.energies import damping_power, each_element, inertial_tables, kinetic, outside_law_range, potential
-from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.failure_causes import force_jump_at, force_jump_messages, force_jumps_along, nonfinite_ahead
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions, frames_at_time
@@ -54,6 +54,7 @@ class Trajectory(Labeled, Result):
     jumps: list[Float[np.ndarray, "_"]] = field(
         default_factory=list
     )  # times of jumps of forces by `force_jumps_along`, where simulate has computed them
+    closing: Float[Array, "2"] | None = None
 
     @property
     def poses(self) -> dict[str, Pose]:

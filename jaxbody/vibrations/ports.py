@@ -25,8 +25,8 @@ from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.places import DIRECTIONS
 from jaxbody.geometry.vectors import cross, skew
 from jaxbody.inputs.port_inputs import KINDS, BaseMotion, Input, PointForce
+from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.element_derivatives import ElementDerivatives, element_derivatives
-from jaxbody.mechanics.equations_of_motion import dynamics_of
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists, slope
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.memories import apart

@@ -20,7 +20,8 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Status
 from jaxbody.core.results import warn_if_failed
 from jaxbody.inputs.motions import AtRest
-from jaxbody.mechanics.equations_of_motion import Dynamics, dynamics_of
+from jaxbody.mechanics.closed_loops import dynamics_of
+from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.mechanics.hessians import configuration_at, damping, mass, stiffness
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision, check_state, check_without_memory

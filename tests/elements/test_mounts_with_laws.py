@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.mechanics.equations_of_motion import state_slopes
+from jaxbody.mechanics.closed_loops import state_slopes
 from jaxbody.numerics.eigenproblems import first_order
 
 STIFFNESS, DAMPING = np.array([2e4, 3e4, 5e4, 400.0, 500.0, 600.0]), np.array([20.0, 30, 50, 4, 5, 6])

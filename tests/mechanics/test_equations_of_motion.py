@@ -11,7 +11,8 @@ import pytest
 import jaxbody as jb
 from jaxbody.compilation.compile_options import UNOPTIMIZED
 from jaxbody.geometry import rotations
-from jaxbody.mechanics.equations_of_motion import FreeBodies, JointedBodies, acceleration, dynamics_of
+from jaxbody.mechanics.closed_loops import acceleration, dynamics_of
+from jaxbody.mechanics.equations_of_motion import FreeBodies, JointedBodies
 from jaxbody.mechanics.kinematics import Coordinates
 
 SAMPLES = 100

@@ -14,7 +14,7 @@ from test_collocations import STEPS, has_no_trend
 
 import jaxbody as jb
 from jaxbody.geometry import rotations
-from jaxbody.mechanics.equations_of_motion import dynamics_of
+from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.simulations.canonical_equations import Canonical
 

@@ -11,7 +11,7 @@ import scipy.linalg
 
 import jaxbody as jb
 from jaxbody.compilation.compile_options import UNOPTIMIZED
-from jaxbody.mechanics.equations_of_motion import dynamics_of
+from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.numerics import step_blocks
 from jaxbody.simulations.simulations import motions_of
 

@@ -9,7 +9,7 @@ import pytest
 import rigs
 
 import jaxbody as jb
-from jaxbody.mechanics.equations_of_motion import dynamics_of
+from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.simulations.readings import read
 
 G = 9.81

@@ -17,7 +17,7 @@ from rigs import max_difference
 
 import jaxbody as jb
 from jaxbody import Status
-from jaxbody.mechanics.equations_of_motion import dynamics_of
+from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.kinematics import Coordinates
 
 PANELS, NODES = 50, 8

@@ -10,7 +10,7 @@ from rigs import max_difference
 
 import jaxbody as jb
 from jaxbody import Status
-from jaxbody.mechanics.equations_of_motion import acceleration
+from jaxbody.mechanics.closed_loops import acceleration
 from jaxbody.mechanics.kinematics import Coordinates
 
 SIZE = 0.54  # of the plate: the corner farthest from O

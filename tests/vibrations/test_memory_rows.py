@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
+from jaxbody.mechanics.closed_loops import state_slopes
 from jaxbody.mechanics.energies import frames_of, rayleigh
-from jaxbody.mechanics.equations_of_motion import state_slopes
 from jaxbody.models.memories import apart, holding
 from jaxbody.numerics.eigenproblems import first_order
 
