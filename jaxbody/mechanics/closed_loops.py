@@ -25,10 +25,10 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.geometry.closures import Closure
 from jaxbody.geometry.frames import Frame, Instant, Pose
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.constraints import CLOSED, closed_on, each_closure, gaps
-from jaxbody.mechanics.element_states import completed
+from jaxbody.mechanics.constraints import CLOSED, closed_on, drawn, each_closure, gaps_from
+from jaxbody.mechanics.element_states import completed, state_rates
 from jaxbody.mechanics.energies import inertial_tables
-from jaxbody.mechanics.equations_of_motion import Dynamics, FreeBodies, JointedBodies, all_free
+from jaxbody.mechanics.equations_of_motion import Dynamics, FreeBodies, JointedBodies, all_free, generalized
 from jaxbody.mechanics.kinematics import Motions, jacobian
 from jaxbody.models.memories import holding
 from jaxbody.models.models import Model
@@ -42,52 +42,48 @@ STEPS = 3  # of the projection: each takes the gap times the error of a step
 class ClosedLoops(JointedBodies):
     """Bodies on joints and closures."""
 
-    def unpack(self, y: Float[Array, "ny"], t: Any = None) -> State:
-        return super().unpack(y if t is None else self.projected(t, y))
+    rests: list[Pose]
+    size: Float[Array, ""]
 
-    def _accelerations(self, mass, forces, now: Instant, J) -> Float[Array, "nv"]:
-        return self._saddle(mass, now, J).solve(forces, -self._changes(now))[0]
+    def __init__(self, model: Model, motions: Motions, loads: tuple[Load, ...] = ()):
+        super().__init__(model, motions, loads)
+        self.rests, self.size = drawn(self.coordinates), jax.lax.stop_gradient(size_of(model))
 
-    def _saddle(self, mass: Float[Array, "nv nv"], frames: Frame, J) -> SaddlePoint:
-        model = self.model
-        slopes = self.closure_slopes(frames, *J)
-        rank = min(slopes.shape) if model.independent is None else model.layout.nv - len(model.independent)
-        return saddle_point(mass, slopes, rank)
-
-    def projected(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
-        """P(t, y); NaN where the steps do not come close."""
+    def driven_on_closures(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> tuple[Float[Array, "ny"], SaddlePoint]:
+        """dy/dt, and the equations of which it is the solution."""
         q, v, z = self.model.layout.split(y)
-        coordinates, supports = self.coordinates, self.coordinates.supports_moving(self.motions, t)
-        frames, axes = coordinates.frames_and_axes(q, v, supports)
-        J = jacobian(self.model.layout, frames, *axes)
-        saddle, still = self._saddle(self.inertia(frames, *J)[0], frames, J), jnp.zeros_like(v)
+        here: Any = self.holding(z)
+        v_dot, now, _, saddle = here.solved(t, q, v)
+        rates = state_rates(here.model, now) if len(z) else z
+        return self.model.layout.pack(State(self.coordinates.rate(q, v), v_dot, rates)), saddle
 
-        def closer(state, _):
-            q, v = state
-            frames = coordinates.frames(q, v, supports)
-            c, rates = gaps(self.model, coordinates, frames), self._rates(frames)
-            return (coordinates.retract(q, saddle.solve(still, -c)[0]), v + saddle.solve(still, -rates)[0]), jnp.max(jnp.abs(c))
+    def _solve(self, t, q, v):
+        return self.solved(t, q, v)[:3]
 
-        (q, v), gap = jax.lax.scan(closer, (q, v), length=STEPS)
-        near = jax.lax.stop_gradient(gap[-1] <= CLOSED * size_of(self.model))
-        return jnp.where(near, self.model.layout.pack(State(q, v, z)), jnp.nan)
+    def solved(self, t, q, v):
+        """v', the instant with the accelerations at v' = 0, the velocities per unit of each speed, and [M J'; J 0]."""
+        now, axes = self._bias(t, q, v)
+        J = jacobian(self.model.layout, now, *axes)
+        saddle = self._saddle(now, J)
+        return saddle.solve(generalized(*J, *self._net(now)), -self._changes(now))[0], now, J, saddle
 
-    def closed(self, t: Float[Array, ""], state: State) -> tuple[State, Float[Array, "2"]]:
-        """The state on the closures next to another, and how far that is from them: the largest |c|, of the size of the model, and the
-        largest |c'| of the largest speed of a coordinate."""
-        coordinates, supports = self.coordinates, self.coordinates.supports_moving(self.motions, t)
-        before = coordinates.frames(state.q, state.v, supports)
-        q, size = closed_on(coordinates, supports, state.q), size_of(self.model)
-        rates = self._rates(coordinates.frames(q, state.v, supports))
-        closed = super().unpack(self.projected(t, self.pack(State(q, state.v, state.z))))
-        speeds = jnp.abs(jnp.concatenate([state.v, closed.v]) * jnp.tile(jnp.where(self.model.layout.turns, size, 1.0), 2))
-        fastest = jnp.max(speeds, initial=0.0)
-        gap, rate = (jnp.max(jnp.abs(x)) for x in (gaps(self.model, coordinates, before), rates))
-        return closed, jax.lax.stop_gradient(jnp.stack([gap / size, rate / jnp.where(fastest > 0, fastest, 1.0)]))
+    def _saddle(self, frames: Frame, J: tuple[Array, Array]) -> SaddlePoint:
+        """[M J'; J 0] from the velocities of the bodies per unit of each speed."""
+        model, twists = self.model, jnp.concatenate(J, -1)
+        still = jnp.zeros((model.layout.first_body, *twists.shape[1:]), twists.dtype)
+
+        def slopes(closure, rest, ends, moving):
+            return jnp.sum(_slopes(closure, rest, *ends)[:, :, None] * jnp.concatenate(moving, -1).T[None], 1)
+
+        of_closures = jnp.concatenate(each_closure(model, self.rests, slopes, _plain(frames), jnp.concatenate([still, twists])))
+        rank = min(of_closures.shape) if model.independent is None else model.layout.nv - len(model.independent)
+        return saddle_point(self.inertia(frames, *J)[0], of_closures, rank)
 
     def _rates(self, frames: Frame) -> Float[Array, "n"]:
         """c'."""
-        return jnp.concatenate(each_closure(self.coordinates, lambda closure, rest, ends: _rate(closure, rest, *ends), _plain(frames)))
+        return jnp.concatenate(
+            each_closure(self.model, self.rests, lambda closure, rest, ends: _rate(closure, rest, *ends), _plain(frames))
+        )
 
     def _changes(self, now: Instant) -> Float[Array, "n"]:
         """c'' for the accelerations of the frames."""
@@ -95,18 +91,45 @@ class ClosedLoops(JointedBodies):
         def change(closure, rest, ends, changes):
             return jax.jvp(lambda A, B: _rate(closure, rest, A, B), ends, changes)[1]
 
-        return jnp.concatenate(each_closure(self.coordinates, change, _plain(now), now.changes()))
+        return jnp.concatenate(each_closure(self.model, self.rests, change, _plain(now), now.changes()))
 
-    def closure_slopes(self, frames: Frame, lin: Float[Array, "nb nv 3"], ang: Float[Array, "nb nv 3"]) -> Float[Array, "n nv"]:
-        """J, from the velocities of the bodies per unit of each speed."""
-        twists = jnp.concatenate([lin, ang], -1)
-        still = jnp.zeros((self.model.layout.first_body, *twists.shape[1:]), twists.dtype)
+    def unpack(self, y: Float[Array, "ny"], t: Any = None) -> State:
+        return super().unpack(y if t is None else self.projected(t, y))
 
-        def slopes(closure, rest, ends, moving):
-            J = _slopes(closure, rest, *ends)
-            return jnp.sum(J[:, :, None] * jnp.concatenate(moving, -1).T[None], 1)
+    def projected(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
+        """P(t, y); NaN where the steps do not come close."""
+        q, v, _ = self.model.layout.split(y)
+        frames, axes = self.coordinates.frames_and_axes(q, v, self.coordinates.supports_moving(self.motions, t))
+        return self.closer(t, y, self._saddle(frames, jacobian(self.model.layout, frames, *axes)))
 
-        return jnp.concatenate(each_closure(self.coordinates, slopes, _plain(frames), jnp.concatenate([still, twists])))
+    def closer(self, t: Float[Array, ""], y: Float[Array, "ny"], saddle: SaddlePoint) -> Float[Array, "ny"]:
+        """P(t, y) with the equations [M J'; J 0] of y."""
+        q, v, z = self.model.layout.split(y)
+        supports, still = self.coordinates.supports_moving(self.motions, t), jnp.zeros_like(v)
+
+        def step(state, _):
+            q, v = state
+            frames = self.coordinates.frames(q, v, supports)
+            c = gaps_from(self.model, self.rests, frames)
+            q, v = self.coordinates.retract(q, saddle.solve(still, -c)[0]), v + saddle.solve(still, -self._rates(frames))[0]
+            return (q, v), jnp.max(jnp.abs(c))
+
+        (q, v), gap = jax.lax.scan(step, (q, v), length=STEPS)
+        near = jax.lax.stop_gradient(gap[-1] <= CLOSED * self.size)
+        return jnp.where(near, self.model.layout.pack(State(q, v, z)), jnp.nan)
+
+    def closed(self, t: Float[Array, ""], state: State) -> tuple[State, Float[Array, "2"]]:
+        """The state on the closures next to another, and how far that is from them: the largest |c|, of the size of the model, and the
+        largest |c'| of the largest speed of a coordinate."""
+        supports = self.coordinates.supports_moving(self.motions, t)
+        before = gaps_from(self.model, self.rests, self.coordinates.frames(state.q, state.v, supports))
+        q = closed_on(self.coordinates, self.rests, supports, state.q)
+        rates = self._rates(self.coordinates.frames(q, state.v, supports))
+        closed = self.unpack(self.pack(State(q, state.v, state.z)), t)
+        speeds = jnp.stack([state.v, closed.v]) * jnp.where(self.model.layout.turns, self.size, 1.0)
+        fastest = jnp.max(jnp.abs(speeds), initial=0.0)
+        far = jnp.stack([jnp.max(jnp.abs(before)) / self.size, jnp.max(jnp.abs(rates)) / jnp.where(fastest > 0, fastest, 1.0)])
+        return closed, jax.lax.stop_gradient(far)
 
 
 def _plain(frames: Frame) -> Frame:

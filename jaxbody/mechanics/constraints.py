@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.geometry.frames import Frame
+from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.mechanics.kinematics import Chart, Coordinates, with_world
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import scale_of, size_of
@@ -59,23 +59,39 @@ def _turning(table: KindTable) -> np.ndarray:
 
 def gaps(model: Model, coordinates: Coordinates, frames: Frame) -> Float[Array, "n"]:
     """c of all closures, in meters: sines of angles times the size of the model."""
-    found = each_closure(coordinates, lambda closure, rest, poses: closure.gap(*poses, rest), frames.pose())
+    return gaps_from(model, drawn(coordinates), frames)
+
+
+def gaps_from(model: Model, rests: list[Pose], frames: Frame) -> Float[Array, "n"]:
+    """c of all closures, from their poses as drawn."""
+    found = each_closure(model, rests, lambda closure, rest, poses: closure.gap(*poses, rest), frames.pose())
     return jnp.concatenate([jnp.zeros(0, frames.p.dtype), *found])
 
 
-def each_closure(coordinates: Coordinates, function: Callable[..., Array], *of_frames: Any) -> list[Array]:
-    """function(closure, rest, (a row for A, a row for B) of each of these tables of frames), in meters, one row for each condition."""
+def drawn(coordinates: Coordinates) -> list[Pose]:
+    """The pose of the second frame of each closure on the first, as drawn, for each table of closures."""
     model = coordinates.model
-    drawn = with_world(coordinates.supports.at_rest(), coordinates.bodies.at_rest()).pose()
+    poses = with_world(coordinates.supports.at_rest(), coordinates.bodies.at_rest()).pose()
+    return [A.inverse() @ B for A, B in (_ends(model, table, poses) for table in model.closures)]
+
+
+def each_closure(model: Model, rests: list[Pose], function: Callable[..., Any], *of_frames: Any) -> list[Any]:
+    """function(closure, pose as drawn, (a row for A, a row for B) of each of these tables of frames), of all conditions, in meters."""
     size, found = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
-    for table in model.closures:
-        rows = [np.array([model.layout.frame(link[end]) for link in table.links]) for end in (0, 1)]
-        A, B = (jax.tree.map(lambda x, at=at: x[at], drawn) for at in rows)
-        ends = [tuple(jax.tree.map(lambda x, at=at: x[at], table) for at in rows) for table in of_frames]
-        values = jax.vmap(function)(table.rows, A.inverse() @ B, *ends)
+    for table, rest in zip(model.closures, rests, strict=True):
         unit = jnp.where(_turning(table), size, 1.0)[None]
-        found.append((values * unit.reshape(*unit.shape, *[1] * (values.ndim - 2))).reshape(-1, *values.shape[2:]))
+
+        def in_meters(values: Array, unit=unit) -> Array:
+            return (values * unit.reshape(*unit.shape, *[1] * (values.ndim - 2))).reshape(-1, *values.shape[2:])
+
+        found.append(jax.tree.map(in_meters, jax.vmap(function)(table.rows, rest, *(_ends(model, table, x) for x in of_frames))))
     return found
+
+
+def _ends(model: Model, table: KindTable, frames: Any) -> tuple[Any, Any]:
+    """The rows of a table of frames at both ends of each closure."""
+    A, B = (np.array([model.layout.frame(link[end]) for link in table.links]) for end in (0, 1))
+    return jax.tree.map(lambda x: x[A], frames), jax.tree.map(lambda x: x[B], frames)
 
 
 def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
@@ -93,12 +109,12 @@ def closed(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     return _searched(closure_gaps, None, model, None, q)
 
 
-def closed_on(coordinates: Coordinates, supports: Frame, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
+def closed_on(coordinates: Coordinates, rests: list[Pose], supports: Frame, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     """The nearest q in which all closures are fulfilled on moved supports, as a function of q and of the model: steps with all their
     derivatives."""
 
     def conditions(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
-        return gaps(model, coordinates, coordinates.frames(q, jnp.zeros(model.layout.nv, q.dtype), supports))
+        return gaps_from(model, rests, coordinates.frames(q, jnp.zeros(model.layout.nv, q.dtype), supports))
 
     step = partial(_stepped, conditions, None, coordinates.model, None)
     return jax.lax.scan(lambda q, _: (step(q), None), q, length=CLOSING)[0]
@@ -126,7 +142,7 @@ def near(conditions: Conditions, model: Model, values: Any, q: Float[Array, "nq"
 
 def _inverse(conditions: Conditions, held: np.ndarray | None, model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "nv n"]:
     """F_q^+, with the least movement in meters."""
-    scale = scale_of(model, size_of(model)) * (1.0 if held is None else np.where(held, 0.0, 1.0))
+    scale = scale_of(model, jax.lax.stop_gradient(size_of(model))) * (1.0 if held is None else np.where(held, 0.0, 1.0))
     _, slopes = values_and_slopes(Chart(model), lambda q: conditions(model, values, q), q)
     return scale[:, None] * jnp.linalg.pinv(slopes * scale[None], rtol=RANK)
 
@@ -148,7 +164,7 @@ def _searched(conditions: Conditions, held: np.ndarray | None, model: Model, val
 
 def _stepped(conditions: Conditions, held: np.ndarray | None, model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     """q after a Gauss-Newton step, shortened where an increment is larger than LARGEST_STEP."""
-    size = size_of(model)
+    size = jax.lax.stop_gradient(size_of(model))
     delta = -_inverse(conditions, held, model, values, q) @ conditions(model, values, q)
     largest = _largest(delta / scale_of(model, size)) / size
     return Chart(model).retract(q, delta * jnp.where(largest > LARGEST_STEP, LARGEST_STEP / jnp.maximum(largest, LARGEST_STEP), 1.0))

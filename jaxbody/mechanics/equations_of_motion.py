@@ -181,11 +181,7 @@ class JointedBodies(Dynamics):
         """v', the instant with the accelerations at v' = 0, and the velocities per unit of each speed."""
         now, axes = self._bias(t, q, v)
         J = jacobian(self.model.layout, now, *axes)
-        return self._accelerations(self.inertia(now, *J)[0], _generalized(*J, *self._net(now)), now, J), now, J
-
-    def _accelerations(self, mass: Float[Array, "nv nv"], forces: Float[Array, "nv"], now: Instant, J) -> Float[Array, "nv"]:
-        """v' of the mass matrix, the generalized forces at v' = 0, the instant and the velocities per unit of each speed."""
-        return solve_spd(mass, forces)
+        return solve_spd(self.inertia(now, *J)[0], generalized(*J, *self._net(now))), now, J
 
     def inertia(
         self, frames: Frame, lin: Float[Array, "nb nv 3"], ang: Float[Array, "nb nv 3"]
@@ -325,10 +321,10 @@ class FreeBodies(Dynamics):
         v, w = jnp.moveaxis(rotate(R[:, None], jnp.sum(self.inverse_mass * in_body, -1).reshape(-1, 2, 3)), 1, 0)
         gyroscopic = cross(v, momenta[:, 0]) + cross(w, momenta[:, 1])
 
-        def generalized(F, M):
+        def of_bodies(F, M):
             return jnp.concatenate([F, M], -1).ravel()
 
-        return generalized(v, w), with_world(supports, Frame(q[:, :3], R, v, w)), generalized(jnp.zeros_like(v), -gyroscopic), generalized
+        return of_bodies(v, w), with_world(supports, Frame(q[:, :3], R, v, w)), of_bodies(jnp.zeros_like(v), -gyroscopic), of_bodies
 
 
 def _state(p: Float[Array, "nb 3"], quaternion: Float[Array, "nb 4"], v: Float[Array, "nb 3"], w: Float[Array, "nb 3"], z=None) -> State:
@@ -336,7 +332,7 @@ def _state(p: Float[Array, "nb 3"], quaternion: Float[Array, "nb 4"], v: Float[A
     return State(jnp.concatenate([p, quaternion], -1).ravel(), jnp.concatenate([v, w], -1).ravel(), z)
 
 
-def _generalized(lin, ang, F: Float[Array, "nb 3"], M: Float[Array, "nb 3"]) -> Float[Array, "nv"]:
+def generalized(lin, ang, F: Float[Array, "nb 3"], M: Float[Array, "nb 3"]) -> Float[Array, "nv"]:
     """The generalized forces J' (F, M) of forces and moments about O on the bodies."""
     return jnp.sum(lin * F[:, None] + ang * M[:, None], (0, 2))
 

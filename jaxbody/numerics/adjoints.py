@@ -26,22 +26,25 @@ RESULTS = diffrax.RESULTS
 class Driven(diffrax.ODETerm):
     """y' = driven(u, y, args) with u = drive(t, args), the part that depends on time alone. `Blocks` compute u for all stages of a step at
     once. Both are traced once for each shape, also where diffeqsolve looks at their shapes only; give functions of a module. `project`:
-    the state next to y at a time, project(t, y, args), that fulfils conditions which solutions fulfil; None without such conditions."""
+    project(u, y, at_y, args), the state next to y that fulfils conditions which solutions fulfil, with what `driven` then returns besides
+    y'; None without such conditions."""
 
     drive: Callable[[Any, Any], Any]
     driven: Callable[[Any, Any, Any], Any]
-    project: Callable[[Any, Any, Any], Any] | None
+    project: Callable[[Any, Any, Any, Any], Any] | None
 
-    def __init__(
-        self, drive: Callable[[Any, Any], Any], driven: Callable[[Any, Any, Any], Any], project: Callable[[Any, Any, Any], Any] | None = None
-    ):
+    def __init__(self, drive: Callable[[Any, Any], Any], driven: Callable[[Any, Any, Any], Any], project: Any = None):
         self.project = project
         self.drive, self.driven = (eqx.filter_jit(part, inline=True) for part in (drive, driven))  # pyright: ignore
-        self.vector_field = jax.tree_util.Partial(_whole, self.drive, self.driven)
+        self.vector_field = jax.tree_util.Partial(_whole if project is None else _rate_of_whole, self.drive, self.driven)
 
 
 def _whole(drive, driven, t, y, args):
     return driven(drive(t, args), y, args)
+
+
+def _rate_of_whole(drive, driven, t, y, args):
+    return _whole(drive, driven, t, y, args)[0]
 
 
 class Unstarted(diffrax.AbstractStepSizeController):

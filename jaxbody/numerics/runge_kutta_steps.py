@@ -65,9 +65,10 @@ def _polynomials(solver: diffrax.AbstractERK, b: np.ndarray) -> np.ndarray:
 class InitialValueProblem(NamedTuple):
     """y' = rate(u, y, arguments) with u = drive(t, arguments), the part that depends on time alone.
 
-    `project`: project(t, y, arguments), the state next to y that fulfils conditions which a solution fulfils, NaN where there is none; None
-    without such conditions. `control`: a diffrax.PIDController that states tolerances, smallest step and limits of step control; None for constant steps; `first`:
-    the first or the constant step; `max_steps`: most steps; `kinks`: ascending times of kinks of the rate, at which steps end."""
+    `project`: project(u, y, at_y, arguments), the state next to y that fulfils conditions which a solution fulfils, with what `rate` then
+    returns at y besides y'; None without such conditions. `control`: a diffrax.PIDController that states tolerances, smallest step and
+    limits of step control; None for constant steps; `first`: the first or the constant step; `max_steps`: most steps; `kinks`: ascending
+    times of kinks of the rate, at which steps end."""
 
     drive: Callable[[Array, Any], Any]
     rate: Callable[[Any, Array, Any], Array]
@@ -76,18 +77,33 @@ class InitialValueProblem(NamedTuple):
     control: Any
     first: Float[Array, ""] | None = None
     kinks: Float[Array, "nk"] | None = None
-    project: Callable[[Array, Array, Any], Array] | None = None
+    project: Callable[[Any, Array, Any, Any], Array] | None = None
 
 
 def rate(problem: InitialValueProblem, arguments, t, y):
     """y' at the time t."""
-    return problem.rate(problem.drive(t, arguments), y, arguments)
+    there = problem.rate(problem.drive(t, arguments), y, arguments)
+    return there if problem.project is None else there[0]
 
 
-def step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array, ""] | None = None):
-    """The state and its rate after a step, and the k_i.
+class Step(NamedTuple):
+    """The state after a step and its rate, and the k_i; with a projection P also P(y1) - y1, and P(y1) - P(y1 - error), what is left of the
+    error after it."""
 
-    A trial step has only two stages, k_1 = h f(t, y) and the rate a little later; a separate function would compile the rate twice."""
+    y: Float[Array, "ny"]
+    f: Float[Array, "ny"]
+    k: Float[Array, "stages ny"]
+    moved: Float[Array, "ny"] | None = None
+    error: Float[Array, "ny"] | None = None
+
+
+def step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array, ""] | None = None) -> Step:
+    """A step of length h.
+
+    A trial step has only two stages, k_1 = h f(t, y) and the rate a little later; a separate function would compile the rate twice. For the
+    same reason the projection, with the rate there, is one more stage."""
+    method, project = problem.method, problem.project
+    stages = len(method.A) + 1
 
     def stage(carry, row):
         k, _, _ = carry
@@ -96,28 +112,47 @@ def step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array,
         f_i = problem.rate(u, y_i, arguments)
         return (lax.dynamic_update_index_in_dim(k, h * f_i, i, 0), y_i, f_i), None
 
-    A, C = problem.method.A, problem.method.C
-    stages = len(A) + 1
+    def stage_or_projection(carry, row):
+        k, y1, _, _, error, at_y = carry
+        a, u, i = row
+
+        def projected():
+            both = jnp.stack([y1, y1 - _sum(method.E, k[:stages])])
+            there, other = jax.vmap(lambda y: project(u, y, at_y, arguments))(both)
+            return there, there - y1, there - other
+
+        y_i, moved, error = lax.cond(i == stages, jax.checkpoint(projected), lambda: (y + _sum(a, k), error, error))
+        f_i, at_y = problem.rate(u, y_i, arguments)
+        return (lax.dynamic_update_index_in_dim(k, h * f_i, i, 0), y_i, f_i, moved, error, at_y), None
+
+    A, C = method.A, method.C
+    if project is not None:
+        A, C = np.concatenate([A, A[-1:]]), np.append(C, C[-1])
     c = C if trial is None else jnp.where(trial, np.array([0.0, A[1, 1], *C[2:]]), C)  # of a trial step, which begins with f = 0
     driven = vmap_last(lambda t: problem.drive(t, arguments))(t + c * h)  # for all stages at once
-    k = jnp.zeros((stages, len(y)), y.dtype).at[0].set(h * f)
-    rows = jnp.asarray(A, y.dtype), jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), driven), np.arange(1, stages)
+    k = jnp.zeros((len(A) + 1, len(y)), y.dtype).at[0].set(h * f)
+    rows = jnp.asarray(A, y.dtype), jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), driven), np.arange(1, len(A) + 1)
+    carry, one = (k, y, f), stage
+    if project is not None:
+        u = jax.tree.map(lambda x: x[0], rows[1])
+        at_y = jax.eval_shape(lambda u, y, arguments: problem.rate(u, y, arguments)[1], u, y, arguments)
+        still = jnp.zeros_like(y)
+        carry, one = (*carry, still, still, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), at_y)), stage_or_projection
     if trial is None:
-        (k, y, f), _ = lax.scan(stage, (k, y, f), rows)
+        carry, _ = lax.scan(one, carry, rows)
     else:
-        last = jnp.where(trial, np.uint32(2), np.uint32(stages - 1))  # unsigned, as each row would check whether i is negative
-        k, y, f = lax.fori_loop(np.uint32(0), last, lambda i, carry: stage(carry, jax.tree.map(lambda x: row_at(x, i), rows))[0], (k, y, f))
-    return y, f, k
+        last = jnp.where(trial, np.uint32(2), np.uint32(len(A)))  # unsigned, as each row would check whether i is negative
+        carry = lax.fori_loop(np.uint32(0), last, lambda i, carry: one(carry, jax.tree.map(lambda x: row_at(x, i), rows))[0], carry)
+    if project is None:
+        return Step(*carry)
+    k, y, f, moved, error, _ = carry
+    return Step(y, f, k[:stages], moved, error)
 
 
-def projected(problem: InitialValueProblem, arguments, t, y, f, trial: Bool[Array, ""] | None = None):
-    """The state after a step to the time t, projected, its rate, and P(y) - y; None without a projection. After a trial step the rate
-    remains."""
-    if problem.project is None:
-        return y, f, None
-    there = problem.project(t, y, arguments)
-    rate_there = rate(problem, arguments, t, there)
-    return there, rate_there if trial is None else jnp.where(trial, f, rate_there), there - y
+def error_ratio(problem: InitialValueProblem, y, made: Step) -> Float[Array, ""]:
+    """A step's error over its tolerance."""
+    scale = problem.control.atol + problem.control.rtol * jnp.maximum(jnp.abs(y), jnp.abs(made.y))
+    return problem.control.norm((_sum(problem.method.E, made.k) if made.error is None else made.error) / scale)
 
 
 def rows_of_polynomial(problem: InitialValueProblem) -> int:
@@ -126,24 +161,18 @@ def rows_of_polynomial(problem: InitialValueProblem) -> int:
     return rows if problem.project is None else max(rows, 4)
 
 
-def error_ratio(problem: InitialValueProblem, y, y1, k) -> Float[Array, ""]:
-    """A step's error over its tolerance."""
-    scale = problem.control.atol + problem.control.rtol * jnp.maximum(jnp.abs(y), jnp.abs(y1))
-    return problem.control.norm(_sum(problem.method.E, k) / scale)
-
-
 def _sum(a, k: Float[Array, "n ny"]) -> Float[Array, "ny"]:
     """sum of a_i k_i, term by term: loops over ny are fast, a reduction over n is not (xla_workarounds)."""
     terms = [a[i] * k[i] for i in range(len(k)) if isinstance(a, jax.Array) or a[i] != 0]
     return sum(terms[1:], terms[0])
 
 
-def polynomial(method: Method, y, k, off: Array | None = None) -> Float[Array, "n ny"]:
+def polynomial(method: Method, y, made: Step) -> Float[Array, "n ny"]:
     """c_0, c_1 ... of the state c_0 + c_1 theta + ... in the step, with theta^2 (3 - 2 theta) (P(y1) - y1) where it ends projected."""
-    c = [y, *(_sum(p, k) for p in method.P)]
-    if off is not None:
+    c = [y, *(_sum(p, made.k) for p in method.P)]
+    if made.moved is not None:
         c += [jnp.zeros_like(y)] * (4 - len(c))
-        c[2], c[3] = c[2] + 3 * off, c[3] - 2 * off
+        c[2], c[3] = c[2] + 3 * made.moved, c[3] - 2 * made.moved
     return jnp.stack(c)
 
 

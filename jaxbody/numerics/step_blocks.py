@@ -26,7 +26,6 @@ from jaxbody.numerics.runge_kutta_steps import (
     error_ratio,
     first_length,
     polynomial,
-    projected,
     rate,
     root,
     row_at,
@@ -244,10 +243,10 @@ def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: 
     def active(tau, course):
         return (course.code == Status.OK.value) & (tau < goal)
 
-    def control(course, y, y1, k, h):
+    def control(course, y, made, h):
         """Whether a step's error is small enough, the next step's length, and the status."""
         rules = problem.control
-        error = error_ratio(problem, *lax.stop_gradient((y, y1, k)))
+        error = error_ratio(problem, *lax.stop_gradient((y, made)))
         good = error <= 1
         least = jnp.minimum(ROUNDED * jnp.finfo(y.dtype).eps / rules.rtol, LEAST_ERROR)
         factor = rules.safety / root(problem.method, jnp.maximum(error, least))
@@ -265,20 +264,19 @@ def _advance(problem: InitialValueProblem, arguments, t0, begun: Begun, course: 
         left = to - tau
         h = lax.stop_gradient(jnp.where(course.h > 0.9999 * left, left, course.h))
         trial = i == 0
-        y1, f1, k = step(problem, arguments, t0 + tau, y, f, h, trial)
-        y1, f1, off = projected(problem, arguments, t0 + tau + h, y1, f1, trial)
-        good, longer, code = (jnp.array(True), course.h, course.code) if problem.control is None else control(course, y, y1, k, h)
+        new = step(problem, arguments, t0 + tau, y, f, h, trial)
+        good, longer, code = (jnp.array(True), course.h, course.code) if problem.control is None else control(course, y, new, h)
         made, tries = on & good & ~trial, course.accepted + course.rejected + 1
         tau1 = jnp.where(h == left, to, tau + h)
         code = jnp.where(good & (tau1 >= end), Status.OK.value, jnp.where(tries >= problem.max_steps, Status.MAX_STEPS.value, code))
         taken, refused = (x.astype(course.accepted.dtype) for x in (good, ~good))
         after = Course(longer, course.accepted + taken, course.rejected + refused, code)
-        f0 = k[1] / h  # the rate at the start, for a trial step
-        begin = course._replace(h=first_length(problem, *lax.stop_gradient((y, f0, f1)), problem.method.A[1, 1] * h, end))
+        f0 = new.k[1] / h  # the rate at the start, for a trial step
+        begin = course._replace(h=first_length(problem, *lax.stop_gradient((y, f0, new.f)), problem.method.A[1, 1] * h, end))
         after = jax.tree.map(lambda new, old: jnp.where(trial, new, old), begin, after)
-        made_step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), polynomial(problem.method, y, k, off))
+        made_step = Steps(tau, jnp.where(made, tau1 - tau, 0.0), polynomial(problem.method, y, new))
         steps = jax.tree.map(lambda all, new: lax.dynamic_update_index_in_dim(all, new, i, 0), steps, made_step)
-        tau, y, f = (jnp.where(made, new, old) for new, old in ((tau1, tau), (y1, y), (f1, jnp.where(trial, f0, f))))
+        tau, y, f = (jnp.where(made, new, old) for new, old in ((tau1, tau), (new.y, y), (new.f, jnp.where(trial, f0, f))))
         return tau, y, f, jax.tree.map(lambda new, old: jnp.where(on, new, old), after, course), steps, i + 1
 
     def more(carry):
@@ -292,9 +290,8 @@ def _repeat(problem: InitialValueProblem, arguments, t0, begun: Begun, lengths: 
 
     def one(carry, h):
         tau, y, f = carry
-        y1, f1, k = step(problem, arguments, t0 + tau, y, f, h)
-        y1, f1, off = projected(problem, arguments, t0 + tau + h, y1, f1)
-        return (tau + h, y1, f1), Steps(tau, h, polynomial(problem.method, y, k, off))
+        made = step(problem, arguments, t0 + tau, y, f, h)
+        return (tau + h, made.y, made.f), Steps(tau, h, polynomial(problem.method, y, made))
 
     (_, y, f), steps = lax.scan(one, (begun.tau, begun.y, begun.f), lengths)
     return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), begun.last, steps), y, f

@@ -49,11 +49,16 @@ def _canonical(t, y, canonical: Canonical) -> Array:
     return canonical.rate(t, y)
 
 
-def _projected(t, y, dynamics: ClosedLoops) -> Array:
-    return dynamics.projected(t, y)
+def _driven_on_closures(u, y, dynamics: ClosedLoops):
+    return dynamics.driven_on_closures(u, y)
 
 
-MOTION, LOOPS, CANONICAL = Driven(_drive, _driven), Driven(_drive, _driven, _projected), diffrax.ODETerm(_canonical)
+def _projected(u, y, saddle, dynamics: ClosedLoops) -> Array:
+    return dynamics.closer(u, y, saddle)
+
+
+MOTION, CANONICAL = Driven(_drive, _driven), diffrax.ODETerm(_canonical)
+LOOPS = Driven(_drive, _driven_on_closures, _projected)
 
 
 @jit_optimized
