@@ -15,28 +15,40 @@ with M and J of the state it starts from.
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
-from jaxbody.core.arrays import Array, Float
+from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.geometry.closures import Closure
 from jaxbody.geometry.frames import Frame, Instant, Pose
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.constraints import CLOSED, closed_on, drawn, each_closure, gaps_from
+from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on, drawn, each_closure, gaps_from
 from jaxbody.mechanics.element_states import completed, state_rates
 from jaxbody.mechanics.energies import inertial_tables
 from jaxbody.mechanics.equations_of_motion import Dynamics, FreeBodies, JointedBodies, all_free, generalized
+from jaxbody.mechanics.free_motions import FreeMotions
 from jaxbody.mechanics.kinematics import Motions, jacobian
 from jaxbody.models.memories import holding
 from jaxbody.models.models import Model
-from jaxbody.models.sizes import size_of
+from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.small_systems import SaddlePoint, saddle_point
 
 STEPS = 3  # of the projection: each takes the gap times the error of a step
+
+
+class Closing(NamedTuple):
+    """How far a state is from the closures: the largest `gap` c, of the size of the model, and the largest `rate` c', of the largest speed
+    of a coordinate, zero at rest; and the largest c that is `left` where the search ended, of the size."""
+
+    gap: Float[Array, ""]
+    rate: Float[Array, ""]
+    left: Float[Array, ""]
 
 
 class ClosedLoops(JointedBodies):
@@ -53,7 +65,7 @@ class ClosedLoops(JointedBodies):
         """dy/dt, and the equations of which it is the solution."""
         q, v, z = self.model.layout.split(y)
         here: Any = self.holding(z)
-        v_dot, now, _, saddle = here.solved(t, q, v)
+        v_dot, now, _, saddle, _ = here.solved(t, q, v)
         rates = state_rates(here.model, now) if len(z) else z
         return self.model.layout.pack(State(self.coordinates.rate(q, v), v_dot, rates)), saddle
 
@@ -61,23 +73,72 @@ class ClosedLoops(JointedBodies):
         return self.solved(t, q, v)[:3]
 
     def solved(self, t, q, v):
-        """v', the instant with the accelerations at v' = 0, the velocities per unit of each speed, and [M J'; J 0]."""
+        """v', the instant with the accelerations at v' = 0, the velocities per unit of each speed, [M J'; J 0] and lambda."""
         now, axes = self._bias(t, q, v)
         J = jacobian(self.model.layout, now, *axes)
         saddle = self._saddle(now, J)
-        return saddle.solve(generalized(*J, *self._net(now)), -self._changes(now))[0], now, J, saddle
+        v_dot, multipliers = saddle.solve(generalized(*J, *self._net(now)), -self._changes(now))
+        return v_dot, now, J, saddle, multipliers
+
+    def multipliers(self, t: Float[Array, ""], state: State) -> tuple[Float[Array, "n"], Bool[Array, "n"]]:
+        """lambda, the least of those that are possible, and where it is unique."""
+        *_, saddle, multipliers = self.solved(t, state.q, state.v)
+        scale = scale_of(self.model, self.size)
+        J = saddle.J * scale[None]
+        free = FreeMotions(J, jnp.linalg.pinv(J, rtol=RANK))
+        return free.multipliers(-jnp.sum(J * multipliers[:, None], 0)), free.unique
+
+    def instant(self, t: Float[Array, ""], state: State, *, reactions: bool) -> Instant:
+        now, first = self.accelerated(t, state), self.model.layout.first_body
+        if not reactions:
+            return now
+        F, M = jnp.split(self._wrenches(now, self.multipliers(t, state)[0]), 2, -1)
+        now = self.with_reactions(now, (F[first:], M[first:]))
+        assert now.F is not None and now.M is not None
+        return replace(now, F=now.F.at[:first].add(F[:first]), M=now.M.at[:first].add(M[:first]))
+
+    def _wrenches(self, now: Instant, multipliers: Float[Array, "n"]) -> Float[Array, "nf 6"]:
+        """Force and moment about its origin that closures exert on each frame."""
+        frame, tables = self.model.layout.frame, self.model.closures
+        ends = np.array([[frame(end) for end in link] for table in tables for link in table.links for _ in table.rows.rows])
+        slopes = each_closure(self.model, self.rests, lambda closure, rest, ends: _slopes(closure, rest, *ends), _plain(now))
+        each = -multipliers[:, None, None] * jnp.concatenate(slopes).reshape(-1, 2, 6)
+        return jnp.zeros((len(now.p), 6), now.p.dtype).at[ends].add(each)
 
     def _saddle(self, frames: Frame, J: tuple[Array, Array]) -> SaddlePoint:
         """[M J'; J 0] from the velocities of the bodies per unit of each speed."""
-        model, twists = self.model, jnp.concatenate(J, -1)
-        still = jnp.zeros((model.layout.first_body, *twists.shape[1:]), twists.dtype)
+        return saddle_point(self.inertia(frames, *J)[0], self._slopes(frames, J), self.rank)
+
+    @property
+    def rank(self) -> int:
+        """The number of independent conditions, or the most there can be."""
+        independent, nv = self.model.independent, self.model.layout.nv
+        return (
+            min(nv, sum(len(table.names) * len(table.rows.rows) for table in self.model.closures))
+            if independent is None
+            else nv - len(independent)
+        )
+
+    def _slopes(self, frames: Frame, J: tuple[Array, Array]) -> Float[Array, "n nv"]:
+        """dc/dDelta."""
+        twists = jnp.concatenate(J, -1)
+        still = jnp.zeros((self.model.layout.first_body, *twists.shape[1:]), twists.dtype)
 
         def slopes(closure, rest, ends, moving):
             return jnp.sum(_slopes(closure, rest, *ends)[:, :, None] * jnp.concatenate(moving, -1).T[None], 1)
 
-        of_closures = jnp.concatenate(each_closure(model, self.rests, slopes, _plain(frames), jnp.concatenate([still, twists])))
-        rank = min(of_closures.shape) if model.independent is None else model.layout.nv - len(model.independent)
-        return saddle_point(self.inertia(frames, *J)[0], of_closures, rank)
+        return jnp.concatenate(each_closure(self.model, self.rests, slopes, _plain(frames), jnp.concatenate([still, twists])))
+
+    def slopes(self, t: Float[Array, ""], state: State) -> Float[Array, "n nv"]:
+        """dc/dDelta by increments in meters."""
+        supports = self.coordinates.supports_moving(self.motions, t)
+        frames, axes = self.coordinates.frames_and_axes(state.q, state.v, supports)
+        return self._slopes(frames, jacobian(self.model.layout, frames, *axes)) * scale_of(self.model, self.size)[None]
+
+    def smallest(self, t: Float[Array, ""], state: State) -> Float[Array, ""]:
+        """The smallest singular value of dc/dDelta that should not be zero, relative to the largest."""
+        values = jnp.linalg.svdvals(jax.lax.stop_gradient(self.slopes(t, state)))
+        return values[self.rank - 1] / jnp.maximum(values[0], 1e-300)
 
     def _rates(self, frames: Frame) -> Float[Array, "n"]:
         """c'."""
@@ -93,17 +154,14 @@ class ClosedLoops(JointedBodies):
 
         return jnp.concatenate(each_closure(self.model, self.rests, change, _plain(now), now.changes()))
 
-    def unpack(self, y: Float[Array, "ny"], t: Any = None) -> State:
-        return super().unpack(y if t is None else self.projected(t, y))
-
     def projected(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
-        """P(t, y); NaN where the steps do not come close."""
+        """P(t, y)."""
         q, v, _ = self.model.layout.split(y)
         frames, axes = self.coordinates.frames_and_axes(q, v, self.coordinates.supports_moving(self.motions, t))
         return self.closer(t, y, self._saddle(frames, jacobian(self.model.layout, frames, *axes)))
 
     def closer(self, t: Float[Array, ""], y: Float[Array, "ny"], saddle: SaddlePoint) -> Float[Array, "ny"]:
-        """P(t, y) with the equations [M J'; J 0] of y."""
+        """P(t, y) with the equations [M J'; J 0] of y; NaN where the steps do not come close."""
         q, v, z = self.model.layout.split(y)
         supports, still = self.coordinates.supports_moving(self.motions, t), jnp.zeros_like(v)
 
@@ -118,18 +176,20 @@ class ClosedLoops(JointedBodies):
         near = jax.lax.stop_gradient(gap[-1] <= CLOSED * self.size)
         return jnp.where(near, self.model.layout.pack(State(q, v, z)), jnp.nan)
 
-    def closed(self, t: Float[Array, ""], state: State) -> tuple[State, Float[Array, "2"]]:
-        """The state on the closures next to another, and how far that is from them: the largest |c|, of the size of the model, and the
-        largest |c'| of the largest speed of a coordinate."""
+    def closed(self, t: Float[Array, ""], state: State) -> tuple[State, Closing]:
+        """The state on the closures next to another, and how far that is from them."""
         supports = self.coordinates.supports_moving(self.motions, t)
         before = gaps_from(self.model, self.rests, self.coordinates.frames(state.q, state.v, supports))
         q = closed_on(self.coordinates, self.rests, supports, state.q)
-        rates = self._rates(self.coordinates.frames(q, state.v, supports))
-        closed = self.unpack(self.pack(State(q, state.v, state.z)), t)
-        speeds = jnp.stack([state.v, closed.v]) * jnp.where(self.model.layout.turns, self.size, 1.0)
-        fastest = jnp.max(jnp.abs(speeds), initial=0.0)
-        far = jnp.stack([jnp.max(jnp.abs(before)) / self.size, jnp.max(jnp.abs(rates)) / jnp.where(fastest > 0, fastest, 1.0)])
-        return closed, jax.lax.stop_gradient(far)
+        frames = self.coordinates.frames(q, state.v, supports)
+        y = self.pack(State(q, state.v, state.z))
+        closed, rates = self.unpack(self.projected(t, y)), self._rates(frames)
+        left = jnp.max(jnp.abs(gaps_from(self.model, self.rests, frames))) / self.size
+        given, fastest = (jnp.max(jnp.abs(v) * jnp.where(self.model.layout.turns, self.size, 1.0)) for v in (state.v, closed.v))
+        rate = jnp.where(given > 0, jnp.max(jnp.abs(rates)) / jnp.maximum(jnp.maximum(given, fastest), 1e-300), 0.0)
+        far = Closing(jnp.max(jnp.abs(before)) / self.size, rate, left)
+        reached = jax.tree.map(lambda new, old: jnp.where(left <= CLOSED, new, old), closed, State(q, state.v, state.z))
+        return reached, jax.lax.stop_gradient(far)
 
 
 def _plain(frames: Frame) -> Frame:

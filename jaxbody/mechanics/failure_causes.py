@@ -12,7 +12,8 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.elements.second_derivatives import second_order
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.closed_loops import acceleration
+from jaxbody.mechanics.closed_loops import ClosedLoops, acceleration
+from jaxbody.mechanics.constraints import names_of_rows
 from jaxbody.mechanics.energies import each_element
 from jaxbody.mechanics.kinematics import Coordinates, Motions, frames_at_time
 from jaxbody.models.memories import holding, relaxed
@@ -72,6 +73,14 @@ def _rows(model: Model, values: list[Any]) -> dict[str, Any]:
         for table, value in zip(model.elements, values, strict=True)
         for i, name in enumerate(table.names)
     }
+
+
+def singular_closure(model: Model, motions: Motions, t: Array, state: State) -> str:
+    """The condition that follows from the others at a state, though it does not elsewhere, and the smallest singular value."""
+    loops = ClosedLoops(model, motions)
+    left, values, _ = np.linalg.svd(np.asarray(loops.slopes(t, state)))
+    condition = names_of_rows(model)[int(np.argmax(np.abs(left[:, loops.rank - 1])))]
+    return f"at '{condition}': the smallest singular value is {values[loops.rank - 1] / values[0]:.3g} of the largest"
 
 
 def nonfinite_downhill(model: Model, q: Float[Array, "nq"], slope: Float[Array, "nv"], size: float) -> list[str]:

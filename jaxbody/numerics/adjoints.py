@@ -38,6 +38,11 @@ class Driven(diffrax.ODETerm):
         self.drive, self.driven = (eqx.filter_jit(part, inline=True) for part in (drive, driven))  # pyright: ignore
         self.vector_field = jax.tree_util.Partial(_whole if project is None else _rate_of_whole, self.drive, self.driven)
 
+    def projected(self, t, y, args):
+        """The state next to y at the time t that fulfils the conditions."""
+        u = self.drive(t, args)
+        return self.project(u, y, self.driven(u, y, args)[1], args)  # pyright: ignore[reportOptionalCall]
+
 
 def _whole(drive, driven, t, y, args):
     return driven(drive(t, args), y, args)

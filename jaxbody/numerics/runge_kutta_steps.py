@@ -144,7 +144,8 @@ def step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array,
         last = jnp.where(trial, np.uint32(2), np.uint32(len(A)))  # unsigned, as each row would check whether i is negative
         carry = lax.fori_loop(np.uint32(0), last, lambda i, carry: one(carry, jax.tree.map(lambda x: row_at(x, i), rows))[0], carry)
     if project is None:
-        return Step(*carry)
+        k, y, f = carry
+        return Step(y, f, k)
     k, y, f, moved, error, _ = carry
     return Step(y, f, k[:stages], moved, error)
 

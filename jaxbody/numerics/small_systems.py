@@ -14,7 +14,7 @@ from jaxbody.numerics.xla_workarounds import kept
 
 LARGEST_UNROLLED = 30
 DEPENDENT = 1e-8  # of the longest row
-SHORTEST = 1e-11  # of the longest row: shorter ones are round-off
+SHORTEST = 1e-8  # of the longest row, after the parts along the others are taken off: shorter ones are not solved for
 
 
 def solve_spd(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:

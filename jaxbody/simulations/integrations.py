@@ -15,6 +15,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Status
 from jaxbody.inputs.signals import kinks_of
 from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
+from jaxbody.mechanics.constraints import CLOSED
 from jaxbody.mechanics.element_states import completed
 from jaxbody.mechanics.energies import outside_law_range
 from jaxbody.mechanics.equations_of_motion import Dynamics
@@ -24,11 +25,13 @@ from jaxbody.models.states import State
 from jaxbody.numerics.adjoints import Blocks, Driven, Unstarted
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.precisions import reachable
+from jaxbody.numerics.projected_solvers import Projected
 from jaxbody.simulations.canonical_equations import Canonical
 from jaxbody.simulations.trajectories import Trajectory
 
 FINEST = {"float64": 0.0, "float32": 1.5e-5}  # least local error; below it float32 takes shorter steps without a gain
 SAFETY = 0.1  # local error over rtol, because the order between steps is lower than that of a step
+SINGULAR = 1e-4  # smallest singular value of closures at a position in which an integration ends because of it, relative to the largest
 CONSTANT = diffrax.ConstantStepSize | diffrax.StepTo
 STATUSES = (
     (diffrax.RESULTS.successful, Status.OK),
@@ -76,15 +79,16 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     )
     in_blocks = by_default or isinstance(adjoint, Blocks)
     if isinstance(solver, Gauss):
-        _check_without_memory(model)
+        _check_for_gauss(model)
     motion = LOOPS if model.closures else MOTION
     form, term = (Canonical(dynamics), CANONICAL) if isinstance(solver, Gauss) else (dynamics, motion)
     y0 = form.pack(initial, times[0])
     chosen = _in_blocks if in_blocks else _as_given
     options = chosen(dynamics, times, rtol, stepsize_controller, adjoint, dt0, max_steps)
-    solution = diffrax.diffeqsolve(
-        term, solver or diffrax.Dopri8(), times[0], times[-1], y0=y0, args=form, throw=False, progress_meter=meter, **options
-    )
+    solver = solver or diffrax.Dopri8()
+    if model.closures and not in_blocks:
+        solver = Projected(solver)
+    solution = diffrax.diffeqsolve(term, solver, times[0], times[-1], y0=y0, args=form, throw=False, progress_meter=meter, **options)
     ts, ys = (jnp.concatenate(jax.tree.leaves(x)) for x in (solution.ts, solution.ys))
     samples, t_end, y_end = ys[:-1].at[0].set(y0), ts[-1], ys[-1]
     code = solution.stats["status"] if in_blocks else _status(solution.result, form, t_end, y_end, times[-1] - times[0])
@@ -95,8 +99,13 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     code = jnp.where(overflow, Status.NONFINITE.value, code)
     valid = (finite & (times <= t_end))[:, None]
     y = jnp.concatenate([_nan_unless(valid, jnp.where(valid, samples, y_end)), y_end[None]])
+    if isinstance(dynamics, ClosedLoops):
+        y = y.at[:-1].set(jax.vmap(dynamics.projected)(times, y[:-1]))
+        code = jnp.where((code == Status.OK.value) & ~jnp.isfinite(y).all(), Status.NONFINITE.value, code)
     unpacked = jax.vmap(form.unpack)(y, jnp.append(times, t_end))
     state, final = jax.tree.map(lambda x: x[:-1], unpacked), jax.tree.map(lambda x: x[-1], unpacked)
+    if isinstance(dynamics, ClosedLoops):
+        code = _ended_on_closures(dynamics, code, t_end, final, closing.left)
     if has_range(model.elements):
         beyond = jax.vmap(lambda t, state: jnp.any(outside_law_range(model, frames_at_time(model, motions, t, state))))(times, state)
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
@@ -107,12 +116,22 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     )
 
 
-def _check_without_memory(model: Model) -> None:
-    """Gauss integrates coordinates and momenta, and no other states. Error: MEMORY."""
+def _check_for_gauss(model: Model) -> None:
+    """Gauss integrates coordinates and momenta of trees of joints, and no other states. Errors: MEMORY, CLOSED_LOOPS."""
     if model.layout.nz:
         message = f"is jb.Gauss, but the model has elements with memory: {', '.join(model.layout.states[:4])}"
         hint = "Leave solver= out, or give diffrax.Kvaerno5() for stiff models."
         raise JaxbodyError(Problem("MEMORY", "solver", message, limit="models without memory", hint=hint))
+    if model.closures:
+        message = f"is jb.Gauss, but the model has closures: {', '.join(model.closure_names[:4])}"
+        raise JaxbodyError(Problem("CLOSED_LOOPS", "solver", message, limit="models without closures", hint="Leave solver= out."))
+
+
+def _ended_on_closures(dynamics: ClosedLoops, code, t_end, final: State, left) -> Array:
+    """NOT_CLOSED where no motion starts, SINGULAR_CLOSURE where it ends because closures become dependent."""
+    stuck = (code == Status.DT_MIN.value) | (code == Status.NONFINITE.value) | (code == Status.MAX_STEPS.value)
+    singular = stuck & (dynamics.smallest(t_end, final) < SINGULAR)
+    return jnp.where(left > CLOSED, Status.NOT_CLOSED.value, jnp.where(singular, Status.SINGULAR_CLOSURE.value, code))
 
 
 def _completed(dynamics: Dynamics, state: State, t) -> State:

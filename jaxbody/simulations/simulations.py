@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxbody.core.arguments import check_kind, checked_dict, positive_number, whole_number
 from jaxbody.core.arrays import Array, Float, check_times, concrete, device_array, float_array, is_concrete, part_of
-from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown, warn
+from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown, warn
 from jaxbody.core.progress_lines import working
 from jaxbody.core.results import warn_if_failed, without_derivatives
 from jaxbody.inputs.loads import Load, loads_of
@@ -33,6 +33,7 @@ from jaxbody.statics.rest_states import Rest, as_initial, initial_state_of
 
 MAX_STEPS = 100_000
 MANY, OFTEN = 15, 0.15  # rejected steps, and their ratio to accepted ones; a jump of force costs 18 at rtol 1e-3, 30 to 90 by default
+OPEN = 1e-6  # of an initial state that is moved onto the closures with a warning, of the size of the model or of the largest speed
 STABLE = 2.8  # longest step times rate for which the classical Runge-Kutta method is stable; diffrax's explicit solvers are similar
 KINDS = {"solver": diffrax.AbstractSolver, "stepsize_controller": diffrax.AbstractStepSizeController, "adjoint": diffrax.AbstractAdjoint}
 EXAMPLES = {"solver": "diffrax.Tsit5()", "stepsize_controller": "diffrax.ConstantStepSize()", "adjoint": "diffrax.ForwardMode()"}
@@ -121,7 +122,23 @@ def simulate(
         if is_concrete(result.status):
             jax.block_until_ready(result.status)
     warn_if_failed(result)
+    _warn_of_open(result)
     return _with_jumps(result)
+
+
+def _warn_of_open(result: Trajectory) -> None:
+    """Warn about an initial state that had to be moved onto the closures."""
+    if result.closing is None or not is_concrete(result.closing) or int(result.status) == Status.NOT_CLOSED:
+        return
+    gap, rate, _ = map(float, result.closing)
+    if gap > OPEN:
+        warn(
+            "NOT_CLOSED",
+            f"simulate: the initial state is open by {gap:.3g} of the size of the model, and starts from the nearest closed one",
+        )
+    elif rate > OPEN:
+        message = f"simulate: the initial speeds open closures at {rate:.3g} of the largest; the motion starts with the nearest that do not"
+        warn("NOT_CLOSED", message)
 
 
 def _with_jumps(result: Trajectory) -> Trajectory:

@@ -19,15 +19,17 @@ from jaxbody.core.errors import Status
 from jaxbody.core.results import Result
 from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.closed_loops import dynamics_of
+from jaxbody.mechanics.closed_loops import ClosedLoops, Closing, dynamics_of
+from jaxbody.mechanics.constraints import turning_rows
 from jaxbody.mechanics.element_inertias import accelerated
 from jaxbody.mechanics.energies import damping_power, each_element, inertial_tables, kinetic, outside_law_range, potential
-from jaxbody.mechanics.failure_causes import force_jump_at, force_jump_messages, force_jumps_along, nonfinite_ahead
+from jaxbody.mechanics.failure_causes import force_jump_at, force_jump_messages, force_jumps_along, nonfinite_ahead, singular_closure
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Motions, frames_at_time
 from jaxbody.models.leaf_paths import by_name, springs_of
 from jaxbody.models.memories import holding
 from jaxbody.models.models import Model
+from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.lanes import in_lanes
 from jaxbody.numerics.precisions import in_float64
@@ -38,9 +40,10 @@ class Trajectory(Labeled, Result):
     """A motion at `times` [s]: `state`, and by name `poses`, `elongations` [m], `forces` [N], `energies` [J], `powers` [W],
     `reactions` [N, N m].
 
-    `status`: MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED if the integration ended early, with NaN in later samples; TABLE_RANGE if a
-    motion left the table of a law. `statistics`: accepted and rejected steps. Quantities by name and `summary()` are computed when they are
-    read; printing computes nothing."""
+    `status`: MAX_STEPS, DT_MIN, NONFINITE or NOT_CONVERGED if the integration ended early, with NaN in later samples; SINGULAR_CLOSURE if
+    it did where closures become dependent, NOT_CLOSED if no initial state fulfils them; TABLE_RANGE if a motion left the table of a law.
+    `statistics`: accepted and rejected steps. `closing`: how far the given initial state was from closures. Quantities by name and
+    `summary()` are computed when they are read; printing computes nothing."""
 
     index = "time"
     times: Float[Array, "nt"]
@@ -54,7 +57,7 @@ class Trajectory(Labeled, Result):
     jumps: list[Float[np.ndarray, "_"]] = field(
         default_factory=list
     )  # times of jumps of forces by `force_jumps_along`, where simulate has computed them
-    closing: Float[Array, "2"] | None = None
+    closing: Closing | None = None  # how far the initial state was from closures
 
     @property
     def poses(self) -> dict[str, Pose]:
@@ -97,6 +100,18 @@ class Trajectory(Labeled, Result):
         lead = (slice(None),) * self.times.ndim
         return {name: (part_of(force, (*lead, i)), part_of(moment, (*lead, i))) for i, name in enumerate(self.model.layout.supports)}
 
+    @property
+    def closure_reactions(self) -> dict[str, dict[str, Array]]:
+        """{closure: {condition: reaction [N, N m] (nt,)}}, positive where it resists an increase of the condition, as the tension of a rod
+        does; NaN where closures share a force, so that it is not unique."""
+        values = self.at_samples(_closure_reactions, loads=True) if self.model.closures else None
+        named, i = {}, 0
+        for table in self.model.closures:
+            for name in table.names:
+                named[name] = {row: values[..., i + j] for j, row in enumerate(table.rows.rows)}
+                i += len(table.rows.rows)
+        return named
+
     def _of_elements(self, function: Callable, *, loads: bool = False) -> dict[str, Array]:
         return by_name(tuple(table.names for table in self.model.elements), self.at_samples(function, loads=loads), axis=self.times.ndim)
 
@@ -120,6 +135,8 @@ class Trajectory(Labeled, Result):
             jump = force_jump_at(self.model, self.motions, *self.end)
             usual = in_float64(self.state.q.dtype) or "try a larger max_steps, a looser rtol, or solver=diffrax.Kvaerno5() for stiff models"
             message += "; " + (jump or usual)
+        if status == Status.SINGULAR_CLOSURE:
+            message += "; " + singular_closure(self.model, self.motions, *self.end)
         if status == Status.TABLE_RANGE:
             return self._outside_tables()
         if status == Status.NONFINITE:
@@ -240,6 +257,11 @@ def _damping_power(model, motions, t, state):
 
 def _reactions(model, motions, t, state, loads):
     return dynamics_of(model, motions, loads).reactions(t, state.q, state.v)
+
+
+def _closure_reactions(model, motions, t, state, loads):
+    multipliers, unique = ClosedLoops(model, motions, loads).multipliers(t, state)
+    return jnp.where(unique, multipliers * jnp.where(turning_rows(model), jax.lax.stop_gradient(size_of(model)), 1.0), jnp.nan)
 
 
 def _load_power(model, motions, t, state, loads):

@@ -1,0 +1,255 @@
+"""Motions of closed loops: one equation of motion in closed form integrated by scipy, published mechanisms, derivatives, and failures."""
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+
+import jaxbody as jb
+from jaxbody.mechanics.closed_loops import dynamics_of
+from jaxbody.mechanics.constraints import gaps
+from jaxbody.mechanics.hessians import matrices
+from jaxbody.mechanics.kinematics import Coordinates
+
+G = 9.81
+CRANK, COUPLER, ROCKER, BASE = 0.12, 0.36, 0.24, 0.3
+BAR = {"crank": (0.8, 0.05, 0.002), "coupler": (1.5, 0.2, 0.02), "rocker": (1.1, 0.1, 0.008)}  # mass, distance of its center, inertia
+TORQUE, REST, START = 30.0, 0.4, 0.5  # of the torsion spring at the crank; angle of the crank in the drawing
+CUTS = ("head", "foot")  # the closure: between coupler and rocker, or of the rocker and the ground
+
+
+def angles(crank, foot):
+    """Angles of coupler and rocker, open circuit, from where the foot of the rocker is."""
+    x, y = foot - CRANK * jnp.cos(crank), -CRANK * jnp.sin(crank)
+    d = jnp.sqrt(x * x + y * y)
+    coupler = jnp.arctan2(y, x) + jnp.arccos((COUPLER**2 + d * d - ROCKER**2) / (2 * COUPLER * d))
+    end = CRANK * jnp.cos(crank) + COUPLER * jnp.cos(coupler) - foot, CRANK * jnp.sin(crank) + COUPLER * jnp.sin(coupler)
+    return coupler, jnp.arctan2(end[1], end[0])
+
+
+def places(crank, foot):
+    """Centers of mass and angles of the bars."""
+    coupler, rocker = angles(crank, foot)
+    along = lambda r, a: r * jnp.stack([jnp.cos(a), jnp.sin(a)])  # noqa: E731
+    d = [distance for _, distance, _ in BAR.values()]
+    centers = along(d[0], crank), along(CRANK, crank) + along(d[1], coupler), jnp.stack([foot, 0 * foot]) + along(d[2], rocker)
+    return jnp.stack(centers), jnp.stack([crank, coupler, rocker])
+
+
+def four_bar(cut="head", *, support=False):
+    """Drawn closed with the crank at START; bodies have the axes of the world."""
+    center, (_, coupler, _) = (np.asarray(x) for x in places(START, jnp.array(BASE)))
+    pin = CRANK * np.array([np.cos(START), np.sin(START), 0.0])
+    end = pin + COUPLER * np.array([np.cos(coupler), np.sin(coupler), 0.0])
+    foot, ground = np.array([BASE, 0.0, 0.0]), "base" if support else "world"
+    joints = {"crank": jb.Hinge("world", axis="z", at=[0, 0, 0]), "coupler": jb.Hinge("crank", axis="z", at=pin)}
+    joints["rocker"] = jb.Hinge(ground, axis="z", at=foot) if cut == "head" else jb.Hinge("coupler", axis="z", at=end)
+    ends = (("coupler", end), ("rocker", end)) if cut == "head" else ((ground, foot), ("rocker", foot))
+    bodies = {
+        name: jb.Body(mass=BAR[name][0], inertia=[BAR[name][2]] * 3, com=np.append(c, 0.0)) for name, c in zip(BAR, center, strict=True)
+    }
+    return jb.Model(
+        bodies=bodies,
+        joints=joints,
+        closures={"pin": jb.closures.Hinge(*ends, axis="z")},
+        elements={"spring": jb.Torsion("world", "crank", axis="z", spring=TORQUE, free_angle=REST - START)},
+        supports={"base": jb.Support()} if support else {},
+        gravity=[0, -G, 0],
+    )
+
+
+def by_hand(times, foot):
+    """Angle of the crank and its rate by d/dt dL/dx' = dL/dx, L = T - V of the crank's angle x and of the foot's place in time."""
+    masses, inertias = (jnp.array([values[i] for values in BAR.values()]) for i in (0, 2))
+
+    def lagrangian(x, rate, t):
+        (centers, turns), (v, w) = jax.jvp(lambda x, t: places(x, foot(t)), (x, t), (rate, jnp.ones_like(t)))
+        T = jnp.sum(masses * jnp.sum(v * v, 1)) / 2 + jnp.sum(inertias * w * w) / 2
+        return T - G * jnp.sum(masses * centers[:, 1]) - TORQUE * (turns[0] - REST) ** 2 / 2
+
+    @jax.jit
+    def rates(t, y):
+        momentum = jax.grad(lagrangian, 1)
+        by_x, by_rate, by_t = jax.jacfwd(momentum, (0, 1, 2))(y[0], y[1], t)
+        return jnp.stack([y[1], (jax.grad(lagrangian)(y[0], y[1], t) - by_x * y[1] - by_t) / by_rate])
+
+    span = float(times[0]), float(times[-1])
+    return solve_ivp(rates, span, [START, 0.0], t_eval=np.asarray(times), method="DOP853", rtol=1e-12, atol=1e-13).y
+
+
+def turned(trajectory, body):
+    R = np.asarray(trajectory.poses[body].R)
+    return np.unwrap(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+
+
+def largest_gap(trajectory):
+    def gap(model, motions, t, state):
+        coordinates = Coordinates(model)
+        return jnp.max(jnp.abs(gaps(model, coordinates, coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t)))))
+
+    return float(jnp.max(trajectory.at_samples(gap)))
+
+
+@pytest.mark.parametrize("cut", CUTS)
+def test_a_four_bar_moves_as_its_one_equation_of_motion_and_keeps_its_energy(cut):
+    times, rtol = np.linspace(0.0, 10.0, 201), 1e-10
+    trajectory = jb.simulate(four_bar(cut), times, rtol=rtol)
+    angle, _ = by_hand(times, lambda t: jnp.array(BASE) + 0 * t)
+    np.testing.assert_allclose(turned(trajectory, "crank") + START, angle, atol=1e-8)
+    rocker = np.array([angles(x, BASE)[1] - angles(START, BASE)[1] for x in angle])
+    np.testing.assert_allclose(turned(trajectory, "rocker"), rocker, atol=1e-8)
+    energies = trajectory.energies
+    exchanged = np.ptp(energies["kinetic"])
+    np.testing.assert_allclose(energies["total"], energies["total"][0], atol=100 * rtol * exchanged)
+    assert largest_gap(trajectory) < 1e-12 * CRANK
+    assert trajectory.closing is not None and float(trajectory.closing.gap) < 1e-12
+
+
+@pytest.mark.parametrize("cut", CUTS)
+def test_a_support_that_moves_drives_a_closed_loop(cut):
+    """The foot of the rocker shakes: c depends on time, through the tree or through the closure."""
+    times = np.linspace(0.0, 2.0, 81)
+
+    def shake(t):
+        return 0.02 * jnp.sin(8.0 * t) ** 2
+
+    motion = {"base": lambda t: jnp.zeros(6).at[0].set(shake(t))}
+    trajectory = jb.simulate(four_bar(cut, support=True), times, motion=motion, rtol=1e-10)
+    angle, _ = by_hand(times, lambda t: BASE + shake(t))
+    np.testing.assert_allclose(turned(trajectory, "crank") + START, angle, atol=1e-8)
+    assert largest_gap(trajectory) < 1e-12 * CRANK
+    if cut == "head":
+        check_newton(trajectory)
+
+
+def check_newton(trajectory):
+    """m a = m g + forces of the closure and of the joint, and work of the base = change of energy."""
+    mass, com = trajectory.model["rocker"].mass, trajectory.model["rocker"].com
+    read = jb.measure(trajectory, {"a": jb.Acceleration("rocker", com), "joint": jb.Reaction("rocker")})
+    turn = np.asarray(trajectory.poses["coupler"].R)[:, :2, :2]
+    of_closure = np.stack([trajectory.closure_reactions["pin"][row] for row in "xy"], -1)
+    assert np.isnan(trajectory.closure_reactions["pin"]["z"]).all()
+    expected = mass * (np.asarray(read["a"])[:, :2] + [0, G])
+    np.testing.assert_allclose(-np.einsum("tij,tj->ti", turn, of_closure) - np.asarray(read["joint"])[:, :2], expected, atol=1e-9)
+    work = CubicSpline(trajectory.times, trajectory.powers["supports"]).antiderivative()(trajectory.times)
+    energy = trajectory.energies["total"]
+    np.testing.assert_allclose(energy - energy[0], work, atol=1e-3 * np.ptp(energy))  # of a spline through 81 samples
+
+
+def windows(n=2):
+    """The N-four-bar mechanism of the IFToMM benchmark A02: rods of 1 m and 1 kg, upright ones on the ground, level ones on top."""
+    bodies, joints, closures = {}, {}, {}
+    for i in range(n + 1):
+        bodies[f"up {i}"] = jb.Body(mass=1.0, inertia=[1 / 12, 1e-4, 1 / 12], com=[0, 0.5, 0], position=[i, 0, 0])
+        joints[f"up {i}"] = jb.Hinge("world", axis="z")
+    for i in range(n):
+        bodies[f"level {i}"] = jb.Body(mass=1.0, inertia=[1e-4, 1 / 12, 1 / 12], com=[0.5, 0, 0], position=[i, 1, 0])
+        joints[f"level {i}"] = jb.Hinge(f"up {i}", axis="z")
+        closures[f"pin {i}"] = jb.closures.Hinge((f"level {i}", [1, 0, 0]), (f"up {i + 1}", [0, 1, 0]), axis="z")
+    return jb.Model(bodies=bodies, joints=joints, closures=closures, gravity=[0, -G, 0])
+
+
+def test_a_mechanism_passes_its_folded_positions_at_speed():
+    """Rank drops where all links lie in line; one freedom, ((N + 1)/3 + N) x'' = -((N + 1)/2 + N) g cos x: published curves."""
+    model = windows()
+    up = jnp.array([-1.0 if name.startswith("up") else 1.0 for name in model.layout.bodies])
+    start = jb.State(model.reference.q, up)
+    times = np.array([0.0, 0.5, 1.0, 2.0, 10.0])
+    trajectory = jb.simulate(model, times, initial=start, rtol=1e-9)
+    assert trajectory.ok
+    top = jb.measure(trajectory, {"place": jb.Position("up 0", [0, 1, 0]), "speed": jb.Velocity("up 0", [0, 1, 0])})
+    published = [[0.695286633164, 0.718732563436], [-0.195020301950, -0.980799205662], [0.057815795768, 0.998327267863]]
+    np.testing.assert_allclose(top["place"][1:, :2], [*published, [0.328458111533, 0.944518538181]], atol=1e-6)
+    np.testing.assert_allclose(top["speed"][1:, 0], [1.9602054254, -6.6766780369, 1.0172601366, 1.4230514702], atol=1e-5)
+    energy = trajectory.energies["total"]
+    assert float(energy[0]) == pytest.approx(35.835, abs=1e-12)
+    np.testing.assert_allclose(energy, energy[0], atol=1e-6)
+
+
+@pytest.mark.long
+def test_trajectories_have_derivatives_by_points_and_masses():
+    """By the head of the coupler and its mass: forward, reverse and differences; a batch moves as its members."""
+    model, times = four_bar(), jnp.linspace(0.0, 2.0, 9)
+    head = jnp.asarray(model["pin"].a)
+
+    def end(x):
+        changed = jb.replace(model, {"pin.a": head + jnp.array([0.1, 0.2, 0.0]) * x[0], "coupler.mass": BAR["coupler"][0] + x[1]})
+        state = jb.simulate(changed, times, rtol=1e-10).state
+        return state.q[-1] @ jnp.array([1.0, 2.0, 3.0]) + state.v[4] @ jnp.array([0.3, -0.1, 0.2])
+
+    zero, value = jnp.zeros(2), jax.jit(end)
+    forward, reverse = jax.jit(jax.jacfwd(end))(zero), jax.jit(jax.grad(end))(zero)
+    np.testing.assert_allclose(forward, reverse, rtol=1e-9)
+    h = np.array([1e-4, 1e-3])
+    steps = [zero.at[i].set(h[i]) for i in range(2)]
+    differences = [(8 * (value(s) - value(-s)) - value(2 * s) + value(-2 * s)) / (12 * h[i]) for i, s in enumerate(steps)]
+    np.testing.assert_allclose(forward, differences, rtol=1e-6)
+    batch = jnp.stack([zero, *steps])
+    np.testing.assert_allclose(jax.jit(jax.vmap(end))(batch), [value(x) for x in batch], rtol=1e-9)
+
+
+def test_the_derivative_of_the_projection_is_the_implicit_one():
+    """P fulfils c = 0 and M Delta + J' mu = 0: at a closed state its derivative is 1 - M^-1 J' (J M^-1 J')^+ J for q, and for v too."""
+    model = four_bar()
+    loops, zero = dynamics_of(model, ()), jnp.zeros(())
+    state = jb.State(model.reference.q, jnp.zeros(3))
+    y, nv = loops.pack(state), 3
+    coordinates = loops.coordinates
+
+    def c(q):
+        return gaps(model, coordinates, coordinates.at_rest(q))
+
+    M, J = np.asarray(matrices(model, state)[0]), np.asarray(jax.jacfwd(c)(state.q))
+    along = np.linalg.solve(M, J.T) @ np.linalg.pinv(J @ np.linalg.solve(M, J.T), rcond=1e-10)
+    projector = np.eye(nv) - along @ J
+    unrolled = jax.jacfwd(lambda y: loops.projected(zero, y))(y)
+    np.testing.assert_allclose(unrolled[:nv, :nv], projector, atol=1e-9)
+    np.testing.assert_allclose(unrolled[nv:, nv:], projector, atol=1e-9)
+    np.testing.assert_allclose(jax.jacrev(lambda y: loops.projected(zero, y))(y), unrolled, atol=1e-12)
+
+
+def chain(speed):
+    """Two links from the world to a support that moves out of their reach of 1 m at t = 0.1 / speed."""
+    bodies = {
+        name: jb.Body(mass=1.0, inertia=[0.02] * 3, com=[0.25, 0, 0], position=[x, 0, 0]) for name, x in (("upper", 0.0), ("lower", 0.5))
+    }
+    model = jb.Model(
+        bodies=bodies,
+        joints={"upper": jb.Hinge("world", axis="z"), "lower": jb.Hinge("upper", axis="z")},
+        supports={"end": jb.Support(position=[0.9, 0, 0])},
+        closures={"tip": jb.closures.Ball(("lower", [0.5, 0, 0]), ("end", [0, 0, 0]))},
+        gravity=[0, -G, 0],
+    )
+    up = float(np.arccos(0.9))
+    start = jb.State(jnp.array([up, -2 * up]), jnp.zeros(2))
+    return model, start, {"end": lambda t: jnp.zeros(6).at[0].set(speed * t)}
+
+
+def test_where_a_motion_ends_or_cannot_start_is_said_by_name():
+    model, start, motion = chain(0.2)
+    times = np.linspace(0.0, 0.8, 9)
+    with pytest.warns(jb.JaxbodyWarning, match=r"SINGULAR_CLOSURE.*t = 0.5 s.*'tip x'.*smallest singular value"):
+        trajectory = jb.simulate(model, times, motion=motion, initial=start)
+    np.testing.assert_allclose(trajectory.state.q[:5, 0], np.arccos(0.9 + 0.2 * times[:5]), atol=1e-9)
+    assert np.isnan(trajectory.state.q[6:]).all()
+    open_ = jb.State(start.q + 0.1, start.v)
+    with pytest.warns(jb.JaxbodyWarning, match=r"NOT_CLOSED.*nearest closed|initial state is open by"):
+        moved = jb.simulate(model, times[:3], motion=motion, initial=open_)
+    assert moved.ok and largest_gap(moved) < 1e-12
+    far = jb.replace(model, {"end.position": jnp.array([3.0, 0, 0])})
+    with pytest.warns(jb.JaxbodyWarning, match="NOT_CLOSED"):
+        assert int(jb.simulate(far, times, motion=motion, initial=start).status) == jb.Status.NOT_CLOSED
+    with pytest.raises(jb.JaxbodyError, match=r"Gauss.*closures: tip.*CLOSED_LOOPS"):
+        jb.simulate(model, times, solver=jb.Gauss(), stepsize_controller=diffrax.ConstantStepSize(), dt0=0.01, initial=start)
+
+
+@pytest.mark.parametrize("solver", [diffrax.Kvaerno5(), diffrax.Tsit5()], ids=["implicit", "explicit"])
+def test_solvers_of_diffrax_are_projected(solver):
+    model, start, motion = chain(0.1)
+    times = np.linspace(0.0, 0.8, 9)
+    trajectory = jb.simulate(model, times, motion=motion, initial=start, solver=solver, rtol=1e-8)
+    np.testing.assert_allclose(trajectory.state.q[:, 0], np.arccos(0.9 + 0.1 * times), atol=1e-12)
+    assert largest_gap(trajectory) < 1e-12
