@@ -15,6 +15,7 @@ with M and J of the state it starts from.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -54,11 +55,11 @@ class Closing(NamedTuple):
 class ClosedLoops(JointedBodies):
     """Bodies on joints and closures."""
 
-    rests: list[Pose]
+    rests: list[Pose]  # of the second frame of each closure on the first, as drawn
     size: Float[Array, ""]
 
     def __init__(self, model: Model, motions: Motions, loads: tuple[Load, ...] = ()):
-        super().__init__(model, motions, loads)
+        Dynamics.__init__(self, model, motions, loads)
         self.rests, self.size = drawn(self.coordinates), jax.lax.stop_gradient(size_of(model))
 
     def driven_on_closures(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> tuple[Float[Array, "ny"], SaddlePoint]:
@@ -93,9 +94,8 @@ class ClosedLoops(JointedBodies):
         if not reactions:
             return now
         F, M = jnp.split(self._wrenches(now, self.multipliers(t, state)[0]), 2, -1)
-        now = self.with_reactions(now, (F[first:], M[first:]))
-        assert now.F is not None and now.M is not None
-        return replace(now, F=now.F.at[:first].add(F[:first]), M=now.M.at[:first].add(M[:first]))
+        now, fixed = self.with_reactions(now, (F[first:], M[first:])), (np.arange(len(F)) < first)[:, None]
+        return replace(now, F=now.F + jnp.where(fixed, F, 0.0), M=now.M + jnp.where(fixed, M, 0.0))
 
     def _wrenches(self, now: Instant, multipliers: Float[Array, "n"]) -> Float[Array, "nf 6"]:
         """Force and moment about its origin that closures exert on each frame."""
@@ -215,7 +215,7 @@ def dynamics_of(model: Model, motions: Motions, loads: tuple[Load, ...] = ()) ->
     return _form_of(model)(model, motions, loads)
 
 
-def _form_of(model: Model) -> type[Dynamics]:
+def _form_of(model: Model) -> Callable[..., Dynamics]:
     if model.closures:
         return ClosedLoops
     return FreeBodies if all_free(model.layout) and not inertial_tables(model) else JointedBodies

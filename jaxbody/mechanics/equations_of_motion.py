@@ -223,7 +223,7 @@ class JointedBodies(Dynamics):
             return kinetic(self.model, frames), frames
 
         gradient, frames = jax.grad(T, has_aux=True)(q)
-        return v, frames, coordinates.rate_transposed(q, gradient), partial(_generalized, *J)
+        return v, frames, coordinates.rate_transposed(q, gradient), partial(generalized, *J)
 
     def accelerated(self, t: Float[Array, ""], state: State) -> Instant:
         v_dot, now, J = self._solve(t, state.q, state.v)

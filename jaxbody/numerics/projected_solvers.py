@@ -15,18 +15,18 @@ class Projected(AbstractAdaptiveSolver, AbstractWrappedSolver):
     """A solver whose steps end at P(y1), with P of a `Driven` term. Its error is what is left after the projection, P(y1) - P(y1 - error),
     and the rate at the start of a step is evaluated again."""
 
-    solver: AbstractSolver
+    solver: AbstractSolver  # pyright: ignore[reportIncompatibleVariableOverride]
 
     @property
-    def term_structure(self):
+    def term_structure(self):  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.solver.term_structure
 
     @property
-    def interpolation_cls(self):  # pyright: ignore
+    def interpolation_cls(self):  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.solver.interpolation_cls
 
     @property
-    def term_compatible_contr_kwargs(self):
+    def term_compatible_contr_kwargs(self):  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.solver.term_compatible_contr_kwargs
 
     def order(self, terms):

@@ -103,6 +103,7 @@ def step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array,
     A trial step has only two stages, k_1 = h f(t, y) and the rate a little later; a separate function would compile the rate twice. For the
     same reason the projection, with the rate there, is one more stage."""
     method, project = problem.method, problem.project
+    carry: Any
     stages = len(method.A) + 1
 
     def stage(carry, row):
@@ -118,7 +119,7 @@ def step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array,
 
         def projected():
             both = jnp.stack([y1, y1 - _sum(method.E, k[:stages])])
-            there, other = jax.vmap(lambda y: project(u, y, at_y, arguments))(both)
+            there, other = jax.vmap(lambda y: problem.project(u, y, at_y, arguments))(both)  # pyright: ignore[reportOptionalCall]
             return there, there - y1, there - other
 
         y_i, moved, error = lax.cond(i == stages, jax.checkpoint(projected), lambda: (y + _sum(a, k), error, error))

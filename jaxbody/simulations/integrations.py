@@ -105,7 +105,7 @@ def integrate(model, times, motions, loads, initial, rtol, solver, stepsize_cont
     unpacked = jax.vmap(form.unpack)(y, jnp.append(times, t_end))
     state, final = jax.tree.map(lambda x: x[:-1], unpacked), jax.tree.map(lambda x: x[-1], unpacked)
     if isinstance(dynamics, ClosedLoops):
-        code = _ended_on_closures(dynamics, code, t_end, final, closing.left)
+        code = _ended_on_closures(dynamics, code, t_end, final, closing)
     if has_range(model.elements):
         beyond = jax.vmap(lambda t, state: jnp.any(outside_law_range(model, frames_at_time(model, motions, t, state))))(times, state)
         code = jnp.where((code == Status.OK.value) & jnp.any(beyond), Status.TABLE_RANGE.value, code)
@@ -127,11 +127,11 @@ def _check_for_gauss(model: Model) -> None:
         raise JaxbodyError(Problem("CLOSED_LOOPS", "solver", message, limit="models without closures", hint="Leave solver= out."))
 
 
-def _ended_on_closures(dynamics: ClosedLoops, code, t_end, final: State, left) -> Array:
+def _ended_on_closures(dynamics: ClosedLoops, code, t_end, final: State, closing: Any) -> Array:
     """NOT_CLOSED where no motion starts, SINGULAR_CLOSURE where it ends because closures become dependent."""
     stuck = (code == Status.DT_MIN.value) | (code == Status.NONFINITE.value) | (code == Status.MAX_STEPS.value)
     singular = stuck & (dynamics.smallest(t_end, final) < SINGULAR)
-    return jnp.where(left > CLOSED, Status.NOT_CLOSED.value, jnp.where(singular, Status.SINGULAR_CLOSURE.value, code))
+    return jnp.where(closing.left > CLOSED, Status.NOT_CLOSED.value, jnp.where(singular, Status.SINGULAR_CLOSURE.value, code))
 
 
 def _completed(dynamics: Dynamics, state: State, t) -> State:

@@ -104,8 +104,9 @@ class Trajectory(Labeled, Result):
     def closure_reactions(self) -> dict[str, dict[str, Array]]:
         """{closure: {condition: reaction [N, N m] (nt,)}}, positive where it resists an increase of the condition, as the tension of a rod
         does; NaN where closures share a force, so that it is not unique."""
-        values = self.at_samples(_closure_reactions, loads=True) if self.model.closures else None
-        named, i = {}, 0
+        if not self.model.closures:
+            return {}
+        values, named, i = self.at_samples(_closure_reactions, loads=True), {}, 0
         for table in self.model.closures:
             for name in table.names:
                 named[name] = {row: values[..., i + j] for j, row in enumerate(table.rows.rows)}

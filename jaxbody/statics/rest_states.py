@@ -21,6 +21,7 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.mechanics.element_derivatives import frames_displaced
 from jaxbody.mechanics.element_states import completed
 from jaxbody.mechanics.energies import potential
+from jaxbody.mechanics.free_motions import implied_change, slopes_by_supports
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates, Motions
 from jaxbody.models.memories import holding, relaxed
@@ -32,6 +33,7 @@ from jaxbody.statics.load_paths import residual, tangent
 from jaxbody.statics.rest_searches import AT_REST, no_loads, search_by_descent
 
 MAX_STEPS = 200
+UNMOVED = 1e-9  # m or rad: of supports from their reference poses
 
 
 class Rest(eqx.Module):
@@ -58,8 +60,14 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     eq = equilibrium_at(on_supports, search_by_descent(on_supports, _start(coordinates, on_supports), MAX_STEPS), unloaded, model)
     q, valid = eq.state.q, jnp.isin(eq.status, jnp.array(AT_REST))
     drift = jax.jvp(lambda xi: residual(configuration_at(displaced(xi), q, base=False), unloaded), (xi,), (xi_dot,))[1]
-    K = tangent(configuration_at(on_supports, q, base=False), unloaded)
-    v = -jnp.linalg.solve(jnp.where(valid, K, jnp.nan), drift)
+    here = configuration_at(on_supports, q, base=False)
+    K = jnp.where(valid, tangent(here, unloaded), jnp.nan)
+    if model.closures:
+        opening = slopes_by_supports(coordinates, q) @ xi_dot.ravel()
+        valid = valid & jnp.all(jnp.abs(xi) <= UNMOVED)  # closures are searched for on supports in their reference poses
+        v = implied_change(coordinates, q, residual(here, unloaded), K, (drift, opening))
+    else:
+        v = -jnp.linalg.solve(K, drift)
     return State(jnp.where(valid, q, jnp.nan), v, eq.state.z), eq
 
 
@@ -74,10 +82,14 @@ def _start(coordinates: Coordinates, on_supports: Coordinates):
 
 
 def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str) -> State | None:
-    """The initial state of a run. Error: the status of the equilibrium, if "rest" is given and no equilibrium is found."""
+    """The initial state of a run. Errors: the status of the equilibrium, if "rest" is given and no equilibrium is found; CLOSED_LOOPS where
+    supports of a model with closures are displaced."""
     if not isinstance(initial, Rest):
         return initial
     state, eq = rest_state(model, motions, t)
+    if model.closures and is_concrete(state.q, eq.status) and int(eq.status) in AT_REST and np.isnan(np.asarray(state.q)).any():
+        message, hint = 'is "rest", but supports of a model with closures are displaced at the first time', "Give initial=State(q, v)."
+        raise JaxbodyError(Problem("CLOSED_LOOPS", where, message, "rest", "supports in their reference poses", hint))
     if is_concrete(eq.status) and int(eq.status) not in AT_REST:
         hint = "Give initial=State(q, v), or attach the bodies that are free to move."
         raise JaxbodyError(

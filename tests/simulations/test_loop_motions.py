@@ -9,10 +9,11 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 import jaxbody as jb
-from jaxbody.mechanics.closed_loops import dynamics_of
+from jaxbody.mechanics.closed_loops import ClosedLoops
 from jaxbody.mechanics.constraints import gaps
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.models.joints import Joint
 
 G = 9.81
 CRANK, COUPLER, ROCKER, BASE = 0.12, 0.36, 0.24, 0.3
@@ -45,7 +46,7 @@ def four_bar(cut="head", *, support=False):
     pin = CRANK * np.array([np.cos(START), np.sin(START), 0.0])
     end = pin + COUPLER * np.array([np.cos(coupler), np.sin(coupler), 0.0])
     foot, ground = np.array([BASE, 0.0, 0.0]), "base" if support else "world"
-    joints = {"crank": jb.Hinge("world", axis="z", at=[0, 0, 0]), "coupler": jb.Hinge("crank", axis="z", at=pin)}
+    joints: dict[str, Joint] = {"crank": jb.Hinge("world", axis="z", at=[0, 0, 0]), "coupler": jb.Hinge("crank", axis="z", at=pin)}
     joints["rocker"] = jb.Hinge(ground, axis="z", at=foot) if cut == "head" else jb.Hinge("coupler", axis="z", at=end)
     ends = (("coupler", end), ("rocker", end)) if cut == "head" else ((ground, foot), ("rocker", foot))
     bodies = {
@@ -133,10 +134,24 @@ def check_newton(trajectory):
     of_closure = np.stack([trajectory.closure_reactions["pin"][row] for row in "xy"], -1)
     assert np.isnan(trajectory.closure_reactions["pin"]["z"]).all()
     expected = mass * (np.asarray(read["a"])[:, :2] + [0, G])
-    np.testing.assert_allclose(-np.einsum("tij,tj->ti", turn, of_closure) - np.asarray(read["joint"])[:, :2], expected, atol=1e-9)
+    np.testing.assert_allclose(-np.einsum("tij,tj->ti", turn, of_closure) + np.asarray(read["joint"])[:, :2], expected, atol=1e-9)
     work = CubicSpline(trajectory.times, trajectory.powers["supports"]).antiderivative()(trajectory.times)
     energy = trajectory.energies["total"]
     np.testing.assert_allclose(energy - energy[0], work, atol=1e-3 * np.ptp(energy))  # of a spline through 81 samples
+
+
+@pytest.mark.long
+def test_rest_on_a_base_that_moves_slowly_follows_the_equilibria():
+    """v = d(equilibrium)/dXi Xi', by differences over the place of the base."""
+    model, speed, h = four_bar("foot", support=True), 0.05, 1e-4
+    slow = {"base": lambda t: jnp.zeros(6).at[0].set(speed * t)}
+    start = jax.tree.map(lambda x: x[0], jb.simulate(model, [0.0, 1e-3], motion=slow, initial="rest").state)
+    at_rest = [jb.equilibrium(jb.replace(model, {"base.position": jnp.array([x, 0.0, 0])})).state.q for x in (0.0, h, -h)]
+    np.testing.assert_allclose(start.q, at_rest[0], atol=1e-9)
+    np.testing.assert_allclose(start.v, speed * (at_rest[1] - at_rest[2]) / (2 * h), rtol=1e-5)
+    displaced = {"base": lambda t: jnp.zeros(6).at[0].set(0.01 + 0 * t)}
+    with pytest.raises(jb.JaxbodyError, match=r"supports of a model with closures are displaced.*CLOSED_LOOPS"):
+        jb.simulate(model, [0.0, 1e-3], motion=displaced, initial="rest")
 
 
 def windows(n=2):
@@ -169,6 +184,60 @@ def test_a_mechanism_passes_its_folded_positions_at_speed():
     np.testing.assert_allclose(energy, energy[0], atol=1e-6)
 
 
+def squeezer():
+    """Andrews' squeezing mechanism, benchmark A03, drawn where it starts; the crank turns under a constant moment."""
+    A, B, C = np.array([-0.06934, -0.00227]), np.array([-0.03635, 0.03273]), np.array([0.014, 0.072])
+    beta, gamma, delta = -0.0617138900142764963589, 0.455279819163070380256, 0.487364979543842550226
+    phi, epsilon = 0.222668390165885884674, 1.23054744454982119250
+    e, n = (lambda a: np.array([np.cos(a), np.sin(a)])), (lambda a: np.array([np.sin(a), -np.cos(a)]))
+    F, G_, H = 0.007 * e(beta), A + 0.04 * e(delta), A + 0.04 * n(epsilon)
+    E = F - 0.028 * e(beta)
+    for other in (B + 0.035 * n(gamma), G_ + 0.02 * n(phi + delta), H + 0.02 * e(-phi + epsilon)):
+        np.testing.assert_allclose(other, E, atol=1e-15)
+    parts = {  # where it is hinged and on what, center of mass, mass, inertia
+        "beta": ("world", np.zeros(2), 0.00092 * e(beta), 0.04325, 2.194e-6),
+        "theta": ("beta", F, F - 0.0115 * e(beta), 0.00365, 4.410e-7),
+        "gamma": ("world", B, B + np.hypot(0.01874, 0.01043) * e(gamma), 0.02373, 5.255e-6),
+        "delta": ("world", A, A + np.hypot(0.02308, 0.00916) * e(delta), 0.0705, 1.169e-5),
+        "phi": ("delta", G_, G_ + 0.00579 * n(phi + delta), 0.00706, 5.667e-7),
+        "epsilon": ("world", A, A + np.hypot(0.01228, 0.00449) * e(epsilon), 0.05498, 1.912e-5),
+        "Omega": ("epsilon", H, H + 0.00579 * e(-phi + epsilon), 0.00706, 5.667e-7),
+    }
+    end = np.append(E, 0.0)
+    D = B + 0.02 * e(gamma) + 0.018 * n(gamma)
+    model = jb.Model(
+        bodies={name: jb.Body(mass=m, inertia=[1e-6, 1e-6, J], com=np.append(c, 0)) for name, (_, _, c, m, J) in parts.items()},
+        joints={name: jb.Hinge(parent, axis="z", at=np.append(at, 0)) for name, (parent, at, *_) in parts.items()},
+        closures={f"{name} head": jb.closures.Hinge(("theta", end), (name, end), axis="z") for name in ("gamma", "phi", "Omega")},
+        elements={"spring": jb.Spring(("gamma", np.append(D, 0)), ("world", np.append(C, 0)), stiffness=4530.0, free_length=0.07785)},
+    )
+    return model, dict(beta=beta, theta=0.0, gamma=gamma, delta=delta, phi=phi, epsilon=epsilon, Omega=-phi)
+
+
+@pytest.mark.long
+def test_andrews_squeezer_ends_as_published():
+    model, start = squeezer()
+    q, v = model.layout.q_slices, model.layout.v_slices
+    drive = {"motor": jb.Force("beta", moment=[0, 0, 0.033])}
+    trajectory = jb.simulate(model, np.linspace(0.0, 0.03, 31), loads=drive, rtol=1e-10)
+    ends = {
+        "beta": (15.81077119629904, 1139.920302151208),
+        "theta": (-15.75637105984298, -1424.379294994111),
+        "gamma": (0.04082224013073101, 11.03291221937134),
+        "phi": (-0.5347301163226948, 19.29337464421385),
+        "delta": (0.5244099658805304, 0.5735699284790808),
+        "Omega": (0.5347301163226948, -19.29337464421385),
+        "epsilon": (1.048080741042263, 0.3231791658026955),
+    }
+    state = trajectory.state
+    for name, (angle, rate) in ends.items():
+        assert float(state.q[-1, q[name]][0]) + start[name] == pytest.approx(angle, abs=1e-6), name
+        assert float(state.v[-1, v[name]][0]) == pytest.approx(rate, rel=1e-5), name
+    total = trajectory.energies["total"] - 0.033 * state.q[:, q["beta"]][:, 0]
+    np.testing.assert_allclose(total, total[0], atol=1e-9)
+    assert largest_gap(trajectory) < 1e-12 * 0.028
+
+
 @pytest.mark.long
 def test_trajectories_have_derivatives_by_points_and_masses():
     """By the head of the coupler and its mass: forward, reverse and differences; a batch moves as its members."""
@@ -194,7 +263,7 @@ def test_trajectories_have_derivatives_by_points_and_masses():
 def test_the_derivative_of_the_projection_is_the_implicit_one():
     """P fulfils c = 0 and M Delta + J' mu = 0: at a closed state its derivative is 1 - M^-1 J' (J M^-1 J')^+ J for q, and for v too."""
     model = four_bar()
-    loops, zero = dynamics_of(model, ()), jnp.zeros(())
+    loops, zero = ClosedLoops(model, ()), jnp.zeros(())
     state = jb.State(model.reference.q, jnp.zeros(3))
     y, nv = loops.pack(state), 3
     coordinates = loops.coordinates
