@@ -218,8 +218,8 @@ def squeezer():
 def test_andrews_squeezer_ends_as_published():
     model, start = squeezer()
     q, v = model.layout.q_slices, model.layout.v_slices
-    drive = {"motor": jb.Force("beta", moment=[0, 0, 0.033])}
-    trajectory = jb.simulate(model, np.linspace(0.0, 0.03, 31), loads=drive, rtol=1e-10)
+    motor = jb.Force("beta", moment=[0, 0, 0.033])
+    trajectory = jb.simulate(model, np.linspace(0.0, 0.03, 31), loads={"motor": motor}, rtol=1e-10)
     ends = {
         "beta": (15.81077119629904, 1139.920302151208),
         "theta": (-15.75637105984298, -1424.379294994111),
