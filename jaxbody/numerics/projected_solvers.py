@@ -29,6 +29,11 @@ class Projected(AbstractAdaptiveSolver, AbstractWrappedSolver):
     def term_compatible_contr_kwargs(self):  # pyright: ignore[reportIncompatibleVariableOverride]
         return self.solver.term_compatible_contr_kwargs
 
+    @property
+    def root_finder(self):
+        """That of an implicit solver, to which diffeqsolve gives the tolerances of the controller."""
+        return self.solver.root_finder  # pyright: ignore[reportAttributeAccessIssue]
+
     def order(self, terms):
         return self.solver.order(terms)
 

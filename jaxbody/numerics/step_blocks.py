@@ -4,7 +4,8 @@ A block keeps the polynomials of
 its steps, from which the samples in it are computed together at its end. Reverse mode keeps the start and the step lengths of each block,
 and repeats the block; its memory grows with the number of blocks. Both modes treat step lengths as constants. In a batch every member has
 its own steps; constant steps are the same for all, and functions of time alone are then computed once. Adaptive steps end at the samples of
-measured accelerations and of forces interpolated linearly, because a polynomial of high degree cannot cross their kinks.
+measured accelerations and of forces interpolated linearly, because a polynomial of high degree cannot cross their kinks. Where a problem
+has a projection P, steps end at P(y1), and the error is what is left of it after P.
 """
 
 from __future__ import annotations

@@ -60,7 +60,7 @@ def simulate(
         motion: {support: motion}; a support without an entry is at rest.
         loads: {name: load} on bodies; by default none.
         initial: a State, or "rest": in equilibrium on the supports in their poses and motion at times[0], without loads; by default the
-            reference pose at rest.
+            reference pose at rest. With closures the motion starts from the nearest state that fulfils them.
         rtol: ten times the relative local error allowed in any component, so that samples between steps also meet it; at least 1.5e-4 in
             float32. The absolute error is rtol/100 times the size of the model (for velocities, times its fastest frequency, roughly).
         solver: a diffrax solver; by default Dopri8.
@@ -88,7 +88,8 @@ def simulate(
     runs, as in fits, tuning and finite differences.
 
     Errors: times unsorted, repeated, NaN or outside a sampled motion (T_RANGE), wrong initial state, UNKNOWN_NAME for a support,
-    UNKNOWN_BODY for a load. An integration that ends early warns, and returns its samples with a status. Warns SPRING_COLLAPSED for a
+    UNKNOWN_BODY for a load, CLOSED_LOOPS for jb.Gauss with closures. An integration that ends early warns, and returns its samples with a
+    status. Warns NOT_CLOSED for an initial state that is off the closures by more than 1e-6 of the model's size, SPRING_COLLAPSED for a
     spring that passes through zero length and HALF_TURN for a Bushing or Torsion past half a turn, with the time, if samples show it and
     many steps were rejected; the `summary()` of a trajectory always shows it.
 
@@ -203,7 +204,7 @@ def check_steps(
 
 def _warn_of_long_steps(model: Model, initial: State, dt: float, solver: diffrax.AbstractSolver | None) -> None:
     """Warn about constant steps that are too long for the fastest small motion about the initial state, y' = A y."""
-    A = state_slopes(model, initial) if model.layout.nz else companion(*map(np.asarray, matrices(model, initial)))
+    A = state_slopes(model, initial) if model.layout.nz or model.closures else companion(*map(np.asarray, matrices(model, initial)))
     fastest = np.abs(np.linalg.eigvals(np.asarray(A))).max(initial=0.0)
     if dt * fastest > STABLE and not isinstance(solver, diffrax.AbstractImplicitSolver):
         remedy = f"Take dt0 below {STABLE / fastest:.3g} s, leave the steps to the default controller, or use an implicit solver"
