@@ -206,7 +206,7 @@ def squeezer():
     end = np.append(E, 0.0)
     D = B + 0.02 * e(gamma) + 0.018 * n(gamma)
     model = jb.Model(
-        bodies={name: jb.Body(mass=m, inertia=[1e-6, 1e-6, J], com=np.append(c, 0)) for name, (_, _, c, m, J) in parts.items()},
+        bodies={name: jb.Body(mass=m, inertia=[J, J, J], com=np.append(c, 0)) for name, (_, _, c, m, J) in parts.items()},
         joints={name: jb.Hinge(parent, axis="z", at=np.append(at, 0)) for name, (parent, at, *_) in parts.items()},
         closures={f"{name} head": jb.closures.Hinge(("theta", end), (name, end), axis="z") for name in ("gamma", "phi", "Omega")},
         elements={"spring": jb.Spring(("gamma", np.append(D, 0)), ("world", np.append(C, 0)), stiffness=4530.0, free_length=0.07785)},
