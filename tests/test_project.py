@@ -164,6 +164,7 @@ def test_a_class_or_type_has_a_name_of_its_own():
 DERIVED = {  # from these concrete classes others derive, which are all that they are and more
     "Pose": "a frame is a pose with velocities",
     "Frame": "an instant is a table of frames with the state that it comes from",
+    "JointedBodies": "closed loops are bodies on joints with multipliers",
     "Chart": "coordinates are a chart with the reference poses",
     "Described": "prints the fields of a class, whatever they are",
     "Law": "states its force or its potential, either by the other; its constructor asks for one",

@@ -27,7 +27,7 @@ from jaxbody.experiments.measurements import Measurement
 from jaxbody.identification.fits import Fit
 from jaxbody.identification.fitters import fit
 from jaxbody.identification.residuals import first_noise
-from jaxbody.mechanics.element_states import completed
+from jaxbody.mechanics.energies import completed
 from jaxbody.mechanics.kinematics import frames_at_time
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import refuse_closures

@@ -29,8 +29,7 @@ from jaxbody.geometry.closures import Closure
 from jaxbody.geometry.frames import Frame, Instant, Pose
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on, drawn, each_closure, gaps_from
-from jaxbody.mechanics.element_states import completed, state_rates
-from jaxbody.mechanics.energies import inertial_tables
+from jaxbody.mechanics.energies import completed, inertial_tables, state_rates
 from jaxbody.mechanics.equations_of_motion import Dynamics, FreeBodies, JointedBodies, all_free, generalized
 from jaxbody.mechanics.free_motions import FreeMotions
 from jaxbody.mechanics.kinematics import Motions, jacobian

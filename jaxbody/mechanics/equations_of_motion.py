@@ -28,8 +28,7 @@ from jaxbody.geometry.frames import Frame, Instant
 from jaxbody.geometry.vectors import cross, inverse_of_three, product, rotate, rotate_back, skew
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.element_inertias import element_inertia, inertial_wrenches
-from jaxbody.mechanics.element_states import state_rates, state_scales
-from jaxbody.mechanics.energies import each_element, inertial_tables, kinetic, wrenches
+from jaxbody.mechanics.energies import each_element, inertial_tables, kinetic, state_rates, state_scales, wrenches
 from jaxbody.mechanics.kinematics import Coordinates, Motions, jacobian, with_world
 from jaxbody.models.joints import Free
 from jaxbody.models.layouts import WORLD, Layout

@@ -26,8 +26,7 @@ from jaxbody.elements.second_derivatives import Block, PairBlocks, dissipation_h
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, product, rotate, skew
 from jaxbody.mechanics.element_inertias import element_inertia
-from jaxbody.mechanics.element_states import completed
-from jaxbody.mechanics.energies import each_element, inertial_tables, potential, wrenches
+from jaxbody.mechanics.energies import completed, each_element, inertial_tables, potential, wrenches
 from jaxbody.mechanics.equations_of_motion import all_free
 from jaxbody.mechanics.kinematics import Coordinates, jacobian
 from jaxbody.models.layouts import Layout

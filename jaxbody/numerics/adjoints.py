@@ -67,6 +67,52 @@ class Unstarted(diffrax.AbstractStepSizeController):
         return self.controller.adapt_step_size(*args, **kwargs)
 
 
+class Projected(diffrax.AbstractAdaptiveSolver, diffrax.AbstractWrappedSolver):
+    """A solver whose steps end at P(y1), with P of a `Driven` term. Its error is what is left after the projection, P(y1) - P(y1 - error),
+    and the rate at the start of a step is evaluated again."""
+
+    solver: diffrax.AbstractSolver  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    @property
+    def term_structure(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.solver.term_structure
+
+    @property
+    def interpolation_cls(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.solver.interpolation_cls
+
+    @property
+    def term_compatible_contr_kwargs(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.solver.term_compatible_contr_kwargs
+
+    @property
+    def root_finder(self):
+        """That of an implicit solver, to which diffeqsolve gives the tolerances of the controller."""
+        return self.solver.root_finder  # pyright: ignore[reportAttributeAccessIssue]
+
+    def order(self, terms):
+        return self.solver.order(terms)
+
+    def strong_order(self, terms):
+        return self.solver.strong_order(terms)
+
+    def error_order(self, terms):
+        return self.solver.error_order(terms)
+
+    def init(self, terms, t0, t1, y0, args):
+        return self.solver.init(terms, t0, t1, y0, args)
+
+    def step(self, terms, t0, t1, y0, args, solver_state, made_jump) -> Any:
+        y1, error, dense, solver_state, result = self.solver.step(terms, t0, t1, y0, args, solver_state, jnp.array(True))
+        if error is None:
+            return within(terms).projected(t1, y1, args), None, dense, solver_state, result
+        there, other = jax.vmap(lambda y: within(terms).projected(t1, y, args))(jnp.stack([y1, y1 - error]))
+        return there, jnp.where(jnp.isfinite(there), there - other, jnp.inf), dense, solver_state, result
+
+    def func(self, terms, t0, y0, args):
+        return self.solver.func(terms, t0, y0, args)
+
+
 class Blocks(diffrax.AbstractAdjoint):
     """An adjoint of `diffrax.diffeqsolve` for small systems on a CPU: explicit Runge-Kutta steps in blocks of 128, in loops that
     compile to fast code. Reverse mode, forward mode and forward over reverse work.

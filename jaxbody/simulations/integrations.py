@@ -16,16 +16,14 @@ from jaxbody.inputs.signals import kinks_of
 from jaxbody.laws.measured_curves import has_range
 from jaxbody.mechanics.closed_loops import ClosedLoops, dynamics_of
 from jaxbody.mechanics.constraints import CLOSED
-from jaxbody.mechanics.element_states import completed
-from jaxbody.mechanics.energies import outside_law_range
+from jaxbody.mechanics.energies import completed, outside_law_range
 from jaxbody.mechanics.equations_of_motion import Dynamics
 from jaxbody.mechanics.kinematics import frames_at_time
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
-from jaxbody.numerics.adjoints import Blocks, Driven, Unstarted
+from jaxbody.numerics.adjoints import Blocks, Driven, Projected, Unstarted
 from jaxbody.numerics.gauss_collocations import Gauss
 from jaxbody.numerics.precisions import reachable
-from jaxbody.numerics.projected_solvers import Projected
 from jaxbody.simulations.canonical_equations import Canonical
 from jaxbody.simulations.trajectories import Trajectory
 

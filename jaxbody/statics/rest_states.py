@@ -19,8 +19,7 @@ from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, is_concrete, shaped, stack
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.mechanics.element_derivatives import frames_displaced
-from jaxbody.mechanics.element_states import completed
-from jaxbody.mechanics.energies import potential
+from jaxbody.mechanics.energies import completed, potential
 from jaxbody.mechanics.free_motions import implied_change, slopes_by_supports
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates, Motions

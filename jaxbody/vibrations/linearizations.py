@@ -24,7 +24,7 @@ from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.constraints import how_open
 from jaxbody.mechanics.element_derivatives import gravity_stiffness, split_stiffness
-from jaxbody.mechanics.element_states import completed
+from jaxbody.mechanics.energies import completed
 from jaxbody.mechanics.free_motions import DependentMotions, closure_stiffness, dependent_motions
 from jaxbody.mechanics.inner_rows import following, whole_matrices
 from jaxbody.mechanics.kinematics import Coordinates
