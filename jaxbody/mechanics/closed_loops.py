@@ -94,7 +94,8 @@ class ClosedLoops(JointedBodies):
             return now
         F, M = jnp.split(self._wrenches(now, self.multipliers(t, state)[0]), 2, -1)
         now, fixed = self.with_reactions(now, (F[first:], M[first:])), (np.arange(len(F)) < first)[:, None]
-        return replace(now, F=now.F + jnp.where(fixed, F, 0.0), M=now.M + jnp.where(fixed, M, 0.0))
+        on_fixed = (jnp.asarray(of_bodies) + jnp.where(fixed, x, 0.0) for of_bodies, x in ((now.F, F), (now.M, M)))
+        return replace(now, **dict(zip("FM", on_fixed, strict=True)))
 
     def _wrenches(self, now: Instant, multipliers: Float[Array, "n"]) -> Float[Array, "nf 6"]:
         """Force and moment about its origin that closures exert on each frame."""
@@ -197,7 +198,7 @@ def _plain(frames: Frame) -> Frame:
 
 def _rate(closure: Closure, rest: Pose, A: Frame, B: Frame) -> Float[Array, "rows"]:
     """c' of one closure."""
-    return jax.jvp(lambda *poses: closure.gap(*poses, rest), (A.pose(), B.pose()), (A.rates(), B.rates()))[1]
+    return jax.jvp(lambda a, b: closure.gap(a, b, rest), (A.pose(), B.pose()), (A.rates(), B.rates()))[1]
 
 
 def _slopes(closure: Closure, rest: Pose, A: Frame, B: Frame) -> Float[Array, "rows 12"]:
