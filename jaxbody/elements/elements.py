@@ -17,7 +17,7 @@ from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.geometry import rotations
 from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import Kind, check_domain, field, kind_of
+from jaxbody.geometry.fields import Kind, field, in_domain, kind_of
 from jaxbody.geometry.frames import Frame, Pose, Wrench
 from jaxbody.geometry.vectors import cross, dot, product, rotate
 from jaxbody.numerics.xla_workarounds import inverse_root, kept
@@ -237,7 +237,8 @@ def check_signs(element: Any, allow_negative: bool, problems: Problems) -> None:
     """Check that stiffness and damping are in their domains; negative values are a problem or, where allowed, a warning."""
     element.allow_negative, found = False, Problems()
     for name in (each.name for each in fields(element) if each.metadata.get("kind", Kind()).domain.endswith("unless allow_negative")):
-        check_domain(getattr(element, name), kind_of(element, name), f"{type(element).__name__}.{name}", found)
+        number = in_domain(getattr(element, name), kind_of(element, name), f"{type(element).__name__}.{name}", found)
+        setattr(element, name, getattr(element, name) if allow_negative else number)
     element.allow_negative = bool(allow_negative)
     for problem in found.collected:
         if allow_negative and problem.code in ALLOWED:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, checked
 from jaxbody.core.errors import Problems
 from jaxbody.elements.bushings import FramePair
-from jaxbody.geometry.fields import check_domain, field, kind_of
+from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.places import ends
 from jaxbody.laws import laws, memories
@@ -60,8 +60,7 @@ class Mount(FramePair):
             self.between, (self.a, self.b) = ends((a, b), "Mount", problems)
             for name, law in zip(DIRECTIONS, (x, y, z, rx, ry, rz), strict=True):
                 setattr(self, name, laws.as_law(law, f"Mount.{name}", problems))
-            self.damping = _damping(damping, problems)
-            check_domain(self.damping, kind_of(self, "damping"), "Mount.damping", problems)
+            self.damping = in_domain(_damping(damping, problems), kind_of(self, "damping"), "Mount.damping", problems)
             self.orientation = as_quaternion(orientation, "Mount.orientation", problems)
             self.orientation_b = as_quaternion(orientation_b, "Mount.orientation_b", problems)
 

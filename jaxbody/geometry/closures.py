@@ -20,7 +20,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, scalar
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.fields import check_domain, field, kind_of
+from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.places import direction, ends
 from jaxbody.geometry.vectors import axial, cross, dot, product, rotate, rotate_back
@@ -204,9 +204,9 @@ class Rod(Closure):
     def __init__(self, a, b, *, length=None):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), "Rod", problems)
-            self.length = None if length is None else scalar(length, "Rod.length", problems)
-            if self.length is not None:
-                check_domain(self.length, kind_of(self, "length"), "Rod.length", problems)
+            self.length = None
+            if length is not None:
+                self.length = in_domain(scalar(length, "Rod.length", problems), kind_of(self, "length"), "Rod.length", problems)
 
     def gap(self, A, B, rest):
         d = self.offset(A, B)
