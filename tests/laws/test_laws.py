@@ -53,6 +53,14 @@ LAWS = {
 KINKS = {"table": POINTS, "stop": [-0.15, -0.1], "stop in extension": [0.1, 0.15], "sum": [-0.15, -0.1]}
 
 
+def test_a_law_without_a_force_is_refused():
+    class Empty(laws.Law):
+        k: float = 1.0
+
+    with pytest.raises(jb.JaxbodyError, match="Empty: states neither force nor potential.*NO_FORCE"):
+        Empty()
+
+
 @jax.jit
 def everything(law, x):
     """F, U and, forward and reverse, their derivatives in x and in the law's own numbers."""
