@@ -73,7 +73,8 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
     44: ("other kinds of arrays", f"{BAD}: 44 object, 44 nothing, 44 ragged, 44 dates, 44 masked, "
          "test_whole_numbers_become_floats_and_what_was_given_is_not_changed"),
     45: ("complex numbers", f"{BAD}: 45 mass, 45 inertia, 45 bushing, 45 gravity, 45 under jit"),
-    46: ("single precision", f"{SIMULATIONS}: test_float32_warns_once_is_refused_for_modes_and_never_mixed", f"{FITS}: test_float32_is_refused"),
+    46: ("single precision", f"{SIMULATIONS}: test_float32_warns_once_is_refused_for_modes_and_never_mixed",
+         f"{FITS}: test_float32_is_refused"),
     47: ("the switch of precision moved", "numerics/test_precisions.py: test_a_state_of_the_other_precision_is_refused_with_what_to_do"),
     48: ("devices without float64 or eig", "no message: no such device was at hand; README names the CPU"),
     49: ("times outside a motion", f"{SIMULATIONS}: test_times_outside_a_sampled_motion_are_refused",
@@ -129,6 +130,8 @@ CATALOGUE: dict[int, tuple[str, ...]] = {
          f"{DOCUMENTS}: test_files_are_checked_before_they_are_read"),
     93: ("Ctrl-C", f"{LOSSES}: test_an_interrupted_fit_keeps_its_best_and_goes_on_from_there"),
     94: ("a disk that is full", f"{LOSSES}: test_a_full_disk_leaves_the_old_checkpoint_and_a_wrong_one_is_reported"),
-    95: ("too much memory in reverse mode", "core/test_failures.py: test_a_derivative_that_would_reserve_too_much_memory_is_refused_before"),
-    96: ("recompilation", "compilation/test_recompilations.py: test_what_makes_a_function_compile_again_and_again_is_named_once"),
+    95: ("too much memory in reverse mode",
+         "core/test_failures.py: test_a_derivative_that_would_reserve_too_much_memory_is_refused_before"),
+    96: ("recompilation",
+         "compilation/test_recompilations.py: test_what_makes_a_function_compile_again_and_again_is_named_once"),
 }  # fmt: skip

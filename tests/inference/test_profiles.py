@@ -191,7 +191,7 @@ def test_draws_need_data_that_determine_all_parameters(record):
     """Mass and stiffness of a free oscillation: only their ratio is known."""
     with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE"):
         result = jb.fit(oscillator(), run(record), free=(*FREE, "mass.mass"), max_steps=2000)
-    with pytest.raises(jb.JaxbodyError, match="not determined.*UNDETERMINED"):
+    with pytest.raises(jb.JaxbodyError, match=r"not determined.*UNDETERMINED"):
         jb.bands(result, frequency, samples=10, key=jax.random.key(0))
 
 

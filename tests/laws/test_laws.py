@@ -57,7 +57,7 @@ def test_a_law_without_a_force_is_refused():
     class Empty(laws.Law):
         k: float = 1.0
 
-    with pytest.raises(jb.JaxbodyError, match="Empty: states neither force nor potential.*NO_FORCE"):
+    with pytest.raises(jb.JaxbodyError, match=r"Empty: states neither force nor potential.*NO_FORCE"):
         Empty()
 
 
