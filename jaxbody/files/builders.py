@@ -90,6 +90,8 @@ class Builder:
             return self.law(value, path, words)
         if argument.role == "signal":
             return self.signal(value, path, words)
+        if argument.role == "pulse":
+            return self.thing(value, None, path, words)
         if argument.role == "end":
             return value if isinstance(value, str) else tuple(value)
         if isinstance(value, dict):

@@ -13,7 +13,7 @@ from mutated_files import check_changed
 from random_models import models
 
 import jaxbody as jb
-from jaxbody.files.kinds import ELEMENTS, INPUTS, JOINTS, LAWS, LOADS, MOTIONS, SENSORS, TYPES
+from jaxbody.files.kinds import ELEMENTS, INPUTS, JOINTS, LAWS, LOADS, MOTIONS, PULSES, SENSORS, TYPES
 from jaxbody.files.schemas import SCHEMA_FILE
 from jaxbody.laws.laws import Law
 from jaxbody.studies.schema_sections import schema
@@ -301,7 +301,7 @@ def test_every_class_of_the_package_is_in_the_schema():
     public = {vars(jb.laws)[name] for name in dir(jb.laws)} | {getattr(jb, name) for name in dir(jb) if name[0].isupper()}
     wanted = {kind for base in (jb.Element, jb.Joint, Law, jb.Load, jb.Sensor) for kind in below(base) & public}
     assert len(wanted) > 40 and wanted - set(TYPES.values()) == {jb.laws.Function, jb.laws.Sum, *BASES}  # Python, and a list of laws
-    assert set(TYPES.values()) == {*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *LOADS, *INPUTS, *SENSORS, jb.signals.Sine}
+    assert set(TYPES.values()) == {*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *PULSES, *LOADS, *INPUTS, *SENSORS, jb.signals.Sine}
 
 
 def test_editors_accept_what_is_read_and_refuse_what_is_not(tmp_path):
