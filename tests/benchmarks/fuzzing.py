@@ -92,7 +92,8 @@ def main() -> int:
             print(rows[-1], flush=True)
     text = [
         "# Changed files\n",
-        f"`python tests/benchmarks/fuzzing.py --files {options.files} --seed {options.seed}`, {datetime.date.today()}, jaxbody {jb.__version__}.",
+        f"`python tests/benchmarks/fuzzing.py --files {options.files} --seed {options.seed}`, {datetime.date.today()},",
+        f"jaxbody {jb.__version__}.",
         f"Not read, and without a clear error: {bad}. Limits: {SECONDS:g} s a file, {MEMORY / 1e6:g} MB.\n",
         "| kind | files | read | clear errors | slowest [ms] | memory [MB] |",
         "|---|---|---|---|---|---|",
