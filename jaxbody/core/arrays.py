@@ -104,7 +104,7 @@ def concrete(value: Any) -> np.ndarray | None:
 
 def nan_unless(valid: Any, x: jax.Array) -> jax.Array:
     """x, and NaN with NaN as its derivative where it is not valid."""
-    return x * jnp.where(valid, 1.0, jnp.nan)
+    return x * jnp.where(valid, jnp.ones((), x.dtype), jnp.nan)
 
 
 def is_concrete(*trees: Any) -> bool:

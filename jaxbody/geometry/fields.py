@@ -189,12 +189,14 @@ def in_domain(value: Any, kind: Kind, where: str, problems: Problems) -> Any:
 def nan_outside(value: jax.Array, domain: str, rank: int, scale: Any = 0.0) -> jax.Array:
     """Traced numbers, of which the last `rank` axes are one value, with NaN where they are not in the domain: what is computed from them
     is then NaN and has a status, as there can be no error. An inertia is compared with its trace and `scale` [kg m2]."""
-    return nan_unless(_inside(jax.lax.stop_gradient(value), domain, rank, jax.lax.stop_gradient(scale)), value)
+    limited = (domain in LIMITS and (domain != "symmetric" or rank == 2)) or domain == "inertia"
+    return nan_unless(_inside(value, domain, rank, scale), value) if limited else value
 
 
 def _inside(x: jax.Array, domain: str, rank: int, scale: Any) -> Any:
     small = max(1e-9, 64 * float(jnp.finfo(x.dtype).eps))
     if domain == "inertia":
+        x, scale = jax.lax.stop_gradient((x, scale))
         moments = jnp.linalg.eigvalsh(x)
         excess = moments[..., 2] - moments[..., 0] - moments[..., 1]
         return (excess <= small * (jnp.abs(moments.sum(-1)) + scale))[..., None, None]
@@ -204,10 +206,13 @@ def _inside(x: jax.Array, domain: str, rank: int, scale: Any) -> Any:
     if domain == "definite" and rank < 2:
         return x >= -1e-3 * small * jnp.abs(x).max(-1, keepdims=True)
     if domain in ("definite", "symmetric") and rank == 2:
+        x = jax.lax.stop_gradient(x)
         largest = jnp.abs(x).max((-2, -1), keepdims=True)
         symmetric = (jnp.abs(x - jnp.swapaxes(x, -1, -2)) <= small * largest).all((-2, -1), keepdims=True)
         return symmetric if domain == "symmetric" else symmetric & (jnp.linalg.eigvalsh(x)[..., :1, None] >= -1e-3 * small * largest)
-    return {"nonnegative": x >= 0, "positive": x > 0, "fraction": (x >= 0) & (x <= 1)}.get(domain, True)
+    if domain == "fraction":
+        return (x >= 0) & (x <= 1)
+    return x > 0 if domain == "positive" else x >= 0
 
 
 def _check_signs(known: np.ndarray, kind: Kind, where: str, problems: Problems) -> None:

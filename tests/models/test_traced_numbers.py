@@ -111,6 +111,16 @@ def test_replace_under_jit_has_nan_where_it_refuses_known_numbers():
         np.testing.assert_allclose(value, known[path], rtol=1e-15, err_msg=path)
 
 
+def test_what_is_allowed_to_be_negative_stays():
+    ends = ("block", [0, 0, 0]), ("base", [0, 0, 0])
+    made = jax.jit(lambda k: jb.Bushing(*ends, stiffness=k, allow_negative=True).stiffness)
+    for stiffness in ([30.0, -30, 30], SIX - 400 * np.eye(6)):
+        with pytest.warns(jb.JaxbodyWarning, match="NEGATIVE_STIFFNESS"):
+            known = jb.Bushing(*ends, stiffness=stiffness, allow_negative=True).stiffness
+        np.testing.assert_array_equal(made(jnp.asarray(stiffness)), known)
+    assert np.isnan(made(jnp.asarray(SIX + np.eye(6, k=1)))).all()  # it has no potential energy
+
+
 def test_a_derivative_by_a_bad_number_is_nan():
     def stiff(k):
         model = with_numbers(GOOD | {"stiffness": k})
