@@ -23,9 +23,12 @@ from jaxbody.inputs.motions import AtRest, Harmonic, Sampled
 from jaxbody.inputs.port_inputs import BaseMotion, PointForce
 from jaxbody.inputs.roads import Road
 from jaxbody.inputs.signals import Samples, Sine
+from jaxbody.joints.composite_joints import Composite
+from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
 from jaxbody.laws import damper_laws, hysteresis_laws, laws, measured_curves, rubber_laws, spring_laws
 from jaxbody.models.bodies import Body, Support
-from jaxbody.models.joints import Ball, Composite, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
+from jaxbody.models.joints import Fixed, Free
 from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
 from jaxbody.sensors.sensors import Sensor
 

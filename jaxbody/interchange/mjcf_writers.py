@@ -16,9 +16,12 @@ from jaxbody.elements.springs import Spring, SpringDamper
 from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry.orientations import matrix
 from jaxbody.interchange.mjcf_geometry import ORIGIN, Place
+from jaxbody.joints.composite_joints import Composite
+from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.joints.series_joints import Series
 from jaxbody.laws.laws import Law, Linear
 from jaxbody.laws.spring_laws import TensionOnly
-from jaxbody.models.joints import Ball, Composite, Fixed, Free, Guide, Hinge, Joint, Series
+from jaxbody.models.joints import Fixed, Free, Joint
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import refuse_closures

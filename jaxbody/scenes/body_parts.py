@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from jaxbody.elements.contacts import Tyre
-from jaxbody.models.joints import Ball, Composite, Guide, Hinge
+from jaxbody.joints.composite_joints import Composite
+from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
 from jaxbody.models.layouts import WORLD
 from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT
 from jaxbody.scenes.animations import DrawnPart, NameLabel
