@@ -12,7 +12,7 @@ The packages, in reading order; each imports only from those before it:
     inputs          What acts on a model from outside, as functions of time: motions, signals, roads, loads.
     elements        Springs, bushings, mounts, torsion and contact: a deformation e(poses), V(e) and R(e, e_dot).
     models          Bodies, supports and joints by name, kept as arrays; paths to every number.
-    joints          Joints of every kind: slides and turns about one line, several in series.
+    joints          Joints of every kind: slides and turns about one line, several together or in series.
     sensors         What instruments on bodies read, with gain, bias, delay and lag.
     mechanics       T, V and R, their derivatives, and the equations of motion.
     mechanisms      Closed loops: assembled configurations, driven positions, curves of suspensions over travel and steering.
@@ -106,6 +106,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.interchange.mjcf_writers": ("write_mjcf",),
     "jaxbody.interchange.mount_tables": ("read_mounts",),
     "jaxbody.interchange.state_space_files": ("write_state_space",),
+    "jaxbody.joints.combined_joints": ("Cylindrical", "Planar", "Universal"),
     "jaxbody.joints.composite_joints": ("Composite",),
     "jaxbody.joints.elementary_joints": ("Ball", "Guide", "Hinge"),
     "jaxbody.joints.series_joints": ("HeavePitch", "HeavePitchRoll", "Translation"),

@@ -83,6 +83,9 @@ from jaxbody.interchange.mjcf_readers import read_mjcf as read_mjcf
 from jaxbody.interchange.mjcf_writers import write_mjcf as write_mjcf
 from jaxbody.interchange.mount_tables import read_mounts as read_mounts
 from jaxbody.interchange.state_space_files import write_state_space as write_state_space
+from jaxbody.joints.combined_joints import Cylindrical as Cylindrical
+from jaxbody.joints.combined_joints import Planar as Planar
+from jaxbody.joints.combined_joints import Universal as Universal
 from jaxbody.joints.composite_joints import Composite as Composite
 from jaxbody.joints.elementary_joints import Ball as Ball
 from jaxbody.joints.elementary_joints import Guide as Guide

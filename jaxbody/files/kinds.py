@@ -23,6 +23,7 @@ from jaxbody.inputs.motions import AtRest, Harmonic, Sampled
 from jaxbody.inputs.port_inputs import BaseMotion, PointForce
 from jaxbody.inputs.roads import Road
 from jaxbody.inputs.signals import Samples, Sine
+from jaxbody.joints.combined_joints import Cylindrical, Planar, Universal
 from jaxbody.joints.composite_joints import Composite
 from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
 from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
@@ -32,7 +33,7 @@ from jaxbody.models.joints import Fixed, Free
 from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
 from jaxbody.sensors.sensors import Sensor
 
-JOINTS = (Free, Fixed, Guide, Hinge, Ball, Composite, Translation, HeavePitch, HeavePitchRoll)
+JOINTS = (Free, Fixed, Guide, Hinge, Ball, Universal, Cylindrical, Planar, Composite, Translation, HeavePitch, HeavePitchRoll)
 ELEMENTS = (Spring, SpringDamper, Bushing, Mount, Torsion, AntiRollBar, Contact, Tyre, Inerter)
 LAWS = (
     laws.Linear, laws.TwoSided, spring_laws.Polynomial, spring_laws.Stop, spring_laws.TensionOnly, spring_laws.AirSpring,

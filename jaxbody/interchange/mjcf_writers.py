@@ -16,6 +16,7 @@ from jaxbody.elements.springs import Spring, SpringDamper
 from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry.orientations import matrix
 from jaxbody.interchange.mjcf_geometry import ORIGIN, Place
+from jaxbody.joints.combined_joints import Combined
 from jaxbody.joints.composite_joints import Composite
 from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
 from jaxbody.joints.series_joints import Series
@@ -143,6 +144,9 @@ class MjcfWriter:
             return [("slide" if isinstance(joint, Guide) else "hinge", back.R @ np.asarray(joint.axis), at)]
         if isinstance(joint, Series):
             steps = [(KINDS[turn], np.eye(3)[axis], place.p) for axis, turn in zip(joint.steps, joint.turns, strict=True)]
+        elif isinstance(joint, Combined):
+            through = place.p if joint.at is None else np.asarray(joint.at)
+            steps = [(KINDS[turn], n, through) for turn, n in zip(joint.turns, np.asarray(joint.directions), strict=True)]
         elif isinstance(joint, Composite):
             steps = list(zip([KINDS[turn] for turn in joint.turns], np.asarray(joint.directions), np.asarray(joint.points), strict=True))
         else:

@@ -61,11 +61,11 @@ class Hinge(Joint):
             self.at = None if at is None else vector(at, "Hinge.at", problems)  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def pose(self, q, parent, rest):
-        return parent @ _about(self.at, rotations.about(self.axis, q[0]), rest)
+        return parent @ turned_about(self.at, rotations.about(self.axis, q[0]), rest)
 
     def axes(self, q, parent, body):
         n = rotate(parent.R, self.axis)[None]
-        return _arms(n, self.at, parent, body), n
+        return arms(n, self.at, parent, body), n
 
 
 class Ball(Joint):
@@ -96,20 +96,20 @@ class Ball(Joint):
         return rotations.quaternion_rate(q, v)
 
     def pose(self, q, parent, rest):
-        return parent @ _about(self.at, rotations.matrix(q), rest)
+        return parent @ turned_about(self.at, rotations.matrix(q), rest)
 
     def axes(self, q, parent, body):
-        return _arms(parent.R.T, self.at, parent, body), parent.R.T
+        return arms(parent.R.T, self.at, parent, body), parent.R.T
 
 
-def _about(at, R, rest: Pose) -> Pose:
+def turned_about(at, R, rest: Pose) -> Pose:
     """The reference pose turned by R about the point `at`."""
     if at is None:
         return Pose(rest.p, product(R, rest.R))
     return Pose(at + rotate(R, rest.p - at), product(R, rest.R))
 
 
-def _arms(n: Float[Array, "nv 3"], at, parent: Pose, body: Pose) -> Float[Array, "nv 3"]:
+def arms(n: Float[Array, "nv 3"], at, parent: Pose, body: Pose) -> Float[Array, "nv 3"]:
     """Velocity of the body's origin for unit turns about the directions n through `at`."""
     if at is None:
         return jnp.zeros_like(n)
