@@ -113,6 +113,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.mechanics.energies": ("dissipation", "kinetic_energy", "lagrangian", "potential_energy"),
     "jaxbody.mechanics.kinematics": ("retract",),
     "jaxbody.mechanisms.assemblies": ("assemble",),
+    "jaxbody.mechanisms.compliances": ("Compliance", "compliant"),
     "jaxbody.mechanisms.corners": ("Corner",),
     "jaxbody.mechanisms.alignment_curves": ("suspension_curves",),
     "jaxbody.mechanisms.ready_corners": ("double_wishbone", "five_link", "macpherson"),

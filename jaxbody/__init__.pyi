@@ -100,6 +100,8 @@ from jaxbody.mechanics.energies import potential_energy as potential_energy
 from jaxbody.mechanics.kinematics import retract as retract
 from jaxbody.mechanisms.alignment_curves import suspension_curves as suspension_curves
 from jaxbody.mechanisms.assemblies import assemble as assemble
+from jaxbody.mechanisms.compliances import Compliance as Compliance
+from jaxbody.mechanisms.compliances import compliant as compliant
 from jaxbody.mechanisms.corners import Corner as Corner
 from jaxbody.mechanisms.ready_corners import double_wishbone as double_wishbone
 from jaxbody.mechanisms.ready_corners import five_link as five_link
