@@ -24,13 +24,17 @@ from jaxbody.inputs.port_inputs import BaseMotion, PointForce
 from jaxbody.inputs.pulses import HalfSine, PulseMotion, Sawtooth, Trapezoid, Triangle
 from jaxbody.inputs.roads import Road
 from jaxbody.inputs.signals import Samples, Sine
+from jaxbody.joints.combined_joints import Cylindrical, Planar, Universal
+from jaxbody.joints.composite_joints import Composite
+from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
 from jaxbody.laws import damper_laws, hysteresis_laws, laws, measured_curves, rubber_laws, spring_laws
 from jaxbody.models.bodies import Body, Support
-from jaxbody.models.joints import Ball, Composite, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
+from jaxbody.models.joints import Fixed, Free
 from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
 from jaxbody.sensors.sensors import Sensor
 
-JOINTS = (Free, Fixed, Guide, Hinge, Ball, Composite, Translation, HeavePitch, HeavePitchRoll)
+JOINTS = (Free, Fixed, Guide, Hinge, Ball, Universal, Cylindrical, Planar, Composite, Translation, HeavePitch, HeavePitchRoll)
 ELEMENTS = (Spring, SpringDamper, Bushing, Mount, Torsion, AntiRollBar, Contact, Tyre, Inerter)
 LAWS = (
     laws.Linear, laws.TwoSided, spring_laws.Polynomial, spring_laws.Stop, spring_laws.TensionOnly, spring_laws.AirSpring,

@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float
+from jaxbody.geometry.closures import Coupling, as_slide
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.mechanics.kinematics import Chart, Coordinates, with_world
 from jaxbody.models.models import Model
@@ -55,14 +56,13 @@ def _turning(table: KindTable) -> np.ndarray:
     return np.array([row.startswith("turn") for row in table.rows.rows])
 
 
-def gaps(model: Model, coordinates: Coordinates, frames: Frame) -> Float[Array, "n"]:
-    """c of all closures, in meters: sines of angles times the size of the model."""
+def gaps(model: Model, coordinates: Coordinates, frames: Frame, q: Float[Array, "nq"]) -> Float[Array, "n"]:
+    """c of all closures, in meters: angles and sines of angles times the size of the model."""
     drawn = with_world(coordinates.supports.at_rest(), coordinates.bodies.at_rest())
     size, found = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
     for table in model.closures:
-        A, B = ([model.layout.frame(link[end]) for link in table.links] for end in (0, 1))
-        rest = _poses(drawn, A).inverse() @ _poses(drawn, B)
-        values = jax.vmap(lambda closure, *poses: closure.gap(*poses))(table.rows, _poses(frames, A), _poses(frames, B), rest)
+        ends, (A, B) = _ends(model, table, frames, q), _ends(model, table, drawn, q)
+        values = jax.vmap(lambda closure, *poses: closure.gap(*poses))(table.rows, *ends, A.inverse() @ B)
         found.append((values * jnp.where(_turning(table), size, 1.0)[None]).ravel())
     return jnp.concatenate([jnp.zeros(0, frames.p.dtype), *found])
 
@@ -74,7 +74,7 @@ def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Arra
 
 def gaps_at(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n"]:
     """c(q)."""
-    return gaps(coordinates.model, coordinates, coordinates.at_rest(q))
+    return gaps(coordinates.model, coordinates, coordinates.at_rest(q), q)
 
 
 def closed(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
@@ -87,8 +87,13 @@ def how_open(model: Model, q: Float[Array, "nq"]) -> Float[Array, ""]:
     return _largest(closure_gaps(model, None, q)) / size_of(model)
 
 
-def _poses(frames: Frame, rows: list[int]) -> Pose:
-    return Pose(frames.p[np.array(rows)], frames.R[np.array(rows)])
+def _ends(model: Model, table: KindTable, frames: Frame, q: Float[Array, "nq"]) -> list[Pose]:
+    """The poses at both ends of each closure of a table; of couplings, their coordinates as poses."""
+    if isinstance(table.rows, Coupling):
+        places = [model.layout.coordinate_places[path][0] for path in (table.rows.of, table.rows.by)]
+        return [as_slide(jnp.broadcast_to(q[i], len(table))) for i in places]
+    rows = [np.array([model.layout.frame(name) for name in end]) for end in zip(*table.links, strict=True)]
+    return [Pose(frames.p[end], frames.R[end]) for end in rows]
 
 
 def solve(conditions: Conditions, model: Model, values: Any, start: Float[Array, "nq"], held: np.ndarray | None = None):

@@ -123,6 +123,17 @@ class Layout:
         """The coordinates of an owner, such as a body's joint."""
         return next(block for block in self.blocks if block.owner == owner)
 
+    @cached_property
+    def coordinate_places(self) -> dict[str, tuple[int, int]]:
+        """{"rack.q": place in q, place in v} of the coordinates that are displacements or angles; "nut.q.1" where a joint has several."""
+        places = {}
+        for block in self.blocks:
+            q, v = self.q_slices[block.owner].start, self.v_slices[block.owner].start
+            for i, unit in enumerate(block.q_units):
+                if unit:
+                    places[f"{block.owner}.q" if block.nq == 1 else f"{block.owner}.q.{i}"] = (q + i, v + i)
+        return places
+
     # From states to vectors and back
 
     def pack(self, state: State) -> Float[Array, "ny"]:

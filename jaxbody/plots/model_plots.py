@@ -15,8 +15,8 @@ from jaxbody.elements.contacts import Tyre
 from jaxbody.elements.elements import LineElement
 from jaxbody.elements.inerters import Inerter
 from jaxbody.geometry.frames import Pose
+from jaxbody.joints.elementary_joints import Guide
 from jaxbody.mechanics.kinematics import Coordinates
-from jaxbody.models.joints import Guide
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
 from jaxbody.models.states import State

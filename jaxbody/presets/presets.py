@@ -11,8 +11,9 @@ import numpy as np
 from jaxbody.elements.bushings import Bushing
 from jaxbody.elements.springs import Spring
 from jaxbody.elements.torsions import AntiRollBar
+from jaxbody.joints.elementary_joints import Guide, Hinge
+from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
 from jaxbody.models.bodies import Body, Support
-from jaxbody.models.joints import Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
 from jaxbody.models.models import Model
 
 G = 9.81

@@ -102,7 +102,7 @@ def test_guides_welds_and_equations_hold_what_they_say():
     angle = 0.3
     q = jnp.array([0.5, 0.2, -0.1, np.cos(angle / 2), 0, 0, np.sin(angle / 2)])
     coordinates = Coordinates(model)
-    c = gaps(model, coordinates, coordinates.at_rest(q))
+    c = gaps(model, coordinates, coordinates.at_rest(q), q)
     sine = [0.0, 0.0, np.sin(angle)]  # times the size of the model, 1 m
     assert np.sort(np.abs(c[:2])).tolist() == pytest.approx([0.1, 0.2])
     np.testing.assert_allclose(c[2:5], sine, atol=1e-12)
