@@ -1,10 +1,10 @@
 """Plant one bug at a time in a copy of the package, and see that the tests named for it fail.
 
-    python tests/mutations/run.py [names or folders ...] [--jobs 2] [--check] [--write]
+    python tests/mutations/run.py [names of bugs or tables ...] [--jobs 2] [--check] [--write]
 
 Each bug is in a table of `tests/mutations/bugs`: the file, its old text, which occurs once, the new text, what is wrong, and the tests that
-fail with it. Without names all are run. `--check` only looks whether each old text occurs once and each new file is Python; `--write` writes
-`results.md`. The checkout is read only: a copy of the package in a temporary folder is what the tests import.
+fail with it, which are those of CI. Without names all are run. `--check` only looks whether each old text occurs once and each new file is
+Python; `--write` writes into `results.md` what came of these. The checkout is only read: the tests import a copy of the package.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 PACKAGE = ROOT / "jaxbody"
+RESULTS = HERE / "results.md"
 LONGEST = 900  # seconds for the tests of one bug
 IMPORTED = """
 import pathlib, sys
@@ -134,35 +135,40 @@ def main() -> int:
     if problems or asked.check:
         print(*problems, f"{len(chosen)} bugs, {len(problems)} problems", sep="\n")
         return int(bool(problems))
-    rows, counts = [], {"killed": 0}
+    rows, counts = {}, {"killed": 0}
     with tempfile.TemporaryDirectory(prefix="jaxbody-programs-") as programs, ThreadPoolExecutor(asked.jobs) as pool:
         for bug, (outcome, test, seconds) in zip(chosen, pool.map(lambda bug: run(bug, programs), chosen), strict=True):
             counts[outcome] = counts.get(outcome, 0) + 1
-            rows.append((bug, outcome, test))
-            print(f"{bug.group:14} {bug.name:36} {outcome:8} {seconds:5.0f} s  {test or bug.wrong}", flush=True)
-    last = f"{len(rows)} bugs: " + ", ".join(f"{n} {outcome}" for outcome, n in counts.items())
-    print(last)
+            rows[bug.name] = test if outcome == "killed" else outcome
+            print(f"{bug.group:10} {bug.name:40} {outcome:8} {seconds:5.0f} s  {test or bug.wrong}", flush=True)
+    print(f"{len(rows)} bugs: " + ", ".join(f"{n} {outcome}" for outcome, n in counts.items()))
     if asked.write:
-        (HERE / "results.md").write_text(table(rows, last))
+        RESULTS.write_text(page(written() | rows))
     return int(counts["killed"] < len(rows))
 
 
-def table(rows: list[tuple[Bug, str, str]], last: str) -> str:
-    """The results as a page."""
+def written() -> dict[str, str]:
+    """{bug: the test that killed it} of the page as it is."""
+    cells = [line.split(" | ") for line in RESULTS.read_text().splitlines()] if RESULTS.exists() else []
+    return {row[0].removeprefix("| "): row[-1].removesuffix(" |") for row in cells if len(row) == 4}
+
+
+def page(found: dict[str, str]) -> str:
+    """The results of all bugs of the tables that were run."""
+    known = [bug for bug in bugs() if bug.name in found]
+    killed = sum("::" in found[bug.name] for bug in known)
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("jax", "diffrax", "equinox", "numpy", "scipy"))
     lines = [
         "# Planted bugs",
         "",
-        f"`tests/mutations/run.py --write`, {datetime.date.today()}, Python {platform.python_version()}, {versions}.",
-        "Each bug is planted alone in a copy of the package; the test is the first that fails of those named for it.",
+        f"By `tests/mutations/run.py --write`, {datetime.date.today()}, Python {platform.python_version()}, {versions}:",
+        f"{len(known)} bugs, {killed} killed. Each is planted alone in a copy of the package; the test is the first that fails of",
+        "those that its table names, which CI runs with every commit.",
         "",
-        f"{last}.",
-        "",
-        "| bug | file | what is wrong | killed by |",
+        "| bug | in | what is wrong | killed by |",
         "|---|---|---|---|",
     ]
-    for bug, outcome, test in rows:
-        lines.append(f"| {bug.name} | {bug.file} | {bug.wrong} | {test if outcome == 'killed' else outcome} |".replace("|x|", "abs(x)"))
+    lines += [f"| {bug.name} | {bug.file} | {bug.wrong.replace('|', '&#124;')} | {found[bug.name]} |" for bug in known]
     return "\n".join(lines) + "\n"
 
 
