@@ -163,6 +163,14 @@ def test_the_energy_of_a_gas_is_smooth_where_it_is_isothermal(exponent):
     assert abs(slope - (U(exponent + 1e-4) - U(exponent - 1e-4)) / 2e-4) <= 1e-6 * abs(slope)
 
 
+def test_an_air_spring_that_carries_a_load_has_the_absolute_pressure_for_it():
+    """p0 = p_a + load/A, so that it pushes with the load, and its stiffness n p0 A/h is that of the gas and not of the load alone."""
+    load, A, h, n = 800.0, 5e-3, 0.2, 1.3
+    gas = jb.laws.AirSpring.carrying(load, area=A, height=h, exponent=n)
+    at_rest = jnp.zeros(())
+    np.testing.assert_allclose([gas.force(at_rest), gas.slope(at_rest)], [-load, n * (101325.0 * A + load) / h], rtol=1e-12)
+
+
 def test_a_gas_compressed_to_zero_volume_is_nan_and_named():
     gas = laws.AirSpring(pressure=3e5, area=0.01, height=0.5)
     model = jb.Model(

@@ -454,6 +454,10 @@ def test_suspicious_records_are_warned_of(case):
     assert f"[{code}]" in message and [word for word in words.split() if word not in message] == [], message
 
 
+def test_the_first_sample_of_a_stated_rate_is_at_zero():
+    np.testing.assert_allclose(jb.Record(None, {"a": (X, "m/s2")}, rate=250.0).times, np.arange(len(X)) / 250, rtol=1e-15)
+
+
 def test_sound_records_are_not_warned_of():
     """Warnings are errors in this suite; here the like of those above in the right unit."""
     for x, unit in ((X, "m"), (40 * X, "deg"), (STILL, "m/s2"), (STILL / 9.80665, "g"), (np.round(3 * X), "mm")):

@@ -45,6 +45,17 @@ def test_a_rate_is_s_times_its_motion(lin):
             np.testing.assert_allclose(rate, (2j * np.pi * F) ** (k + 1) * motion, rtol=1e-12, atol=1e-12 * np.abs(rate).max())
 
 
+def test_an_input_by_its_rate_is_integrated(lin):
+    """The response to a velocity or an acceleration of a support is that to its displacement over s or s^2, as a turn too."""
+    kinds = ("displacement", "velocity", "acceleration")
+    inputs = {f"{d} {kind}": jb.BaseMotion("base", d, kind=kind) for d in ("x", "ry") for kind in kinds}
+    H = np.asarray(jb.frequency_response(lin, F, inputs, {"box": jb.Position("box", POINT)}).values)
+    for first in (0, 3):
+        for k in (1, 2):
+            expected = H[:, first] / (2j * np.pi * F) ** k
+            np.testing.assert_allclose(H[:, first + k], expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+
+
 def test_a_chain_multiplies_the_response_of_its_sensor(lin):
     """gain exp(-s delay)/(1 + s lag); the bias is a constant, of which a response knows nothing."""
     chained = jb.Acceleration("box", POINT, axis="z", gain=-1.3, bias=0.2, delay=0.013, lag=0.07)

@@ -165,6 +165,21 @@ def test_a_slider_crank_holds_a_load():
     assert float(eq.closure_reactions["rod"]["length"]) == pytest.approx((load - spring) * ROD / root, rel=1e-11)
 
 
+def test_a_closure_that_holds_a_body_upright_bears_the_moment_of_its_weight():
+    """A body beside a vertical guide, on a spring along it, exerts the moment r x W on the guide, whatever the size of the model."""
+    mass, r = 3.0, np.array([0.4, -0.7, 0.2])
+    model = jb.Model(
+        bodies={"lift": jb.Body(mass, [1, 1, 1], com=r)},
+        closures={"rail": jb.closures.Guide(("world", [0, 0, 0]), ("lift", [0, 0, 0]), axis="z")},
+        elements={"cable": jb.Spring(("lift", [0, 0, 0]), ("world", [0, 0, 5]), stiffness=2e3, free_length=4.9)},
+        gravity=[0, 0, -G],
+    )
+    reaction = jb.equilibrium(model).closure_reactions["rail"]
+    moment = np.cross(r, [0, 0, -mass * G])
+    np.testing.assert_allclose([reaction[f"turn {axis}"] for axis in "xyz"], moment, rtol=1e-10, atol=1e-8)
+    np.testing.assert_allclose([reaction["across 1"], reaction["across 2"]], 0, atol=1e-8)
+
+
 def test_supports_carry_what_closures_hand_to_them():
     model = parallelogram("right hinge", base="base", supports={"base": jb.Support()}, spring=False)
     eq = jb.equilibrium(model)
