@@ -135,7 +135,8 @@ class Judge:
             on_B = -slope.T @ (K @ pin.log6(X).vector + C @ (slope @ relative))  # at the frame of B, in its axes
             F, M = X_B.rotation @ on_B[:3], X_B.rotation @ on_B[3:]
             return [
-                (n, sign * np.concatenate([F, M + np.cross(X_B.translation - self.pose(n).translation, F)])) for n, sign in ((B, 1), (A, -1))
+                (n, sign * np.concatenate([F, M + np.cross(X_B.translation - self.pose(n).translation, F)]))
+                for n, sign in ((B, 1), (A, -1))
             ]
         if isinstance(element, jb.Torsion):
             A, B = element.between

@@ -3,6 +3,7 @@
 import functools
 
 import numpy as np
+import pytest
 
 import jaxbody as jb
 from jaxbody import presets
@@ -379,8 +380,13 @@ def strut_corner(rng):
 @judged
 def hung_platform(rng):
     """A platform that is free but for three rods."""
-    corners, tops = np.array([[0.5, 0, 0], [-0.3, 0.4, 0], [-0.3, -0.4, 0]]), np.array([[0.7, 0.1, 1.0], [-0.4, 0.5, 1.1], [-0.4, -0.3, 0.9]])
-    rods = {f"rod {i}": jb.closures.Rod(("platform", a), ("base", b), length=1.0) for i, (a, b) in enumerate(zip(corners, tops, strict=True))}
+    corners, tops = (
+        np.array([[0.5, 0, 0], [-0.3, 0.4, 0], [-0.3, -0.4, 0]]),
+        np.array([[0.7, 0.1, 1.0], [-0.4, 0.5, 1.1], [-0.4, -0.3, 0.9]]),
+    )
+    rods = {
+        f"rod {i}": jb.closures.Rod(("platform", a), ("base", b), length=1.0) for i, (a, b) in enumerate(zip(corners, tops, strict=True))
+    }
     return jb.Model(
         bodies={"platform": body(rng)},
         supports={"base": jb.Support()},
@@ -394,7 +400,11 @@ def hung_platform(rng):
 def clamped_frame(rng):
     """Two arms on hinges, welded together at their ends by a closure, with a bushing that carries the rest; a guide closes a second loop."""
     return jb.Model(
-        bodies={"left": body(rng, position=[0.2, 0, 0]), "right": body(rng, position=[0.6, 0, 0]), "slide": body(rng, position=[0.4, 0.5, 0])},
+        bodies={
+            "left": body(rng, position=[0.2, 0, 0]),
+            "right": body(rng, position=[0.6, 0, 0]),
+            "slide": body(rng, position=[0.4, 0.5, 0]),
+        },
         supports={"base": jb.Support()},
         joints={"left": jb.Ball("base", at=[0, 0, 0])},
         closures={
@@ -409,3 +419,8 @@ def clamped_frame(rng):
 CLOSED = ("spatial_four_bar", "strut_corner", "hung_platform", "clamped_frame")
 WITH_MEMORY = ("plate_on_rubber", "plate_with_hysteresis")
 TREES = tuple(name for name in MODELS if name not in (*CLOSED, *WITH_MEMORY))
+
+
+def marked(names, quick):
+    """Parameters of a test, those that are not among the quick ones marked as long."""
+    return [pytest.param(name, marks=[] if name in quick else pytest.mark.long) for name in names]

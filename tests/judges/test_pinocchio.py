@@ -19,6 +19,7 @@ from jaxbody.compilation.compile_options import UNOPTIMIZED  # noqa: E402
 from jaxbody.mechanics.equations_of_motion import dynamics_of  # noqa: E402
 
 SAMPLES = 4
+QUICK = ("tree_with_bushings", "robot_arm", "laws_of_springs", "strut_corner")  # the others are long tests: seconds of compiling each
 EXACT = 1e-10  # rounding of a dozen bodies' sums and of a solve with a condition of 1e4
 
 
@@ -55,7 +56,7 @@ def close(result, expected, tolerance=EXACT):
     np.testing.assert_allclose(result, expected, rtol=0, atol=tolerance * np.abs(expected).max(initial=1e-300))
 
 
-@pytest.mark.parametrize("name", judged_models.TREES)
+@pytest.mark.parametrize("name", judged_models.marked(judged_models.TREES, QUICK))
 def test_accelerations_and_reactions_of_trees_on_moving_supports(name, rng):
     model = judged_models.MODELS[name]()
     motions, states, times = shaking(model, rng), random_states(model, rng), rng.uniform(0, 3, SAMPLES)
@@ -67,7 +68,7 @@ def test_accelerations_and_reactions_of_trees_on_moving_supports(name, rng):
             close(np.asarray(result[i]), expected)
 
 
-@pytest.mark.parametrize("name", judged_models.CLOSED)
+@pytest.mark.parametrize("name", judged_models.marked(judged_models.CLOSED, QUICK))
 def test_rests_reactions_and_frequencies_of_closed_loops(name):
     """The state of rest closes the loops there and is balanced by forces of the closures, which are those that jaxbody reports."""
     model = judged_models.MODELS[name]()
@@ -106,7 +107,7 @@ def magnitudes(reaction):
 DAMPED = ("plate_on_five_springs", "chain_of_balls", "tree_with_bushings", "rolling_car", "plate_with_inerters", "free_on_a_carriage")
 
 
-@pytest.mark.parametrize("name", DAMPED)
+@pytest.mark.parametrize("name", judged_models.marked(DAMPED, QUICK))
 def test_poles_of_damped_trees(name):
     model = judged_models.MODELS[name]()
     eq = jb.equilibrium(model)
