@@ -22,7 +22,7 @@ def in_axes(direction):
 
 
 class Judge:
-    """The same bodies, joints, closures and springs, the supports at rest; it starts with the bodies at {body: (position, rotation matrix)}."""
+    """The same bodies, joints, closures and springs, the supports at rest; `start`: {body: (position, rotation matrix)}."""
 
     def __init__(self, model, start):
         self.model, self.container = model, exudyn.SystemContainer()

@@ -398,7 +398,7 @@ def hung_platform(rng):
 
 @judged
 def clamped_frame(rng):
-    """Two arms on hinges, welded together at their ends by a closure, with a bushing that carries the rest; a guide closes a second loop."""
+    """An arm on a ball, a free body welded to its end by a closure, and another that slides on that one by a closure."""
     return jb.Model(
         bodies={
             "left": body(rng, position=[0.2, 0, 0]),

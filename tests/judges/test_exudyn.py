@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody import presets
 from jaxbody.geometry import rotations
 from jaxbody.mechanics.energies import frames_of
+from jaxbody.presets import presets
 
 exudyn = pytest.importorskip("exudyn", reason="needs exudyn: pip install 'jaxbody[judges]'")
 

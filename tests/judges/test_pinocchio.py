@@ -19,7 +19,7 @@ from jaxbody.compilation.compile_options import UNOPTIMIZED  # noqa: E402
 from jaxbody.mechanics.equations_of_motion import dynamics_of  # noqa: E402
 
 SAMPLES = 4
-QUICK = ("tree_with_bushings", "robot_arm", "laws_of_springs", "strut_corner")  # the others are long tests: seconds of compiling each
+QUICK = ("tree_with_bushings", "robot_arm")  # the others are long tests: seconds of compiling each
 EXACT = 1e-10  # rounding of a dozen bodies' sums and of a solve with a condition of 1e4
 
 
@@ -82,7 +82,7 @@ def test_rests_reactions_and_frequencies_of_closed_loops(name):
     np.testing.assert_allclose(left, 0, atol=1e-9 * size)
     for closure, expected in by_closure(model, forces).items():
         assert magnitudes(eq.closure_reactions[closure]) == pytest.approx(expected, rel=1e-8, abs=1e-8 * size)
-    M, h = judge.equations()
+    h = judge.equations()[1]
     needed = (judge.turn.T @ (h + closed_loops.rows_of(judge)[1].T @ forces))[judge.support_rows]
     close(np.concatenate([np.ravel(x) for x in eq.reactions.values()]), -needed, 1e-9)
     found = jb.modes(jb.linearize(model, eq)).frequency
@@ -107,7 +107,7 @@ def magnitudes(reaction):
 DAMPED = ("plate_on_five_springs", "chain_of_balls", "tree_with_bushings", "rolling_car", "plate_with_inerters", "free_on_a_carriage")
 
 
-@pytest.mark.parametrize("name", judged_models.marked(DAMPED, QUICK))
+@pytest.mark.parametrize("name", judged_models.marked(DAMPED, ()))
 def test_poles_of_damped_trees(name):
     model = judged_models.MODELS[name]()
     eq = jb.equilibrium(model)
