@@ -1,9 +1,10 @@
 """Properties that every model has, each as a number with a limit, over random models of `random_mechanics`.
 
-T3 to T53 are numbered as the properties of a trustworthy mechanics: dissipation, potential forces, action and reaction, invariance, stiffness,
-modes, responses, statuses. A value is relative to the largest number of its kind in the model, unless the limit says otherwise.
+Dissipation, potential forces, action and reaction, invariance, stiffness, modes, responses, statuses. A value is relative to the largest
+number of its kind in the model; wrong statuses and numbers that are not finite are counted.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -54,6 +55,14 @@ def in_state(model, state):
     return holding(model, state.z), coordinates.frames(state.q, state.v, coordinates.supports.at_rest())
 
 
+def without_closures(model):
+    """The tree of a model."""
+    if model.closures:
+        model = eqx.tree_at(lambda m: m.closures, model, ())
+        object.__setattr__(model, "independent", tuple(range(model.layout.nv)))
+    return model
+
+
 def forces(model, state):
     """T, V, the force of each element, v', and what does not depend on the choice of q."""
     held, frames = in_state(model, state)
@@ -94,7 +103,7 @@ def near(model, state, around):
     E = jnp.diag(scale) * STEP * size
     gradient = jax.grad(energy)
     K_by_differences = jax.vmap(lambda d: gradient(d) - gradient(-d))(E) / (2 * STEP * size)
-    K = jb.linearize(model, state).K[: len(scale), : len(scale)]
+    K = jb.linearize(without_closures(model), state).K[: len(scale), : len(scale)]
 
     def along(s):
         a, b = around * size * scale

@@ -1,7 +1,7 @@
-"""Random models for properties of the mechanics: structures, and for each as many models as wanted that share its compiled programs.
+"""Random models for properties of the mechanics: structures, and for each as many models as wanted that share compiled programs.
 
-A structure fixes the bodies, joints, elements, laws and closures; a seed draws the numbers of a model. The same seed gives the same model in
-other units, moved and turned as a whole, or with its parts named in another order.
+A structure fixes the bodies, joints, elements, laws and closures; a seed draws the numbers of a model. The same seed gives the same model
+in other units, moved and turned as a whole, or with its parts named in another order.
 """
 
 import dataclasses
@@ -64,8 +64,8 @@ PLAIN = View()
 
 
 class Structure:
-    """One of SHAPES shapes, which its compiled programs depend on, in one of four kinds of numbers: parameters over two and over six decades,
-    and special layouts with either. One shape is a body on springs of fourfold symmetry, one has bushings alone, two have closures."""
+    """One of SHAPES shapes, which its compiled programs depend on, in one of four kinds of numbers: parameters over two and over six
+    decades, and special layouts with either. One shape is a body on springs of fourfold symmetry, one has bushings alone, two closures."""
 
     def __init__(self, number):
         self.number, self.shape, kind = number, number // 4 % SHAPES, number % 4
@@ -159,7 +159,7 @@ class Structure:
         return jb.Composite(parent, ["move", "turn"], directions=rng.normal(size=(2, 3)), points=lines)
 
     def element(self, seed, i, view):
-        """Forces of springs are of the order of k times the size; each free length is about the length of its line in the reference pose."""
+        """Free lengths are about the distance of the ends in the reference pose; bushings are nearly relaxed there."""
         rng, size, (kind, a, b), places = self.rng(seed, f"element {i}"), self.size(seed), self.elements[i], self.places(seed)
         ends = [size * rng.normal(size=3) * (2.0 if name == "base" else 0.5) for name in (a, b)]
         if self.special == "collinear":
@@ -231,7 +231,7 @@ class Structure:
         if self.closed:
             ends = self.closing(seed, view)
             closures = {"loop": jb.closures.Rod(*ends)}
-        return jb.Model(
+        model = jb.Model(
             bodies={name: self.body(seed, name, view) for name in self.bodies[::order]},
             supports={"base": jb.Support(view.point(p), view.turned(q))},
             joints={name: self.joint(seed, i, view) for i, name in list(enumerate(self.bodies))[::order]},
@@ -239,6 +239,9 @@ class Structure:
             closures=closures,
             gravity=rigs.turned(view.turn) @ g * view.unit(1, 0, -2),
         )
+        if closures:  # all models of a structure share a program, which depends on this choice
+            object.__setattr__(model, "independent", tuple(range(model.layout.nv - 1)))
+        return model
 
     def closing(self, seed, view):
         """The ends of a rod from the second body to the base, four sizes long."""

@@ -1,7 +1,8 @@
-"""Properties of the mechanics over random models: `python properties.py --models 2000` prints them with limits; `--write` makes properties.md.
+"""Properties of the mechanics over random models: `python properties.py --models 2000` prints them with their limits.
 
-Structures of one to six bodies, each with as many models; 13 shapes of four structures each are compiled once (tests/random_mechanics.py draws
-them, tests/mechanics_properties.py states the properties; the quick tests run a few). Seeds count from `--seed`.
+With `--write` they go into properties.md. Structures of one to six bodies, each with as many models; the programs of 13 shapes of four
+structures each are compiled once (tests/random_mechanics.py draws them, tests/mechanics_properties.py states the properties; the quick
+tests run a few). Seeds count from `--seed`.
 """
 
 import argparse
@@ -14,12 +15,9 @@ import sys
 import time
 import warnings
 
-os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"  # compiling is most of the time
-
 import jax
 import numpy as np
 
-jax.config.update("jax_enable_x64", True)
 sys.path.insert(0, str(pathlib.Path(__file__).parents[1]))
 
 import mechanics_properties as properties
@@ -27,6 +25,8 @@ from random_mechanics import Structure
 
 import jaxbody as jb
 
+jax.config.update("jax_enable_x64", True)
+os.environ["XLA_FLAGS"] = os.environ.get("XLA_FLAGS", "") + " --xla_backend_optimization_level=0"  # compiling is most of the time
 HERE = pathlib.Path(__file__).parent
 
 
@@ -79,10 +79,11 @@ def table(results, models, structures, seed):
     lines = [
         "# Properties of the mechanics over random models",
         "",
-        f"`tests/benchmarks/properties.py`, {models} models of {structures} structures ({-(-structures // 4)} shapes), seed {seed}, {now}; jaxbody {jb.__version__}, jax",
-        f"{jax.__version__}, NumPy {np.__version__}, Python {platform.python_version()}, float64 on the CPU. A value belongs to a model: the largest",
-        "difference relative to the largest number of its kind. Models count where the property applies: those of rests only where the search",
-        "ended ok, T4 and T24 not where a law has kinks, T12 for a third of the structures.",
+        f"`tests/benchmarks/properties.py`, {models} models of {structures} structures of {-(-structures // 4)} shapes, seed {seed},",
+        f"{now}; jaxbody {jb.__version__}, jax {jax.__version__}, NumPy {np.__version__}, Python {platform.python_version()}, float64, CPU.",
+        "",
+        "A value belongs to a model: the largest difference relative to the largest number of its kind. Models count where the property",
+        "applies: those of rests only where the search ended ok, T4 and T24 not where a law has kinks, T12 for a third of the shapes.",
         "",
         "| property | worst | median | limit | models | missed | worst in (structure, seed) |",
         "|---|---|---|---|---|---|---|",
