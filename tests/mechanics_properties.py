@@ -299,9 +299,8 @@ def at_rest(structure, seeds, programs):
     D = plain["K"][:, None] + 1j * w[:, :, None, None] * plain["C"][:, None] - w[:, :, None, None] ** 2 * plain["M"][:, None]
     B = plain["B"][:, None]
     if not remembers(structure):
-        expected = np.full_like(H, np.nan)
-        expected[good] = (B @ np.linalg.solve(D, np.swapaxes(B, 2, 3) * np.ones((1, w.shape[1], 1, 1))))[good] if good.any() else 0
-        found["T33 response is B (K + i w C - w2 M)^-1 B'"] = per_line(H, expected)[good]
+        expected = B[good] @ np.linalg.solve(D[good], np.swapaxes(B[good], 2, 3) * np.ones((1, w.shape[1], 1, 1)))
+        found["T33 response is B (K + i w C - w2 M)^-1 B'"] = per_line(H[good], expected)
     modal = np.moveaxis(plain["modal"], -1, 1)
     found["T33 sum over modes"] = per_line(H, modal)[good]
     mobility = 1j * w[:, :, None, None] * H

@@ -80,7 +80,7 @@ def table(results, models, structures, seed):
         "# Properties of the mechanics over random models",
         "",
         f"`tests/benchmarks/properties.py`, {models} models of {structures} structures of {-(-structures // 4)} shapes, seed {seed},",
-        f"{now}; jaxbody {jb.__version__}, jax {jax.__version__}, NumPy {np.__version__}, Python {platform.python_version()}, float64, CPU.",
+        f"{now}; jaxbody {jb.__version__}, jax {jax.__version__}, NumPy {np.__version__}, Python {platform.python_version()}, float64.",
         "",
         "A value belongs to a model: the largest difference relative to the largest number of its kind. Models count where the property",
         "applies: those of rests only where the search ended ok, T4 and T24 not where a law has kinks, T12 for a third of the shapes.",
