@@ -216,7 +216,7 @@ def at_random_states(structure, seeds, programs):
     around = [0.05 * structure.rng(seed, "loop").normal(size=(2, models[0].layout.nv)) for seed in seeds]
     plain, local = programs.forces(models, states), programs.near(models, states, around)
     found = {
-        "T3 no damper gives power": np.maximum(0, -local["power"]) / np.maximum(local["powers"], TINY),
+        "T3 no damper gives power": np.maximum(0.0, -local["power"]) / np.maximum(local["powers"], TINY),
         "T5 forces of elements are in balance": local["balance"],
         "T23 K is symmetric": relative(local["K"], np.swapaxes(local["K"], 1, 2)),
     }
@@ -259,55 +259,57 @@ def flip(model, state):
 
 
 def at_rest(structure, seeds, programs):
-    """Properties of equilibria: (values, statuses)."""
+    """Properties of equilibria, -1 where one does not apply, and the statuses of the searches."""
     fractions = [np.array([0.0, 0.03, 0.31, 0.77, 1.9])] * len(seeds)
 
     def solved(view):
         points = [structure.size(s) * structure.rng(s, "ports").normal(size=(3, 3)) * v.length for s, v in zip(seeds, view, strict=True)]
         return programs.rest([structure.model(s, v) for s, v in zip(seeds, view, strict=True)], points, fractions)
 
-    plain = solved([PLAIN] * len(seeds))
-    moved, scaled = (solved(view) for view in zip(*(views(structure, seed) for seed in seeds), strict=True))
-    units = [view[1] for view in (views(structure, seed) for seed in seeds)]
+    views_of = [views(structure, seed) for seed in seeds]
+    plain, moved, scaled = solved([PLAIN] * len(seeds)), solved([v for v, _ in views_of]), solved([v for _, v in views_of])
     ok = plain["status"] == 0
-    least = np.array([np.linalg.eigvalsh(K)[0] / np.abs(K).max() if np.isfinite(K).all() else np.nan for K in plain["K"]])
-    found = {}
-    decided = (np.abs(least) > 1e-12) & np.isin(plain["status"], (0, int(jb.Status.UNSTABLE)))
-    found["T22 stability is the sign of the smallest eigenvalue (wrong)"] = (plain["stable"] != (least > 0))[decided]
-    found["R1 rest called ok with K not positive (wrong)"] = (least <= 0)[ok]
-    largest = np.abs(plain["K"]).max((1, 2)) * plain["size"]
-    found["R1 rest called ok: force left over"] = (np.abs(plain["left"]).max(1) / largest)[ok]
-    silent = [~np.isfinite(np.reshape(x, (len(seeds), -1))).all(1) for x in plain.values()]
-    found["T53 numbers that are not finite and not announced"] = np.sum(silent, axis=0)[ok & (plain["mode status"] == 0)]
     good = ok & (plain["mode status"] == 0)
-    both = good & (moved["status"] == 0) & (moved["mode status"] == 0)
-    same = both & (relative(plain["frequency"], moved["frequency"]) < 1e-6)  # else another of several rests was found
-    found["T9 frequencies do not depend on place and turn"] = relative(plain["frequency"], moved["frequency"])[same]
-    time = np.array([view.time for view in units])[:, None]
-    both = good & (scaled["status"] == 0) & (scaled["mode status"] == 0)
-    alike = both & (relative(plain["frequency"], scaled["frequency"] * time) < 1e-6)
-    found["T10 frequencies in other units"] = relative(plain["frequency"], scaled["frequency"] * time)[alike]
+    found = {}
+
+    def enter(name, applies, values):
+        found[name] = np.where(applies, values, -1.0)
+
+    least = np.array([np.linalg.eigvalsh(K)[0] / np.abs(K).max() if np.isfinite(K).all() else np.nan for K in plain["K"]])
+    decided = (np.abs(least) > 1e-12) & np.isin(plain["status"], (0, int(jb.Status.UNSTABLE)))
+    enter("T22 stability is the sign of the smallest eigenvalue (wrong)", decided, plain["stable"] != (least > 0))
+    enter("R1 rest called ok with K not positive (wrong)", ok, ~(least > 0))
+    largest = np.abs(plain["K"]).max((1, 2)) * plain["size"]
+    enter("R1 rest called ok: force left over", ok, np.abs(plain["left"]).max(1) / largest)
+    silent = [~np.isfinite(np.reshape(x, (len(seeds), -1))).all(1) for x in plain.values()]
+    enter("T53 numbers that are not finite and not announced", good, np.sum(silent, axis=0))
+    time = np.array([view.time for _, view in views_of])[:, None]
+    for name, other, frequency in (
+        ("T9 frequencies do not depend on place and turn", moved, moved["frequency"]),
+        ("T10 frequencies in other units", scaled, scaled["frequency"] * time),
+    ):
+        apart = relative(plain["frequency"], frequency)
+        same = good & (other["status"] == 0) & (other["mode status"] == 0) & (apart < 1e-6)  # else another of several rests was found
+        enter(name, same, apart)
     if not structure.closed:
         u, w2 = plain["shapes"] / plain["unit"][:, :, None], plain["eigenvalues"]
         left = plain["K"] @ u - plain["M"] @ u * w2[:, None, :]
         size = np.abs(plain["K"]).max((1, 2)) * np.abs(u).max((1, 2))
-        found["T29 K u = w2 M u"] = (np.abs(left).max((1, 2)) / size)[good]
-        found["T29 shapes are orthonormal in M"] = np.abs(np.swapaxes(u, 1, 2) @ plain["M"] @ u - np.eye(u.shape[2])).max((1, 2))[good]
-    H = np.moveaxis(plain["H"], -1, 1)
-    w = 2 * np.pi * plain["f"]
-    found["T32 response is reciprocal"] = per_line(H, np.swapaxes(H, 2, 3))[good]
-    D = plain["K"][:, None] + 1j * w[:, :, None, None] * plain["C"][:, None] - w[:, :, None, None] ** 2 * plain["M"][:, None]
-    B = plain["B"][:, None]
+        enter("T29 K u = w2 M u", good, np.abs(left).max((1, 2)) / size)
+        apart = np.swapaxes(u, 1, 2) @ plain["M"] @ u - np.eye(u.shape[2])
+        enter("T29 shapes are orthonormal in M", good, np.abs(apart).max((1, 2)))
+    H, modal = np.moveaxis(plain["H"], -1, 1), np.moveaxis(plain["modal"], -1, 1)
+    enter("T32 response is reciprocal", good, per_line(H, np.swapaxes(H, 2, 3)))
+    enter("T33 sum over modes", good, per_line(H, modal))
+    w = 2 * np.pi * plain["f"][:, :, None, None]
     if not remembers(structure):
-        expected = B[good] @ np.linalg.solve(D[good], np.swapaxes(B[good], 2, 3) * np.ones((1, w.shape[1], 1, 1)))
-        found["T33 response is B (K + i w C - w2 M)^-1 B'"] = per_line(H[good], expected)
-    modal = np.moveaxis(plain["modal"], -1, 1)
-    found["T33 sum over modes"] = per_line(H, modal)[good]
-    mobility = 1j * w[:, :, None, None] * H
-    power = (mobility + np.conj(np.swapaxes(mobility, 2, 3))) / 2
-    if good.any():
-        least = np.linalg.eigvalsh(power[good])[..., 0]
-        found["T34 no negative power"] = np.max(np.maximum(0, -least) / np.maximum(np.abs(mobility[good]).max((2, 3)), TINY), axis=1)
+        D = plain["K"][:, None] + 1j * w * plain["C"][:, None] - w**2 * plain["M"][:, None]
+        D, B = np.where(good[:, None, None, None], D, np.eye(D.shape[-1])), plain["B"][:, None]
+        expected = B @ np.linalg.solve(D, np.swapaxes(B, 2, 3) + 0 * D[..., :1, :1])
+        enter("T33 response is B (K + i w C - w2 M)^-1 B'", good, per_line(H, expected))
+    mobility = np.where(good[:, None, None, None], 1j * w * H, 0)
+    power = np.linalg.eigvalsh((mobility + np.conj(np.swapaxes(mobility, 2, 3))) / 2)[..., 0]
+    enter("T34 no negative power", good, np.max(np.maximum(0, -power) / np.maximum(np.abs(mobility).max((2, 3)), TINY), axis=1))
     return found, plain["status"]
 
 
@@ -327,6 +329,7 @@ def reordered(structure, seeds, programs):
     points = [structure.size(s) * structure.rng(s, "ports").normal(size=(3, 3)) for s in seeds]
     fractions = [np.array([0.0, 0.03, 0.31, 0.77, 1.9])] * len(seeds)
     one, two = (programs.rest(m, points, fractions) for m in models)
-    good = (one["status"] == 0) & (two["status"] == 0) & (relative(one["frequency"], two["frequency"]) < 1e-6)
-    found["T12 frequencies in another order"] = relative(one["frequency"], two["frequency"])[good]
+    apart = relative(one["frequency"], two["frequency"])
+    same = (one["status"] == 0) & (two["status"] == 0) & (apart < 1e-6)
+    found["T12 frequencies in another order"] = np.where(same, apart, -1.0)
     return found

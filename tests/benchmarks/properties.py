@@ -38,11 +38,11 @@ class Results:
 
     def add(self, structure, seeds, found):
         for name, values in found.items():
-            values = np.asarray(values, float)
-            self.values[name].append(values)
-            if values.size and not max(values) <= self.worst.get(name, (-1.0,))[0]:
-                i = int(np.argmax(values)) if np.isfinite(values).all() else int(np.argmax(~np.isfinite(values)))
-                self.worst[name] = float(values[i]), structure.number, seeds[i] if len(values) == len(seeds) else None
+            values = np.asarray(values, float) + 0.0
+            self.values[name].append(values[~(values < 0)])
+            i = int(np.argmax(np.where(np.isfinite(values), values, np.inf)))
+            if not values[i] <= self.worst.get(name, (-1.0,))[0]:
+                self.worst[name] = float(values[i]), structure.number, seeds[i]
 
     def rows(self):
         for name, limit in properties.LIMITS.items():

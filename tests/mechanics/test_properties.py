@@ -35,7 +35,7 @@ def found(programs):
 
 @pytest.mark.parametrize("name", HERE)
 def test_property(found, name):
-    assert len(found[name]) >= len(SEEDS) // 2
+    assert np.sum(found[name] >= 0) >= len(SEEDS) // 2  # where it applies
     assert np.max(found[name]) <= properties.LIMITS[name]
 
 
@@ -45,7 +45,7 @@ def test_properties_in_another_order(programs):
         warnings.simplefilter("ignore", jb.JaxbodyWarning)
         found = properties.reordered(Structure(8), SEEDS, programs)
     for name in REORDERED:
-        assert len(found[name]) and np.max(found[name]) <= properties.LIMITS[name]
+        assert np.max(found[name]) >= 0 and np.max(found[name]) <= properties.LIMITS[name]
 
 
 @pytest.mark.long
