@@ -80,6 +80,18 @@ def test_a_lag_is_a_state_of_the_state_space(lin):
     assert np.abs(np.linalg.eigvals(A) + 1 / 0.07).min() < 1e-9
 
 
+def test_a_force_reaches_a_reaction_at_once_in_the_state_space(lin):
+    """D of a joint's reaction to a force on its body is what the response at very high frequencies tends to, whatever the masses do."""
+    outputs = {"hinge": jb.Reaction("arm", component=0), "base": jb.Reaction("base", component=1)}
+    inputs = {"pull": jb.PointForce("arm", [0.1, 0, 0.2], "x"), "push": jb.PointForce("box", [0.1, 0, 0.2], "y")}
+    space = lin.state_space(inputs, outputs)
+    A, B, C, D = (np.asarray(x) for x in (space.A, space.B, space.C, space.D))
+    H = np.asarray(jb.frequency_response(lin, F, inputs, outputs).values)
+    found = np.stack([C @ np.linalg.solve(2j * np.pi * f * np.eye(len(A)) - A, B) + D for f in F], -1)
+    np.testing.assert_allclose(found, H, rtol=0, atol=1e-10 * np.abs(H).max())
+    assert np.abs(D[0, 0]) > 0.01
+
+
 class Slant(jb.Sensor):
     """The distance of a body from a corner of the room, a sensor of one's own."""
 
