@@ -84,7 +84,7 @@ def solid_axle(
     The axle has two freedoms, bounce and roll: with one wheel up by 3 cm and the other down, it leans by 6 cm in its track of 1.5 m.
 
     >>> curves = solid_axle().curves(0.03, -0.03)
-    >>> round(float(jnp.sin(-curves["camber"][0])), 9)  # of the left wheel
+    >>> round(float(jnp.sin(-curves["camber"][0])), 6)  # of the left wheel
     0.04
     """
     points = _points(hard_points)
