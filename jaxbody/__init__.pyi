@@ -103,6 +103,8 @@ from jaxbody.mechanisms.assemblies import assemble as assemble
 from jaxbody.mechanisms.compliances import Compliance as Compliance
 from jaxbody.mechanisms.compliances import compliant as compliant
 from jaxbody.mechanisms.corners import Corner as Corner
+from jaxbody.mechanisms.ready_axles import Axle as Axle
+from jaxbody.mechanisms.ready_axles import solid_axle as solid_axle
 from jaxbody.mechanisms.ready_corners import double_wishbone as double_wishbone
 from jaxbody.mechanisms.ready_corners import five_link as five_link
 from jaxbody.mechanisms.ready_corners import macpherson as macpherson
