@@ -258,6 +258,16 @@ def flip(model, state):
     return jb.State(q, state.v, state.z)
 
 
+def ill_conditioned(M, C, K):
+    """By how much the condition of a mass matrix with a diagonal of 1 is beyond 1e3, and the poles are further than 1e4 apart: rounding
+    changes frequencies and shapes in proportion to the first, and a sum over modes to both."""
+    if not all(np.isfinite(X).all() for X in (M, C, K)):
+        return 1.0, 1.0
+    unit = 1 / np.sqrt(np.diag(M))
+    poles = np.abs(np.linalg.eigvals(np.block([[0 * M, np.eye(len(M))], [-np.linalg.solve(M, K), -np.linalg.solve(M, C)]])))
+    return max(1.0, np.linalg.cond(M * unit[:, None] * unit) / 1e3), max(1.0, np.max(poles) / max(np.min(poles), TINY) / 1e4)
+
+
 def at_rest(structure, seeds, programs):
     """Properties of equilibria, -1 where one does not apply, and the statuses of the searches."""
     fractions = [np.array([0.0, 0.03, 0.31, 0.77, 1.9])] * len(seeds)
@@ -270,6 +280,7 @@ def at_rest(structure, seeds, programs):
     plain, moved, scaled = solved([PLAIN] * len(seeds)), solved([v for v, _ in views_of]), solved([v for _, v in views_of])
     ok = plain["status"] == 0
     good = ok & (plain["mode status"] == 0)
+    beyond, apart = np.transpose([ill_conditioned(*x) for x in zip(plain["M"], plain["C"], plain["K"], strict=True)])
     found = {}
 
     def enter(name, applies, values):
@@ -288,19 +299,19 @@ def at_rest(structure, seeds, programs):
         ("T9 frequencies do not depend on place and turn", moved, moved["frequency"]),
         ("T10 frequencies in other units", scaled, scaled["frequency"] * time),
     ):
-        apart = relative(plain["frequency"], frequency)
-        same = good & (other["status"] == 0) & (other["mode status"] == 0) & (apart < 1e-6)  # else another of several rests was found
-        enter(name, same, apart)
+        difference = relative(plain["frequency"], frequency)
+        same = good & (other["status"] == 0) & (other["mode status"] == 0) & (difference < 1e-6)  # else another of several rests was found
+        enter(name, same, difference / beyond)
     if not structure.closed:
         u, w2 = plain["shapes"] / plain["unit"][:, :, None], plain["eigenvalues"]
         left = plain["K"] @ u - plain["M"] @ u * w2[:, None, :]
         size = np.abs(plain["K"]).max((1, 2)) * np.abs(u).max((1, 2))
         enter("T29 K u = w2 M u", good, np.abs(left).max((1, 2)) / size)
-        apart = np.swapaxes(u, 1, 2) @ plain["M"] @ u - np.eye(u.shape[2])
-        enter("T29 shapes are orthonormal in M", good, np.abs(apart).max((1, 2)))
+        difference = np.swapaxes(u, 1, 2) @ plain["M"] @ u - np.eye(u.shape[2])
+        enter("T29 shapes are orthonormal in M", good, np.abs(difference).max((1, 2)) / beyond)
     H, modal = np.moveaxis(plain["H"], -1, 1), np.moveaxis(plain["modal"], -1, 1)
     enter("T32 response is reciprocal", good, per_line(H, np.swapaxes(H, 2, 3)))
-    enter("T33 sum over modes", good, per_line(H, modal))
+    enter("T33 sum over modes", good, per_line(H, modal) / beyond / apart)
     w = 2 * np.pi * plain["f"][:, :, None, None]
     if not remembers(structure):
         D = plain["K"][:, None] + 1j * w * plain["C"][:, None] - w**2 * plain["M"][:, None]
@@ -329,7 +340,8 @@ def reordered(structure, seeds, programs):
     points = [structure.size(s) * structure.rng(s, "ports").normal(size=(3, 3)) for s in seeds]
     fractions = [np.array([0.0, 0.03, 0.31, 0.77, 1.9])] * len(seeds)
     one, two = (programs.rest(m, points, fractions) for m in models)
-    apart = relative(one["frequency"], two["frequency"])
-    same = (one["status"] == 0) & (two["status"] == 0) & (apart < 1e-6)
-    found["T12 frequencies in another order"] = np.where(same, apart, -1.0)
+    difference = relative(one["frequency"], two["frequency"])
+    same = (one["status"] == 0) & (two["status"] == 0) & (difference < 1e-6)
+    beyond = np.array([ill_conditioned(*x)[0] for x in zip(one["M"], one["C"], one["K"], strict=True)])
+    found["T12 frequencies in another order"] = np.where(same, difference / beyond, -1.0)
     return found
