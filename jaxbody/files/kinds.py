@@ -23,7 +23,7 @@ from jaxbody.inputs.motions import AtRest, Harmonic, Sampled
 from jaxbody.inputs.port_inputs import BaseMotion, PointForce
 from jaxbody.inputs.roads import Road
 from jaxbody.inputs.signals import Samples, Sine
-from jaxbody.laws import damper_laws, hysteresis_laws, laws, measured_curves, rubber_laws, spring_laws
+from jaxbody.laws import damper_laws, hydraulic_mounts, hysteresis_laws, laws, measured_curves, rubber_laws, spring_laws
 from jaxbody.models.bodies import Body, Support
 from jaxbody.models.joints import Ball, Composite, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
 from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
@@ -34,7 +34,7 @@ ELEMENTS = (Spring, SpringDamper, Bushing, Mount, Torsion, AntiRollBar, Contact,
 LAWS = (
     laws.Linear, laws.TwoSided, spring_laws.Polynomial, spring_laws.Stop, spring_laws.TensionOnly, spring_laws.AirSpring,
     damper_laws.Digressive, damper_laws.Friction, measured_curves.Table, rubber_laws.Maxwell, hysteresis_laws.BoucWen,
-    hysteresis_laws.Dahl, hysteresis_laws.LuGre,
+    hysteresis_laws.Dahl, hysteresis_laws.LuGre, hydraulic_mounts.Hydraulic,
 )  # fmt: skip
 MOTIONS = (AtRest, Harmonic, Road)
 LOADS = (Force, Unbalance, EngineTorque)

@@ -140,6 +140,13 @@ FITTED = {  # of each class that states a field with a domain that ends: what is
         jb.laws.LuGre(stiffness=2.0, damping=0.5, viscosity=0.3, level=1.0, static_level=1.5, velocity=0.2),
         of_memory,
     ),
+    jb.laws.Hydraulic: (
+        jb.laws.Hydraulic(
+            stiffness=2.0, damping=0.5, upper_stiffness=3.0, lower_stiffness=1.0, fluid_mass=0.5, fluid_damping=0.3, quadratic_damping=0.4,
+            gap=0.1,
+        ),
+        of_memory,
+    ),
     jb.Mount: (jb.Mount(HERE, ("world", [0, 0, 0.1]), x=2.0, y=3.0, rz=0.5, damping=[0.5, 0.4, 0.3, 0.2, 0.2, 0.1]), wrenches),
     jb.Inerter: (jb.Inerter(HERE, ("world", [0, 0, 0.1]), inertance=50.0), inertia),
     Pulse: (PULSE, of_motion),
