@@ -21,8 +21,8 @@ class Hydraulic(Inertial):
         small amplitude, no gap:   K(s) = kr + cr s + k1 (m s^2 + c s + k2)/(m s^2 + c s + k1 + k2)
 
     It is soft at low frequencies, kr + k1 k2/(k1 + k2), has its largest loss angle near the resonance of the fluid, and is stiff above it,
-    kr + k1. The quadratic loss makes the resonance weaker with amplitude. At amplitudes within the gap only the rubber acts; there the fluid
-    is held by k2 alone, and without k2 a linearization has a mode of zero frequency.
+    kr + k1. The quadratic loss makes the resonance weaker with amplitude. At amplitudes within the gap only the rubber acts; there k2 alone
+    holds the fluid, and without k2 a linearization has a mode of zero frequency.
 
     Args:
         stiffness: kr of the rubber [N/m]
@@ -52,7 +52,7 @@ class Hydraulic(Inertial):
     lower_stiffness: Number = field("force/argument", "nonnegative")
     fluid_mass: Number = field("force s2/argument", "positive", hint="For a column without inertia use Maxwell.")
     fluid_damping: Number = field("force s/argument", "nonnegative")
-    quadratic_damping: Number = field("force s2/argument2", "nonnegative")
+    quadratic_damping: Number = field("force s2/argument^2", "nonnegative")
     gap: Number = field("argument", "nonnegative", hint="It is the free play to each side.")
 
     def __init__(

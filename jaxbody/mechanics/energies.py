@@ -36,7 +36,9 @@ def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> F
 
 
 def kinetic_energy(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
-    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies, and of the energies of elements with inertia [J]. Source: (10), (11) of the paper.
+    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies, and of the energies of elements with inertia [J].
+
+    Source: (10), (11) of the paper.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
     >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))

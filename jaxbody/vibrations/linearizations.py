@@ -145,7 +145,8 @@ class Linearization(LinearSystem):
     """The matrices of small motions about `state`, rows and columns as in `coordinates` and `base_coordinates`.
 
     Coordinates y of elements with memory have rows after those of Delta: first those with mass, then massless ones, with M = 0;
-    `condensed` and `instantaneous` are without massless ones. Hysteretic states have none: to first order they are springs, and their losses are of higher order.
+    `condensed` and `instantaneous` are without massless ones. Hysteretic states have none: to first order they are springs, and their
+    losses are of higher order.
 
     The chart: Delta of a free body is the displacement of its O and a rotation vector, in world axes; for other joints, their coordinates,
         in axes of the parent. Away from equilibrium K depends on the chart; its split depends on it everywhere."""

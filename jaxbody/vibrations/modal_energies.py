@@ -35,10 +35,11 @@ class ModeEnergies(Labeled, Result):
     """Shares in percent, a column for each mode, ascending. Modes of coinciding frequencies each have the mean over their space.
 
     `kinetic` {body: (6, n)}: translation of the center of mass and rotation, in world axes; `inertia` {name: (n,)}: of elements with
-    inertia, such as inerters, and of coordinates of elements with mass, such as the fluid of a mount; the sum of both is 100. `strain` {element: (n,)}: V''(e) de de; with `other_strain`, {"tension", "gravity",
-    "loads"}, the contributions of tension, weights and loads to K, the sum is 100 (NaN for a mode of zero frequency). `dissipation`
-    {element: (n,)}: the sum is 100, or 0 without dissipation. `velocities` (bodies, 6, n): velocities of the centers of mass and angular
-    velocities, along the shape. `names`: each mode by the body and direction with most of the bodies' kinetic energy."""
+    inertia, such as inerters, and of coordinates of elements with mass, such as the fluid of a mount; the sum of both is 100. `strain`
+    {element: (n,)}: V''(e) de de; with `other_strain`, {"tension", "gravity", "loads"}, the contributions of tension, weights and loads to
+    K, the sum is 100 (NaN for a mode of zero frequency). `dissipation` {element: (n,)}: the sum is 100, or 0 without dissipation.
+    `velocities` (bodies, 6, n): velocities of the centers of mass and angular velocities, along the shape. `names`: each mode by the body
+    and direction with most of the bodies' kinetic energy."""
 
     index = "mode"
     frequency: Float[Array, "n"]

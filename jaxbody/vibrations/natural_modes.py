@@ -28,8 +28,8 @@ SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is 
 
 
 class ModalResult(Labeled, Result):
-    """The base class of natural and complex modes: `shapes` (columns) in the coordinates of the model and those of elements with mass, `M` the mass matrix of
-    the linear system."""
+    """The base class of natural and complex modes: `shapes` (columns) in the coordinates of the model and those of elements with mass, `M`
+    the mass matrix of the linear system."""
 
     index = "mode"
     frequency: Float[Array, "n"]

@@ -142,7 +142,13 @@ FITTED = {  # of each class that states a field with a domain that ends: what is
     ),
     jb.laws.Hydraulic: (
         jb.laws.Hydraulic(
-            stiffness=2.0, damping=0.5, upper_stiffness=3.0, lower_stiffness=1.0, fluid_mass=0.5, fluid_damping=0.3, quadratic_damping=0.4,
+            stiffness=2.0,
+            damping=0.5,
+            upper_stiffness=3.0,
+            lower_stiffness=1.0,
+            fluid_mass=0.5,
+            fluid_damping=0.3,
+            quadratic_damping=0.4,
             gap=0.1,
         ),
         of_memory,
