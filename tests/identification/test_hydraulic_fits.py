@@ -1,6 +1,5 @@
 """A hydraulic mount from its stiffness curves at two amplitudes: all six parameters, with the lower chamber known."""
 
-import jax
 import numpy as np
 import pytest
 
@@ -57,6 +56,9 @@ def test_one_curve_at_a_small_amplitude_cannot_tell_the_quadratic_loss():
     sheet = jb.MeasuredStiffness(
         "mount", FREQUENCIES, magnitude=K.magnitude, loss_angle=K.loss_angle, noise={"magnitude": 1e3, "loss_angle": NOISE}
     )
-    fit = jb.fit(model_of(1.1 * TRUTH), {"sheet": sheet}, free=[f"mount.spring.{name}" for name in NAMES[3:]])
-    assert "mount.spring.quadratic_damping" in str(fit) and fit.unidentified
-    assert jax.tree.all(jax.tree.map(lambda x: bool(np.isfinite(x).all()), fit.estimates))
+    with pytest.warns(jb.JaxbodyWarning, match="mount.spring.quadratic_damping has no effect on the data"):
+        fit = jb.fit(
+            model_of(TRUTH * np.array([1, 1, 1, 1.1, 1.1, 1.1])), {"sheet": sheet}, free=[f"mount.spring.{name}" for name in NAMES[3:]]
+        )
+    assert len(fit.unidentified) == 1
+    np.testing.assert_allclose(fit.estimates["mount.spring.fluid_mass"], 60.0, rtol=1e-6)
