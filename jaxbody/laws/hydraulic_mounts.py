@@ -105,8 +105,8 @@ class Hydraulic(Inertial):
         """x less the free play; its slope at x = 0 is 1 without one."""
         return jnp.where(jnp.abs(x) < self.gap, 0.0, x - jnp.sign(x) * self.gap)
 
-    def energy(self, e, y):
-        return 0.5 * (self.stiffness * e**2 + self.upper_stiffness * self._pushed(e - y[0]) ** 2 + self.lower_stiffness * y[0] ** 2)
+    def energy(self, e, z):
+        return 0.5 * (self.stiffness * e**2 + self.upper_stiffness * self._pushed(e - z[0]) ** 2 + self.lower_stiffness * z[0] ** 2)
 
     def dissipation(self, e_dot, y_dot):
         u = y_dot[0]
@@ -115,8 +115,8 @@ class Hydraulic(Inertial):
     def kinetic_energy(self, y_dot):
         return 0.5 * self.fluid_mass * y_dot[0] ** 2
 
-    def static_force(self, e, y):
-        return self.stiffness * e + self.upper_stiffness * self._pushed(e - y[0])
+    def static_force(self, e, z):
+        return self.stiffness * e + self.upper_stiffness * self._pushed(e - z[0])
 
     def restoring_force(self, e, e_dot, z):
         return self.static_force(e, z[:1]) + self.damping * e_dot

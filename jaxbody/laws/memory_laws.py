@@ -51,12 +51,12 @@ class Memory(Law):
         """z'."""
 
     @abstractmethod
-    def energy(self, e: Number, y: States) -> Number:
-        """The stored energy V [J]."""
+    def energy(self, e: Number, z: States) -> Number:
+        """The stored energy V of a configuration [J]."""
 
     @abstractmethod
-    def static_force(self, e: Number, y: States) -> Number:
-        """The force at rest."""
+    def static_force(self, e: Number, z: States) -> Number:
+        """The force at rest in a configuration."""
 
     def kinetic(self, z: States) -> Number:
         """The kinetic energy T of its states [J]."""
@@ -85,8 +85,8 @@ class InnerCoordinates(Memory):
     def dissipation(self, e_dot: Number, y_dot: States) -> Number:
         """R(e', y') [W]."""
 
-    def static_force(self, e, y):
-        return jax.grad(self.energy)(e, y)
+    def static_force(self, e, z):
+        return jax.grad(self.energy)(e, z)
 
     def viscous_force(self, e_dot: Number, y_dot: States) -> Number:
         """dR/de'."""
@@ -241,11 +241,11 @@ class Hysteretic(Memory):
     state_units: ClassVar[tuple[str, ...]] = ("force",)
     has_rows: ClassVar[bool] = False
 
-    def energy(self, e, y):
+    def energy(self, e, z):
         return jnp.zeros_like(e)
 
-    def static_force(self, e, y):
-        return self.restoring_force(e, jnp.zeros_like(e), y)
+    def static_force(self, e, z):
+        return self.restoring_force(e, jnp.zeros_like(e), z)
 
     def sensitivity(self, e: Number) -> States:
         """df/de' at rest, with z = 0."""
