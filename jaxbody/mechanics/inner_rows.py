@@ -78,6 +78,12 @@ def following(K: Square, nv: int, ny: int) -> Float[Array, "n m"]:
     return jnp.concatenate([one[:nv], -jnp.linalg.solve(K[own, own], K[own][:, x]), one[nv:]])
 
 
+def slow_matrices(M: Square, K: Square, nv: int) -> tuple[Square, Square]:
+    """M and K of Delta alone, in slow motions."""
+    T = following(K, nv, len(K) - nv)
+    return T.T @ M @ T, T.T @ K @ T
+
+
 def whole_matrices(coordinates: Coordinates, q: Float[Array, "nq"], v: Float[Array, "nv"]):
     """M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi); y apart in the model of the coordinates."""
     at, layout = configuration_at(coordinates, q, v), coordinates.model.layout

@@ -26,7 +26,7 @@ from jaxbody.mechanics.constraints import how_open
 from jaxbody.mechanics.element_derivatives import gravity_stiffness, split_stiffness
 from jaxbody.mechanics.element_states import completed
 from jaxbody.mechanics.free_motions import DependentMotions, closure_stiffness, dependent_motions
-from jaxbody.mechanics.inner_rows import following, whole_matrices
+from jaxbody.mechanics.inner_rows import following, slow_matrices, whole_matrices
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name
 from jaxbody.models.memories import apart, settled
@@ -196,11 +196,7 @@ class Linearization(LinearSystem):
     @property
     def quasistatic(self) -> tuple[Float[Array, "nf nf"], Float[Array, "nf nf"]]:
         """M and K without rows of coordinates of elements, which all follow slow motions."""
-        if not self.inner:
-            return self.M, self.K
-        nf = len(self.independent)
-        T = following(self.K, nf, self.inner)
-        return T.T @ self.M @ T, T.T @ self.K @ T
+        return slow_matrices(self.M, self.K, len(self.independent)) if self.inner else (self.M, self.K)
 
     @property
     def _zero(self) -> Float[Array, "nf nf"]:
@@ -364,7 +360,8 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
         return [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in whole], slope[:nv]
 
     ((M, M_tilde, M_bb), (C, C_tilde, C_bb), (K, K_tilde, K_bb)), slope = in_lanes(matrices, reversible=True)(numbers, state.q, state.v)
-    K = K - _padded(_load_stiffness(model, state, loads), ny)
+    of_loads = _load_stiffness(model, state, loads)
+    K = K - (jnp.pad(of_loads, (0, ny)) if ny else of_loads)
     if status is None:
         status = jnp.array(Status.OK.value)
     else:
@@ -375,10 +372,6 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
         stale = jnp.max(jnp.abs(unbalanced * scale), initial=0.0) > jnp.finfo(unbalanced.dtype).eps ** 0.5 * largest
         status = jnp.where(stale & ~jnp.isin(status, jnp.array(NOT_AT_REST)), Status.STALE.value, status)
     return Linearization(M, C, K, status, state, model, M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, loads)
-
-
-def _padded(K: Float[Array, "nv nv"], ny: int) -> Float[Array, "n n"]:
-    return jnp.pad(K, (0, ny)) if ny else K
 
 
 @jit_unoptimized
