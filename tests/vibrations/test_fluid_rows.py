@@ -258,3 +258,21 @@ def test_measured_modes_see_the_fluid():
     modes = jb.modes(lin)
     test = jb.MeasuredModes(frequency=modes.frequency, shapes=np.asarray(modes.shapes)[:1].T, sensors={"x": OUTPUTS["x"]})
     assert jb.fit(model, {"test": test}, free=["s.spring.terms.1.upper_stiffness"]).status == 0
+
+
+def test_maxima_by_a_spectrum_have_the_fluid_and_branches_that_follow():
+    """In slow motions a branch k, tau beside the mount is the damper k tau."""
+    branch = jb.laws.Maxwell(stiffness=2e4, relaxation_time=0.01)
+    ends = ("m", [0, 0, 0]), ("base", [0, 0, 0])
+    followed = oscillator(PUBLISHED + branch)
+    damped = jb.Model(
+        bodies={"m": jb.Body(mass=MASS)},
+        joints={"m": jb.Guide("world", axis="x")},
+        supports={"base": jb.Support(position=[1, 0, 0])},
+        elements={"s": jb.SpringDamper(*ends, free_length=1.0, spring=PUBLISHED, damper=200.0)},
+    )
+    outputs, shock = {"a": jb.Acceleration("m", axis="x"), "tension": jb.LoadCell("s")}, {"base": {"x": jb.Eurocode8(2.5, ground="B")}}
+    one, other = (jb.spectrum_response(jb.linearize(model, model.reference), shock, outputs) for model in (followed, damped))
+    assert one.damping_ratio.shape == (2,)
+    np.testing.assert_allclose(one["a"], other["a"], rtol=1e-9)
+    np.testing.assert_allclose(one["tension"], other["tension"], rtol=1e-9)
