@@ -105,15 +105,15 @@ class Mount(FramePair):
         return _joined(self._each(memories.sensitivities, e))
 
     def inner(self, e, e_dot):
-        with_rows = [i for i, name in enumerate(DIRECTIONS) if memories.has_massless(getattr(self, name))]
+        with_rows = [i for i, name in enumerate(DIRECTIONS) if memories.has_rows(getattr(self, name))]
         each = [memories.inner(getattr(self, DIRECTIONS[i]), e[i], e_dot[i]) for i in with_rows]
         unit = np.eye(6, dtype=e.dtype)
 
         def rows(k):
             return jnp.concatenate([one[k][:, None] * unit[i][None] for i, one in zip(with_rows, each, strict=True)])
 
-        squares = [jax.scipy.linalg.block_diag(*(one[k] for one in each)) for k in (1, 3)]
-        return rows(0), squares[0], rows(2), squares[1]
+        V_yy, R_yy, T_yy = (jax.scipy.linalg.block_diag(*(one[k] for one in each)) for k in (1, 3, 4))
+        return rows(0), V_yy, rows(2), R_yy, T_yy
 
 
 def _joined(parts: list[list[Array]]) -> Float[Array, "nz"]:

@@ -28,7 +28,7 @@ from jaxbody.joints.combined_joints import Cylindrical, Planar, Universal
 from jaxbody.joints.composite_joints import Composite
 from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
 from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
-from jaxbody.laws import damper_laws, hysteresis_laws, laws, measured_curves, rubber_laws, spring_laws
+from jaxbody.laws import damper_laws, hydraulic_mounts, hysteresis_laws, laws, measured_curves, rubber_laws, spring_laws
 from jaxbody.models.bodies import Body, Support
 from jaxbody.models.joints import Fixed, Free
 from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
@@ -39,7 +39,7 @@ ELEMENTS = (Spring, SpringDamper, Bushing, Mount, Torsion, AntiRollBar, Contact,
 LAWS = (
     laws.Linear, laws.TwoSided, spring_laws.Polynomial, spring_laws.Stop, spring_laws.TensionOnly, spring_laws.AirSpring,
     damper_laws.Digressive, damper_laws.Friction, measured_curves.Table, rubber_laws.Maxwell, hysteresis_laws.BoucWen,
-    hysteresis_laws.Dahl, hysteresis_laws.LuGre,
+    hysteresis_laws.Dahl, hysteresis_laws.LuGre, hydraulic_mounts.Hydraulic,
 )  # fmt: skip
 MOTIONS = (AtRest, Harmonic, Road, PulseMotion)
 PULSES = (HalfSine, Sawtooth, Trapezoid, Triangle)

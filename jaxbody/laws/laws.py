@@ -4,7 +4,7 @@
 
 A law states one of the two; the other is its derivative, or its integral by Gauss-Legendre quadrature. Tension is positive: in
 compression x < 0 and F < 0. All coefficients are arrays and can be free in a fit. Laws can be added. Torsion elements use the same laws
-in rad and N m. Laws with memory: `memories`.
+in rad and N m. Laws with memory: `memory_laws`.
 """
 
 from __future__ import annotations

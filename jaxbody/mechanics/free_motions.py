@@ -146,7 +146,7 @@ class DependentMotions(eqx.Module):
     smallest: Float[Array, ""]
 
     def of(self, H: Float[Array, "n n"], inner: int = 0) -> Float[Array, "m m"]:
-        """T' H T of a matrix of (Delta, y, Xi), or of Delta alone; y: `inner` coordinates without mass."""
+        """T' H T of a matrix of (Delta, y, Xi), or of Delta alone; y: `inner` coordinates of elements."""
         nv = len(self.N)
         if len(H) == nv:
             return self.N.T @ H @ self.N

@@ -33,7 +33,7 @@ class CoordinateBlock:
     quaternion: bool = False  # whether the last four numbers of q are one
     states: tuple[str, ...] = ()  # a description of each state in z
     z_units: tuple[str, ...] = ()
-    massless: tuple[bool, ...] = ()  # whether each state is a massless coordinate, with a row in M, C and K
+    roles: tuple[str, ...] = ()  # "massless" or "inertial", a coordinate with a row in M, C and K; "rate" of one with mass; "hysteretic"
     arguments: tuple[str, ...] = ()  # the unit of the deformation that each state follows
 
     @property
@@ -214,10 +214,29 @@ class Layout:
     def z_units(self) -> tuple[str, ...]:
         return tuple(unit for block in self.blocks for unit in block.z_units)
 
+    def _places(self, role: str) -> np.ndarray:
+        """The places in z of states of this role."""
+        return np.flatnonzero([role == one for block in self.blocks for one in block.roles])
+
     @cached_property
     def massless(self) -> np.ndarray:
         """The places in z of massless coordinates."""
-        return np.flatnonzero([massless for block in self.blocks for massless in block.massless])
+        return self._places("massless")
+
+    @cached_property
+    def inertial(self) -> np.ndarray:
+        """The places in z of coordinates with mass."""
+        return self._places("inertial")
+
+    @cached_property
+    def inner_rates(self) -> np.ndarray:
+        """The places in z of the rates of coordinates with mass."""
+        return self._places("rate")
+
+    @cached_property
+    def inner_places(self) -> np.ndarray:
+        """The places in z of the coordinates of elements in the order of their rows: those with mass, then massless ones."""
+        return np.concatenate([self.inertial, self.massless])
 
     @cached_property
     def follows_angles(self) -> np.ndarray:
@@ -226,8 +245,13 @@ class Layout:
 
     @cached_property
     def inner(self) -> tuple[str, ...]:
-        """A description of each massless coordinate."""
-        return tuple(self.states[i] for i in self.massless)
+        """A description of each coordinate of elements, in the order of their rows."""
+        return tuple(self.states[i] for i in self.inner_places)
+
+    @cached_property
+    def with_mass(self) -> tuple[str, ...]:
+        """A description of each speed, and of each coordinate of elements with mass: the rows of modes."""
+        return self.coordinates + self.inner[: len(self.inertial)]
 
     # The tree of the joints
 

@@ -96,7 +96,7 @@ def draw_mode(
         raise JaxbodyError(
             Problem("UNKNOWN_MODE", "draw_mode.number", f"is {number}; there are modes 1 to {count}", number, f"1 to {count}")
         )
-    shape = np.real(np.asarray(modes.shapes)[:, number - 1])
+    shape = np.real(np.asarray(modes.shapes)[: model.layout.nv, number - 1])
 
     def moved(factor: float) -> Scene:
         return Scene(model, _poses_at(model, lin.state.q, factor * shape, np.zeros((len(model.layout.supports), 6))))

@@ -291,7 +291,7 @@ def test_the_schema_is_that_of_the_fields():
     assert json.loads(SCHEMA_FILE.read_text()) == schema(), "run write_schema() of studies/schema_sections.py"
 
 
-BASES = {jb.laws.Hysteretic, jb.laws.Viscoelastic}  # of laws of one's own
+BASES = {jb.laws.Hysteretic, jb.laws.Inertial, jb.laws.Viscoelastic}  # of laws of one's own
 
 
 def test_every_class_of_the_package_is_in_the_schema():
