@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jaxbody.core.arrays import scalar
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.fields import Kind, check_domain, field, take
+from jaxbody.geometry.fields import Kind, field, in_domain, take
 from jaxbody.laws.laws import Number
 from jaxbody.laws.memory_laws import Inertial
 
@@ -133,5 +133,4 @@ class Hydraulic(Inertial):
 def _checked(value: Any, unit: str, domain: str, name: str, problems: Problems) -> Any:
     """A number of this domain. Errors: NEGATIVE, NOT_POSITIVE."""
     x = scalar(value, where := f"Hydraulic.from_fluid.{name}", problems)
-    check_domain(x, Kind(unit, domain), where, problems)
-    return x
+    return in_domain(x, Kind(unit, domain), where, problems)
