@@ -12,6 +12,7 @@ The packages, in reading order; each imports only from those before it:
     inputs          What acts on a model from outside, as functions of time: motions, signals, roads, loads.
     elements        Springs, bushings, mounts, torsion and contact: a deformation e(poses), V(e) and R(e, e_dot).
     models          Bodies, supports and joints by name, kept as arrays; paths to every number.
+    joints          Joints of every kind: slides and turns about one line, several together or in series.
     sensors         What instruments on bodies read, with gain, bias, delay and lag.
     mechanics       T, V and R, their derivatives, and the equations of motion.
     mechanisms      Closed loops: assembled configurations, driven positions, curves of suspensions over travel and steering.
@@ -105,26 +106,21 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.interchange.mjcf_writers": ("write_mjcf",),
     "jaxbody.interchange.mount_tables": ("read_mounts",),
     "jaxbody.interchange.state_space_files": ("write_state_space",),
+    "jaxbody.joints.combined_joints": ("Cylindrical", "Planar", "Universal"),
+    "jaxbody.joints.composite_joints": ("Composite",),
+    "jaxbody.joints.elementary_joints": ("Ball", "Guide", "Hinge"),
+    "jaxbody.joints.series_joints": ("HeavePitch", "HeavePitchRoll", "Translation"),
     "jaxbody.mechanics.energies": ("dissipation", "kinetic_energy", "lagrangian", "potential_energy"),
     "jaxbody.mechanics.kinematics": ("retract",),
     "jaxbody.mechanisms.assemblies": ("assemble",),
+    "jaxbody.mechanisms.compliances": ("Compliance", "compliant"),
     "jaxbody.mechanisms.corners": ("Corner",),
     "jaxbody.mechanisms.alignment_curves": ("suspension_curves",),
+    "jaxbody.mechanisms.ready_axles": ("Axle", "solid_axle"),
     "jaxbody.mechanisms.ready_corners": ("double_wishbone", "five_link", "macpherson"),
     "jaxbody.mechanisms.wheels": ("Wheel",),
     "jaxbody.models.bodies": ("Body", "Support"),
-    "jaxbody.models.joints": (
-        "Ball",
-        "Composite",
-        "Fixed",
-        "Free",
-        "Guide",
-        "HeavePitch",
-        "HeavePitchRoll",
-        "Hinge",
-        "Joint",
-        "Translation",
-    ),
+    "jaxbody.models.joints": ("Fixed", "Free", "Joint"),
     "jaxbody.models.leaf_paths": ("paths", "replace"),
     "jaxbody.models.models": ("Model",),
     "jaxbody.models.states": ("State",),

@@ -33,6 +33,20 @@ ODD = [
 ODD_VALUES = [None, True, -1, 1e400, 10**400, "", "1 kg", "nan m", [], [[1], 2], {}, {"type": "Stop"}, {"type": 3}, "world", ["world", 1]]
 
 
+def changed_text(rng, path):
+    """The path of a changed copy of a file."""
+    changed = path.with_stem("changed")
+    changed.write_text(_text(rng, path.read_text()), encoding="utf-8")
+    return changed
+
+
+def changed_value(rng, path):
+    """The same as JSON, with one value changed."""
+    changed = path.with_name("changed.json")
+    changed.write_text(_value(rng, json.dumps(read_document(path).values)), encoding="utf-8")
+    return changed
+
+
 def check_changed(path, count, read):
     """Change a file this many times, as TOML and as JSON; the number of changed files that are read without an error."""
     rng = np.random.default_rng(0)

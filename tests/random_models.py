@@ -32,11 +32,18 @@ def inertia(moments, q):
     return R @ np.diag([a + b, b + c, c + a]) @ R.T
 
 
+def sine(a, b):
+    """Of the angle between two directions."""
+    a, b = (np.array(x) / np.abs(x).max() for x in (a, b))
+    return np.linalg.norm(np.cross(a, b)) / np.linalg.norm(a) / np.linalg.norm(b)
+
+
 @st.composite
 def models(draw, numbers=NUMBERS):
     """The arguments of a Model; points are made of `numbers`."""
     points = st.lists(numbers, min_size=3, max_size=3)
     directions = points.filter(lambda x: np.linalg.norm(x) > 1e-100)
+    crossed = st.tuples(directions, directions).filter(lambda pair: sine(*pair) > 1e-3)
     body_names = draw(st.lists(names, min_size=2, max_size=4, unique=True))
     *body_names, support = body_names
     size = st.floats(0.1, 10)
@@ -51,8 +58,10 @@ def models(draw, numbers=NUMBERS):
     joints = {}
     for i, name in enumerate(body_names):
         kind, parent = draw(st.sampled_from([None, *JOINTS])), draw(st.sampled_from(["world", support, *body_names[:i]]))
-        more = {"axis": draw(directions)} if kind in (jb.Guide, jb.Hinge) else {}
-        more |= {"at": draw(st.none() | points)} if kind in (jb.Hinge, jb.Ball) else {}
+        more = {"axis": draw(directions)} if kind in (jb.Guide, jb.Hinge, jb.Cylindrical) else {}
+        more |= {"at": draw(st.none() | points)} if kind in (jb.Hinge, jb.Ball, jb.Universal, jb.Cylindrical) else {}
+        if kind in (jb.Universal, jb.Planar):
+            more |= dict(zip(("first", "second"), draw(crossed), strict=True))
         if kind is jb.Composite:
             steps = draw(st.lists(st.sampled_from(["move", "turn"]), min_size=1, max_size=3))
             more = {"steps": steps, "directions": [draw(directions) for _ in steps], "points": [draw(points) for _ in steps]}

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import checked, concrete
+from jaxbody.core.arrays import checked, concrete, nan_unless
 from jaxbody.core.errors import Problems, warn
 from jaxbody.core.jax_internals import Tracer
 
@@ -59,13 +59,13 @@ def whole_number(value: Any, where: str, problems: Problems, least: int = 1, cod
 
 
 def positive_number(value: Any, where: str, problems: Problems, code: str = "BAD_NUMBER") -> Any:
-    """One finite number above zero; None if it is not, with a problem added."""
+    """One finite number above zero; None if it is not, with a problem added, and NaN if it is traced."""
     number = checked(value, ((),), where, problems)
     known = None if number is None else concrete(number)
     if known is not None and not known > 0:
         problems.add(code, where, f"is {value}", value=value, limit="> 0")
         return None
-    return number
+    return number if number is None or known is not None else nan_unless(number > 0, number)
 
 
 def check_one_of(value: Any, known: Collection[str], code: str, where: str, problems: Problems, hint: str = "Give one of these.") -> None:

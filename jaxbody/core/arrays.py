@@ -102,6 +102,11 @@ def concrete(value: Any) -> np.ndarray | None:
     return None if isinstance(value, Tracer) else np.asarray(value)
 
 
+def nan_unless(valid: Any, x: jax.Array) -> jax.Array:
+    """x, and NaN with NaN as its derivative where it is not valid."""
+    return x * jnp.where(valid, jnp.ones((), x.dtype), jnp.nan)
+
+
 def is_concrete(*trees: Any) -> bool:
     """True when nothing in the trees is being traced, so that values can be read."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxbody.core.arrays import Array, Float, scalar
 from jaxbody.core.errors import Problems
 from jaxbody.elements.elements import Element, LineElement
-from jaxbody.geometry.fields import check_domain, field, kind_of, take
+from jaxbody.geometry.fields import field, in_domain, kind_of, take
 from jaxbody.geometry.places import direction, ends
 from jaxbody.geometry.vectors import dot, rotate
 from jaxbody.laws.spring_laws import ramp, ramp_energy, ramp_slope
@@ -116,8 +116,8 @@ class Contact(Touching, LineElement):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), "Contact", problems)
             take(self, problems, stiffness=stiffness, damping=damping, engagement=engagement)
-            self.free_length = scalar(distance, "Contact.distance", problems)
-            check_domain(self.free_length, kind_of(self, "free_length"), "Contact.distance", problems)
+            length = scalar(distance, "Contact.distance", problems)
+            self.free_length = in_domain(length, kind_of(self, "free_length"), "Contact.distance", problems)
 
     def split(self, L):
         d = self.free_length - L

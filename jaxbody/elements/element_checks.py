@@ -49,8 +49,10 @@ def _check_memory(law: Any, where: str, problems: Problems) -> None:
     zero = np.zeros(len(law.states))
     check_returned(lambda law, x: law.restoring_force(x, x, zero + x), law, (), f"{where}.restoring_force", problems)
     check_returned(lambda law, x: law.rate(x, x, zero + x), law, zero.shape, f"{where}.rate", problems)
-    check_returned(lambda law, x: law.energy(x, zero + x), law, (), f"{where}.energy", problems)
-    if law.massless or problems.collected or any(concrete(x) is None for x in jax.tree.leaves(law)):
+    check_returned(lambda law, x: law.energy(x, law.configuration(zero + x)), law, (), f"{where}.energy", problems)
+    if law.inertial:
+        check_returned(lambda law, x: law.kinetic(zero + x), law, (), f"{where}.kinetic_energy", problems)
+    if law.has_rows or problems.collected or any(concrete(x) is None for x in jax.tree.leaves(law)):
         return
     rates = np.stack([np.asarray(law.rate(np.float64(e), np.zeros(()), np.asarray(zero + z))) for e, z in ((0.0, 1e-3), (1e-3, -1.0))])
     if not (rates == 0).all():

@@ -17,7 +17,7 @@ from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.geometry import rotations
 from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import Kind, check_domain, field, kind_of
+from jaxbody.geometry.fields import Kind, field, in_domain, kind_of
 from jaxbody.geometry.frames import Frame, Pose, Wrench
 from jaxbody.geometry.vectors import cross, dot, product, rotate
 from jaxbody.numerics.xla_workarounds import inverse_root, kept
@@ -235,10 +235,14 @@ def turned(element: Any, A: Pose, B: Pose) -> tuple[Float[Array, "3 3"], Float[A
 
 def check_signs(element: Any, allow_negative: bool, problems: Problems) -> None:
     """Check that stiffness and damping are in their domains; negative values are a problem or, where allowed, a warning."""
-    element.allow_negative, found = False, Problems()
-    for name in (each.name for each in fields(element) if each.metadata.get("kind", Kind()).domain.endswith("unless allow_negative")):
-        check_domain(getattr(element, name), kind_of(element, name), f"{type(element).__name__}.{name}", found)
-    element.allow_negative = bool(allow_negative)
+    names = [each.name for each in fields(element) if each.metadata.get("kind", Kind()).domain.endswith("unless allow_negative")]
+    found = Problems()
+    for name in names:
+        number, where = getattr(element, name), f"{type(element).__name__}.{name}"
+        element.allow_negative = False
+        in_domain(number, kind_of(element, name), where, found)
+        element.allow_negative = bool(allow_negative)
+        setattr(element, name, in_domain(number, kind_of(element, name), where, Problems()))
     for problem in found.collected:
         if allow_negative and problem.code in ALLOWED:
             warn(problem.code, f"{problem.where} {problem.message}, which is allowed: {ALLOWED[problem.code]}")

@@ -11,7 +11,7 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, checked
 from jaxbody.core.errors import Problems
 from jaxbody.elements.bushings import FramePair
-from jaxbody.geometry.fields import check_domain, field, kind_of
+from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion
 from jaxbody.geometry.places import ends
 from jaxbody.laws import laws, memories
@@ -60,8 +60,7 @@ class Mount(FramePair):
             self.between, (self.a, self.b) = ends((a, b), "Mount", problems)
             for name, law in zip(DIRECTIONS, (x, y, z, rx, ry, rz), strict=True):
                 setattr(self, name, laws.as_law(law, f"Mount.{name}", problems))
-            self.damping = _damping(damping, problems)
-            check_domain(self.damping, kind_of(self, "damping"), "Mount.damping", problems)
+            self.damping = in_domain(_damping(damping, problems), kind_of(self, "damping"), "Mount.damping", problems)
             self.orientation = as_quaternion(orientation, "Mount.orientation", problems)
             self.orientation_b = as_quaternion(orientation_b, "Mount.orientation_b", problems)
 
@@ -106,15 +105,15 @@ class Mount(FramePair):
         return _joined(self._each(memories.sensitivities, e))
 
     def inner(self, e, e_dot):
-        with_rows = [i for i, name in enumerate(DIRECTIONS) if memories.has_massless(getattr(self, name))]
+        with_rows = [i for i, name in enumerate(DIRECTIONS) if memories.has_rows(getattr(self, name))]
         each = [memories.inner(getattr(self, DIRECTIONS[i]), e[i], e_dot[i]) for i in with_rows]
         unit = np.eye(6, dtype=e.dtype)
 
         def rows(k):
             return jnp.concatenate([one[k][:, None] * unit[i][None] for i, one in zip(with_rows, each, strict=True)])
 
-        squares = [jax.scipy.linalg.block_diag(*(one[k] for one in each)) for k in (1, 3)]
-        return rows(0), squares[0], rows(2), squares[1]
+        V_yy, R_yy, T_yy = (jax.scipy.linalg.block_diag(*(one[k] for one in each)) for k in (1, 3, 4))
+        return rows(0), V_yy, rows(2), R_yy, T_yy
 
 
 def _joined(parts: list[list[Array]]) -> Float[Array, "nz"]:

@@ -111,7 +111,7 @@ class MeasuredModes(Measurement):
                     if unit not in ("m", "rad"):
                         limit = "positions and rotations, such as jb.Position"
                         problems.add("WRONG_KIND", f"{where}.sensors['{name}']", f"reads {unit}", value=unit, limit=limit)
-            count = model.layout.nv
+            count = len(model.layout.with_mass)
             if max(self.number or (len(self.measured["frequency"]) - 1,)) >= count:
                 message = "has more modes than the model" if self.number is None else "is compared with a mode that the model does not have"
                 problems.add("BAD_SHAPE", f"{where}.frequency", message, value=self.number, limit=f"{count} modes")

@@ -108,8 +108,7 @@ def first_frequency(model: Model) -> float:
 
 
 def _mass_and_stiffness(model: Model) -> tuple[Array, Array]:
-    lin = linearize(model, model.reference).condensed
-    return lin.M, lin.K
+    return linearize(model, model.reference).quasistatic
 
 
 @jit_unoptimized

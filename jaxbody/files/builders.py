@@ -21,7 +21,7 @@ from jaxbody.files.documents import Document, EntryPath, shown
 from jaxbody.files.kinds import PLAIN, SECTIONS, TYPES, Argument, arguments_of, object_schema
 from jaxbody.files.quantities import in_SI
 from jaxbody.files.schemas import Check
-from jaxbody.geometry.fields import check_domain, kind_of
+from jaxbody.geometry.fields import in_domain, kind_of
 from jaxbody.geometry.orientations import Euler
 from jaxbody.geometry.places import direction
 from jaxbody.inputs.base_motions import base_motion
@@ -90,6 +90,8 @@ class Builder:
             return self.law(value, path, words)
         if argument.role == "signal":
             return self.signal(value, path, words)
+        if argument.role == "pulse":
+            return self.thing(value, None, path, words)
         if argument.role == "end":
             return value if isinstance(value, str) else tuple(value)
         if isinstance(value, dict):
@@ -270,7 +272,7 @@ def _made(kind: type, given: dict[str, Any]) -> Any:
     made = kind(**{name: np.asarray(value, float) if name in numbers else value for name, value in given.items()})
     with Problems() as problems:
         for name in numbers & set(given):
-            check_domain(getattr(made, name), kind_of(made, name), f"{kind.__name__}.{name}", problems)
+            in_domain(getattr(made, name), kind_of(made, name), f"{kind.__name__}.{name}", problems)
     return made
 
 

@@ -21,22 +21,28 @@ from jaxbody.inputs.base_motions import base_motion
 from jaxbody.inputs.loads import EngineTorque, Force, Load, Unbalance
 from jaxbody.inputs.motions import AtRest, Harmonic, Sampled
 from jaxbody.inputs.port_inputs import BaseMotion, PointForce
+from jaxbody.inputs.pulses import HalfSine, PulseMotion, Sawtooth, Trapezoid, Triangle
 from jaxbody.inputs.roads import Road
 from jaxbody.inputs.signals import Samples, Sine
-from jaxbody.laws import damper_laws, hysteresis_laws, laws, measured_curves, rubber_laws, spring_laws
+from jaxbody.joints.combined_joints import Cylindrical, Planar, Universal
+from jaxbody.joints.composite_joints import Composite
+from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
+from jaxbody.laws import damper_laws, hydraulic_mounts, hysteresis_laws, laws, measured_curves, rubber_laws, spring_laws
 from jaxbody.models.bodies import Body, Support
-from jaxbody.models.joints import Ball, Composite, Fixed, Free, Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
+from jaxbody.models.joints import Fixed, Free
 from jaxbody.sensors import attitudes, gauges, instruments, kinematic_sensors
 from jaxbody.sensors.sensors import Sensor
 
-JOINTS = (Free, Fixed, Guide, Hinge, Ball, Composite, Translation, HeavePitch, HeavePitchRoll)
+JOINTS = (Free, Fixed, Guide, Hinge, Ball, Universal, Cylindrical, Planar, Composite, Translation, HeavePitch, HeavePitchRoll)
 ELEMENTS = (Spring, SpringDamper, Bushing, Mount, Torsion, AntiRollBar, Contact, Tyre, Inerter)
 LAWS = (
     laws.Linear, laws.TwoSided, spring_laws.Polynomial, spring_laws.Stop, spring_laws.TensionOnly, spring_laws.AirSpring,
     damper_laws.Digressive, damper_laws.Friction, measured_curves.Table, rubber_laws.Maxwell, hysteresis_laws.BoucWen,
-    hysteresis_laws.Dahl, hysteresis_laws.LuGre,
+    hysteresis_laws.Dahl, hysteresis_laws.LuGre, hydraulic_mounts.Hydraulic,
 )  # fmt: skip
-MOTIONS = (AtRest, Harmonic, Road)
+MOTIONS = (AtRest, Harmonic, Road, PulseMotion)
+PULSES = (HalfSine, Sawtooth, Trapezoid, Triangle)
 LOADS = (Force, Unbalance, EngineTorque)
 INPUTS = (BaseMotion, PointForce)  # of measured responses
 SENSORS = (
@@ -46,7 +52,7 @@ SENSORS = (
     gauges.Displacement, gauges.StringPotentiometer, gauges.LaserVibrometer, gauges.LaserDistance, attitudes.BodyPose,
     attitudes.Orientation,
 )  # fmt: skip
-TYPES = {kind.__name__: kind for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *LOADS, *INPUTS, *SENSORS, Sine)}
+TYPES = {kind.__name__: kind for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *PULSES, *LOADS, *INPUTS, *SENSORS, Sine)}
 FROM_RECORDS = {"Sampled": Sampled, "base_motion": base_motion, "Samples": Samples}  # what is made of channels of a record
 FIELDS: dict[tuple[type, str], str] = {  # of arguments that are not named as the field is
     (Contact, "distance"): "free_length",
@@ -71,8 +77,8 @@ SECTIONS = {
 class Argument:
     """An argument of a class in a file, and the field of the object that holds it.
 
-    `role`: number, own (a number in the unit of its owner), end (a name and a point), law, signal, direction, of_input (a direction, or a
-    turn about one), name_of (a body, an element), word, words, whole or flag."""
+    `role`: number, own (a number in the unit of its owner), end (a name and a point), law, signal, pulse, direction, of_input (a direction,
+    or a turn about one), name_of (a body, an element), word, words, whole or flag."""
 
     name: str
     role: str
@@ -124,7 +130,7 @@ def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
         return "element" if issubclass(kind, instruments.OfElement) else "frame"
     if kind in INPUTS and name in ("axis", "direction"):
         return "of_input"
-    for word, role in (("Law", "law"), ("Signal", "signal")):
+    for word, role in (("Law", "law"), ("Signal", "signal"), ("Pulse", "pulse")):
         if word in annotation:
             return role
     if metadata.get("static"):
@@ -168,7 +174,7 @@ def argument_schema(argument: Argument) -> dict[str, Any]:
     about = {"description": argument.text} if argument.text else {}
     if argument.role == "end":
         return {"$ref": "#/$defs/end", **about}
-    if argument.role in ("law", "signal"):
+    if argument.role in ("law", "signal", "pulse"):
         return {"$ref": f"#/$defs/{argument.role}", **about, **({"words": dict(argument.words)} if argument.words else {})}
     if argument.role in ("frame", "element"):
         return named(argument.role) | about

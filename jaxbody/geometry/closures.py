@@ -1,4 +1,4 @@
-"""Closures: joints and rods that close loops, as conditions c(X_A, X_B) = 0 on the poses of two frames.
+"""Closures: joints and rods that close loops, as conditions c(X_A, X_B) = 0 on the poses of two frames, and couplings of two coordinates.
 
 The joints of a model form a tree; a closure joins two of its frames once more. With the points a and b, each in its own frame, and the
 rotation R of B on A from the reference pose, both in the axes of A:
@@ -18,14 +18,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, scalar
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.fields import check_domain, field, kind_of
+from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.places import direction, ends
 from jaxbody.geometry.vectors import axial, cross, dot, product, rotate, rotate_back
 
-__all__ = ["Ball", "Closure", "Equation", "Guide", "Hinge", "Inline", "Rod", "Weld"]
+__all__ = ["Ball", "Closure", "Coupling", "Equation", "Guide", "Hinge", "Inline", "Rod", "Weld"]
 
 
 class Closure(eqx.Module):
@@ -204,9 +205,9 @@ class Rod(Closure):
     def __init__(self, a, b, *, length=None):
         with Problems() as problems:
             self.between, (self.a, self.b) = ends((a, b), "Rod", problems)
-            self.length = None if length is None else scalar(length, "Rod.length", problems)
-            if self.length is not None:
-                check_domain(self.length, kind_of(self, "length"), "Rod.length", problems)
+            self.length = None
+            if length is not None:
+                self.length = in_domain(scalar(length, "Rod.length", problems), kind_of(self, "length"), "Rod.length", problems)
 
     def gap(self, A, B, rest):
         d = self.offset(A, B)
@@ -242,6 +243,63 @@ class Equation(Closure):
 
     def gap(self, A, B, rest):
         return jnp.atleast_1d(self.function(A, B))
+
+
+class Coupling(Closure):
+    """A coordinate of a joint as a function of another, as of a rack and its pinion, or of two gears: x - f(y) = 0.
+
+    Coordinates count from the reference pose, turns of any number included. They are named as in `suspension_curves`: "rack.q" for the one
+    of a joint, "nut.q.0", "nut.q.1" for those of a joint with several (not the numbers of a quaternion).
+
+    Args:
+        of: x, such as "rack.q"
+        by: y, such as "pinion.q"
+        ratio: f(y) = ratio y [unit of x by that of y]: for a rack the radius of its pinion, for two outer gears minus the ratio of their
+            teeth, for a screw its pitch/(2 pi)
+        function: f instead, a JAX function, or a law whose force is then x, such as the measured curve `jb.laws.Table(y, x)`
+
+    Errors: WRONG_KIND unless one of ratio and function is given, UNKNOWN_NAME where the model has no such coordinate, BAD_SHAPE,
+    NON_FINITE.
+
+    >>> jb.closures.Coupling("rack.q", "pinion.q", ratio=0.008).between
+    ('rack', 'pinion')
+    """
+
+    of: str = field(static=True)
+    by: str = field(static=True)
+    ratio: Float[Array, ""] | None = field()
+    function: Any = field()
+    rows: tuple[str, ...] = field(static=True)  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def __init__(self, of: str, by: str, *, ratio=None, function: Any = None):
+        with Problems() as problems:
+            self.of, self.by, self.rows = plain(of), plain(by), ("move",)
+            self.between = tuple(str(path).partition(".q")[0] for path in (self.of, self.by))
+            self.a, self.b = np.zeros(3), np.zeros(3)
+            self.ratio = None if ratio is None else scalar(ratio, "Coupling.ratio", problems)
+            self.function = function
+            if (ratio is None) == (function is None):
+                hint = "Give ratio=... for f(y) = ratio y, or function=... for another f."
+                problems.add("WRONG_KIND", "Coupling", "needs a ratio or a function", limit="one of them", hint=hint)
+
+    def counted_in(self, unit: str) -> "Coupling":
+        """The coupling with x in this unit."""
+        copy = object.__new__(type(self))
+        for name, value in vars(self).items():
+            object.__setattr__(copy, name, value)
+        object.__setattr__(copy, "rows", ("turn",) if unit == "rad" else ("move",))
+        return copy
+
+    def gap(self, A, B, rest):
+        x, y = A.p[0], B.p[0]
+        function = getattr(self.function, "force", self.function)
+        return (x - (function(y) if self.ratio is None else self.ratio * y))[None]
+
+
+def as_slide(x: Float[Array, "n"]) -> Pose:
+    """Coordinates as the poses that couplings read, with p = (x, 0, 0)."""
+    zero = jnp.zeros_like(x)
+    return Pose(jnp.stack([x, zero, zero], -1), jnp.broadcast_to(jnp.asarray(np.eye(3, dtype=x.dtype)), (*x.shape, 3, 3)))
 
 
 def _turn(A: Pose, B: Pose, rest: Pose) -> Float[Array, "3 3"]:

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import concrete, scalar
+from jaxbody.core.arrays import concrete, nan_unless, scalar
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import KNOWN
 
@@ -162,24 +164,59 @@ def take(owner: Any, problems: Problems | None = None, **values) -> None:
     found = Problems() if problems is None else problems
     for name, value in values.items():
         where = f"{type(owner).__name__}.{name}"
-        setattr(owner, name, scalar(value, where, found))
+        number = scalar(value, where, found)
         if not any(problem.where == where for problem in found.collected):
-            check_domain(getattr(owner, name), kind_of(owner, name), where, found)
+            number = in_domain(number, kind_of(owner, name), where, found)
+        setattr(owner, name, number)
     if problems is None:
         found.raise_if_any()
 
 
-def check_domain(value: Any, kind: Kind, where: str, problems: Problems) -> None:
-    """Check the signs and the symmetry that the domain of numbers requires.
+def in_domain(value: Any, kind: Kind, where: str, problems: Problems) -> Any:
+    """The value, whose signs and symmetry are checked; where it is traced, with NaN in place of numbers outside of the domain.
 
     Errors: that of the field, or NEGATIVE, NOT_POSITIVE, NOT_A_FRACTION; NOT_SYMMETRIC for a matrix."""
     known = concrete(value)
-    if known is None or kind.domain not in LIMITS:
-        return
-    limit, code = LIMITS[kind.domain]
+    if known is None:
+        return nan_outside(value, kind.domain, value.ndim)
     if kind.domain in ("definite", "symmetric"):
         _check_definite(known, kind, where, problems)
-        return
+    elif kind.domain in LIMITS:
+        _check_signs(known, kind, where, problems)
+    return value
+
+
+def nan_outside(value: jax.Array, domain: str, rank: int, scale: Any = 0.0) -> jax.Array:
+    """Traced numbers, of which the last `rank` axes are one value, with NaN where they are not in the domain: what is computed from them
+    is then NaN and has a status, as there can be no error. An inertia is compared with its trace and `scale` [kg m2]."""
+    limited = (domain in LIMITS and (domain != "symmetric" or rank == 2)) or domain == "inertia"
+    return nan_unless(_inside(value, domain, rank, scale), value) if limited else value
+
+
+def _inside(x: jax.Array, domain: str, rank: int, scale: Any) -> Any:
+    small = max(1e-9, 64 * float(jnp.finfo(x.dtype).eps))
+    if domain == "inertia":
+        x, scale = jax.lax.stop_gradient((x, scale))
+        moments = jnp.linalg.eigvalsh(x)
+        excess = moments[..., 2] - moments[..., 0] - moments[..., 1]
+        return (excess <= small * (jnp.abs(moments.sum(-1)) + scale))[..., None, None]
+    if domain in ROWS:
+        steps = jnp.diff(x)
+        return (steps > 0 if domain == "increasing" else steps >= 0).all(-1, keepdims=True)
+    if domain == "definite" and rank < 2:
+        return x >= -1e-3 * small * jnp.abs(x).max(-1, keepdims=True)
+    if domain in ("definite", "symmetric") and rank == 2:
+        x = jax.lax.stop_gradient(x)
+        largest = jnp.abs(x).max((-2, -1), keepdims=True)
+        symmetric = (jnp.abs(x - jnp.swapaxes(x, -1, -2)) <= small * largest).all((-2, -1), keepdims=True)
+        return symmetric if domain == "symmetric" else symmetric & (jnp.linalg.eigvalsh(x)[..., :1, None] >= -1e-3 * small * largest)
+    if domain == "fraction":
+        return (x >= 0) & (x <= 1)
+    return x > 0 if domain == "positive" else x >= 0
+
+
+def _check_signs(known: np.ndarray, kind: Kind, where: str, problems: Problems) -> None:
+    limit, code = LIMITS[kind.domain]
     x, dx = (known[..., 1:], np.diff(known)) if kind.domain in ROWS else (known, known)
     bad = {"nonnegative": x < 0, "positive": x <= 0, "fraction": (x < 0) | (x > 1), "increasing": dx <= 0, "rising": dx < 0}[kind.domain]
     if bad.any():

@@ -6,10 +6,11 @@ from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, checked, concrete, of_unit_length
+from jaxbody.core.arrays import Array, Float, checked, concrete, nan_unless, of_unit_length
 from jaxbody.core.errors import Problems
 from jaxbody.geometry import rotations
 
@@ -78,7 +79,7 @@ def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
         return np.array(IDENTITY)
     known = concrete(array)
     if known is None:
-        return array if array.shape == (4,) else rotations.from_matrix(array)
+        return array if array.shape == (4,) else rotations.from_matrix(_nan_unless_rotation(array))
     if known.shape == (4,):
         length = np.linalg.norm(known)
         if abs(length - 1) > 1e-3:
@@ -98,6 +99,13 @@ def as_quaternion(value: Any, where: str, problems: Problems) -> Any:
         )
         return np.array(IDENTITY)
     return _quaternion(known)
+
+
+def _nan_unless_rotation(R: jax.Array) -> jax.Array:
+    """A traced matrix; NaN where it is no rotation."""
+    error = jnp.sqrt(jnp.sum((R.T @ R - jnp.eye(3, dtype=R.dtype)) ** 2))
+    right = (error <= max(1e-12, 64 * float(jnp.finfo(R.dtype).eps))) & (jnp.linalg.det(R) > 0)
+    return nan_unless(jax.lax.stop_gradient(right), R)
 
 
 def _quaternion(R: np.ndarray) -> np.ndarray:

@@ -8,11 +8,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.core.arguments import positive_number, whole_number
+from jaxbody.core.arguments import check_kind, positive_number, whole_number
 from jaxbody.core.arrays import Array, Float, device_array, is_concrete, scalar
 from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field
-from jaxbody.geometry.places import direction as unit_direction
+from jaxbody.geometry.places import direction
 from jaxbody.inputs.motions import Motion
 from jaxbody.inputs.signals import Signal
 
@@ -50,12 +50,10 @@ class Pulse(Signal):
     def kinks(self):
         return self.start + self.duration * jnp.stack([jnp.asarray(u, float) for u in self.corners()])
 
-    def motion(self, direction: Any) -> PulseMotion:
-        """The translation along a direction (x, y, z or a vector, world axes) with this acceleration [m/s2], from rest at the support's
+    def motion(self, axis: Any) -> PulseMotion:
+        """The translation along an axis (x, y, z or a vector, world axes) with this acceleration [m/s2], from rest at the support's
         reference pose. After the pulse its velocity is constant: the velocity change of a shock machine without rebound."""
-        with Problems() as problems:
-            axis = unit_direction(direction, "motion.direction", problems)
-        return PulseMotion(self, device_array(axis))
+        return PulseMotion(self, axis)
 
     def samples(self, *, count: int = 200, lengths: int = 20) -> tuple[Array, Array]:
         """Times [s] and values, equally spaced, as `shock_spectrum` takes them; where the pulse jumps, the mean of both sides.
@@ -73,10 +71,25 @@ class Pulse(Signal):
 
 
 class PulseMotion(Motion):
-    """The motion from rest along `axis` whose acceleration is a pulse [m/s2]."""
+    """The motion from rest whose acceleration is a pulse, as `pulse.motion(axis)` returns it.
 
-    pulse: Pulse = field()
+    Args:
+        pulse: its acceleration [m/s2]
+        axis: its direction, x, y, z or a vector in world axes
+
+    Errors: WRONG_KIND, BAD_DIRECTION, ZERO_AXIS.
+
+    >>> PulseMotion(HalfSine(9.81, 0.01), "z").axis.tolist()
+    [0.0, 0.0, 1.0]
+    """
+
+    pulse: Pulse = field(words={"value": "m/s2"})
     axis: Float[Array, "3"] = field("", "direction")
+
+    def __init__(self, pulse, axis):
+        with Problems() as problems:
+            check_kind(pulse, Pulse, "PulseMotion.pulse", "a pulse, such as jb.HalfSine(...)", problems)
+            self.pulse, self.axis = pulse, device_array(direction(axis, "PulseMotion.axis", problems))
 
     def __call__(self, t):
         """A T^2 (F2(u) + F1(u) (s - u)), with s = (t - start)/T and u = s within the pulse, 0 before it and 1 after it: so written, the

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, checked, concrete, device_array, float_array, shaped
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.fields import check_domain, field, kind_of
+from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.inputs.motions import Motion
 
 FEWEST = 16  # pieces of a profile in the window
@@ -65,7 +65,7 @@ class Road(Motion):
                 for name, value in dict(speed=speed, position=position, footprint=footprint).items()
             }
             _check_increasing(s, problems)
-            check_domain(numbers["footprint"], kind_of(self, "footprint"), "Road.footprint", problems)
+            numbers["footprint"] = in_domain(numbers["footprint"], kind_of(self, "footprint"), "Road.footprint", problems)
         self.distances, self.heights = device_array(s), device_array(z)
         for name, number in numbers.items():
             setattr(self, name, device_array(number))

@@ -11,7 +11,9 @@ from jaxbody.elements.bushings import Bushing
 from jaxbody.elements.elements import Element
 from jaxbody.elements.torsions import Torsion
 from jaxbody.interchange.mjcf_geometry import ORIGIN, Place, about, from_z_to, product
-from jaxbody.models.joints import Ball, Composite, Free, Guide, Hinge, Joint
+from jaxbody.joints.composite_joints import Composite
+from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.models.joints import Free, Joint
 from jaxbody.models.layouts import WORLD
 
 STEPS = {"slide": "move", "hinge": "turn"}

@@ -16,9 +16,13 @@ from jaxbody.elements.springs import Spring, SpringDamper
 from jaxbody.elements.torsions import Torsion
 from jaxbody.geometry.orientations import matrix
 from jaxbody.interchange.mjcf_geometry import ORIGIN, Place
+from jaxbody.joints.combined_joints import Combined
+from jaxbody.joints.composite_joints import Composite
+from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.joints.series_joints import Series
 from jaxbody.laws.laws import Law, Linear
 from jaxbody.laws.spring_laws import TensionOnly
-from jaxbody.models.joints import Ball, Composite, Fixed, Free, Guide, Hinge, Joint, Series
+from jaxbody.models.joints import Fixed, Free, Joint
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import refuse_closures
@@ -140,6 +144,9 @@ class MjcfWriter:
             return [("slide" if isinstance(joint, Guide) else "hinge", back.R @ np.asarray(joint.axis), at)]
         if isinstance(joint, Series):
             steps = [(KINDS[turn], np.eye(3)[axis], place.p) for axis, turn in zip(joint.steps, joint.turns, strict=True)]
+        elif isinstance(joint, Combined):
+            through = place.p if joint.at is None else np.asarray(joint.at)
+            steps = [(KINDS[turn], n, through) for turn, n in zip(joint.turns, np.asarray(joint.directions), strict=True)]
         elif isinstance(joint, Composite):
             steps = list(zip([KINDS[turn] for turn in joint.turns], np.asarray(joint.directions), np.asarray(joint.points), strict=True))
         else:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from jaxbody.geometry.fields import field, take
 from jaxbody.laws.laws import Number
-from jaxbody.laws.memories import Hysteretic
+from jaxbody.laws.memory_laws import Hysteretic
 
 
 class BoucWen(Hysteretic):

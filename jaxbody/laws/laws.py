@@ -4,7 +4,7 @@
 
 A law states one of the two; the other is its derivative, or its integral by Gauss-Legendre quadrature. Tension is positive: in
 compression x < 0 and F < 0. All coefficients are arrays and can be free in a fit. Laws can be added. Torsion elements use the same laws
-in rad and N m. Laws with memory: `memories`.
+in rad and N m. Laws with memory: `memory_laws`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from jaxbody.core.arrays import Array, Bool, Float, checked, functions_as_nodes
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import check_domain, field, kind_of, take
+from jaxbody.geometry.fields import field, in_domain, kind_of, take
 
 Number = Float[Array, ""]
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(20)
@@ -75,8 +75,7 @@ def as_law(value: Any, where: str, problems: Problems) -> Law | None:
     if number is None:
         return None
     law = _made(Linear, coefficient=number)
-    check_domain(number, kind_of(law, "coefficient"), where, problems)
-    return law
+    return _made(Linear, coefficient=in_domain(number, kind_of(law, "coefficient"), where, problems))
 
 
 class Linear(Law):

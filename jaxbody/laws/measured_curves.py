@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, concrete
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.fields import field
+from jaxbody.geometry.fields import field, kind_of, nan_outside
 from jaxbody.laws.curve_files import read_columns
 from jaxbody.laws.laws import Law, row_of_numbers
 
@@ -37,6 +37,9 @@ class Table(Law):
         with Problems() as problems:
             self.x, self.forces = (row_of_numbers(v, f"Table.{name}", problems, least=1) for name, v in (("x", x), ("forces", forces)))
             _check_table(self.x, self.forces, problems)
+        for name in ("x", "forces"):
+            if concrete(values := getattr(self, name)) is None:
+                setattr(self, name, nan_outside(values, kind_of(self, name).domain, 1))
 
     @classmethod
     def read(

@@ -1,186 +1,19 @@
-"""Laws with memory: their force depends on states z of their own, which the elements own that have these laws.
-
-massless coordinates y    V(e, y), R(e', y'):   F = dV/de + dR/de',   dV/dy + dR/dy' = 0, solved for y'
-states of first order     F(e, e', z),          z' = f(e, e', z), zero at rest whatever z
-"""
+"""Laws with memory in known states z, which elements evaluate as any other: moving, about a rest, or at rest; and their sums by element."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
-from jaxbody.core.arrays import Array, Float, functions_as_nodes
-from jaxbody.core.errors import JaxbodyError, Problem, Problems
+from jaxbody.core.arrays import Array, functions_as_nodes
+from jaxbody.core.errors import Problems
 from jaxbody.geometry.fields import field
 from jaxbody.laws.laws import Law, Number, as_law, force, parts, potential
-
-States = Float[Array, "nz"]
-ITERATIONS = 50  # of Newton's method for massless coordinates at rest
-CONVERGED = 1e-13  # its last step, relative to the coordinates
-
-
-class Memory(Law):
-    """The base class of both kinds: `states` describes each state, `state_units` are their units, "argument" and "force" being those of
-    the element's deformation and force; `massless`, whether they are massless coordinates."""
-
-    states: ClassVar[tuple[str, ...]]
-    state_units: ClassVar[tuple[str, ...]]
-    massless: ClassVar[bool]
-    has_memory = True
-
-    @abstractmethod
-    def restoring_force(self, e: Number, e_dot: Number, z: States) -> Number:
-        """F, which opposes the deformation e."""
-
-    @abstractmethod
-    def rate(self, e: Number, e_dot: Number, z: States) -> States:
-        """z'."""
-
-    @abstractmethod
-    def energy(self, e: Number, z: States) -> Number:
-        """The stored energy V [J]."""
-
-    @abstractmethod
-    def static_force(self, e: Number, z: States) -> Number:
-        """The force at rest."""
-
-    def force(self, x):
-        raise without_states(self)
-
-    def potential(self, x):
-        raise without_states(self)
-
-
-def without_states(law: Memory) -> JaxbodyError:
-    """The error of an evaluation of a law without its states. Whatever does not yet know states ends here instead of leaving them out."""
-    message = "has memory, and this function does not take elements with states yet"
-    hint = "Replace it by a law without memory, such as jb.laws.Linear of its stiffness at the frequency of interest."
-    return JaxbodyError(Problem("MEMORY", f"the law {type(law).__name__}", message, limit="laws without memory", hint=hint))
-
-
-class Viscoelastic(Memory):
-    """The base class of laws with massless coordinates y: springs and dampers in series, branch by branch.
-
-        F = dV/de + dR/de',    dV/dy + dR/dy' = 0, so that    y' = -R_yy^-1 (dV/dy + R_ye e')
-
-    A law of your own states `states`, `energy` V(e, y) and `dissipation` R(e', y'), quadratic in (e', y') and definite in y'. In a
-    linearization each y has a row, with M = 0. A spring k with a branch of a cubic spring and a dashpot:
-
-    >>> class Branch(Viscoelastic):
-    ...     cubic: jax.Array = jb.field("N/m3", "positive")
-    ...     damping: jax.Array = jb.field("N s/m", "positive")
-    ...     states = ("dashpot",)
-    ...     def energy(self, e, y):
-    ...         return self.cubic * (e - y[0]) ** 4 / 4
-    ...     def dissipation(self, e_dot, y_dot):
-    ...         return self.damping * y_dot[0] ** 2 / 2
-    >>> branch = Branch(jnp.array(8.0), jnp.array(2.0))
-    >>> e, rest, y = jnp.array(0.5), jnp.array(0.0), jnp.zeros(1)
-    >>> float(branch.restoring_force(e, rest, y)), float(branch.rate(e, rest, y)[0])
-    (1.0, 0.5)
-    """
-
-    states: ClassVar[tuple[str, ...]] = ("branch",)
-    state_units: ClassVar[tuple[str, ...]] = ("argument",)
-    massless: ClassVar[bool] = True
-
-    @abstractmethod
-    def dissipation(self, e_dot: Number, y_dot: States) -> Number:
-        """R(e', y') [W]."""
-
-    def static_force(self, e, z):
-        return jax.grad(self.energy)(e, z)
-
-    def viscous_force(self, e_dot: Number, y_dot: States) -> Number:
-        """dR/de'."""
-        return jax.grad(self.dissipation)(jnp.asarray(e_dot, y_dot.dtype), y_dot)
-
-    def restoring_force(self, e, e_dot, z):
-        return self.static_force(e, z) + self.viscous_force(e_dot, self.rate(e, e_dot, z))
-
-    def rate(self, e, e_dot, z):
-        zero = jnp.zeros_like(z)
-        slope = jax.grad(self.energy, 1)(e, z) + jax.grad(self.dissipation, 1)(jnp.asarray(e_dot, z.dtype), zero)
-        return -_solved(jax.hessian(self.dissipation, 1)(jnp.zeros((), z.dtype), zero), slope)
-
-    def relaxed(self, e: Number) -> States:
-        """y at rest, dV/dy = 0, by Newton's method; the last two steps carry its derivatives, which are exact to the third."""
-
-        def step(law, e, y):
-            return y - _solved(jax.hessian(law.energy, 1)(e, y), jax.grad(law.energy, 1)(e, y))
-
-        law, fixed = jax.lax.stop_gradient((functions_as_nodes(self), e))
-
-        def iterate(carry):
-            y, _, n = carry
-            new = step(law, fixed, y)
-            return new, jnp.max(jnp.abs(new - y)) <= CONVERGED * jnp.max(jnp.abs(new)), n + 1
-
-        start = jnp.zeros(len(self.states), jnp.result_type(e)) + fixed
-        y, *_ = jax.lax.while_loop(lambda carry: ~carry[1] & (carry[2] < ITERATIONS), iterate, (start, jnp.array(False), 0))
-        for _ in range(2):
-            y = step(self, e, y)
-        return y
-
-    def sensitivity(self, e: Number) -> States:
-        """dy/de at rest."""
-        return jax.jvp(self.relaxed, (e,), (jnp.ones_like(e),))[1]
-
-
-class Hysteretic(Memory):
-    """The base class of laws with states of first order whose rate is zero at rest whatever the state: hysteresis, dry friction with
-    presliding.
-
-        F(e, e', z),    z' = f(e, e', z),    f(e, 0, z) = 0
-
-    A law of your own states `states`, `state_units`, `rate` and `restoring_force`; `energy`, the part of the work of F that is stored, is
-    zero unless it is given. At rest every z stays, so an equilibrium keeps the z of its start, zero without one. A linearization has its
-    tangent at rest in K, dF/de + dF/dz df/de', and no row for z: to first order it is a spring, and its losses, which grow with the square
-    of the amplitude or less, are in simulations only.
-
-    >>> class Elastoplastic(Hysteretic):
-    ...     stiffness: jax.Array = jb.field("force/argument", "positive")
-    ...     limit: jax.Array = jb.field("force", "positive")
-    ...     states, state_units = ("spring",), ("force",)
-    ...     def rate(self, e, e_dot, z):
-    ...         slips = (jnp.abs(z) >= self.limit) & (z * e_dot > 0)
-    ...         return jnp.where(slips, 0.0, self.stiffness * e_dot)
-    ...     def restoring_force(self, e, e_dot, z):
-    ...         return z[0]
-    >>> law = Elastoplastic(jnp.array(100.0), jnp.array(5.0))
-    >>> float(law.rate(0.0, 0.2, jnp.zeros(1))[0]), float(law.rate(0.0, 0.2, jnp.array([5.0]))[0])
-    (20.0, 0.0)
-    """
-
-    states: ClassVar[tuple[str, ...]] = ("hysteresis",)
-    state_units: ClassVar[tuple[str, ...]] = ("force",)
-    massless: ClassVar[bool] = False
-
-    def energy(self, e, z):
-        return jnp.zeros_like(e)
-
-    def static_force(self, e, z):
-        return self.restoring_force(e, jnp.zeros_like(e), z)
-
-    def sensitivity(self, e: Number) -> States:
-        """df/de' at rest, with z = 0."""
-        return _per_speed(self, e, jnp.zeros(len(self.states), jnp.result_type(e)))
-
-
-def _per_speed(law: Hysteretic, e: Number, z: States) -> States:
-    zero = jnp.zeros_like(e)
-    return jax.jvp(lambda e_dot: law.rate(e, e_dot, z), (zero,), (jnp.ones_like(e),))[1]
-
-
-def _solved(A: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
-    return b / A[0] if len(b) == 1 else jnp.linalg.solve(A, b)
-
-
-# Laws with known states, which elements evaluate as any other
+from jaxbody.laws.memory_laws import Hysteretic, Memory, States, per_speed, without_states
 
 
 class InState(Law):
@@ -190,13 +23,17 @@ class InState(Law):
     z: Any = field()  # States, or in a tree of axes their axis
 
     def potential(self, x):
-        return self.law.energy(x, self.z)
+        return self.law.energy(x, self.law.configuration(self.z))
 
     def force(self, x):
-        return self.law.static_force(x, self.z)
+        return self.law.static_force(x, self.law.configuration(self.z))
 
     def beyond(self, x):
         return self.law.beyond(x)
+
+    def kinetic(self) -> Number:
+        """T of its states."""
+        return self.law.kinetic(self.z)
 
     @abstractmethod
     def viscous(self, x: Number, x_dot: Number) -> Number:
@@ -211,77 +48,92 @@ class Held(InState):
     """A law with memory whose state moves by its own rate: as in a motion."""
 
     def viscous(self, x, x_dot):
-        return self.law.restoring_force(x, x_dot, self.z) - self.law.static_force(x, self.z)
+        return self.law.restoring_force(x, x_dot, self.z) - self.force(x)
 
     def dissipation(self, x, x_dot):
-        return self.law.dissipation(x_dot, self.rate(x, x_dot)) if self.law.massless else jnp.zeros_like(x)
+        if not self.law.has_rows:
+            return jnp.zeros_like(x)
+        return self.law.dissipation(x_dot, self.law.rates(self.z) if self.law.inertial else self.rate(x, x_dot))
 
     def rate(self, x: Number, x_dot: Number) -> States:
         """z'."""
         return self.law.rate(x, x_dot, self.z)
 
     def lost_power(self, x: Number, x_dot: Number) -> Number:
-        """F e' - dV/dt [W]."""
-        stored = jax.jvp(self.law.energy, (x, self.z), (x_dot, self.rate(x, x_dot)))[1]
-        return self.law.restoring_force(x, x_dot, self.z) * x_dot - stored
+        """F e' - d(V + T)/dt [W]."""
+
+        def stored(x, z):
+            V = self.law.energy(x, self.law.configuration(z))
+            return V + self.law.kinetic(z) if self.law.inertial else V
+
+        change = jax.jvp(stored, (x, self.z), (x_dot, self.rate(x, x_dot)))[1]
+        return self.law.restoring_force(x, x_dot, self.z) * x_dot - change
 
 
 class Apart(InState):
-    """A law with memory about a state of rest, for small motions: massless coordinates are coordinates of the system, with the rate z_dot;
-    hysteretic states follow the deformation by their tangent."""
+    """A law with memory about a state of rest, for small motions: its coordinates are coordinates of the system; those without mass have
+    the rate z_dot. Hysteretic states follow the deformation by their tangent."""
 
     z_dot: Any = field()
 
+    @property
+    def rates(self) -> States:
+        """y' of its coordinates."""
+        return self.law.rates(self.z) if self.law.inertial else self.z_dot
+
     def potential(self, x):
-        return super().potential(x) if self.law.massless else _tangent_potential(functions_as_nodes(self.law), x, self.z)
+        return super().potential(x) if self.law.has_rows else _tangent_potential(functions_as_nodes(self.law), x, self.z)
 
     def force(self, x):
-        return super().force(x) if self.law.massless else _tangent_force(functions_as_nodes(self.law), x, self.z)
+        return super().force(x) if self.law.has_rows else _tangent_force(functions_as_nodes(self.law), x, self.z)
 
     def viscous(self, x, x_dot):
-        if self.law.massless:
-            return self.law.viscous_force(x_dot, self.z_dot)
+        if self.law.has_rows:
+            return self.law.viscous_force(x_dot, self.rates)
         return self.law.restoring_force(x, x_dot, self.z) - self.law.static_force(x, self.z)
 
     def dissipation(self, x, x_dot):
-        return self.law.dissipation(x_dot, self.z_dot) if self.law.massless else jnp.zeros_like(x)
+        return self.law.dissipation(x_dot, self.rates) if self.law.has_rows else jnp.zeros_like(x)
 
     def inner(self, x: Number, x_dot: Number) -> tuple[Array, ...]:
-        """V_ye, V_yy, R_ye and R_yy."""
+        """V_ye, V_yy, R_ye, R_yy and T_yy."""
         V_y, R_y = jax.grad(self.law.energy, 1), jax.grad(self.law.dissipation, 1)
-        x_dot = jnp.asarray(x_dot, self.z.dtype)
+        y, y_dot = self.law.configuration(self.z), self.rates
+        x_dot = jnp.asarray(x_dot, y.dtype)
+        massless = jnp.zeros((len(y), len(y)), y.dtype)
         return (
-            jax.jacfwd(V_y, 0)(x, self.z),
-            jax.jacfwd(V_y, 1)(x, self.z),
-            jax.jacfwd(R_y, 0)(x_dot, self.z_dot),
-            jax.jacfwd(R_y, 1)(x_dot, self.z_dot),
+            jax.jacfwd(V_y, 0)(x, y),
+            jax.jacfwd(V_y, 1)(x, y),
+            jax.jacfwd(R_y, 0)(x_dot, y_dot),
+            jax.jacfwd(R_y, 1)(x_dot, y_dot),
+            jax.hessian(self.law.kinetic_energy)(y_dot) if self.law.inertial else massless,
         )
 
 
 class Relaxed(Law):
-    """A law with memory at rest: massless coordinates are where the deformation has pulled them; hysteretic states stay at z."""
+    """A law with memory at rest: coordinates are where the deformation has pulled them; hysteretic states stay at z."""
 
     law: Any = field()  # a Memory
     z: Any = field()  # States, or in a tree of axes their axis
 
     def state(self, x: Number) -> States:
         """z at rest."""
-        return self.law.relaxed(x) if self.law.massless else self.z
+        return self.law.at_rest(x) if self.law.has_rows else self.z
 
     def potential(self, x):
-        return self.law.energy(x, self.law.relaxed(x)) if self.law.massless else super().potential(x)
+        return self.law.energy(x, self.law.relaxed(x)) if self.law.has_rows else super().potential(x)
 
     def force(self, x):
-        return self.law.static_force(x, self.state(x))
+        return self.law.static_force(x, self.law.relaxed(x) if self.law.has_rows else self.z)
 
     def beyond(self, x):
         return self.law.beyond(x)
 
     def viscous(self, x: Number, x_dot: Number) -> Number:
         """The part of the force that depends on a slow rate: the derivative of R(e', dy/de e')."""
-        if not self.law.massless:
+        if not self.law.has_rows:
             return self.law.restoring_force(x, x_dot, self.z) - self.force(x)
-        follows = self.law.sensitivity(x)
+        follows = self.law.configuration(self.law.sensitivity(x))
         return jax.grad(lambda rate: self.law.dissipation(rate, follows * rate))(jnp.asarray(x_dot, follows.dtype))
 
 
@@ -307,7 +159,7 @@ def _tangent_force(law: Hysteretic, x: Number, z: States) -> Number:
 @_tangent_force.defjvp
 def _tangent_force_jvp(primals, tangents):
     (law, x, z), (law_dot, x_dot, z_dot) = primals, tangents
-    follows = _per_speed(law, x, z) * x_dot
+    follows = per_speed(law, x, z) * x_dot
     changed = jax.jvp(lambda law, x, z: law.static_force(x, z), primals, (law_dot, x_dot, z_dot + follows))
     return changed
 
@@ -371,16 +223,17 @@ def sensitivities(spring: Law | None, x: Number) -> list[States]:
     return [part.law.sensitivity(x) for part in _parts(spring)]
 
 
-def has_massless(spring: Law | None) -> bool:
-    """Whether a spring has massless coordinates."""
-    return any(part.law.massless for part in _parts(spring))
+def has_rows(spring: Law | None) -> bool:
+    """Whether a spring has coordinates with rows, apart."""
+    return any(isinstance(part, Apart) and part.law.has_rows for part in _parts(spring))
 
 
 def inner(spring: Law | None, x: Number, x_dot: Number) -> tuple[Array, ...]:
-    """V_ye, V_yy, R_ye and R_yy of all massless coordinates of a spring with memory, apart."""
-    each = [part.inner(x, x_dot) for part in _parts(spring) if part.law.massless]
-    rows, squares = ([jnp.concatenate([one[i] for one in each]) for i in (0, 2)], [[one[i] for one in each] for i in (1, 3)])
-    return rows[0], jax.scipy.linalg.block_diag(*squares[0]), rows[1], jax.scipy.linalg.block_diag(*squares[1])
+    """V_ye, V_yy, R_ye, R_yy and T_yy of all coordinates of a spring with memory, apart."""
+    each = [part.inner(x, x_dot) for part in _parts(spring) if isinstance(part, Apart) and part.law.has_rows]
+    V_ye, R_ye = (jnp.concatenate([one[i] for one in each]) for i in (0, 2))
+    V_yy, R_yy, T_yy = (jax.scipy.linalg.block_diag(*(one[i] for one in each)) for i in (1, 3, 4))
+    return V_ye, V_yy, R_ye, R_yy, T_yy
 
 
 def as_damper(value: Any, where: str, problems: Problems) -> Law | None:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 
 from jaxbody.geometry.fields import field, take
 from jaxbody.laws.laws import Number
-from jaxbody.laws.memories import Viscoelastic
+from jaxbody.laws.memory_laws import Viscoelastic
 
 
 class Maxwell(Viscoelastic):

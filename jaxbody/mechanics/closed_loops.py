@@ -25,7 +25,8 @@ import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.geometry.closures import Closure
+from jaxbody.core.errors import JaxbodyError, Problem
+from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.frames import Frame, Instant, Pose
 from jaxbody.inputs.loads import Load
 from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on, drawn, each_closure, gaps_from
@@ -58,6 +59,11 @@ class ClosedLoops(JointedBodies):
     size: Float[Array, ""]
 
     def __init__(self, model: Model, motions: Motions, loads: tuple[Load, ...] = ()):
+        couplings = [name for table in model.closures if isinstance(table.rows, Coupling) for name in table.names]
+        if couplings:
+            hint = "Replace couplings by your own element, or compute equilibria and small motions."
+            message = f"does not take couplings of coordinates: {', '.join(couplings)}"
+            raise JaxbodyError(Problem("CLOSED_LOOPS", "simulate", message, limit="other closures", hint=hint))
         Dynamics.__init__(self, model, motions, loads)
         self.rests, self.size = drawn(self.coordinates), jax.lax.stop_gradient(size_of(model))
 
@@ -168,7 +174,7 @@ class ClosedLoops(JointedBodies):
         def step(state, _):
             q, v = state
             frames = self.coordinates.frames(q, v, supports)
-            c = gaps_from(self.model, self.rests, frames)
+            c = gaps_from(self.model, self.rests, frames, q)
             q, v = self.coordinates.retract(q, saddle.solve(still, -c)[0]), v + saddle.solve(still, -self._rates(frames))[0]
             return (q, v), jnp.max(jnp.abs(c))
 
@@ -179,12 +185,12 @@ class ClosedLoops(JointedBodies):
     def closed(self, t: Float[Array, ""], state: State) -> tuple[State, Closing]:
         """The state on the closures next to another, and how far that is from them."""
         supports = self.coordinates.supports_moving(self.motions, t)
-        before = gaps_from(self.model, self.rests, self.coordinates.frames(state.q, state.v, supports))
+        before = gaps_from(self.model, self.rests, self.coordinates.frames(state.q, state.v, supports), state.q)
         q = closed_on(self.coordinates, self.rests, supports, state.q)
         frames = self.coordinates.frames(q, state.v, supports)
         y = self.pack(State(q, state.v, state.z))
         closed, rates = self.unpack(self.projected(t, y)), self._rates(frames)
-        left = jnp.max(jnp.abs(gaps_from(self.model, self.rests, frames))) / self.size
+        left = jnp.max(jnp.abs(gaps_from(self.model, self.rests, frames, q))) / self.size
         given, fastest = (jnp.max(jnp.abs(v) * jnp.where(self.model.layout.turns, self.size, 1.0)) for v in (state.v, closed.v))
         rate = jnp.where(given > 0, jnp.max(jnp.abs(rates)) / jnp.maximum(jnp.maximum(given, fastest), 1e-300), 0.0)
         far = Closing(jnp.max(jnp.abs(before)) / self.size, rate, left)

@@ -20,6 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.core.arrays import Array, Bool, Float
+from jaxbody.geometry.closures import Coupling, as_slide
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.mechanics.kinematics import Chart, Coordinates, with_world
 from jaxbody.models.models import Model
@@ -57,14 +58,14 @@ def _turning(table: KindTable) -> np.ndarray:
     return np.array([row.startswith("turn") for row in table.rows.rows])
 
 
-def gaps(model: Model, coordinates: Coordinates, frames: Frame) -> Float[Array, "n"]:
-    """c of all closures, in meters: sines of angles times the size of the model."""
-    return gaps_from(model, drawn(coordinates), frames)
+def gaps(model: Model, coordinates: Coordinates, frames: Frame, q: Float[Array, "nq"]) -> Float[Array, "n"]:
+    """c of all closures, in meters: angles and sines of angles times the size of the model."""
+    return gaps_from(model, drawn(coordinates), frames, q)
 
 
-def gaps_from(model: Model, rests: list[Pose], frames: Frame) -> Float[Array, "n"]:
+def gaps_from(model: Model, rests: list[Pose], frames: Frame, q: Float[Array, "nq"]) -> Float[Array, "n"]:
     """c of all closures, from their poses as drawn."""
-    found = each_closure(model, rests, lambda closure, rest, poses: closure.gap(*poses, rest), frames.pose())
+    found = each_closure(model, rests, lambda closure, rest, poses: closure.gap(*poses, rest), frames.pose(), q=q)
     return jnp.concatenate([jnp.zeros(0, frames.p.dtype), *found])
 
 
@@ -75,8 +76,9 @@ def drawn(coordinates: Coordinates) -> list[Pose]:
     return [A.inverse() @ B for A, B in (_ends(model, table, poses) for table in model.closures)]
 
 
-def each_closure(model: Model, rests: list[Pose], function: Callable[..., Any], *of_frames: Any) -> list[Any]:
-    """function(closure, pose as drawn, (a row for A, a row for B) of each of these tables of frames), of all conditions, in meters."""
+def each_closure(model: Model, rests: list[Pose], function: Callable[..., Any], *of_frames: Any, q: Any = None) -> list[Any]:
+    """function(closure, pose as drawn, (a row for A, a row for B) of each of these tables of frames), of all conditions, in meters. With q,
+    couplings read their coordinates as poses."""
     size, found = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
     for table, rest in zip(model.closures, rests, strict=True):
         unit = jnp.where(_turning(table), size, 1.0)[None]
@@ -84,8 +86,15 @@ def each_closure(model: Model, rests: list[Pose], function: Callable[..., Any], 
         def in_meters(values: Array, unit=unit) -> Array:
             return (values * unit.reshape(*unit.shape, *[1] * (values.ndim - 2))).reshape(-1, *values.shape[2:])
 
-        found.append(jax.tree.map(in_meters, jax.vmap(function)(table.rows, rest, *(_ends(model, table, x) for x in of_frames))))
+        ends = [_coordinates(model, table, q)] if isinstance(table.rows, Coupling) else [_ends(model, table, x) for x in of_frames]
+        found.append(jax.tree.map(in_meters, jax.vmap(function)(table.rows, rest, *ends)))
     return found
+
+
+def _coordinates(model: Model, table: KindTable, q: Float[Array, "nq"]) -> list[Pose]:
+    """The coordinates of couplings, as poses."""
+    places = [model.layout.coordinate_places[path][0] for path in (table.rows.of, table.rows.by)]
+    return [as_slide(jnp.broadcast_to(q[i], len(table))) for i in places]
 
 
 def _ends(model: Model, table: KindTable, frames: Any) -> tuple[Any, Any]:
@@ -101,7 +110,7 @@ def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Arra
 
 def gaps_at(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n"]:
     """c(q)."""
-    return gaps(coordinates.model, coordinates, coordinates.at_rest(q))
+    return gaps(coordinates.model, coordinates, coordinates.at_rest(q), q)
 
 
 def closed(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
@@ -114,7 +123,7 @@ def closed_on(coordinates: Coordinates, rests: list[Pose], supports: Frame, q: F
     derivatives."""
 
     def conditions(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
-        return gaps_from(model, rests, coordinates.frames(q, jnp.zeros(model.layout.nv, q.dtype), supports))
+        return gaps_from(model, rests, coordinates.frames(q, jnp.zeros(model.layout.nv, q.dtype), supports), q)
 
     step = partial(_stepped, conditions, None, coordinates.model, None)
     return jax.lax.scan(lambda q, _: (step(q), None), q, length=CLOSING)[0]

@@ -19,7 +19,7 @@ from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import cross, dot, rotate, rotate_back
 from jaxbody.inputs.loads import Load
-from jaxbody.laws.memories import Held, Relaxed, memories
+from jaxbody.laws.memories import Held, InState, Relaxed, memories
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.memories import holding, relaxed, rest_states
 from jaxbody.models.models import Model
@@ -38,7 +38,9 @@ def frames_of(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> F
 
 
 def kinetic_energy(model: Model, state: State, xi: Xi = None, xi_dot: Xi = None) -> Float[Array, ""]:
-    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies, and of the energies of inerters [J]. Source: (10), (11) of the paper.
+    """T = sum of 1/2 m v_C^2 + 1/2 w' J_C w over the bodies, and of the energies of elements with inertia [J].
+
+    Source: (10), (11) of the paper.
 
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, gravity=[0, 0, -10.0])
     >>> state = State(model.reference.q, jnp.array([0, 0, 3.0, 0, 0, 0]))
@@ -99,7 +101,8 @@ def kinetic(model: Model, frames: Frame) -> Float[Array, ""]:
     w_B = rotate_back(moving.R, moving.w)
     T = 0.5 * jnp.sum(bodies.mass * dot(v_C, v_C) + dot(w_B, rotate(bodies.inertia, w_B)))
     inertial = (of_table(model, frames, table, lambda s, *F: s.kinetic_energy(*s.rates(*F))) for table in inertial_tables(model))
-    return sum(map(jnp.sum, inertial), T)
+    inner = (jax.vmap(lambda law: law.kinetic())(law) for law in memories(model.elements, InState) if law.law.inertial)
+    return sum(map(jnp.sum, (*inertial, *inner)), T)
 
 
 def gravity_energy(model: Model, frames: Frame) -> Float[Array, ""]:

@@ -83,7 +83,10 @@ class Dynamics(eqx.Module):
         size = size_of(model)
         rate = jnp.sqrt(self._stiffness_sum() / jnp.sum(model.bodies.rows.mass) + jnp.linalg.norm(model.gravity) / size) + 1 / span
         y = self._packed(jnp.where(layout.angular, 1.0, size), rate * jnp.where(layout.turns, 1.0, size))
-        return jnp.concatenate([y, state_scales(model, self._reference_frames(), size)]) if layout.nz else y
+        if not layout.nz:
+            return y
+        z = jnp.asarray(state_scales(model, self._reference_frames(), size))
+        return jnp.concatenate([y, z.at[layout.inner_rates].set(rate * z[layout.inertial]) if len(layout.inertial) else z])
 
     @abstractmethod
     def _packed(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "*n"]:

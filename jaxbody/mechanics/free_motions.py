@@ -123,7 +123,7 @@ def slopes_by_supports(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float
 
     def displaced(xi):
         frames = coordinates.frames(q, jnp.zeros(layout.nv, q.dtype), coordinates.supports_at(xi, zero))
-        return gaps(coordinates.model, coordinates, frames)
+        return gaps(coordinates.model, coordinates, frames, q)
 
     J = jax.jacfwd(displaced)(zero)
     return J.reshape(len(J), layout.nxi)
@@ -146,7 +146,7 @@ class DependentMotions(eqx.Module):
     smallest: Float[Array, ""]
 
     def of(self, H: Float[Array, "n n"], inner: int = 0) -> Float[Array, "m m"]:
-        """T' H T of a matrix of (Delta, y, Xi), or of Delta alone; y: `inner` coordinates without mass."""
+        """T' H T of a matrix of (Delta, y, Xi), or of Delta alone; y: `inner` coordinates of elements."""
         nv = len(self.N)
         if len(H) == nv:
             return self.N.T @ H @ self.N
@@ -188,7 +188,7 @@ def closure_stiffness(coordinates: Coordinates, q: Float[Array, "nq"], multiplie
 
     def work(x):
         supports = coordinates.supports_at(x[layout.nv :].reshape(zero.shape), zero)
-        frames = coordinates.frames(coordinates.retract(q, x[: layout.nv]), jnp.zeros(layout.nv, q.dtype), supports)
-        return multipliers @ gaps(model, coordinates, frames)
+        moved = coordinates.retract(q, x[: layout.nv])
+        return multipliers @ gaps(model, coordinates, coordinates.frames(moved, jnp.zeros(layout.nv, q.dtype), supports), moved)
 
     return jax.hessian(work)(jnp.zeros(layout.nv + layout.nxi, q.dtype))

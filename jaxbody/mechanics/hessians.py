@@ -135,7 +135,7 @@ def damping(at: Configuration) -> Square:
 
 @jit_unoptimized
 def matrices(model: Model, state: State) -> tuple[Square, Square, Square]:
-    """M, C and K at a state, with the supports at rest in their reference poses and massless coordinates held."""
+    """M, C and K at a state, with the supports at rest in their reference poses and coordinates of elements held."""
     at = configuration_at(Coordinates(apart(model, completed(model, state).z)), state.q, state.v, base=False)
     return mass(at), damping(at), stiffness(at)
 

@@ -1,8 +1,9 @@
-"""Rows of the massless coordinates y of elements in the matrices of small motions: the derivatives of V and R in (Delta, y, Xi).
+"""Rows of the coordinates y of elements in the matrices of small motions: the derivatives of V, R and T in (Delta, y, Xi).
 
-    K_yy = V_yy,   K_yx = V_ye de/dx,   C_yy = R_yy,   C_yx = R_ye de/dx,   M_yy = M_yx = 0,   x of (Delta, Xi)
+    K_yy = V_yy,   K_yx = V_ye de/dx,   C_yy = R_yy,   C_yx = R_ye de/dx,   M_yy = T_yy,   M_yx = 0,   x of (Delta, Xi)
 
-Slow motions take y along, K_yy y + K_yx x = 0: the matrices of these are T' H T with x -> (x, y) = T x.
+Those with mass come first, then those without, whose T_yy is 0. Slow motions take y along, K_yy y + K_yx x = 0: the matrices of these are
+T' H T with x -> (x, y) = T x.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import block_diag
 
 from jaxbody.core.arrays import Array, Float
@@ -21,31 +23,35 @@ from jaxbody.mechanics.kinematics import Coordinates
 
 
 class InnerRows(NamedTuple):
-    """The blocks of K and C between y and (Delta, Xi), and of y."""
+    """The blocks of K and C between y and (Delta, Xi), and those of y."""
 
     K_yx: Float[Array, "ny n"]
     K_yy: Float[Array, "ny ny"]
     C_yx: Float[Array, "ny n"]
     C_yy: Float[Array, "ny ny"]
+    M_yy: Float[Array, "ny ny"]
 
 
 def inner_rows(at: Configuration) -> InnerRows:
-    """The rows at a configuration of a model whose massless coordinates are apart."""
-    twists, parts = frame_twists(at), []
+    """The rows at a configuration of a model whose coordinates of elements, or those with mass, are apart."""
+    twists, parts, layout = frame_twists(at), [], at.model.layout
 
     def of(element, *frames):
         return deformation_slopes(element, *frames), element.inner(*element.rates(*frames))
 
     for table in at.model.elements:
-        if any(law.law.massless for law in memories(table.rows, Apart)):
-            slopes, (V_ye, V_yy, R_ye, R_yy) = of_table(at.model, at.frames, table, of)
+        if any(law.law.has_rows for law in memories(table.rows, Apart)):
+            slopes, (V_ye, V_yy, R_ye, R_yy, T_yy) = of_table(at.model, at.frames, table, of)
             J = on_coordinates(at.model, table, slopes, twists)
             n, ny = V_ye.shape[:2]
             K_yx, C_yx = (jnp.reshape(H.reshape(n, ny, -1) @ J, (n * ny, -1)) for H in (V_ye, R_ye))
-            parts.append(InnerRows(K_yx, _diagonal(V_yy), C_yx, _diagonal(R_yy)))
+            parts.append(InnerRows(K_yx, _diagonal(V_yy), C_yx, _diagonal(R_yy), _diagonal(T_yy)))
     K_yx, C_yx = (jnp.concatenate([getattr(part, name) for part in parts]) for name in ("K_yx", "C_yx"))
-    K_yy, C_yy = (block_diag(*(getattr(part, name) for part in parts)) for name in ("K_yy", "C_yy"))
-    return InnerRows(K_yx, K_yy, C_yx, C_yy)
+    K_yy, C_yy, M_yy = (block_diag(*(getattr(part, name) for part in parts)) for name in ("K_yy", "C_yy", "M_yy"))
+    if 0 < len(layout.inertial) < len(K_yy):
+        order = np.searchsorted(np.sort(layout.inner_places), layout.inner_places)
+        K_yx, C_yx, K_yy, C_yy, M_yy = K_yx[order], C_yx[order], *(H[order][:, order] for H in (K_yy, C_yy, M_yy))
+    return InnerRows(K_yx, K_yy, C_yx, C_yy, M_yy)
 
 
 def _diagonal(blocks: Float[Array, "n k k"]) -> Array:
@@ -72,6 +78,12 @@ def following(K: Square, nv: int, ny: int) -> Float[Array, "n m"]:
     return jnp.concatenate([one[:nv], -jnp.linalg.solve(K[own, own], K[own][:, x]), one[nv:]])
 
 
+def slow_matrices(M: Square, K: Square, nv: int) -> tuple[Square, Square]:
+    """M and K of Delta alone, in slow motions."""
+    T = following(K, nv, len(K) - nv)
+    return T.T @ M @ T, T.T @ K @ T
+
+
 def whole_matrices(coordinates: Coordinates, q: Float[Array, "nq"], v: Float[Array, "nv"]):
     """M, C and K of (Delta, y, Xi), and dV/d(Delta, Xi); y apart in the model of the coordinates."""
     at, layout = configuration_at(coordinates, q, v), coordinates.model.layout
@@ -80,6 +92,6 @@ def whole_matrices(coordinates: Coordinates, q: Float[Array, "nq"], v: Float[Arr
     whole = mass(at), damping(at), stiffness
     if ny:
         inner, zero = inner_rows(at), jnp.zeros((ny, len(stiffness)), q.dtype)
-        rows = (zero, jnp.zeros((ny, ny), q.dtype)), (inner.C_yx, inner.C_yy), (inner.K_yx, inner.K_yy)
+        rows = (zero, inner.M_yy), (inner.C_yx, inner.C_yy), (inner.K_yx, inner.K_yy)
         whole = tuple(inserted(H, *row, nv) for H, row in zip(whole, rows, strict=True))
     return whole, slope

@@ -2,7 +2,7 @@
 
     c(q) = 0,   r_i(q) - r_i(q_0) = x_i
 
-q_0 is the assembled reference. A reading r is a sensor with one number, or a coordinate "rack.q" of a joint with one.
+q_0 is the assembled reference. A reading r is a sensor with one number, or a coordinate, "rack.q".
 """
 
 from __future__ import annotations
@@ -56,12 +56,11 @@ def drives_of(model: Model, given: dict[str, Any], where: str) -> tuple[Drive, .
 
 
 def _coordinate(model: Model, name: str, path: str, where: str) -> Drive:
-    body, _, rest = path.rpartition(".")
-    known = tuple(f"{block.owner}.q" for block in model.layout.blocks if block.nq == 1)
-    if rest != "q" or f"{body}.q" not in known:
-        problem = unknown(path, where, known)
-        raise JaxbodyError(Problem(problem.code, where, problem.message, path, "a joint with one coordinate, or a sensor", problem.hint))
-    at = model.layout.q_slices[body].start
+    places = model.layout.coordinate_places
+    if path not in places:
+        problem = unknown(path, where, tuple(places))
+        raise JaxbodyError(Problem(problem.code, where, problem.message, path, "a coordinate of a joint, or a sensor", problem.hint))
+    at, _ = places[path]
     return Drive(name, at, model.layout.q_units[at])
 
 
@@ -72,7 +71,7 @@ def conditions(model: Model, driven: tuple[tuple[Drive, ...], Array], q: Float[A
     frames = coordinates.at_rest(q).at_time(jnp.zeros((), q.dtype))
     read = jnp.stack([drive.reading(model, q, frames) for drive in drives])
     scale = jnp.where(np.array([drive.unit == "m" for drive in drives]), 1.0, size_of(model))
-    return jnp.concatenate([gaps(model, coordinates, frames), (read - targets) * scale])
+    return jnp.concatenate([gaps(model, coordinates, frames, q), (read - targets) * scale])
 
 
 def readings(model: Model, drives: tuple[Drive, ...], q: Float[Array, "nq"]) -> Float[Array, "nd"]:

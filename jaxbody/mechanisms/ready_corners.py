@@ -18,10 +18,11 @@ from jaxbody.core.errors import Problems, unknown
 from jaxbody.elements.springs import Spring
 from jaxbody.geometry.closures import Ball as BallClosure
 from jaxbody.geometry.closures import Closure, Inline, Rod
+from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
 from jaxbody.mechanisms.corners import Corner
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.bodies import Body
-from jaxbody.models.joints import Ball, Guide, Hinge, Joint
+from jaxbody.models.joints import Joint
 from jaxbody.models.models import Model
 
 Points = Mapping[str, Any]

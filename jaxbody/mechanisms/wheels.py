@@ -26,7 +26,7 @@ import numpy as np
 from jaxbody.core.arguments import plain
 from jaxbody.core.arrays import Array, Float, checked, scalar, vector
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.fields import check_domain, field, kind_of
+from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.places import direction
 from jaxbody.geometry.vectors import cross, dot, rotate
@@ -60,8 +60,7 @@ class Wheel(eqx.Module):
             self.on = on
             self.center = vector(center, "Wheel.center", problems)
             self.axis = direction(axis, "Wheel.axis", problems)
-            self.radius = scalar(radius, "Wheel.radius", problems)
-            check_domain(self.radius, kind_of(self, "radius"), "Wheel.radius", problems)
+            self.radius = in_domain(scalar(radius, "Wheel.radius", problems), kind_of(self, "radius"), "Wheel.radius", problems)
             self.kingpin = None if kingpin is None else checked(kingpin, ((2, 3),), "Wheel.kingpin", problems)
 
     def side(self, reference: Pose) -> Float[Array, ""]:

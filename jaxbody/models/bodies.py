@@ -11,7 +11,7 @@ import numpy as np
 from jaxbody.core.arrays import Array, Float, checked, concrete, vector
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, warn
 from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import check_domain, field, kind_of
+from jaxbody.geometry.fields import field, in_domain, kind_of, nan_outside
 from jaxbody.geometry.orientations import IDENTITY, as_quaternion, matrix
 
 EPS = np.finfo(np.float64).eps
@@ -94,9 +94,7 @@ class Support(Described, eqx.Module):
 
 def _mass(body: Body, value: Any, problems: Problems) -> Any:
     mass = checked(value, ((),), "Body.mass", problems)
-    mass = np.ones(()) if mass is None else mass
-    check_domain(mass, kind_of(body, "mass"), "Body.mass", problems)
-    return mass
+    return np.ones(()) if mass is None else in_domain(mass, kind_of(body, "mass"), "Body.mass", problems)
 
 
 def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
@@ -110,7 +108,7 @@ def _inertia(value: Any, mass: Any, com: Any, problems: Problems) -> Any:
     I = _matrix_of(array)
     known, m, c = concrete(I), concrete(mass), concrete(com)
     if known is None:
-        return (I + I.T) / 2
+        return nan_outside((I + I.T) / 2, "inertia", 2, 2 * mass * (com @ com))
     check_inertia(
         known, 64 * EPS * (abs(np.trace(known)) + (2 * abs(m) * c @ c if m is not None and c is not None else 0)), where, problems
     )

@@ -33,7 +33,7 @@ class CoordinateBlock:
     quaternion: bool = False  # whether the last four numbers of q are one
     states: tuple[str, ...] = ()  # a description of each state in z
     z_units: tuple[str, ...] = ()
-    massless: tuple[bool, ...] = ()  # whether each state is a massless coordinate, with a row in M, C and K
+    roles: tuple[str, ...] = ()  # "massless" or "inertial", a coordinate with a row in M, C and K; "rate" of one with mass; "hysteretic"
     arguments: tuple[str, ...] = ()  # the unit of the deformation that each state follows
 
     @property
@@ -123,6 +123,17 @@ class Layout:
         """The coordinates of an owner, such as a body's joint."""
         return next(block for block in self.blocks if block.owner == owner)
 
+    @cached_property
+    def coordinate_places(self) -> dict[str, tuple[int, int]]:
+        """{"rack.q": place in q, place in v} of the coordinates that are displacements or angles; "nut.q.1" where a joint has several."""
+        places = {}
+        for block in self.blocks:
+            q, v = self.q_slices[block.owner].start, self.v_slices[block.owner].start
+            for i, unit in enumerate(block.q_units):
+                if unit:
+                    places[f"{block.owner}.q" if block.nq == 1 else f"{block.owner}.q.{i}"] = (q + i, v + i)
+        return places
+
     # From states to vectors and back
 
     def pack(self, state: State) -> Float[Array, "ny"]:
@@ -203,10 +214,29 @@ class Layout:
     def z_units(self) -> tuple[str, ...]:
         return tuple(unit for block in self.blocks for unit in block.z_units)
 
+    def _places(self, role: str) -> np.ndarray:
+        """The places in z of states of this role."""
+        return np.flatnonzero([role == one for block in self.blocks for one in block.roles])
+
     @cached_property
     def massless(self) -> np.ndarray:
         """The places in z of massless coordinates."""
-        return np.flatnonzero([massless for block in self.blocks for massless in block.massless])
+        return self._places("massless")
+
+    @cached_property
+    def inertial(self) -> np.ndarray:
+        """The places in z of coordinates with mass."""
+        return self._places("inertial")
+
+    @cached_property
+    def inner_rates(self) -> np.ndarray:
+        """The places in z of the rates of coordinates with mass."""
+        return self._places("rate")
+
+    @cached_property
+    def inner_places(self) -> np.ndarray:
+        """The places in z of the coordinates of elements in the order of their rows: those with mass, then massless ones."""
+        return np.concatenate([self.inertial, self.massless])
 
     @cached_property
     def follows_angles(self) -> np.ndarray:
@@ -215,8 +245,13 @@ class Layout:
 
     @cached_property
     def inner(self) -> tuple[str, ...]:
-        """A description of each massless coordinate."""
-        return tuple(self.states[i] for i in self.massless)
+        """A description of each coordinate of elements, in the order of their rows."""
+        return tuple(self.states[i] for i in self.inner_places)
+
+    @cached_property
+    def with_mass(self) -> tuple[str, ...]:
+        """A description of each speed, and of each coordinate of elements with mass: the rows of modes."""
+        return self.coordinates + self.inner[: len(self.inertial)]
 
     # The tree of the joints
 

@@ -20,7 +20,7 @@ import numpy as np
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, checked, concrete, device_array, is_concrete, module_of, of_unit_length, part_of
 from jaxbody.core.errors import Problems
-from jaxbody.geometry.fields import Kind, check_domain, kind_along, kind_of
+from jaxbody.geometry.fields import Kind, in_domain, kind_along, kind_of, nan_outside
 from jaxbody.models.bodies import check_inertia
 from jaxbody.models.models import Model
 
@@ -210,14 +210,16 @@ def _made(leaf: Leaf, value: Any, where: str, problems: Problems) -> Any:
     """The value, checked and normalized as by the constructors of bodies, joints and elements."""
     domain, known = leaf.kind.domain, concrete(value)
     if domain not in ("direction", "rotation"):
-        rows = [] if known is None else [known]
-        if known is not None and domain in ("definite", "symmetric", "inertia"):
+        if known is None:
+            return nan_outside(value, domain, leaf.rank)
+        rows = [known]
+        if domain in ("definite", "symmetric", "inertia"):
             rows = known.reshape(-1, *known.shape[known.ndim - leaf.rank :])
         for row in rows:
             if domain == "inertia":
                 check_inertia(row, 1e-9 * abs(np.trace(row)), where, problems)
             else:
-                check_domain(row, leaf.kind, where, problems)
+                in_domain(row, leaf.kind, where, problems)
         return value
     if known is None:
         return value / jnp.linalg.norm(value, axis=-1, keepdims=True)

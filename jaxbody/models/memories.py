@@ -17,7 +17,8 @@ from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.geometry.fields import resolved, words_along
 from jaxbody.geometry.frames import Pose
-from jaxbody.laws.memories import Apart, Held, Memory, Relaxed, memories, with_states
+from jaxbody.laws.memories import Apart, Held, Relaxed, memories, with_states
+from jaxbody.laws.memory_laws import Memory
 from jaxbody.models.layouts import CoordinateBlock
 from jaxbody.models.storage import KindTable
 
@@ -34,16 +35,16 @@ def blocks_of(tables: tuple[KindTable, ...]) -> tuple[CoordinateBlock, ...]:
     return tuple(blocks)
 
 
-def _states_of(rows: Any) -> list[tuple[str, str, bool, str]]:
-    """Description and unit of each state of an element, whether it is massless, and the unit of the deformation that it follows. Equal
-    descriptions are numbered; where several fields hold laws, each begins with its field."""
+def _states_of(rows: Any) -> list[tuple[str, str, str, str]]:
+    """Description, unit and role of each state of an element, and the unit of the deformation that it follows. Equal descriptions are
+    numbered; where several fields hold laws, each begins with its field."""
     found, fields = [], set()
     for keys, law in jax.tree_util.tree_leaves_with_path(rows, is_leaf=with_states):
         if isinstance(law, Memory):
             words, field = words_along(rows, keys), keys[0].name
             fields.add(field)
-            argument, kinds = words.get("argument", ""), zip(law.states, law.state_units, strict=True)
-            found += [(field, one, resolved(unit, law, words), law.massless, argument) for one, unit in kinds]
+            argument, kinds = words.get("argument", ""), zip(law.states, law.state_units, law.roles, strict=True)
+            found += [(field, one, resolved(unit, law, words), role, argument) for one, unit, role in kinds]
     labels = [f"{field} {one}" if len(fields) > 1 else one for field, one, *_ in found]
     numbers = [labels[:i].count(label) + 1 for i, label in enumerate(labels)]
     texts = [f"{label} {n}" if labels.count(label) > 1 else label for label, n in zip(labels, numbers, strict=True)]
@@ -90,14 +91,14 @@ def holding(model: Any, z: Z) -> Any:
 
 
 def apart(model: Any, z: Z, z_dot: Z | None = None) -> Any:
-    """The model about a rest with the states z, for small motions in which massless coordinates move by themselves."""
+    """The model about a rest with the states z, for small motions in which coordinates of elements move by themselves."""
     return _bound(model, Apart, z, jnp.zeros_like(z) if z_dot is None else z_dot)
 
 
 def settled(model: Any, z: Z) -> Any:
     """The model about a rest with the states z, for slow small motions: massless coordinates follow the deformations, hysteretic states
-    their tangents."""
-    return _bound(model, lambda law, z: Relaxed(law, z) if law.massless else Apart(law, z, _zeros(z)), z)
+    their tangents, and those with mass move by themselves."""
+    return _bound(model, lambda law, z: Relaxed(law, z) if law.has_rows and not law.inertial else Apart(law, z, _zeros(z)), z)
 
 
 def _zeros(z: Any) -> Any:
@@ -105,14 +106,14 @@ def _zeros(z: Any) -> Any:
 
 
 def relaxed(model: Any, z: Z | None = None) -> Any:
-    """The model at rest: massless coordinates follow the deformations; other states are z, by default 0."""
+    """The model at rest: coordinates of elements follow the deformations; other states are z, by default 0."""
     if z is None or not z.shape[-1]:
         z = jnp.zeros(model.layout.nz, model.gravity.dtype)
     return _bound(model, Relaxed, z)
 
 
 def rest_states(model: Any, poses: Pose, z: Z | None = None) -> Z:
-    """z at rest in these poses of all frames: massless coordinates relaxed, others as in z, by default 0."""
+    """z at rest in these poses of all frames: coordinates relaxed, others as in z, by default 0."""
     if not model.layout.nz:
         return jnp.zeros(0, poses.p.dtype)
     parts = []

@@ -15,9 +15,10 @@ from jaxbody.elements.bushings import FramePair
 from jaxbody.elements.elements import LineElement
 from jaxbody.elements.inerters import Inerter
 from jaxbody.elements.torsions import Torsion
+from jaxbody.geometry.closures import Coupling
 from jaxbody.geometry.orientations import matrix
 from jaxbody.models.bodies import warn_of_tiny
-from jaxbody.models.layouts import WORLD
+from jaxbody.models.layouts import WORLD, Layout
 
 LARGEST_TURN = 179.0  # degrees, of a bushing in the reference pose
 
@@ -100,6 +101,22 @@ def check_links(problems: Problems, bodies, supports, groups: dict[str, dict[str
                 limit="a tree that ends at world or a support",
                 hint="Give one of them another parent, and close the loop by a closure (jb.closures) or a stiff Bushing in its place.",
             )
+
+
+def counted(problems: Problems, closures: dict[str, Any], layout: Layout) -> dict[str, Any]:
+    """The closures, couplings with the units of their coordinates. Error: UNKNOWN_NAME."""
+    known = layout.coordinate_places
+    result = dict(closures)
+    for name, closure in closures.items():
+        if not isinstance(closure, Coupling):
+            continue
+        wrong = [path for path in (closure.of, closure.by) if path not in known]
+        for path in wrong:
+            problem = unknown(path, f"closures[{name!r}]", tuple(known))
+            problems.add(problem.code, problem.where, problem.message, value=path, limit="a coordinate of a joint", hint=problem.hint)
+        if not wrong:
+            result[name] = closure.counted_in(layout.q_units[known[closure.of][0]])
+    return result
 
 
 def check_reference(problems: Problems, bodies, supports, elements) -> None:

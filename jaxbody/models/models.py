@@ -18,7 +18,7 @@ from jaxbody.core.errors import JaxbodyError, Problems, unknown
 from jaxbody.elements.element_checks import check_laws, check_leaves
 from jaxbody.elements.elements import Element
 from jaxbody.geometry import rotations
-from jaxbody.geometry.closures import Closure
+from jaxbody.geometry.closures import Closure, Coupling, as_slide
 from jaxbody.geometry.descriptions import text_of
 from jaxbody.geometry.fields import field, kind_of, units_of
 from jaxbody.geometry.frames import Pose
@@ -28,7 +28,7 @@ from jaxbody.models.bodies import Body, Support, warn_of_points
 from jaxbody.models.joints import Free, Joint
 from jaxbody.models.layouts import WORLD, Layout
 from jaxbody.models.memories import blocks_of, rest_states
-from jaxbody.models.model_checks import check_links, check_names, check_reference, of_kind, warn_of_oddities
+from jaxbody.models.model_checks import check_links, check_names, check_reference, counted, of_kind, warn_of_oddities
 from jaxbody.models.states import State
 from jaxbody.models.storage import KindTable, tabulate, tabulate_by_structure
 from jaxbody.numerics.small_systems import independent_rows
@@ -107,6 +107,8 @@ class Model(tables.Printed, eqx.Module):
         self.bodies = tabulate(bodies)
         self.supports = tabulate(supports, Support())
         self.joints = tabulate_by_structure(by_depth, lambda name: self.layout.depths[name])
+        with Problems() as problems:
+            closures = counted(problems, {name: functions_as_nodes(closure) for name, closure in closures.items()}, self.layout)
         self.closures = tabulate_by_structure(closures)
         self.gravity = device_array(gravity)
         self.independent = None
@@ -272,17 +274,19 @@ def _closure_slopes(model: Model, delta: Float[Array, "nv"]) -> tuple[Float[Arra
     q, delta = at_rest_in(model, rest).q, delta * jnp.where(layout.turns, 1.0, length)
     drawn = _joined_poses(_world(bodies), supports, bodies)
     known, order, linear, angular = _joined_poses(_world(bodies), supports), list(layout.frames[: layout.first_body]), [], []
+    coordinates = []
     for table in model.joints:
         parent = _poses_at(known, _places(table.links, tuple(order)))
 
         def moved(joint, q, delta, parent, rest):
             q = joint.retract(q, delta)
             pose = joint.pose(q, parent, rest)
-            return pose, joint.axes(q, parent, pose)
+            return pose, joint.axes(q, parent, pose), q
 
         place, move = layout.rows_of(table.names, q, layout.q_slices), layout.rows_of(table.names, delta, layout.v_slices)
-        own, axes = jax.vmap(moved)(table.rows, place, move, parent, _poses_at(rest, _places(table.names, layout.bodies)))
+        own, axes, coordinate_rows = jax.vmap(moved)(table.rows, place, move, parent, _poses_at(rest, _places(table.names, layout.bodies)))
         known, order = _joined_poses(known, own), [*order, *table.names]
+        coordinates.append((table.names, coordinate_rows))
         linear.append((table.names, axes[0]))
         angular.append((table.names, axes[1]))
     frames = _poses_at(known, _places(layout.frames, tuple(order)))
@@ -290,9 +294,19 @@ def _closure_slopes(model: Model, delta: Float[Array, "nv"]) -> tuple[Float[Arra
     carried = jnp.asarray(layout.carries[movers].T, q.dtype)[..., None]
     arms = frames.p[:, None] - frames.p[movers][None]
     twists = jnp.concatenate([carried * (moves[None] + cross(turns[None], arms)), carried * turns[None]], -1)
-    slopes, gaps = [], []
-    for table in model.closures:
+    slopes, gaps, q = [], [], layout.joined(coordinates)
+
+    def ends(table: KindTable):
+        """The poses of both ends, their twists per unit of each speed, and the pose of the second on the first as drawn."""
+        if isinstance(table.rows, Coupling):
+            places = [layout.coordinate_places[path] for path in (table.rows.of, table.rows.by)]
+            poses = [as_slide(jnp.broadcast_to(q[i], len(table))) for i, _ in places]
+            moving = [jnp.zeros((len(table), layout.nv, 6), q.dtype).at[:, j, 0].set(1.0) for _, j in places]
+            return *poses, *moving, as_slide(jnp.zeros(len(table), q.dtype))
         A, B = (_places(end, layout.frames) for end in zip(*table.links, strict=True))
+        return *(_poses_at(frames, end) for end in (A, B)), twists[A], twists[B], _poses_at(drawn, A).inverse() @ _poses_at(drawn, B)
+
+    for table in model.closures:
 
         def of(closure, A, B, twist_A, twist_B, rest):
             def gap(xi):
@@ -301,8 +315,7 @@ def _closure_slopes(model: Model, delta: Float[Array, "nv"]) -> tuple[Float[Arra
             zero = jnp.zeros((2, 6), q.dtype)
             return jnp.einsum("nei,evi->nv", jax.jacfwd(gap)(zero), jnp.stack([twist_A, twist_B])), gap(zero)
 
-        before = _poses_at(drawn, A).inverse() @ _poses_at(drawn, B)
-        J, c = jax.vmap(of)(table.rows, _poses_at(frames, A), _poses_at(frames, B), twists[A], twists[B], before)
+        J, c = jax.vmap(of)(table.rows, *ends(table))
         of_angle = np.array([row.startswith("turn") for row in table.rows.rows])
         unit = jnp.where(of_angle, length, 1.0)
         slopes.append((J * unit[None, :, None]).reshape(-1, layout.nv))

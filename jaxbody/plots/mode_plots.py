@@ -130,7 +130,7 @@ def plot_modes(modes: Modes, *, ax: Any = None) -> Any:
     """
     check_single("plot_modes.modes", modes.frequency, 1)
     shapes = np.sqrt(np.diag(np.asarray(modes.M)))[:, None] * np.asarray(modes.shapes)
-    names = list(modes.layout.coordinates)
+    names = list(modes.layout.with_mass)
     ax = axes_or_new(ax, 2.2 + 0.6 * shapes.shape[1], 1.2 + 0.3 * len(names))
     heat_map(ax, without_dust(shapes, 1.0), names, _mode_heads(modes.frequency), (-1.0, 1.0), digits=2, least=0.005)
     ax.set_title(r"shapes of the modes: $\sqrt{M_{ii}}\,\phi_i$ [-]", fontsize=9)

@@ -15,8 +15,8 @@ from jaxbody.elements.contacts import Tyre
 from jaxbody.elements.elements import LineElement
 from jaxbody.elements.inerters import Inerter
 from jaxbody.geometry.frames import Pose
+from jaxbody.joints.elementary_joints import Guide
 from jaxbody.mechanics.kinematics import Coordinates
-from jaxbody.models.joints import Guide
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
@@ -96,7 +96,7 @@ def draw_mode(
         raise JaxbodyError(
             Problem("UNKNOWN_MODE", "draw_mode.number", f"is {number}; there are modes 1 to {count}", number, f"1 to {count}")
         )
-    shape = np.real(np.asarray(modes.shapes)[:, number - 1])
+    shape = np.real(np.asarray(modes.shapes)[: model.layout.nv, number - 1])
 
     def moved(factor: float) -> Scene:
         return Scene(model, _poses_at(model, lin.state.q, factor * shape, np.zeros((len(model.layout.supports), 6))))

@@ -9,10 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from jaxbody.elements.bushings import Bushing
+from jaxbody.elements.mounts import Mount
 from jaxbody.elements.springs import Spring
 from jaxbody.elements.torsions import AntiRollBar
+from jaxbody.joints.elementary_joints import Guide, Hinge
+from jaxbody.joints.series_joints import HeavePitch, HeavePitchRoll, Translation
+from jaxbody.laws.hydraulic_mounts import Hydraulic
 from jaxbody.models.bodies import Body, Support
-from jaxbody.models.joints import Guide, HeavePitch, HeavePitchRoll, Hinge, Translation
 from jaxbody.models.models import Model
 
 G = 9.81
@@ -183,6 +186,40 @@ def engine_on_mounts(*, mass=139.5, inertia=ENGINE, points=MOUNTS, stiffness=MOU
         bodies={"engine": Body(mass=mass, inertia=inertia)},
         supports={"frame": Support()},
         elements={f"mount {i}": Bushing(("engine", p), ("frame", p), stiffness=k, damping=c) for i, (p, k, c) in enumerate(mounts, 1)},
+        gravity=[0, 0, -gravity],
+    )
+
+
+HYDRAULIC = {"stiffness": 512950.0, "damping": 198.0, "upper_stiffness": 436950.0, "fluid_mass": 62.8, "fluid_damping": 2666.0}
+
+
+def engine_on_hydraulic_mount(*, mass=139.5, inertia=ENGINE, points=MOUNTS, hydraulic=None, gravity=0.0) -> Model:
+    """An engine on a hydraulic mount and two rubber ones, between the body `engine` and the support `frame`: `engine_on_mounts`, with the
+    fluid of mount 1, along z, as a coordinate of its own.
+
+    Args:
+        mass, inertia: mass and inertia of the engine [kg, kg m2], the inertia about its center of mass.
+        points: positions of the mounts relative to the center of mass (3, 3) [m], the hydraulic one first.
+        hydraulic: law of mount 1 along z; None: that of the source, which has no decoupler.
+        gravity: [m/s2], downward; zero by default, as in the source.
+
+    Source: a powertrain on three mounts (github hojjatkarami/NVHteam).
+
+    >>> model = engine_on_hydraulic_mount()
+    >>> model.layout.states
+    ('mount 1, fluid', 'mount 1, rate of fluid')
+    >>> [round(float(f), 4) for f in complex_modes(linearize(model, model.reference)).natural_frequency]
+    [7.5009, 8.6181, 8.8047, 10.393, 12.1152, 20.6315, 27.4148]
+    """
+    rubber = engine_on_mounts(mass=mass, inertia=inertia, points=points)
+    (x, y, _), (c_x, c_y, _) = MOUNT_STIFFNESS[0], MOUNT_DAMPING[0]
+    place = np.asarray(points)[0]
+    z = Hydraulic(**HYDRAULIC) if hydraulic is None else hydraulic
+    first = Mount(("engine", place), ("frame", place), x=x, y=y, z=z, damping=[c_x, c_y, 0.0])
+    return Model(
+        bodies={"engine": rubber["engine"]},
+        supports={"frame": Support()},
+        elements={"mount 1": first} | {name: rubber[name] for name in ("mount 2", "mount 3")},
         gravity=[0, 0, -gravity],
     )
 

@@ -21,13 +21,13 @@ INVERTED = 1e-7  # relative error of the inverse of the modes, above which the m
 
 
 class DynamicMatrices(Module):
-    """The matrices of D = K + s C + s^2 M + i H, s = i w; the last `inner` rows of D are those of massless coordinates."""
+    """The matrices of D = K + s C + s^2 M + i H, s = i w; the last `massless` rows of D are those of massless coordinates."""
 
     K: Float[Array, "k n"]
     C: Float[Array, "k n"]
     M: Float[Array, "k n"]
     H: Float[Array, "k n"] | None
-    inner: int = field(static=True, default=0)
+    massless: int = field(static=True, default=0)
 
     def moved(self, left: Array, right: Array) -> DynamicMatrices:
         return jax.tree.map(lambda A: left @ A @ right, self)
@@ -55,7 +55,7 @@ def solved(own: DynamicMatrices, s, b: Complex[Array, "n m nf"], method: str) ->
 def _eliminated(A: DynamicMatrices, s) -> Callable[[jax.Array, bool], jax.Array]:
     """The map b -> D^-1 b or its transpose, from one elimination. In the coordinates of the real modes no pivoting is needed: D is diagonal
     except for damping, and no entry of C exceeds the mean of two on its diagonal."""
-    if A.inner:
+    if A.massless:
         return _eliminated_with_branches(A, s)
     if (n := len(A.M)) > LARGEST_UNROLLED:
         factors = jax.scipy.linalg.lu_factor(jnp.moveaxis(A.at(s), -1, 0))
@@ -74,7 +74,7 @@ def _eliminated_with_branches(A: DynamicMatrices, s) -> Callable[[jax.Array, boo
     """As `_eliminated`: with K_yy U = C_yy U diag(r) and U' C_yy U = 1, massless coordinates are eliminated first, one by one,
 
     D_yy^-1 = U diag(1/(r + s)) U',    D_dd - sum of g g'/(r + s) over the branches,    g = U' (K_yd + s C_yd)"""
-    d, y = slice(n := len(A.M) - A.inner), slice(n, None)
+    d, y = slice(n := len(A.M) - A.massless), slice(n, None)
     rates, U = natural(A.K[y, y], A.C[y, y])
     K_yd, C_yd, U = (x.astype(s.dtype) for x in (U.T @ A.K[y, d], U.T @ A.C[y, d], U))
     g, soft = K_yd[:, :, None] + C_yd[:, :, None] * s[None, None], 1 / (rates.astype(s.dtype)[:, None] + s[None])
@@ -100,11 +100,11 @@ def _product(A: Complex[jax.Array, "k n nf"], x: Complex[jax.Array, "n m nf"]) -
 
 def _modal_sum(A: DynamicMatrices, s) -> tuple[Callable[[jax.Array, bool], jax.Array], Bool[Array, ""]]:
     """The map b -> D^-1 b or its transpose, D^-1 = left diag(1/(s - pole)) right; and whether the modes are a basis."""
-    n = len(A.M) - A.inner
+    n = len(A.M) - A.massless
     K = A.K if A.H is None else A.K + 1j * A.H
-    matrix, forces = first_order(A.M, A.C, K, n) if A.inner else (companion(A.M, A.C, K), None)
+    matrix, forces = first_order(A.M, A.C, K, n) if A.massless else (companion(A.M, A.C, K), None)
     unit = jnp.sqrt(jnp.max(jnp.abs(matrix[n : 2 * n, :n])))  # of frequency, so that displacements and rates have the same scale
-    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit), jnp.ones(A.inner)]).astype(matrix.dtype)
+    scale = jnp.concatenate([jnp.ones(n), jnp.full(n, unit), jnp.ones(A.massless)]).astype(matrix.dtype)
     balanced = matrix * scale[None] / scale[:, None]
     poles, vectors = jnp.linalg.eig(balanced)
     inverse = jnp.linalg.inv(vectors)
@@ -125,5 +125,5 @@ def _modal_sum(A: DynamicMatrices, s) -> tuple[Callable[[jax.Array, bool], jax.A
 def is_unstable(A: DynamicMatrices) -> Bool[Array, ""]:
     """Whether a free motion grows, which is UNSTABLE."""
     M, C, K = jax.lax.stop_gradient((A.M, A.C, A.K))
-    values = jnp.linalg.eigvals(first_order(M, C, K, len(M) - A.inner)[0] if A.inner else companion(M, C, K))
+    values = jnp.linalg.eigvals(first_order(M, C, K, len(M) - A.massless)[0] if A.massless else companion(M, C, K))
     return jnp.max(values.real) > reachable(GROWS, values.real.dtype, 256) * jnp.max(jnp.abs(values))

@@ -1,9 +1,9 @@
 """Dynamic stiffness of an element: the force under a harmonic deformation about a preload, as mounts are measured.
 
-    small amplitude     K(w) = dF/de at rest + i w dF/de' - (V_ey + i w R_ey) (V_yy + i w R_yy)^-1 (V_ye + i w R_ye)
+    small amplitude     K(w) = dF/de at rest + i w dF/de' - (V_ey + i w R_ey) (V_yy + i w R_yy - w^2 T_yy)^-1 (V_ye + i w R_ye)
     amplitude X         K(w) = first harmonic of the steady force under e = e0 + X cos(w t), over X
 
-y are massless coordinates. The steady state with amplitude is periodic, z(T) = z(0), which Newton's method solves over one period of
+y are coordinates of the element. The steady state with amplitude is periodic, z(T) = z(0), which Newton's method solves over one period of
 classical Runge-Kutta steps; its derivatives are those of an implicit function.
 """
 
@@ -27,7 +27,8 @@ from jaxbody.elements.law_elements import LawForces
 from jaxbody.elements.mounts import DIRECTIONS, Mount
 from jaxbody.elements.springs import Spring
 from jaxbody.laws import laws, memories
-from jaxbody.laws.memories import Apart, Held, Memory, Relaxed, with_states
+from jaxbody.laws.memories import Apart, Held, Relaxed, with_states
+from jaxbody.laws.memory_laws import Memory
 from jaxbody.responses.frequency_responses import check_frequencies
 
 STEPS = 1000  # of Runge-Kutta in a period
@@ -189,10 +190,10 @@ def _small(spring, damper, e0, z0, w):
     zero = jnp.zeros_like(e0)
     damping = jax.grad(lambda rate: memories.rate_force(apart, damper, e0, rate))(zero)
     K = jax.lax.complex(laws.slope(apart, e0), w * damping)
-    if memories.has_massless(apart):
-        V_ye, V_yy, R_ye, R_yy = memories.inner(apart, e0, zero)
+    if memories.has_rows(apart):
+        V_ye, V_yy, R_ye, R_yy, T_yy = memories.inner(apart, e0, zero)
         rows = jax.lax.complex(V_ye, w * R_ye)
-        K = K - jnp.sum(rows * jnp.linalg.solve(jax.lax.complex(V_yy, w * R_yy), rows))
+        K = K - jnp.sum(rows * jnp.linalg.solve(jax.lax.complex(V_yy - w**2 * T_yy, w * R_yy), rows))
     return K
 
 
@@ -238,12 +239,17 @@ def _large(spring, damper, e0, z0, w, X):
         z = jax.lax.fori_loop(0, NEWTON, newton, z)
         slopes = jax.lax.stop_gradient(_closure(z))
         change = jnp.linalg.solve(slopes, period(given, z)[0] - z)  # zero, with the derivative of the periodic state
-        rate = jax.vmap(lambda t: jnp.max(jnp.abs(jax.jacfwd(lambda z: rates(frozen, t, z)[0])(z))))(
-            jnp.arange(8, dtype=h.dtype) * h * (STEPS / 8)
-        )
+        rate = jax.vmap(lambda t: _fastest(jax.jacfwd(lambda z: rates(frozen, t, z)[0])(z)))(jnp.arange(8, dtype=h.dtype) * h * (STEPS / 8))
         size = jnp.max(jnp.abs(z), initial=0.0) + jnp.abs(jax.lax.stop_gradient(X))
         good = (jnp.max(jnp.abs(jax.lax.stop_gradient(change))) <= 1e-6 * size) & (jnp.max(rate) * h <= STABLE)
         z = z - change
     total = period(given, z)[1]
     K = jax.lax.complex(*(total * (w / jnp.pi / X)))
     return jnp.where(good, K, jnp.nan), good
+
+
+def _fastest(A: Float[Array, "n n"]) -> Float[Array, ""]:
+    """About the largest modulus of the eigenvalues, |A^32|^(1/32): rows of coordinates and of their rates have different units."""
+    for _ in range(5):
+        A = A @ A
+    return jnp.max(jnp.abs(A)) ** (1 / 32)

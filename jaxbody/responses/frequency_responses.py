@@ -248,13 +248,13 @@ def response_values(
     """(values (ny, nu, nf), status); `static` where 0 Hz is among the frequencies."""
     nv, X = lin.M.shape[-1], ports.X
     s = jax.lax.complex(jnp.zeros_like(f), 2 * jnp.pi * f)
-    whole = DynamicMatrices(*lin.whole, None if eta is None else hysteretic_damping(lin, eta), lin.inner)
+    whole = DynamicMatrices(*lin.whole, None if eta is None else hysteretic_damping(lin, eta), lin.massless)
     scale = s[None] ** -jnp.array(ports.orders, s.dtype)[:, None] if any(ports.orders) else jnp.ones((len(ports.orders), 1), s.dtype)
     own = jax.tree.map(lambda A: A[:nv, :nv], whole)
     right = ports.F[:nv, :, None].astype(s.dtype) - jax.tree.map(lambda A: A[:nv, nv:] @ X, whole).at(s) * scale[None]
     Delta, complete = solved(own, s, jnp.broadcast_to(right, (nv, X.shape[1], f.shape[0])), method)
     Y = ports.Y
-    rows = DynamicMatrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, ports, lin, eta), lin.inner)
+    rows = DynamicMatrices(Y[0], Y[1], Y[2], None if eta is None else _elastic_rows(Y, whole.H, ports, lin, eta), lin.massless)
     on_bodies, on_supports = jax.tree.map(lambda A: A[:, :nv], rows), jax.tree.map(lambda A: A[:, nv:] @ X, rows)
     values = on_bodies.times(s, Delta) + on_supports.at(s) * scale[None] + ports.G[:, :, None].astype(s.dtype)
     values = values if ports.chains is None else values * ports.chains.at(s)[:, None]

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from jaxbody.elements.contacts import Tyre
-from jaxbody.models.joints import Ball, Composite, Guide, Hinge
+from jaxbody.joints.combined_joints import Combined, Planar
+from jaxbody.joints.composite_joints import Composite
+from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
 from jaxbody.models.layouts import WORLD
 from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT
 from jaxbody.scenes.animations import DrawnPart, NameLabel
@@ -111,6 +113,8 @@ def parts_of_joints(sequence: PoseSequence, size: float) -> list[DrawnPart]:
             lines = [(pin, joint.axis, at)]
         elif isinstance(joint, Guide):
             lines = [(rail, joint.axis, origin)]
+        elif isinstance(joint, Combined):
+            lines = [(pin if turn else rail, n, at) for turn, n in zip(joint.turns, joint.directions, strict=True)]
         elif isinstance(joint, Composite):
             places = np.where(np.array(joint.turns)[:, None], np.asarray(joint.points), origin)
             lines = [(pin if turn else rail, n, x) for turn, n, x in zip(joint.turns, joint.directions, places, strict=True)]
@@ -170,7 +174,7 @@ def points_of_frames(sequence: PoseSequence) -> dict[str, np.ndarray]:
                 places[link[end]].append(point)
     for name, parent in zip(model.layout.bodies, model.layout.parents, strict=True):
         joint = model.joint(name)
-        if not isinstance(joint, Hinge | Ball):
+        if not isinstance(joint, Hinge | Ball | Combined) or isinstance(joint, Planar):
             continue
         row, on = sequence.row(name), sequence.row(parent)
         at = sequence.p[0, row] if joint.at is None else sequence.points(parent, joint.at)[0]

@@ -99,7 +99,7 @@ def vibrating(modes: ModalResult, number: int, state: State | None, amplitude: f
         limit = f"1 to {count}"
         raise JaxbodyError(Problem("UNKNOWN_MODE", "view.number", f"is {number}; there are modes {limit}", number, limit))
     q = (model.reference if state is None else state).q
-    shape: Any = np.asarray(modes.shapes)[:, number - 1]
+    shape: Any = np.asarray(modes.shapes)[: model.layout.nv, number - 1]
     if not np.isfinite(shape).all():
         hint = "It is one of several with the same frequency: their shapes are not unique while they are differentiated."
         raise JaxbodyError(Problem("NONFINITE", "view.number", f"mode {number} has no finite shape", number, hint=hint))

@@ -11,7 +11,7 @@ from jaxbody.core.arguments import check_kind, checked_dict
 from jaxbody.core.arrays import Array, Float, checked, concrete
 from jaxbody.core.errors import Problem, Problems, unknown
 from jaxbody.geometry.descriptions import Described
-from jaxbody.geometry.fields import check_domain, field, kind_of
+from jaxbody.geometry.fields import field, in_domain, kind_of
 from jaxbody.geometry.frames import Instant
 from jaxbody.geometry.vectors import to_rank
 from jaxbody.models.models import Model
@@ -100,8 +100,7 @@ class Sensor(Described, Channel):
             shape = shapes.get(name, ())
             several = shape if "gain" in self.stages else ()
             array = checked(value, ((), shape) if shape and several else (shape,), where, problems)
-            setattr(self, name, array)
-            check_domain(np.zeros(0) if array is None else array, kind_of(self, name), where, problems)
+            setattr(self, name, None if array is None else in_domain(array, kind_of(self, name), where, problems))
         if self.start is not None and self.lag is None:
             problems.add(
                 "BAD_CHAIN", f"{kind}.start", "is the initial value of a lag, which is not given", value=self.start, hint="Give lag=..."

@@ -88,7 +88,8 @@ def excited(lin: Linearization, given: Any, where: str, problems: Problems) -> E
 
 
 def modal_excitation(lin: Linearization, bases: Excited, sensors: tuple[Any, ...]) -> ModalExcitation:
-    """Modes, participations and readings of outputs."""
+    """Modes, participations and readings of outputs; massless coordinates of elements follow, as in `modes`."""
+    lin = lin.condensed
     inputs = tuple(
         BaseMotion(name, direction, kind="acceleration") for together, direction in zip(bases.supports, bases.directions, strict=True)
         for name in together

@@ -181,7 +181,7 @@ def check_without_lag(ports: Outputs, where: str, problems: Problems) -> None:
 
 def checked_ratios(given: Any, lin: Linearization, where: str, problems: Problems) -> Any:
     """Damping ratios of all modes. Errors: BAD_SHAPE, NOT_A_FRACTION."""
-    n = lin.M.shape[-1]
+    n = lin.nv
     array = checked(float_array(given, where), ((), (n,)), where, problems, f"Give one for all modes or one for each of {n}.")
     known = None if array is None else concrete(array)
     if known is not None and ((known < 0) | (known >= 1)).any():

@@ -41,6 +41,9 @@ def massless_motions(layout: Layout, M: Any, independent: tuple[int, ...] | None
     M = np.asarray(M)
     size = np.sqrt(np.where(np.diagonal(M) > 0, np.diagonal(M), 1.0))
     motions = layout.motions if independent is None else tuple(layout.motions[i] for i in independent)
+    motions += tuple(
+        (owner, f"move {state}") for owner, _, state in (name.partition(", ") for name in layout.inner[: len(M) - len(motions)])
+    )
     return describe_null_motions(motions, M / size / size[:, None], MASSLESS, "has no inertia to")
 
 

@@ -102,7 +102,7 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
 
         F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
 
-    Massless coordinates of elements with memory are held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force
+    Coordinates of elements with memory are held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force
     depends on the path.
 
     Errors: UNKNOWN_NAME for a support, BAD_SHAPE.
@@ -117,7 +117,7 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
     check_precision("excitation", model)
     state = at.state if isinstance(at, Equilibrium) else at
     check_state(model, state, "state")
-    if len(model.layout.inner) < model.layout.nz:
+    if any(role == "hysteretic" for block in model.layout.blocks for role in block.roles):
         hint = "Simulate the displacement with a jb.Motion."
         message = "has hysteretic elements, whose force depends on the path of the displacement"
         raise JaxbodyError(Problem("MEMORY", "excitation.model", message, limit="elements without hysteresis", hint=hint))

@@ -113,8 +113,8 @@ class DesignBuilder:
             return
         for name in set(stated.get("weights", {})) - set(self.sensors):
             self.unknown(name, self.sensors, *path, "weights", name)
-        if stated.get("mode", 1) not in range(1, self.model.layout.nv + 1):
-            self.add("BAD_NUMBER", f"is {stated['mode']}", stated["mode"], f"1 to {self.model.layout.nv}", "", *path, "mode")
+        if stated.get("mode", 1) not in range(1, (count := len(self.model.layout.with_mass)) + 1):
+            self.add("BAD_NUMBER", f"is {stated['mode']}", stated["mode"], f"1 to {count}", "", *path, "mode")
         if "path" in stated and stated["path"] not in {leaf.path for leaf in leaves}:
             self.builder.gather((*self.path, *path, "path"), "", lambda: matching(leaves, [stated["path"]], ""))
 

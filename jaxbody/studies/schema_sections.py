@@ -65,6 +65,7 @@ def schema() -> dict[str, Any]:
             ],
         },
         "joint": one_of(*(kind.__name__ for kind in kinds.JOINTS)),
+        "pulse": one_of(*(kind.__name__ for kind in kinds.PULSES)),
         "motion": one_of(*(kind.__name__ for kind in kinds.MOTIONS), "Sampled", "base_motion"),
         "element": one_of(*(kind.__name__ for kind in kinds.ELEMENTS)),
         "load": one_of(*(kind.__name__ for kind in kinds.LOADS)),

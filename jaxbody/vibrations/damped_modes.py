@@ -99,14 +99,14 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
     finite, massless = jnp.isfinite(jnp.stack([M, D, K])).all(), jnp.isnan(cholesky_of_mass(M[:n, :n])).any()
     M, D, K = (jnp.where(finite & ~massless, X, np.eye(len(M))) for X in (M, D, K))  # LAPACK may not terminate on NaN
     M = (M + M.T) / 2
-    A = first_order(M, D, K, n)[0] if lin.inner else companion(M, D, K)
+    A = first_order(M, D, K, n)[0] if lin.massless else companion(M, D, K)
     s, X = poles(A)
     relaxations, fastest = jnp.zeros(0, K.dtype), jnp.max(jnp.abs(jax.lax.stop_gradient(s)), initial=0.0)
     stiffness = A[n:, :n]
-    if lin.inner:
+    if lin.massless:
         single, others = _relaxing(*jax.lax.stop_gradient((s, X, M, K)), n)
         relaxations = jnp.where(s[single].imag == 0, s[single].real, jnp.nan)
-        s, X, M, K = s[others], X[:, others], M[:n, :n], K[:n, :n] + K[:n, n:] @ following(K, n, lin.inner)[n:]
+        s, X, M, K = s[others], X[:, others], M[:n, :n], K[:n, :n] + K[:n, n:] @ following(K, n, lin.massless)[n:]
         stiffness, unit = jnp.linalg.solve(M, K), unit[:n]
     frozen, U = jax.lax.stop_gradient((s, X[:n]))
     pairs = _paired(frozen, U, M, K)

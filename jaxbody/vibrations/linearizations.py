@@ -26,7 +26,7 @@ from jaxbody.mechanics.constraints import how_open
 from jaxbody.mechanics.element_derivatives import gravity_stiffness, split_stiffness
 from jaxbody.mechanics.energies import completed
 from jaxbody.mechanics.free_motions import DependentMotions, closure_stiffness, dependent_motions
-from jaxbody.mechanics.inner_rows import following, whole_matrices
+from jaxbody.mechanics.inner_rows import following, slow_matrices, whole_matrices
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name
 from jaxbody.models.memories import apart, settled
@@ -63,7 +63,7 @@ class LinearSystem(Labeled, Result):
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """The names of the rows of M, C, K: those of Delta, then of massless coordinates of elements that have rows of their own."""
+        """The names of the rows of M, C, K: those of Delta, then of coordinates of elements, those with mass first."""
         layout = self.model.layout
         return tuple(layout.coordinates[i] for i in self.independent) + layout.inner[: self.inner]
 
@@ -75,7 +75,7 @@ class LinearSystem(Labeled, Result):
     @property
     def nv(self) -> int:
         """The number of coordinates with inertia."""
-        return len(self.independent)
+        return len(self.independent) + len(self.model.layout.inertial)
 
     def expanded(self, shapes: Inexact[Array, "nf n"]) -> Inexact[Array, "nv n"]:
         """Shapes (columns) in all coordinates of the model, from those of the system."""
@@ -83,7 +83,12 @@ class LinearSystem(Labeled, Result):
 
     @property
     def inner(self) -> int:
-        """The number of massless coordinates that have rows."""
+        """The number of rows of coordinates of elements."""
+        return self.M.shape[-1] - len(self.independent)
+
+    @property
+    def massless(self) -> int:
+        """The number of rows of massless coordinates, the last ones."""
         return self.M.shape[-1] - self.nv
 
     @property
@@ -98,8 +103,9 @@ class LinearSystem(Labeled, Result):
 
     @property
     def basis(self) -> Basis:
-        """The motions of the bodies per unit of each coordinate."""
-        return basis_at(self.model, self.state.q)
+        """The motions of the bodies per unit of each coordinate with inertia; those of elements move no body."""
+        basis, k = basis_at(self.model, self.state.q), len(self.model.layout.inertial)
+        return Basis(*(jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, k)]) for x in (basis.velocities, basis.momenta))) if k else basis
 
     @property
     def scale(self) -> Float[Array, "nv"]:
@@ -108,7 +114,7 @@ class LinearSystem(Labeled, Result):
         scale, layout = scale_of(self.model, size)[..., np.array(self.independent, int)], self.model.layout
         if not self.inner:
             return scale
-        return jnp.concatenate([scale, jnp.where(layout.follows_angles[layout.massless], 1 / size, 1.0)])
+        return jnp.concatenate([scale, jnp.where(layout.follows_angles[layout.inner_places[: self.inner]], 1 / size, 1.0)])
 
     def kept_status(self, own: Array, failures: tuple[Status, ...] = ()) -> Int[Array, ""]:
         """The status of a result: that of the system where it is about no rest or steady motion, or one of `failures`; else its `own`."""
@@ -138,8 +144,9 @@ class LinearSystem(Labeled, Result):
 class Linearization(LinearSystem):
     """The matrices of small motions about `state`, rows and columns as in `coordinates` and `base_coordinates`.
 
-    Massless coordinates y of elements with memory have rows after those of Delta, with M = 0; `condensed` and `instantaneous` are without
-    them. Hysteretic states have none: to first order they are springs, and their losses are of higher order.
+    Coordinates y of elements with memory have rows after those of Delta: first those with mass, then massless ones, with M = 0;
+    `condensed` and `instantaneous` are without massless ones. Hysteretic states have none: to first order they are springs, and their
+    losses are of higher order.
 
     The chart: Delta of a free body is the displacement of its O and a rotation vector, in world axes; for other joints, their coordinates,
         in axes of the parent. Away from equilibrium K depends on the chart; its split depends on it everywhere."""
@@ -162,7 +169,10 @@ class Linearization(LinearSystem):
         return tuple(jnp.block([[A, -A_tilde], [-A_tilde.T, A_bb]]) for A, A_tilde, A_bb in blocks)  # pyright: ignore[reportReturnType]  of three
 
     def expanded(self, shapes):
-        return shapes if self.dependent is None else self.dependent.N.astype(shapes.dtype) @ shapes
+        if self.dependent is None:
+            return shapes
+        N, nf = self.dependent.N.astype(shapes.dtype), len(self.independent)
+        return jnp.concatenate([N @ shapes[:nf], shapes[nf:]]) if len(shapes) > nf else N @ shapes
 
     def reduced(self, H: Float[Array, "*m nv nv"]) -> Float[Array, "*m nf nf"]:
         """N' H N: a matrix of the model's coordinates in those of the system."""
@@ -176,22 +186,31 @@ class Linearization(LinearSystem):
     @property
     def condensed(self) -> Linearization:
         """The system without rows of massless coordinates, which follow slow motions: T' H T of M, C and K, K_yy y + K_yx x = 0."""
-        return _condensed(self) if self.inner else self
+        return _condensed(self) if self.massless else self
 
     @property
     def instantaneous(self) -> Linearization:
         """The system without rows of massless coordinates, which are held: for motions much faster than any relaxation."""
-        return _instantaneous(self) if self.inner else self
+        return _instantaneous(self) if self.massless else self
+
+    @property
+    def quasistatic(self) -> tuple[Float[Array, "nf nf"], Float[Array, "nf nf"]]:
+        """M and K without rows of coordinates of elements, which all follow slow motions."""
+        return slow_matrices(self.M, self.K, len(self.independent)) if self.inner else (self.M, self.K)
+
+    @property
+    def _zero(self) -> Float[Array, "nf nf"]:
+        return jnp.zeros_like(self.K[..., : len(self.independent), : len(self.independent)])
 
     @property
     def K_elastic(self) -> Float[Array, "nv nv"]:
-        """sum of V''(e) de de over the elements; of massless coordinates without their rows, those that `slow` says."""
-        return sum(self.K_elastic_by_element.values(), jnp.zeros_like(self.K[..., : self.nv, : self.nv]))
+        """sum of V''(e) de de over the elements, with coordinates of elements that have rows held."""
+        return sum(self.K_elastic_by_element.values(), self._zero)
 
     @property
     def K_geometric(self) -> Float[Array, "nv nv"]:
         """sum of V'(e) d2e over the elements: the stiffness due to tension."""
-        return sum(self.K_geometric_by_element.values(), jnp.zeros_like(self.K[..., : self.nv, : self.nv]))
+        return sum(self.K_geometric_by_element.values(), self._zero)
 
     @property
     def K_gravity(self) -> Float[Array, "nv nv"]:
@@ -206,7 +225,7 @@ class Linearization(LinearSystem):
     @property
     def K_closures(self) -> Float[Array, "nv nv"]:
         """Hessian of lambda c: the stiffness due to the forces of closures; zero without closures."""
-        return _closure_stiffness(self) if self.dependent else jnp.zeros_like(self.K[..., : self.nv, : self.nv])
+        return _closure_stiffness(self) if self.dependent else self._zero
 
     @property
     def K_elastic_by_element(self) -> dict[str, Float[Array, "nv nv"]]:
@@ -341,7 +360,8 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
         return [(H[:n, :n], -H[:n, n:], H[n:, n:]) for H in whole], slope[:nv]
 
     ((M, M_tilde, M_bb), (C, C_tilde, C_bb), (K, K_tilde, K_bb)), slope = in_lanes(matrices, reversible=True)(numbers, state.q, state.v)
-    K = K - _padded(_load_stiffness(model, state, loads), ny)
+    of_loads = _load_stiffness(model, state, loads)
+    K = K - (jnp.pad(of_loads, (0, ny)) if ny else of_loads)
     if status is None:
         status = jnp.array(Status.OK.value)
     else:
@@ -354,13 +374,9 @@ def _linearize(model: Model, state: State, status: Int[Array, ""] | None, loads:
     return Linearization(M, C, K, status, state, model, M_tilde, C_tilde, K_tilde, M_bb, C_bb, K_bb, loads)
 
 
-def _padded(K: Float[Array, "nv nv"], ny: int) -> Float[Array, "n n"]:
-    return jnp.pad(K, (0, ny)) if ny else K
-
-
 @jit_unoptimized
 def _condensed(lin: Linearization) -> Linearization:
-    nv, ny = lin.nv, lin.inner
+    nv, ny = lin.nv, lin.massless
     K, C, M = lin.whole
     T = following(K, nv, ny)
     blocks = [(H[:nv, :nv], -H[:nv, nv:], H[nv:, nv:]) for H in (T.T @ H @ T for H in (M, C, K))]

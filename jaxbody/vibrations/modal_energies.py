@@ -17,12 +17,13 @@ from jaxbody.core.errors import Problems
 from jaxbody.core.results import Result, warn_if_failed
 from jaxbody.mechanics.element_derivatives import element_derivatives
 from jaxbody.mechanics.energies import inertial_tables, of_table
-from jaxbody.mechanics.hessians import configuration_at
+from jaxbody.mechanics.hessians import Configuration, configuration_at
+from jaxbody.mechanics.inner_rows import inner_rows
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.models import Model
 from jaxbody.numerics.eigenproblems import ZERO, averaged, clusters, natural, refused_in_clusters
 from jaxbody.vibrations.linearizations import Linearization, check_system
-from jaxbody.vibrations.mode_names import AXES, basis_at, direction_names, mark_note, mode_names, upward_axis
+from jaxbody.vibrations.mode_names import AXES, direction_names, mark_note, mode_names, upward_axis
 from jaxbody.vibrations.natural_modes import modes_of, without_inner_rows
 
 LEAST_LOSS = 1e-12  # relative to the largest loss of a mode, below which a mode has no dissipation
@@ -33,11 +34,12 @@ MOST_MODES = 12  # of a table
 class ModeEnergies(Labeled, Result):
     """Shares in percent, a column for each mode, ascending. Modes of coinciding frequencies each have the mean over their space.
 
-    `kinetic` {body: (6, n)}: translation of the center of mass and rotation, in world axes; `inertia` {element: (n,)}: of elements with
-    inertia, such as inerters; the sum of both is 100. `strain` {element: (n,)}: V''(e) de de; with `other_strain`, {"tension", "gravity",
-    "loads"}, the contributions of tension, weights and loads to K, the sum is 100 (NaN for a mode of zero frequency). `dissipation`
-    {element: (n,)}: the sum is 100, or 0 without dissipation. `velocities` (bodies, 6, n): velocities of the centers of mass and angular
-    velocities, along the shape. `names`: each mode by the body and direction with most of the bodies' kinetic energy."""
+    `kinetic` {body: (6, n)}: translation of the center of mass and rotation, in world axes; `inertia` {name: (n,)}: of elements with
+    inertia, such as inerters, and of coordinates of elements with mass, such as the fluid of a mount; the sum of both is 100. `strain`
+    {element: (n,)}: V''(e) de de; with `other_strain`, {"tension", "gravity", "loads"}, the contributions of tension, weights and loads to
+    K, the sum is 100 (NaN for a mode of zero frequency). `dissipation` {element: (n,)}: the sum is 100, or 0 without dissipation.
+    `velocities` (bodies, 6, n): velocities of the centers of mass and angular velocities, along the shape. `names`: each mode by the body
+    and direction with most of the bodies' kinetic energy."""
 
     index = "mode"
     frequency: Float[Array, "n"]
@@ -58,7 +60,8 @@ class ModeEnergies(Labeled, Result):
 
     @property
     def inertia(self) -> dict[str, Float[Array, "n"]]:
-        names = (name for table in inertial_tables(self.model) for name in table.names)
+        layout, tables = self.model.layout, inertial_tables(self.model)
+        names = (*(name for table in tables for name in table.names), *layout.inner[: len(layout.inertial)])
         return {name: self.inertia_shares[..., i, :] for i, name in enumerate(names)}
 
     @property
@@ -80,12 +83,15 @@ class ModeEnergies(Labeled, Result):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Each mode by the body and direction with most of the bodies' kinetic energy, and its share; several if they share it, in phase or
-        in opposition. "~" marks frequencies that nearly coincide."""
-        shares = np.asarray(self.kinetic_shares)
+        """Each mode by the body and direction with most of the kinetic energy, that of inerters left out, and its share; several if they
+        share it, in phase or in opposition; or by the coordinate of an element with mass that has more. "~" marks frequencies that nearly
+        coincide."""
+        shares, layout = np.asarray(self.kinetic_shares), self.model.layout
+        inner = {name: np.asarray(self.inertia[name]) for name in layout.inner[: len(layout.inertial)]}
         if self.inertia:
-            shares = 100 * shares / shares.sum((0, 1))
-        return mode_names(self.model.layout.bodies, self.directions, shares, self.velocities, self.cluster, self.frequency)
+            total = shares.sum((0, 1)) + sum(inner.values())
+            shares, inner = 100 * shares / total, {name: 100 * x / total for name, x in inner.items()}
+        return mode_names(layout.bodies, self.directions, shares, self.velocities, self.cluster, self.frequency, inner)
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: shares [%] by mode, body and direction, element."""
@@ -150,7 +156,7 @@ def mode_energies(
     The linearization is all it needs: the modes are computed from it.
 
         kinetic      100 v_i (M v)_i/(phi' M phi)     v: velocities of a body along phi, of its center of mass and angular
-        inertia      100 de' T'' de/(phi' M phi)      de: change of an element's deformation along phi
+        inertia      100 de' T'' de/(phi' M phi)      de: change of an element's deformation along phi, or of its coordinates with mass
         strain       100 de' V'' de/(phi' K phi)
         dissipation  100 de' R'' de/(phi' C phi)
 
@@ -209,20 +215,25 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
         nonzero = jnp.broadcast_to(jnp.abs(whole) > least, part.shape)
         return 100 * averaged(part, cluster) / jnp.where(nonzero, averaged(whole, cluster), 1.0) * nonzero.astype(part.dtype)
 
-    basis = basis_at(lin.model, lin.state.q)
+    basis, nf, nv = lin.basis, len(lin.independent), lin.model.layout.nv
     whole = lin.expanded(shapes)
     moving = basis.velocities @ whole
     kinetic = moving * (basis.momenta @ whole)
-    elements = element_derivatives(configuration_at(Coordinates(lin.held), lin.state.q, lin.state.v))
-    changes = [x.J[..., : len(whole)] @ whole for x in elements]
+    at = configuration_at(Coordinates(lin.held), lin.state.q, lin.state.v)
+    elements = element_derivatives(at)
+    changes = [x.J[..., :nv] @ whole[:nv] for x in elements]
     none = jnp.zeros((0, len(values)), shapes.dtype)
-    inertial = jnp.concatenate([none, *_kinetic_energies(lin, shapes)])
+    inertial = jnp.concatenate([none, *_kinetic_energies(lin, whole[:nv])])
     moved = jnp.sum(kinetic, (0, 1)) + jnp.sum(inertial, 0) if len(inertial) else jnp.sum(kinetic, (0, 1))
     elastic, loss = (
         jnp.concatenate([none, *(jnp.sum(de * (H @ de), 1) for de, H in zip(changes, second, strict=True))])
         for second in ([x.stiffness for x in elements], [x.damping for x in elements])
     )
-    gravity, loads = (jnp.sum(shapes * (K @ shapes), 0) for K in (lin.K_gravity, lin.K_loads))
+    if len(whole) > nv:
+        of_inner, (more_elastic, more_loss) = _energies_of_inner(at, whole)
+        inertial, elastic, loss = jnp.concatenate([inertial, of_inner]), elastic + more_elastic, loss + more_loss
+        moved = jnp.sum(kinetic, (0, 1)) + jnp.sum(inertial, 0)
+    gravity, loads = (jnp.sum(shapes[:nf] * (K @ shapes[:nf]), 0) for K in (lin.K_gravity, lin.K_loads))
     strain, dissipated = jnp.sum(shapes * (lin.K @ shapes), 0), jnp.sum(loss, 0)
     others = jnp.stack([strain - jnp.sum(elastic, 0) - gravity - loads, gravity, loads])
     velocities = refused_in_clusters(moving.reshape(-1, len(values)), cluster).reshape(moving.shape)
@@ -235,7 +246,21 @@ def _energies(lin: Linearization) -> tuple[Array, ...]:
     )  # fmt: skip
 
 
-def _kinetic_energies(lin: Linearization, shapes: Float[Array, "n m"]) -> list[Float[Array, "ne m"]]:
+def _energies_of_inner(at: Configuration, whole: Float[Array, "n m"]):
+    """Twice the kinetic energy of each coordinate of elements with mass along these shapes, and what each adds to V and R of its element,
+    for all elements."""
+    layout, rows = at.model.layout, inner_rows(at)
+    x, y = whole[: layout.nv], whole[layout.nv :]
+    k, n = len(y), layout.nv
+    owners = [block.owner for block in layout.blocks for _ in block.states]
+    of_elements = np.array([[owners[i] == name for i in layout.inertial] for name in at.model.element_names], whole.dtype)
+    added = [
+        of_elements @ (y * (2 * H_yx[:k, :n] @ x + H_yy[:k, :k] @ y)) for H_yx, H_yy in ((rows.K_yx, rows.K_yy), (rows.C_yx, rows.C_yy))
+    ]
+    return y * (rows.M_yy[:k, :k] @ y), added
+
+
+def _kinetic_energies(lin: Linearization, shapes: Float[Array, "nv m"]) -> list[Float[Array, "ne m"]]:
     """Twice the kinetic energies of the elements with inertia along these shapes, table by table."""
     coordinates, tables = Coordinates(lin.held), inertial_tables(lin.held)
 
@@ -252,7 +277,8 @@ def kinetic_shares(lin: Linearization) -> Float[Array, "m n"]:
     lin = lin.condensed
     increase = SEPARATION * jnp.linspace(0.0, 1.0, len(lin.K)) * jax.lax.stop_gradient(jnp.diagonal(lin.K))
     shapes = lin.expanded(natural(lin.K + jnp.diag(increase), lin.M)[1])
-    basis = basis_at(lin.model, lin.state.q)
+    basis = lin.basis
     kinetic = (basis.velocities @ shapes) * (basis.momenta @ shapes)
     kinetic = kinetic.reshape(-1, kinetic.shape[-1])
-    return kinetic / jnp.sum(kinetic, 0)[None] if inertial_tables(lin.model) else kinetic  # else phi' M phi = 1
+    others = inertial_tables(lin.model) or lin.inner
+    return kinetic / jnp.sum(kinetic, 0)[None] if others else kinetic  # else phi' M phi = 1

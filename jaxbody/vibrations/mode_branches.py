@@ -67,7 +67,7 @@ class Branches(Labeled, Result):
             "status": (("value",), self.status, ""),
         }
         count = np.shape(self.frequency)[-1]
-        coordinates = {"value": np.asarray(self.values), "mode": list(range(1, count + 1)), "coordinate": list(self.layout.coordinates)}
+        coordinates = {"value": np.asarray(self.values), "mode": list(range(1, count + 1)), "coordinate": list(self.layout.with_mass)}
         return dataset(variables, coordinates, "branches")
 
     def _tables(self) -> list[tables.PrintedTable]:
@@ -146,7 +146,9 @@ def _track(values: Float[Array, "k"], at_values: Modes | ComplexModes, M: Float[
     n = at_values.frequency.shape[1]
     frozen = jax.lax.stop_gradient((at_values.shapes, M))
     if at_values.model.closures:  # of which M has the independent coordinates
-        frozen = frozen[0][:, np.array(at_values.model.independent, int)], frozen[1]
+        layout = at_values.model.layout
+        own = np.append(np.array(at_values.model.independent, int), np.arange(layout.nv, len(layout.with_mass)))
+        frozen = frozen[0][:, own], frozen[1]
 
     def step(carry, given):
         """From reference shapes and labels (equal for references of one cluster) to those at the next value."""

@@ -75,18 +75,27 @@ def upward_axis(model: Model) -> str | None:
     return AXES[int(np.argmax(np.abs(g)))]
 
 
-def names_of_shapes(model: Model, basis: Basis, shapes: Any, cluster: Any, values: Any) -> tuple[str, ...]:
-    """The names of shapes (columns, real or complex) of small motions with this basis; `values`: their frequencies or poles."""
+def names_of_shapes(model: Model, basis: Basis, M: Any, shapes: Any, cluster: Any, values: Any) -> tuple[str, ...]:
+    """The names of shapes (columns, real or complex) of small motions with this basis and mass matrix; `values`: their frequencies or
+    poles."""
     V, P, shapes, cluster = map(np.asarray, (basis.velocities, basis.momenta, shapes, cluster))
+    labels = model.layout.inner[: len(model.layout.inertial)]
+    own = np.zeros((shapes.shape[0],) * 2)  # the mass matrix of coordinates of elements
+    if labels:
+        own[-len(labels) :, -len(labels) :] = np.asarray(M)[-len(labels) :, -len(labels) :]
+    mass = np.einsum("bik,bil->kl", V, P) + own
 
     def shares(x: np.ndarray) -> np.ndarray:
-        """Shares of energy [%], summed over the columns."""
-        energies = np.real((V @ x).conj() * (P @ x)).sum(-1)
-        return 100 * energies / energies.sum()
+        """Shares of energy [%] of bodies and directions, then of coordinates of elements, summed over the columns."""
+        energies = np.real((V @ x).conj() * (P @ x)).sum(-1).ravel()
+        inner = np.real(x.conj() * (own @ x)).sum(-1)[len(own) - len(labels) :]
+        return 100 * np.concatenate([energies, inner]) / (energies.sum() + inner.sum())
 
     spaces = [shapes[:, cluster == c] for c in cluster]
-    each = [shares(_orthonormal(x, np.einsum("bik,bil->kl", V, P)) if x.shape[1] > 1 and np.isfinite(x).all() else x) for x in spaces]
-    return mode_names(model.layout.bodies, direction_names(model), np.stack(each, -1), V @ shapes, cluster, values)
+    each = np.stack([shares(_orthonormal(x, mass) if x.shape[1] > 1 and np.isfinite(x).all() else x) for x in spaces], -1)
+    of_bodies = each[: 6 * len(V)].reshape(len(V), 6, -1)
+    inner = dict(zip(labels, each[6 * len(V) :], strict=True))
+    return mode_names(model.layout.bodies, direction_names(model), of_bodies, V @ shapes, cluster, values, inner)
 
 
 def _orthonormal(shapes: np.ndarray, M: np.ndarray) -> np.ndarray:
@@ -97,10 +106,16 @@ def _orthonormal(shapes: np.ndarray, M: np.ndarray) -> np.ndarray:
 
 
 def mode_names(
-    bodies: tuple[str, ...], directions: tuple[str, ...], shares: Any, velocities: Any, cluster: Any, values: Any
+    bodies: tuple[str, ...],
+    directions: tuple[str, ...],
+    shares: Any,
+    velocities: Any,
+    cluster: Any,
+    values: Any,
+    inner: dict[str, np.ndarray] | None = None,
 ) -> tuple[str, ...]:
-    """The name of each mode from shares [%] and velocities (bodies, 6, modes), with the number of coinciding modes and a mark if another is
-    near."""
+    """The name of each mode from shares [%] and velocities (bodies, 6, modes), and the shares of coordinates of elements, {name: (modes,)},
+    with the number of coinciding modes and a mark if another is near."""
     shares, velocities, cluster = np.asarray(shares), np.asarray(velocities), np.asarray(cluster)
     marked, shared = nearly_coinciding(cluster, values), (cluster[:, None] == cluster).sum(0)
     names = []
@@ -111,6 +126,9 @@ def mode_names(
         largest, d = np.argwhere(shares[..., i] >= (1 - TIED) * shares[..., i].max())[0]
         alike = [largest] if count > 1 else np.flatnonzero(shares[:, d, i] >= ALIKE * shares[largest, d, i])
         name = _name(bodies, directions[d], alike, largest, shares[:, d, i], velocities[:, d, i])
+        most = max(inner, key=lambda label, i=i: inner[label][i]) if inner else ""
+        if inner and inner[most][i] > shares[largest, d, i]:
+            name = f"{most} {inner[most][i]:.0f} %"
         names.append(name + (f" (one of {count})" if count > 1 else "") + (MARK if marked[i] else ""))
     return tuple(names)
 

@@ -165,9 +165,8 @@ def _free(lin: Linearization, body: str, where: str) -> str:
 
 @jit_unoptimized
 def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
-    lin = lin.condensed
-    rows = lin.model.layout.v_slices[body]
-    K = (lin.K[rows, rows] + lin.K[rows, rows].T) / 2
+    rows, K = lin.model.layout.v_slices[body], lin.quasistatic[1]
+    K = (K[rows, rows] + K[rows, rows].T) / 2
     A, P, D = K[:3, :3], K[3:, :3], K[3:, 3:]  # a translation n needs the moment P n
     p = jnp.linalg.solve(jnp.trace(A) * jnp.eye(3, dtype=A.dtype) - A, 2 * axial(P))
     stiffness, n = natural(A, jnp.eye(3, dtype=A.dtype))
@@ -185,9 +184,10 @@ def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
 
 @jit_unoptimized
 def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) -> TorqueRollAxis:
-    lin, rows, row = lin.condensed, lin.model.layout.v_slices[body], lin.model.bodies.rows
+    rows, row = lin.model.layout.v_slices[body], lin.model.bodies.rows
     i = lin.model.layout.bodies.index(body)
-    M, K = lin.M[rows, rows], (lin.K[rows, rows] + lin.K[rows, rows].T) / 2
+    M, K = (H[rows, rows] for H in lin.quasistatic)
+    K = (K + K.T) / 2
     p, R = _origin(lin, body)
     inertia = (row.inertia[i] + row.inertia[i].T) / 2
     n = rotate(R, jnp.linalg.solve(inertia, rotate_back(R, torque)))

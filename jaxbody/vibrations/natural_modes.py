@@ -28,8 +28,8 @@ SYMMETRIC = 1e-8  # largest K - K' relative to the largest K, below which it is 
 
 
 class ModalResult(Labeled, Result):
-    """The base class of natural and complex modes: `shapes` (columns) in the coordinates of the model, `M` the mass matrix of
-    the linear system."""
+    """The base class of natural and complex modes: `shapes` (columns) in the coordinates of the model and those of elements with mass, `M`
+    the mass matrix of the linear system."""
 
     index = "mode"
     frequency: Float[Array, "n"]
@@ -48,8 +48,8 @@ class ModalResult(Labeled, Result):
     @property
     def names(self) -> tuple[str, ...]:
         """Each mode by the body and direction with most of its kinetic energy (of complex modes the mean over a period), or several bodies
-        that share it, as in `mode_energies`."""
-        return names_of_shapes(self.model, self.basis, self.shapes, self.cluster, self.roots())
+        that share it, or the coordinate of an element with mass, as in `mode_energies`."""
+        return names_of_shapes(self.model, self.basis, self.M, self.shapes, self.cluster, self.roots())
 
     @abstractmethod
     def roots(self) -> np.ndarray:
@@ -76,7 +76,7 @@ class ModalResult(Labeled, Result):
             "status": ((), self.status, ""),
         }
         numbers = list(range(1, 1 + np.shape(self.frequency)[-1]))
-        return dataset(variables | own, {"mode": numbers, "coordinate": list(self.layout.coordinates)}, kind)
+        return dataset(variables | own, {"mode": numbers, "coordinate": list(self.layout.with_mass)}, kind)
 
     def table(self, title: str, columns: dict[str, Any]) -> list[tables.PrintedTable]:
         """A row for each mode, with its name."""

@@ -29,7 +29,7 @@ from jaxbody.mechanics.closed_loops import dynamics_of
 from jaxbody.mechanics.element_derivatives import ElementDerivatives, element_derivatives
 from jaxbody.mechanics.hessians import Configuration, configuration_at, frame_twists, slope
 from jaxbody.mechanics.kinematics import Coordinates
-from jaxbody.models.memories import apart
+from jaxbody.models.memories import apart, settled
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.sensors.instruments import LoadCell, Reaction
@@ -143,7 +143,7 @@ def rows_of(lin: Any, at: Configuration, twists, sensors: tuple[Sensor, ...], F:
     model, zero = lin.model, jnp.zeros(len(F), F.dtype)
 
     def of_element(sensor) -> bool:
-        """Whether its rows are those of an element; with massless coordinates or accelerations it is read."""
+        """Whether its rows are those of an element; with coordinates of elements or accelerations it is read."""
         return isinstance(sensor, LoadCell) and not (lin.inner or sensor.needs_accelerations(model))
 
     others = [sensor for sensor in sensors if not (isinstance(sensor, Kinematic) or of_element(sensor) or reads_matrices(sensor, model))]
@@ -194,13 +194,16 @@ def _read_rows(lin: Any, at: Configuration, twists: Float[Array, "nf n 6"], sens
     """The rows of sensors by the derivatives of their readings; accelerations are those of x'': no equation of motion is solved."""
     model, q, layout, frames = lin.model, lin.state.q, lin.model.layout, at.frames
     dynamics, zero = dynamics_of(lin.held, (), lin.loads), jnp.zeros(twists.shape[1], q.dtype)
-    own, places = slice(lin.nv, lin.nv + lin.inner), layout.massless
+    n, k, with_mass = len(lin.independent), lin.inner, len(layout.inertial)
     T = None if lin.dependent is None else lin.dependent.whole(lin.inner, layout.nxi)[: layout.nv]
 
     def held(x, rate) -> Model:
-        """The model with displaced massless coordinates."""
-        z = lin.state.z
-        return apart(model, z.at[places].add(x[own]), jnp.zeros_like(z).at[places].set(rate[own])) if lin.inner else lin.held
+        """The model with displaced coordinates of elements."""
+        if not k:
+            return lin.held
+        y, y_dot, z, zero = x[n : n + k], rate[n : n + k], lin.state.z, jnp.zeros_like(lin.state.z)
+        z = z.at[layout.inner_places[:k]].add(y).at[layout.inner_rates].add(y_dot[:with_mass])
+        return settled(model, z) if lin.slow else apart(model, z, zero.at[layout.inner_places[:k]].set(y_dot))
 
     def moved(x, rate, change, u) -> Instant:
         (dp, turn), (v, w), (a, alpha) = (jnp.split(jnp.einsum("fni,n->fi", twists, y), 2, -1) for y in (x, rate, change))
@@ -243,7 +246,7 @@ def port_matrices(lin: Any, inputs: tuple[Input, ...], sensors: tuple[Sensor, ..
     layout = lin.model.layout
     at = configuration_at(Coordinates(lin.held), lin.state.q)
     twists = frame_twists(at)
-    if lin.inner:  # massless coordinates move no frame
+    if lin.inner:  # coordinates of elements move no frame
         twists = jnp.insert(twists, np.full(lin.inner, layout.nv), 0.0, axis=1)
     if lin.dependent is not None:
         twists = jnp.einsum("fni,nm->fmi", twists, lin.dependent.whole(lin.inner, layout.nxi))

@@ -86,7 +86,7 @@ def _state_space(lin: Any, ports: Ports):
 
     Delta'' = M^-1 (F f + K~ Xi + C~ Xi' + M~ Xi'' - C Delta' - K Delta),   u = Xi:   g = M^-1 M~,  h = M^-1 (C~ - C g)
                                                                             u = Xi':  g = 0,        h = M^-1 M~"""
-    orders, nv, ny, m = ports.orders, lin.nv, lin.inner, len(ports.orders)
+    orders, nv, ny, m = ports.orders, lin.nv, lin.massless, len(ports.orders)
     integrated = [(k, j) for k in (0, 1) for j in range(m) if orders[j] > k]  # the k-th derivative of Xi of input j is a state
     moving = 2 * nv + ny
     n = moving + len(integrated)

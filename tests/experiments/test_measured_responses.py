@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 
 import jaxbody as jb
 from jaxbody import plots
+from jaxbody.experiments.measured_responses import small_motions
 
 # Two masses in a row on a base: base - k1, c1 - m1 - k2, c2 - m2.
 TRUTH = {"lower.stiffness": 4000.0, "upper.stiffness": 900.0, "lower.damping": 12.0, "upper.damping": 5.0, "m2.mass": 1.5}
@@ -194,6 +195,21 @@ def test_modes_alone_and_all_together_are_scipys(measured):
     print(values(together) / expected - 1)
     np.testing.assert_allclose(values(together), expected, rtol=1e-6)
     assert together.ok and {"hammer.x1/force", "test.frequency", "release.x"} <= set(str(together).split())
+
+
+def test_a_measured_shape_is_compared_with_the_nearest_multiple_of_a_shape(rng):
+    """By least squares over what was measured, of the shape of length one that is meant by any measured one."""
+    model = model_of(TRUTH)
+    sensors = {"x1": port("m1"), "x2": port("m2"), "twice": port("m2", gain=2.0)}
+    observed = rng.normal(size=(2, 3))
+    observed[1, 0] = np.nan
+    test = jb.MeasuredModes(frequency=[1.0, 2.0], shapes=observed, sensors=sensors)
+    found = test.readings(model, None, small_motions(model))["shapes"]
+    for shape, mine, row in zip(modal(TRUTH.values())[2], found, observed, strict=True):
+        shape, there = np.array([*shape, 2 * shape[1]]), ~np.isnan(row)
+        row = row[there] / np.linalg.norm(row[there])
+        scale = np.linalg.lstsq(shape[there][:, None], row)[0]
+        np.testing.assert_allclose(mine, scale * shape, rtol=1e-9)
 
 
 @pytest.mark.long

@@ -6,9 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from test_peak_factors import driven, shaken, signal_of
 
 import jaxbody as jb
+from jaxbody.fatigue.fatigue_damages import dirlik
 
 K, N0, S0 = 5.0, 1e6, 0.02  # of ranges of displacement [m]
 
@@ -47,6 +49,26 @@ def test_a_narrow_band_in_closed_form():
         damage = jb.fatigue_damage(narrow, {"x": curve()}, duration=3600.0, method=method)
         np.testing.assert_allclose(damage["x"], exact, rtol=0.01 if method == "narrow band" else 0.03)
         np.testing.assert_allclose(damage.life[0], 3600 / damage["x"], rtol=1e-12)
+
+
+@pytest.mark.parametrize("high", [1.6, 3.0, 8.0])
+def test_dirlik_is_the_integral_of_the_published_density(high):
+    """Over normalized ranges, by SciPy, for a flat spectrum from 1 to `high` hertz; the mean range of a Gaussian signal is known."""
+    m0, m1, m2, m4 = ((high ** (j + 1) - 1) / (j + 1) for j in (0, 1, 2, 4))
+    regularity, x = m2 / np.sqrt(m0 * m4), m1 / m0 * np.sqrt(m2 / m4)
+    D1 = 2 * (x - regularity**2) / (1 + regularity**2)
+    R = (regularity - x - D1**2) / (1 - regularity - D1 + D1**2)
+    D2 = (1 - regularity - D1 + D1**2) / (1 - R)
+    D3 = 1 - D1 - D2
+    Q = 1.25 * (regularity - D3 - D2 * R) / D1
+
+    def density(z):
+        return D1 / Q * np.exp(-z / Q) + D2 * z / R**2 * np.exp(-(z**2) / (2 * R**2)) + D3 * z * np.exp(-(z**2) / 2)
+
+    for k in (1.0, 3.0, 5.0):
+        expected = quad(lambda z, k=k: z**k * density(z), 0, np.inf, epsabs=0, epsrel=1e-10)[0]
+        np.testing.assert_allclose(dirlik(m0, m1, m2, m4, k), expected, rtol=1e-8)
+    np.testing.assert_allclose(dirlik(m0, m1, m2, m4, 1.0), np.sqrt(np.pi / 2) * regularity, rtol=3e-3)  # 1.25 for 1.2533
 
 
 def test_constant_cycles_are_counted_one_by_one():

@@ -13,6 +13,7 @@ from jaxbody.files.quantities import in_SI, unit_system
 TORSION = {"force": "N m", "argument": "rad"}
 TURN = 57.29577951308232  # degrees in a radian
 DRAWING = unit_system({"length": "mm", "force": "N", "time": "s", "angle": "deg"}, "units", Problems())
+CRASH = unit_system({"length": "mm", "force": "kN", "time": "ms", "angle": "rad"}, "units", Problems())
 SI = unit_system("SI", "units", Problems())
 
 
@@ -29,6 +30,8 @@ SI = unit_system("SI", "units", Problems())
         (0.3, "", None, 0.3),
         (5, "N/m", DRAWING, 5000.0),
         (2, "kg", DRAWING, 2000.0),  # N s2/mm are tonnes
+        (2, "kg", CRASH, 2.0),  # kN ms2/mm are kilograms
+        (3, "N s/m", CRASH, 3000.0),
         (["1 m", 700], "m", DRAWING, [1.0, 0.7]),
         (5, "N/m", SI, 5.0),
         ("3 N m/deg", "force/argument", None, 3 * TURN),

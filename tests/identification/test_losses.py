@@ -305,6 +305,24 @@ def test_many_starts_find_the_optima_that_scipy_finds():
         assert np.abs(np.array(list(ends)) / cost - 1).min() < 1e-5, cost
 
 
+@pytest.mark.long
+def test_optima_that_explain_as_much_are_warned_of():
+    """The height of a pendulum does not tell on which side it was released."""
+    pendulum = jb.Model(
+        bodies={"bob": jb.Body(1.0, com=[0, 0, -1])}, joints={"bob": jb.Hinge("world", axis="y")}, gravity=[0, 0, -9.81]
+    )  # fmt: skip
+    height = {"z": jb.Position("bob", [0, 0, -1], axis="z")}
+    initial = [jb.State(jnp.array([angle]), jnp.array([0.0])) for angle in (0.5, 0.3)]
+    z = jb.measure(jb.simulate(pendulum, TIMES, initial=initial[0]), height)["z"]
+    z = z + 1e-3 * np.random.default_rng(0).normal(size=len(TIMES))
+    runs = {"run": jb.Experiment(TIMES, initial=initial[1], sensors=height, measured={"z": z})}
+    with pytest.warns(jb.JaxbodyWarning, match="as well: costs.*SEVERAL_OPTIMA"):
+        several = jb.multistart(pendulum, runs, free="run.initial.q", starts=6, spread=0.8)
+    assert float(several.cost[1]) == pytest.approx(float(several.cost[0]), rel=1e-9)
+    ends = np.sort(np.asarray(several.estimates["run.initial.q"])[:2, 0])
+    np.testing.assert_allclose(ends, [-0.5, 0.5], atol=2e-3)
+
+
 def test_a_record_much_shorter_than_the_first_period_is_said_to_be_short():
     """0.03 s of a period of 2 pi sqrt(m/k) = 1.14 s: neither stiffness against mass, nor a search cut off, is a matter of the start."""
     short = TIMES[:16] / 10

@@ -186,6 +186,15 @@ def test_bands_of_what_has_none_are_reported(result):
     assert np.isinf(message.standard_error)
 
 
+@pytest.mark.long
+def test_draws_need_data_that_determine_all_parameters(record):
+    """Mass and stiffness of a free oscillation: only their ratio is known."""
+    with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE"):
+        result = jb.fit(oscillator(), run(record), free=(*FREE, "mass.mass"), max_steps=2000)
+    with pytest.raises(jb.JaxbodyError, match=r"not determined.*UNDETERMINED"):
+        jb.bands(result, frequency, samples=10, key=jax.random.key(0))
+
+
 def test_intervals_and_notes_print(result):
     low, high = result.intervals()["spring.stiffness"]
     assert f"{low:.6g} to {high:.6g}" in str(result) and "noise white" in str(result) and "95 % interval" in str(result)

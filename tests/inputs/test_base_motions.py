@@ -86,6 +86,21 @@ def test_the_motion_is_one_function_whose_second_derivative_is_the_corrected_acc
     assert np.abs(before - after).max() < 1e-8
 
 
+def test_a_base_that_only_tilts_stays_in_its_place():
+    """The accelerometer reads gravity alone, turned; from rest, with nothing removed. Rates in straight lines between samples weaken the
+    tilt of 0.3 rad by (w h)^2/12, and g t^2/2 times that moves the base."""
+    weaker = 0.3 * 1.01 * (np.pi / RATE) ** 2 / 12
+    times = np.arange(1201) / RATE
+    tilt, axis = 0.15 * (1 - np.cos(np.pi * times)), np.array([0.6, 0.0, 0.8])
+    A = (Rotation.from_rotvec(tilt[:, None] * axis) * Rotation.from_matrix(AXES)).as_matrix()
+    rates = (0.15 * np.pi * np.sin(np.pi * times))[:, None] * axis
+    channels = {"f": (np.einsum("nik,i->nk", A, -G), "m/s2"), "w": (np.einsum("nik,ni->nk", A, rates), "rad/s")}
+    result = jb.base_motion(jb.Record(times, channels), "f", rates="w", axes=AXES, gravity=G, degree=None)
+    values = np.asarray(jax.vmap(result.motion)(times))
+    np.testing.assert_allclose(values[:, 3:], tilt[:, None] * axis, rtol=0, atol=weaker)
+    np.testing.assert_allclose(values[:, :3], 0, rtol=0, atol=weaker * 9.81 * 3.0**2 / 2)
+
+
 def test_without_gravity_stated_a_turning_base_is_refused(record):
     with pytest.raises(jb.JaxbodyError, match=r"is not stated.*gravity=\[0, 0, -9\.81\].*NO_GRAVITY"):
         jb.base_motion(record, "f", rates="w")

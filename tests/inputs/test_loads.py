@@ -137,6 +137,7 @@ def test_bad_loads_are_refused():
     for make, words in (
         (lambda: jb.simulate(model, [0, 1], loads={"f": jb.Force("engine", force=[1, 0, 0])}), ("UNKNOWN_BODY", "engine", "body")),
         (lambda: jb.simulate(model, [0, 1], loads={"f": 3.0}), ("WRONG_KIND", "float", "jb.Force")),
+        (lambda: jb.load_cases(TABLE, {}), ("NO_CASE", "jb.LoadCase")),
         (lambda: jb.Force("body", force=[1, 0]), ("BAD_SHAPE", "Force.force")),
         (lambda: jb.Force("body", force=lambda t: t), ("BAD_SHAPE", "Force.force", "()")),
         (lambda: jb.Force("body", axes="wheel"), ("BAD_AXES", "wheel", "world or body")),

@@ -120,6 +120,13 @@ def test_classes_frames_includes_and_springs_of_all_kinds_of_joints(tmp_path, rn
     agree(model, m, rng, count=5)
 
 
+def test_angles_are_in_degrees_unless_the_compiler_says_otherwise(tmp_path, rng):
+    text = """<worldbody><body name="flap" euler="10 20 30"><joint axis="0 1 0" stiffness="5" springref="25" ref="-10"/>
+<geom size="0.1" pos="0.3 0 0"/></body></worldbody>"""
+    read, m = compiled(tmp_path, text)
+    agree(read.model, m, rng)
+
+
 PARTS = """<worldbody><geom name="floor" type="plane" size="1 1 1"/><body name="wall"><geom size="1"/>
 <body name="a.b" pos="0 0 1"><joint type="slide" name="c"/><inertial mass="2" pos="0 0 0.1" diaginertia="1 2 2.5" quat="1 1 0 0"/>
 <body pos="0 1 0"><geom size="0.1" mass="1"/></body>

@@ -73,6 +73,24 @@ def flap():
     )
 
 
+def shafts():
+    """A puck on a turned support, a yoke on a universal joint on it, and a shaft that slides and turns in the yoke."""
+    joints = {
+        "puck": jb.Planar("arm", first=[1, 0.2, 0], second=[-0.1, 1, 0.1]),
+        "yoke": jb.Universal("puck", first=[0, 1, 0.2], second=[1, 0, 0], at=[0.1, 0.1, -0.2]),
+        "shaft": jb.Cylindrical("yoke", axis=[0, 0.2, 1], at=[0.02, 0, 0]),
+    }
+    ends = {"puck": [0.3, 0.3, 0.1], "yoke": [-0.2, 0.1, -1.4], "shaft": [0.4, 0.1, -0.6]}
+    light = {"mass": 0.7, "inertia": [0.02, 0.03, 0.04]}
+    return jb.Model(
+        bodies={"puck": TURNED, "yoke": jb.Body(**light, position=[0.1, 0.3, -0.9]), "shaft": jb.Body(**light, position=[0.1, 0.35, -1.0])},
+        supports={"arm": ARM},
+        joints=joints,
+        elements={f"{name} spring": jb.Spring((name, [0, 0, 0]), ("world", at), stiffness=40.0, damping=0.5) for name, at in ends.items()},
+        gravity=G,
+    )
+
+
 MODELS = {
     "plate": lambda: rigs.plate(damping=1.0),
     "rig": rigs.rig,
@@ -85,6 +103,7 @@ MODELS = {
     "ball": ball,
     "crane": crane,
     "flap": flap,
+    "shafts": shafts,
 }
 
 

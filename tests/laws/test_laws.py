@@ -53,6 +53,14 @@ LAWS = {
 KINKS = {"table": POINTS, "stop": [-0.15, -0.1], "stop in extension": [0.1, 0.15], "sum": [-0.15, -0.1]}
 
 
+def test_a_law_without_a_force_is_refused():
+    class Empty(laws.Law):
+        k: float = 1.0
+
+    with pytest.raises(jb.JaxbodyError, match=r"Empty: states neither force nor potential.*NO_FORCE"):
+        Empty()
+
+
 @jax.jit
 def everything(law, x):
     """F, U and, forward and reverse, their derivatives in x and in the law's own numbers."""
@@ -153,6 +161,14 @@ def test_the_energy_of_a_gas_is_smooth_where_it_is_isothermal(exponent):
 
     slope = jax.grad(lambda law: law.potential(jnp.array(0.5)))(jax.tree.map(jnp.asarray, law)).exponent
     assert abs(slope - (U(exponent + 1e-4) - U(exponent - 1e-4)) / 2e-4) <= 1e-6 * abs(slope)
+
+
+def test_an_air_spring_that_carries_a_load_has_the_absolute_pressure_for_it():
+    """p0 = p_a + load/A, so that it pushes with the load, and its stiffness n p0 A/h is that of the gas and not of the load alone."""
+    load, A, h, n = 800.0, 5e-3, 0.2, 1.3
+    gas = jb.laws.AirSpring.carrying(load, area=A, height=h, exponent=n)
+    at_rest = jnp.zeros(())
+    np.testing.assert_allclose([gas.force(at_rest), gas.slope(at_rest)], [-load, n * (101325.0 * A + load) / h], rtol=1e-12)
 
 
 def test_a_gas_compressed_to_zero_volume_is_nan_and_named():

@@ -8,6 +8,7 @@ import pytest
 import rigs
 
 import jaxbody as jb
+from jaxbody.numerics.gauss_collocations import GAUSS
 
 STEPS = diffrax.ConstantStepSize()
 TIMES = np.linspace(0, 2, 5)
@@ -29,6 +30,17 @@ def moved(stages, dt0, stiffness=400.0, **options):
     solver = jb.Gauss(stages=stages)
     model = jb.replace(slider(), {"s.stiffness": stiffness})
     return jb.simulate(model, TIMES, initial=PUSHED, solver=solver, stepsize_controller=STEPS, dt0=dt0, **options)
+
+
+@pytest.mark.parametrize("stages", [1, 2, 3])
+def test_coefficients_are_integrals_of_polynomials_through_the_points_of_gauss(stages):
+    """c and b are NumPy's nodes and weights; sum_j a_ij c_j^k = c_i^(k + 1)/(k + 1), the integral to c_i of each power."""
+    A, b, c = (np.array(x) for x in GAUSS[stages])
+    nodes, weights = np.polynomial.legendre.leggauss(stages)
+    np.testing.assert_allclose(c, (1 + nodes) / 2, rtol=1e-14)
+    np.testing.assert_allclose(b, weights / 2, rtol=1e-14)
+    k = np.arange(stages)
+    np.testing.assert_allclose(A @ c[:, None] ** k, c[:, None] ** (k + 1) / (k + 1), rtol=1e-13)
 
 
 @pytest.mark.long

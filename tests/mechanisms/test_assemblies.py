@@ -4,8 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
+from jaxbody.geometry.frames import Pose
 from jaxbody.mechanics.constraints import gaps
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.mechanisms.driven_positions import drives_of, position, positions
@@ -102,12 +104,33 @@ def test_guides_welds_and_equations_hold_what_they_say():
     angle = 0.3
     q = jnp.array([0.5, 0.2, -0.1, np.cos(angle / 2), 0, 0, np.sin(angle / 2)])
     coordinates = Coordinates(model)
-    c = gaps(model, coordinates, coordinates.at_rest(q))
+    c = gaps(model, coordinates, coordinates.at_rest(q), q)
     sine = [0.0, 0.0, np.sin(angle)]  # times the size of the model, 1 m
     assert np.sort(np.abs(c[:2])).tolist() == pytest.approx([0.1, 0.2])
     np.testing.assert_allclose(c[2:5], sine, atol=1e-12)
     np.testing.assert_allclose(c[5:11], [0.5, 0.2, -0.1, *sine], atol=1e-12)
     np.testing.assert_allclose(c[11], 1.0, atol=1e-12)
+
+
+def test_angles_of_closures_are_from_the_poses_as_they_are_drawn(rng):
+    """Two frames that are drawn turned, each by itself, and are then moved and turned; by SciPy."""
+    drawn_A, drawn_B, turned_A, turned_B = (Rotation.random(rng=rng) for _ in range(4))
+    p_A, p_B, a, b, n = rng.normal(size=(5, 3))
+    n = n / np.linalg.norm(n)
+    drawn, there = ((A.inv() * B).as_matrix() for A, B in ((drawn_A, drawn_B), (turned_A, turned_B)))
+    A, B = (Pose(jnp.asarray(p), jnp.asarray(R.as_matrix())) for p, R in ((p_A, turned_A), (p_B, turned_B)))
+    R = there @ drawn.T
+    d = turned_A.inv().apply(p_B + turned_B.apply(b) - p_A - turned_A.apply(a))
+    turn = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]]) / 2
+    ends, rest = (("one", a), ("other", b)), Pose(jnp.zeros(3), jnp.asarray(drawn))
+    weld, guide, hinge = (
+        closure.gap(A, B, rest) for closure in (jb.closures.Weld(*ends), jb.closures.Guide(*ends, axis=n), jb.closures.Hinge(*ends, axis=n))
+    )
+    np.testing.assert_allclose(weld, [*d, *turn], atol=1e-14)
+    np.testing.assert_allclose(np.linalg.norm(guide[:2]), np.linalg.norm(np.cross(n, d)), rtol=1e-13)
+    np.testing.assert_allclose(guide[2:], turn, atol=1e-14)
+    np.testing.assert_allclose(hinge[:3], d, atol=1e-14)
+    np.testing.assert_allclose(np.linalg.norm(hinge[3:]), np.linalg.norm(np.cross(n, R @ n)), rtol=1e-13)
 
 
 def test_an_assembled_state_has_derivatives_by_lengths():

@@ -11,6 +11,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
+from jaxbody.mechanics.energies import frames_of
 from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE, FIVE_LINK
 
 TRAVEL = np.linspace(-0.1, 0.1, 11)
@@ -93,6 +94,30 @@ def test_motion_ratio_wheel_force_and_wheel_rate(double):
     np.testing.assert_allclose(double["motion ratio of spring"][rows], ratio, atol=1e-9)
     np.testing.assert_allclose(double["wheel force"][rows], force, rtol=1e-8)
     np.testing.assert_allclose(double["wheel rate"][rows], wheel_rate, rtol=1e-7)
+
+
+def test_a_wheel_under_load_moves_by_the_wheel_rate():
+    """Equilibria under a vertical force at the wheel center, with the rack held: the forces of the table lead to its travel, and the change
+    of travel by force is one over the wheel rate."""
+    model, center = jb.double_wishbone().model, jb.double_wishbone().wheel.center
+    bodies, joints = ({name: part(name) for name in model.layout.bodies} for part in (model.__getitem__, model.joint))
+    closures = {name: model[name] for name in model.closure_names}
+    held = jb.Model(bodies=bodies, joints=joints | {"rack": jb.Fixed("world")}, closures=closures, elements={"spring": model["spring"]})
+    start = jb.equilibrium(held, start=held.reference, loads=lift(center, 2184.08431)).state
+
+    def travel(force):
+        state = jb.equilibrium(held, start=start, loads=lift(center, force)).state
+        return float(frames_of(held, state)[held.layout.frame("upright")].point(center)[2] - center[2])
+
+    dz, _, force, wheel_rate = table(SPRING)
+    for i in (3, 5):  # at rest in the design position, and 60 mm up
+        up, down = (travel(force[i] + change) for change in (2.0, -2.0))
+        assert (up + down) / 2 == pytest.approx(1e-3 * dz[i], abs=1e-7)  # the square of the change
+        assert 4.0 / (up - down) == pytest.approx(wheel_rate[i], rel=1e-5)
+
+
+def lift(center, force):
+    return {"road": jb.Force(("upright", center), force=[0, 0, force])}
 
 
 def test_a_macpherson_strut_over_travel():

@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 
-from jaxbody.models.joints import Ball, Free, Guide, Hinge
+from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
+from jaxbody.models.joints import Free
 from jaxbody.models.layouts import CoordinateBlock, Layout
 from jaxbody.models.states import State
 

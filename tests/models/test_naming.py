@@ -296,7 +296,7 @@ def test_two_hundred_springs_are_replaced_in_a_few_operations():
         return jnp.sum(new.elements[0].rows.stiffness) + jnp.sum(new.elements[0].rows.damping)
 
     k = jnp.arange(1.0, n + 1)
-    assert len(jax.make_jaxpr(total)(k).eqns) < 20  # not one or more for each spring
+    assert len(jax.make_jaxpr(total)(k).eqns) < 30  # not one or more for each spring
     np.testing.assert_allclose(jax.jit(total)(k), k.sum() + 111, rtol=1e-14)
     values = jb.paths(model)
     called = []

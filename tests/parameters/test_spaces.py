@@ -9,6 +9,7 @@ import pytest
 import jaxbody as jb
 from jaxbody.parameters.spaces import space_of
 from jaxbody.parameters.starts import around, drawn
+from jaxbody.parameters.transforms import Fraction, Ordered, Positive, Shifted
 
 FREE = ["left.stiffness = right.stiffness * 2", "left.a = right.a * [1, -1, 1]", "body.mass", "body.orientation"]
 
@@ -94,3 +95,19 @@ def test_directions_in_rows_stay_of_length_one_and_tilt_each_by_itself():
     np.testing.assert_allclose(np.linalg.norm(moved, axis=1), 1, rtol=1e-15)
     np.testing.assert_allclose(np.arccos(moved[0] @ n[0]), np.arctan(np.hypot(0.3, 0.2)), rtol=1e-12)
     np.testing.assert_allclose(moved[1], n[1], rtol=1e-15)
+
+
+@pytest.mark.parametrize("kind", [Positive, Fraction, Shifted, Ordered])
+def test_slopes_of_numbers_are_the_derivatives_of_their_values(kind):
+    """By differences, away from the start; of a row in order, the first number and the steps."""
+    start = jnp.array([0.2, 0.3, 0.7])
+    form = kind(start, *([jnp.array(1.3)] if kind in (Shifted, Ordered) else []))
+    u, h = np.array([0.4, -0.7, 1.1]), 1e-6
+
+    def numbers(u):
+        x = np.asarray(form.value(jnp.asarray(u)))
+        return np.r_[x[:1], np.diff(x)] if kind is Ordered else x
+
+    x, slopes = form.numbers(u)
+    np.testing.assert_allclose(x, numbers(u), rtol=1e-14)
+    np.testing.assert_allclose(slopes, np.diag([(numbers(u + h * e) - numbers(u - h * e)) / (2 * h) for e in np.eye(3)]), rtol=1e-8)

@@ -227,6 +227,15 @@ def test_frequency_responses_of_a_universal_file(tmp_path):
         assert refused.value.code == code
     with pytest.raises(jb.JaxbodyError, match=r"not a function of time.*read_responses.*NOT_A_RECORD"):
         jb.read_record(path, channels={"z": ("4+Z", "m/s2")})
+    others = uff_set(rsp_dir=2, **units_of, **x | {"x": 2.5 + 0.5 * np.arange(50), "abscissa_min": 2.5})
+    pyuff.UFF(str(path)).write_sets([sets[0], others, sets[1]], "overwrite")
+    with pytest.raises(jb.JaxbodyError, match=r"different frequencies from the first.*DIFFERENT_FREQUENCIES"):
+        jb.read_responses(path, pairs | {("x", "f"): "4+Y/1-Z"})
+    before, number, after = path.read_text().rpartition(f"{H[7].real:20.11e}")
+    assert number
+    path.write_text(before + f"{'nan':>20}" + after)
+    with pytest.raises(jb.JaxbodyError, match=r"4\+X/1-Z.*not finite.*NOT_A_RESPONSE"):
+        jb.read_responses(path, {("x", "f"): "4+X/1-Z"})
 
 
 PEER = """PEER NGA STRONG MOTION DATABASE RECORD
@@ -443,6 +452,10 @@ def test_suspicious_records_are_warned_of(case):
         jb.Record(times, {"x": channel}, **options)
     (message,) = [str(w.message) for w in caught]
     assert f"[{code}]" in message and [word for word in words.split() if word not in message] == [], message
+
+
+def test_the_first_sample_of_a_stated_rate_is_at_zero():
+    np.testing.assert_allclose(jb.Record(None, {"a": (X, "m/s2")}, rate=250.0).times, np.arange(len(X)) / 250, rtol=1e-15)
 
 
 def test_sound_records_are_not_warned_of():

@@ -45,6 +45,17 @@ def test_a_rate_is_s_times_its_motion(lin):
             np.testing.assert_allclose(rate, (2j * np.pi * F) ** (k + 1) * motion, rtol=1e-12, atol=1e-12 * np.abs(rate).max())
 
 
+def test_an_input_by_its_rate_is_integrated(lin):
+    """The response to a velocity or an acceleration of a support is that to its displacement over s or s^2, as a turn too."""
+    kinds = ("displacement", "velocity", "acceleration")
+    inputs = {f"{d} {kind}": jb.BaseMotion("base", d, kind=kind) for d in ("x", "ry") for kind in kinds}
+    H = np.asarray(jb.frequency_response(lin, F, inputs, {"box": jb.Position("box", POINT)}).values)
+    for first in (0, 3):
+        for k in (1, 2):
+            expected = H[:, first] / (2j * np.pi * F) ** k
+            np.testing.assert_allclose(H[:, first + k], expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+
+
 def test_a_chain_multiplies_the_response_of_its_sensor(lin):
     """gain exp(-s delay)/(1 + s lag); the bias is a constant, of which a response knows nothing."""
     chained = jb.Acceleration("box", POINT, axis="z", gain=-1.3, bias=0.2, delay=0.013, lag=0.07)
@@ -67,6 +78,18 @@ def test_a_lag_is_a_state_of_the_state_space(lin):
     found = np.stack([C @ np.linalg.solve(2j * np.pi * f * np.eye(len(A)) - A, B) + D for f in F], -1)
     np.testing.assert_allclose(found, H, rtol=0, atol=1e-10 * np.abs(H).max(2, keepdims=True).max())
     assert np.abs(np.linalg.eigvals(A) + 1 / 0.07).min() < 1e-9
+
+
+def test_a_force_reaches_a_reaction_at_once_in_the_state_space(lin):
+    """D of a joint's reaction to a force on its body is what the response at very high frequencies tends to, whatever the masses do."""
+    outputs = {"hinge": jb.Reaction("arm", component=0), "base": jb.Reaction("base", component=1)}
+    inputs = {"pull": jb.PointForce("arm", [0.1, 0, 0.2], "x"), "push": jb.PointForce("box", [0.1, 0, 0.2], "y")}
+    space = lin.state_space(inputs, outputs)
+    A, B, C, D = (np.asarray(x) for x in (space.A, space.B, space.C, space.D))
+    H = np.asarray(jb.frequency_response(lin, F, inputs, outputs).values)
+    found = np.stack([C @ np.linalg.solve(2j * np.pi * f * np.eye(len(A)) - A, B) + D for f in F], -1)
+    np.testing.assert_allclose(found, H, rtol=0, atol=1e-10 * np.abs(H).max())
+    assert np.abs(D[0, 0]) > 0.01
 
 
 class Slant(jb.Sensor):

@@ -69,6 +69,28 @@ def test_damping_of_least_body_acceleration(lin):
     assert float(other) * best / float(value) > 0.01
 
 
+@pytest.mark.parametrize("unit, power", [("(m/s)2/Hz", 2), ("(m/s2)2/Hz", 4)])
+def test_a_white_rate_is_a_motion_with_a_falling_density(lin, unit, power):
+    """S_x = S/w^2 of a white velocity and S/w^4 of a white acceleration, whichever of them the input is."""
+    f, given = np.linspace(0.5, 20.0, 400), {"road": jb.PowerLaw(3e-4, unit=unit)}
+    motion = {"road": jb.PowerLaw(3e-4 / (2 * np.pi) ** power, exponent=power, unit="m2/Hz")}
+    expected = jb.random_response(lin, f, ROAD, OUTPUTS, motion).psd
+    for kind in ("displacement", "velocity", "acceleration"):
+        found = jb.random_response(lin, f, {"road": jb.BaseMotion("road", "z", kind=kind)}, OUTPUTS, given).psd
+        np.testing.assert_allclose(found, expected, rtol=1e-11, err_msg=kind)
+
+
+@pytest.mark.parametrize("points", [31, 61, 121])
+def test_a_band_integrates_to_the_fourth_order(points):
+    """int df/f is exact; the error of int df is that of Gregory's rule of the third order, 19/720 x^4 in the limit of short steps x of the
+    logarithm."""
+    band = jb.Band(0.5, 20.0, points=points)
+    step = np.log(40.0) / (points - 1)
+    for weights, x in ((band.weights, step), (band.coarse, 2 * step)):
+        assert float(jnp.sum(weights / band.frequencies)) == pytest.approx(np.log(40.0), rel=1e-13)
+        assert 0.8 < (float(jnp.sum(weights)) / 19.5 - 1) / (19 / 720 * x**4) < 1
+
+
 @pytest.mark.long
 def test_spectra_in_all_units_and_sides_agree(lin, ride):
     """One road as displacement, velocity or acceleration, per Hz, rad/s or cycle/m, one- or two-sided, as a formula or through points."""

@@ -56,6 +56,17 @@ def test_a_floor_spectrum_from_a_spectrum_is_near_the_mean_of_records(lin):
     assert np.all(np.abs(ratio - 1) < [0.15, 0.25, 0.35, 0.25, 0.15]), ratio
 
 
+def test_a_floor_spectrum_from_a_spectrum_is_the_published_formula(lin):
+    """sqrt(r^4 + 1) A/sqrt((1 - r^2)^2 + 4 (zeta + zeta_1)^2 r^2), r = f/f_1, for a level ground spectrum A and one mode that moves with
+    all of its mass: below, at and above resonance."""
+    level, own, zeta, ratio = 3.0, 0.05, np.array([0.02, 0.1]), np.array([0.4, 1.0, 1.7])
+    ground = {"base": {"x": jb.DesignSpectrum([1e-3, 1e4], [level, level])}}
+    frequencies = ratio * np.sqrt(K / M) / (2 * np.pi)
+    found = jb.floor_spectrum(lin, ground, FLOOR, frequencies, damping=zeta, modal_damping=own).values
+    below = np.sqrt((1 - ratio**2) ** 2 + 4 * (zeta[:, None] + own) ** 2 * ratio**2)
+    np.testing.assert_allclose(found, level * np.sqrt(ratio**4 + 1) / below, rtol=1e-9)
+
+
 def test_a_floor_spectrum_of_soft_and_of_rigid_equipment(lin):
     level = jb.DesignSpectrum([1e-3, 1e4], [3.0, 3.0])
     soft, rigid = jb.floor_spectrum(lin, {"base": {"x": level}}, FLOOR, [0.01, 1e3], modal_damping=0.05).values[0]

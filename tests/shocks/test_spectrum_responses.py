@@ -197,17 +197,24 @@ def test_coinciding_modes_are_one_whatever_their_basis():
 
 
 def test_isolated_equipment_in_el_centro():
-    """Concentric isolators: the reference is the peak stretch and acceleration at eight steps a sample."""
-    spring = jb.Spring(("cabinet", [0, 0, 0]), ("floor", [0, 0, 0]), stiffness=4e4, free_length=1.0, damping=3200.0)
-    model = jb.Model(
-        bodies={"cabinet": jb.Body(1000.0, [80, 80, 120], position=[1, 0, 0])}, supports={"floor": jb.Support()},
-        joints={"cabinet": jb.Guide("world", axis="x")}, elements={"isolators": spring},
-    )  # fmt: skip
+    """Concentric isolators, stiff vertically: the reference is the peak stretch and acceleration at eight steps a sample."""
+    level, upright = np.diag([1e4, 1e4, 1e8, 0, 0, 0]), np.diag([800.0, 800, 0, 0, 0, 0])
+    isolators = {
+        f"isolator {i}": jb.Bushing(("cabinet", [x, y, 0]), ("floor", [x, y, 0]), stiffness=level, damping=upright)
+        for i, (x, y) in enumerate([(0.6, 0.4), (-0.6, 0.4), (0.6, -0.4), (-0.6, -0.4)])
+    }
+    model = jb.Model(bodies={"cabinet": jb.Body(1000.0, [80, 80, 120])}, supports={"floor": jb.Support()}, elements=isolators)
     lin, a = jb.linearize(model, model.reference), 9.81 * el_centro_in_g()
-    outputs = {"stretch": jb.Elongation("isolators"), "acceleration": jb.Acceleration("cabinet", axis="x")}
+    outputs = {
+        "stretch": jb.Position("cabinet", axis="x", relative_to="floor"),
+        "acceleration": jb.Acceleration("cabinet", axis="x"),
+        "force": jb.LoadCell("isolator 1", component=0),
+    }
     response = jb.spectrum_response(lin, {"floor": {"x": (0.02 * np.arange(len(a)), a)}}, outputs)
-    np.testing.assert_allclose([response.frequency[0], response.damping_ratio[0]], [1.00658424, 0.25298221], rtol=2e-8)
+    np.testing.assert_allclose(response.frequency[:3], [1.00658424, 1.00658424, 2.09537219], rtol=2e-8)
+    np.testing.assert_allclose(response.damping_ratio[:3], [0.25298221, 0.25298221, 0.52662447], rtol=2e-8)
     np.testing.assert_allclose([response["stretch"], response["acceleration"] / 9.81], [0.04192605, 0.20508677], rtol=1e-4)
+    np.testing.assert_allclose(response["force"], 250.0 * response["acceleration"], rtol=1e-9)  # a quarter of the mass on each
 
 
 def test_derivatives_by_the_model_agree_with_differences(five):

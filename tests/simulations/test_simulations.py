@@ -448,6 +448,10 @@ def test_reverse_mode_by_checkpoints_is_refused_with_constant_steps():
     with pytest.raises(jb.JaxbodyError, match="DirectAdjoint") as error:
         jb.simulate(slider(), SHORT, stepsize_controller=diffrax.ConstantStepSize(), dt0=0.01, adjoint=diffrax.RecursiveCheckpointAdjoint())
     assert error.value.code == "WRONG_GRADIENT"
+    by_checkpoints = dict(solver=diffrax.Tsit5(), adjoint=diffrax.RecursiveCheckpointAdjoint())
+    with pytest.raises(jb.JaxbodyError, match="ForwardMode") as error:
+        jax.jacfwd(lambda k: jb.simulate(slider(k), SHORT, **by_checkpoints).state.q)(400.0)
+    assert error.value.code == "NO_FORWARD_MODE"
     with pytest.raises(jb.JaxbodyError, match="dt0") as error:
         jb.simulate(slider(), SHORT, stepsize_controller=diffrax.ConstantStepSize())
     assert error.value.code == "NO_STEP"

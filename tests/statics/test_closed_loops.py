@@ -1,5 +1,7 @@
 """Equilibria of models with closures: virtual work in closed form, reactions, stability, derivatives, and failures by name."""
 
+import warnings
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -163,6 +165,38 @@ def test_a_slider_crank_holds_a_load():
     assert eq.ok and eq.stable and float(eq.load_factor) == 1.0
     np.testing.assert_allclose(eq.state.q, [angle - drawn, place(angle) - place(drawn)], atol=1e-12)
     assert float(eq.closure_reactions["rod"]["length"]) == pytest.approx((load - spring) * ROD / root, rel=1e-11)
+
+
+@pytest.mark.parametrize("height, negative", [(-0.8, 0), (0.8, 2)])
+def test_a_bob_on_a_rod_is_stable_below_its_pivot_alone(height, negative):
+    """In its straight coordinates neither weight nor rod have a stiffness: all of it, m g/L both ways, is of the curved path."""
+    model = jb.Model(
+        bodies={"bob": jb.Body(2.0, [1, 1, 1], position=[0, 0, height])},
+        joints={"bob": jb.Translation("world")},
+        closures={"rod": jb.closures.Rod(("world", [0, 0, 0]), ("bob", [0, 0, 0]))},
+        gravity=[0, 0, -G],
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the upper one
+        rest = jb.equilibrium(model)
+    assert jb.Status(int(rest.status)).name == ("UNSTABLE" if negative else "OK")
+    assert int(rest.negative) == negative and bool(rest.stable) == (not negative)
+    np.testing.assert_allclose(float(rest.closure_reactions["rod"]["length"]), -np.sign(height) * 2.0 * G, rtol=1e-10)
+
+
+def test_a_closure_that_holds_a_body_upright_bears_the_moment_of_its_weight():
+    """A body beside a vertical guide, on a spring along it, exerts the moment r x W on the guide, whatever the size of the model."""
+    mass, r = 3.0, np.array([0.4, -0.7, 0.2])
+    model = jb.Model(
+        bodies={"lift": jb.Body(mass, [1, 1, 1], com=r)},
+        closures={"rail": jb.closures.Guide(("world", [0, 0, 0]), ("lift", [0, 0, 0]), axis="z")},
+        elements={"cable": jb.Spring(("lift", [0, 0, 0]), ("world", [0, 0, 5]), stiffness=2e3, free_length=4.9)},
+        gravity=[0, 0, -G],
+    )
+    reaction = jb.equilibrium(model).closure_reactions["rail"]
+    moment = np.cross(r, [0, 0, -mass * G])
+    np.testing.assert_allclose([reaction[f"turn {axis}"] for axis in "xyz"], moment, rtol=1e-10, atol=1e-8)
+    np.testing.assert_allclose([reaction["across 1"], reaction["across 2"]], 0, atol=1e-8)
 
 
 def test_supports_carry_what_closures_hand_to_them():

@@ -72,6 +72,21 @@ def test_a_fraction_of_the_loads_is_what_an_equilibrium_at_a_limit_point_carries
     np.testing.assert_allclose(rest.reactions["roof"][0], [0, 0, -force], rtol=1e-12)  # the weight's guide stands on the world
 
 
+def test_a_pendulum_pulled_aside_moves_with_its_mass_as_in_closed_form():
+    """tan(angle) = F/(m g), so that d(angle)/dm = -F g/((m g)^2 + F^2): the pull has a stiffness, too."""
+    mass, pull = 2.0, 15.0
+    model = jb.Model(
+        bodies={"bob": jb.Body(mass, [0.1, 0.1, 0.1], com=[0, 0, -0.7])},
+        joints={"bob": jb.Hinge("world", axis="y")},
+        gravity=[0, 0, -G],
+    )
+    loads = {"pull": jb.Force(("bob", [0, 0, -0.7]), force=[pull, 0, 0])}
+    angle = lambda m: -jb.equilibrium(jb.replace(model, {"bob.mass": m}), loads=loads).state.q[0]  # noqa: E731
+    value, slope = jax.jit(lambda m: jax.jvp(angle, (m,), (1.0,)))(mass)
+    assert float(value) == pytest.approx(np.arctan(pull / (mass * G)), rel=1e-9)
+    assert float(slope) == pytest.approx(-pull * G / ((mass * G) ** 2 + pull**2), rel=1e-9)
+
+
 def test_forces_have_exact_derivatives_and_batches(crane):
     """The force of the stay changes with its free length as by central differences, whose error is 1e-4^2 of the third derivative."""
 

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
-from scipy.optimize import root
+from scipy.optimize import brentq, root
 from scipy.signal import lfilter
-from scipy.stats import chi2, kstest
+from scipy.stats import chi2, kstest, t
 
 from jaxbody.identification.intervals import interval_of_u
 from jaxbody.statistics.autocorrelations import Autoregression, autocovariances, autoregressions, chosen_order, products, whiteness
@@ -83,6 +83,26 @@ def test_one_white_noise_is_the_textbooks():
     np.testing.assert_allclose(
         interval_of_u(u, uncertainty, 0.9)[1], u + quantile(0.9, len(r) - 5) * np.sqrt(np.diag(covariance)), rtol=1e-9
     )
+
+
+def test_at_a_bound_the_interval_is_one_sided():
+    """It ends where half the sum of squares, least in the other parameters, has risen by t^2 s^2/2, t exceeded in 5 %."""
+    J, e = jacobian(), noise(0.0, seed=6)[0]
+    J[:, 0] *= -np.sign(np.linalg.lstsq(J, e)[0][0])  # so that the bound of zero from below holds it back
+    others = np.linalg.lstsq(J[:, 1:], e)[0]
+    r = J[:, 1:] @ others - e
+    uncertainty = assess(r, J, [], [], LABELS, records(N), inside=np.arange(5) > 0)
+    low, high = interval_of_u(np.append(0.0, others), uncertainty, 0.95)
+
+    def cost(u):
+        left = e - J[:, 0] * u
+        return np.sum((J[:, 1:] @ np.linalg.lstsq(J[:, 1:], left)[0] - left) ** 2) / 2
+
+    freedom = len(r) - 5
+    rise = t.ppf(0.95, freedom) ** 2 * (r @ r) / freedom / 2
+    end = brentq(lambda u: cost(u) - cost(0.0) - rise, 0.0, 10 * high[0])
+    assert low[0] == 0 and np.linalg.lstsq(J, e)[0][0] < 0
+    np.testing.assert_allclose(high[0], end, rtol=1e-9)
 
 
 def test_of_known_correlation_the_covariance_is_that_of_its_matrix():

@@ -319,10 +319,11 @@ def test_loads_roads_and_base_motions_are_those_of_python(tmp_path):
     (tmp_path / "base.csv").write_text("\n".join(["t [s],ax [m/s2]", *rows]))
     (tmp_path / "table.toml").write_text("""jaxbody = 1
 bodies.box = {mass = "2 kg", inertia = "1, 1, 1 kg m2"}
-supports = {table = {}, road = {}}
+supports = {table = {}, road = {}, drop = {}}
 records.base = {file = "base.csv", time = "t", channels = {a = "ax"}}
 motion.table = {type = "base_motion", record = "base", acceleration = "a", axis = "x", cutoff = "0.5 Hz"}
 motion.road = {type = "Road", distances = "0, 5, 10 m", heights = "0, 20, 0 mm", speed = "36 km/h", footprint = "10 cm"}
+motion.drop = {type = "PulseMotion", axis = "z", pulse = {type = "HalfSine", amplitude = "15 m/s2", duration = "11 ms"}}
 loads.engine = {type = "EngineTorque", on = "box", axis = [1, 0, 0], frequency = "780 1/min", orders = [2, 4], amplitudes = "60, 15 N m"}
 loads.pull = {type = "Force", on = ["box", "0, 0, 2 cm"], moment = {type = "Sine", amplitude = "0, 0, 3 kN mm", frequency = "2 Hz"}}
 """)
@@ -330,6 +331,7 @@ loads.pull = {type = "Force", on = ["box", "0, 0, 2 cm"], moment = {type = "Sine
     record = jb.Record(times, {"a": (acc, "m/s2")})
     same(study.motion["table"], jb.base_motion(record, "a", axis=[1, 0, 0], cutoff=0.5).motion)
     same(study.motion["road"], jb.Road([0, 5, 10], [0, 0.02, 0], speed=10.0, footprint=0.1))
+    same(study.motion["drop"], jb.HalfSine(15.0, 0.011).motion("z"))
     same(study.loads["engine"], jb.EngineTorque("box", axis=[1, 0, 0], frequency=13.0, orders=[2, 4], amplitudes=[60, 15]))
     same(study.loads["pull"], jb.Force(("box", [0, 0, 0.02]), moment=jb.signals.Sine(amplitude=[0, 0, 3.0], frequency=2.0)))
 

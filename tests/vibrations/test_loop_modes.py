@@ -216,7 +216,7 @@ def test_blocks_of_the_base_are_second_derivatives_of_the_energies_on_the_closur
 
         def conditions(dependent, given):
             q = coordinates.retract(eq.state.q, still.at[own].set(given).at[others].set(dependent))
-            return gaps(model, coordinates, coordinates.frames(q, still, supports))
+            return gaps(model, coordinates, coordinates.frames(q, still, supports), q)
 
         dependent, given = jnp.zeros(len(others)), x[: len(own)]
         for _ in range(6):

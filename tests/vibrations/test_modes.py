@@ -109,6 +109,17 @@ def test_loads_have_their_share_and_undamped_elements_none():
     assert result.names == ("bob along x 100 %",) and result.dissipation == {}
 
 
+def test_springs_share_by_stiffness_and_dampers_by_damping():
+    springs = {
+        name: jb.Spring(("mass", [0, 0, 0]), ("world", [0, 0, -1]), stiffness=k, free_length=1.0, damping=c)
+        for name, k, c in (("stiff", 300.0, 1.0), ("soft", 100.0, 4.0))
+    }
+    mass = jb.Model(bodies={"mass": jb.Body(2.0, [1, 1, 1])}, joints={"mass": jb.Guide("world", axis="z")}, elements=springs)
+    energies = jb.mode_energies(jb.linearize(mass, mass.reference))
+    np.testing.assert_allclose(np.ravel(list(energies.strain.values())), [75, 25], rtol=1e-12)
+    np.testing.assert_allclose(np.ravel(list(energies.dissipation.values())), [20, 80], rtol=1e-12)
+
+
 def test_directions_are_named_where_they_are_known(engine):
     lin = jb.linearize(engine, engine.reference)
     assert jb.mode_energies(lin).names[0] == "engine along x 99 %"  # without gravity nothing is up

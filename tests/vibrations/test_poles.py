@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from rigs import max_difference
+from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
 from jaxbody.core.errors import Status
@@ -325,6 +326,20 @@ def test_the_torque_roll_axis(engine):
     left = np.asarray(engine.K) @ r - float(result.stiffness / result.inertia) * M @ r
     expected = np.sqrt(left @ np.linalg.solve(M, left) / (r @ M @ r)) / float(result.stiffness / result.inertia)
     assert abs(result.coupling - expected) < 1e-12 and expected > 0.1
+
+
+def test_the_torque_roll_axis_of_a_turned_engine_with_its_reference_point_elsewhere():
+    """R J^-1 R' torque, through the center of mass, in world axes."""
+    R = Rotation.from_rotvec([0.4, -0.7, 0.2])
+    com, torque = np.array([0.1, -0.2, 0.05]), np.array([200.0, 30.0, -10.0])
+    body = jb.Body(mass=139.5, inertia=presets.ENGINE, com=com, position=[1, 2, 3], orientation=R.as_quat(scalar_first=True))
+    there = ("world", [1, 2, 3])
+    mount = jb.Bushing(("engine", [0, 0, 0]), there, stiffness=np.diag([1e5, 2e5, 3e5, 1e4, 2e4, 3e4]), orientation_b=R.as_matrix())
+    model = jb.Model(bodies={"engine": body}, elements={"mount": mount})
+    result = jb.torque_roll_axis(jb.linearize(model, model.reference), "engine", torque)
+    n = R.apply(np.linalg.solve(presets.ENGINE, R.inv().apply(torque)))
+    np.testing.assert_allclose(result.direction, n / np.linalg.norm(n), atol=1e-12)
+    np.testing.assert_allclose(result.point - np.array([1, 2, 3]), R.apply(com), rtol=1e-11)
 
 
 def test_axes_of_bodies_without_them_are_refused(engine):

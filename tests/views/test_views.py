@@ -234,6 +234,23 @@ def test_a_mode_that_does_not_exist_is_named():
         jb.view(modes, number=[1, 3])
 
 
+def test_joints_of_several_lines_are_drawn_along_them():
+    at = [0.2, 0.1, 0.0]
+    joints = {
+        "puck": jb.Planar("world", first="x", second="y"),
+        "yoke": jb.Universal("puck", first="x", second="z", at=at),
+        "shaft": jb.Cylindrical("yoke", axis="z", at=at),
+    }
+    parts = jb.view(jb.Model(bodies=dict.fromkeys(joints, jb.Body(1.0, [1, 1, 1], com=[0, 0, 0.5])), joints=joints)).animation.parts
+    drawn = {part.path[1:]: (part.p[0], part.R[0, :, 2]) for part in parts if part.path[0] == "joints"}
+    lines = {"puck": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "yoke": [[1, 0, 0], [0, 0, 1]], "shaft": [[0, 0, 1]] * 2}
+    for name, directions in lines.items():
+        for i, n in enumerate(directions):
+            p, axis = drawn[name, str(i + 1)]
+            np.testing.assert_allclose(p, [0, 0, 0] if name == "puck" else at, atol=1e-15)
+            np.testing.assert_allclose(np.abs(axis), n, atol=1e-15)
+
+
 @pytest.fixture(scope="module")
 def driven():
     car = jb.Model(

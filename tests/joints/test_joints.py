@@ -14,6 +14,8 @@ from jaxbody.mechanics.kinematics import Coordinates
 RNG = np.random.default_rng(7)
 AXIS, AT = np.array([0.6, -0.5, 1.1]), np.array([0.3, -0.8, 0.4])
 UNIT = AXIS / np.linalg.norm(AXIS)
+SECOND = np.array([0.2, 0.9, -0.3])  # not perpendicular to the other
+ACROSS = SECOND / np.linalg.norm(SECOND)
 STEPS = ["turn", "move", "turn", "move"]
 LINES = RNG.normal(size=(2, 4, 3))
 JOINTS = {
@@ -24,6 +26,11 @@ JOINTS = {
     "hinge at": lambda parent: jb.Hinge(parent, axis=AXIS, at=AT),
     "ball": jb.Ball,
     "ball at": lambda parent: jb.Ball(parent, at=AT),
+    "universal": lambda parent: jb.Universal(parent, first=AXIS, second=SECOND),
+    "universal at": lambda parent: jb.Universal(parent, first=AXIS, second=SECOND, at=AT),
+    "cylindrical": lambda parent: jb.Cylindrical(parent, axis=AXIS),
+    "cylindrical at": lambda parent: jb.Cylindrical(parent, axis=AXIS, at=AT),
+    "planar": lambda parent: jb.Planar(parent, first=AXIS, second=SECOND),
     "translation": jb.Translation,
     "half car": jb.HeavePitch,
     "full car": jb.HeavePitchRoll,
@@ -134,7 +141,17 @@ def pose_by_hand(kind, q, at, rest):
             turn = transform(at) @ transform(R=Rotation.from_rotvec(x * n).as_matrix()) @ transform(-at)
             T = T @ (turn if step == "turn" else transform(x * n))
         return T @ rest
-    R = matrix(q) if kind.startswith("ball") else Rotation.from_rotvec(q[0] * UNIT).as_matrix()
+    if kind == "planar":
+        normal = np.cross(UNIT, ACROSS)
+        turn = Rotation.from_rotvec(q[2] * normal / np.linalg.norm(normal)).as_matrix()
+        return transform(rest[:3, 3] + q[0] * UNIT + q[1] * ACROSS, turn @ rest[:3, :3])
+    if kind.startswith("universal"):
+        R = (Rotation.from_rotvec(q[0] * UNIT) * Rotation.from_rotvec(q[1] * ACROSS)).as_matrix()
+    elif kind.startswith("cylindrical"):
+        at, R = at + q[0] * UNIT, Rotation.from_rotvec(q[1] * UNIT).as_matrix()
+        return transform(at) @ transform(R=R) @ transform(q[0] * UNIT - at) @ rest
+    else:
+        R = matrix(q) if kind.startswith("ball") else Rotation.from_rotvec(q[0] * UNIT).as_matrix()
     return transform(at) @ transform(R=R) @ transform(-at) @ rest
 
 
@@ -239,7 +256,7 @@ def test_a_joint_may_turn_any_number_of_times(q):
     more = np.zeros(LAYOUT.nv)
     for name in LAYOUT.bodies:
         mine = LAYOUT.v_slices[name]
-        if name.startswith(("hinge", "half", "full", "composite")):
+        if name.startswith(("hinge", "half", "full", "composite", "universal", "cylindrical", "planar")):
             more[mine] = 6 * np.pi * LAYOUT.turns[mine]
         elif name.startswith(("free", "ball", "carrier")):
             more[mine][-3:] = 6 * np.pi * UNIT

@@ -1,0 +1,120 @@
+"""Ready axles by their hard points: a solid axle on three trailing links and a Panhard rod.
+
+Hard points are in the axes of the car, x forward, y to the left, z up, in meters, in the design position; the axle has these axes and this
+origin there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+
+from jaxbody.core.arrays import checked
+from jaxbody.core.errors import Problems, unknown
+from jaxbody.elements.springs import Spring
+from jaxbody.geometry.closures import Rod
+from jaxbody.mechanisms.alignment_curves import SuspensionCurves, suspension_curves
+from jaxbody.mechanisms.wheels import Wheel
+from jaxbody.models.bodies import Body
+from jaxbody.models.models import Model
+from jaxbody.sensors.kinematic_sensors import Position
+
+AXLE, INERTIA = 80.0, (18.0, 2.0, 18.0)  # kg, kg m2, for what is not known; curves do not depend on them
+
+SOLID_AXLE = {
+    "left lower link front": (0.55, 0.45, 0.28),
+    "left lower link rear": (0.0, 0.5, 0.26),
+    "right lower link front": (0.55, -0.45, 0.28),
+    "right lower link rear": (0.0, -0.5, 0.26),
+    "upper link front": (0.4, 0.0, 0.46),
+    "upper link rear": (0.0, 0.0, 0.48),
+    "Panhard rod body": (-0.12, 0.48, 0.34),
+    "Panhard rod axle": (-0.12, -0.48, 0.32),
+    "left spring lower": (-0.02, 0.5, 0.32),
+    "left spring upper": (-0.02, 0.47, 0.62),
+    "right spring lower": (-0.02, -0.5, 0.32),
+    "right spring upper": (-0.02, -0.47, 0.62),
+    "left wheel center": (0.0, 0.75, 0.31),
+    "right wheel center": (0.0, -0.75, 0.31),
+}
+LINKS = {f"{name} link": (f"{name} link front", f"{name} link rear") for name in ("left lower", "right lower", "upper")}
+RODS = LINKS | {"Panhard rod": ("Panhard rod body", "Panhard rod axle")}
+
+
+class Axle(eqx.Module):
+    """A suspension of both wheels: `model`, in the design position, whose body "axle" has the axes and the origin of the car; `left` and
+    `right`, its wheels.
+
+    >>> axle = jb.solid_axle()
+    >>> axle.model.closure_names
+    ('left lower link', 'right lower link', 'upper link', 'Panhard rod')
+    """
+
+    model: Model
+    left: Wheel
+    right: Wheel
+
+    def curves(self, left: Any, right: Any) -> SuspensionCurves:
+        """Curves of the left wheel over the rise of the centers of both [m], numbers or as many as the other has; see `suspension_curves`.
+        Derivatives "left" are those by this wheel alone, with the other held; both together are the bounce of the axle.
+
+        >>> axle = jb.solid_axle()
+        >>> camber = axle.curves([-0.03, 0.0, 0.03], [0.03, 0.0, -0.03])["camber"]  # doctest: +SKIP
+        """
+        drive = {name: Position(wheel.on, wheel.center, axis="z") for name, wheel in (("left", self.left), ("right", self.right))}
+        return suspension_curves(self.model, drive=drive, over={"left": left, "right": right}, wheel=self.left)
+
+
+def solid_axle(
+    hard_points: Mapping[str, Any] | None = None, *, mass=AXLE, inertia: Any = INERTIA, stiffness=30e3, force=4000.0, radius=0.31
+) -> Axle:
+    """A solid axle on two lower links and an upper one, with a Panhard rod that holds it sideways, and two springs. The links have no mass.
+
+    Args:
+        hard_points: {name: place [m]} of those that differ; the names are those of `SOLID_AXLE` beside this function
+        mass, inertia: of the axle with its wheels [kg, kg m2], about its center of mass midway between the wheels
+        stiffness, force: of each spring [N/m], and its compression in the design position [N]
+        radius: loaded radius of the wheels [m]
+
+    Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE.
+
+    The axle has two freedoms, bounce and roll: with one wheel up by 3 cm and the other down, it leans by 6 cm in its track of 1.5 m.
+
+    >>> curves = solid_axle().curves(0.03, -0.03)
+    >>> round(float(jnp.sin(-curves["camber"][0])), 6)  # of the left wheel
+    0.04
+    """
+    points = _points(hard_points)
+    center = (points["left wheel center"] + points["right wheel center"]) / 2
+    springs = {}
+    for side in ("left", "right"):
+        lower, upper = points[f"{side} spring lower"], points[f"{side} spring upper"]
+        d = upper - lower
+        springs[f"{side} spring"] = Spring(
+            ("axle", lower), ("world", upper), stiffness=stiffness, free_length=(d @ d) ** 0.5 + force / stiffness
+        )
+    model = Model(
+        bodies={"axle": Body(mass=mass, inertia=inertia, com=center)},
+        closures={name: Rod(("world", points[on_car]), ("axle", points[on_axle])) for name, (on_car, on_axle) in RODS.items()},
+        elements=springs,
+    )
+    wheels = {
+        side: Wheel("axle", center=points[f"{side} wheel center"], axis=[0, outward, 0], radius=radius)
+        for side, outward in (("left", 1), ("right", -1))
+    }
+    return Axle(model, **wheels)
+
+
+def _points(given: Mapping[str, Any] | None) -> dict[str, Any]:
+    points: dict[str, Any] = {name: np.asarray(point) for name, point in SOLID_AXLE.items()}
+    with Problems() as problems:
+        for name, point in (given or {}).items():
+            place = f"solid_axle.hard_points['{name}']"
+            if name not in SOLID_AXLE:
+                problems.collected.append(unknown(name, place, tuple(SOLID_AXLE)))
+            else:
+                points[name] = checked(point, ((3,),), place, problems, "Give x, y and z in meters.")
+    return points
