@@ -89,7 +89,8 @@ def turned(trajectory, body):
 def largest_gap(trajectory):
     def gap(model, motions, t, state):
         coordinates = Coordinates(model)
-        return jnp.max(jnp.abs(gaps(model, coordinates, coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t)))))
+        frames = coordinates.frames(state.q, state.v, coordinates.supports_moving(motions, t))
+        return jnp.max(jnp.abs(gaps(model, coordinates, frames, state.q)))
 
     return float(jnp.max(trajectory.at_samples(gap)))
 
@@ -269,7 +270,7 @@ def test_the_derivative_of_the_projection_is_the_implicit_one():
     coordinates = loops.coordinates
 
     def c(q):
-        return gaps(model, coordinates, coordinates.at_rest(q))
+        return gaps(model, coordinates, coordinates.at_rest(q), q)
 
     M, J = np.asarray(matrices(model, state)[0]), np.asarray(jax.jacfwd(c)(state.q))
     along = np.linalg.solve(M, J.T) @ np.linalg.pinv(J @ np.linalg.solve(M, J.T), rcond=1e-10)
