@@ -192,7 +192,7 @@ class Inertial(InnerCoordinates):
     def configuration(self, z):
         return z[: len(self.states) // 2]
 
-    def rates(self, z: States) -> States:
+    def rates(self, z: States) -> Float[Array, "ny"]:
         """y'."""
         return z[len(self.states) // 2 :]
 
