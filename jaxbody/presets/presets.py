@@ -193,7 +193,7 @@ def engine_on_mounts(*, mass=139.5, inertia=ENGINE, points=MOUNTS, stiffness=MOU
 HYDRAULIC = {"stiffness": 512950.0, "damping": 198.0, "upper_stiffness": 436950.0, "fluid_mass": 62.8, "fluid_damping": 2666.0}
 
 
-def engine_on_hydraulic_mount(*, mass=139.5, inertia=ENGINE, points=MOUNTS, hydraulic=None, gravity=0.0) -> Model:
+def hydraulic_engine_mounts(*, mass=139.5, inertia=ENGINE, points=MOUNTS, hydraulic=None, gravity=0.0) -> Model:
     """An engine on a hydraulic mount and two rubber ones, between the body `engine` and the support `frame`: `engine_on_mounts`, with the
     fluid of mount 1, along z, as a coordinate of its own.
 
@@ -205,7 +205,7 @@ def engine_on_hydraulic_mount(*, mass=139.5, inertia=ENGINE, points=MOUNTS, hydr
 
     Source: a powertrain on three mounts (github hojjatkarami/NVHteam).
 
-    >>> model = engine_on_hydraulic_mount()
+    >>> model = hydraulic_engine_mounts()
     >>> model.layout.states
     ('mount 1, fluid', 'mount 1, rate of fluid')
     >>> [round(float(f), 4) for f in complex_modes(linearize(model, model.reference)).natural_frequency]

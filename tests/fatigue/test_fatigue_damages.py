@@ -67,8 +67,8 @@ def test_dirlik_is_the_integral_of_the_published_density(high):
 
     for k in (1.0, 3.0, 5.0):
         expected = quad(lambda z, k=k: z**k * density(z), 0, np.inf, epsabs=0, epsrel=1e-10)[0]
-        np.testing.assert_allclose(dirlik(m0, m1, m2, m4, k), expected, rtol=1e-8)
-    np.testing.assert_allclose(dirlik(m0, m1, m2, m4, 1.0), np.sqrt(np.pi / 2) * regularity, rtol=3e-3)  # 1.25 for 1.2533
+        np.testing.assert_allclose(dirlik(m0, m1, m2, m4, jnp.asarray(k)), expected, rtol=1e-8)
+    np.testing.assert_allclose(dirlik(m0, m1, m2, m4, jnp.asarray(1.0)), np.sqrt(np.pi / 2) * regularity, rtol=3e-3)  # 1.25 for 1.2533
 
 
 def test_constant_cycles_are_counted_one_by_one():
