@@ -125,6 +125,18 @@ bounds = {"*.stiffness" = ["40 N/mm", "1 kN/mm"]}
 coupling = {type = "coupling_of_modes"}
 lowest = {type = "frequency", mode = 1}""",
     ),
+    "hydraulic_engine_mounts": Start(
+        "7.5, 8.6",
+        'reading = {type = "Position", on = "engine", axis = "z"}',
+        "engine.mass",
+        """free = ["mount 2.stiffness"]
+minimize = "coupling"
+limits = {lowest = ["7 Hz", inf]}        # lower and upper
+bounds = {"mount 2.stiffness" = ["40 N/mm", "1 kN/mm"]}
+[designs.first.quantities]
+coupling = {type = "coupling_of_modes"}
+lowest = {type = "frequency", mode = 1}""",
+    ),
     "isolated_table": Start(
         "3.62, 3.73",
         'reading = {type = "Position", on = "table", axis = "z"}',

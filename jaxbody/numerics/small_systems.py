@@ -116,8 +116,8 @@ def _orthonormal_rows(J: Float[Array, "m n"], D: Float[Array, "m n"], rank: int)
         first = jnp.maximum(first, size)
         good = size > SHORTEST**2 * first
         unit = jnp.where(good, row / jnp.sqrt(jnp.where(good, size, 1.0)), 0.0)
-        along = jnp.sum(rows[:, :n] * unit[n : 2 * n], -1)
-        return (jnp.where(chosen, 0.0, rows - along[:, None] * unit), first), unit[2 * n :]
+        along = jnp.sum(rows[:, :n] * unit[None, n : 2 * n], -1)
+        return (jnp.where(chosen, 0.0, rows - along[:, None] * unit[None]), first), unit[2 * n :]
 
     start = jnp.concatenate([J, D, jnp.eye(m, dtype=J.dtype)], -1), jnp.zeros((), J.dtype)
     return lax.scan(one, start, length=rank)[1]
@@ -131,7 +131,7 @@ def inverse_spd(A: Float[Array, "n n"]) -> Float[Array, "n n"]:
     both = jnp.concatenate([A, jnp.eye(n, dtype=A.dtype)], -1)
     for i in range(n):
         row = both[i, 1:] / both[i, 0]
-        both = jnp.where((np.arange(n) == i)[:, None], row, both[:, 1:] - both[:, :1] * row[None])
+        both = jnp.where((np.arange(n) == i)[:, None], row[None], both[:, 1:] - both[:, :1] * row[None])
     return both
 
 
