@@ -225,7 +225,7 @@ def _integrated_turns(t: np.ndarray, w: np.ndarray, start: np.ndarray) -> np.nda
 
 
 @jax.jit
-def _product(steps: Float[Array, "n 3"], start: Float[Array, "3"]) -> Float[Array, "n 3"]:
+def _product(steps: Float[Array, "n 3"], start: Float[Array, "3"]) -> Float[Array, "m 3"]:
     def step(q, turn):
         q = rotations.normalize(rotations.multiply(q, rotations.exp_quaternion(turn)))
         return q, q
