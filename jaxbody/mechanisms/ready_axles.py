@@ -10,13 +10,11 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
-import numpy as np
 
-from jaxbody.core.arrays import checked
-from jaxbody.core.errors import Problems, unknown
-from jaxbody.elements.springs import Spring
+from jaxbody.core.errors import Problems
 from jaxbody.geometry.closures import Rod
 from jaxbody.mechanisms.alignment_curves import SuspensionCurves, suspension_curves
+from jaxbody.mechanisms.ready_corners import points_of, spring_between
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.bodies import Body
 from jaxbody.models.models import Model
@@ -87,15 +85,13 @@ def solid_axle(
     >>> round(float(jnp.sin(-curves["camber"][0])), 6)  # of the left wheel
     0.04
     """
-    points = _points(hard_points)
+    with Problems() as problems:
+        points = points_of(SOLID_AXLE, hard_points, "solid_axle", problems)
     center = (points["left wheel center"] + points["right wheel center"]) / 2
-    springs = {}
-    for side in ("left", "right"):
-        lower, upper = points[f"{side} spring lower"], points[f"{side} spring upper"]
-        d = upper - lower
-        springs[f"{side} spring"] = Spring(
-            ("axle", lower), ("world", upper), stiffness=stiffness, free_length=(d @ d) ** 0.5 + force / stiffness
-        )
+    springs = {
+        f"{side} spring": spring_between("axle", points[f"{side} spring lower"], points[f"{side} spring upper"], stiffness, force)
+        for side in ("left", "right")
+    }
     model = Model(
         bodies={"axle": Body(mass=mass, inertia=inertia, com=center)},
         closures={name: Rod(("world", points[on_car]), ("axle", points[on_axle])) for name, (on_car, on_axle) in RODS.items()},
@@ -106,15 +102,3 @@ def solid_axle(
         for side, outward in (("left", 1), ("right", -1))
     }
     return Axle(model, **wheels)
-
-
-def _points(given: Mapping[str, Any] | None) -> dict[str, Any]:
-    points: dict[str, Any] = {name: np.asarray(point) for name, point in SOLID_AXLE.items()}
-    with Problems() as problems:
-        for name, point in (given or {}).items():
-            place = f"solid_axle.hard_points['{name}']"
-            if name not in SOLID_AXLE:
-                problems.collected.append(unknown(name, place, tuple(SOLID_AXLE)))
-            else:
-                points[name] = checked(point, ((3,),), place, problems, "Give x, y and z in meters.")
-    return points

@@ -87,7 +87,7 @@ def double_wishbone(hard_points: Points | None = None, *, stiffness=30e3, force=
             "upper ball": BallClosure(("upper arm", points["upper outer"]), ("upright", points["upper outer"])),
             "tie rod": _tie_rod(points),
         },
-        elements={"spring": _spring("lower arm", lower, upper, stiffness, force)},
+        elements={"spring": spring_between("lower arm", lower, upper, stiffness, force)},
     )
     return Corner(model, _wheel(points, radius, points["upper outer"]))
 
@@ -115,7 +115,7 @@ def macpherson(hard_points: Points | None = None, *, stiffness=30e3, force=4000.
             "strut": Inline(("upright", lower), ("world", upper), axis=upper - lower),
             "tie rod": _tie_rod(points),
         },
-        elements={"spring": _spring("upright", lower, upper, stiffness, force)},
+        elements={"spring": spring_between("upright", lower, upper, stiffness, force)},
     )
     return Corner(model, _wheel(points, radius, upper))
 
@@ -144,23 +144,29 @@ def five_link(hard_points: Points | None = None, *, stiffness=30e3, force=4000.0
         bodies={"upright": _body(UPRIGHT, points, "wheel center"), "rack": _body(RACK, points, "tie rod inner")},
         joints={"rack": Guide("world", axis="y")},
         closures=links | {"tie rod": _tie_rod(points)},
-        elements={"spring": _spring("upright", lower, upper, stiffness, force)},
+        elements={"spring": spring_between("upright", lower, upper, stiffness, force)},
     )
     return Corner(model, _wheel(points, radius))
 
 
 def _points(source: Points, given: Points | None, where: str) -> dict[str, Any]:
     """All hard points: those of the source, and in their place those that are given, on one side of the car."""
-    points = {name: np.asarray(point) for name, point in source.items()}
     with Problems() as problems:
-        for name, point in (given or {}).items():
-            place = f"{where}.hard_points['{name}']"
-            if name not in source:
-                problems.collected.append(unknown(name, place, tuple(source)))
-                continue
-            points[name] = checked(point, ((3,),), place, problems, "Give x, y and z in meters.")
+        points = points_of(source, given, where, problems)
         if not problems.collected and is_concrete(points):
             _check_side(points, given or {}, where, problems)
+    return points
+
+
+def points_of(source: Points, given: Points | None, where: str, problems: Problems) -> dict[str, Any]:
+    """The hard points of the source, and in their place those that are given. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
+    points: dict[str, Any] = {name: np.asarray(point) for name, point in source.items()}
+    for name, point in (given or {}).items():
+        place = f"{where}.hard_points['{name}']"
+        if name not in source:
+            problems.collected.append(unknown(name, place, tuple(source)))
+            continue
+        points[name] = checked(point, ((3,),), place, problems, "Give x, y and z in meters.")
     return points
 
 
@@ -214,6 +220,6 @@ def _tie_rod(points: dict[str, Any]) -> Rod:
     return Rod(("rack", points["tie rod inner"]), ("upright", points["tie rod outer"]))
 
 
-def _spring(on: str, lower: Any, upper: Any, stiffness: Any, force: Any) -> Spring:
+def spring_between(on: str, lower: Any, upper: Any, stiffness: Any, force: Any) -> Spring:
     """The spring from a body up to the car, compressed by `force` in the design position."""
     return Spring((on, lower), ("world", upper), stiffness=stiffness, free_length=_distance(upper, lower) + force / stiffness)
