@@ -1,7 +1,8 @@
-"""Rigs that several test files share to save compilations: a body on a spring, a plate on springs, an arm and a box."""
+"""Rigs that several test files share to save compilations: a body on a spring, a plate on springs, an arm and a box, a beam with a tip."""
 
 import warnings
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -157,3 +158,26 @@ def decoupled_powertrain():
             engine, modal, free=free, bounds=bounds, minimize="coupling", limits={"frequency": (6.0, 18.0)}, starts=64, max_iterations=40
         )
     return engine, result
+
+
+def beam_with_tip(elements):
+    """A beam in heave and pitch with a hinged tip, on joints whose q are increments, under gravity."""
+    return jb.Model(
+        bodies={
+            "beam": jb.Body(mass=30.0, inertia=[1, 2, 2], com=[0.1, 0, 0]),
+            "tip": jb.Body(mass=5.0, inertia=[0.1] * 3, position=[0.6, 0, 0]),
+        },
+        joints={"beam": jb.HeavePitch("world"), "tip": jb.Hinge("beam", axis="y")},
+        supports={"base": jb.Support()},
+        elements=elements,
+        gravity=[0, 0, -9.81],
+    )
+
+
+def check_derivatives(of, x):
+    """Those of a number by each of a row: reverse against forward mode, and forward against differences of fourth order."""
+    forward, reverse = jax.jacfwd(of)(x), jax.grad(of)(x)
+    np.testing.assert_allclose(reverse, forward, rtol=1e-9)
+    for i, h in enumerate(2e-3 * x):
+        near, far = (float(of(x.at[i].add(k * h)) - of(x.at[i].add(-k * h))) / float(2 * k * h) for k in (1, 2))
+        np.testing.assert_allclose(forward[i], (4 * near - far) / 3, rtol=1e-6)

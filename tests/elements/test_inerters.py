@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import rigs
 import scipy.integrate
 
 import jaxbody as jb
@@ -181,21 +182,14 @@ def test_what_supports_supply_is_stored_or_lost():
 
 def beam():
     """On joints whose q are increments, tilted, under gravity."""
-    return jb.Model(
-        bodies={
-            "beam": jb.Body(mass=30.0, inertia=[1, 2, 2], com=[0.1, 0, 0]),
-            "tip": jb.Body(mass=5.0, inertia=[0.1] * 3, position=[0.6, 0, 0]),
-        },
-        joints={"beam": jb.HeavePitch("world"), "tip": jb.Hinge("beam", axis="y")},
-        supports={"base": jb.Support()},
-        elements={
+    return rigs.beam_with_tip(
+        {
             "left": jb.Spring(("beam", [-0.5, 0, 0]), ("base", [-0.6, 0, -0.5]), stiffness=2e4, free_length=0.5, damping=30.0),
             "right": jb.Spring(("beam", [0.5, 0, 0]), ("base", [0.4, 0, -0.5]), stiffness=2e4, free_length=0.5, damping=30.0),
             "tip spring": jb.Torsion("tip", "beam", axis="y", spring=300.0, damper=1.0),
             "slant": jb.Inerter(("tip", [0.2, 0, 0]), ("base", [0.3, 0, -0.7]), inertance=12.0),
             "inner": jb.Inerter(("tip", [0.3, 0, 0.1]), ("beam", [0, 0, 0.3]), inertance=4.0),
-        },
-        gravity=[0, 0, -9.81],
+        }
     )
 
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import rigs
 
 import jaxbody as jb
 from jaxbody.mechanics.closed_loops import state_slopes
@@ -68,21 +69,14 @@ LAWS = {
 def heavy(law):
     """A beam on two struts with this law and an anti-roll bar, under gravity, on joints whose q are increments."""
     strut = {"free_length": 0.5, "spring": law, "damper": 30.0}
-    return jb.Model(
-        bodies={
-            "beam": jb.Body(mass=30.0, inertia=[1, 2, 2], com=[0.1, 0, 0]),
-            "tip": jb.Body(mass=5.0, inertia=[0.1] * 3, position=[0.6, 0, 0]),
-        },
-        joints={"beam": jb.HeavePitch("world"), "tip": jb.Hinge("beam", axis="y")},
-        supports={"base": jb.Support()},
-        elements={
+    return rigs.beam_with_tip(
+        {
             "left": jb.SpringDamper(("beam", [-0.5, 0, 0]), ("base", [-0.6, 0, -0.5]), **strut),
             "right": jb.SpringDamper(("beam", [0.5, 0, 0]), ("base", [0.4, 0, -0.5]), **strut),
             "twist": jb.Torsion(
                 "beam", "tip", axis="y", spring=jb.laws.Linear(300.0) + jb.laws.Maxwell(stiffness=200.0, relaxation_time=0.05)
             ),
-        },
-        gravity=[0, 0, -9.81],
+        }
     )
 
 
