@@ -22,6 +22,10 @@ OPTIONS = [
 ]
 
 
+class BrowserError(Exception):
+    """What the browser could not do."""
+
+
 class Page:
     """An open page: pictures of it, clicks on it, what it wrote on the console and what it asked for."""
 
@@ -34,14 +38,24 @@ class Page:
         while True:
             answer = json.loads(self.connection.recv(timeout=60))
             if answer.get("id") == self.number:
+                if "error" in answer:
+                    raise BrowserError(f"{method}: {answer['error']}")
                 return answer["result"]
             self.events.append(answer)
 
-    def picture(self):
+    def picture(self, seconds=60):
         """The pixels (height, width, 3), between 0 and 1."""
         from matplotlib.image import imread
 
-        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        end = time.monotonic() + seconds
+        while True:
+            try:
+                data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+                break
+            except BrowserError:  # as long as a frame takes longer to draw than the browser waits for it
+                if time.monotonic() > end:
+                    raise
+                time.sleep(0.5)
         return imread(io.BytesIO(data), format="png")[..., :3]
 
     def drawn(self, seconds=120):

@@ -44,10 +44,12 @@ def moving(p, adjoint=None):
 
 
 def directions(p):
-    """For every kind of parameter a random direction, zero elsewhere, of the size of the parameter."""
+    """For every kind of parameter a random direction, zero elsewhere, of the size of the parameter; matrices stay symmetric."""
     result = {}
     for kind, value in p.items():
         tangent = RNG.normal(size=value.shape) * np.abs(value).max()
+        if value.ndim == 2 and value.shape == value.T.shape:
+            tangent = (tangent + tangent.T) / 2
         result[kind] = {other: jnp.array(tangent) if other == kind else jnp.zeros_like(p[other]) for other in p}
     return result
 
