@@ -24,9 +24,12 @@ def gliders():
     file = data("gliders", "real_double_linear_h_1.txt")
     path = pathlib.Path(__file__).parents[2] / "examples" / "gliders.py"
     found = {"JAXBODY_DATA": str(file.parents[1]), "MPLBACKEND": "Agg"}
-    with pytest.warns(jb.JaxbodyWarning, match="AT_BOUND"):  # of the first 11 s: they do not show the damping of the right spring
-        with mock.patch.dict(os.environ, found), pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"):
-            names = SimpleNamespace(**runpy.run_path(str(path)))
+    with (
+        mock.patch.dict(os.environ, found),
+        pytest.warns(jb.JaxbodyWarning, match="AT_BOUND"),  # of the first 11 s: they do not show the damping of the right spring
+        pytest.warns(jb.JaxbodyWarning, match="CORRELATED_RESIDUALS"),
+    ):
+        names = SimpleNamespace(**runpy.run_path(str(path)))
     names.track = names.run_of(names.record)
     with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE"):
         names.loose = jb.fit(names.fit.model, {"track": names.fit.experiments["track"]}, free=[*names.free, "glider1.mass"])
