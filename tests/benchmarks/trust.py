@@ -1,0 +1,222 @@
+"""How far jaxbody is from the figures of trust: `python trust.py [rests drift gradients speed kills] [--share 0.01] [--write]`.
+
+Without a name it measures all of them. `--share` takes this part of their numbers of models, kills and so on. `--write` puts what was
+measured into trust.md, row by row; the other rows name the table or the test that holds them. Limits are those asked for, met or not.
+"""
+
+import argparse
+import collections
+import datetime
+import os
+import pathlib
+import random
+import signal
+import sys
+import tempfile
+import time
+import warnings
+
+HERE = pathlib.Path(__file__).parent
+sys.path[:0] = [str(HERE.parent), str(HERE.parent / "mechanics")]
+
+import jax  # noqa: E402
+import jax.numpy as jnp  # noqa: E402
+import mechanics_properties  # noqa: E402
+import numpy as np  # noqa: E402
+import rigs  # noqa: E402
+from random_mechanics import Structure  # noqa: E402
+
+import jaxbody as jb  # noqa: E402
+from jaxbody.compilation.compile_options import UNOPTIMIZED  # noqa: E402
+from jaxbody.mechanics.energies import potential  # noqa: E402
+from jaxbody.mechanics.kinematics import Chart  # noqa: E402
+from jaxbody.models.sizes import scale_of, size_of  # noqa: E402
+
+jax.config.update("jax_enable_x64", True)
+BATCH, STRUCTURES = 500, 52
+
+
+def rests(share):
+    """Searches for equilibria of random trees; gradient and Hessian of the energy say whether one called ok is a stable equilibrium."""
+
+    def searched(model):
+        eq, chart = jb.equilibrium(model), Chart(model)
+
+        def energy(delta):
+            state = jb.State(chart.retract(eq.state.q, delta), eq.state.v, eq.state.z)
+            return potential(*mechanics_properties.in_state(model, state))
+
+        scale, zero = scale_of(model, size_of(model)), jnp.zeros(model.layout.nv)
+        return {
+            "status": eq.status,
+            "gradient": jax.grad(energy)(zero) * scale,
+            "K": jax.hessian(energy)(zero) * scale * scale[:, None],
+            "size": size_of(model),
+        }
+
+    open_ones = [n for n in range(STRUCTURES) if not Structure(n).closed]
+    each, statuses, wrong, shape, program = int(share * 1e5 / len(open_ones)) + 1, collections.Counter(), 0, None, None
+    for number in open_ones:
+        structure = Structure(number)
+        if structure.shape != shape:
+            jax.clear_caches()
+            program, shape = mechanics_properties.Program(searched), structure.shape
+        for first in range(0, each, BATCH):
+            found = program([structure.model(seed) for seed in range(first, first + BATCH)])  # type: ignore[misc]
+            ok = found["status"] == 0
+            K = np.where(np.isfinite(found["K"]).all((1, 2), keepdims=True), found["K"], -np.eye(found["K"].shape[1]))
+            largest = np.abs(K).max((1, 2))
+            unstable = np.linalg.eigvalsh(K)[:, 0] < -1e-12 * largest
+            moving = ~(np.abs(found["gradient"]).max(1) <= 1e-9 * largest * found["size"])
+            wrong += int(np.sum(ok & (unstable | moving)))
+            statuses.update(jb.Status(int(s)).name for s in found["status"])
+        print(number, dict(statuses), "wrongly ok", wrong, flush=True)
+    counts = ", ".join(f"{name} {n}" for name, n in statuses.most_common())
+    yield (
+        "R2",
+        "searches for equilibria that end in a stable one or an honest status",
+        "99.9 % of 1e5, none falsely ok",
+        f"{sum(statuses.values())}: {counts}; falsely ok {wrong}",
+        wrong == 0,
+    )
+
+
+def drift(share):
+    """Energy of a rig of two bodies over 10 s, relative to what is exchanged."""
+    model = jb.replace(rigs.rig(), {"*.damping": 0.0})
+    eq = jb.equilibrium(model)
+    start = jb.State(jb.retract(model, eq.state.q, jnp.array([0.04, -0.03, 0.05, 0.15, -0.1, 0.2, -0.3])), 0.3 * jnp.ones(7))
+    found = jb.simulate(model, np.linspace(0, 10, 401), initial=start, rtol=1e-13)
+    energy = np.asarray(found.energies["total"])
+    error = np.abs(energy - energy[0]).max() / (energy[0] - float(eq.energy))
+    yield "R3", "energy over 10 s, rtol 1e-13", "5e-12", f"{error:.1e}", error < 5e-12
+
+
+def gradients(share):
+    """Derivatives of a motion by forward mode and by the two adjoints of reverse mode, in constant steps."""
+    import diffrax
+
+    times, motion = np.linspace(0, 0.5, 26), {"base": jb.Harmonic(**rigs.SHAKING)}
+    steps = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.005, max_steps=128)
+
+    def loss(p, adjoint=None):
+        model = rigs.rig(p)
+        found = jb.simulate(model, times, motion=motion, initial=model.reference, adjoint=adjoint, **steps)
+        return jnp.sum(jnp.sin(3 * found.state.q)) + jnp.sum(found.state.v**2)
+
+    by = {
+        "forward": jax.jacfwd(lambda p: loss(p, diffrax.ForwardMode())),
+        "reverse": jax.grad(loss),
+        "direct": jax.grad(lambda p: loss(p, diffrax.DirectAdjoint())),
+    }
+    found = {name: jax.jit(g, compiler_options=UNOPTIMIZED)(jax.tree.map(jnp.asarray, rigs.PARAMETERS)) for name, g in by.items()}
+    worst = max(rigs.max_difference(g[kind], x) / np.abs(x).max() for g in found.values() for kind, x in found["forward"].items())
+    yield "R5", "derivatives of a motion, modes and adjoints", "1e-10", f"{worst:.1e}", worst < 1e-10
+
+
+def speed(share):
+    """The gradient of the frequencies of a chain of six bodies, and its matrices, in time of the processor."""
+    names = [f"b{i}" for i in range(6)]
+    corners = np.array([[0.2, 0.1, 0], [-0.2, 0.1, 0], [0, -0.2, 0.1], [0, 0, -0.1]])
+    springs = {
+        f"{name} {i}": jb.Spring((above, corner), (name, corner), stiffness=1e4, free_length=0.5, damping=20.0)
+        for above, name in zip(["world", *names], names, strict=False)
+        for i, corner in enumerate(corners)
+    }
+    bodies = {name: jb.Body(mass=2.0, inertia=[0.1, 0.1, 0.1], position=[0, 0, -0.6 * (i + 1)]) for i, name in enumerate(names)}
+    model = jb.Model(bodies=bodies, elements=springs, gravity=[0, 0, -9.81])
+    stiffnesses = 1e4 * np.random.default_rng(0).uniform(0.8, 1.2, (20, len(springs)))
+
+    def frequencies(k):
+        changed = jb.replace(model, {"*.stiffness": k})
+        return jnp.sum(jb.modes(jb.linearize(changed, jb.equilibrium(changed))).frequency)
+
+    begin = time.process_time()
+    compiled = jax.jit(jax.grad(frequencies)).lower(stiffnesses[0]).compile()
+    seconds = time.process_time() - begin
+    for k in stiffnesses:
+        assert np.isfinite(compiled(k)).all()
+    yield "R12", "compiling the gradient of frequencies of six bodies [s]", "15", f"{seconds:.1f}", seconds <= 15
+    linearize = jax.jit(lambda k, state: jb.linearize(jb.replace(model, {"*.stiffness": k}), state).K)
+    spent = []
+    for k in stiffnesses:
+        begin = time.process_time()
+        jax.block_until_ready(linearize(k, model.reference))
+        spent.append(time.process_time() - begin)
+    K = 1e3 * np.median(spent)
+    yield "R12", "K of six bodies, compiled [ms]", "2", f"{K:.2f}", K <= 2
+    programs = linearize._cache_size()
+    yield "R12", "programs for 20 designs", "1", f"{programs}", programs == 1
+
+
+def kills(share):
+    """Writers of results killed at random moments: the file is the one before or the one after."""
+    count, broken, unchanged = max(1, int(200 * share)), 0, 0
+    rng = random.Random(0)
+    times = np.linspace(0, 1, 2000)
+    runs = [jb.Record(times, {"x": (np.full(2000, float(i)), "m")}) for i in range(2)]
+    with tempfile.TemporaryDirectory() as folder:
+        path = pathlib.Path(folder, "run.zip")
+        jb.write_results(runs[0], path)
+        for _ in range(count):
+            child = os.fork()
+            if child == 0:
+                while True:
+                    for run in runs:
+                        jb.write_results(run, path)
+            time.sleep(rng.uniform(0.0, 0.1))
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            try:
+                x = np.asarray(jb.read_results(path)["x"])
+                unchanged += bool((x == x[0]).all())
+            except jb.JaxbodyError:
+                broken += 1
+    yield (
+        "R13",
+        "writers of results killed at random moments, files that are whole",
+        f"{count} of {count}",
+        f"{unchanged}",
+        unchanged == count,
+    )
+
+
+MEASURES = {f.__name__: f for f in (rests, drift, gradients, speed, kills)}
+
+HELD = """\
+| R1 | random models without a silent NaN or a false "ok" | 10,000 models | 2080, [properties](properties.md) | |
+| R3 | energy of Gauss's method without a trend | 1e5 periods | tests/mechanics/test_collocations.py, test_momenta.py | yes |
+| R4 | K and frequencies against fifty digits, rotations of 0 to 3 rad | 1e-12 | tests/mechanics/test_fifty_digits.py | yes |
+| R5 | derivatives against complex steps | 1e-11 | none: models hold real numbers; differences at 1e-6 | no |
+| R6 | 95 % intervals that hold, noise correlation up to 0.9 | 93 to 97 % | [coverage](coverage.md) | |
+| R7 | directions that are not identifiable, found | 99.5 %, 0.5 % falsely | 49 of 50, 1 of 150, recovery.py | no |
+| R8 | changed files: a model or a clear error | 1e6 of models, 1e6 of data | [fuzzing](fuzzing.md) | |
+| R9 | bad inputs whose message is tested | 96 | 94, tests/core/test_catalogue.py | no |
+| R10 | wrong units flagged | 95 %, 1 % falsely | not measured | no |
+| R11 | planted bugs killed | 120 | 244 of 244, [planted bugs](../mutations/results.md) | yes |
+| R13 | Ctrl-C answered; fits resumed | 2 s; 500 of 500 | tests/identification/test_losses.py, tests/workers/test_executors.py | |
+"""
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", choices=[[], *MEASURES])
+    parser.add_argument("--share", type=float, default=1.0)
+    parser.add_argument("--write", action="store_true")
+    options = parser.parse_args()
+    warnings.simplefilter("ignore", jb.JaxbodyWarning)
+    rows = HELD.splitlines()
+    for name in options.names or MEASURES:
+        for figure, what, limit, value, met in MEASURES[name](options.share):
+            rows.append(f"| {figure} | {what} | {limit} | {value} | {'yes' if met else 'no'} |")
+            print(rows[-1], flush=True)
+    rows.sort(key=lambda row: int(row.split("|")[1].strip()[1:]))
+    head = f"# Figures of trust\n\n`tests/benchmarks/trust.py`, {datetime.date.today()}, jaxbody {jb.__version__}, jax {jax.__version__}.\n"
+    text = "\n".join([head, "| | what | limit | measured | met |", "|---|---|---|---|---|", *rows, ""])
+    if options.write:
+        (HERE / "trust.md").write_text(text)
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
