@@ -3,8 +3,8 @@
     python tests/benchmarks/fuzzing.py [--files N] [--seed S]
 
 N changed files of each kind, made from ready models: TOML and JSON, MJCF, data sheets of mounts, hard points, records. A file that raises
-anything but a JaxbodyError, a message of more than twelve lines, or a file that takes more than SECONDS of the processor ends the run with exit code 1.
-The table goes to fuzzing.md.
+anything but a JaxbodyError, a message of more than twelve lines, or a file that takes more than SECONDS of the processor ends the run with
+exit code 1. The table goes to fuzzing.md.
 """
 
 import argparse

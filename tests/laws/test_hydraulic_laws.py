@@ -104,6 +104,7 @@ def test_first_harmonic_at_an_amplitude(f, X, gap):
         np.testing.assert_allclose(found.stiffness[0], law["stiffness"] + 1j * w * law["damping"], rtol=1e-9)
 
 
+@pytest.mark.long
 def test_derivatives_of_the_stiffness_at_an_amplitude():
     names = ("stiffness", "damping", "upper_stiffness", "fluid_mass", "fluid_damping", "quadratic_damping")
     x = jnp.array([MOUNT[name] for name in names])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxbody as jb
-from jaxbody.compilation.compile_options import jit_unoptimized
+from jaxbody.compilation.compile_options import UNOPTIMIZED
 
 SIX = np.diag([3.0, 3, 3, 1, 1, 1]) * 100
 GOOD = {
@@ -46,7 +46,6 @@ def with_numbers(numbers):
     )  # fmt: skip
 
 
-@jit_unoptimized
 def outcome(numbers):
     """Whether all results are ok, and their numbers."""
     model = with_numbers(numbers)
@@ -65,7 +64,7 @@ def batch(cases):
 
 @pytest.fixture(scope="module")
 def outcomes():
-    return jax.jit(jax.vmap(outcome))(batch([{}, *BAD.values()]))
+    return jax.jit(jax.vmap(outcome), compiler_options=UNOPTIMIZED)(batch([{}, *BAD.values()]))
 
 
 def test_good_numbers_are_those_of_the_constructor(outcomes):

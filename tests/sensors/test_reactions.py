@@ -216,6 +216,7 @@ def test_what_joints_and_all_else_exert_is_the_rate_of_momentum(kind):
         np.testing.assert_allclose(momentum, total, rtol=0, atol=1e-12 * 30 * np.abs(total).max())
 
 
+@pytest.mark.long
 def test_derivatives_of_reactions_agree():
     """Forward, backward and differences, by the state and by the numbers of the model."""
     model, sensors = tree(KINDS["guide"]), {"box": jb.Reaction("box", [0.1, 0, 0.2])}

@@ -331,6 +331,7 @@ def test_a_step_may_reach_over_thousands_of_samples(samples):
     np.testing.assert_allclose(z, 3 * times - 9.81 / 2 * times**2, rtol=0, atol=1e-11)
 
 
+@pytest.mark.long
 def test_derivatives_and_batches_of_steps_that_reach_over_thousands_of_samples():
     """Of the mean square height by speed and gravity, in both modes and by members of a batch, one of which hardly moves."""
 

@@ -199,6 +199,7 @@ def test_modes_and_responses_are_those_of_python(study):
         same(found[name], expected)
 
 
+@pytest.mark.long
 def test_several_starts_are_those_of_multistart(truth, capsys, monkeypatch):
     study, f, zeta, _ = truth
     text = study.read_text()

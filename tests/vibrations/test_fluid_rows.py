@@ -119,6 +119,7 @@ def test_linearization_against_the_slopes_of_the_equations_of_motion(name):
     assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
 
 
+@pytest.mark.long
 def test_the_rows_are_the_second_derivatives_of_T_V_and_R():
     """Hessians of V in (Delta, y, Xi), of T and R in their rates, with the fluid in motion, where its quadratic loss has a slope."""
     model = heavy(LAWS["fluid_and_branches"])
@@ -226,6 +227,7 @@ def test_two_alike_mounts_have_a_mode_of_the_fluid_alone():
     assert np.isfinite(damped.shapes).all() and abs(damped.shapes[0, i]) < 1e-9 and "fluid" in damped.names[i]
 
 
+@pytest.mark.long
 def test_derivatives_of_poles_in_both_modes():
     model = oscillator(LAWS["fluid_and_branches"])
     paths = [f"s.spring.terms.1.{name}" for name in ("stiffness", "upper_stiffness", "lower_stiffness", "fluid_mass", "fluid_damping")]

@@ -80,7 +80,7 @@ def heavy(law):
     )
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", [n if n in ("maxwell", "bouc_wen") else pytest.param(n, marks=pytest.mark.long) for n in LAWS])
 def test_linearization_against_the_slopes_of_the_equations_of_motion(name):
     """A of x' = A x, hysteretic states eliminated by their tangent, z = df/de' Delta."""
     model = heavy(LAWS[name])
@@ -97,6 +97,7 @@ def test_linearization_against_the_slopes_of_the_equations_of_motion(name):
     assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
 
 
+@pytest.mark.long
 def test_the_rows_are_the_second_derivatives_of_V_and_R():
     """Hessians of V in (Delta, y, Xi) and of R in their rates."""
     model = heavy(LAWS["coupled"])
@@ -178,7 +179,10 @@ def test_state_space_has_the_same_response(solid):
         np.testing.assert_allclose(H, response.values[..., i], rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize(("kind", "name"), [("displacement", "coupled"), ("velocity", "coupled"), ("acceleration", "prony")])
+COUPLED = [("displacement", "coupled"), pytest.param("velocity", "coupled", marks=pytest.mark.long), ("acceleration", "prony")]
+
+
+@pytest.mark.parametrize(("kind", "name"), COUPLED)
 def test_state_space_of_coupled_dissipation(kind, name):
     """C between y and the base, and inputs given as rates."""
     model = heavy(LAWS[name])
@@ -232,6 +236,7 @@ def first_pole(model):
     return damped.decay_rate[0] + damped.frequency[0] + 1e-2 * damped.relaxations[0]
 
 
+@pytest.mark.long
 def test_derivatives_of_poles_in_both_modes():
     model, paths = (
         heavy(LAWS["prony"]),
