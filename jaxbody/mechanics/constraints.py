@@ -72,8 +72,9 @@ def gaps_from(model: Model, rests: list[Pose], frames: Frame, q: Float[Array, "n
 
 
 def drawn(coordinates: Coordinates) -> list[Pose]:
-    """The pose of the second frame of each closure on the first, as drawn, for each table of closures."""
+    """The pose of the second frame of each closure on the first, as drawn, wherever the supports are now, for each table of closures."""
     model = coordinates.model
+    coordinates = Coordinates(model)
     poses = with_world(coordinates.supports.at_rest(), coordinates.bodies.at_rest()).pose()
     return [A.inverse() @ B for A, B in (_ends(poses, _frames(model.layout, table)) for table in model.closures)]
 
@@ -129,13 +130,13 @@ def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Arra
 
 
 def gaps_at(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n"]:
-    """c(q)."""
+    """c(q), with the supports in the poses of the coordinates."""
     return gaps(coordinates.model, coordinates, coordinates.at_rest(q), q)
 
 
-def closed(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
+def closed(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     """The nearest q in which all closures are fulfilled, as far as it is reached."""
-    return _searched(closure_gaps, None, model, None, q)
+    return _searched(lambda _, coordinates, q: gaps_at(coordinates, q), None, coordinates.model, coordinates, q)
 
 
 def closed_on(
@@ -151,9 +152,9 @@ def closed_on(
     return jax.lax.scan(lambda q, _: (step(q), None), q, length=CLOSING)[0]
 
 
-def how_open(model: Model, q: Float[Array, "nq"]) -> Float[Array, ""]:
+def how_open(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, ""]:
     """The largest |c| over the size of the model."""
-    return _largest(closure_gaps(model, None, q)) / size_of(model)
+    return _largest(gaps_at(coordinates, q)) / size_of(coordinates.model)
 
 
 def solve(conditions: Conditions, model: Model, values: Any, start: Float[Array, "nq"], held: np.ndarray | None = None):

@@ -1,6 +1,6 @@
 """At rest on supports that are displaced or move slowly: in equilibrium with their present poses, and moving with them.
 
-    dV/dDelta(q, Xi) = 0,   K v = K~ Xi'
+    dV/dDelta(q, Xi) = 0,   K v = K~ Xi'      and with closures  c(q, Xi) = 0,   J v = -c_Xi Xi' as well
 
 is the initial state of a run that has been at rest for long: displaced and tilted with its base, under gravity, at the speed of its base.
 """
@@ -18,9 +18,10 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, is_concrete, shaped, stack
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
+from jaxbody.mechanics.constraints import gaps_at
 from jaxbody.mechanics.element_derivatives import frames_displaced
 from jaxbody.mechanics.energies import completed, potential
-from jaxbody.mechanics.free_motions import implied_change, slopes_by_supports
+from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates, Motions
 from jaxbody.models.memories import holding, relaxed
@@ -32,7 +33,6 @@ from jaxbody.statics.load_paths import residual, tangent
 from jaxbody.statics.rest_searches import AT_REST, no_loads, search_by_descent
 
 MAX_STEPS = 200
-UNMOVED = 1e-9  # m or rad: of supports from their reference poses
 
 
 class Rest(eqx.Module):
@@ -58,14 +58,21 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     on_supports, unloaded = displaced(xi), no_loads(model.gravity.dtype)
     eq = equilibrium_at(on_supports, search_by_descent(on_supports, _start(coordinates, on_supports), MAX_STEPS), unloaded, model)
     q, valid = eq.state.q, jnp.isin(eq.status, jnp.array(AT_REST))
-    drift = jax.jvp(lambda xi: residual(configuration_at(displaced(xi), q, base=False), unloaded), (xi,), (xi_dot,))[1]
     here = configuration_at(on_supports, q, base=False)
-    K = jnp.where(valid, tangent(here, unloaded), jnp.nan)
+    r, K = residual(here, unloaded), jnp.where(valid, tangent(here, unloaded), jnp.nan)
+
+    def slope(xi):
+        return residual(configuration_at(displaced(xi), q, base=False), unloaded)
+
     if model.closures:
-        opening = slopes_by_supports(coordinates, q) @ xi_dot.ravel()
-        valid = valid & jnp.all(jnp.abs(xi) <= UNMOVED)  # closures are searched for on supports in their reference poses
-        v = implied_change(coordinates, q, residual(here, unloaded), K, (drift, opening))
+        multipliers = multipliers_at(on_supports, q, r)
+
+        def conditions(xi):
+            return slope(xi) + constraint_force(displaced(xi), q, multipliers), gaps_at(displaced(xi), q)
+
+        v = implied_change(on_supports, q, r, K, jax.jvp(conditions, (xi,), (xi_dot,))[1])
     else:
+        drift = jax.jvp(slope, (xi,), (xi_dot,))[1]
         v = -jnp.linalg.solve(K, drift)
     return State(jnp.where(valid, q, jnp.nan), v, eq.state.z), eq
 
@@ -81,14 +88,10 @@ def _start(coordinates: Coordinates, on_supports: Coordinates):
 
 
 def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str) -> State | None:
-    """The initial state of a run. Errors: the status of the equilibrium, if "rest" is given and no equilibrium is found; CLOSED_LOOPS where
-    supports of a model with closures are displaced."""
+    """The initial state of a run. Error: the status of the equilibrium, if "rest" is given and no equilibrium is found."""
     if not isinstance(initial, Rest):
         return initial
     state, eq = rest_state(model, motions, t)
-    if model.closures and is_concrete(state.q, eq.status) and int(eq.status) in AT_REST and np.isnan(np.asarray(state.q)).any():
-        message, hint = 'is "rest", but supports of a model with closures are displaced at the first time', "Give initial=State(q, v)."
-        raise JaxbodyError(Problem("CLOSED_LOOPS", where, message, "rest", "supports in their reference poses", hint))
     if is_concrete(eq.status) and int(eq.status) not in AT_REST:
         hint = "Give initial=State(q, v), or attach the bodies that are free to move."
         raise JaxbodyError(

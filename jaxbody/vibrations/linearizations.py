@@ -337,7 +337,7 @@ def _linearize_closed(model: Model, state: State, status: Int[Array, ""] | None,
         largest = jnp.max(jnp.abs(scaled(K[:nf, :nf], scale)), initial=0.0) * size
         stale = jnp.max(jnp.abs(moves.N.T @ r * scale), initial=0.0) > jnp.finfo(r.dtype).eps ** 0.5 * largest
         given = jnp.where(stale & ~jnp.isin(given, jnp.array(NOT_AT_REST)), Status.STALE.value, given)
-    fails = [how_open(model, q) > NEARLY_CLOSED, moves.smallest < SINGULAR_CLOSURES]
+    fails = [how_open(coordinates, q) > NEARLY_CLOSED, moves.smallest < SINGULAR_CLOSURES]
     given = jnp.select(fails, [Status.NOT_CLOSED.value, Status.SINGULAR_CLOSURE.value], given)
     return Linearization(M, C, K, given, state, model, *tilde, *bb, loads, moves)  # pyright: ignore[reportCallIssue]
 
