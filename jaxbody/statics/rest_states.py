@@ -18,7 +18,7 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, is_concrete, shaped, stack
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
-from jaxbody.mechanics.constraints import gaps_at
+from jaxbody.mechanics.constraints import CLOSED, closed_on, drawn, gaps_at, gaps_from
 from jaxbody.mechanics.element_derivatives import frames_displaced
 from jaxbody.mechanics.energies import completed, potential
 from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
@@ -26,7 +26,8 @@ from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates, Motions
 from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model, at_rest_in, rest_poses
-from jaxbody.models.preconditions import check_precision, check_state
+from jaxbody.models.preconditions import check_independent, check_precision, check_state
+from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
 from jaxbody.statics.equilibria import Equilibrium, equilibrium_at
 from jaxbody.statics.load_paths import residual, tangent
@@ -100,15 +101,16 @@ def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str
     return state
 
 
-def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nv"]:
-    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, with the bodies held fixed:
+def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nf"]:
+    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, with the coordinates held fixed:
 
         F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
 
-    Coordinates of elements with memory are held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force
+    With closures it is in the independent coordinates of `linearize`, which are held while the others follow; NaN where the loops do not
+    close. Coordinates of elements with memory are held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force
     depends on the path.
 
-    Errors: UNKNOWN_NAME for a support, BAD_SHAPE.
+    Errors: UNKNOWN_NAME for a support, BAD_SHAPE, CLOSED_LOOPS for a model with closures built from traced numbers.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -117,7 +119,8 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
     >>> round(float(force[0]), 9)
     5.0
     """
-    check_precision("excitation", model)
+    check_precision("excitation", model, closures=True)
+    check_independent("excitation", model)
     state = at.state if isinstance(at, Equilibrium) else at
     check_state(model, state, "state")
     if any(role == "hysteretic" for block in model.layout.blocks for role in block.roles):
@@ -129,7 +132,8 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
         problems.collected += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
         known = [name for name in model.layout.supports if name in given]
         xi = {name: shaped(given[name], (6,), f"excitation[{name!r}]", problems) for name in known}
-    return _excitation(model, state, stack([xi.get(name, np.zeros(6)) for name in model.layout.supports]))
+    force = _excitation_of_loops if model.closures else _excitation
+    return force(model, state, stack([xi.get(name, np.zeros(6)) for name in model.layout.supports]))
 
 
 @jit_unoptimized
@@ -138,5 +142,25 @@ def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[A
 
     def slope(xi):
         return jax.grad(lambda d: potential(model, frames_displaced(model, state, d, xi)))(zero)
+
+    return slope(jnp.zeros_like(xi)) - slope(xi)
+
+
+@jit_unoptimized
+def _excitation_of_loops(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nf"]:
+    model = holding(model, completed(model, state).z)
+    coordinates, own, still = Coordinates(model), np.array(model.independent, int), jnp.zeros(model.layout.nv, xi.dtype)
+    rests, held = drawn(coordinates), np.isin(np.arange(len(still)), own)
+
+    def energy(delta, xi):
+        supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
+        q = closed_on(coordinates, rests, supports, coordinates.retract(state.q, still.at[own].set(delta)), held)
+        frames = coordinates.frames(q, still, supports)
+        left = jnp.max(jnp.abs(gaps_from(model, rests, frames, q)), initial=0.0)
+        return potential(model, frames), left <= CLOSED * size_of(model)
+
+    def slope(xi):
+        force, reached = jax.grad(energy, has_aux=True)(jnp.zeros(len(own), xi.dtype), xi)
+        return jnp.where(reached, force, jnp.nan)
 
     return slope(jnp.zeros_like(xi)) - slope(xi)
