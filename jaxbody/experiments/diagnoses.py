@@ -22,7 +22,6 @@ from jaxbody.core.progress_lines import working
 from jaxbody.core.results import Result
 from jaxbody.experiments.experiments import Experiment, check_measurements
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import refuse_closures
 from jaxbody.sensors.instruments import Accelerometer
 from jaxbody.simulations.readings import measure
 from jaxbody.simulations.simulations import simulate
@@ -100,7 +99,6 @@ def diagnose(model: Model, experiments: dict[str, Experiment], *, progress: bool
     >>> diagnose(model, {"run": run}).words
     ()
     """
-    refuse_closures("diagnose", model)
     check_measurements(experiments, "diagnose.experiments").raise_if_any()
     compared, words = [], []
     with working("diagnose", progress) as line:

@@ -11,16 +11,17 @@ import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core import tables
-from jaxbody.core.arrays import Array, Float, Int
+from jaxbody.core.arrays import Array, Int
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.results import Result
+from jaxbody.mechanics.constraints import closed
 from jaxbody.mechanics.energies import potential_energy
-from jaxbody.mechanics.kinematics import retract
+from jaxbody.mechanics.kinematics import Coordinates, retract
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
-from jaxbody.vibrations.linearizations import linearize
+from jaxbody.vibrations.linearizations import Linearization, linearize
 
 GYRATION = (0.02, 5.0)  # relative to the distance of the farthest attachment point
 FREQUENCIES = (0.01, 1e5)  # Hz
@@ -43,7 +44,8 @@ class Plausibility(Result):
 
 
 def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Plausibility:
-    """Quantities that a wrong unit changes by orders of magnitude, compared with their usual ranges at the reference pose.
+    """Quantities that a wrong unit changes by orders of magnitude, compared with their usual ranges at the reference pose
+    or, with closures, at the nearest configuration that fulfils them.
 
     These are the radius of gyration of each body that can rotate, relative to its farthest attachment point (detects kg mm2, or an inertia
     about another point); the first natural frequency and the sag under gravity (N/mm, mm); gravity itself; and the sampling step of
@@ -57,7 +59,7 @@ def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Pla
     >>> plausibility(model).words
     ()
     """
-    check_precision("plausibility", model)
+    check_precision("plausibility", model, closures=True)
     numbers: dict[str, tuple[float, str, str]] = {}
     words: list[tuple[str, str]] = []
 
@@ -69,7 +71,7 @@ def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Pla
     for name, ratio in _gyration_ratios(model).items():
         remark = "is the inertia in kg m2, about the center of mass, and are the points in meters?"
         note("GYRATION", f"radius of gyration of '{name}' over its extent", ratio, "", GYRATION, remark)
-    first, sag = (float(x) for x in _scales(model, *_mass_and_stiffness(model)))
+    first, sag = (float(x) for x in _scales(_at_reference(model)))
     if np.isfinite(first):
         remark = "are stiffnesses in N/m and masses in kg?"
         note("FREQUENCY", "first natural frequency", first, "Hz", FREQUENCIES, remark)
@@ -104,22 +106,29 @@ def _gyration_ratios(model: Model) -> dict[str, float]:
 
 def first_frequency(model: Model) -> float:
     """The first natural frequency [Hz] at the reference pose that is not zero; NaN without stiffness."""
-    return float(_scales(model, *_mass_and_stiffness(model))[0])
+    return float(_scales(_at_reference(model))[0])
 
 
-def _mass_and_stiffness(model: Model) -> tuple[Array, Array]:
-    return linearize(model, model.reference).quasistatic
+def _at_reference(model: Model) -> Linearization:
+    return linearize(model, _closed_reference(model) if model.closures else model.reference)
 
 
 @jit_unoptimized
-def _scales(model: Model, M: Float[Array, "n n"], K: Float[Array, "n n"]) -> tuple[Array, Array]:
+def _closed_reference(model: Model) -> State:
+    state = model.reference
+    return State(closed(Coordinates(model), state.q), state.v, state.z)
+
+
+@jit_unoptimized
+def _scales(lin: Linearization) -> tuple[Array, Array]:
     """The first nonzero natural frequency [Hz], from |eigenvalues|, and the largest static displacement under gravity of modes with
     stiffness, relative to the size of the model; NaN without stiffness."""
-    state = model.reference
+    model, state, (M, K) = lin.model, lin.state, lin.quasistatic
+    moves = lin.expanded(jnp.eye(len(M), dtype=M.dtype))
     weightless = eqx.tree_at(lambda m: m.gravity, model, jnp.zeros_like(model.gravity))
 
     def weight(delta):
-        moved = State(retract(model, state.q, delta), state.v, state.z)
+        moved = State(retract(model, state.q, moves @ delta), state.v, state.z)
         return potential_energy(model, moved) - potential_energy(weightless, moved)
 
     force = -jax.grad(weight)(jnp.zeros(M.shape[0]))
@@ -130,5 +139,5 @@ def _scales(model: Model, M: Float[Array, "n n"], K: Float[Array, "n n"]) -> tup
     first = jnp.sqrt(jnp.min(jnp.where(stiff, jnp.abs(squares), jnp.inf))) / (2 * jnp.pi)
     modal = vectors.T @ jax.scipy.linalg.solve_triangular(L, force, lower=True)
     moved = jax.scipy.linalg.solve_triangular(L.T, vectors @ jnp.where(stiff, modal / jnp.where(stiff, squares, 1.0), 0.0), lower=False)
-    lengths = jnp.where(model.layout.turns, 0.0, jnp.abs(moved))
+    lengths = jnp.where(model.layout.turns, 0.0, jnp.abs(moves @ moved))
     return jnp.where(jnp.any(stiff), first, jnp.nan), jnp.where(jnp.any(stiff), jnp.max(lengths) / size_of(model), jnp.nan)

@@ -249,7 +249,8 @@ class Coupling(Closure):
     """A coordinate of a joint as a function of another, as of a rack and its pinion, or of two gears: x - f(y) = 0.
 
     Coordinates count from the reference pose, turns of any number included. They are named as in `suspension_curves`: "rack.q" for the one
-    of a joint, "nut.q.0", "nut.q.1" for those of a joint with several (not the numbers of a quaternion).
+    of a joint, "nut.q.0", "nut.q.1" for those of a joint with several (not the numbers of a quaternion). The forces act along the
+    coordinates, between a body and what carries it, as those of a drive in the joint: they are part of the reaction of the joint.
 
     Args:
         of: x, such as "rack.q"

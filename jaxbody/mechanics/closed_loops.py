@@ -25,11 +25,10 @@ import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arrays import Array, Bool, Float
-from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.frames import Frame, Instant, Pose
 from jaxbody.inputs.loads import Load
-from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on, drawn, each_closure, gaps_from
+from jaxbody.mechanics.constraints import CLOSED, RANK, closed_on, drawn, each_closure, gaps_from, moving_slides
 from jaxbody.mechanics.energies import completed, inertial_tables, state_rates
 from jaxbody.mechanics.equations_of_motion import Dynamics, FreeBodies, JointedBodies, all_free, generalized
 from jaxbody.mechanics.free_motions import FreeMotions
@@ -59,11 +58,6 @@ class ClosedLoops(JointedBodies):
     size: Float[Array, ""]
 
     def __init__(self, model: Model, motions: Motions, loads: tuple[Load, ...] = ()):
-        couplings = [name for table in model.closures if isinstance(table.rows, Coupling) for name in table.names]
-        if couplings:
-            hint = "Replace couplings by your own element, or compute equilibria and small motions."
-            message = f"does not take couplings of coordinates: {', '.join(couplings)}"
-            raise JaxbodyError(Problem("CLOSED_LOOPS", "simulate", message, limit="other closures", hint=hint))
         Dynamics.__init__(self, model, motions, loads)
         self.rests, self.size = drawn(self.coordinates), jax.lax.stop_gradient(size_of(model))
 
@@ -82,7 +76,7 @@ class ClosedLoops(JointedBodies):
         """v', the instant with the accelerations at v' = 0, the velocities per unit of each speed, [M J'; J 0] and lambda."""
         now, axes = self._bias(t, q, v)
         J = jacobian(self.model.layout, now, *axes)
-        saddle = self._saddle(now, J)
+        saddle = self._saddle(now, q, J)
         v_dot, multipliers = saddle.solve(generalized(*J, *self._net(now)), -self._changes(now))
         return v_dot, now, J, saddle, multipliers
 
@@ -104,16 +98,26 @@ class ClosedLoops(JointedBodies):
         return replace(now, **dict(zip("FM", on_fixed, strict=True)))
 
     def _wrenches(self, now: Instant, multipliers: Float[Array, "n"]) -> Float[Array, "nf 6"]:
-        """Force and moment about its origin that closures exert on each frame."""
+        """Force and moment about its origin that closures exert on each frame. Couplings exert none: their forces act along coordinates, in
+        the joints."""
         frame, tables = self.model.layout.frame, self.model.closures
         ends = np.array([[frame(end) for end in link] for table in tables for link in table.links for _ in table.rows.rows])
-        slopes = each_closure(self.model, self.rests, lambda closure, rest, ends: _slopes(closure, rest, *ends), _plain(now))
+
+        def acting(closure, rest, ends):
+            slopes = _slopes(closure, rest, *ends)
+            return jnp.zeros_like(slopes) if isinstance(closure, Coupling) else slopes
+
+        frames, coordinates = _plain(now), self._slides(now.state.q, now.state.v)
+        slopes = each_closure(self.model, self.rests, acting, (frames,), (coordinates,))
         each = -multipliers[:, None, None] * jnp.concatenate(slopes).reshape(-1, 2, 6)
         return jnp.zeros((len(now.p), 6), now.p.dtype).at[ends].add(each)
 
-    def _saddle(self, frames: Frame, J: tuple[Array, Array]) -> SaddlePoint:
+    def _slides(self, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Frame:
+        return moving_slides(self.model.layout, q, v)
+
+    def _saddle(self, frames: Frame, q: Float[Array, "nq"], J: tuple[Array, Array]) -> SaddlePoint:
         """[M J'; J 0] from the velocities of the bodies per unit of each speed."""
-        return saddle_point(self.inertia(frames, *J)[0], self._slopes(frames, J), self.rank)
+        return saddle_point(self.inertia(frames, *J)[0], self._slopes(frames, q, J), self.rank)
 
     @property
     def rank(self) -> int:
@@ -125,46 +129,54 @@ class ClosedLoops(JointedBodies):
             else nv - len(independent)
         )
 
-    def _slopes(self, frames: Frame, J: tuple[Array, Array]) -> Float[Array, "n nv"]:
+    def _slopes(self, frames: Frame, q: Float[Array, "nq"], J: tuple[Array, Array]) -> Float[Array, "n nv"]:
         """dc/dDelta."""
-        twists = jnp.concatenate(J, -1)
+        twists, zero = jnp.concatenate(J, -1), jnp.zeros(self.model.layout.nv, q.dtype)
+        speeds = np.array([j for _, j in self.model.layout.coordinate_places.values()], int)
+        along = jnp.zeros((len(speeds), len(zero), 6), q.dtype).at[np.arange(len(speeds)), speeds, 0].set(1.0)
         still = jnp.zeros((self.model.layout.first_body, *twists.shape[1:]), twists.dtype)
 
         def slopes(closure, rest, ends, moving):
             return jnp.sum(_slopes(closure, rest, *ends)[:, :, None] * jnp.concatenate(moving, -1).T[None], 1)
 
-        return jnp.concatenate(each_closure(self.model, self.rests, slopes, _plain(frames), jnp.concatenate([still, twists])))
+        of_frames = _plain(frames), jnp.concatenate([still, twists])
+        return jnp.concatenate(each_closure(self.model, self.rests, slopes, of_frames, (self._slides(q, zero), along)))
 
     def slopes(self, t: Float[Array, ""], state: State) -> Float[Array, "n nv"]:
         """dc/dDelta by increments in meters."""
         supports = self.coordinates.supports_moving(self.motions, t)
         frames, axes = self.coordinates.frames_and_axes(state.q, state.v, supports)
-        return self._slopes(frames, jacobian(self.model.layout, frames, *axes)) * scale_of(self.model, self.size)[None]
+        return self._slopes(frames, state.q, jacobian(self.model.layout, frames, *axes)) * scale_of(self.model, self.size)[None]
 
     def smallest(self, t: Float[Array, ""], state: State) -> Float[Array, ""]:
         """The smallest singular value of dc/dDelta that should not be zero, relative to the largest."""
         values = jnp.linalg.svdvals(jax.lax.stop_gradient(self.slopes(t, state)))
         return values[self.rank - 1] / jnp.maximum(values[0], 1e-300)
 
-    def _rates(self, frames: Frame) -> Float[Array, "n"]:
+    def _rates(self, frames: Frame, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Float[Array, "n"]:
         """c'."""
-        return jnp.concatenate(
-            each_closure(self.model, self.rests, lambda closure, rest, ends: _rate(closure, rest, *ends), _plain(frames))
-        )
+
+        def rate(closure, rest, ends):
+            return _rate(closure, rest, *ends)
+
+        return jnp.concatenate(each_closure(self.model, self.rests, rate, (_plain(frames),), (self._slides(q, v),)))
 
     def _changes(self, now: Instant) -> Float[Array, "n"]:
-        """c'' for the accelerations of the frames."""
+        """c'' for the accelerations of the frames at v' = 0."""
 
         def change(closure, rest, ends, changes):
             return jax.jvp(lambda A, B: _rate(closure, rest, A, B), ends, changes)[1]
 
-        return jnp.concatenate(each_closure(self.model, self.rests, change, _plain(now), now.changes()))
+        coordinates, zero = self._slides(now.state.q, now.state.v), jnp.zeros((len(self.model.layout.coordinate_places), 3), now.p.dtype)
+        rates = coordinates.rates()
+        steady = Frame(rates.p, rates.R, zero, zero)
+        return jnp.concatenate(each_closure(self.model, self.rests, change, (_plain(now), now.changes()), (coordinates, steady)))
 
     def projected(self, t: Float[Array, ""], y: Float[Array, "ny"]) -> Float[Array, "ny"]:
         """P(t, y)."""
         q, v, _ = self.model.layout.split(y)
         frames, axes = self.coordinates.frames_and_axes(q, v, self.coordinates.supports_moving(self.motions, t))
-        return self.closer(t, y, self._saddle(frames, jacobian(self.model.layout, frames, *axes)))
+        return self.closer(t, y, self._saddle(frames, q, jacobian(self.model.layout, frames, *axes)))
 
     def closer(self, t: Float[Array, ""], y: Float[Array, "ny"], saddle: SaddlePoint) -> Float[Array, "ny"]:
         """P(t, y) with the equations [M J'; J 0] of y; NaN where the steps do not come close."""
@@ -175,7 +187,8 @@ class ClosedLoops(JointedBodies):
             q, v = state
             frames = self.coordinates.frames(q, v, supports)
             c = gaps_from(self.model, self.rests, frames, q)
-            q, v = self.coordinates.retract(q, saddle.solve(still, -c)[0]), v + saddle.solve(still, -self._rates(frames))[0]
+            rates = self._rates(frames, q, v)
+            q, v = self.coordinates.retract(q, saddle.solve(still, -c)[0]), v + saddle.solve(still, -rates)[0]
             return (q, v), jnp.max(jnp.abs(c))
 
         (q, v), gap = jax.lax.scan(step, (q, v), length=STEPS)
@@ -189,7 +202,7 @@ class ClosedLoops(JointedBodies):
         q = closed_on(self.coordinates, self.rests, supports, state.q)
         frames = self.coordinates.frames(q, state.v, supports)
         y = self.pack(State(q, state.v, state.z))
-        closed, rates = self.unpack(self.projected(t, y)), self._rates(frames)
+        closed, rates = self.unpack(self.projected(t, y)), self._rates(frames, q, state.v)
         left = jnp.max(jnp.abs(gaps_from(self.model, self.rests, frames, q))) / self.size
         given, fastest = (jnp.max(jnp.abs(v) * jnp.where(self.model.layout.turns, self.size, 1.0)) for v in (state.v, closed.v))
         rate = jnp.where(given > 0, jnp.max(jnp.abs(rates)) / jnp.maximum(jnp.maximum(given, fastest), 1e-300), 0.0)

@@ -23,11 +23,13 @@ from jaxbody.core.arrays import Array, Bool, Float
 from jaxbody.geometry.closures import Coupling, as_slide
 from jaxbody.geometry.frames import Frame, Pose
 from jaxbody.mechanics.kinematics import Chart, Coordinates, with_world
+from jaxbody.models.layouts import Layout
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import scale_of, size_of
 from jaxbody.models.storage import KindTable
 from jaxbody.numerics.small_systems import independent_rows
 
+Tables = tuple[Any, ...]  # with a row for each frame or coordinate
 Conditions = Callable[[Model, Any, Float[Array, "nq"]], Float[Array, "n"]]  # F of the model, of other numbers and of q
 CLOSING = 12  # steps of an initial state
 STEPS = 30  # of the search; ten are enough from a rough drawing
@@ -65,20 +67,21 @@ def gaps(model: Model, coordinates: Coordinates, frames: Frame, q: Float[Array, 
 
 def gaps_from(model: Model, rests: list[Pose], frames: Frame, q: Float[Array, "nq"]) -> Float[Array, "n"]:
     """c of all closures, from their poses as drawn."""
-    found = each_closure(model, rests, lambda closure, rest, poses: closure.gap(*poses, rest), frames.pose(), q=q)
+    found = each_closure(model, rests, lambda closure, rest, poses: closure.gap(*poses, rest), (frames.pose(),), (slides(model.layout, q),))
     return jnp.concatenate([jnp.zeros(0, frames.p.dtype), *found])
 
 
 def drawn(coordinates: Coordinates) -> list[Pose]:
-    """The pose of the second frame of each closure on the first, as drawn, for each table of closures."""
+    """The pose of the second frame of each closure on the first, as drawn, wherever the supports are now, for each table of closures."""
     model = coordinates.model
+    coordinates = Coordinates(model)
     poses = with_world(coordinates.supports.at_rest(), coordinates.bodies.at_rest()).pose()
-    return [A.inverse() @ B for A, B in (_ends(model, table, poses) for table in model.closures)]
+    return [A.inverse() @ B for A, B in (_ends(poses, _frames(model.layout, table)) for table in model.closures)]
 
 
-def each_closure(model: Model, rests: list[Pose], function: Callable[..., Any], *of_frames: Any, q: Any = None) -> list[Any]:
-    """function(closure, pose as drawn, (a row for A, a row for B) of each of these tables of frames), of all conditions, in meters. With q,
-    couplings read their coordinates as poses."""
+def each_closure(model: Model, rests: list[Pose], function: Callable[..., Any], of_frames: Tables, of_coordinates: Tables) -> list[Any]:
+    """function(closure, pose as drawn, (a row for A, a row for B) of each of these tables), of all conditions, in meters: tables of frames
+    or, for couplings, of coordinates."""
     size, found = jax.lax.stop_gradient(size_of(model)), []  # only a scale: c is zero
     for table, rest in zip(model.closures, rests, strict=True):
         unit = jnp.where(_turning(table), size, 1.0)[None]
@@ -86,21 +89,39 @@ def each_closure(model: Model, rests: list[Pose], function: Callable[..., Any], 
         def in_meters(values: Array, unit=unit) -> Array:
             return (values * unit.reshape(*unit.shape, *[1] * (values.ndim - 2))).reshape(-1, *values.shape[2:])
 
-        ends = [_coordinates(model, table, q)] if isinstance(table.rows, Coupling) else [_ends(model, table, x) for x in of_frames]
-        found.append(jax.tree.map(in_meters, jax.vmap(function)(table.rows, rest, *ends)))
+        places = _couplings(model.layout, table) if isinstance(table.rows, Coupling) else _frames(model.layout, table)
+        tables = of_coordinates if isinstance(table.rows, Coupling) else of_frames
+        found.append(jax.tree.map(in_meters, jax.vmap(function)(table.rows, rest, *(_ends(x, places) for x in tables))))
     return found
 
 
-def _coordinates(model: Model, table: KindTable, q: Float[Array, "nq"]) -> list[Pose]:
-    """The coordinates of couplings, as poses."""
-    places = [model.layout.coordinate_places[path][0] for path in (table.rows.of, table.rows.by)]
-    return [as_slide(jnp.broadcast_to(q[i], len(table))) for i in places]
+def _couplings(layout: Layout, table: KindTable) -> list[np.ndarray]:
+    """The rows of both coordinates of each coupling, in tables of coordinates."""
+    paths = list(layout.coordinate_places)
+    return [np.full(len(table), paths.index(path)) for path in (table.rows.of, table.rows.by)]
 
 
-def _ends(model: Model, table: KindTable, frames: Any) -> tuple[Any, Any]:
-    """The rows of a table of frames at both ends of each closure."""
-    A, B = (np.array([model.layout.frame(link[end]) for link in table.links]) for end in (0, 1))
-    return jax.tree.map(lambda x: x[A], frames), jax.tree.map(lambda x: x[B], frames)
+def _frames(layout: Layout, table: KindTable) -> list[np.ndarray]:
+    """The rows of both ends of each closure, in tables of frames."""
+    return [np.array([layout.frame(link[end]) for link in table.links]) for end in (0, 1)]
+
+
+def _ends(values: Any, places: list[np.ndarray]) -> tuple[Any, Any]:
+    """The rows of a table at both ends of each closure."""
+    A, B = places
+    return jax.tree.map(lambda x: x[A], values), jax.tree.map(lambda x: x[B], values)
+
+
+def slides(layout: Layout, q: Float[Array, "nq"]) -> Pose:
+    """The coordinates that couplings may read, in the order of `coordinate_places`, as poses with p = (q, 0, 0) and R = 1."""
+    return as_slide(q[np.array([i for i, _ in layout.coordinate_places.values()], int)])
+
+
+def moving_slides(layout: Layout, q: Float[Array, "nq"], v: Float[Array, "nv"]) -> Frame:
+    """These with their speeds."""
+    speeds = as_slide(v[np.array([j for _, j in layout.coordinate_places.values()], int)]).p
+    poses = slides(layout, q)
+    return Frame(poses.p, poses.R, speeds, jnp.zeros_like(speeds))
 
 
 def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
@@ -109,29 +130,31 @@ def closure_gaps(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Arra
 
 
 def gaps_at(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "n"]:
-    """c(q)."""
+    """c(q), with the supports in the poses of the coordinates."""
     return gaps(coordinates.model, coordinates, coordinates.at_rest(q), q)
 
 
-def closed(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
+def closed(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     """The nearest q in which all closures are fulfilled, as far as it is reached."""
-    return _searched(closure_gaps, None, model, None, q)
+    return _searched(lambda _, coordinates, q: gaps_at(coordinates, q), None, coordinates.model, coordinates, q)
 
 
-def closed_on(coordinates: Coordinates, rests: list[Pose], supports: Frame, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
+def closed_on(
+    coordinates: Coordinates, rests: list[Pose], supports: Frame, q: Float[Array, "nq"], held: np.ndarray | None = None
+) -> Float[Array, "nq"]:
     """The nearest q in which all closures are fulfilled on moved supports, as a function of q and of the model: steps with all their
-    derivatives."""
+    derivatives; `held` is True for the coordinates that must not move."""
 
     def conditions(model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "n"]:
         return gaps_from(model, rests, coordinates.frames(q, jnp.zeros(model.layout.nv, q.dtype), supports), q)
 
-    step = partial(_stepped, conditions, None, coordinates.model, None)
+    step = partial(_stepped, conditions, held, coordinates.model, None)
     return jax.lax.scan(lambda q, _: (step(q), None), q, length=CLOSING)[0]
 
 
-def how_open(model: Model, q: Float[Array, "nq"]) -> Float[Array, ""]:
+def how_open(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float[Array, ""]:
     """The largest |c| over the size of the model."""
-    return _largest(closure_gaps(model, None, q)) / size_of(model)
+    return _largest(gaps_at(coordinates, q)) / size_of(coordinates.model)
 
 
 def solve(conditions: Conditions, model: Model, values: Any, start: Float[Array, "nq"], held: np.ndarray | None = None):

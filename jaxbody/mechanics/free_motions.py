@@ -84,12 +84,12 @@ def on_closures(
 def moved(coordinates: Coordinates, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
     """q (+) Delta, from there to the closures."""
     q = coordinates.retract(q, delta)
-    return closed(coordinates.model, q) if coordinates.model.closures else q
+    return closed(coordinates, q) if coordinates.model.closures else q
 
 
-def is_closed(model: Model, q: Float[Array, "nq"]) -> Bool[Array, ""]:
+def is_closed(coordinates: Coordinates, q: Float[Array, "nq"]) -> Bool[Array, ""]:
     """Whether all closures are fulfilled; True for a model without."""
-    return how_open(model, q) <= CLOSED if model.closures else jnp.array(True)
+    return how_open(coordinates, q) <= CLOSED if coordinates.model.closures else jnp.array(True)
 
 
 def multipliers_at(coordinates: Coordinates, q: Float[Array, "nq"], r: Float[Array, "nv"]) -> Float[Array, "n"]:

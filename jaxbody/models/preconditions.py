@@ -63,6 +63,13 @@ def refuse_closures(where: str, model: Model) -> None:
         raise JaxbodyError(Problem("CLOSED_LOOPS", f"{where}.model", message, limit="no closures", hint=hint))
 
 
+def check_independent(where: str, model: Model) -> None:
+    """Refuse a model whose independent coordinates are not known. Error: CLOSED_LOOPS."""
+    if model.independent is None:
+        message, hint = "was built from numbers that are being traced", "Build it outside of jit and change its numbers by jb.replace."
+        raise JaxbodyError(Problem("CLOSED_LOOPS", f"{where}.model", message, limit="a model with closures and given numbers", hint=hint))
+
+
 def check_memory(where: str, model: Model, frequencies: int = 0) -> None:
     """Check the memory of about ten matrices of all coordinates, of the contributions of all elements, and of complex matrices at these
     frequencies. Error: TOO_LARGE."""

@@ -287,7 +287,8 @@ class Reaction(WrenchSensor):
 
         F = sum over the body and all that it carries by joints of d(momentum)/dt - applied forces;  M likewise, about the joint
 
-    It is zero along the joint's degrees of freedom. Noise is one number, or two: for forces [N] and moments [N m].
+    Along the joint's degrees of freedom it is zero, or the force of a coupling (`jb.closures.Coupling`). Noise is one number, or two: for
+    forces [N] and moments [N m].
 
     Args:
         on: name of the body that the joint carries, or of a support

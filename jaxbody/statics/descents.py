@@ -45,7 +45,7 @@ def _descend(coordinates, applied, q, scale, size, max_steps):
         at = configuration_at(coordinates, q, base=False)
         value, slope, K = expansion(at) if applied is None else expansion(with_load_gravity(at, applied), dead_forces(at, applied))
         slope, K = on_closures(coordinates, q, slope * scale, scaled(K, scale), scale)
-        return jnp.where(is_closed(coordinates.model, q), value, jnp.nan) if coordinates.model.closures else value, slope, K
+        return jnp.where(is_closed(coordinates, q), value, jnp.nan) if coordinates.model.closures else value, slope, K
 
     def step(carry):
         """Evaluate the trial configuration, keep it if it is better, propose the next."""

@@ -15,14 +15,15 @@ from jaxbody.core.arguments import check_key, positive_number, whole_number
 from jaxbody.core.arrays import Array, Float
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.mechanics.hessians import configuration_at, expansion, stiffness
+from jaxbody.mechanics.free_motions import is_closed, moved, on_closures
+from jaxbody.mechanics.hessians import configuration_at, expansion, slope, stiffness
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.memories import relaxed
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_attached, check_memory, check_precision
 from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.statics.descents import SINGULAR, descend, eigenvalue_signs
-from jaxbody.statics.equilibria import Equilibrium, equilibrium_at
+from jaxbody.statics.equilibria import NOT_AT_REST, Equilibrium, equilibrium_at
 from jaxbody.statics.rest_searches import SearchResult, no_loads
 
 SAME = 1e-9  # relative to the spread of energies: within it two results may be one equilibrium
@@ -76,6 +77,9 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
         spread: standard deviation of the random displacements, in units of the model's size; that of rotations is 2 `spread` rad.
         key: random key of the configurations; by default jax.random.key(0).
 
+    With closures each search starts from the nearest configuration that fulfils them, on whichever branch of the mechanism that is, and
+    stays on them; positions in which closures are dependent are left out.
+
     Nothing guarantees that all equilibria are found. Those connected by a free motion (singular K, equal energy) count as one.
     Errors: UNATTACHED, WRONG_KIND for a key; warns NOT_CONVERGED if no search ends at an equilibrium.
 
@@ -84,7 +88,7 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
     >>> find_equilibria(model, starts=16).stable.tolist()
     [True, False]
     """
-    check_precision("find_equilibria", model)
+    check_precision("find_equilibria", model, closures=True)
     check_memory("find_equilibria", model)
     check_attached(model)
     with Problems() as problems:
@@ -93,7 +97,7 @@ def find_equilibria(model: Model, *, starts: int = 64, spread: float = 1.0, key:
         check_key(key, "find_equilibria.key", problems)
     batch = _search(model, jax.random.key(0) if key is None else key, starts, float(spread))
     status, energies = np.asarray(batch.status), np.asarray(batch.energy)
-    converged = [int(i) for i in np.argsort(energies) if status[i] != Status.NOT_CONVERGED and status[i] != Status.NO_EQUILIBRIUM]
+    converged = [int(i) for i in np.argsort(energies) if status[i] not in NOT_AT_REST]
     tolerance = SAME * (np.ptp(energies[converged]) if converged else 0.0) + 1e-300
     distinct: list[Equilibrium] = []
     hits: list[int] = []
@@ -125,7 +129,7 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
     reach = spread * size * scale * jnp.where(model.layout.turns, 2.0, 1.0)
     moves: Any = reach[None] * jax.random.normal(key, (starts, len(scale)), size.dtype)
     q0 = coordinates.reference.q
-    q = jax.vmap(lambda move: coordinates.retract(q0, move))(moves.at[0].set(0.0))
+    q = jax.vmap(lambda move: moved(coordinates, q0, move))(moves.at[0].set(0.0))
 
     def descent(q):
         return descend(coordinates, q, scale, size, DESCENT_STEPS)
@@ -136,17 +140,18 @@ def _search(model: Model, key: Array, starts: int, spread: float) -> Equilibrium
         def step(carry, _):
             q, _ = carry
             _, g, K = expansion(configuration_at(coordinates, q, base=False))
-            K, g = scaled(K, scale), g * scale
+            g, K = on_closures(coordinates, q, g * scale, scaled(K, scale), scale)
             y = -jnp.linalg.pinv(K, rtol=SINGULAR, hermitian=True) @ g
             longest = jnp.max(jnp.abs(y), initial=0.0)
             y = y * jnp.where(longest > size / 4, size / 4 / longest, 1.0)
             unit = jnp.max(jnp.abs(K), initial=0.0)
             done = (longest <= 1e-9 * size) & (jnp.max(jnp.abs(g), initial=0.0) <= 1e-9 * unit * size)
-            return (coordinates.retract(q, scale * y), done), None
+            return (moved(coordinates, q, scale * y), done), None
 
         (q, done), _ = jax.lax.scan(step, (q, jnp.array(False)), None, length=NEWTON_STEPS)
-        K = stiffness(configuration_at(coordinates, q, base=False))
-        return q, eigenvalue_signs(scaled(K, scale)), done, jnp.array(NEWTON_STEPS)
+        at = configuration_at(coordinates, q, base=False)
+        _, K = on_closures(coordinates, q, slope(at) * scale, scaled(stiffness(at), scale), scale)
+        return q, eigenvalue_signs(K), done & is_closed(coordinates, q), jnp.array(NEWTON_STEPS)
 
     def equilibrium(q, signs, converged, steps):
         status = jnp.where(converged, Status.OK.value, Status.NOT_CONVERGED.value)

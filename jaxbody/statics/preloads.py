@@ -3,7 +3,8 @@
     dV/dDelta(q; l) = 0,   least |l - l_0|,   by Gauss-Newton steps  l <- l - A^+ dV/dDelta,   A = d2V/dDelta dl
 
 With more springs than equations the change has least norm (pseudo-inverse); forces that no free length can balance are the residual.
-Coordinates that may move are additional unknowns.
+Coordinates that may move are additional unknowns. With closures the pose is the nearest one that fulfils them, P dV/dDelta = 0 takes the
+place of dV/dDelta = 0, with P on the motions that closures leave free (free_motions), and the other coordinates follow those that may move.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from jaxbody.core.arguments import check_kind
 from jaxbody.core.arrays import Array, Float, Int, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.mechanics.constraints import closed_on, drawn, how_open
+from jaxbody.mechanics.free_motions import free_motions, is_closed
 from jaxbody.mechanics.hessians import configuration_at, slope
 from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
@@ -41,7 +44,8 @@ class Preload(Result):
     them.
 
     `state` is the pose, `moved` {coordinate: change [m, rad]} of its coordinates that may move, `residual` the unbalanced forces [N, N m].
-    `status` UNBALANCED where these are not zero, NEGATIVE_LENGTH where a length would have to be negative."""
+    `status` UNBALANCED where these are not zero, NEGATIVE_LENGTH where a length would have to be negative, NOT_CLOSED where closures stay
+    open. With closures the residual is along the motions that they leave free."""
 
     status: Int[Array, ""]
     values: Float[Array, "n"]
@@ -68,6 +72,8 @@ class Preload(Result):
     def explain(self) -> str:
         if int(self.status) == Status.NEGATIVE_LENGTH:
             return ", ".join(f"{path} = {float(v):.6g} m" for path, v in self.free_lengths.items() if v < 0)
+        if int(self.status) == Status.NOT_CLOSED:
+            return f"closures stay open by {float(how_open(Coordinates(self.model), self.state.q)):.3g} of the size of the model"
         layout, residual = self.model.layout, np.asarray(self.residual)
         worst = [i for i in np.argsort(-np.abs(residual)) if abs(residual[i]) > 1e-6 * np.abs(residual).max()][:4]
         forces = [f"{-residual[i]:.4g} {'N m' if layout.turns[i] else 'N'} on {layout.coordinates[i]}" for i in worst]
@@ -93,8 +99,11 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",),
             default
         none.
 
+    With closures the pose is the nearest that fulfils them; where some coordinates may move, the others follow with the least movement.
+
     Use `preload(...).model`, whose equilibrium is at `preload(...).state`; `equilibrium` shows whether it is stable. Differentiable.
-    Errors: UNKNOWN_PATH, UNKNOWN_NAME for a coordinate, NOT_A_LENGTH, BAD_SHAPE for the pose; warns UNBALANCED, NEGATIVE_LENGTH.
+    Errors: UNKNOWN_PATH, UNKNOWN_NAME for a coordinate, NOT_A_LENGTH, BAD_SHAPE for the pose; warns UNBALANCED,
+    NEGATIVE_LENGTH, NOT_CLOSED.
 
     >>> spring = Spring(("car", [0, 0, 0]), ("world", [0, 0, -0.5]), stiffness=2e4, free_length=0.5)
     >>> model = Model(bodies={"car": Body(mass=400.0, inertia=[1, 1, 1])}, joints={"car": Guide("world", axis=[0, 0, 1])},
@@ -102,7 +111,7 @@ def preload(model: Model, pose: State | None = None, *, free=("*.free_length",),
     >>> round(float(preload(model).free_lengths["spring.free_length"]), 9)
     0.7
     """
-    check_precision("preload", model)
+    check_precision("preload", model, closures=True)
     state = model.reference if pose is None else pose
     check_state(model, state, "pose")
     with Problems() as problems:
@@ -130,16 +139,21 @@ def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[i
     start = jnp.stack([*(leaf.read(arrays) for leaf in leaves), *jnp.zeros(len(rows), state.q.dtype)])
     frozen = jax.lax.stop_gradient(model)
     scale = scale_of(frozen, size_of(frozen))
+    held = np.isin(np.arange(layout.nv), rows)
+    pose = _closed(Coordinates(model), state.q, None)
 
     def changed(u):
-        """The model, the coordinates and their change, rotations scaled with the size of the model."""
+        """The model, the coordinates and the change of those that may move, rotations scaled with the size of the model."""
         new_model = write(model, dict(zip(leaves, u[:n], strict=True)))
         delta = jnp.zeros(layout.nv, u.dtype).at[np.array(rows, int)].set(u[n:]) * scale
-        return new_model, Chart(new_model).retract(state.q, delta), delta
+        q = Chart(new_model).retract(pose, delta)
+        return new_model, _closed(Coordinates(new_model), q, held) if rows else q, delta
 
     def unbalanced(u):
         new_model, q, _ = changed(u)
-        return slope(configuration_at(Coordinates(relaxed(new_model, state.z)), q, base=False)) * scale
+        coordinates = Coordinates(relaxed(new_model, state.z))
+        r = slope(configuration_at(coordinates, q, base=False)) * scale
+        return free_motions(coordinates, q, scale).projector @ r if model.closures else r
 
     def step(u, _):
         A = jax.jacfwd(unbalanced)(u)
@@ -156,7 +170,13 @@ def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[i
         Status.OK.value,
     )
     new_model, q, delta = changed(u)
+    status = jnp.where(is_closed(Coordinates(new_model), q), status, Status.NOT_CLOSED.value)
     z = rest_states(new_model, Coordinates(new_model).at_rest(q).pose(), state.z) if layout.nz else None
     balanced, moving = State(q, jnp.zeros(layout.nv, q.dtype), z), tuple(layout.coordinates[i] for i in rows)
     paths = tuple(leaf.path for leaf in leaves)
     return Preload(status, u[:n], (u - start)[:n], delta[np.array(rows, int)], residual / scale, balanced, new_model, paths, moving)
+
+
+def _closed(coordinates: Coordinates, q: Float[Array, "nq"], held: np.ndarray | None) -> Float[Array, "nq"]:
+    """The nearest q that fulfils the closures."""
+    return closed_on(coordinates, drawn(coordinates), coordinates.supports.at_rest(), q, held) if coordinates.model.closures else q

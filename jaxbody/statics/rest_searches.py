@@ -55,13 +55,13 @@ def search_by_descent(
     start = frozen.reference.q if start is None else jax.lax.stop_gradient(start)
     size = size_of(frozen.model)
     if frozen.model.closures:
-        start = closed(frozen.model, start)
+        start = closed(frozen, start)
     q, (negative, singular), converged, steps = descend(frozen, start, scale_of(frozen.model, size), size, max_steps, applied)
     moved = jnp.max(jnp.abs(q - start) * jnp.where(frozen.model.layout.angular, size, 1.0), initial=0.0)
     runaway = ~converged & (moved > RUNAWAY * size)
     status = jnp.select([runaway, ~converged], [Status.NO_EQUILIBRIUM.value, Status.NOT_CONVERGED.value], Status.OK.value)
     if frozen.model.closures:
-        status = jnp.where(is_closed(frozen.model, start), status, Status.NOT_CLOSED.value)
+        status = jnp.where(is_closed(frozen, start), status, Status.NOT_CLOSED.value)
     return SearchResult(q, negative, singular, status, steps, jnp.ones((), q.dtype))
 
 

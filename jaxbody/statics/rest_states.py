@@ -1,6 +1,6 @@
 """At rest on supports that are displaced or move slowly: in equilibrium with their present poses, and moving with them.
 
-    dV/dDelta(q, Xi) = 0,   K v = K~ Xi'
+    dV/dDelta(q, Xi) = 0,   K v = K~ Xi'      and with closures  c(q, Xi) = 0,   J v = -c_Xi Xi' as well
 
 is the initial state of a run that has been at rest for long: displaced and tilted with its base, under gravity, at the speed of its base.
 """
@@ -18,21 +18,22 @@ from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.core.arguments import checked_dict
 from jaxbody.core.arrays import Array, Float, is_concrete, shaped, stack
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
+from jaxbody.mechanics.constraints import CLOSED, closed_on, drawn, gaps_at, gaps_from
 from jaxbody.mechanics.element_derivatives import frames_displaced
 from jaxbody.mechanics.energies import completed, potential
-from jaxbody.mechanics.free_motions import implied_change, slopes_by_supports
+from jaxbody.mechanics.free_motions import constraint_force, implied_change, multipliers_at
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates, Motions
 from jaxbody.models.memories import holding, relaxed
 from jaxbody.models.models import Model, at_rest_in, rest_poses
-from jaxbody.models.preconditions import check_precision, check_state
+from jaxbody.models.preconditions import check_independent, check_precision, check_state
+from jaxbody.models.sizes import size_of
 from jaxbody.models.states import State
 from jaxbody.statics.equilibria import Equilibrium, equilibrium_at
 from jaxbody.statics.load_paths import residual, tangent
 from jaxbody.statics.rest_searches import AT_REST, no_loads, search_by_descent
 
 MAX_STEPS = 200
-UNMOVED = 1e-9  # m or rad: of supports from their reference poses
 
 
 class Rest(eqx.Module):
@@ -58,14 +59,21 @@ def rest_state(model: Model, motions: Motions, t) -> tuple[State, Equilibrium]:
     on_supports, unloaded = displaced(xi), no_loads(model.gravity.dtype)
     eq = equilibrium_at(on_supports, search_by_descent(on_supports, _start(coordinates, on_supports), MAX_STEPS), unloaded, model)
     q, valid = eq.state.q, jnp.isin(eq.status, jnp.array(AT_REST))
-    drift = jax.jvp(lambda xi: residual(configuration_at(displaced(xi), q, base=False), unloaded), (xi,), (xi_dot,))[1]
     here = configuration_at(on_supports, q, base=False)
-    K = jnp.where(valid, tangent(here, unloaded), jnp.nan)
+    r, K = residual(here, unloaded), jnp.where(valid, tangent(here, unloaded), jnp.nan)
+
+    def slope(xi):
+        return residual(configuration_at(displaced(xi), q, base=False), unloaded)
+
     if model.closures:
-        opening = slopes_by_supports(coordinates, q) @ xi_dot.ravel()
-        valid = valid & jnp.all(jnp.abs(xi) <= UNMOVED)  # closures are searched for on supports in their reference poses
-        v = implied_change(coordinates, q, residual(here, unloaded), K, (drift, opening))
+        multipliers = multipliers_at(on_supports, q, r)
+
+        def conditions(xi):
+            return slope(xi) + constraint_force(displaced(xi), q, multipliers), gaps_at(displaced(xi), q)
+
+        v = implied_change(on_supports, q, r, K, jax.jvp(conditions, (xi,), (xi_dot,))[1])
     else:
+        drift = jax.jvp(slope, (xi,), (xi_dot,))[1]
         v = -jnp.linalg.solve(K, drift)
     return State(jnp.where(valid, q, jnp.nan), v, eq.state.z), eq
 
@@ -81,14 +89,10 @@ def _start(coordinates: Coordinates, on_supports: Coordinates):
 
 
 def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str) -> State | None:
-    """The initial state of a run. Errors: the status of the equilibrium, if "rest" is given and no equilibrium is found; CLOSED_LOOPS where
-    supports of a model with closures are displaced."""
+    """The initial state of a run. Error: the status of the equilibrium, if "rest" is given and no equilibrium is found."""
     if not isinstance(initial, Rest):
         return initial
     state, eq = rest_state(model, motions, t)
-    if model.closures and is_concrete(state.q, eq.status) and int(eq.status) in AT_REST and np.isnan(np.asarray(state.q)).any():
-        message, hint = 'is "rest", but supports of a model with closures are displaced at the first time', "Give initial=State(q, v)."
-        raise JaxbodyError(Problem("CLOSED_LOOPS", where, message, "rest", "supports in their reference poses", hint))
     if is_concrete(eq.status) and int(eq.status) not in AT_REST:
         hint = "Give initial=State(q, v), or attach the bodies that are free to move."
         raise JaxbodyError(
@@ -97,15 +101,16 @@ def initial_state_of(model: Model, motions: Motions, t, initial: Any, where: str
     return state
 
 
-def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nv"]:
-    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, with the bodies held fixed:
+def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any]) -> Float[Array, "nf"]:
+    """The exact generalized force of a finite displacement Xi of supports, {name: (xi, phi)}, with the coordinates held fixed:
 
         F^e = -(dV/dDelta(0, Xi) - dV/dDelta(0, 0)),     K~ Xi to first order; (54), (57) of the paper
 
-    Coordinates of elements with memory are held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force
+    With closures it is in the independent coordinates of `linearize`, which are held while the others follow; NaN where the loops do not
+    close. Coordinates of elements with memory are held, as for a quick displacement. Error: MEMORY for hysteretic elements, whose force
     depends on the path.
 
-    Errors: UNKNOWN_NAME for a support, BAD_SHAPE.
+    Errors: UNKNOWN_NAME for a support, BAD_SHAPE, CLOSED_LOOPS for a model with closures built from traced numbers.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("base", [0, 1, 0]), stiffness=50.0, free_length=1.0)
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -114,7 +119,8 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
     >>> round(float(force[0]), 9)
     5.0
     """
-    check_precision("excitation", model)
+    check_precision("excitation", model, closures=True)
+    check_independent("excitation", model)
     state = at.state if isinstance(at, Equilibrium) else at
     check_state(model, state, "state")
     if any(role == "hysteretic" for block in model.layout.blocks for role in block.roles):
@@ -126,7 +132,8 @@ def excitation(model: Model, at: Equilibrium | State, displaced: dict[str, Any])
         problems.collected += [unknown(name, "excitation", model.layout.supports) for name in given if name not in model.layout.supports]
         known = [name for name in model.layout.supports if name in given]
         xi = {name: shaped(given[name], (6,), f"excitation[{name!r}]", problems) for name in known}
-    return _excitation(model, state, stack([xi.get(name, np.zeros(6)) for name in model.layout.supports]))
+    force = _excitation_of_loops if model.closures else _excitation
+    return force(model, state, stack([xi.get(name, np.zeros(6)) for name in model.layout.supports]))
 
 
 @jit_unoptimized
@@ -135,5 +142,25 @@ def _excitation(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[A
 
     def slope(xi):
         return jax.grad(lambda d: potential(model, frames_displaced(model, state, d, xi)))(zero)
+
+    return slope(jnp.zeros_like(xi)) - slope(xi)
+
+
+@jit_unoptimized
+def _excitation_of_loops(model: Model, state: State, xi: Float[Array, "ns 6"]) -> Float[Array, "nf"]:
+    model = holding(model, completed(model, state).z)
+    coordinates, own, still = Coordinates(model), np.array(model.independent, int), jnp.zeros(model.layout.nv, xi.dtype)
+    rests, held = drawn(coordinates), np.isin(np.arange(len(still)), own)
+
+    def energy(delta, xi):
+        supports = coordinates.supports_at(xi, jnp.zeros_like(xi))
+        q = closed_on(coordinates, rests, supports, coordinates.retract(state.q, still.at[own].set(delta)), held)
+        frames = coordinates.frames(q, still, supports)
+        left = jnp.max(jnp.abs(gaps_from(model, rests, frames, q)), initial=0.0)
+        return potential(model, frames), left <= CLOSED * size_of(model)
+
+    def slope(xi):
+        force, reached = jax.grad(energy, has_aux=True)(jnp.zeros(len(own), xi.dtype), xi)
+        return jnp.where(reached, force, jnp.nan)
 
     return slope(jnp.zeros_like(xi)) - slope(xi)

@@ -31,7 +31,7 @@ from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.leaf_paths import by_name
 from jaxbody.models.memories import apart, settled
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import check_memory, check_precision, check_state
+from jaxbody.models.preconditions import check_independent, check_memory, check_precision, check_state
 from jaxbody.models.sizes import scale_of, scaled, size_of
 from jaxbody.models.states import State
 from jaxbody.numerics.lanes import in_lanes
@@ -297,9 +297,7 @@ def linearize(model: Model, at: Equilibrium | State) -> Linearization:
     (50.0, 2.0)
     """
     check_precision("linearize", model, closures=True)
-    if model.independent is None:
-        message, hint = "was built from numbers that are being traced", "Build it outside of jit and change its numbers by jb.replace."
-        raise JaxbodyError(Problem("CLOSED_LOOPS", "linearize.model", message, limit="a model with closures and given numbers", hint=hint))
+    check_independent("linearize", model)
     check_memory("linearize", model)
     if isinstance(at, Equilibrium):
         if at.layout != model.layout:
@@ -337,7 +335,7 @@ def _linearize_closed(model: Model, state: State, status: Int[Array, ""] | None,
         largest = jnp.max(jnp.abs(scaled(K[:nf, :nf], scale)), initial=0.0) * size
         stale = jnp.max(jnp.abs(moves.N.T @ r * scale), initial=0.0) > jnp.finfo(r.dtype).eps ** 0.5 * largest
         given = jnp.where(stale & ~jnp.isin(given, jnp.array(NOT_AT_REST)), Status.STALE.value, given)
-    fails = [how_open(model, q) > NEARLY_CLOSED, moves.smallest < SINGULAR_CLOSURES]
+    fails = [how_open(coordinates, q) > NEARLY_CLOSED, moves.smallest < SINGULAR_CLOSURES]
     given = jnp.select(fails, [Status.NOT_CLOSED.value, Status.SINGULAR_CLOSURE.value], given)
     return Linearization(M, C, K, given, state, model, *tilde, *bb, loads, moves)  # pyright: ignore[reportCallIssue]
 

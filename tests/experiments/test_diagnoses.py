@@ -9,6 +9,7 @@ import pytest
 from rigs import plate
 
 import jaxbody as jb
+from jaxbody.models.sizes import size_of
 
 TIMES = np.linspace(0, 4, 201)
 SENSORS = {
@@ -191,3 +192,30 @@ def test_the_sizes_are_those_of_closed_forms(table):
     assert numbers["sag under gravity over the size of the model"][0] == pytest.approx(2 * 9.81 / 800 / 0.5, rel=1e-12)
     for sound in (table, jb.presets.quarter_car()):
         assert jb.plausibility(sound).words == ()
+
+
+def balanced_rack():
+    """A rack that hangs on the spring of its pinion, in closed form: f = sqrt(k/(J + m r^2))/2 pi, and a sag of m g r^2/k."""
+    mass, about, radius, stiffness = 6.0, 0.02, 0.05, 8.0
+    rack, pinion = jb.Body(mass=mass, inertia=[0.01] * 3), jb.Body(mass=1.0, inertia=[about] * 3, position=[0.2, 0, 0])
+    model = jb.Model(
+        bodies={"rack": rack, "pinion": pinion},
+        joints={"rack": jb.Guide("world", axis=[0, 0, -1]), "pinion": jb.Hinge("world", axis="y", at=[0.2, 0, 0])},
+        closures={"mesh": jb.closures.Coupling("rack.q", "pinion.q", ratio=radius)},
+        elements={"spring": jb.Torsion("world", "pinion", axis="y", spring=stiffness)},
+        gravity=[0, 0, -9.81],
+    )
+    return model, np.sqrt(stiffness / (about + mass * radius**2)) / (2 * np.pi), mass * 9.81 * radius**2 / stiffness
+
+
+def test_closed_loops_are_diagnosed_and_their_sizes_are_those_of_closed_forms():
+    model, frequency, sag = balanced_rack()
+    numbers = jb.plausibility(model).numbers
+    assert numbers["first natural frequency"][0] == pytest.approx(frequency, rel=1e-10)
+    assert numbers["sag under gravity over the size of the model"][0] == pytest.approx(sag / float(size_of(model)), rel=1e-10)
+    times, sensors = np.linspace(0, 2, 81), {"height": jb.Position("rack", axis="z")}
+    height = sag * (np.cos(2 * np.pi * frequency * times) - 1)
+    noise = 1e-4 * np.random.default_rng(1).normal(size=81)
+    assert jb.diagnose(model, {"run": jb.Experiment(times, sensors=sensors, measured={"height": height + noise})}).words == ()
+    with pytest.warns(jb.JaxbodyWarning, match=r"thousandths.*GAIN_FACTOR"):
+        jb.diagnose(model, {"run": jb.Experiment(times, sensors=sensors, measured={"height": 1e3 * height + noise})})

@@ -14,6 +14,8 @@ from jaxbody.mechanics.constraints import gaps
 from jaxbody.mechanics.hessians import matrices
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.joints import Joint
+from jaxbody.simulations.simulations import motions_of
+from jaxbody.statics.rest_states import rest_state
 
 G = 9.81
 CRANK, COUPLER, ROCKER, BASE = 0.12, 0.36, 0.24, 0.3
@@ -150,9 +152,24 @@ def test_rest_on_a_base_that_moves_slowly_follows_the_equilibria():
     at_rest = [jb.equilibrium(jb.replace(model, {"base.position": jnp.array([x, 0.0, 0])})).state.q for x in (0.0, h, -h)]
     np.testing.assert_allclose(start.q, at_rest[0], atol=1e-9)
     np.testing.assert_allclose(start.v, speed * (at_rest[1] - at_rest[2]) / (2 * h), rtol=1e-5)
-    displaced = {"base": lambda t: jnp.zeros(6).at[0].set(0.01 + 0 * t)}
-    with pytest.raises(jb.JaxbodyError, match=r"supports of a model with closures are displaced.*CLOSED_LOOPS"):
-        jb.simulate(model, [0.0, 1e-3], motion=displaced, initial="rest")
+
+
+def test_rest_on_a_base_that_is_displaced_and_turns():
+    """q and v of the equilibria of a model drawn with the base there, by differences; the closure is on the base."""
+    model, h = four_bar("foot", support=True), 1e-3
+    place = {"base": lambda t: jnp.array([0.01 + 0.05 * t, 0, 0, 0, 0, 0.1 + 0.3 * t])}
+
+    def drawn(t):
+        turn = 0.05 + 0.15 * t
+        there = {"base.position": jnp.array([0.01 + 0.05 * t, 0.0, 0]), "base.orientation": jnp.array([jnp.cos(turn), 0, 0, jnp.sin(turn)])}
+        return jb.equilibrium(jb.replace(model, there)).state.q
+
+    start = rest_state(model, motions_of(model, place), 0.0)[0]
+    at_rest = [drawn(t) for t in (0.0, h, -h, 2 * h, -2 * h)]
+    np.testing.assert_allclose(start.q, at_rest[0], atol=1e-9)
+    differences = (8 * (at_rest[1] - at_rest[2]) - at_rest[3] + at_rest[4]) / (12 * h)
+    np.testing.assert_allclose(start.v, differences, rtol=1e-6)
+    assert np.abs(start.v).min() > 1e-3
 
 
 def windows(n=2):
