@@ -118,6 +118,12 @@ def closed(model: Model, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     return _searched(closure_gaps, None, model, None, q)
 
 
+def moved(model: Model, q: Float[Array, "nq"], delta: Float[Array, "nv"]) -> Float[Array, "nq"]:
+    """q (+) Delta, and from there, as closures are open after a finite increment, the nearest q in which they are fulfilled."""
+    q = Chart(model).retract(q, delta)
+    return closed(model, q) if model.closures else q
+
+
 def closed_on(coordinates: Coordinates, rests: list[Pose], supports: Frame, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     """The nearest q in which all closures are fulfilled on moved supports, as a function of q and of the model: steps with all their
     derivatives."""

@@ -15,6 +15,7 @@ from test_model_files import again, same_to_the_bit
 
 import jaxbody as jb
 from jaxbody.files.kinds import CLOSURES
+from jaxbody.mechanisms.corners import Corner
 from jaxbody.studies.schema_sections import schema
 
 BAR = jb.Body(mass=0.5, inertia=[1e-3, 2e-3, 2e-3])
@@ -59,7 +60,7 @@ axis = "z"
 
 def four_bar(pin):
     """A four-bar of one freedom, closed by `pin`."""
-    joints = {
+    joints: dict[str, jb.Joint] = {
         "crank": jb.Hinge("world", axis="z"),
         "coupler": jb.Hinge("crank", axis="z", at=[0.04, 0, 0]),
         "rocker": jb.Hinge("world", axis="z", at=[0.1, 0, 0]),
@@ -69,7 +70,11 @@ def four_bar(pin):
 
 def geared(coupling):
     """A rack, a nut with two coordinates and a pinion, of which two are coupled."""
-    joints = {"rack": jb.Guide("world", axis="y"), "nut": jb.Cylindrical("world", axis="x"), "pinion": jb.Hinge("world", axis="x")}
+    joints: dict[str, jb.Joint] = {
+        "rack": jb.Guide("world", axis="y"),
+        "nut": jb.Cylindrical("world", axis="x"),
+        "pinion": jb.Hinge("world", axis="x"),
+    }
     return jb.Model(bodies=dict.fromkeys(joints, BAR), joints=joints, closures={"mesh": coupling})
 
 
@@ -282,7 +287,7 @@ def test_names_and_units_are_checked_before_JAX_is_imported(tmp_path):
 def test_a_corner_of_a_file_has_the_same_curves(tmp_path):
     corner = jb.double_wishbone()
     read = again(corner.model, tmp_path / "corner.toml")
-    curves = [jb.mechanisms.corners.Corner(model, corner.wheel).curves(0.04) for model in (corner.model, read)]
+    curves = [Corner(model, corner.wheel).curves(0.04) for model in (corner.model, read)]
     assert float(curves[0]["camber"][0]) == float(curves[1]["camber"][0])
 
 
