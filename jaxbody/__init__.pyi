@@ -108,6 +108,7 @@ from jaxbody.mechanisms.ready_axles import solid_axle as solid_axle
 from jaxbody.mechanisms.ready_corners import double_wishbone as double_wishbone
 from jaxbody.mechanisms.ready_corners import five_link as five_link
 from jaxbody.mechanisms.ready_corners import macpherson as macpherson
+from jaxbody.mechanisms.wheel_compliances import wheel_compliance as wheel_compliance
 from jaxbody.mechanisms.wheels import Wheel as Wheel
 from jaxbody.models.bodies import Body as Body
 from jaxbody.models.bodies import Support as Support
