@@ -18,6 +18,7 @@ from jaxbody.inference.coverages import Coverage
 from jaxbody.mechanisms.alignment_curves import SuspensionCurves
 from jaxbody.mechanisms.assemblies import Assembly
 from jaxbody.mechanisms.driven_positions import Drive
+from jaxbody.mechanisms.wheel_compliances import WheelCompliance
 from jaxbody.responses.dynamic_stiffnesses import DynamicStiffness
 from jaxbody.shocks.matched_records import MatchedRecord
 from jaxbody.statics.cases import LoadCases
@@ -91,6 +92,7 @@ def made():
         LoadCases(jnp.zeros(1, int), jnp.ones(1), eq.state, eq, x, x, strokes, forces, jnp.array([True]), jnp.array([True]), ("bump",)),
         jb.preload(one), Assembly(looped(), eq.state, jnp.zeros((2, 1)), jnp.ones((1, 6)), jnp.array(0)),
         SuspensionCurves({"x": o[:1]}, {"toe": o[:1]}, {"x": {"toe": o[:1]}}, lin.K[:1], i[:1], model, (Drive("x", 0, "m"),), wheel),
+        WheelCompliance(jnp.ones((5, 5)), jnp.array(0)),
         lin, lin.state_space(shaken, moved), modes, jb.complex_modes(lin), jb.mode_energies(lin), jb.elastic_axes(lin, "box"),
         jb.torque_roll_axis(lin, "box", [1, 0, 0]),
         Backbones(o, lin.K, 0 * i, o, lin.K, lin.K, o, o, o, i, model.layout),
