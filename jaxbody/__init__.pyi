@@ -108,7 +108,6 @@ from jaxbody.mechanisms.ready_axles import solid_axle as solid_axle
 from jaxbody.mechanisms.ready_corners import double_wishbone as double_wishbone
 from jaxbody.mechanisms.ready_corners import five_link as five_link
 from jaxbody.mechanisms.ready_corners import macpherson as macpherson
-from jaxbody.mechanisms.wheel_compliances import wheel_compliance as wheel_compliance
 from jaxbody.mechanisms.wheels import Wheel as Wheel
 from jaxbody.models.bodies import Body as Body
 from jaxbody.models.bodies import Support as Support
@@ -137,6 +136,7 @@ from jaxbody.responses.spectra import Band as Band
 from jaxbody.responses.spectra import CrossPSD as CrossPSD
 from jaxbody.responses.spectra import PowerLaw as PowerLaw
 from jaxbody.responses.spectra import Spectrum as Spectrum
+from jaxbody.responses.wheel_compliances import wheel_compliance as wheel_compliance
 from jaxbody.scenes.shapes import Shape as Shape
 from jaxbody.sensors.attitudes import BodyPose as BodyPose
 from jaxbody.sensors.attitudes import Orientation as Orientation

@@ -17,7 +17,7 @@ from jaxbody.geometry.closures import Ball as BallClosure
 from jaxbody.geometry.closures import Closure, Rod
 from jaxbody.joints.elementary_joints import Ball, Guide, Hinge
 from jaxbody.joints.series_joints import HeavePitchRoll
-from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE, points_of
+from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE, Points, points_of
 from jaxbody.models.bodies import Body, Support
 from jaxbody.models.joints import Joint
 from jaxbody.models.models import Model
@@ -26,7 +26,6 @@ G = 9.81
 ENGAGEMENT = 1e-3  # m, over which a tyre's stiffness builds up
 ARM_INERTIA, UPRIGHT_INERTIA, RACK_INERTIA = (0.08, 0.02, 0.1), (0.6, 1.0, 0.6), (0.1, 0.01, 0.1)  # kg m2
 SIDES = {"l": 1.0, "r": -1.0}
-Points = dict[str, np.ndarray]
 
 
 def full_car_on_double_wishbones(

@@ -18,8 +18,8 @@ from jaxbody.inference.coverages import Coverage
 from jaxbody.mechanisms.alignment_curves import SuspensionCurves
 from jaxbody.mechanisms.assemblies import Assembly
 from jaxbody.mechanisms.driven_positions import Drive
-from jaxbody.mechanisms.wheel_compliances import WheelCompliance
 from jaxbody.responses.dynamic_stiffnesses import DynamicStiffness
+from jaxbody.responses.wheel_compliances import WheelCompliance
 from jaxbody.shocks.matched_records import MatchedRecord
 from jaxbody.statics.cases import LoadCases
 from jaxbody.statics.equilibrium_searches import Equilibria
