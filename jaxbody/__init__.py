@@ -135,6 +135,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.responses.random_responses": ("random_response",),
     "jaxbody.responses.road_spectra": ("Unevenness", "road_profile"),
     "jaxbody.responses.spectra": ("Band", "CrossPSD", "PSD", "PowerLaw", "Spectrum"),
+    "jaxbody.responses.wheel_compliances": ("wheel_compliance",),
     "jaxbody.scenes.shapes": ("Shape",),
     "jaxbody.sensors.attitudes": ("BodyPose", "Orientation"),
     "jaxbody.sensors.gauges": ("Displacement", "LaserDistance", "LaserVibrometer", "StringPotentiometer"),

@@ -136,6 +136,7 @@ from jaxbody.responses.spectra import Band as Band
 from jaxbody.responses.spectra import CrossPSD as CrossPSD
 from jaxbody.responses.spectra import PowerLaw as PowerLaw
 from jaxbody.responses.spectra import Spectrum as Spectrum
+from jaxbody.responses.wheel_compliances import wheel_compliance as wheel_compliance
 from jaxbody.scenes.shapes import Shape as Shape
 from jaxbody.sensors.attitudes import BodyPose as BodyPose
 from jaxbody.sensors.attitudes import Orientation as Orientation

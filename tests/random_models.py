@@ -4,7 +4,8 @@ import hypothesis.strategies as st
 import numpy as np
 
 import jaxbody as jb
-from jaxbody.files.kinds import ELEMENTS, JOINTS
+from jaxbody.files.kinds import CLOSURES, ELEMENTS, JOINTS
+from jaxbody.geometry.closures import AlongAxis
 
 NUMBERS = st.floats(-1e9, 1e9, allow_subnormal=True) | st.sampled_from([-0.0, 5e-324, 1e-300, 0.1, 1 / 3])
 above_zero = st.floats(1e-9, 1e9)
@@ -105,3 +106,28 @@ def models(draw, numbers=NUMBERS):
         "elements": {f"element {i}": element(kind) for i, kind in enumerate(kinds)},
         "gravity": draw(points),
     }
+
+
+@st.composite
+def models_with_closures(draw):
+    """The arguments of a Model with closures of every kind."""
+    parts = draw(models(st.floats(-10, 10)))
+    points = st.lists(st.floats(-10, 10), min_size=3, max_size=3)
+    directions = points.filter(lambda x: np.linalg.norm(x) > 1e-3)
+    frames = [*parts["bodies"], *parts["supports"], "world"]
+    layout = jb.Model(**parts).layout
+    coordinates = list(layout.coordinate_places)
+
+    def closure(kind):
+        if kind is jb.closures.Coupling:
+            of, by = draw(st.lists(st.sampled_from(coordinates), min_size=2, max_size=2, unique=True))
+            law = draw(st.none() | SIMPLE_LAWS | st.lists(SIMPLE_LAWS, min_size=2, max_size=3).map(lambda laws: jb.laws.Sum(*laws)))
+            return kind(of, by, ratio=draw(NUMBERS)) if law is None else kind(of, by, function=law)
+        names = draw(st.lists(st.sampled_from(frames), min_size=2, max_size=2, unique=True))
+        more = {"axis": draw(directions)} if issubclass(kind, AlongAxis) else {}
+        more |= {"length": draw(st.none() | above_zero)} if kind is jb.closures.Rod else {}
+        return kind(*zip(names, (draw(points), draw(points)), strict=True), **more)
+
+    known = [kind for kind in CLOSURES if kind is not jb.closures.Coupling or len(coordinates) > 1]
+    kinds = draw(st.lists(st.sampled_from(known), min_size=1, max_size=4))
+    return parts | {"closures": {f"closure {i}": closure(kind) for i, kind in enumerate(kinds)}}

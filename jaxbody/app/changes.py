@@ -9,13 +9,13 @@ from typing import Any
 from jaxbody.core.errors import JaxbodyError, Problem, unknown
 from jaxbody.files.documents import Document, EntryPath
 
-SECTIONS = ("bodies", "supports", "elements")  # whose names are unique in a model
+SECTIONS = ("bodies", "supports", "elements", "closures")  # whose names are unique in a model
 
 
 def set_value(document: Document, text: str) -> None:
-    """Set an entry by a text, "left.stiffness=30 N/mm": the name of a body, support or element and the entries below it, or those of
-    another section, "motion.road.frequency", "records.run1.file". With * and ? in the name of a body, support or element, which match as
-    in file names, it is set for all that have it. Errors: SYNTAX, UNKNOWN_NAME."""
+    """Set an entry by a text, "left.stiffness=30 N/mm": the name of a body, support, element or closure and the entries below it, or those
+    of another section, "motion.road.frequency", "records.run1.file". With * and ? in the name of the first kind, which match as in file
+    names, it is set for all that have it. Errors: SYNTAX, UNKNOWN_NAME."""
     path, sign, value = text.partition("=")
     name, *below = path.strip().split(".")
     if not sign or not (below or name == "gravity"):

@@ -16,7 +16,7 @@ from jaxbody.core import units
 from jaxbody.core.errors import Problems
 from jaxbody.core.source_files import writing
 from jaxbody.files.documents import Document, EntryPath
-from jaxbody.files.kinds import PLAIN, TYPES, arguments_of
+from jaxbody.files.kinds import arguments_of, class_of
 from jaxbody.files.quantities import NUMBERS, UnitSystem, times, unit_system
 from jaxbody.files.writers import numbers_of
 from jaxbody.models.bodies import Body
@@ -61,10 +61,10 @@ def _place(values: dict[str, Any], path: str) -> EntryPath | None:
     if not parts:
         return (name,)
     of_body = {argument.field for argument in arguments_of(Body)}
-    sections = ("bodies", "supports", "elements") if parts[0] in of_body else ("joints", "elements")
+    sections = ("bodies", "supports", "elements") if parts[0] in of_body else ("joints", "elements", "closures")
     section = next(section for section in sections if name in values.get(section, {}))
     table = values[section][name]
-    kind = PLAIN.get(section) or TYPES.get(table["type"])
+    kind = class_of(section, table.get("type"))
     arguments = arguments_of(kind) if kind else ()
     ends = dict(zip("abc", (each.name for each in arguments if each.role == "end"), strict=False))
     if parts[0] in ends:

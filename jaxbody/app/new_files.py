@@ -113,6 +113,7 @@ discomfort = {type = "comfort", weights = {reading = "Wk"}}
 travel = {type = "stroke", sensor = "travel"}""",
         unit="g",
     ),
+    "full_car_on_double_wishbones": Start("1.33, 1.55", 'reading = {type = "Acceleration", on = "car", axis = "z"}', "car.mass", unit="g"),
     "engine_on_mounts": Start(
         "7.5, 8.63",
         'reading = {type = "Position", on = "engine", axis = "z"}',

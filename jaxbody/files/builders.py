@@ -17,10 +17,12 @@ import numpy as np
 from jaxbody.core import units
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.elements.elements import Element
+from jaxbody.files.coordinate_units import by_name, owner, words_of_coupling
 from jaxbody.files.documents import Document, EntryPath, shown
-from jaxbody.files.kinds import PLAIN, SECTIONS, TYPES, Argument, arguments_of, object_schema
+from jaxbody.files.kinds import CLOSURES, PLAIN, SECTIONS, TYPES, Argument, arguments_of, class_of, object_schema
 from jaxbody.files.quantities import in_SI
 from jaxbody.files.schemas import Check
+from jaxbody.geometry.closures import Closure, Coupling
 from jaxbody.geometry.fields import in_domain, kind_of
 from jaxbody.geometry.orientations import Euler
 from jaxbody.geometry.places import direction
@@ -28,7 +30,7 @@ from jaxbody.inputs.base_motions import base_motion
 from jaxbody.inputs.loads import Load
 from jaxbody.inputs.motions import Motion, Sampled
 from jaxbody.inputs.signals import Samples, Signal
-from jaxbody.laws.laws import Law, Sum
+from jaxbody.laws.laws import Law, Linear, Sum
 from jaxbody.laws.measured_curves import Table
 from jaxbody.models.joints import Joint
 from jaxbody.models.models import Model
@@ -38,7 +40,7 @@ from jaxbody.sensors.sensors import Sensor
 
 IN_PLACE = ("file", "part")  # entries of a record that are no arguments of read_record
 MORE_THAN_A_TURN = r".* rad, more than a turn; if it is in degrees"
-PLACE = re.compile(r"(bodies|supports|joints|elements)\['(.*?)'\]|(gravity)")
+PLACE = re.compile(r"(bodies|supports|joints|elements|closures)\['(.*?)'\]|(gravity)")
 
 
 class Builder:
@@ -48,14 +50,17 @@ class Builder:
         self.document, self.values, self.folder, self.allow = document, values, folder, allow
         self.problems = Problems()
         self.check = Check(document, self.problems)  # of what is known only when a class of the user's is imported
+        self.with_own_joints: set[str] = set()  # bodies
         self.records: dict[str, Record | None] = {}  # each is read once, when something needs it
         self.files: list[Path] = []  # that are read
 
     def model(self) -> Model:
-        parts: dict[str, Any] = {
-            name: {key: self.thing(value, PLAIN.get(name), (name, key), {}) for key, value in self.values.get(name, {}).items()}
-            for name in SECTIONS
-        }
+        parts: dict[str, Any] = {}
+        for name in SECTIONS:
+            tables = self.values.get(name, {})
+            parts[name] = {key: self.thing(value, class_of(name, value.get("type")), (name, key), {}) for key, value in tables.items()}
+            if name == "joints":
+                self.know_coordinates(parts[name])
         self.problems.raise_if_any()
         if "gravity" in self.values:
             parts["gravity"] = self.values["gravity"]
@@ -63,6 +68,14 @@ class Builder:
             return Model(**parts)
         except JaxbodyError as error:
             raise JaxbodyError(*map(self.placed_in_model, error.problems)) from None
+
+    def know_coordinates(self, joints: dict[str, Joint | None]) -> None:
+        """Complete the coordinates that are known by those of joints of the user's own."""
+        own, self.check.own_joints = self.check.own_joints, set()
+        for body in own:
+            joint = joints[body]
+            self.check.coordinates |= by_name(body, joint.block(body).q_units) if joint else {}
+        self.with_own_joints = own
 
     def thing(self, values: Any, kind: type | None, path: EntryPath, words: dict[str, str]) -> Any:
         """An object of a class, which the values name where it is not given."""
@@ -72,10 +85,13 @@ class Builder:
             kind = self.own(values["type"], path)
             if kind is None:
                 return None
-            before = len(self.problems.collected)
-            values = self.check.value(values, object_schema(kind, values["type"]), path, words)
-            if len(self.problems.collected) > before:
-                return None
+            values = self.checked(values, object_schema(kind, values["type"]), path, words)
+        if kind is Coupling:
+            if {owner(values["of"]), owner(values["by"])} & self.with_own_joints:
+                values = self.checked(values, object_schema(kind, values["type"]), path, words)
+            words = words_of_coupling(values or {}, self.check.coordinates) or {}
+        if values is None:
+            return None
         if kind is Table and set(values) != {"type", "x", "forces"}:
             return self.table(values, path)
         given = {
@@ -87,7 +103,8 @@ class Builder:
 
     def value(self, value: Any, argument: Argument, path: EntryPath, words: dict[str, str]) -> Any:
         if argument.role == "law":
-            return self.law(value, path, words)
+            law = self.law(value, path, words)
+            return Linear(law) if argument.name == "function" and isinstance(law, float) else law  # a number would be its ratio
         if argument.role == "signal":
             return self.signal(value, path, words)
         if argument.role == "pulse":
@@ -97,6 +114,12 @@ class Builder:
         if isinstance(value, dict):
             return self.problems.gather(lambda: Euler(value["sequence"], value["angles"]))
         return tuple(value) if argument.role == "words" else value
+
+    def checked(self, values: Any, node: dict[str, Any], path: EntryPath, words: dict[str, str]) -> Any:
+        """Values that the check of the document left as they are, in SI; None with a problem."""
+        before = len(self.problems.collected)
+        values = self.check.value(values, node, path, words)
+        return values if len(self.problems.collected) == before else None
 
     def law(self, value: Any, path: EntryPath, words: dict[str, str]) -> Any:
         if isinstance(value, list):
@@ -215,9 +238,9 @@ class Builder:
     def own(self, name: str, path: EntryPath) -> type | None:
         """A class of the user's from a module that is allowed."""
         kind = self.own_object(name, path)
-        if kind is None or (inspect.isclass(kind) and issubclass(kind, Element | Joint | Law | Load | Sensor | Signal)):
+        if kind is None or (inspect.isclass(kind) and issubclass(kind, Element | Joint | Closure | Law | Load | Sensor | Signal)):
             return kind
-        message = f"names '{name}', which is no element, joint, law, load, motion or sensor"
+        message = f"names '{name}', which is no element, joint, closure, law, load, motion or sensor"
         self.problems.add("UNKNOWN_NAME", self.document.where((*path, "type")), message, value=name)
         return None
 
@@ -266,7 +289,7 @@ def in_words_of_files(text: str) -> str:
 
 def _made(kind: type, given: dict[str, Any]) -> Any:
     """An object by its constructor. The constructor of a user's class may check nothing: numbers become arrays, and are checked."""
-    if kind in TYPES.values() or kind in PLAIN.values():
+    if kind in (*TYPES.values(), *CLOSURES, *PLAIN.values()):
         return kind(**given)
     numbers = {each.name for each in arguments_of(kind) if each.role == "number"}
     made = kind(**{name: np.asarray(value, float) if name in numbers else value for name, value in given.items()})

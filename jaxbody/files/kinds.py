@@ -7,7 +7,7 @@ import inspect
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, cast
 
 from jaxbody.elements.bushings import Bushing
 from jaxbody.elements.contacts import Contact, Tyre
@@ -15,6 +15,7 @@ from jaxbody.elements.inerters import Inerter
 from jaxbody.elements.mounts import Mount
 from jaxbody.elements.springs import Spring, SpringDamper
 from jaxbody.elements.torsions import AntiRollBar, Torsion
+from jaxbody.geometry import closures
 from jaxbody.geometry.fields import Kind
 from jaxbody.geometry.places import DIRECTIONS
 from jaxbody.inputs.base_motions import base_motion
@@ -36,6 +37,7 @@ from jaxbody.sensors.sensors import Sensor
 
 JOINTS = (Free, Fixed, Guide, Hinge, Ball, Universal, Cylindrical, Planar, Composite, Translation, HeavePitch, HeavePitchRoll)
 ELEMENTS = (Spring, SpringDamper, Bushing, Mount, Torsion, AntiRollBar, Contact, Tyre, Inerter)
+CLOSURES = (closures.Ball, closures.Hinge, closures.Guide, closures.Inline, closures.Weld, closures.Rod, closures.Coupling)
 LAWS = (
     laws.Linear, laws.TwoSided, spring_laws.Polynomial, spring_laws.Stop, spring_laws.TensionOnly, spring_laws.AirSpring,
     damper_laws.Digressive, damper_laws.Friction, measured_curves.Table, rubber_laws.Maxwell, hysteresis_laws.BoucWen,
@@ -53,11 +55,13 @@ SENSORS = (
     attitudes.Orientation,
 )  # fmt: skip
 TYPES = {kind.__name__: kind for kind in (*JOINTS, *ELEMENTS, *LAWS, *MOTIONS, *PULSES, *LOADS, *INPUTS, *SENSORS, Sine)}
+CLOSURE_TYPES = {kind.__name__: kind for kind in CLOSURES}  # some are called as joints are
 FROM_RECORDS = {"Sampled": Sampled, "base_motion": base_motion, "Samples": Samples}  # what is made of channels of a record
 FIELDS: dict[tuple[type, str], str] = {  # of arguments that are not named as the field is
     (Contact, "distance"): "free_length",
     (PointForce, "direction"): "axis",
 }
+COUPLED = {"of": "coordinate", "by": "coordinate", "function": "law"}  # roles of the arguments of a coupling
 FORMULAS = {"powers": "force/argument^n"}
 LIMITS = {"nonnegative": {"minimum": 0}, "positive": {"exclusiveMinimum": 0}, "fraction": {"minimum": 0, "maximum": 1}}
 PLAIN_TYPES = {"word": "string", "words": "array", "whole": "integer", "flag": "boolean", "own": ["number", "array", "string"]}
@@ -70,6 +74,7 @@ SECTIONS = {
     "supports": "Bodies by name whose motion is imposed.",
     "joints": "Joints by the name of the body that each carries. A body without a joint is free.",
     "elements": "Springs, dampers and contacts by name.",
+    "closures": "Joints and rods that close loops, and couplings of coordinates, by name.",
 }
 
 
@@ -78,7 +83,7 @@ class Argument:
     """An argument of a class in a file, and the field of the object that holds it.
 
     `role`: number, own (a number in the unit of its owner), end (a name and a point), law, signal, pulse, direction, of_input (a direction,
-    or a turn about one), name_of (a body, an element), word, words, whole or flag."""
+    or a turn about one), frame, element, coordinate (their names), word, words, whole or flag."""
 
     name: str
     role: str
@@ -92,6 +97,16 @@ class Argument:
     @property
     def required(self) -> bool:
         return self.default is inspect.Parameter.empty
+
+
+def class_of(section: str, type_name: Any = None) -> type | None:
+    """The class of an object in a section; None for one of the user's."""
+    return PLAIN.get(section) or (CLOSURE_TYPES if section == "closures" else TYPES).get(type_name)
+
+
+def definition_of(section: str, type_name: Any = None) -> str:
+    """The name of the schema of an object in a section."""
+    return {"bodies": "body", "supports": "support", "closures": f"closure {type_name}"}.get(section, str(type_name))
 
 
 @functools.cache
@@ -123,11 +138,13 @@ def _parameters(kind: type) -> dict[str, inspect.Parameter]:
 
 
 def _role(kind: type, name: str, annotation: str, metadata: Any) -> str:
-    spans = kind in ELEMENTS or issubclass(kind, gauges.Gauge)
+    spans = kind in (*ELEMENTS, *CLOSURES) or issubclass(kind, gauges.Gauge)
     if (name in ("a", "b") and spans) or (name == "on" and issubclass(kind, Load)):
         return "end"
     if name in ("on", "parent", "relative_to"):
         return "element" if issubclass(kind, instruments.OfElement) else "frame"
+    if kind is closures.Coupling and name in COUPLED:
+        return COUPLED[name]
     if kind in INPUTS and name in ("axis", "direction"):
         return "of_input"
     for word, role in (("Law", "law"), ("Signal", "signal"), ("Pulse", "pulse")):
@@ -166,7 +183,17 @@ def object_schema(kind: type, type_name: str = "") -> dict[str, Any]:
         properties["file"] = {"type": "string", "description": "A text file of two columns with units, in the folder of the model file."}
         required = []
     about = (inspect.getdoc(kind) or "").partition("\n\n")[0]
-    return table_schema(about, [*(["type"] if type_name else []), *required], properties)
+    return table_schema(about, [*(["type"] if type_name else []), *required], properties) | _coordinates(kind)
+
+
+def _coordinates(kind: type) -> dict[str, Any]:
+    """What the schema of a joint says of its coordinates: their units, "" for those of a quaternion, or the entry that states its steps;
+    and that of a coupling, that units in it depend on these."""
+    if kind is closures.Coupling:
+        return {"couples": True}
+    if kind not in JOINTS:
+        return {}
+    return {"coordinates": "steps" if kind is Composite else list(kind.block(cast(Any, kind), "").q_units)}
 
 
 def argument_schema(argument: Argument) -> dict[str, Any]:
@@ -176,7 +203,7 @@ def argument_schema(argument: Argument) -> dict[str, Any]:
         return {"$ref": "#/$defs/end", **about}
     if argument.role in ("law", "signal", "pulse"):
         return {"$ref": f"#/$defs/{argument.role}", **about, **({"words": dict(argument.words)} if argument.words else {})}
-    if argument.role in ("frame", "element"):
+    if argument.role in ("frame", "element", "coordinate"):
         return named(argument.role) | about
     if argument.role in ("direction", "of_input"):
         return (DIRECTION if argument.role == "direction" else OF_INPUT) | about
@@ -194,7 +221,7 @@ def argument_schema(argument: Argument) -> dict[str, Any]:
 
 
 def named(what: str) -> dict[str, Any]:
-    """The schema of a name: of a frame (a body, a support or the world), an element, a record, a sensor."""
+    """The schema of a name: of a frame (a body, a support or the world), an element, a coordinate, a record, a sensor."""
     return {"type": "string", "name_of": what}
 
 

@@ -24,7 +24,7 @@ def read_model(path: Any, *, allow: Sequence[str] = (), largest: float = LARGEST
 
     Args:
         path: path of the file, .toml or .json
-        allow: names of your modules whose elements, joints and laws the file may use: type = "mine.laws:Cubic"
+        allow: names of your modules whose elements, joints, closures and laws the file may use: type = "mine.laws:Cubic"
         largest: largest size of the file [bytes]
 
     Errors: NO_FILE, IS_DIRECTORY, NOT_A_FILE, EMPTY_FILE, TOO_LARGE, ENCODING, UNKNOWN_FORMAT, SYNTAX, DUPLICATE_NAME, FILE_VERSION,
@@ -56,7 +56,7 @@ def write_model(model: Model, path: Any, *, allow: Sequence[str] = ()) -> None:
     Args:
         model: the model; the file replaces one of the same name
         path: path of the file, .toml or .json
-        allow: names of your modules whose elements, joints and laws may be written by name
+        allow: names of your modules whose elements, joints, closures and laws may be written by name
 
     Errors: UNKNOWN_FORMAT, OWN_CODE, NOT_ALLOWED, BAD_SHAPE for a batch of models, TRACED, NOT_SAVED.
 

@@ -1,7 +1,8 @@
 """The check of a document against the schema of model files: known names, required entries, numbers in SI. It needs no JAX.
 
 The schema is JSON schema, which editors use as well, with the words `unit` (of the numbers of an entry), `words` (what the words of
-units stand for below it) and `name_of` (what a name is that of).
+units stand for below it), `name_of` (what a name is that of), `coordinates` (of a joint, their units) and `couples` (whether the words of
+units depend on the coordinates that it names).
 """
 
 from __future__ import annotations
@@ -13,12 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, unknown
+from jaxbody.files.coordinate_units import coordinate_units, owner, with_own_joints, words_of_coupling
 from jaxbody.files.documents import Document, EntryPath
 from jaxbody.files.quantities import in_SI, unit_system
 
 VERSION = 1
 SCHEMA_FILE = Path(__file__).with_name("schema.json")
 TYPES = {"string": str, "boolean": bool, "number": (int, float), "integer": int, "array": list, "object": dict}
+ANYTHING = {"type": list(TYPES)}
 CALLED = {
     "string": "a text",
     "boolean": "true or false",
@@ -65,6 +68,8 @@ class Check:
         self.document, self.problems = document, problems
         self.system = unit_system(document.values.get("units"), document.where(("units",)), problems)
         frames = (*self.names("bodies"), *self.names("supports"), "world")
+        self.coordinates = coordinate_units(document.values, schema()["$defs"])
+        self.own_joints = with_own_joints(document.values)
         self.known = {"frame": frames} | {name.removesuffix("s"): self.names(name) for name in ("elements", "records", "sensors")}
 
     def names(self, section: str) -> tuple[str, ...]:
@@ -84,13 +89,16 @@ class Check:
             self.wrong_kind(value, node, path)
             return value
         if isinstance(value, dict):
-            return self.table(value, node, path, words)
+            return self.coupling(value, node, path) if "couples" in node else self.table(value, node, path, words)
         if isinstance(value, list):
             self.count(value, node, path)
             return [self.value(x, of, (*path, i), words) for i, (x, of) in enumerate(zip(value, _items(node, len(value)), strict=True))]
         kind = node.get("name_of")
-        if kind and value not in self.known[kind]:
-            problem, what = unknown(value, self.document.where(path), self.known[kind]), "body or support" if kind == "frame" else kind
+        if kind == "coordinate" and owner(value) in self.own_joints:
+            return value
+        known = tuple(self.coordinates) if kind == "coordinate" else self.known[kind] if kind else ()
+        if kind and value not in known:
+            problem, what = unknown(value, self.document.where(path), known), "body or support" if kind == "frame" else kind
             code = "UNKNOWN_BODY" if kind == "frame" else problem.code
             self.problems.add(code, problem.where, f"{what} {problem.message}", value=value, hint=problem.hint)
         if value not in node.get("enum", [value]):
@@ -127,6 +135,13 @@ class Check:
             else:
                 self.problems.collected.append(unknown(name, self.document.where((*path, name)), tuple(known)))
         return values
+
+    def coupling(self, value: dict[str, Any], node: dict[str, Any], path: EntryPath) -> dict[str, Any]:
+        """A coupling, whose units are those of its coordinates; where these are not known, only its names are checked."""
+        words = words_of_coupling(value, self.coordinates)
+        if words is None:
+            node = node | {"properties": {name: of if "name_of" in of else ANYTHING for name, of in node["properties"].items()}}
+        return self.table(value, node, path, words or {})
 
     def alternative(self, value: Any, node: dict[str, Any], path: EntryPath) -> dict[str, Any] | None:
         """The one of several schemas that a value is meant for; None with a problem, and for a class of the user's, which is checked when
@@ -178,4 +193,4 @@ def _types(node: dict[str, Any]) -> list[str]:
 def _items(node: dict[str, Any], n: int) -> list[dict[str, Any]]:
     """The schemas of n items; those beyond the ones that are stated may be anything, and are refused where the object is made."""
     first = node.get("prefixItems", [])
-    return [*first, *[node.get("items", {"type": list(TYPES)})] * n][:n]
+    return [*first, *[node.get("items", ANYTHING)] * n][:n]

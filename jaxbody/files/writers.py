@@ -12,13 +12,14 @@ import tomlkit
 from jaxbody.core.arrays import is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems
 from jaxbody.core.units import si_words
-from jaxbody.files.kinds import ELEMENTS, PLAIN, SECTIONS, TYPES, Argument, arguments_of
+from jaxbody.files.coordinate_units import coordinate_units, words_of_coupling
+from jaxbody.files.kinds import CLOSURES, ELEMENTS, PLAIN, SECTIONS, TYPES, Argument, arguments_of, definition_of
 from jaxbody.files.quantities import dimension
 from jaxbody.files.schemas import VERSION, schema
+from jaxbody.geometry.closures import Equation
 from jaxbody.laws.laws import Function, Law, Linear, Sum
 from jaxbody.models.joints import Free
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import refuse_closures
 
 IN_LINE = 8  # items
 SMALL = 3  # rows of a matrix in one line
@@ -35,7 +36,6 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
     if model.gravity.ndim > 1:
         hint = "Write one of them: jax.tree.map(lambda x: x[0], models)."
         raise JaxbodyError(Problem("BAD_SHAPE", "write_model", f"is a batch of {len(model.gravity)} models", limit="one model", hint=hint))
-    refuse_closures("write_model", model)
     layout, writer = model.layout, Writer(allow)
     joints = {name: model.joint(name) for name in layout.bodies}
     sections: dict[str, dict[str, Any]] = {
@@ -43,6 +43,7 @@ def values_of(model: Model, allow: Sequence[str] = ()) -> dict[str, Any]:
         "supports": {name: model[name] for name in layout.supports},
         "joints": {name: joint for name, joint in joints.items() if not (type(joint) is Free and joint.parent == "world")},
         "elements": {name: model[name] for name in model.element_names},
+        "closures": {name: model[name] for name in model.closure_names},
     }
     values = {name: {key: writer.table(thing, f"{name}.{key}") for key, thing in things.items()} for name, things in sections.items()}
     writer.problems.raise_if_any()
@@ -58,9 +59,9 @@ class Writer:
 
     def type_of(self, thing: Any, where: str) -> str:
         kind = type(thing)
-        if kind in TYPES.values():
+        if kind in (*TYPES.values(), *CLOSURES):
             return kind.__name__
-        if isinstance(thing, Function) or "<locals>" in kind.__qualname__:
+        if isinstance(thing, Function | Equation) or "<locals>" in kind.__qualname__:
             hint = f"{NOT_IN_FILES} Write a class in a module of yours, and name the module in allow=[...]."
             self.problems.add("OWN_CODE", where, f"is a {kind.__name__} of your own Python", value=thing, hint=hint)
         elif kind.__module__ not in self.allow:
@@ -70,7 +71,7 @@ class Writer:
 
     def table(self, thing: Any, where: str) -> dict[str, Any]:
         values: dict[str, Any] = {} if type(thing) in PLAIN.values() else {"type": self.type_of(thing, where)}
-        ends = iter(zip(thing.between, thing.points, strict=True) if type(thing) in ELEMENTS else ())
+        ends = iter(zip(thing.between, thing.points, strict=True) if type(thing) in (*ELEMENTS, *CLOSURES) else ())
         for argument in arguments_of(type(thing)):
             if argument.role == "end":
                 name, point = next(ends)
@@ -84,12 +85,13 @@ class Writer:
     def value(self, value: Any, argument: Argument, where: str) -> Any:
         if isinstance(value, Law):
             return self.law(value, where)
-        if argument.role in ("frame", "word", "flag"):
+        if argument.role in ("frame", "coordinate", "word", "flag"):
             return value
         if argument.role == "words":
             return list(value)
         if not hasattr(value, "dtype"):
-            self.problems.add("OWN_CODE", where, f"is a {type(value).__name__}", value=value, hint=NOT_IN_FILES)
+            kind = "function" if callable(value) else type(value).__name__
+            self.problems.add("OWN_CODE", where, f"is a {kind}", value=value, hint=NOT_IN_FILES)
             return 0.0
         numbers = numbers_of(value)
         if argument.kind.domain == "inertia" and _same(value, np.diag(np.diag(value))):
@@ -124,7 +126,7 @@ def _same(value: Any, default: Any) -> bool:
 def toml_of(values: dict[str, Any], units: bool = False) -> str:
     """The text of a document: a table for each body and element, a line for each support and joint. `units`: with the unit of the numbers
     in each line."""
-    document = tomlkit.document()
+    document, coordinates = tomlkit.document(), coordinate_units(values, schema()["$defs"])
     for name, value in values.items():
         if name not in SECTIONS:
             document.add(name, _with_unit(value, schema()["properties"][name]) if units else value)
@@ -134,16 +136,17 @@ def toml_of(values: dict[str, Any], units: bool = False) -> str:
             if name in SHORT:
                 section.add(tomlkit.key(key), _item(entries))
                 continue
-            nodes = schema()["$defs"].get("body" if name == "bodies" else entries["type"], {"properties": {}})["properties"]
+            definition = schema()["$defs"].get(definition_of(name, entries.get("type")), {"properties": {}})
+            nodes, words = definition["properties"], words_of_coupling(entries, coordinates) or {}
             table = tomlkit.table()
             for entry, content in entries.items():
-                table.add(entry, _with_unit(content, nodes.get(entry, {})) if units else _item(content))
+                table.add(entry, _with_unit(content, nodes.get(entry, {}), words) if units else _item(content))
             section.add(tomlkit.key(key), table)
         document.add(name, section)
     return tomlkit.dumps(document)
 
 
-def _with_unit(value: Any, node: dict[str, Any]) -> Any:
+def _with_unit(value: Any, node: dict[str, Any], words: dict[str, str] | None = None) -> Any:
     """The item of a value, with the unit of its numbers as a comment."""
     item, unit = _item(value), node.get("unit", "")
     if node.get("$ref") == "#/$defs/end":
@@ -153,7 +156,7 @@ def _with_unit(value: Any, node: dict[str, Any]) -> Any:
     elif ";" in unit and isinstance(value[0], list):
         return item.comment(f"in blocks {unit}")
     unit = unit.partition(",")[0]
-    return item.comment(si_words(dimension(unit, node.get("words", {})))) if unit else item
+    return item.comment(si_words(dimension(unit, (words or {}) | node.get("words", {})))) if unit else item
 
 
 def _item(value: Any) -> Any:

@@ -268,7 +268,7 @@ class Coupling(Closure):
 
     of: str = field(static=True)
     by: str = field(static=True)
-    ratio: Float[Array, ""] | None = field()
+    ratio: Float[Array, ""] | None = field("force/argument")  # as in laws: of x by y
     function: Any = field()
     rows: tuple[str, ...] = field(static=True)  # pyright: ignore[reportIncompatibleVariableOverride]
 

@@ -48,6 +48,7 @@ class SuspensionCurves(Labeled, Result):
     status: Int[Array, "n"]
     model: Model
     drives: tuple[Drive, ...]
+    wheel: Wheel
 
     def __getitem__(self, name: str) -> Float[Array, "n"]:
         if name not in self.curves:
@@ -261,7 +262,7 @@ def _curves(model: Model, drives: tuple[Drive, ...], targets: Float[Array, "n nd
     }
     q = jnp.where(lost[:, None], jnp.nan, q)
     over: dict[str, Any] = dict(zip(names, targets.T, strict=True))
-    return SuspensionCurves(over=over, curves=values, slopes=by_drive, q=q, status=status, model=model, drives=drives)
+    return SuspensionCurves(over=over, curves=values, slopes=by_drive, q=q, status=status, model=model, drives=drives, wheel=wheel)
 
 
 def _with_value(function):

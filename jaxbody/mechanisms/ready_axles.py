@@ -86,7 +86,7 @@ def solid_axle(
     0.04
     """
     with Problems() as problems:
-        points = points_of(SOLID_AXLE, hard_points, "solid_axle", problems)
+        points = points_of(SOLID_AXLE, hard_points, "solid_axle.hard_points", problems)
     center = (points["left wheel center"] + points["right wheel center"]) / 2
     springs = {
         f"{side} spring": spring_between("axle", points[f"{side} spring lower"], points[f"{side} spring upper"], stiffness, force)

@@ -152,7 +152,7 @@ def five_link(hard_points: Points | None = None, *, stiffness=30e3, force=4000.0
 def _points(source: Points, given: Points | None, where: str) -> dict[str, Any]:
     """All hard points: those of the source, and in their place those that are given, on one side of the car."""
     with Problems() as problems:
-        points = points_of(source, given, where, problems)
+        points = points_of(source, given, f"{where}.hard_points", problems)
         if not problems.collected and is_concrete(points):
             _check_side(points, given or {}, where, problems)
     return points
@@ -162,7 +162,7 @@ def points_of(source: Points, given: Points | None, where: str, problems: Proble
     """The hard points of the source, and in their place those that are given. Errors: UNKNOWN_NAME, BAD_SHAPE, NON_FINITE."""
     points: dict[str, Any] = {name: np.asarray(point) for name, point in source.items()}
     for name, point in (given or {}).items():
-        place = f"{where}.hard_points['{name}']"
+        place = f"{where}['{name}']"
         if name not in source:
             problems.collected.append(unknown(name, place, tuple(source)))
             continue

@@ -14,8 +14,11 @@ from jaxbody.core.tables import without_dust
 from jaxbody.elements.contacts import Tyre
 from jaxbody.elements.elements import LineElement
 from jaxbody.elements.inerters import Inerter
+from jaxbody.geometry.closures import Coupling, Equation, Inline
+from jaxbody.geometry.closures import Guide as GuideClosure
 from jaxbody.geometry.frames import Pose
 from jaxbody.joints.elementary_joints import Guide
+from jaxbody.mechanics.free_motions import moved as moved_by
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import WORLD
 from jaxbody.models.models import Model
@@ -62,7 +65,7 @@ def draw_model(
     check_known(tuple(displaced or ()), model.layout.supports, "draw_model.displaced")
     for name, value in (displaced or {}).items():
         xi[model.layout.supports.index(name)] = value
-    scene = Scene(model, _poses_at(model, state.q, np.zeros(model.layout.nv), xi))
+    scene = Scene(model, _poses_at(model, state.q, xi))
     look = projection(view, model, [scene])
     ax = _axes(ax, [scene], look)
     _draw(ax, scene, look, scene.size(look))
@@ -99,7 +102,8 @@ def draw_mode(
     shape = np.real(np.asarray(modes.shapes)[: model.layout.nv, number - 1])
 
     def moved(factor: float) -> Scene:
-        return Scene(model, _poses_at(model, lin.state.q, factor * shape, np.zeros((len(model.layout.supports), 6))))
+        q = _moved(model, lin.state.q, jnp.asarray(factor * shape, model.gravity.dtype))
+        return Scene(model, _poses_at(model, q, np.zeros((len(model.layout.supports), 6))))
 
     rest = moved(0.0)
     size = rest.size(np.eye(3))
@@ -129,6 +133,7 @@ class Scene:
     points: dict[str, np.ndarray] = field(init=False)
     pivots: dict[str, tuple[np.ndarray, str]] = field(init=False)  # position and parent of each body's joint
     ends: dict[str, tuple[np.ndarray, np.ndarray]] = field(init=False)
+    joined: dict[str, tuple[np.ndarray, np.ndarray]] = field(init=False)  # the points of closures
     centers: dict[str, np.ndarray] = field(init=False)  # of mass
 
     def __post_init__(self):
@@ -144,16 +149,24 @@ class Scene:
             links |= dict(zip(table.names, table.links, strict=True))
             for name, link, a, b in zip(table.names, table.links, *(np.asarray(x) for x in table.rows.points[:2]), strict=True):
                 self.ends[name] = (in_world(link[0], a), in_world(link[1], b))
+        self.joined = {}
+        for table in self.model.closures:
+            for name, link in zip(table.names, table.links, strict=True):
+                closure = table.row(name)
+                if not isinstance(closure, Coupling | Equation):  # which have no place
+                    self.joined[name], links[name] = (in_world(link[0], closure.a), in_world(link[1], closure.b)), link
         self.centers = {name: in_world(name, self.model[name].com) for name in layout.bodies}
         parents = {name: parent for name, parent in zip(layout.bodies, layout.parents, strict=True) if layout.block(name).nv < 6}
         joints = {name: self.model.joint(name).at for name in parents}
         self.pivots = {name: (pose[name][0] if at is None else in_world(parents[name], at), parents[name]) for name, at in joints.items()}
-        attached = [place for name, ends in self.ends.items() for place in zip(links[name][:2], ends, strict=True)]
+        attached = [place for name, ends in (self.ends | self.joined).items() for place in zip(links[name][:2], ends, strict=True)]
         attached += [*self.centers.items(), *((frame, at) for name, (at, parent) in self.pivots.items() for frame in (name, parent))]
         self.points = {name: np.array([at for frame, at in attached if frame == name] or [pose[name][0]]) for name in layout.frames}
 
     def all_points(self) -> np.ndarray:
-        return np.concatenate([rows for name, rows in self.points.items() if name != WORLD or len(self.ends) + len(self.pivots)])
+        return np.concatenate(
+            [rows for name, rows in self.points.items() if name != WORLD or len(self.ends) + len(self.joined) + len(self.pivots)]
+        )
 
     def size(self, look: np.ndarray) -> float:
         """The longer side of the box around everything, as seen."""
@@ -212,6 +225,7 @@ def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, al
             for end, here, there in zip(link[:2], (A, B), (B, A), strict=True):
                 if ground and end not in layout.bodies:
                     _ground(ax, here, here - there, 0.035 * size)
+    _closures(ax, scene, look, size, edge, alpha, ground)
     for name, (at, parent) in scene.pivots.items():
         pivot, joint = at @ look.T, scene.model.joint(name)
         if isinstance(joint, Guide):
@@ -222,6 +236,24 @@ def _draw(ax, scene: Scene, look, size, *, color=None, edge=INK, springs=INK, al
             ax.plot(*pivot, "o", ms=6, mfc="white", mec=edge, mew=1.2, alpha=alpha, zorder=6)
             if ground and parent not in layout.bodies:
                 _ground(ax, pivot - np.array([0, 0.02 * size]), np.array([0.0, -1.0]), 0.035 * size)
+
+
+def _closures(ax, scene: Scene, look, size, edge, alpha, ground) -> None:
+    """Rods as lines between two balls, guides and lines in which a point slides as dash-dotted lines, other closures as pins."""
+    layout = scene.model.layout
+    for name, ends in scene.joined.items():
+        closure, (A, B) = scene.model[name], (end @ look.T for end in ends)
+        if isinstance(closure, GuideClosure | Inline):
+            axis = scene.frames[1][layout.frame(closure.between[0])] @ np.asarray(closure.axis) @ look.T
+            reach = 0.12 * size + np.linalg.norm(B - A)
+            ax.plot(*np.array([A - reach * axis, A + reach * axis]).T, "-.", color=GRAY, lw=0.9, zorder=1, gid=f"line of {name}")
+            ax.plot(*B, "o", ms=5, mfc=edge, mec=edge, alpha=alpha, zorder=6)
+        else:
+            path = np.array([A, B])
+            ax.plot(*path.T, "-", marker="o", color=edge, lw=1.8, ms=6, mfc="white", mew=1.2, alpha=alpha, zorder=5, gid=name)
+        for end, here, there in zip(closure.between, (A, B), (B, A), strict=True):
+            if ground and end not in layout.bodies and (here != there).any():
+                _ground(ax, here, here - there, 0.035 * size)
 
 
 def _wheels(ax, scene: Scene, table, look, size, edge, alpha, ground) -> None:
@@ -343,12 +375,17 @@ def _triad(ax, look, size: float) -> None:
 
 
 @jit_unoptimized
-def _poses(model: Model, q, delta, xi) -> Pose:
+def _moved(model: Model, q, delta):
+    return moved_by(Coordinates(model), q, delta)
+
+
+@jit_unoptimized
+def _poses(model: Model, q, xi) -> Pose:
     coordinates = Coordinates(model)
-    return coordinates.frames(coordinates.retract(q, delta), jnp.zeros_like(delta), coordinates.supports_at(xi, jnp.zeros_like(xi))).pose()
+    v = jnp.zeros(model.layout.nv, q.dtype)
+    return coordinates.frames(q, v, coordinates.supports_at(xi, jnp.zeros_like(xi))).pose()
 
 
-def _poses_at(model: Model, q, delta, xi) -> tuple[np.ndarray, np.ndarray]:
-    dtype = model.gravity.dtype
-    frames = _poses(model, jnp.asarray(q), jnp.asarray(delta, dtype), jnp.asarray(xi, dtype))
+def _poses_at(model: Model, q, xi) -> tuple[np.ndarray, np.ndarray]:
+    frames = _poses(model, jnp.asarray(q), jnp.asarray(xi, model.gravity.dtype))
     return np.asarray(frames.p), np.asarray(frames.R)

@@ -1,5 +1,6 @@
 """Ready models; public as jaxbody.presets."""
 
+from jaxbody.presets.cars_on_wishbones import full_car_on_double_wishbones
 from jaxbody.presets.presets import (
     coupled_gliders,
     double_pendulum,
@@ -19,6 +20,7 @@ __all__ = [
     "elastic_pendulum",
     "engine_on_mounts",
     "full_car",
+    "full_car_on_double_wishbones",
     "half_car",
     "hydraulic_engine_mounts",
     "isolated_table",

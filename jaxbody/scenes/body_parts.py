@@ -15,7 +15,7 @@ from jaxbody.models.layouts import WORLD
 from jaxbody.plots.canvases import COLORS, GRAY, INK, LIGHT
 from jaxbody.scenes.animations import DrawnPart, NameLabel
 from jaxbody.scenes.meshes import Mesh, box, cylinder, hull, joined, ribbon, sphere
-from jaxbody.scenes.pose_sequences import PoseSequence, marks_of
+from jaxbody.scenes.pose_sequences import PoseSequence, attaching, marks_of
 from jaxbody.scenes.road_parts import hub_of
 from jaxbody.scenes.shapes import THICK, Shape, axes_along, solid_of_body
 
@@ -41,7 +41,8 @@ def parts_of_bodies(
             if hub is not None:
                 parts.append(DrawnPart(("bodies", name, "hub"), hub, color, p, R))
             else:
-                solid = solid_of_body(own[name], com, float(body.mass), np.asarray(body.inertia, float), size)
+                inertia = np.zeros((3, 3)) if sequence.wheel else np.asarray(body.inertia, float)  # of which curves do not depend
+                solid = solid_of_body(own[name], com, float(body.mass), inertia, size)
                 parts.append(DrawnPart(("bodies", name, "solid"), solid, color, p, R, opacity=opacity, edged=True))
         pins = [sphere(PIN * size, 10).placed(point) for point in _attached(sequence, name)]
         if pins:
@@ -165,10 +166,10 @@ def is_flat(sequence: PoseSequence, size: float, up: np.ndarray) -> np.ndarray |
 
 
 def points_of_frames(sequence: PoseSequence) -> dict[str, np.ndarray]:
-    """{frame: points of elements, joints and centers of mass on it (n, 3)}, in its own axes, in the first frame."""
+    """{frame: points of elements, closures, joints and centers of mass on it (n, 3)}, in its own axes, in the first frame."""
     model = sequence.model
     places: dict[str, list[np.ndarray]] = {name: [] for name in model.layout.frames}
-    for table in model.elements:
+    for table in attaching(model):
         for end, points in enumerate(table.rows.points):
             for link, point in zip(table.links, np.asarray(points, float), strict=True):
                 places[link[end]].append(point)

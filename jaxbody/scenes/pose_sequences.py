@@ -1,4 +1,5 @@
-"""What is viewed, as poses of all frames of a model at successive times: of a trajectory, of vibrating modes, or of one state."""
+"""What is viewed, as poses of all frames of a model at successive times: of a trajectory, of vibrating modes, of a suspension
+over its travel, or of one state."""
 
 from __future__ import annotations
 
@@ -11,21 +12,27 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxbody.compilation.compile_options import jit_unoptimized
-from jaxbody.core.arrays import is_concrete
+from jaxbody.core.arrays import Array, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem
 from jaxbody.core.tables import without_dust
+from jaxbody.geometry.closures import Coupling, Equation
 from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.roads import Road
 from jaxbody.mechanics.energies import each_element
+from jaxbody.mechanics.free_motions import moved
 from jaxbody.mechanics.kinematics import Coordinates, frames_at_time
+from jaxbody.mechanisms.alignment_curves import SuspensionCurves
+from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.leaf_paths import by_name
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
+from jaxbody.models.storage import KindTable
 from jaxbody.simulations.trajectories import Trajectory
 from jaxbody.vibrations.natural_modes import ModalResult
 
 CYCLE = 40  # frames of a period of a mode
 SECONDS = 2.0  # of a period of a mode as it is played
+TRAVEL = 4.0  # seconds in which the curves of a suspension are played
 SWING = 1 / 8  # largest displacement of a drawn mode, relative to the size of the model
 
 
@@ -41,6 +48,7 @@ class PoseSequence:
     clock: tuple[str, ...] = ("",)  # what is written at each time
     forces: dict[str, np.ndarray] = field(default_factory=dict)  # {element: (n, ends, 3)} that it exerts on each end, world axes [N]
     roads: dict[str, Road] = field(default_factory=dict)  # {support: road under it}
+    wheel: Wheel | None = None  # that is drawn, beside those of tyres
 
     def row(self, name: str) -> int:
         return self.model.layout.frame(name)
@@ -53,8 +61,7 @@ class PoseSequence:
 def still(model: Model, state: State | None = None, title: str = "") -> PoseSequence:
     """One state of a model; None takes the reference pose."""
     state = model.reference if state is None else state
-    p, R = _poses(model, state.q, np.zeros((1, model.layout.nv)))
-    return PoseSequence(model, np.zeros(1), p, R, title)
+    return PoseSequence(model, np.zeros(1), *_configurations(model, state.q[None]), title)
 
 
 def along(trajectory: Trajectory, most: int, forces: bool = False, title: str = "") -> PoseSequence:
@@ -107,8 +114,8 @@ def vibrating(modes: ModalResult, number: int, state: State | None, amplitude: f
     size = size_of_sequence(rest)
     extremes = np.stack([shape.real, shape.imag])
     trial = 1e-6 * size / max(np.abs(shape).max(), np.finfo(float).tiny)
-    moved = PoseSequence(model, np.zeros(2), *_poses(model, q, trial * extremes))
-    largest = np.linalg.norm(np.linalg.norm(_marks(moved) - _marks(rest), axis=-1), axis=0).max() / trial
+    trials = PoseSequence(model, np.zeros(2), *_poses(model, q, trial * extremes))
+    largest = np.linalg.norm(np.linalg.norm(_marks(trials) - _marks(rest), axis=-1), axis=0).max() / trial
     largest = max(largest, np.abs(shape[model.layout.turns]).max(initial=0.0) * size * SWING)  # where nothing is attached off O
     factor = (SWING * size if amplitude is None else float(amplitude)) / largest
     steps = np.arange(CYCLE) / CYCLE
@@ -121,6 +128,23 @@ def vibrating(modes: ModalResult, number: int, state: State | None, amplitude: f
     return PoseSequence(model, SECONDS * steps, p, R, title, clock)
 
 
+def over_travel(curves: SuspensionCurves, title: str = "") -> PoseSequence:
+    """The configurations of a suspension in the order of its curves, in equal steps of time; those beyond reach are left out.
+
+    Error: NONFINITE where none is within reach."""
+    rows = np.flatnonzero(np.asarray(curves.ok))
+    if not len(rows):
+        raise JaxbodyError(Problem("NONFINITE", "view", f"has no configuration: {curves.report()}", hint="Give values within reach."))
+    p, R = _configurations(curves.model, curves.q[rows])
+    shown = [[f"{drive.name} {_shown(float(curves.over[drive.name][i]), drive.unit)}" for drive in curves.drives] for i in rows]
+    times = np.linspace(0.0, TRAVEL, len(rows)) if len(rows) > 1 else np.zeros(1)
+    return PoseSequence(curves.model, times, p, R, title, tuple(", ".join(parts) for parts in shown), wheel=curves.wheel)
+
+
+def _shown(value: float, unit: str) -> str:
+    return f"{np.rad2deg(value):.1f} deg" if unit == "rad" else f"{1e3 * value:.1f} mm"
+
+
 def nearest(times: np.ndarray, most: int) -> np.ndarray:
     """The indices of samples nearest to equal steps of time, at most so many."""
     wanted = np.linspace(times[0], times[-1], min(most, len(times)))
@@ -131,12 +155,17 @@ def nearest(times: np.ndarray, most: int) -> np.ndarray:
 
 
 def marks_of(model: Model) -> list[tuple[str, np.ndarray]]:
-    """(frame, point): centers of mass and origins of bodies, ends of elements."""
+    """(frame, point): centers of mass and origins of bodies, ends of elements and closures."""
     places = [(name, point) for name in model.layout.bodies for point in (np.asarray(model[name].com), np.zeros(3))]
-    for table in model.elements:
+    for table in attaching(model):
         for end, points in enumerate(table.rows.points):
             places += [(link[end], point) for link, point in zip(table.links, np.asarray(points), strict=True)]
     return places
+
+
+def attaching(model: Model) -> list[KindTable]:
+    """The tables of elements, and of closures that have points in space."""
+    return [*model.elements, *(table for table in model.closures if not isinstance(table.rows, Coupling | Equation))]
 
 
 def size_of_sequence(sequence: PoseSequence) -> float:
@@ -151,15 +180,25 @@ def _marks(sequence: PoseSequence) -> np.ndarray:
 
 
 def _poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Poses at q (+) Delta for rows of Delta, with supports in their reference poses."""
-    frames = _displaced(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype))
+    """Poses at q (+) Delta for rows of Delta, where closures are fulfilled, with supports in their reference poses."""
+    return _configurations(model, _moved(model, jnp.asarray(q), jnp.asarray(deltas, model.gravity.dtype)))
+
+
+@jit_unoptimized
+def _moved(model: Model, q, deltas) -> Array:
+    return jax.vmap(lambda delta: moved(Coordinates(model), q, delta))(deltas)
+
+
+def _configurations(model: Model, q: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Poses for rows of q."""
+    frames = _at_rest(model, q)
     return np.asarray(frames.p), np.asarray(frames.R)
 
 
 @jit_unoptimized
-def _displaced(model: Model, q, deltas) -> Pose:
+def _at_rest(model: Model, q) -> Pose:
     coordinates = Coordinates(model)
-    return jax.vmap(lambda delta: coordinates.at_rest(coordinates.retract(q, delta)).pose())(deltas)
+    return jax.vmap(lambda q: coordinates.at_rest(q).pose())(q)
 
 
 def _frames(model, motions, t, state) -> Pose:

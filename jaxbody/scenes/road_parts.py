@@ -10,6 +10,7 @@ from jaxbody.plots.canvases import INK, LIGHT
 from jaxbody.scenes.animations import DrawnPart
 from jaxbody.scenes.meshes import Mesh, cylinder, joined, ribbon, slab, tyre
 from jaxbody.scenes.pose_sequences import PoseSequence
+from jaxbody.scenes.shapes import axes_along
 
 WIDTH, RIM = 0.62, 0.66  # width of a tyre, and radius of its rim, over the radius of the tyre
 HOLES = 5
@@ -95,6 +96,15 @@ def _wheel(name: str, element: Tyre, sequence: PoseSequence) -> list[DrawnPart]:
         DrawnPart(("tyres", name, "rim"), rim, LIGHT, hub, R),
         DrawnPart(("tyres", name, "holes"), joined(holes), INK, hub, R),
     ]
+
+
+def parts_of_wheel(sequence: PoseSequence) -> list[DrawnPart]:
+    """The wheel of a suspension."""
+    wheel = sequence.wheel
+    if wheel is None:
+        return []
+    r, R = float(wheel.radius), sequence.R[:, sequence.row(wheel.on)] @ axes_along(np.asarray(wheel.axis, float))
+    return [DrawnPart(("wheels", wheel.on), tyre(r, WIDTH * r), INK, sequence.points(wheel.on, wheel.center), R, opacity=0.35)]
 
 
 def _strip(

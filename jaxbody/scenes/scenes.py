@@ -10,10 +10,11 @@ import numpy as np
 from jaxbody.plots.canvases import COLORS, GRAY
 from jaxbody.scenes.animations import Animation, DrawnPart, NameLabel, Trail, rod
 from jaxbody.scenes.body_parts import ground, is_flat, parts_of_bodies, parts_of_joints, parts_of_supports, up_of
+from jaxbody.scenes.closure_parts import names_of_rods, parts_of_closures
 from jaxbody.scenes.element_parts import parts_of_elements
 from jaxbody.scenes.meshes import arrow
 from jaxbody.scenes.pose_sequences import PoseSequence, size_of_sequence
-from jaxbody.scenes.road_parts import parts_of_roads
+from jaxbody.scenes.road_parts import parts_of_roads, parts_of_wheel
 from jaxbody.scenes.shapes import Shape
 
 SOLID = 0.82  # opacity of a body
@@ -43,13 +44,14 @@ def animation_of(
     bodies, names = parts_of_bodies(sequence, size, shapes, SOLID)
     supports, more_names = parts_of_supports(sequence, size, up, shapes)
     parts = [*supports, *parts_of_roads(sequence, size), *bodies, *parts_of_joints(sequence, size), *parts_of_elements(sequence, size, up)]
+    parts += [*parts_of_closures(sequence, size), *parts_of_wheel(sequence)]
     notes = []
     if sequence.forces:
         largest = max((float(np.linalg.norm(f, axis=-1).max()) for f in sequence.forces.values()), default=0.0)
         scale = LONGEST * size / (longest_force or largest or 1.0)
         parts += _arrows(sequence, size, scale)
         notes.append(f"arrows: {LONGEST * size / scale:.3g} N are {LONGEST * size:.3g} m long")
-    names += more_names + _names_of_elements(sequence)
+    names += more_names + _names_of_elements(sequence) + names_of_rods(sequence)
     paths = [Trail(("trails", name), sequence.points(frame, point), COLORS[1]) for name, frame, point in trails]
     right = _right(sequence, size, up)
     seen_from = SEEN_FROM if is_flat(sequence, size, up) is None else FLAT_SEEN_FROM

@@ -38,6 +38,7 @@ SINGULAR = {"bodies": "body"} | {name: name.removesuffix("s") for name in (*SECT
 def schema() -> dict[str, Any]:
     """The JSON schema of model files."""
     of_type = {name: object_schema(kind, name) for name, kind in kinds.TYPES.items()}
+    of_type |= {kinds.definition_of("closures", name): object_schema(kind, name) for name, kind in kinds.CLOSURE_TYPES.items()}
     point = {"type": ["array", "string"], "unit": "m"}
     quaternion = {"type": ["array"], "unit": "", "description": "Unit quaternion w, x, y, z, or a rotation matrix."}
     euler = {
@@ -68,6 +69,7 @@ def schema() -> dict[str, Any]:
         "pulse": one_of(*(kind.__name__ for kind in kinds.PULSES)),
         "motion": one_of(*(kind.__name__ for kind in kinds.MOTIONS), "Sampled", "base_motion"),
         "element": one_of(*(kind.__name__ for kind in kinds.ELEMENTS)),
+        "closure": one_of(*(kinds.definition_of("closures", name) for name in kinds.CLOSURE_TYPES)),
         "load": one_of(*(kind.__name__ for kind in kinds.LOADS)),
         "sensor": one_of(*(kind.__name__ for kind in kinds.SENSORS)),
         "signal": {

@@ -105,7 +105,7 @@ def test_every_ready_model_is_printed_and_read_again(name, capsys, folder):
     assert commands.main(["check", "model.toml"]) == 0 and "no errors" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", dir(jb.presets))
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.long) if "wishbones" in name else name for name in dir(jb.presets)])
 def test_measured_data_of_a_new_file_are_read_when_they_are_there(name, capsys, folder):
     assert commands.main(["new", name]) == 0
     text = capsys.readouterr().out
@@ -123,11 +123,12 @@ def test_measured_data_of_a_new_file_are_read_when_they_are_there(name, capsys, 
     assert all(jb.paths(study.model, path) for path in study.fit["free"])
 
 
+WITHOUT_DESIGN = ("double_pendulum", "full_car_on_double_wishbones")
 SLOW = ("engine_on_mounts", "hydraulic_engine_mounts", "full_car", "isolated_table", "half_car")
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.long) if name in SLOW else name for name in dir(jb.presets) if name != "double_pendulum"]
+    "name", [pytest.param(name, marks=pytest.mark.long) if name in SLOW else name for name in dir(jb.presets) if name not in WITHOUT_DESIGN]
 )
 def test_the_design_of_a_new_file_is_tuned(name, capsys, folder):
     assert commands.main(["new", name]) == 0

@@ -19,6 +19,7 @@ from jaxbody.mechanisms.alignment_curves import SuspensionCurves
 from jaxbody.mechanisms.assemblies import Assembly
 from jaxbody.mechanisms.driven_positions import Drive
 from jaxbody.responses.dynamic_stiffnesses import DynamicStiffness
+from jaxbody.responses.wheel_compliances import WheelCompliance
 from jaxbody.shocks.matched_records import MatchedRecord
 from jaxbody.statics.cases import LoadCases
 from jaxbody.statics.equilibrium_searches import Equilibria
@@ -84,12 +85,14 @@ def made():
     path = Path(jnp.linspace(0, 1, 3), jnp.array([1.0, 0.5, jnp.nan]))
     x, (strokes, forces) = jnp.ones((1, 2, 3)), 2 * [tuple(jnp.ones((1, *e.shape)) for e in eq.deformations)]
     o, i = jnp.ones(nv), jnp.zeros(nv, int)
+    wheel = jb.Wheel("mass", center=[0, 0, 0], axis="y", radius=0.3)
     return [
         jb.simulate(model, TIMES[:3]), eq, eqx.tree_at(lambda e: e.path, eq, path, is_leaf=lambda x: x is None),
         Equilibria(0, (still,), np.ones(1), np.ones(1), 4),
         LoadCases(jnp.zeros(1, int), jnp.ones(1), eq.state, eq, x, x, strokes, forces, jnp.array([True]), jnp.array([True]), ("bump",)),
         jb.preload(one), Assembly(looped(), eq.state, jnp.zeros((2, 1)), jnp.ones((1, 6)), jnp.array(0)),
-        SuspensionCurves({"x": o[:1]}, {"toe": o[:1]}, {"x": {"toe": o[:1]}}, lin.K[:1], i[:1], model, (Drive("x", 0, "m"),)),
+        SuspensionCurves({"x": o[:1]}, {"toe": o[:1]}, {"x": {"toe": o[:1]}}, lin.K[:1], i[:1], model, (Drive("x", 0, "m"),), wheel),
+        WheelCompliance(jnp.ones((5, 5)), jnp.array(0)),
         lin, lin.state_space(shaken, moved), modes, jb.complex_modes(lin), jb.mode_energies(lin), jb.elastic_axes(lin, "box"),
         jb.torque_roll_axis(lin, "box", [1, 0, 0]),
         Backbones(o, lin.K, 0 * i, o, lin.K, lin.K, o, o, o, i, model.layout),
