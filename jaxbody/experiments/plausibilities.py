@@ -104,7 +104,7 @@ def _gyration_ratios(model: Model) -> dict[str, float]:
 
 def first_frequency(model: Model) -> float:
     """The first natural frequency [Hz] at the reference pose that is not zero; NaN without stiffness."""
-    return float(_scales(model, *_mass_and_stiffness(model))[0])
+    return float(_first(*_modal(*_mass_and_stiffness(model))[:2]))
 
 
 def _mass_and_stiffness(model: Model) -> tuple[Array, Array]:
@@ -112,9 +112,24 @@ def _mass_and_stiffness(model: Model) -> tuple[Array, Array]:
 
 
 @jit_unoptimized
+def _modal(M: Float[Array, "n n"], K: Float[Array, "n n"]) -> tuple[Array, Array, Array, Array]:
+    """Squares of the natural frequencies, which of them are not zero, modes L^-T q of M = L L' by their q, and L."""
+    L = jnp.linalg.cholesky(M)
+    reduced = jax.scipy.linalg.solve_triangular(L, jax.scipy.linalg.solve_triangular(L, K, lower=True).T, lower=True)
+    squares, vectors = jnp.linalg.eigh((reduced + reduced.T) / 2)
+    return squares, jnp.abs(squares) > ZERO * jnp.max(jnp.abs(squares)), vectors, L
+
+
+def _first(squares: Float[Array, "n"], stiff: Array) -> Array:
+    """The first nonzero natural frequency [Hz], from |eigenvalues|; NaN without stiffness."""
+    first = jnp.sqrt(jnp.min(jnp.where(stiff, jnp.abs(squares), jnp.inf))) / (2 * jnp.pi)
+    return jnp.where(jnp.any(stiff), first, jnp.nan)
+
+
+@jit_unoptimized
 def _scales(model: Model, M: Float[Array, "n n"], K: Float[Array, "n n"]) -> tuple[Array, Array]:
-    """The first nonzero natural frequency [Hz], from |eigenvalues|, and the largest static displacement under gravity of modes with
-    stiffness, relative to the size of the model; NaN without stiffness."""
+    """The first nonzero natural frequency [Hz], and the largest static displacement under gravity of modes with stiffness, relative to the
+    size of the model; NaN without stiffness."""
     state = model.reference
     weightless = eqx.tree_at(lambda m: m.gravity, model, jnp.zeros_like(model.gravity))
 
@@ -123,12 +138,8 @@ def _scales(model: Model, M: Float[Array, "n n"], K: Float[Array, "n n"]) -> tup
         return potential_energy(model, moved) - potential_energy(weightless, moved)
 
     force = -jax.grad(weight)(jnp.zeros(M.shape[0]))
-    L = jnp.linalg.cholesky(M)
-    reduced = jax.scipy.linalg.solve_triangular(L, jax.scipy.linalg.solve_triangular(L, K, lower=True).T, lower=True)
-    squares, vectors = jnp.linalg.eigh((reduced + reduced.T) / 2)
-    stiff = jnp.abs(squares) > ZERO * jnp.max(jnp.abs(squares))
-    first = jnp.sqrt(jnp.min(jnp.where(stiff, jnp.abs(squares), jnp.inf))) / (2 * jnp.pi)
+    squares, stiff, vectors, L = _modal(M, K)
     modal = vectors.T @ jax.scipy.linalg.solve_triangular(L, force, lower=True)
     moved = jax.scipy.linalg.solve_triangular(L.T, vectors @ jnp.where(stiff, modal / jnp.where(stiff, squares, 1.0), 0.0), lower=False)
     lengths = jnp.where(model.layout.turns, 0.0, jnp.abs(moved))
-    return jnp.where(jnp.any(stiff), first, jnp.nan), jnp.where(jnp.any(stiff), jnp.max(lengths) / size_of(model), jnp.nan)
+    return _first(squares, stiff), jnp.where(jnp.any(stiff), jnp.max(lengths) / size_of(model), jnp.nan)

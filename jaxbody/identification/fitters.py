@@ -112,7 +112,7 @@ def fit(
     >>> round(float(fit(model, {"track": track}, free=["spring.stiffness"]).estimates["spring.stiffness"]), 5)  # (2 pi)^2
     39.47842
     """
-    check_precision("fit", model, allow_float32=allow_float32)
+    check_precision("fit", model, allow_float32=allow_float32, closures=True)
     check_loss(loss, "fit.loss")
     with Problems() as problems:
         max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit"))
