@@ -1,4 +1,4 @@
-"""What is viewed, as poses of all frames of a model at successive times: of a trajectory, of vibrating modes, or of one state."""
+"""What is viewed, as poses of all frames of a model at successive times: of a trajectory, modes, curves of a suspension, or one state."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from jaxbody.geometry.frames import Pose
 from jaxbody.inputs.roads import Road
 from jaxbody.mechanics.energies import each_element
 from jaxbody.mechanics.kinematics import Coordinates, frames_at_time
+from jaxbody.mechanisms.alignment_curves import SuspensionCurves
 from jaxbody.models.leaf_paths import by_name
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
@@ -121,6 +122,19 @@ def vibrating(modes: ModalResult, number: int, state: State | None, amplitude: f
     return PoseSequence(model, SECONDS * steps, p, R, title, clock)
 
 
+def through(curves: SuspensionCurves) -> PoseSequence:
+    """The configurations of curves over travel and steering that are within reach, there and back in the time of two periods of a mode.
+    Error: NONFINITE where none is."""
+    there = np.flatnonzero(np.asarray(curves.ok))
+    if not len(there):
+        raise JaxbodyError(Problem("NONFINITE", "view", f"has no configuration: {curves.report()}", hint="Give values within reach."))
+    rows = np.r_[there, there[-2:0:-1]]
+    frames = _configured(curves.model, curves.q[rows])
+    values = [(drive.name, np.asarray(curves.over[drive.name])[rows], drive.unit) for drive in curves.drives]
+    clock = tuple(", ".join(f"{name} {x[i]:.3f} {unit}" for name, x, unit in values) for i in range(len(rows)))
+    return PoseSequence(curves.model, 2 * SECONDS * np.arange(len(rows)) / len(rows), np.asarray(frames.p), np.asarray(frames.R), "", clock)
+
+
 def nearest(times: np.ndarray, most: int) -> np.ndarray:
     """The indices of samples nearest to equal steps of time, at most so many."""
     wanted = np.linspace(times[0], times[-1], min(most, len(times)))
@@ -160,6 +174,12 @@ def _poses(model: Model, q: Any, deltas: np.ndarray) -> tuple[np.ndarray, np.nda
 def _displaced(model: Model, q, deltas) -> Pose:
     coordinates = Coordinates(model)
     return jax.vmap(lambda delta: coordinates.at_rest(coordinates.retract(q, delta)).pose())(deltas)
+
+
+@jit_unoptimized
+def _configured(model: Model, q) -> Pose:
+    coordinates = Coordinates(model)
+    return jax.vmap(lambda q: coordinates.at_rest(q).pose())(q)
 
 
 def _frames(model, motions, t, state) -> Pose:

@@ -18,10 +18,11 @@ from jaxbody.core.errors import Problems, unknown
 from jaxbody.core.source_files import writing
 from jaxbody.core.tables import Printed, PrintedTable, counted
 from jaxbody.designs.tunings import Tuning
+from jaxbody.mechanisms.alignment_curves import SuspensionCurves
 from jaxbody.models.models import Model
 from jaxbody.models.states import State
 from jaxbody.scenes.animations import Animation
-from jaxbody.scenes.pose_sequences import PoseSequence, along, still, vibrating
+from jaxbody.scenes.pose_sequences import PoseSequence, along, still, through, vibrating
 from jaxbody.scenes.scenes import animation_of, side_by_side, with_ground
 from jaxbody.scenes.shapes import Shape
 from jaxbody.simulations.trajectories import Trajectory
@@ -38,7 +39,7 @@ FORMATS = (".html", ".png", ".gif", ".mp4")
 HEIGHT = 480  # pixels in a notebook
 RATE, MOST = 25, 1500  # frames per second of playing, and in all
 SHORTEST, LONGEST, USUAL = 2.0, 60.0, 5.0  # seconds of playing at which the speed is that of the motion; of a shorter motion
-VIEWED = (Model, Equilibrium, Trajectory, ModalResult, Tuning)
+VIEWED = (Model, Equilibrium, Trajectory, ModalResult, SuspensionCurves, Tuning)
 
 
 class View(Printed):
@@ -159,8 +160,8 @@ def view(
     length, a tyre has its radius, up is against gravity. Nothing is computed but poses.
 
     Args:
-        what: a model, an equilibrium, a trajectory, modes (natural or complex), a tuning (the model before and after), or
-            {name: any of these}, side by side.
+        what: a model, an equilibrium, a trajectory, modes (natural or complex), curves of a suspension, a tuning (the model before and
+            after), or {name: any of these}, side by side.
         shapes: {body or support: jb.Shape, or several}, in place of the default ones; they never enter the physics.
         at: the state in which a model is drawn, or about which modes vibrate: a State, an equilibrium or a linearization; None takes the
             reference pose.
@@ -209,6 +210,8 @@ def view(
                 for k in numbers:
                     label = f"{name}, mode {k}".removeprefix(", ") if len(numbers) > 1 else name
                     sequences[label] = vibrating(thing, k, state, amplitude, phase)
+            elif isinstance(thing, SuspensionCurves):
+                sequences[name] = through(thing)
             elif isinstance(thing, Equilibrium):
                 sequences[name] = still(thing.model, thing.state)
             else:
@@ -235,7 +238,7 @@ def _named(what: Any, problems: Problems) -> dict[str, Any]:
         problems.add("NO_DATA", "view", "is empty", limit="at least one", hint='Give {"before": ..., "after": ...}.')
     for name, thing in given.items():
         if not isinstance(thing, VIEWED) or isinstance(thing, Tuning):
-            hint = "Give a model, an equilibrium, a trajectory, modes or a tuning, or several of them in a dict."
+            hint = "Give a model, an equilibrium, a trajectory, modes, curves of a suspension or a tuning, or several of them in a dict."
             problems.add("WRONG_KIND", f"view['{name}']" if name else "view", f"is {kind_of(thing)}", value=thing, hint=hint)
         elif (thing if isinstance(thing, Model) else thing.model).gravity.ndim > 1:
             problems.add("BAD_SHAPE", "view", "is a batch", value=thing, limit="one model", hint="View one of the batch.")

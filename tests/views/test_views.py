@@ -217,6 +217,17 @@ def _rest(part, height):
     return np.array([part.p[0, 0], part.p[0, 1], height])
 
 
+@pytest.mark.long
+def test_a_suspension_moves_through_the_places_of_its_curves_and_back(tmp_path):
+    corner = jb.double_wishbone()
+    curves = corner.curves(np.linspace(-0.1, 0.1, 5), [0.0, 0.0, 0.0, 0.0, 0.02])
+    view = jb.view(curves, trails={"wheel": ("upright", corner.wheel.center)})
+    path = np.stack([np.asarray(curves[f"wheel {x}"]) for x in "xyz"], 1)
+    np.testing.assert_allclose(view.animation.trails[0].points, path[[0, 1, 2, 3, 4, 3, 2, 1]], atol=1e-12)
+    assert view.animation.clock[4] == "travel 0.100 m, steering 0.020 m"
+    view.save(tmp_path / "corner.gif")
+
+
 def test_complex_modes_move_with_their_phases():
     car = jb.presets.quarter_car(damping=3000.0)
     modes = jb.complex_modes(jb.linearize(car, car.reference))
