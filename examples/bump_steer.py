@@ -7,72 +7,82 @@
 # # A double wishbone without bump steer
 #
 # A wheel on two wishbones steers itself as it rises: toe changes by three degrees over 200 mm of travel. How must its eight joints move,
-# each coordinate by 15 mm at most, so that toe changes by less than 0.05 degrees over 80 mm of travel?
+# each coordinate by 15 mm at most, so that toe changes by less than 0.05 degrees over 80 mm of travel, and camber falls by 0.4 degrees on
+# each 100 mm, so that the outer wheel stays upright as the car rolls in a curve?
 
 # %%
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
-from scipy.optimize import least_squares
 
 import jaxbody as jb
-from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE
 
 jax.config.update("jax_enable_x64", True)
-TRAVEL = np.linspace(-0.1, 0.1, 21)
+corner = jb.double_wishbone()
+drawn = corner.hard_points
 JOINTS = (
     *(f"{arm} {joint}" for arm in ("lower", "upper") for joint in ("inner front", "inner rear", "outer")),
     *("tie rod inner", "tie rod outer"),
 )
-drawn = np.concatenate([DOUBLE_WISHBONE[name] for name in JOINTS])
+NEAR = np.linspace(-0.04, 0.04, 9)
+
+
+def line(travel):
+    """The wanted camber [deg]."""
+    return -1.909 - 4.0 * np.asarray(travel)
+
 
 # %% [markdown]
-# The suspension is built from its hard points within the compiled function, so that toe has derivatives by each of them. The loop of the
-# wishbones is closed by a ball joint, `jb.closures.Ball`, the tie rod is `jb.closures.Rod`.
+# Each hard point is one parameter, which moves in all that has it: arms, ball joints, the tie rod. Of all designs within the limits,
+# `tune` finds the one that moves the joints least. In the design position toe is zero and camber as drawn, whatever the joints.
 
 
 # %%
-@jax.jit
-def toe(places):
-    """Toe over travel [deg] for places of the eight joints [m]."""
-    points = dict(zip(JOINTS, places.reshape(-1, 3), strict=True))
-    return jnp.rad2deg(jb.double_wishbone(points).curves(TRAVEL)["toe"])
+def toe_and_camber(corner, travel):
+    """Both in degrees."""
+    found = corner.curves(travel)
+    return jnp.rad2deg(found["toe"]), jnp.rad2deg(found["camber"])
 
 
-slopes = jax.jit(jax.jacfwd(toe))
-near = np.abs(TRAVEL) <= 0.0401
-little = 0.01 * np.eye(drawn.size) / 0.015  # of every movement counts, as many others would do
-found = least_squares(
-    lambda x: np.concatenate([np.asarray(toe(x))[near], little @ (x - drawn)]),
-    drawn,
-    jac=lambda x: np.concatenate([np.asarray(slopes(x))[near], little]),
-    bounds=(drawn - 0.015, drawn + 0.015),
-    x_scale=0.01,
+def quantities(corner):
+    toe, camber = toe_and_camber(corner, NEAR)
+    moved = jnp.concatenate([corner.hard_points[name] - drawn[name] for name in JOINTS])
+    return {"movement": 1e6 * jnp.sum(moved**2), "toe": toe, "camber off its line": camber - line(NEAR)}
+
+
+design = jb.tune(
+    corner,
+    quantities,
+    free=JOINTS,
+    minimize="movement",
+    limits={"toe": (-0.024, 0.024), "camber off its line": (-0.06, 0.06)},
+    bounds={name: (drawn[name] - 0.015, drawn[name] + 0.015) for name in JOINTS},
 )
+print("the joints move by")
+for name in JOINTS:
+    print(f"  {name}: {np.round(1e3 * (design.values[name] - drawn[name]), 1)} mm")
 
 # %% [markdown]
-# In the design position toe is zero, whatever the joints: the length of the tie rod follows from them.
+# Over all of the travel, as suspension engineers draw it; the pale bands are the limits.
 
 # %%
-before, after = (np.asarray(toe(x)) for x in (drawn, found.x))
-change = np.ptp(after[near])
-print(f"toe changes by {np.ptp(before[near]):.3f} degrees before, {change:.3f} after; the joints move by")
-for name, moved in zip(JOINTS, 1e3 * (found.x - drawn).reshape(-1, 3), strict=True):
-    print(f"  {name}: {np.round(moved, 1)} mm")
-assert change < 0.05
-
-# %% [markdown]
-# Over all of the travel, as suspension engineers draw it; the pale band is 0.05 degrees wide over 80 mm.
-
-# %%
-figure, ax = plt.subplots(figsize=(5, 4), layout="constrained")
-ax.fill_betweenx([-40, 40], -0.025, 0.025, color="#dfe4ea")
-for label, curve, style in (("as drawn", before, "--"), ("joints moved", after, "-")):
-    ax.plot(curve, 1e3 * TRAVEL, style, label=label, color={"--": "#e0803a", "-": "#1871bc"}[style])
-ax.set(xlabel="toe [deg]", ylabel="travel [mm]")
-ax.legend(frameon=False)
+TRAVEL, over_travel = np.linspace(-0.1, 0.1, 21), jax.jit(toe_and_camber)
+figure, axes = plt.subplots(1, 2, figsize=(8, 4), sharey=True, layout="constrained")
+axes[0].fill_betweenx([-40, 40], -0.024, 0.024, color="#dfe4ea")
+axes[1].fill_betweenx(1e3 * NEAR, line(NEAR) - 0.06, line(NEAR) + 0.06, color="#dfe4ea")
+for label, shown, style, color in (("as drawn", corner, "--", "#e0803a"), ("joints moved", design.corner, "-", "#1871bc")):
+    for ax, curve in zip(axes, over_travel(shown, TRAVEL), strict=True):
+        ax.plot(curve, 1e3 * TRAVEL, style, label=label, color=color)
+axes[0].set_xlabel("toe [deg]")
+axes[1].set_xlabel("camber [deg]")
+axes[0].set_ylabel("travel [mm]")
+axes[0].legend(frameon=False)
 plt.show()
+
+change = np.ptp(np.asarray(design.after["toe"]))
+print(f"toe changes by {np.ptp(np.asarray(design.before['toe'])):.3f} degrees before, {change:.3f} after")
+assert design.ok and change < 0.05
 
 # %% [markdown]
 # Read on: the page Suspensions and other closed loops of the manual.

@@ -74,6 +74,7 @@ _NAMES = {  # what is public of each module; `__init__.pyi` says the same to edi
     "jaxbody.elements.torsions": ("AntiRollBar", "Torsion"),
     "jaxbody.experiments.diagnoses": ("diagnose",),
     "jaxbody.experiments.experiments": ("Experiment",),
+    "jaxbody.experiments.measured_curves": ("MeasuredCurves",),
     "jaxbody.experiments.measured_modes": ("MeasuredModes",),
     "jaxbody.experiments.measured_responses": ("MeasuredResponse",),
     "jaxbody.experiments.measured_stiffnesses": ("MeasuredStiffness",),

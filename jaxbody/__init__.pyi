@@ -35,6 +35,7 @@ from jaxbody.elements.torsions import AntiRollBar as AntiRollBar
 from jaxbody.elements.torsions import Torsion as Torsion
 from jaxbody.experiments.diagnoses import diagnose as diagnose
 from jaxbody.experiments.experiments import Experiment as Experiment
+from jaxbody.experiments.measured_curves import MeasuredCurves as MeasuredCurves
 from jaxbody.experiments.measured_modes import MeasuredModes as MeasuredModes
 from jaxbody.experiments.measured_responses import MeasuredResponse as MeasuredResponse
 from jaxbody.experiments.measured_stiffnesses import MeasuredStiffness as MeasuredStiffness

@@ -25,10 +25,11 @@ from jaxbody.core.results import warn_if_failed
 from jaxbody.designs.programs import Evaluate, Program, check_slopes, check_start, evaluated, limits_of, search_by_workers
 from jaxbody.designs.searches import MET, METHODS, Search, one_thread, run, run_in_lockstep, scales
 from jaxbody.designs.tunings import Tuning, tuning_of
+from jaxbody.mechanisms.corners import Corner
 from jaxbody.models.leaf_paths import matching
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
-from jaxbody.parameters.spaces import Space, space_of
+from jaxbody.parameters.spaces import Space, model_of, space_of
 from jaxbody.parameters.starts import drawn
 from jaxbody.workers.executors import check_workers
 
@@ -37,7 +38,7 @@ MOST_NEIGHBORS = 6  # largest number of catalogue parameters for which all combi
 
 
 def tune(
-    model: Model,
+    model: Model | Corner,
     evaluate: Evaluate,
     *,
     free: str | Iterable[str],
@@ -57,8 +58,8 @@ def tune(
     """The design with the smallest objective within limits, by exact gradients.
 
     Args:
-        model: the initial design.
-        evaluate: model -> {name: number or array} by JAX functions, or one number, then called "objective".
+        model: the initial design; a `Corner` has its hard points as parameters by their names, free=["lower outer"], in meters.
+        evaluate: model, or corner -> {name: number or array} by JAX functions, or one number, then called "objective".
         free: paths or patterns of independent parameters; "spring fl.stiffness = spring fr.stiffness" ties parameters,
             "left.a = right.a * [1, -1, 1]" with factors.
         minimize: name of the objective.
@@ -91,7 +92,7 @@ def tune(
     >>> round(float(design.values["suspension.stiffness"]), 1), design.active
     (36787.5, ('sag <= 0.1',))
     """
-    check_precision("tune", model, allow_float32=None, closures=True)
+    check_precision("tune", model_of(model), allow_float32=None, closures=True)
     if not is_concrete(model):
         raise JaxbodyError(Problem("TRACED", "tune.model", "is being traced", hint="Tune outside of jit, vmap and grad."))
     with Problems() as problems:
@@ -235,7 +236,7 @@ def _descend(space: Space, evaluate: Evaluate, minimize: str, method, steps: int
 
     def one(u, key):
         def value(u, key):
-            return evaluated(evaluate, space.place(u)[0], *((key,) if stochastic else ()))[minimize]
+            return evaluated(evaluate, space.designed(u)[0], *((key,) if stochastic else ()))[minimize]
 
         def step(carry, key):
             u, state = carry

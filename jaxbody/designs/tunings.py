@@ -18,8 +18,9 @@ from jaxbody.core.results import Result
 from jaxbody.designs.kinks import at_kinks, jumping
 from jaxbody.designs.programs import NamedLimits, Program, Quantities, variables_over
 from jaxbody.designs.searches import ACTIVE, CONVERGED, MET, Multipliers, Rows, Search, multipliers, scales
+from jaxbody.mechanisms.corners import Corner
 from jaxbody.models.models import Model
-from jaxbody.parameters.spaces import Space
+from jaxbody.parameters.spaces import Space, model_of
 from jaxbody.parameters.transforms import Positive
 
 DUST = 1e-12  # values below this, relative to the value before, print as zero
@@ -39,7 +40,8 @@ class Runs(eqx.Module):
 
 
 class Tuning(Labeled, Result):
-    """A tuned design: `model`, `values` {path: value}, quantities `before` and `after` {name: value}, `active` constraints as text,
+    """A tuned design: `model`, the `corner` that it is of if one was tuned, `values` {path: value}, quantities `before` and `after`
+    {name: value}, `active` constraints as text,
     `multipliers` {limited quantity or parameter at its bound: shadow price, d objective/d limit}, `words`, the effect of one percent more
     of each limit, `history` (evaluations, 2) of the objective and the violation of limits, `evaluations`, all starts in `runs`, `places`
     {parameter: "at its bound", "from its catalogue" or "unbounded"}. `status` INFEASIBLE if limits are violated, listed in `unmet`, or
@@ -68,6 +70,7 @@ class Tuning(Labeled, Result):
     minimize: str = eqx.field(static=True)
     limits: NamedLimits = eqx.field(static=True)
     remedy: str = eqx.field(static=True)
+    corner: Corner | None = None
 
     def explain(self) -> str:
         if int(self.status) == Status.INFEASIBLE:
@@ -150,7 +153,7 @@ def _remedy(program: Program, best: Search, iterations: int) -> str:
     jumps = jumping(lambda U: program(np.clip(U, best.low, best.high))[1][:, rows.requested], best.u, along)
     if jumps.any():
         names = ", ".join(dict.fromkeys(labels[i] for i, jump in zip(rows.requested, jumps, strict=True) if jump))
-        stops = [f"'{name}'" for name in at_kinks(_placed(program.space, device_array(best.u))[0])]
+        stops = [f"'{name}'" for name in at_kinks(model_of(_placed(program.space, device_array(best.u))[0]))]
         cause = f", because {', '.join(stops)} rests at a kink of its law, like a stop that just touches" if stops else ""
         return f"derivatives of {names} jump there{cause}; this may be the optimum: check with bounds that exclude one side of the kink"
     if best.iterations >= iterations:
@@ -174,9 +177,10 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
     runs = Runs(values[:, rows.objective], violation, codes, _values(space, device_array(U)), quantities(values))
     status, prices = _status_and_multipliers(best, rows, space)
     constraints = [] if prices is None or status == Status.INFEASIBLE else _active_constraints(program, best, prices)
-    model, values_of = _placed(space, device_array(best.u))
+    design, values_of = _placed(space, device_array(best.u))
     return Tuning(
-        model=model,
+        model=model_of(design),
+        corner=design if isinstance(design, Corner) else None,
         values=values_of,
         before=quantities(program.origin),
         after=quantities(best.values),
@@ -198,7 +202,7 @@ def tuning_of(program: Program, searches: list[Search], best: Search, iterations
 
 @jit_optimized
 def _placed(space: Space, u: Float[Array, "n"]):
-    return space.place(u)[0], space.values(u)
+    return space.designed(u)[0], space.values(u)
 
 
 @jit_optimized

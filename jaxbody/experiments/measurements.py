@@ -42,6 +42,10 @@ class Measurement(eqx.Module):
         """{path: hint} of optional parts that are not given."""
         return {}
 
+    def on(self, before: Any, after: Any) -> Any:
+        """The measurement after the hard points of a corner have moved."""
+        return self
+
     def scale_of(self, path: str, unit: str) -> Any:
         """The scale s in x0 + s u of a number of this measurement in a fit; None for its own size."""
 

@@ -35,10 +35,11 @@ from jaxbody.identification.fits import Fit
 from jaxbody.identification.least_squares import AT_BOUND, Evaluations, by_optax, by_scipy
 from jaxbody.identification.residuals import Task, first_noise, residual_and_jacobian, rms_residuals, with_estimated_noise
 from jaxbody.identification.traced_fits import solve
+from jaxbody.mechanisms.corners import Corner
 from jaxbody.models.models import Model
 from jaxbody.models.preconditions import check_precision
 from jaxbody.models.sizes import size_of
-from jaxbody.parameters.spaces import Space, space_of
+from jaxbody.parameters.spaces import Space, model_of, space_of
 from jaxbody.simulations.simulations import check_steps
 from jaxbody.statistics.losses import check_loss
 from jaxbody.statistics.uncertainties import RANK, assess, decomposed
@@ -51,7 +52,7 @@ ROUNDS = 5  # largest number of times that the noise of each channel is estimate
 
 
 def fit(
-    model: Model,
+    model: Model | Corner,
     experiments: dict[str, Measurement],
     *,
     free: Iterable[str] | str,
@@ -73,8 +74,8 @@ def fit(
     """Least-squares estimates of free parameters from measurements.
 
     Args:
-        model: the initial guess.
-        experiments: {name: Experiment, MeasuredResponse or MeasuredModes}.
+        model: the initial guess; a `Corner` has its hard points as parameters by their names, free=["lower outer"], in meters.
+        experiments: {name: Experiment, MeasuredResponse, MeasuredModes, MeasuredStiffness or MeasuredCurves}.
         free: paths or patterns, of the model ("*.stiffness", "plate.mass", "AB.a") or of an experiment ("run1.initial.v",
             "run1.base.frequency"). "left.stiffness = right.stiffness" ties parameters, "left.a = right.a * [1, -1, 1]" with factors;
             "run1.acc.gain = run2.acc.gain" shares one parameter between experiments.
@@ -112,14 +113,15 @@ def fit(
     >>> round(float(fit(model, {"track": track}, free=["spring.stiffness"]).estimates["spring.stiffness"]), 5)  # (2 pi)^2
     39.47842
     """
-    check_precision("fit", model, allow_float32=allow_float32)
+    design, model = model, model_of(model)
+    check_precision("fit", model, allow_float32=allow_float32, closures=True)
     check_loss(loss, "fit.loss")
     with Problems() as problems:
         max_steps = problems.gather(lambda: check_steps(solver, stepsize_controller, dt0, rtol, max_steps, "fit"))
         max_evaluations = whole_number(max_evaluations, "fit.max_evaluations", problems)
         _check_method(method, bounds, problems)
     _check_runs(model, experiments)
-    space = space_of(model, free, "fit", runs=dict(experiments), bounds=bounds, priors=priors)
+    space = space_of(design, free, "fit", runs=dict(experiments), bounds=bounds, priors=priors)
     noise, estimated = first_noise(experiments, absolute=bool(priors) or loss is not None)
     task = Task(space, noise, Integration(rtol, solver, stepsize_controller, dt0, max_steps), loss)
     u = np.zeros(space.size)
@@ -203,10 +205,11 @@ def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
         hint = "Give the noise of every measurement: it is estimated outside of jit, vmap and grad only."
         raise JaxbodyError(Problem("NO_NOISE", "fit.experiments", "do not state the noise of all channels", hint=hint))
     u, status, steps = solve(task, u, method, max_steps)
-    model, experiments = task.space.place(u)
+    design, experiments = task.space.designed(u)
     r = task.residual(u)
     return Fit(
-        model=model,
+        model=model_of(design),
+        corner=design if isinstance(design, Corner) else None,
         experiments=experiments,
         u=u,
         cost=0.5 * r @ r,
@@ -225,7 +228,8 @@ def _fit_traced(task: Task, u, method, max_steps: int, estimated: bool) -> Fit:
 def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
     r, J, runs = evaluate.at(u)
     space, limits = task.space, task.space.bounds
-    model, experiments, slopes = _placed(space, device_array(u))
+    design, experiments, slopes = _placed(space, device_array(u))
+    model = model_of(design)
     inside = np.all(np.abs(np.asarray(u) - np.stack(limits)) >= AT_BOUND, axis=0)
     paths, exact = [parameter.path for parameter in space.parameters], EXACT * _floor(task)
     ends = _ends(task, np.asarray(u), r, J)
@@ -252,6 +256,7 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
         remarks += tuple(far_off(model, experiments, predicted, task.noise, task.integration))
     return Fit(
         model=model,
+        corner=design if isinstance(design, Corner) else None,
         experiments=experiments,
         u=device_array(u),
         cost=device_array(0.5 * r @ r),
@@ -270,9 +275,9 @@ def _finish(evaluate: Evaluations, task: Task, u, status: Status) -> Fit:
 
 
 @jit_unoptimized
-def _placed(space: Space, u: Float[Array, "n"]) -> tuple[Model, dict[str, Measurement], dict[str, Array]]:
-    """Model and runs at u, and d values/du of each parameter."""
-    return *space.place(u), jax.jacfwd(space.values)(u)
+def _placed(space: Space, u: Float[Array, "n"]) -> tuple[Model | Corner, dict[str, Measurement], dict[str, Array]]:
+    """Model or corner and runs at u, and d values/du of each parameter."""
+    return *space.designed(u), jax.jacfwd(space.values)(u)
 
 
 def _ends(task: Task, u: np.ndarray, r: np.ndarray, J: np.ndarray) -> np.ndarray:

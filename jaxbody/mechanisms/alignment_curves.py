@@ -71,9 +71,7 @@ class SuspensionCurves(Labeled, Result):
         for drive in self.drives:
             if drive.name == name:
                 return drive.unit
-        if name in ANGLES:
-            return "rad"
-        return {"wheel force": "N", "wheel rate": "N/m"}.get(name, "" if name.startswith("motion ratio") else "m")
+        return curve_unit(name)
 
     def _tables(self) -> list[tables.PrintedTable]:
         driven, shown = [drive.name for drive in self.drives], []
@@ -94,6 +92,13 @@ class SuspensionCurves(Labeled, Result):
             unit = self.unit(drive)
             variables |= {f"{name} by {drive}": (("row",), values, f"{self.unit(name) or '1'}/{unit}") for name, values in slopes.items()}
         return dataset(variables, {"row": np.arange(len(self.status))}, "suspension curves")
+
+
+def curve_unit(name: str) -> str:
+    """The unit of a curve."""
+    if name in ANGLES:
+        return "rad"
+    return {"wheel force": "N", "wheel rate": "N/m"}.get(name, "" if name.startswith("motion ratio") else "m")
 
 
 def _printed_unit(unit: str) -> str:
@@ -123,7 +128,8 @@ def suspension_curves(
 
     Args:
         model: a model with closures, x forward, y to the left, z up; its supports are at rest
-        drive: {name: sensor of one number, such as Position("upright", center, axis="z"), or "rack.q"}, the travel first
+        drive: {name: sensor of one number, such as Position("upright", point, axis="z"), or "rack.q", or a wheel for the rise of its
+            center}, the travel first
         over: {name: values}, changes from the assembled reference [m or rad]; a single number holds a reading
         wheel: the wheel
         steer: the name of the drive that steers; None: the second one. Where the wheel has no kingpin, its steering axis is the screw axis
@@ -150,7 +156,17 @@ def suspension_curves(
     >>> jnp.round(curves["wheel y"], 9).tolist(), jnp.round(jnp.abs(curves["camber"]), 9).tolist()
     ([0.75, 0.67], [0.0, 0.0])
     """
-    where = "suspension_curves"
+    return warn_if_failed(_curves(*arguments_of(model, drive, over, wheel, steer, "suspension_curves")))
+
+
+def curve_names(model: Model, drive: Mapping[str, Any], over: Mapping[str, Any], wheel: Wheel, where: str) -> tuple[str, ...]:
+    """The names of the curves of a model, without computing them. Errors: those of `suspension_curves`."""
+    found = arguments_of(model, drive, over, wheel, None, where)
+    return tuple(jax.eval_shape(lambda: _curves(*found).curves))
+
+
+def arguments_of(model: Model, drive: Mapping[str, Any], over: Mapping[str, Any], wheel: Wheel, steer: str | None, where: str):
+    """The arguments of `suspension_curves`, checked: model, drives, targets, wheel, name of the drive that steers."""
     check_precision(where, model, closures=True)
     drives = drives_of(model, dict(drive), f"{where}.drive")
     frames = model.layout.frames
@@ -162,8 +178,7 @@ def suspension_curves(
         raise JaxbodyError(unknown(steering, f"{where}.steer", tuple(drive)))
     if is_concrete(model):
         _check_determined(model, drives, wheel, where)
-    found = _curves(model, drives, targets, wheel, steering)
-    return warn_if_failed(found)
+    return model, drives, targets, wheel, steering
 
 
 def _targets(drives: tuple[Drive, ...], over: Mapping[str, Any], where: str) -> Any:

@@ -19,8 +19,10 @@ from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.geometry.frames import Instant
 from jaxbody.mechanics.constraints import gaps, near, solve
 from jaxbody.mechanics.kinematics import Coordinates
+from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.models import Model
 from jaxbody.models.sizes import size_of
+from jaxbody.sensors.kinematic_sensors import Position
 from jaxbody.sensors.sensors import Sensor, check_sensors
 
 REACHED = 1e-9  # of the size of the model
@@ -39,7 +41,8 @@ class Drive(eqx.Module):
 
 
 def drives_of(model: Model, given: dict[str, Any], where: str) -> tuple[Drive, ...]:
-    """The drives of {name: sensor or "body.q"}. Errors: UNKNOWN_NAME, BAD_SHAPE, WRONG_KIND."""
+    """The drives of {name: sensor, "body.q", or a wheel for the rise of its center}. Errors: UNKNOWN_NAME, BAD_SHAPE, WRONG_KIND."""
+    given = {name: Position(by.on, by.center, axis="z") if isinstance(by, Wheel) else by for name, by in given.items()}
     check_sensors({name: drive for name, drive in given.items() if not isinstance(drive, str)}, model, where)
     found = []
     with Problems() as problems:

@@ -18,7 +18,6 @@ from jaxbody.mechanisms.ready_corners import points_of, spring_between
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.models.bodies import Body
 from jaxbody.models.models import Model
-from jaxbody.sensors.kinematic_sensors import Position
 
 AXLE, INERTIA = 80.0, (18.0, 2.0, 18.0)  # kg, kg m2, for what is not known; curves do not depend on them
 
@@ -62,7 +61,7 @@ class Axle(eqx.Module):
         >>> axle = jb.solid_axle()
         >>> camber = axle.curves([-0.03, 0.0, 0.03], [0.03, 0.0, -0.03])["camber"]  # doctest: +SKIP
         """
-        drive = {name: Position(wheel.on, wheel.center, axis="z") for name, wheel in (("left", self.left), ("right", self.right))}
+        drive = {"left": self.left, "right": self.right}
         return suspension_curves(self.model, drive=drive, over={"left": left, "right": right}, wheel=self.left)
 
 

@@ -122,7 +122,8 @@ def step(problem: InitialValueProblem, arguments, t, y, f, h, trial: Bool[Array,
             there, other = jax.vmap(lambda y: problem.project(u, y, at_y, arguments))(both)  # pyright: ignore[reportOptionalCall]
             return there, there - y1, there - other
 
-        y_i, moved, error = lax.cond(i == stages, jax.checkpoint(projected), lambda: (y + _sum(a, k), error, error))
+        last = jax.checkpoint(projected) if trial is None else projected  # which would repeat the states for each tangent of forward mode
+        y_i, moved, error = lax.cond(i == stages, last, lambda: (y + _sum(a, k), error, error))
         f_i, at_y = problem.rate(u, y_i, arguments)
         return (lax.dynamic_update_index_in_dim(k, h * f_i, i, 0), y_i, f_i, moved, error, at_y), None
 
