@@ -123,7 +123,7 @@ def test_measured_data_of_a_new_file_are_read_when_they_are_there(name, capsys, 
     assert all(jb.paths(study.model, path) for path in study.fit["free"])
 
 
-SLOW = ("engine_on_mounts", "hydraulic_engine_mounts", "full_car", "isolated_table", "half_car")
+SLOW = ("engine_on_mounts", "hydraulic_engine_mounts", "full_car", "isolated_table", "half_car", "rubber_isolators")
 
 
 @pytest.mark.parametrize(
