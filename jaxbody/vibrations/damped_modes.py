@@ -108,7 +108,7 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
         # rounding makes pairs of equal real poles, such as those of equal branches
         seen = jax.lax.stop_gradient(s)
         rounding = SPLIT * jnp.abs(seen) + reachable(SPLIT_AT_REST, fastest.dtype, 256) * fastest
-        s = jax.lax.complex(s.real, jnp.where(jnp.abs(seen.imag) <= rounding, 0.0, s.imag))
+        s = jax.lax.complex(jnp.real(s), jnp.where(jnp.abs(jnp.imag(seen)) <= rounding, 0.0, jnp.imag(s)))
         single, others = _relaxing(*jax.lax.stop_gradient((s, X, M, K)), n)
         relaxations = jnp.where(s[single].imag == 0, s[single].real, jnp.nan)
         s, X, M, K = s[others], X[:, others], M[:n, :n], K[:n, :n] + K[:n, n:] @ following(K, n, lin.massless)[n:]
