@@ -138,6 +138,18 @@ bounds = {"*.stiffness" = ["10 N/mm", "0.2 kN/mm"]}
 near = {type = "band_intrusion", band = "5, 9 Hz"}  # 0 if no natural frequency lies there
 lowest = {type = "frequency", mode = 1}""",
     ),
+    "rubber_isolators": Start(
+        "4.39, 4.42",
+        'reading = {type = "Position", on = "instrument", axis = "z"}',
+        "instrument.mass",
+        """free = ["isolator 1.z.terms.0.coefficient = isolator *.z.terms.0.coefficient"]
+minimize = "stiffness"
+limits = {bounce = ["8 Hz", inf]}        # lower and upper
+bounds = {"isolator 1.z.terms.0.coefficient" = ["5 N/mm", "90 N/mm"]}
+[designs.first.quantities]
+stiffness = {type = "value", path = "isolator 1.z.terms.0.coefficient"}
+bounce = {type = "frequency", mode = 4}  # of slow motions, in which the branches are relaxed""",
+    ),
     "stewart_table": Start(
         "2.69, 2.69",
         'reading = {type = "Position", on = "table", axis = "z"}',

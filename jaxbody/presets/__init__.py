@@ -13,6 +13,7 @@ from jaxbody.presets.presets import (
     quarter_car,
     stewart_table,
 )
+from jaxbody.presets.rubber_presets import rubber_isolators
 
 __all__ = [
     "coupled_gliders",
@@ -25,5 +26,6 @@ __all__ = [
     "hydraulic_engine_mounts",
     "isolated_table",
     "quarter_car",
+    "rubber_isolators",
     "stewart_table",
 ]

@@ -25,6 +25,7 @@ from jaxbody.vibrations.natural_modes import ModalResult
 from jaxbody.vibrations.spins import SpinLinearization
 
 REST = 1e-7  # relative to the largest pole: the root of rounding, the error of a double pole at zero
+SPLIT, SPLIT_AT_REST = 1e-9, 1e-13  # imaginary parts relative to the pole, and to the largest, that are rounding
 GROWS = 1e-9  # relative to the largest pole: larger real parts are not rounding
 
 
@@ -104,6 +105,10 @@ def _complex_modes(lin: LinearSystem) -> ComplexModes:
     relaxations, fastest = jnp.zeros(0, K.dtype), jnp.max(jnp.abs(jax.lax.stop_gradient(s)), initial=0.0)
     stiffness = A[n:, :n]
     if lin.massless:
+        # rounding makes pairs of equal real poles, such as those of equal branches
+        seen = jax.lax.stop_gradient(s)
+        rounding = SPLIT * jnp.abs(seen) + reachable(SPLIT_AT_REST, fastest.dtype, 256) * fastest
+        s = jax.lax.complex(jnp.real(s), jnp.where(jnp.abs(jnp.imag(seen)) <= rounding, 0.0, jnp.imag(s)))
         single, others = _relaxing(*jax.lax.stop_gradient((s, X, M, K)), n)
         relaxations = jnp.where(s[single].imag == 0, s[single].real, jnp.nan)
         s, X, M, K = s[others], X[:, others], M[:n, :n], K[:n, :n] + K[:n, n:] @ following(K, n, lin.massless)[n:]

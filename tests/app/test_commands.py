@@ -124,7 +124,7 @@ def test_measured_data_of_a_new_file_are_read_when_they_are_there(name, capsys, 
 
 
 WITHOUT_DESIGN = ("double_pendulum", "full_car_on_double_wishbones")
-SLOW = ("engine_on_mounts", "hydraulic_engine_mounts", "full_car", "isolated_table", "half_car")
+SLOW = ("engine_on_mounts", "hydraulic_engine_mounts", "full_car", "isolated_table", "half_car", "rubber_isolators")
 
 
 @pytest.mark.parametrize(

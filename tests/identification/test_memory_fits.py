@@ -2,6 +2,7 @@
 
 import jax
 import numpy as np
+import pytest
 
 import jaxbody as jb
 
@@ -50,3 +51,21 @@ def test_a_fit_of_a_record_with_its_initial_state():
     fit = jb.fit(model_of(2.2e4, 5e4, 0.012), {"run": run}, free=[*FREE, "run.initial.z"])
     close_to_truth(fit, 0.02)
     np.testing.assert_allclose(fit.estimates["run.initial.z"], [0.004], rtol=0.02)
+
+
+def test_beta_is_not_told_from_gamma_and_delta():
+    """Only beta gamma and beta delta are in the equation: a fit of all three names them."""
+    law = jb.laws.Linear(5e4) + jb.laws.BoucWen(alpha=5e4, beta=1e3, gamma=0.8, delta=-0.5)
+    mount = jb.SpringDamper(("m", [0, 0, 0]), ("world", [1, 0, 0]), free_length=1.0, spring=law, damper=10.0)
+    model = jb.Model(bodies={"m": jb.Body(mass=2.0)}, joints={"m": jb.Guide("world", axis="x")}, elements={"mount": mount})
+    times, start = np.linspace(0, 0.1, 41), jb.State(np.array([1e-3]), np.zeros(1), np.zeros(1))
+    sensors = {"x": jb.Position("m", axis="x")}
+    measured = jb.measure(jb.simulate(model, times, initial=start), sensors, noise=1e-6, key=jax.random.key(3))
+    run = jb.Experiment(times, initial=start, sensors=sensors, measured=measured, noise=1e-6)
+    free = [f"mount.spring.terms.1.{name}" for name in ("beta", "gamma", "delta")]
+    with pytest.warns(jb.JaxbodyWarning, match="NOT_IDENTIFIABLE"):
+        fit = jb.fit(model, {"run": run}, free=free)
+    (direction,) = fit.unidentified
+    assert all(path in direction for path in free)
+    both = fit.estimates[free[0]] * np.array([fit.estimates[free[1]], fit.estimates[free[2]]])
+    np.testing.assert_allclose(both, [800.0, -500.0], rtol=0.02)
