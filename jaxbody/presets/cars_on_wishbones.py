@@ -93,8 +93,8 @@ def full_car_on_double_wishbones(
         hub = (f"{name} upright", center)
         elements[f"tyre {name}"] = Tyre(hub, f"road {name}", stiffness=k_tyre, radius=radius, engagement=ENGAGEMENT)
     for axle, (end, name) in enumerate((("f", "front"), ("r", "rear"))):
-        hubs = [(f"{end}{side} upright", wheels[end + side].points["wheel center"]) for side in SIDES]
-        elements[f"bar {name}"] = AntiRollBar(*hubs, "car", spring=anti_roll[axle])
+        left, right = ((f"{end}{side} upright", wheels[end + side].points["wheel center"]) for side in SIDES)
+        elements[f"bar {name}"] = AntiRollBar(left, right, "car", spring=anti_roll[axle])
     elements["steering"] = Bushing(("rack", inner), ("car", wheels["fl"].on_car(inner)), stiffness=[0, steering, 0])
     return Model(
         bodies=bodies,
