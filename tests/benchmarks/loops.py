@@ -1,0 +1,88 @@
+"""Closed loops: a corner's time per step beside that of a tree of as many bodies, derivatives of equilibria and curves by hard points
+beside their values, a second of a full car over a kerb.
+
+`python tests/benchmarks/loops.py [step] [curves] [car]` prints medians and least times of warm calls, in milliseconds. Limits: a step
+within 4 times that of the tree, derivatives within 3 times their values.
+"""
+
+import sys
+import time
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxbody as jb
+from jaxbody.mechanisms.ready_corners import DOUBLE_WISHBONE
+
+jax.config.update("jax_enable_x64", True)
+ROUNDS = 15
+
+
+def warm(function):
+    """Median and least time of a call [ms]."""
+    jax.block_until_ready(function())
+    spent = []
+    for _ in range(ROUNDS):
+        begin = time.perf_counter()
+        jax.block_until_ready(function())
+        spent.append(1e3 * (time.perf_counter() - begin))
+    return float(np.median(spent)), min(spent)
+
+
+def step():
+    """Half a second of a double wishbone that its spring lifts, and of the same bodies without closures."""
+    model, times = jb.double_wishbone().model, np.linspace(0.0, 0.5, 51)
+    names = model.layout.bodies
+    tree = jb.Model(
+        bodies={name: model[name] for name in names},
+        joints={name: model.joint(name) for name in names},
+        elements={"spring": model["spring"]},
+    )
+    per_step = {}
+    for name, each in (("corner", model), ("tree of as many bodies", tree)):
+        run = jb.simulate(each, times)
+        taken = sum(int(run.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
+        median, least = warm(lambda each=each: jb.simulate(each, times).state.q)
+        per_step[name] = least / taken
+        print(f"{name}: {taken} steps, {median:.1f} ms, least {least:.1f} ms, {1e3 * least / taken:.1f} us a step")
+    one, other = per_step.values()
+    print(f"ratio of least times per step {one / other:.2f} (limit 4)")
+
+
+def curves():
+    """Toe and camber at eleven travels, and their derivatives by the 36 coordinates of twelve hard points."""
+    travel = np.linspace(-0.08, 0.08, 11)
+    names = tuple(DOUBLE_WISHBONE)
+
+    def values(points):
+        found = jb.double_wishbone(dict(zip(names, points, strict=True))).curves(travel)
+        return jnp.stack([found["toe"], found["camber"]])
+
+    points = jnp.array([DOUBLE_WISHBONE[name] for name in names])
+    alone, both = jax.jit(values), jax.jit(lambda x: (values(x), jax.jacfwd(values)(x)))
+    one, other = warm(lambda: alone(points)), warm(lambda: both(points))
+    print(f"curves {one[0]:.2f} ms, least {one[1]:.2f}; with derivatives {other[0]:.2f} ms, least {other[1]:.2f}")
+    print(f"ratio of least times {other[1] / one[1]:.2f} (limit 3)")
+
+
+def car():
+    """A second of the full car whose front left wheel goes over a kerb of 2 cm, from its equilibrium, which is its reference pose."""
+    model, times = jb.presets.full_car_on_double_wishbones(), np.linspace(0.0, 1.0, 101)
+    lifted = 0.02 * np.clip((times - 0.1) / 0.05, 0, 1)[:, None] * np.array([0, 0, 1.0])
+    motion = {"road fl": jb.Sampled(times, translation=lifted)}
+    run = jb.simulate(model, times, motion=motion)
+    taken = sum(int(run.statistics[f"num_{kind}_steps"]) for kind in ("accepted", "rejected"))
+    median, least = warm(lambda: jb.simulate(model, times, motion=motion).state.q)
+    print(f"a second of the full car: {taken} steps, {median:.0f} ms, least {least:.0f} ms, {1e3 * least / taken:.0f} us a step")
+
+
+def main():
+    warnings.simplefilter("ignore", jb.JaxbodyWarning)
+    for name in sys.argv[1:] or ("step", "curves", "car"):
+        {"step": step, "curves": curves, "car": car}[name]()
+
+
+if __name__ == "__main__":
+    main()
