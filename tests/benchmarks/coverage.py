@@ -201,7 +201,9 @@ def main():
                 lines.append(row(f"{name}, by jb.fit", options.samples[0], rho, study.run_by_fit(rho, options.fits, SEED)))
                 print(lines[-1], f"{time.time() - start:.0f} s", flush=True)
     if options.write:
-        pathlib.Path(__file__).with_suffix(".md").write_text("\n".join(lines) + "\n")
+        page = pathlib.Path(__file__).with_suffix(".md")
+        _, head, others = page.read_text().partition("\n## ")  # rows of mounts.py
+        page.write_text("\n".join(lines) + "\n" + head + others)
 
 
 if __name__ == "__main__":
