@@ -174,7 +174,7 @@ def near(conditions: Conditions, model: Model, values: Any, q: Float[Array, "nq"
 
 def _inverse(conditions: Conditions, held: np.ndarray | None, model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "nv n"]:
     """F_q^+, with the least movement in meters."""
-    scale = scale_of(model, jax.lax.stop_gradient(size_of(model))) * (1.0 if held is None else np.where(held, 0.0, 1.0))
+    scale = scale_of(model, size_of(model)) * (1.0 if held is None else np.where(held, 0.0, 1.0))
     _, slopes = values_and_slopes(Chart(model), lambda q: conditions(model, values, q), q)
     return scale[:, None] * jnp.linalg.pinv(slopes * scale[None], rtol=RANK)
 
@@ -196,7 +196,7 @@ def _searched(conditions: Conditions, held: np.ndarray | None, model: Model, val
 
 def _stepped(conditions: Conditions, held: np.ndarray | None, model: Model, values: Any, q: Float[Array, "nq"]) -> Float[Array, "nq"]:
     """q after a Gauss-Newton step, shortened where an increment is larger than LARGEST_STEP."""
-    size = jax.lax.stop_gradient(size_of(model))
+    size = size_of(model)
     delta = -_inverse(conditions, held, model, values, q) @ conditions(model, values, q)
     largest = _largest(delta / scale_of(model, size)) / size
     return Chart(model).retract(q, delta * jnp.where(largest > LARGEST_STEP, LARGEST_STEP / jnp.maximum(largest, LARGEST_STEP), 1.0))

@@ -22,8 +22,8 @@ def size_of(model: Model) -> Float[Array, ""]:
             on_body = np.array([link[end] in model.layout.bodies for link in table.links])
             on_bodies.append(xp.where(on_body[:, None], points, 0.0))
             anywhere.append(points)
-    near, far = (xp.max(xp.linalg.norm(xp.concatenate(points), axis=-1)) for points in (on_bodies, anywhere))
-    return xp.where(near > 0, near, xp.where(far > 0, far, 1.0))
+    near, far = (xp.max(xp.sum(xp.concatenate(points) ** 2, -1)) for points in (on_bodies, anywhere))
+    return xp.sqrt(xp.where(near > 0, near, xp.where(far > 0, far, 1.0)))  # with a derivative where points lie at origins
 
 
 def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:

@@ -7,8 +7,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxbody as jb
+from jaxbody.compilation.compile_options import jit_unoptimized
 from jaxbody.geometry.frames import Pose
-from jaxbody.mechanics.constraints import gaps
+from jaxbody.mechanics.constraints import closed_on, drawn, gaps
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.mechanisms.driven_positions import drives_of, position, positions
 
@@ -152,6 +153,27 @@ def test_an_assembled_state_has_derivatives_by_lengths():
     assert float(reverse) == pytest.approx(difference, rel=1e-8)
     assert float(jax.jit(jax.jacfwd(rocker))(CRANK)) == pytest.approx(difference, rel=1e-8)
     assert float(forward_of_reverse) == pytest.approx(second, rel=1e-5)
+
+
+def test_a_start_off_the_closures_has_derivatives_by_the_point_that_sets_the_size():
+    """Least movement weighs turns by the size of the model: a slider-crank whose crank is its longest part."""
+
+    @jit_unoptimized
+    def moved(crank):
+        tip, slider = jnp.array([1.0, 0, 0]) * crank, jb.Guide("world", axis=[1, 0, 0])
+        model = jb.Model(
+            bodies={"crank": BAR, "slider": jb.Body(mass=1.0, inertia=[1, 1, 1], position=[0.5, 0, 0])},
+            joints={"crank": jb.Hinge("world", axis="z"), "slider": slider},
+            closures={"rod": jb.closures.Rod(("crank", tip), ("slider", [0, 0, 0.05]), length=0.4)},
+        )
+        coordinates = Coordinates(model)
+        return closed_on(coordinates, drawn(coordinates), coordinates.supports.at_rest(), jnp.array([0.6, -0.05]))
+
+    h = 1e-4
+    slope, differences = jax.jacfwd(moved)(0.2), (moved(0.2 + h) - moved(0.2 - h)) / (2 * h)
+    assert np.abs(moved(0.2) - np.array([0.6, -0.05])).min() > 1e-3  # both move
+    np.testing.assert_allclose(slope, differences, rtol=1e-6)
+    np.testing.assert_allclose(jax.jacrev(moved)(0.2), slope, rtol=1e-9)
 
 
 def test_a_turn_of_the_crank_one_position_after_the_other():
