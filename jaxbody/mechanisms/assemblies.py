@@ -73,7 +73,8 @@ def assemble(model: Model, *, start: State | None = None, hold: Sequence[str] = 
 
         c(q) = 0,   q <- q (+) -J^+ c(q),   J = dc/dDelta
 
-    The state is an exact function of the model's numbers: it has derivatives in both modes, up to the fourth.
+    The state is an exact function of the model's numbers: it has derivatives in both modes, up to the fourth. Where freedoms are left they
+    are those of the least movement from the assembled state, which from a start far off is not quite the change of the whole movement.
 
     Args:
         model: a model with closures; its drawn poses may be rough
