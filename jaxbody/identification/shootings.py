@@ -30,7 +30,6 @@ from jaxbody.identification.residuals import first_noise
 from jaxbody.mechanics.energies import completed
 from jaxbody.mechanics.kinematics import frames_at_time
 from jaxbody.models.models import Model
-from jaxbody.models.preconditions import refuse_closures
 from jaxbody.models.states import State
 from jaxbody.sensors.channels import Channel
 from jaxbody.simulations.readings import readings
@@ -164,7 +163,6 @@ def multiple_shooting(
     >>> round(float(multiple_shooting(model, {"track": track}, free="spring.stiffness", segments=4).estimates["spring.stiffness"]), 4)
     39.4784
     """
-    refuse_closures("multiple_shooting", model)
     check_measurements(experiments, "multiple_shooting.experiments").raise_if_any()
     shortest = min((len(experiment.times) for experiment in experiments.values()), default=2)
     if not 2 <= segments < shortest:
