@@ -244,3 +244,22 @@ def test_bad_input_is_refused_all_at_once(five):
         jb.spectrum_response(five, {"0": {"x": absolute}}, OUTPUTS)
     with pytest.raises(jb.JaxbodyError, match="BAD_CHAIN"):
         jb.spectrum_response(five, {"0": {"x": level}}, {"a": jb.Acceleration("5", axis="x", lag=0.1)})
+
+
+def test_two_masses_that_a_rod_joins_respond_as_one():
+    """Along the rod: the force is the sum of the masses times the pseudo-acceleration."""
+    body = lambda m, x: jb.Body(m, [1, 1, 1], position=[x, 0, 1])  # noqa: E731
+    model = jb.Model(
+        bodies={"frame": body(3.0, 0.0), "box": body(2.0, 0.5)},
+        supports={"base": jb.Support()},
+        joints=dict.fromkeys(("frame", "box"), jb.Guide("world", axis="x")),
+        elements={"s": jb.Spring(("frame", [0, 0, 0]), ("base", [1, 0, 1]), stiffness=800.0, free_length=1.0, damping=4.0)},
+        closures={"rod": jb.closures.Rod(("frame", [0, 0, 0]), ("box", [0, 0, 0]))},
+    )
+    lin, level = jb.linearize(model, jb.equilibrium(model)), jb.Eurocode8(2.0)
+    w, zeta = np.sqrt(800.0 / 5), 4.0 / (2 * np.sqrt(800.0 * 5))
+    peaks = jb.spectrum_response(lin, {"base": {"x": level}}, {"force": jb.Elongation("s", gain=800.0)})
+    np.testing.assert_allclose(peaks["force"], 5 * float(level(w / (2 * np.pi), zeta)), rtol=1e-10)
+    np.testing.assert_allclose(peaks.total_mass, [5.0], rtol=1e-12)
+    floor = jb.floor_spectrum(lin, {"base": {"x": level}}, jb.Acceleration("box", axis="x"), [1e4])
+    np.testing.assert_allclose(floor.values, [[peaks["force"] / 5]], rtol=1e-5)  # stiff equipment moves with the box
