@@ -184,16 +184,16 @@ def kills(share):
 MEASURES = {f.__name__: f for f in (rests, drift, gradients, speed, kills)}
 
 HELD = """\
-| R1 | random models without a silent NaN or a false "ok" | 10,000 models | 2080, [properties](properties.md) | |
+| R1 | random models without a silent NaN or a false "ok" | 10,000 models | 2080: table of properties | |
 | R3 | energy of Gauss's method without a trend | 1e5 periods | tests/mechanics/test_collocations.py, test_momenta.py | yes |
 | R4 | K and frequencies against fifty digits, rotations of 0 to 3 rad | 1e-12 | tests/mechanics/test_fifty_digits.py | yes |
 | R5 | derivatives against complex steps | 1e-11 | none: models hold real numbers; differences at 1e-6 | no |
-| R6 | 95 % intervals that hold, noise correlation up to 0.9 | 93 to 97 % | [coverage](coverage.md) | |
+| R6 | 95 % intervals that hold, noise correlation up to 0.9 | 93 to 97 % | table of coverage | |
 | R7 | directions that are not identifiable, found | 99.5 %, 0.5 % falsely | 49 of 50, 1 of 150, recovery.py | no |
-| R8 | changed files: a model or a clear error | 1e6 of models, 1e6 of data | [fuzzing](fuzzing.md) | |
+| R8 | changed files: a model or a clear error | 1e6 of models, 1e6 of data | 60,000 and 60,000: table of changed files | no |
 | R9 | bad inputs whose message is tested | 96 | 94, tests/core/test_catalogue.py | no |
 | R10 | wrong units flagged | 95 %, 1 % falsely | not measured | no |
-| R11 | planted bugs killed | 120 | 244 of 244, [planted bugs](../mutations/results.md) | yes |
+| R11 | planted bugs killed | 120 | 244 of 244: table of planted bugs | yes |
 | R13 | Ctrl-C answered; fits resumed | 2 s; 500 of 500 | tests/identification/test_losses.py, tests/workers/test_executors.py | |
 """
 
