@@ -138,7 +138,7 @@ def _new(options: argparse.Namespace, own_process: bool) -> int:
     if options.model is None:
         print("Ready models: " + ", ".join(ready))
         return 0
-    chosen = [name for name in ready if name.startswith(options.model)]
+    chosen = [options.model] if options.model in ready else [name for name in ready if name.startswith(options.model)]
     if len(chosen) != 1:
         raise JaxbodyError(unknown(options.model, "new", tuple(ready)))
     _use_x64()

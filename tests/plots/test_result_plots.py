@@ -19,7 +19,8 @@ from jaxbody.plots import canvases
 from jaxbody.plots.pictures import PICTURES, picture_of
 from jaxbody.vibrations.linearizations import LinearSystem
 
-WITHOUT_PLOT = {"Plausibility", "MjcfModel", "Study"}  # numbers of different kinds; lists beside a `model`, which has a plot
+# numbers of different kinds; lists beside a `model`, which has a plot
+WITHOUT_PLOT = {"Plausibility", "WheelCompliance", "MjcfModel", "Study"}
 MASS, STIFFNESS, DAMPING, FREQUENCY, AMPLITUDE = 2.0, 800.0, 16.0, 2.0, 0.01
 
 
