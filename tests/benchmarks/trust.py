@@ -193,7 +193,7 @@ HELD = """\
 | R8 | changed files: a model or a clear error | 1e6 of models, 1e6 of data | 60,000 and 60,000: table of changed files | no |
 | R9 | bad inputs whose message is tested | 96 | 94, tests/core/test_catalogue.py | no |
 | R10 | wrong units flagged | 95 %, 1 % falsely | not measured | no |
-| R11 | planted bugs killed | 120 | 244 of 244: table of planted bugs | yes |
+| R11 | planted bugs killed | 120 | 247 of 247: table of planted bugs | yes |
 | R13 | Ctrl-C answered; fits resumed | 2 s; 500 of 500 | tests/identification/test_losses.py, tests/workers/test_executors.py | |
 """
 

@@ -150,6 +150,7 @@ def start(model):
     return jb.State(model.reference.q, jnp.array([0.5, 0.3, 0, 3, -2, 4, 0, 1, 0.5, -3, 5, 2.0]))
 
 
+@pytest.mark.long
 def test_free_motion_with_large_rotations_keeps_its_energy():
     model, rtol = swinging(), 1e-9
     run = jb.simulate(model, jnp.linspace(0, 2, 21), initial=start(model), rtol=rtol)
@@ -163,6 +164,7 @@ def test_free_motion_with_large_rotations_keeps_its_energy():
     np.testing.assert_allclose(gauss.state.v[-1], run.state.v[10], atol=1e-6)
 
 
+@pytest.mark.long
 def test_what_supports_supply_is_stored_or_lost():
     """Power of the supports = rate of the energies + damping, in the mean over a motion; the load cell reads b times the acceleration."""
     rtol = 1e-10
@@ -260,6 +262,7 @@ def test_derivatives_of_motions_and_frequencies():
         np.testing.assert_allclose(reverse, steps, rtol=1e-6, atol=1e-6 * float(jnp.abs(reverse).max()))
 
 
+@pytest.mark.long
 def test_a_batch_is_a_loop():
     model = beam()
     inertances = jnp.array([0.0, 3.0, 12.0])

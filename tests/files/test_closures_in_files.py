@@ -284,6 +284,7 @@ def test_names_and_units_are_checked_before_JAX_is_imported(tmp_path):
     assert done.stdout.split() == ["UNKNOWN_NAME", "UNKNOWN_BODY", "UNKNOWN_BODY", "False", "False"]
 
 
+@pytest.mark.long
 def test_a_corner_of_a_file_has_the_same_curves(tmp_path):
     corner = jb.double_wishbone()
     read = again(corner.model, tmp_path / "corner.toml")

@@ -96,6 +96,7 @@ def test_motion_ratio_wheel_force_and_wheel_rate(double):
     np.testing.assert_allclose(double["wheel rate"][rows], wheel_rate, rtol=1e-7)
 
 
+@pytest.mark.long
 def test_a_wheel_under_load_moves_by_the_wheel_rate():
     """Equilibria under a vertical force at the wheel center, with the rack held: the forces of the table lead to its travel, and the change
     of travel by force is one over the wheel rate."""
@@ -120,6 +121,7 @@ def lift(center, force):
     return {"road": jb.Force(("upright", center), force=[0, 0, force])}
 
 
+@pytest.mark.long
 def test_a_macpherson_strut_over_travel():
     curves = jb.macpherson().curves(TRAVEL)
     _, *angles, x, y, camber_rate, toe_rate = table(STRUT)
@@ -131,6 +133,7 @@ def test_a_macpherson_strut_over_travel():
     np.testing.assert_allclose(np.rad2deg(rate(curves, "toe")), toe_rate, atol=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.skipif("JAXBODY_DATA" not in os.environ, reason="needs the data of JAXBODY_DATA")
 def test_rack_and_travel_together_in_41_positions():
     """Numbers of the public project that the hard points are from, computed again by a closed form."""
@@ -219,6 +222,7 @@ def upright(travel, rack):
     return x[:3], Rotation.from_rotvec(x[3:])
 
 
+@pytest.mark.long
 def test_five_links_over_travel_and_steering_are_where_five_distances_say():
     corner = jb.five_link()
     travel, rack = np.array([-0.08, -0.03, 0.0, 0.05, 0.08]), np.array([0.0, 0.02, 0.0, -0.03, 0.01])

@@ -21,7 +21,6 @@ G = 9.81
 CRANK, COUPLER, ROCKER, BASE = 0.12, 0.36, 0.24, 0.3
 BAR = {"crank": (0.8, 0.05, 0.002), "coupler": (1.5, 0.2, 0.02), "rocker": (1.1, 0.1, 0.008)}  # mass, distance of its center, inertia
 TORQUE, REST, START = 30.0, 0.4, 0.5  # of the torsion spring at the crank; angle of the crank in the drawing
-CUTS = ("head", "foot")  # the closure: between coupler and rocker, or of the rocker and the ground
 
 
 def angles(crank, foot):
@@ -43,7 +42,8 @@ def places(crank, foot):
 
 
 def four_bar(cut="head", *, support=False):
-    """Drawn closed with the crank at START; bodies have the axes of the world."""
+    """Drawn closed with the crank at START; bodies have the axes of the world. The closure is between coupler and rocker, or of the rocker
+    and the ground."""
     center, (_, coupler, _) = (np.asarray(x) for x in places(START, jnp.array(BASE)))
     pin = CRANK * np.array([np.cos(START), np.sin(START), 0.0])
     end = pin + COUPLER * np.array([np.cos(coupler), np.sin(coupler), 0.0])
@@ -97,7 +97,7 @@ def largest_gap(trajectory):
     return float(jnp.max(trajectory.at_samples(gap)))
 
 
-@pytest.mark.parametrize("cut", CUTS)
+@pytest.mark.parametrize("cut", ["head", pytest.param("foot", marks=pytest.mark.long)])
 def test_a_four_bar_moves_as_its_one_equation_of_motion_and_keeps_its_energy(cut):
     times, rtol = np.linspace(0.0, 10.0, 201), 1e-10
     trajectory = jb.simulate(four_bar(cut), times, rtol=rtol)
@@ -112,7 +112,7 @@ def test_a_four_bar_moves_as_its_one_equation_of_motion_and_keeps_its_energy(cut
     assert trajectory.closing is not None and float(trajectory.closing.gap) < 1e-12
 
 
-@pytest.mark.parametrize("cut", CUTS)
+@pytest.mark.parametrize("cut", [pytest.param("head", marks=pytest.mark.long), "foot"])
 def test_a_support_that_moves_drives_a_closed_loop(cut):
     """The foot of the rocker shakes: c depends on time, through the tree or through the closure."""
     times = np.linspace(0.0, 2.0, 1001)
@@ -154,6 +154,7 @@ def test_rest_on_a_base_that_moves_slowly_follows_the_equilibria():
     np.testing.assert_allclose(start.v, speed * (at_rest[1] - at_rest[2]) / (2 * h), rtol=1e-5)
 
 
+@pytest.mark.long
 def test_rest_on_a_base_that_is_displaced_and_turns():
     """q and v of the equilibria of a model drawn with the base there, by differences; the closure is on the base."""
     model, h = four_bar("foot", support=True), 1e-3
@@ -278,6 +279,7 @@ def test_trajectories_have_derivatives_by_points_and_masses():
     np.testing.assert_allclose(jax.jit(jax.vmap(end))(batch), [value(x) for x in batch], rtol=1e-9)
 
 
+@pytest.mark.long
 def test_the_derivative_of_the_projection_is_the_implicit_one():
     """P fulfils c = 0 and M Delta + J' mu = 0: at a closed state its derivative is 1 - M^-1 J' (J M^-1 J')^+ J for q, and for v too."""
     model = four_bar()

@@ -169,12 +169,14 @@ def travel(model, values):
     return jnp.sum(run.state.q[:, :3] ** 2) * 1e4 + 1e-4 * jnp.sum(run.state.z**2)
 
 
+@pytest.mark.long
 def test_derivatives_of_a_motion(both):
     x = jnp.array([K1, TAU, 2e4])
     of = jax.jit(lambda x: travel(both, x))
     rigs.check_derivatives(of, x)
 
 
+@pytest.mark.long
 def test_a_batch_is_a_loop(both):
     values = jnp.array([[K1, TAU, 2e4], [0.8 * K1, 2 * TAU, 3e4]])
     np.testing.assert_allclose(jax.vmap(lambda x: travel(both, x))(values), [travel(both, x) for x in values], rtol=1e-9)

@@ -64,7 +64,7 @@ def turn_of(model, state, body):
     return float(np.arctan2(R[1, 0], R[0, 0]))
 
 
-@pytest.mark.parametrize("cut", CUTS)
+@pytest.mark.parametrize("cut", ["right pin", *(pytest.param(cut, marks=pytest.mark.long) for cut in CUTS[1:])])
 def test_a_parallelogram_cut_at_any_joint_is_at_rest_where_virtual_work_is_zero(cut):
     """Four hinges in space: three of the five conditions of each closure are implied, and these have no unique reaction."""
     model = parallelogram(cut)
@@ -208,6 +208,7 @@ def test_supports_carry_what_closures_hand_to_them():
     np.testing.assert_allclose(moment, [0, 0, -G * about], atol=1e-12)
 
 
+@pytest.mark.long
 def test_load_cases_tilt_the_linkage_as_gravity_tilts():
     model = parallelogram(spring=False)
     cases = jb.load_cases(model, {"corner": jb.LoadCase(acceleration=[0.4, 0, 0]), "bump": jb.LoadCase(acceleration=[0, 2.0, 0])})

@@ -83,7 +83,7 @@ def _tree(view):
     return [_name(part.path) for part in view.animation.parts]
 
 
-@pytest.mark.parametrize("car, most", [("quarter_car", 3e6), ("full_car", 8e6)])
+@pytest.mark.parametrize("car, most", [("quarter_car", 3e6), pytest.param("full_car", 8e6, marks=pytest.mark.long)])
 def test_a_minute_of_a_car_is_a_small_page(car, most, tmp_path):
     """On a rough road, so that nothing repeats."""
     model = getattr(jb.presets, car)(**({"damping": 1500.0} if car == "quarter_car" else {}))
