@@ -22,8 +22,8 @@ from jaxbody.core.arguments import check_kind
 from jaxbody.core.arrays import Array, Float, Int, is_concrete
 from jaxbody.core.errors import JaxbodyError, Problem, Problems, Status, unknown
 from jaxbody.core.results import Result, warn_if_failed
-from jaxbody.mechanics.constraints import closed_on, drawn, how_open
-from jaxbody.mechanics.free_motions import free_motions, is_closed
+from jaxbody.mechanics.constraints import CLOSED, closed_on, drawn, how_open
+from jaxbody.mechanics.free_motions import free_motions
 from jaxbody.mechanics.hessians import configuration_at, slope
 from jaxbody.mechanics.kinematics import Chart, Coordinates
 from jaxbody.models.leaf_paths import Leaf, leaves_of, matching, write
@@ -45,13 +45,14 @@ class Preload(Result):
 
     `state` is the pose, `moved` {coordinate: change [m, rad]} of its coordinates that may move, `residual` the unbalanced forces [N, N m].
     `status` UNBALANCED where these are not zero, NEGATIVE_LENGTH where a length would have to be negative, NOT_CLOSED where closures stay
-    open. With closures the residual is along the motions that they leave free."""
+    open, by the `gap` relative to the size of the model. With closures the residual is along the motions that they leave free."""
 
     status: Int[Array, ""]
     values: Float[Array, "n"]
     change: Float[Array, "n"]
     moves: Float[Array, "m"]
     residual: Float[Array, "nv"]
+    gap: Float[Array, ""]
     state: State
     model: Model
     paths: tuple[str, ...] = eqx.field(static=True)
@@ -73,7 +74,7 @@ class Preload(Result):
         if int(self.status) == Status.NEGATIVE_LENGTH:
             return ", ".join(f"{path} = {float(v):.6g} m" for path, v in self.free_lengths.items() if v < 0)
         if int(self.status) == Status.NOT_CLOSED:
-            return f"closures stay open by {float(how_open(Coordinates(self.model), self.state.q)):.3g} of the size of the model"
+            return f"closures stay open by {float(self.gap):.3g} of the size of the model"
         layout, residual = self.model.layout, np.asarray(self.residual)
         worst = [i for i in np.argsort(-np.abs(residual)) if abs(residual[i]) > 1e-6 * np.abs(residual).max()][:4]
         forces = [f"{-residual[i]:.4g} {'N m' if layout.turns[i] else 'N'} on {layout.coordinates[i]}" for i in worst]
@@ -170,11 +171,12 @@ def _preload(model: Model, state: State, leaves: tuple[Leaf, ...], rows: tuple[i
         Status.OK.value,
     )
     new_model, q, delta = changed(u)
-    status = jnp.where(is_closed(Coordinates(new_model), q), status, Status.NOT_CLOSED.value)
+    gap = how_open(Coordinates(new_model), q) if model.closures else jnp.zeros((), q.dtype)
+    status = jnp.where(gap <= CLOSED, status, Status.NOT_CLOSED.value)
     z = rest_states(new_model, Coordinates(new_model).at_rest(q).pose(), state.z) if layout.nz else None
     balanced, moving = State(q, jnp.zeros(layout.nv, q.dtype), z), tuple(layout.coordinates[i] for i in rows)
     paths = tuple(leaf.path for leaf in leaves)
-    return Preload(status, u[:n], (u - start)[:n], delta[np.array(rows, int)], residual / scale, balanced, new_model, paths, moving)
+    return Preload(status, u[:n], (u - start)[:n], delta[np.array(rows, int)], residual / scale, gap, balanced, new_model, paths, moving)
 
 
 def _closed(coordinates: Coordinates, q: Float[Array, "nq"], held: np.ndarray | None) -> Float[Array, "nq"]:
