@@ -23,7 +23,7 @@ def size_of(model: Model) -> Float[Array, ""]:
             on_bodies.append(xp.where(on_body[:, None], points, 0.0))
             anywhere.append(points)
     near, far = (xp.max(xp.sum(xp.concatenate(points) ** 2, -1)) for points in (on_bodies, anywhere))
-    return xp.sqrt(xp.where(near > 0, near, xp.where(far > 0, far, 1.0)))  # with a derivative where points lie at origins
+    return xp.asarray(xp.sqrt(xp.where(near > 0, near, xp.where(far > 0, far, 1.0))))  # with a derivative where points lie at origins
 
 
 def scale_of(model: Model, size: Float[Array, ""]) -> Float[Array, "nv"]:
