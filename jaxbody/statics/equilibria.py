@@ -91,14 +91,14 @@ class Equilibrium(Labeled, Result):
         return self._of_elements(self.element_forces)
 
     @property
-    def reactions(self) -> dict[str, tuple[Float[Array, "3"], Float[Array, "3"]]]:
+    def reactions(self) -> dict[str, tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]]:
         """{support: (force [N], moment about its origin [N m])}, in world axes, exerted by its elements and by all that it carries by
         joints, with weights and, as far as they are carried, loads."""
         rows = {name: self.on_supports[..., i, :] for i, name in enumerate(self.layout.supports)}
         return {name: (row[..., :3], row[..., 3:]) for name, row in rows.items()}
 
     @property
-    def closure_reactions(self) -> dict[str, dict[str, Float[Array, ""]]]:
+    def closure_reactions(self) -> dict[str, dict[str, Float[Array, "*batch"]]]:
         """{closure: {condition: force [N], or moment [N m] of a "turn"}}, by its second frame on its first along the condition, so that
         positive forces resist an increase of c; NaN where closures share a force, so that it is not determined."""
         return self.closed.by_name(self.model) if self.closed else {}

@@ -20,7 +20,7 @@ from jaxbody.workers import chunk_programs
 from jaxbody.workers.chunk_programs import compute_chunk, exported
 
 ROWS = [np.linspace(0.1, 7.0, 23), np.arange(69.0).reshape(23, 3)]
-SHARED = [np.float64(0.3), np.arange(9.0).reshape(3, 3)]
+SHARED = [np.array(0.3), np.arange(9.0).reshape(3, 3)]
 
 
 def function(shared, rows):
