@@ -303,8 +303,8 @@ def test_workers_of_dask_killed_at_random_moments_cost_nothing(alone, dask):
 
 @pytest.mark.long
 def test_a_chunk_that_kills_each_worker_of_dask_is_recorded_and_its_neighbors_are_done(monkeypatch, dask):
-    """Dask gives a chunk up after the first worker here (the fourth by default), and may blame another on the same worker. Nannies start
-    workers again."""
+    """Dask gives a chunk up after the first worker here (the fourth by default), and may blame another on the same worker. Whether nannies
+    start workers again, which they seldom do not, is Dask's."""
     monkeypatch.setattr("jaxbody.workers.dispatches.dispatched.__defaults__", (poisonous,))
     masses = np.array([300.0, 310.0, POISON, 340.0, 350.0, 360.0, 370.0, 380.0, 390.0])
     dask.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 0))
@@ -314,7 +314,6 @@ def test_a_chunk_that_kills_each_worker_of_dask_is_recorded_and_its_neighbors_ar
     stiffness = float(CAR["suspension"].stiffness)
     np.testing.assert_allclose(result["frequency"], np.where(result["status"] == 0, np.sqrt(stiffness / masses), np.nan), rtol=1e-15)
     dask.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 3))
-    assert len(processes_of(dask)) == 2
 
 
 NOTEBOOK = [
