@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxbody.core.arrays import Array, Float, concrete, device_array, float_array
 from jaxbody.core.errors import Problems, unknown
-from jaxbody.experiments.measurements import Measurement, noise_of
+from jaxbody.experiments.measurements import Measurement, check_rows, noise_of
 from jaxbody.mechanisms.alignment_curves import curve_names, curve_unit, suspension_curves
 from jaxbody.mechanisms.wheels import Wheel
 from jaxbody.sensors.channels import Channel
@@ -60,14 +60,8 @@ class MeasuredCurves(Measurement):
                 problems.add("NO_DATA", "MeasuredCurves.measured", "is empty", limit="at least one curve")
             shape = (max((np.size(x) for x in over.values()), default=0),)
             for name, array in arrays.items():
-                where, known = f"MeasuredCurves.measured['{name}']", concrete(array)
-                if np.shape(array) != shape:
-                    limit = f"{shape}, a number for each row of over"
-                    problems.add("BAD_SHAPE", where, f"has shape {np.shape(array)}", value=np.shape(array), limit=limit)
-                elif known is not None and np.isinf(known).any():
-                    problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN for rows to leave out")
-                elif known is not None and np.isnan(known).all():
-                    problems.add("ALL_NAN", where, "has only NaN", hint="Leave it out.")
+                limit = f"{shape}, a number for each row of over"
+                check_rows(array, shape, f"MeasuredCurves.measured['{name}']", "rows", limit, problems)
             levels = noise_of(noise or {}, arrays, "MeasuredCurves.noise", problems)
         self.wheel = wheel
         self.driven = {name: jax.tree.map(device_array, by) for name, by in drive.items() if not isinstance(by, str)}

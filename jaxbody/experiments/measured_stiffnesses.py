@@ -7,9 +7,9 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from jaxbody.core.arrays import Array, Float, concrete, device_array, float_array, scalar
+from jaxbody.core.arrays import Array, Float, device_array, float_array, scalar
 from jaxbody.core.errors import Problems, unknown
-from jaxbody.experiments.measurements import Measurement, noise_of
+from jaxbody.experiments.measurements import Measurement, check_rows, noise_of
 from jaxbody.responses.dynamic_stiffnesses import dynamic_stiffness
 from jaxbody.responses.frequency_responses import check_frequencies
 from jaxbody.sensors.channels import Channel
@@ -61,13 +61,7 @@ class MeasuredStiffness(Measurement):
             if not arrays:
                 problems.add("NO_DATA", "MeasuredStiffness", "has no data", limit="magnitude= or loss_angle=")
             for name, array in arrays.items():
-                where, known = f"MeasuredStiffness.{name}", concrete(array)
-                if np.shape(array) != shape:
-                    problems.add("BAD_SHAPE", where, f"has shape {np.shape(array)}", value=np.shape(array), limit=str(shape))
-                elif known is not None and np.isinf(known).any():
-                    problems.add("NON_FINITE", where, "has infinite values", limit="finite, or NaN for frequencies to leave out")
-                elif known is not None and np.isnan(known).all():
-                    problems.add("ALL_NAN", where, "has only NaN", hint="Leave it out.")
+                check_rows(array, shape, f"MeasuredStiffness.{name}", "frequencies", str(shape), problems)
             levels = noise_of(noise or {}, arrays, "MeasuredStiffness.noise", problems)
             size = None if amplitude is None else scalar(amplitude, "MeasuredStiffness.amplitude", problems)
             force = scalar(preload, "MeasuredStiffness.preload", problems)

@@ -73,6 +73,17 @@ class Measurement(eqx.Module):
         return ~self.channels[name].missing(as_numpy(self.measured[name]))
 
 
+def check_rows(array: Any, shape: tuple[int, ...], where: str, rows: str, limit: str, problems: Problems) -> None:
+    """Check measured numbers, one for each of some rows, with NaN for rows to leave out; errors go to `problems`."""
+    known = concrete(array)
+    if np.shape(array) != shape:
+        problems.add("BAD_SHAPE", where, f"has shape {np.shape(array)}", value=np.shape(array), limit=limit)
+    elif known is not None and np.isinf(known).any():
+        problems.add("NON_FINITE", where, "has infinite values", limit=f"finite, or NaN for {rows} to leave out")
+    elif known is not None and np.isnan(known).all():
+        problems.add("ALL_NAN", where, "has only NaN", hint="Leave it out.")
+
+
 def noise_of(given: dict[Any, Any], measured: dict[Any, Any], where: str, problems: Problems) -> dict[Any, Any]:
     """Standard deviations of measured quantities, each one number or one for each measured number; errors go to `problems`."""
     levels = {}
