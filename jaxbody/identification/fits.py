@@ -17,6 +17,7 @@ from jaxbody.identification.intervals import FEW, Interval, freedoms_of, interva
 from jaxbody.identification.residuals import Task
 from jaxbody.mechanisms.corners import Corner
 from jaxbody.models.models import Model
+from jaxbody.parameters.spaces import arrays_of
 from jaxbody.parameters.transforms import Direction, Rotated
 from jaxbody.statistics.quantiles import check_level
 from jaxbody.statistics.uncertainties import Uncertainty
@@ -73,8 +74,7 @@ class Fit(Labeled, Result):
     @property
     def estimates(self) -> dict[str, Array]:
         """{path: value}."""
-        own = self.model if self.corner is None else (self.model, self.corner.hard_points)
-        arrays = {run: jax.tree.leaves(tree) for run, tree in {"": own, **self.experiments}.items()}
+        arrays = {"": arrays_of(self.model, self.corner)} | {run: jax.tree.leaves(tree) for run, tree in self.experiments.items()}
         return {leaf.path: leaf.read(arrays[run]) for parameter in self.task.space.parameters for run, leaf in parameter.places[:1]}
 
     def _assessed(self) -> Uncertainty:

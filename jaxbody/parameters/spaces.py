@@ -133,8 +133,13 @@ def model_of(design: Model | Corner) -> Model:
     return design.model if isinstance(design, Corner) else design
 
 
+def arrays_of(model: Model, corner: Corner | None) -> list[Any]:
+    """The arrays that the leaves of a design count: those of the model, then the hard points of its corner."""
+    return jax.tree.leaves(model if corner is None else (model, corner.hard_points))
+
+
 def hard_points_of(corner: Corner) -> list[Leaf]:
-    """The leaves of the hard points, after all arrays of the model."""
+    """The leaves of the hard points, in the order of `arrays_of`."""
     first = jax.tree.structure(corner.model).num_leaves
     return [Leaf(name, first + i, None, 1, Kind("m")) for i, name in enumerate(sorted(corner.hard_points))]
 
@@ -172,8 +177,7 @@ def space_of(
             problems.raise_if_any()
         own = [*leaves_of(model), *([] if corner is None else hard_points_of(corner))]
         owner = dict.fromkeys(own, "") | {leaf: run for run, tree in runs.items() for leaf in leaves_of(tree, f"{run}.")}
-        trees = {"": model if corner is None else (model, corner.hard_points), **runs}
-        arrays = {name: jax.tree.leaves(tree) for name, tree in trees.items()}
+        arrays = {"": arrays_of(model, corner)} | {name: jax.tree.leaves(tree) for name, tree in runs.items()}
         absent = {f"{name}.{path}": hint for name, run in runs.items() for path, hint in run.absent().items()}
         selected = ties(list(owner), [free] if isinstance(free, str) else free, f"{where}.free", problems, absent)
         if problems.collected:  # bounds of what is not free would be unknown, too
