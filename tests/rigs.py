@@ -174,6 +174,21 @@ def beam_with_tip(elements):
     )
 
 
+def slider_crank(elements, line="world", crank=0.2, coupler=0.3):
+    """Drawn stretched out along x, links of 1 and 3 kg; the coupler's end slides along x, on the world or on a base."""
+    return jb.Model(
+        bodies={
+            "crank": jb.Body(mass=1.0, inertia=[1, 1, 0.01], com=[crank / 2, 0, 0]),
+            "coupler": jb.Body(mass=3.0, inertia=[1, 1, 0.01], com=[coupler / 2, 0, 0], position=[crank, 0, 0]),
+        },
+        joints={"crank": jb.Hinge("world", axis="z"), "coupler": jb.Hinge("crank", axis="z", at=[crank, 0, 0])},
+        supports={line: jb.Support()} if line != "world" else {},
+        closures={"slider": jb.closures.Inline((line, [0, 0, 0]), ("coupler", [coupler, 0, 0]), axis="x")},
+        elements=elements,
+        gravity=[0, -9.81, 0],
+    )
+
+
 def check_derivatives(of, x):
     """Those of a number by each of a row: reverse against forward mode, and forward against differences of fourth order."""
     forward, reverse = jax.jacfwd(of)(x), jax.grad(of)(x)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import rigs
 from scipy.optimize import brentq
 
 import jaxbody as jb
@@ -20,16 +21,8 @@ WEIGHT, STIFFNESS, FREE = 4.0 * G, 300.0, 0.45
 
 def slider_crank():
     """Drawn stretched out along x; the coupler's end slides along x and is pushed by a spring."""
-    return jb.Model(
-        bodies={
-            "crank": jb.Body(mass=1.0, inertia=[1, 1, 0.01], com=[CRANK / 2, 0, 0]),
-            "coupler": jb.Body(mass=3.0, inertia=[1, 1, 0.01], com=[COUPLER / 2, 0, 0], position=[CRANK, 0, 0]),
-        },
-        joints={"crank": jb.Hinge("world", axis="z"), "coupler": jb.Hinge("crank", axis="z", at=[CRANK, 0, 0])},
-        closures={"slider": jb.closures.Inline(("world", [0, 0, 0]), ("coupler", [COUPLER, 0, 0]), axis="x")},
-        elements={"spring": jb.Spring(("coupler", [COUPLER, 0, 0]), ("world", [END, 0, 0]), stiffness=STIFFNESS, free_length=FREE)},
-        gravity=[0, -G, 0],
-    )
+    spring = jb.Spring(("coupler", [COUPLER, 0, 0]), ("world", [END, 0, 0]), stiffness=STIFFNESS, free_length=FREE)
+    return rigs.slider_crank({"spring": spring}, crank=CRANK, coupler=COUPLER)
 
 
 def place(a, side):

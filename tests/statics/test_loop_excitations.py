@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import rigs
 
 import jaxbody as jb
 
@@ -13,17 +14,8 @@ WEIGHT, TORQUE, ANGLE = 4.0 * G, 30.0, 0.6  # of both links, whose centers are a
 
 def slider_crank():
     """The coupler's end slides along x on a base that moves."""
-    return jb.Model(
-        bodies={
-            "crank": jb.Body(mass=1.0, inertia=[1, 1, 0.01], com=[CRANK / 2, 0, 0]),
-            "coupler": jb.Body(mass=3.0, inertia=[1, 1, 0.01], com=[COUPLER / 2, 0, 0], position=[CRANK, 0, 0]),
-        },
-        joints={"crank": jb.Hinge("world", axis="z"), "coupler": jb.Hinge("crank", axis="z", at=[CRANK, 0, 0])},
-        supports={"base": jb.Support()},
-        closures={"slider": jb.closures.Inline(("base", [0, 0, 0]), ("coupler", [COUPLER, 0, 0]), axis="x")},
-        elements={"spring": jb.Torsion("world", "crank", axis="z", spring=TORQUE)},
-        gravity=[0, -G, 0],
-    )
+    spring = jb.Torsion("world", "crank", axis="z", spring=TORQUE)
+    return rigs.slider_crank({"spring": spring}, "base", CRANK, COUPLER)
 
 
 def closed(height, turn):
