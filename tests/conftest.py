@@ -114,16 +114,23 @@ def pytest_addoption(parser):
         "--typed", action="store_true", help="check all annotations of jaxbody, and raise where JAX would promote types or ranks"
     )
     parser.addoption("--third", type=int, choices=(1, 2, 3), help="of the files, those whose number among all leaves this rest")
+    parser.addoption("--third-of-examples", type=int, choices=(1, 2, 3), help="of the modules whose docstrings' examples are run, likewise")
 
 
 def pytest_collection_modifyitems(config, items):
-    """Whole files, which share what they compile."""
+    """Whole files, which share what they compile; modules' examples share nothing."""
     if config.option.typed:
         for item in items:
             if item.get_closest_marker("untyped"):
                 item.add_marker(pytest.mark.skip(reason="not with --typed"))
-    if third := config.getoption("third"):
-        files = sorted({item.path for item in items})
+    examples = [item for item in items if getattr(item, "originalname", "") == "test_examples_in_docstrings_run"]
+    files = sorted({item.path for item in items})
+    left_out = []
+    if third := config.option.third:
         left_out = [item for item in items if files.index(item.path) % 3 != third - 1]
-        items[:] = [item for item in items if item not in left_out]
+    if third := config.option.third_of_examples:
+        left_out = [*(item for item in left_out if item not in examples), *(e for n, e in enumerate(examples) if n % 3 != third - 1)]
+    if left_out:
+        apart = set(left_out)
+        items[:] = [item for item in items if item not in apart]
         config.hook.pytest_deselected(items=left_out)

@@ -89,6 +89,7 @@ def test_what_cannot_be_reported_is_named(tmp_path, engine):
         jb.report({"m": engine[1]["Modes"]}, tmp_path / "a.html", files=[tmp_path / "none.csv"])
 
 
+@pytest.mark.long
 def test_a_result_is_drawn_as_by_its_plot_and_a_batch_has_a_note(engine, tmp_path):
     """With the caption of the one table of pictures."""
     import jax
@@ -101,6 +102,7 @@ def test_a_result_is_drawn_as_by_its_plot_and_a_batch_has_a_note(engine, tmp_pat
     assert page.headings[1:] == ["Cases", "Modes", "Two"] and any("Not drawn" in note and "batch of 2" in note for note in page.notes)
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")  # residuals that are no noise
 def test_a_fit_to_many_records_draws_those_with_the_largest_misfits(tmp_path):
     """Ten masses on springs of 100 N/m and one damper each read; the model has one stiffness for all, so that the fourth, which is softer,

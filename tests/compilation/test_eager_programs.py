@@ -146,6 +146,7 @@ def test_what_is_under_way_is_told():
     ]
 
 
+@pytest.mark.long
 def test_a_frequency_has_the_slope_of_its_closed_form():
     """omega = sqrt(k/m): d f/d k = f/2k; of a batch, too."""
 

@@ -26,6 +26,7 @@ def trajectory(model):
     return jb.simulate(model, jnp.linspace(0, 0.5, 6), motion={"base": jb.Harmonic(frequency=1.0, translation=[0.01, 0.02, 0])})
 
 
+@pytest.mark.long
 def test_a_trajectory(trajectory):
     dataset = Trajectory.to_xarray(trajectory)
     np.testing.assert_array_equal(dataset["time"], trajectory.times)

@@ -143,6 +143,7 @@ def classes(of=Result):
     return {c for c in every if c.__module__.startswith("jaxbody.") and not inspect.isabstract(c)}
 
 
+@pytest.mark.long
 def test_no_result_computes_when_it_is_looked_at(results):
     """Neither what is compiled nor what is compiled already: inside make_jaxpr all that JAX is asked for becomes part of a program, which
     stays empty. So for results that are good, and as if they had ended in any other way."""

@@ -19,6 +19,7 @@ def lin():
     return jb.linearize(CAR, jb.equilibrium(CAR))
 
 
+@pytest.mark.long
 def test_a_motion_is_a_table_over_time():
     run = jb.simulate(CAR, TIMES, motion=ROAD, initial="rest")
     frame = run.to_pandas()

@@ -195,6 +195,7 @@ def beam():
     )
 
 
+@pytest.mark.long
 def test_small_motions_are_the_slopes_of_the_equations_of_motion():
     model = beam()
     eq = jb.equilibrium(model)
@@ -223,6 +224,7 @@ def test_a_backbone_bends_by_the_inertia_of_an_inerter_across_the_motion():
     np.testing.assert_allclose(curves.curvature, [-B / (4 * M * h**2)], rtol=1e-10)
 
 
+@pytest.mark.long
 def test_an_inerter_along_the_axis_of_a_rotor():
     """It adds to the mass along the axis and leaves the spin steady."""
     places = ("disk", [0, 0, 0]), ("world", [0, 0, -1])

@@ -208,6 +208,7 @@ def balanced_rack():
     return model, np.sqrt(stiffness / (about + mass * radius**2)) / (2 * np.pi), mass * 9.81 * radius**2 / stiffness
 
 
+@pytest.mark.long
 def test_closed_loops_are_diagnosed_and_their_sizes_are_those_of_closed_forms():
     model, frequency, sag = balanced_rack()
     numbers = jb.plausibility(model).numbers

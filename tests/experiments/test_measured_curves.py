@@ -37,6 +37,7 @@ def off(names, by=0.005):
     return corner.moved({name: corner.hard_points[name] + by * signs * (-1) ** i for i, name in enumerate(names)})
 
 
+@pytest.mark.long
 @pytest.mark.skipif("JAXBODY_DATA" not in os.environ, reason="needs the data of JAXBODY_DATA")
 def test_hard_points_from_the_published_curves():
     """Four points that start 5 mm off, each along every axis, are found to 1e-9 m: the table has 12 digits, so that angles are rounded by

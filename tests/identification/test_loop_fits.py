@@ -115,6 +115,7 @@ def test_a_record_in_segments():
 OPEN = jb.State(np.array([0.01, -0.02, 0.004]), np.array([0.5, 0.2, -0.3]))
 
 
+@pytest.mark.long
 def test_an_open_start_is_moved_onto_the_closures_as_simulate_does():
     model, run = slider_crank(), run_of(by_hand(TIMES), initial=OPEN)
     with pytest.warns(jb.JaxbodyWarning, match="NOT_CLOSED"):
@@ -145,6 +146,7 @@ def test_residuals_have_the_derivatives_of_differences():
     assert np.linalg.matrix_rank(J[:, -6:], tol=1e-6 * np.abs(J).max()) == 2  # of three coordinates one is free, and its rate
 
 
+@pytest.mark.long
 def test_modes_and_responses_of_a_closed_loop():
     """About its equilibrium the slider crank is an oscillator of the crank's angle; two numbers of it are those of spring and damper."""
     angle = brentq(moment, 0.3, 1.5, xtol=1e-15)
@@ -168,6 +170,7 @@ def test_modes_and_responses_of_a_closed_loop():
             np.testing.assert_allclose(fit.estimates[path], truth, rtol=1e-8)
 
 
+@pytest.mark.long
 def test_a_record_that_is_too_short_is_said_to_be():
     times = np.linspace(0.0, 0.02, 21)
     with pytest.warns(jb.JaxbodyWarning, match="a small part of the first natural period of 0.* s: record longer"):

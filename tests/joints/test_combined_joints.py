@@ -94,6 +94,7 @@ def carried(joints):
     return jb.Model(bodies=bodies, supports={"base": jb.Support()}, joints=joints, elements=springs, gravity=[0.3, -0.4, -G])
 
 
+@pytest.mark.long
 def test_they_move_as_chains_of_slides_and_hinges():
     one, other = map(carried, (JOINTS, CHAINS))
     n = one.layout.nv

@@ -134,6 +134,7 @@ def test_angles_of_closures_are_from_the_poses_as_they_are_drawn(rng):
     np.testing.assert_allclose(np.linalg.norm(hinge[3:]), np.linalg.norm(np.cross(n, R @ n)), rtol=1e-13)
 
 
+@pytest.mark.long
 def test_an_assembled_state_has_derivatives_by_lengths():
     """The rocker's angle by the length of the crank: the law of cosines, differentiated by differences of the closed form."""
 

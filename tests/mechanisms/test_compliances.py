@@ -57,6 +57,7 @@ def limit():
     return elastic, ideal, [settled(jb.replace(elastic, values), start) for values in stiffer]
 
 
+@pytest.mark.long
 def test_names_are_kept(limit):
     elastic = limit[0]
     assert elastic.element_names == ("return", "rod", "guide", "crank joint", "slider joint", "lever joint")
@@ -72,6 +73,7 @@ def test_ideal_joints_are_the_limit_of_stiff_bushings(limit, what):
     assert errors[-1] < 1e-3 * np.abs(ideal[what]).max()
 
 
+@pytest.mark.long
 def test_an_elastic_tie_rod_gives_toe_by_a_side_force():
     """With the wheel's height and the rack held: dtoe/dF = T Y/(k u_y^2), where T and Y are the changes of toe and of the contact's y by
     the rack, whose motion changes the distance of the rod's ends by u_y."""

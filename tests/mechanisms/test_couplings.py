@@ -27,6 +27,7 @@ def rack_and_pinion():
     )
 
 
+@pytest.mark.long
 def test_a_rack_hangs_on_the_spring_of_its_pinion():
     """k y = m g r: with the pinion's turn y the rack sinks by r y; M = J + m r^2."""
     model = rack_and_pinion()
@@ -41,6 +42,7 @@ def test_a_rack_hangs_on_the_spring_of_its_pinion():
     assert float(jb.modes(lin).frequency[0]) == pytest.approx(np.sqrt(STIFFNESS / inertia) / (2 * np.pi), rel=1e-12)
 
 
+@pytest.mark.long
 def test_equilibrium_and_frequency_have_derivatives_by_the_ratio():
     model = rack_and_pinion()
 
@@ -107,6 +109,7 @@ def test_a_cam_turns_until_its_spring_balances_the_follower(kind):
     np.testing.assert_allclose(eq.state.q, [LIFT * (1 - np.cos(turn)), turn], atol=1e-11 if kind == "function" else 1e-4)
 
 
+@pytest.mark.long
 def test_a_corner_is_steered_by_its_pinion():
     corner = jb.double_wishbone()
     model = corner.model

@@ -30,6 +30,7 @@ def curves():
     return level_axle().curves([-0.08, 0.0, 0.06, 0.02], [-0.08, 0.0, 0.06, -0.02])
 
 
+@pytest.mark.long
 def test_in_bounce_the_panhard_rod_moves_the_axle_sideways(curves):
     """(L - x)^2 + y^2 + z^2 = L^2 of the links, x^2 + (l - y)^2 + z^2 = l^2 of the rod."""
     for i, z in enumerate([-0.08, 0.0, 0.06]):

@@ -67,6 +67,7 @@ def outcomes():
     return jax.jit(jax.vmap(outcome), compiler_options=UNOPTIMIZED)(batch([{}, *BAD.values()]))
 
 
+@pytest.mark.long
 def test_good_numbers_are_those_of_the_constructor(outcomes):
     """In the first row of the batch, though all others are bad."""
     ok, numbers = (np.asarray(x)[0] for x in outcomes)

@@ -67,6 +67,7 @@ def test_curves_of_a_space_and_their_derivatives_are_those_of_corners_built_anew
     np.testing.assert_allclose(slopes[:, i], (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.long
 def test_tune_moves_a_point_within_its_bounds():
     """The height of the inner end of the tie rod at which toe has no slope over travel, from Newton's steps by hand."""
     corner = jb.double_wishbone()

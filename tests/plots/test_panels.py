@@ -82,6 +82,7 @@ def test_moments_have_a_panel_of_their_own():
     assert abs(lines(below)["bushing about z"].get_ydata()[0]) == pytest.approx(1.0)
 
 
+@pytest.mark.long
 def test_tension_is_a_word_of_what_has_a_length(car):
     """A bushing deforms along its axes, as the place of its second end seen from its first, and its force is positive with that."""
     engine = jb.presets.engine_on_mounts(gravity=9.81)

@@ -107,6 +107,7 @@ class Slant(jb.Sensor):
         return jnp.linalg.norm(frames.p[model.layout.frame(self.on)] - self.corner)
 
 
+@pytest.mark.long
 def test_a_sensor_of_ones_own_is_an_instrument_an_output_and_a_term_of_a_design():
     """A quarter car's body at height 0.9 m above a corner 1.2 m aside is 1.5 m away: the response is that of the height times 0.9/1.5.
     The fit finds the stiffness behind the record; tuning finds the damper of the least rms of the distance, against a scan."""

@@ -33,6 +33,7 @@ def compliance(ideal, elastic):
     return jb.wheel_compliance(jb.linearize(elastic, jb.equilibrium(elastic)), ideal.wheel)
 
 
+@pytest.mark.long
 def test_an_elastic_tie_rod_gives_toe_by_a_side_force(ideal, compliance):
     """dtoe/dF = T Y/(k u_y^2), where T and Y are the changes of toe and of the contact's y by the rack, whose motion changes the distance
     of the rod's ends by u_y; likewise for other loads and readings."""

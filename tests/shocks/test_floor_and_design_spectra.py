@@ -117,6 +117,7 @@ def quake():
     return jb.matched_record(jb.Eurocode8(2.0, "B"), duration=10.0, key=jax.random.key(3), frequencies=np.geomspace(0.5, 10.0, 24))
 
 
+@pytest.mark.long
 def test_a_matched_record_has_its_spectrum_and_ends_at_rest(quake):
     """Its spectrum by `shock_spectrum` alone; its end by integration of straight lines."""
     again = jb.shock_spectrum(quake.samples, quake.frequencies, kind="pseudo", peaks="continuous").values[0]

@@ -196,6 +196,7 @@ def test_coinciding_modes_are_one_whatever_their_basis():
         np.testing.assert_allclose(response.values, [DAMPED * 3.0, DAMPED * 3.0 / np.sqrt(2)], rtol=1e-10)
 
 
+@pytest.mark.long
 def test_isolated_equipment_in_el_centro():
     """Concentric isolators, stiff vertically: the reference is the peak stretch and acceleration at eight steps a sample."""
     level, upright = np.diag([1e4, 1e4, 1e8, 0, 0, 0]), np.diag([800.0, 800, 0, 0, 0, 0])
@@ -217,6 +218,7 @@ def test_isolated_equipment_in_el_centro():
     np.testing.assert_allclose(response["force"], 250.0 * response["acceleration"], rtol=1e-9)  # a quarter of the mass on each
 
 
+@pytest.mark.long
 def test_derivatives_by_the_model_agree_with_differences(five):
     level = jb.Eurocode8(2.0, "B")
 
@@ -246,6 +248,7 @@ def test_bad_input_is_refused_all_at_once(five):
         jb.spectrum_response(five, {"0": {"x": level}}, {"a": jb.Acceleration("5", axis="x", lag=0.1)})
 
 
+@pytest.mark.long
 def test_two_masses_that_a_rod_joins_respond_as_one():
     """Along the rod: the force is the sum of the masses times the pseudo-acceleration."""
     body = lambda m, x: jb.Body(m, [1, 1, 1], position=[x, 0, 1])  # noqa: E731

@@ -71,6 +71,7 @@ def test_a_rack_swings_on_the_spring_of_its_pinion():
     np.testing.assert_allclose(read["rack"][:, 2], teeth, atol=1e-5)
 
 
+@pytest.mark.long
 def test_a_rack_and_pinion_moves_with_its_support():
     """The base rises by z: (J + m r^2) y'' = m r (g + z'') - k y, and carries (m_1 + m_2)(g + z'') - m r y''."""
     model = rack_and_pinion("base", {"base": jb.Support()})
@@ -88,6 +89,7 @@ def test_a_rack_and_pinion_moves_with_its_support():
     np.testing.assert_allclose(trajectory.reactions["base"][0][:, 2], np.negative(carried), atol=1e-5)
 
 
+@pytest.mark.long
 def test_gears_turn_with_a_pendulum_and_repeated_pairs_do_no_harm():
     """(J_1 + J_2 n_2^2 + J_3 n_3^2) y'' = -m g d sin y, by any two of three pairs; lambda of the first pair is shared."""
     mass, d, ratios = 2.0, 0.3, np.array([1.0, -23 / 17, 23 / 31])

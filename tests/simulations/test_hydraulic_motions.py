@@ -77,6 +77,7 @@ def test_free_motion_of_the_fluid():
     np.testing.assert_allclose(run.forces["s"], -3e5 * y, atol=1e-8 * 300)
 
 
+@pytest.mark.long
 def test_rest_and_load_cases():
     """Under a weight beyond the gap, F = kr e + k1 k2 (e - gap)/(k1 + k2); rest stays at rest."""
     model = oscillator(WHOLE, gravity=-9.81)
@@ -100,6 +101,7 @@ def travel(model, values):
     return jnp.sum(run.state.q**2) * 1e4 + 1e2 * jnp.sum(run.state.z**2)
 
 
+@pytest.mark.long
 def test_derivatives_of_a_motion_and_a_batch():
     model = oscillator(jb.replace(oscillator(WHOLE), {"s.spring.gap": 0.0})["s"].spring)
     x = jnp.array([3e5, 60.0, 1500.0, 4e4])

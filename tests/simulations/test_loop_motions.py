@@ -186,6 +186,7 @@ def windows(n=2):
     return jb.Model(bodies=bodies, joints=joints, closures=closures, gravity=[0, -G, 0])
 
 
+@pytest.mark.long
 def test_a_mechanism_passes_its_folded_positions_at_speed():
     """Rank drops where all links lie in line; one freedom, ((N + 1)/3 + N) x'' = -((N + 1)/2 + N) g cos x: published curves."""
     model = windows()
@@ -317,6 +318,7 @@ def chain(speed):
     return model, start, {"end": lambda t: jnp.zeros(6).at[0].set(speed * t)}
 
 
+@pytest.mark.long
 def test_where_a_motion_ends_or_cannot_start_is_said_by_name():
     model, start, motion = chain(0.2)
     times = np.linspace(0.0, 0.8, 9)
@@ -335,6 +337,7 @@ def test_where_a_motion_ends_or_cannot_start_is_said_by_name():
         jb.simulate(model, times, solver=jb.Gauss(), stepsize_controller=diffrax.ConstantStepSize(), dt0=0.01, initial=start)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "options",
     [{"solver": diffrax.Kvaerno5()}, {"solver": diffrax.Tsit5()}, {"stepsize_controller": diffrax.ConstantStepSize(), "dt0": 0.02}],

@@ -99,6 +99,7 @@ def test_rest(model, rest, angle):
     np.testing.assert_allclose(in_order(model, rest.state.z), at_rest(angle)[2:], rtol=1e-9, atol=1e-14)
 
 
+@pytest.mark.long
 def test_small_motions(model, rest, angle):
     """Poles are the eigenvalues of the slopes of the equations by hand; slow modes those of the condensed matrices."""
     lin = jb.linearize(model, rest)
@@ -117,6 +118,7 @@ def test_small_motions(model, rest, angle):
     np.testing.assert_allclose(2 * np.pi * jb.modes(lin, stiffness="instantaneous").frequency, w, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_a_motion_is_that_by_hand(model):
     """Released as drawn, branch and fluid relaxed there."""
     times = np.linspace(0, 0.8, 17)

@@ -182,6 +182,7 @@ def test_a_batch_is_a_loop(both):
     np.testing.assert_allclose(jax.vmap(lambda x: travel(both, x))(values), [travel(both, x) for x in values], rtol=1e-9)
 
 
+@pytest.mark.long
 def test_rest_stays_at_rest(both):
     eq = jb.equilibrium(both)
     assert eq.stable and int(eq.status) == 0

@@ -119,6 +119,7 @@ def scissor_lift(angle=0.5, *, all_pins=False):
     return jb.Model(bodies=bodies, joints=joints, closures=closures, elements={"spring": spring}, gravity=[0, -G, 0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("all_pins", [False, True])
 def test_a_scissor_lift_is_balanced_by_virtual_work(all_pins):
     """m g L cos a = k (L cos a - l) L sin a, with light arms; pins that repeat what others hold change nothing."""
@@ -199,6 +200,7 @@ def test_a_closure_that_holds_a_body_upright_bears_the_moment_of_its_weight():
     np.testing.assert_allclose([reaction["across 1"], reaction["across 2"]], 0, atol=1e-8)
 
 
+@pytest.mark.long
 def test_supports_carry_what_closures_hand_to_them():
     model = parallelogram("right hinge", base="base", supports={"base": jb.Support()}, spring=False)
     eq = jb.equilibrium(model)
@@ -218,6 +220,7 @@ def test_load_cases_tilt_the_linkage_as_gravity_tilts():
     np.testing.assert_allclose(cases.state.q[1], 0, atol=1e-12)
 
 
+@pytest.mark.long
 def test_stability_is_counted_on_the_closures():
     """The parallelogram turned upside down is at rest, with one direction down."""
     model = parallelogram(spring=False)
@@ -250,6 +253,7 @@ def test_equilibria_have_derivatives_by_stiffness_and_by_points():
     assert float(bends) == pytest.approx(second, rel=1e-4)
 
 
+@pytest.mark.long
 def test_failures_are_named():
     with pytest.warns(jb.JaxbodyWarning, match="SINGULAR_K.*free to move together"):
         assert not jb.equilibrium(parallelogram(spring=False, gravity=(0, 0, 0))).ok

@@ -55,6 +55,7 @@ def roots():
     return sorted(found)
 
 
+@pytest.mark.long
 def test_all_equilibria_of_a_slider_crank_are_found_on_both_of_its_branches():
     expected = roots()
     assert len(expected) == 6 and sum(stable for _, stable in expected) == 3
@@ -69,6 +70,7 @@ def test_all_equilibria_of_a_slider_crank_are_found_on_both_of_its_branches():
         assert float(eq.energy) == pytest.approx(energy(a, side), rel=1e-10)
 
 
+@pytest.mark.long
 def test_the_preload_of_a_slider_crank_balances_its_weight():
     """W L/2 cos a = k (d - l) dx/da, at the nearest configuration that is closed."""
     model, pose = slider_crank(), jb.State(jnp.array([0.5, -1.0]), jnp.zeros(2))
@@ -106,6 +108,7 @@ def test_a_coordinate_that_may_move_takes_the_others_along():
     assert CRANK * np.sin(a) + COUPLER * np.sin(a + float(result.state.q[1])) == pytest.approx(0.0, abs=1e-10)
 
 
+@pytest.mark.long
 def test_a_pose_that_cannot_be_closed_is_reported():
     far = jb.replace(slider_crank(), {"slider.a": jnp.array([0, 0.9, 0])})
     with pytest.warns(jb.JaxbodyWarning, match=r"NOT_CLOSED"):
@@ -114,6 +117,7 @@ def test_a_pose_that_cannot_be_closed_is_reported():
         assert not len(jb.find_equilibria(far, starts=4))
 
 
+@pytest.mark.long
 def test_the_spring_of_a_corner_carries_its_weight_over_its_travel():
     """dV/dz = 0 over the travel of the wheel."""
     corner = jb.double_wishbone()

@@ -147,6 +147,7 @@ def own(tmp_path, monkeypatch):
     sys.modules.pop("my_costs", None)
 
 
+@pytest.mark.long
 def test_functions_of_allowed_modules_are_quantities(own, capsys, monkeypatch):
     from jaxbody.app import commands
 

@@ -130,6 +130,7 @@ def truth(study):
     return study, f, zeta, H * 1e-6
 
 
+@pytest.mark.long
 def test_a_fit_to_a_record_modes_and_a_response_is_that_of_python(truth, capsys, monkeypatch):
     study, f, zeta, H = truth
     model = jb.read_model(study)

@@ -83,6 +83,7 @@ def stiffness(w):
     return KR + CR * 1j * w + KM * column / (column + KM)
 
 
+@pytest.mark.long
 def test_poles_of_a_powertrain():
     model = powertrain()
     assert model.layout.states == ("mount 1, fluid", "mount 1, rate of fluid") and model.layout.z_units == ("m", "m/s")
@@ -101,6 +102,7 @@ def test_poles_of_a_powertrain():
     assert jb.modes(lin).to_xarray()["shape"].shape == (7, 7)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", LAWS)
 def test_linearization_against_the_slopes_of_the_equations_of_motion(name):
     """A of x' = A x, in the order Delta, fluid, their rates, branches; hysteretic states eliminated by their tangent."""
@@ -173,6 +175,7 @@ def test_state_space_has_the_same_response(published, kind):
         np.testing.assert_allclose(H, response.values[..., i], rtol=1e-10)
 
 
+@pytest.mark.long
 def test_branches_beside_a_fluid():
     """Poles against the eigenvalues of the equations of motion; responses by elimination and by modes; the two limits of stiffness."""
     model = heavy(LAWS["fluid_and_branches"])
@@ -247,6 +250,7 @@ def test_derivatives_of_poles_in_both_modes():
     np.testing.assert_allclose(batch, [of(x), of(1.1 * x)], rtol=1e-10)
 
 
+@pytest.mark.long
 def test_measured_modes_see_the_fluid():
     """The shape of the mode of the fluid at a sensor, with branches that follow."""
     model = oscillator(BRANCH + PUBLISHED)
@@ -256,6 +260,7 @@ def test_measured_modes_see_the_fluid():
     assert jb.fit(model, {"test": test}, free=["s.spring.terms.1.upper_stiffness"]).status == 0
 
 
+@pytest.mark.long
 def test_maxima_by_a_spectrum_have_the_fluid_and_branches_that_follow():
     """In slow motions a branch k, tau beside the mount is the damper k tau."""
     branch = jb.laws.Maxwell(stiffness=2e4, relaxation_time=0.01)

@@ -107,6 +107,7 @@ def moment(crank):
     return G * sum(m * h for (m, *_), h in zip(BAR.values(), heights, strict=True)) + TORQUE * (crank - REST)
 
 
+@pytest.mark.long
 def test_a_four_bar_linkage_has_the_frequency_of_its_effective_inertia():
     """M = sum of m |C'|^2 + J w^2, K = V'' by the angle of the crank, from the closed form of the angles."""
     crank = brentq(moment, 0.2, 0.6, xtol=1e-15)
@@ -142,6 +143,7 @@ def test_frequencies_have_derivatives_by_points():
     np.testing.assert_allclose(forward, differences, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_closures_are_the_limit_of_stiff_springs():
     """The error of the lowest frequency is inversely proportional to the stiffness."""
     pull = {"pull": jb.Spring(("coupler", [0, -ARM, 0]), ("world", [0.8, -0.2, 0]), stiffness=200.0, free_length=0.3)}
@@ -158,6 +160,7 @@ def on_a_base():
     return parallelogram(base="base", supports={"base": jb.Support()}, elements={"pull": pull})
 
 
+@pytest.mark.long
 def test_a_base_drives_a_closed_loop_as_by_its_equation_of_motion():
     """M q'' + C q' + K q = -m L x'' for the mass that moves along; the base feels the inertia of all."""
     lin = jb.linearize(on_a_base(), jb.equilibrium(on_a_base()))
@@ -239,6 +242,7 @@ def test_blocks_of_the_base_are_second_derivatives_of_the_energies_on_the_closur
     np.testing.assert_allclose(split, lin.K, atol=1e-10 * np.abs(lin.K).max())
 
 
+@pytest.mark.long
 def test_what_a_linearization_with_closures_refuses_by_name():
     model = four_bar(0.5)
     eq = jb.equilibrium(model)

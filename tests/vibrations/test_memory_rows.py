@@ -182,6 +182,7 @@ def test_state_space_has_the_same_response(solid):
 COUPLED = [("displacement", "coupled"), pytest.param("velocity", "coupled", marks=pytest.mark.long), ("acceleration", "prony")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "name"), COUPLED)
 def test_state_space_of_coupled_dissipation(kind, name):
     """C between y and the base, and inputs given as rates."""

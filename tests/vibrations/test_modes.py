@@ -283,6 +283,7 @@ def test_second_derivatives_are_those_of_single_values():
         assert np.isnan(result[[1, 2, 4, 5, 6]]).all()
 
 
+@pytest.mark.long
 def test_single_shapes_of_a_cluster_have_no_derivative_and_invariants_of_it_have(of_square):
     from jaxbody.numerics.eigenproblems import clusters, refused_in_clusters
 

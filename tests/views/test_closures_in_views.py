@@ -49,6 +49,7 @@ def length_as_drawn(part):
     return np.linalg.norm(placed[:, low].mean(1) - placed[:, ~low].mean(1), axis=-1)
 
 
+@pytest.mark.long
 def test_a_suspension_moves_over_its_travel(curves, corner):
     """The wheel has the travel of each row, the rod its length, and balls are where both bodies are."""
     animation, model = corner.animation, curves.model
@@ -70,6 +71,7 @@ def test_a_suspension_moves_over_its_travel(curves, corner):
     assert np.ptp(upright.p[:, 2]) > 0.05
 
 
+@pytest.mark.long
 def test_rows_beyond_reach_are_left_out(curves):
     with pytest.warns(jb.JaxbodyWarning):
         partly = jb.double_wishbone().curves([0.0, 0.02, 1.0])
@@ -102,6 +104,7 @@ def test_a_motion_moves_pins_and_rods():
             np.testing.assert_allclose(ends[0], ends[1], atol=1e-6)
 
 
+@pytest.mark.long
 def test_modes_stay_closed_at_the_amplitude_that_is_drawn():
     model = linkage(pin=PIN)
     eq = jb.equilibrium(model)

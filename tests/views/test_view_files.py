@@ -166,6 +166,7 @@ def test_a_picture_has_the_colors_of_what_it_shows(half, tmp_path):
     assert (image[:3] > 250).mean() > 0.9
 
 
+@pytest.mark.long
 def test_names_in_a_picture_do_not_overprint():
     from matplotlib.text import Text
 
