@@ -82,6 +82,7 @@ def kept(tmp_path, monkeypatch):
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", before or str(tmp_path / "of_jax"))
     yield keep_programs(tmp_path / "programs")
+    kept_programs._types_of_results.cache_clear()  # which has what was kept, with its code, among its keys
     jax.config.update("jax_compilation_cache_dir", before)
     kept_programs.compilation_cache.reset_cache()
 
@@ -213,9 +214,9 @@ def test_bytes_that_are_no_code_are_not_run(kept):
 @needs_code
 def test_code_is_not_taken_from_the_cache_of_jax(kept, monkeypatch):
     """What XLA has loaded lacks functions when it is saved again."""
-    monkeypatch.setattr(kept_programs, "code_can_be_run", lambda: False)
-    expected = poses(SMALL)  # compiled with JAX's cache
-    monkeypatch.undo()
+    with monkeypatch.context() as changed:  # `undo` would also undo what the fixture has set
+        changed.setattr(kept_programs, "code_can_be_run", lambda: False)
+        expected = poses(SMALL)  # compiled with JAX's cache
     enabled = jax.config.jax_enable_compilation_cache
     assert [path.suffix for path in sorted(kept.folder.iterdir(), key=lambda path: path.suffix)] == [".program", ".types"]
     again(kept.folder)
