@@ -129,6 +129,19 @@ def slopes_by_supports(coordinates: Coordinates, q: Float[Array, "nq"]) -> Float
     return J.reshape(len(J), layout.nxi)
 
 
+def speeds_on_closures(coordinates: Coordinates, q: Float[Array, "nq"], own: Float[Array, "nf"]) -> Float[Array, "nv"]:
+    """The speeds of all coordinates with J v = 0, from those of the independent ones, as a function of q with derivatives of any order:
+
+    J_d v_d = -J_i v_i,   by (J_d' J_d)^-1 J_d', as repeated conditions agree"""
+    model = coordinates.model
+    scale, independent = scale_at(model), np.array(model.independent, int)
+    others = np.setdiff1d(np.arange(len(scale)), independent)
+    J = values_and_slopes(coordinates, lambda q: gaps_at(coordinates, q), q)[1] * scale[None]
+    J_d, J_i = J[:, others], J[:, independent]
+    v_d = -jnp.linalg.solve(J_d.T @ J_d, J_d.T @ (J_i @ (own / scale[independent])))
+    return jnp.zeros(len(scale), q.dtype).at[independent].set(own).at[others].set(scale[others] * v_d)
+
+
 def constraint_force(coordinates: Coordinates, q: Float[Array, "nq"], multipliers: Float[Array, "n"]) -> Float[Array, "nv"]:
     """J' lambda."""
     zero = jnp.zeros(coordinates.model.layout.nv, q.dtype)

@@ -188,10 +188,10 @@ def plot_backbones(backbones: Backbones, *, ax: Any = None) -> Any:
     'amplitude [rad]'
     """
     check_single("plot_backbones.backbones", backbones.frequency, 1)
-    layout, curvature = backbones.layout, np.asarray(backbones.curvature)
+    curvature = np.asarray(backbones.curvature)
     largest, known = np.asarray(backbones.largest), np.isfinite(curvature)
     reach = np.asarray(backbones.frequency_within(PERCENT))
-    turns = layout.turns[largest]
+    turns = backbones.turns[largest]
     panels = [(label, np.flatnonzero(known & (turns == turn))) for label, turn in (("amplitude [m]", False), ("amplitude [rad]", True))]
     panels = [(label, members) for label, members in panels if len(members)]
     ax = axes_or_new(ax, 7.0, 0.8 + 2.6 * max(len(panels), 1))
@@ -199,7 +199,7 @@ def plot_backbones(backbones: Backbones, *, ax: Any = None) -> Any:
         limit = np.median([reach[i] for i in members if np.isfinite(reach[i])] or [1.0])
         for i in members:
             a = CURVE * min(reach[i], 3 * limit)
-            name = f"{i + 1}: {float(backbones.frequency[i]):.4g} Hz, {layout.coordinates[largest[i]]}"
+            name = f"{i + 1}: {float(backbones.frequency[i]):.4g} Hz, {backbones.coordinates[largest[i]]}"
             axes.plot(a, 100 * without_dust(curvature, 1.0)[i] * a**2, lw=1.5, label=name, **style(int(i)))
         axes.axhline(0.0, color=GRAY, lw=0.8, zorder=1)
         axes.set(xlabel=label, ylabel="change of frequency [%]", ylim=(-1.15 * PERCENT, 1.15 * PERCENT))

@@ -14,6 +14,7 @@ so that K c0 = B0, (K - 4 w^2 M) c2 = 2 B2, and with m = phi' M phi
 
     gamma = -2 (2 A + B0' c0 + B2' c2)/(w^2 m)
 
+With closures x are the independent coordinates, on which the others follow: v = N(q) u at each point of a motion at constant speeds u.
 (B0 and B2 are (w^2 d - g)/4 and (4 w^2 p - w^2 d - g)/8 with d the gradient of phi' M(x) phi, p the derivative of M(x) phi along phi;
 t = d/2 + p and b = p - d/2.) Straight lines x = a u of the chart are motions at constant speeds u; all derivatives are taken along them.
 For x'' + w^2 x + alpha x^2 + beta x^3 = 0, gamma is 3 beta/(8 w^2) - 5 alpha^2/(12 w^4). Source: Nayfeh and Mook, Nonlinear
@@ -22,7 +23,8 @@ Oscillations (1979), 2.3.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -35,8 +37,10 @@ from jaxbody.core.arrays import Array, Float, Int, module_of
 from jaxbody.core.datasets import Labeled, dataset
 from jaxbody.core.errors import MESSAGES, Status
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.geometry.frames import Frame
 from jaxbody.geometry.vectors import rotate, rotate_back
 from jaxbody.mechanics.energies import inertial_tables, kinetic, of_table, potential
+from jaxbody.mechanics.free_motions import speeds_on_closures
 from jaxbody.mechanics.kinematics import Coordinates
 from jaxbody.models.layouts import Layout
 from jaxbody.models.preconditions import check_without_memory
@@ -54,11 +58,11 @@ AT_REST = 1e-6  # largest distance from the equilibrium, relative to the size of
 class Backbones(Labeled, Result):
     """The backbone of each mode, ascending: w(a) = w (1 + gamma a^2), a the amplitude of the mode's largest component, m or rad.
 
-    `frequency` [Hz] of small motions; `shapes` (columns phi, the largest component 1), `largest`, the index of that component (rotations
-    weighted with the size of the model); `curvature` gamma [1/m2 or 1/rad2], negative where the mode softens; `drift` c0 and
-    `second_harmonic` c2 (columns), the mean and the second harmonic of the motion per a^2; `stiffness`, `third` and `fourth`, the
-    derivatives of V along the straight line a phi of the chart. `status` of each mode: UNSTABLE, SINGULAR_K, INTERNAL_RESONANCE or
-    NOT_CONVERGED, with gamma NaN, where the mode has no backbone."""
+    `frequency` [Hz] of small motions; `shapes` (columns phi, the largest component 1) by `coordinates`, with closures the independent ones;
+    `largest`, the index of that component (rotations weighted with the size of the model); `curvature` gamma [1/m2 or 1/rad2], negative
+    where the mode softens; `drift` c0 and `second_harmonic` c2 (columns), the mean and the second harmonic of the motion per a^2;
+    `stiffness`, `third` and `fourth`, the derivatives of V along the straight line a phi of the chart. `status` of each mode: UNSTABLE,
+    SINGULAR_K, INTERNAL_RESONANCE or NOT_CONVERGED, with gamma NaN, where the mode has no backbone."""
 
     index = "mode"
     frequency: Float[Array, "nv"]
@@ -72,6 +76,17 @@ class Backbones(Labeled, Result):
     fourth: Float[Array, "nv"]
     status: Int[Array, "nv"]
     layout: Layout = field(static=True)
+    independent: tuple[int, ...] = field(static=True)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """The names of the rows of shapes, drift and second harmonic."""
+        return tuple(self.layout.coordinates[i] for i in self.independent)
+
+    @property
+    def turns(self) -> np.ndarray:
+        """Whether each of these is an angle."""
+        return self.layout.turns[np.array(self.independent, int)]
 
     def at(self, amplitude: Any) -> Float[Array, "nv"]:
         """The frequencies [Hz] at amplitudes a (one, or one of each mode), to second order."""
@@ -93,30 +108,30 @@ class Backbones(Labeled, Result):
 
     def to_xarray(self) -> Any:
         """An xarray.Dataset: frequency, curvature and the derivatives of V by mode, shapes by mode and named coordinate."""
-        layout, largest = self.layout, np.asarray(self.largest)
+        largest = np.asarray(self.largest)
         variables = {
             "frequency": (("mode",), self.frequency, "Hz"),
             "curvature": (("mode",), self.curvature, "1/m2 or 1/rad2"),
             "stiffness": (("mode",), self.stiffness, "N/m or N m"),
             "third": (("mode",), self.third, "N/m2 or N m"),
             "fourth": (("mode",), self.fourth, "N/m3 or N m"),
-            "largest": (("mode",), np.asarray(layout.coordinates)[largest], ""),
+            "largest": (("mode",), np.asarray(self.coordinates)[largest], ""),
             "shape": (("coordinate", "mode"), self.shapes, "largest component 1"),
             "drift": (("coordinate", "mode"), self.drift, "per amplitude^2"),
             "second_harmonic": (("coordinate", "mode"), self.second_harmonic, "per amplitude^2"),
             "status": (("mode",), self.status, ""),
         }
-        return dataset(variables, {"mode": list(range(1, largest.shape[-1] + 1)), "coordinate": list(layout.coordinates)}, "backbones")
+        return dataset(variables, {"mode": list(range(1, largest.shape[-1] + 1)), "coordinate": list(self.coordinates)}, "backbones")
 
     @tables.summarized("Backbones", 1, curvature="curvature [1/m2, 1/rad2]")
     def _tables(self) -> list[tables.PrintedTable]:
         rows = []
         for i, (force, frequency) in enumerate(zip(self.force_within(5), self.frequency_within(5), strict=True)):
             largest, status = int(self.largest[i]), Status(int(self.status[i]))
-            unit = "rad" if self.layout.turns[largest] else "m"
+            unit = "rad" if self.turns[largest] else "m"
             change = status.name if status else f"{self.curvature[i]:+.4g} /{unit}2"
             limits = ("", "") if status else (_amplitude(force, unit), _amplitude(frequency, unit))
-            rows.append((str(i + 1), self.frequency[i], self.layout.coordinates[largest], change, *limits))
+            rows.append((str(i + 1), self.frequency[i], self.coordinates[largest], change, *limits))
         failed = sorted({Status(int(code)) for code in self.status if code})
         heads = ("mode", "frequency [Hz]", "largest component", "change of frequency", "force within 5 %", "frequency within 5 %")
         note = "; ".join(["amplitudes of the largest component", *(f"{status.name}: {MESSAGES[status]}" for status in failed)])
@@ -148,17 +163,17 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
     >>> round(float(curves.curvature[0]), 12), round(float(curves.frequency_within(1.0)[0]), 12)
     (-0.0625, 0.4)
     """
-    check_system(lin, "backbones", allow_float32=allow_float32)
+    check_system(lin, "backbones", allow_float32=allow_float32, closures=True)
     check_without_memory("backbones", lin.model)
     return warn_if_failed(_backbones(lin))
 
 
 @jit_unoptimized
 def _backbones(lin: Linearization) -> Backbones:
-    model, K, M = lin.model, (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2
+    model, K, M, straight = lin.model, (lin.K + lin.K.T) / 2, (lin.M + lin.M.T) / 2, Straight(Coordinates(lin.model))
     frozen = jax.lax.stop_gradient(lin)
     (of_modes, shapes, _, values, cluster, _), size = modes_of(frozen), size_of(frozen.model)
-    scale = scale_of(frozen.model, size)
+    scale = scale_of(frozen.model, size)[np.array(lin.independent, int)]
     MS = frozen.M @ shapes
     top = jnp.max(jnp.abs(values))
     single = jnp.sum(cluster[:, None] == cluster[None], 0) == 1
@@ -175,8 +190,8 @@ def _backbones(lin: Linearization) -> Backbones:
         phi, value = _mode(K, M, phi / phi[i], value, i, good)
         square = jnp.where(good, value, 1.0)  # w^2
         m = jnp.sum(phi * (M @ phi))
-        force, V3, V4, g = _stiffening(lin, phi, scale / scale[i])
-        T2, t, b = _inertia(lin, phi)
+        force, V3, V4, g = _stiffening(straight, lin.state.q, phi, scale / scale[i])
+        T2, t, b = _inertia(straight, lin.state.q, phi)
         A = square * T2 / 16 - V4 / 64
         B0 = (square * (t - b) - g) / 4
         B2 = (square * (t + 3 * b) - g) / 8
@@ -200,7 +215,7 @@ def _backbones(lin: Linearization) -> Backbones:
     ok = status == Status.OK
     gamma, c0, c2, V2, V3, V4 = (jnp.where(ok if x.ndim == 1 else ok[:, None], x, jnp.nan) for x in (gamma, c0, c2, V2, V3, V4))
     frequency = jnp.where(valid, jnp.sqrt(jnp.where(valid, value, 1.0)) / (2 * jnp.pi), of_modes)
-    return Backbones(frequency, phi.T, largest, gamma, c0.T, c2.T, V2, V3, V4, status, model.layout)
+    return Backbones(frequency, phi.T, largest, gamma, c0.T, c2.T, V2, V3, V4, status, model.layout, lin.independent)
 
 
 @jax.custom_jvp
@@ -224,61 +239,77 @@ def _mode_jvp(primals, tangents):
     return (phi, value), (change[:n], change[n])
 
 
-def _stiffening(lin: Linearization, phi: Float[Array, "nv"], step: Float[Array, "nv"]):
+class Straight(NamedTuple):
+    """Motions at constant speeds u of the independent coordinates, the straight lines of the chart."""
+
+    coordinates: Coordinates
+
+    def speeds(self, q: Float[Array, "nq"], u: Float[Array, "nf"]) -> Float[Array, "nv"]:
+        """v."""
+        return speeds_on_closures(self.coordinates, q, u) if self.coordinates.model.closures else u
+
+    def frames(self, q: Float[Array, "nq"], u: Float[Array, "nf"]) -> Frame:
+        return self.coordinates.at_rest(q, self.speeds(q, u))
+
+    def rate(self, q: Float[Array, "nq"], u: Float[Array, "nf"]) -> Float[Array, "nq"]:
+        """q'."""
+        return self.coordinates.rate(q, self.speeds(q, u))
+
+    def derivatives(
+        self, function: Callable[[Array], Array], q: Float[Array, "nq"], u: Float[Array, "nf"], order: int
+    ) -> tuple[Array, ...]:
+        """The value of function(q) and its derivatives up to an order along the motion."""
+        if order == 0:
+            return (function(q),)
+        values, rates = jax.jvp(lambda q: self.derivatives(function, q, u, order - 1), (q,), (self.rate(q, u),))
+        return (*values, rates[-1])
+
+
+def _stiffening(straight: Straight, q: Float[Array, "nq"], phi: Float[Array, "nf"], step: Float[Array, "nf"]):
     """grad V, V3, V4 and g, the third derivatives along phi, phi and unit vectors e, by polarization; `step` scales e:
 
     6 V3(u, u, e) = V3(u + e) - V3(u - e) - 2 V3(e)"""
-    coordinates, q = Coordinates(lin.model), lin.state.q
-    e = jnp.diag(step)
+    coordinates, e = straight.coordinates, jnp.diag(step)
 
     def derivatives(u):
-        return _along(lambda q: potential(lin.model, coordinates.at_rest(q)), coordinates, q, u, 4)
+        return straight.derivatives(lambda q: potential(coordinates.model, coordinates.at_rest(q)), q, u, 4)
 
     _, V1, _, V3, V4 = jax.vmap(derivatives)(jnp.concatenate([phi[None], phi[None] + e, phi[None] - e, e]))
     plus, minus, own = jnp.split(V3[1:], 3)
     return V1[1 + 2 * len(phi) :] / step, V3[0], V4[0], (plus - minus - 2 * own) / (6 * step)
 
 
-def _inertia(lin: Linearization, phi: Float[Array, "nv"]):
+def _inertia(straight: Straight, q: Float[Array, "nq"], phi: Float[Array, "nf"]):
     """T2, t = grad T1, and b, by Newton and Euler: the virtual power of the rates of momentum and angular momentum of each body, and of the
     forces of the inertia of elements."""
-    model, coordinates, q = lin.model, Coordinates(lin.model), lin.state.q
+    model = straight.coordinates.model
     bodies = model.bodies.rows
 
-    def velocities(v):
-        frames = coordinates.at_rest(q, v)[model.layout.first_body :]
+    def velocities(u):
+        frames = straight.frames(q, u)[model.layout.first_body :]
         return frames.velocity(bodies.com), frames.w
 
     def momenta(q):
-        frames = coordinates.at_rest(q, phi)[model.layout.first_body :]
+        frames = straight.frames(q, phi)[model.layout.first_body :]
         return bodies.mass[:, None] * frames.velocity(bodies.com), rotate(frames.R, rotate(bodies.inertia, rotate_back(frames.R, frames.w)))
 
     def along(u, order):
-        return _along(lambda q: kinetic(model, coordinates.at_rest(q, u)), coordinates, q, u, order)[-1]
+        return straight.derivatives(lambda q: kinetic(model, straight.frames(q, u)), q, u, order)[-1]
 
-    rates = jax.jvp(momenta, (q,), (coordinates.rate(q, phi),))[1]
+    rates = jax.jvp(momenta, (q,), (straight.rate(q, phi),))[1]
     (b,) = jax.vjp(velocities, jnp.zeros_like(phi))[1](rates)
     for table in inertial_tables(model):
-        b = b + _force_of_inertia(coordinates, table, q, phi)
+        b = b + _force_of_inertia(straight, table, q, phi)
     return along(phi, 2), jax.grad(lambda u: along(u, 1))(phi), b
 
 
-def _force_of_inertia(coordinates: Coordinates, table: KindTable, q: Float[Array, "nq"], phi: Float[Array, "nv"]) -> Float[Array, "nv"]:
+def _force_of_inertia(straight: Straight, table: KindTable, q: Float[Array, "nq"], phi: Float[Array, "nf"]) -> Float[Array, "nf"]:
     """de/dDelta' (d/dt dT/de_dot - dT/de) at constant speeds phi, of the elements of a table."""
 
-    def of(q, v, function):
-        frames = coordinates.at_rest(q, v)
-        return of_table(coordinates.model, frames, table, lambda element, *ends: function(element, *element.rates(*ends)))
+    def of(q, u, function):
+        frames = straight.frames(q, u)
+        return of_table(straight.coordinates.model, frames, table, lambda element, *ends: function(element, *element.rates(*ends)))
 
-    rate = jax.jvp(lambda q: of(q, phi, lambda s, e, e_dot: s.momentum(e, e_dot)), (q,), (coordinates.rate(q, phi),))[1]
+    rate = jax.jvp(lambda q: of(q, phi, lambda s, e, e_dot: s.momentum(e, e_dot)), (q,), (straight.rate(q, phi),))[1]
     force = rate - of(q, phi, lambda s, e, e_dot: jax.grad(s.kinetic_energy)(e, e_dot))
-    return jax.vjp(lambda v: of(q, v, lambda s, e, e_dot: e_dot), jnp.zeros_like(phi))[1](force)[0]
-
-
-def _along(function, coordinates: Coordinates, q: Float[Array, "nq"], u: Float[Array, "nv"], order: int) -> tuple[Array, ...]:
-    """The value of function(q) and its derivatives up to an order along the motion at constant speeds u, a straight line of the chart."""
-
-    if order == 0:
-        return (function(q),)
-    derivatives, rates = jax.jvp(lambda q: _along(function, coordinates, q, u, order - 1), (q,), (coordinates.rate(q, u),))
-    return (*derivatives, rates[-1])
+    return jax.vjp(lambda u: of(q, u, lambda s, e, e_dot: e_dot), jnp.zeros_like(phi))[1](force)[0]

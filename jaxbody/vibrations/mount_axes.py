@@ -99,7 +99,7 @@ class TorqueRollAxis(Result):
 
 def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     """The elastic axes and the center of stiffness of a free body, with all others held fixed, from its 6 x 6 stiffness [[A, B], [B', D]]
-    about its origin.
+    about its origin. With closures the other independent coordinates are held, and the body's own must be independent.
 
         A n = k n,   m = B' n:   force k n with moment m moves the body along n and does not turn it;
         it acts on the line through O + n x m/k, with pitch n . m/k
@@ -117,7 +117,7 @@ def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     >>> axes.stiffness.tolist(), [round(float(x), 9) for x in axes.center]
     ([40000.0, 80000.0, 120000.0], [0.0, 0.0, -0.2])
     """
-    check_system(lin, "elastic_axes")
+    check_system(lin, "elastic_axes", closures=True)
     return warn_if_failed(_elastic_axes(lin, _free(lin, body, "elastic_axes")))
 
 
@@ -137,7 +137,7 @@ def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAx
     >>> [round(float(x), 4) for x in axis.direction]
     [0.9445, 0.3279, -0.0191]
     """
-    check_system(lin, "torque_roll_axis")
+    check_system(lin, "torque_roll_axis", closures=True)
     with Problems() as problems:
         along = shaped(torque, (3,), "torque_roll_axis.torque", problems)
     if is_concrete(along) and not np.any(along):
@@ -160,12 +160,22 @@ def _free(lin: Linearization, body: str, where: str) -> str:
                 "These axes exist for bodies with six degrees of freedom.",
             )
         )
+    own = layout.v_slices[body]
+    if not set(range(own.start, own.stop)) <= set(lin.independent):
+        message, limit = f"'{body}' follows other bodies by closures", "a body whose six coordinates are independent"
+        raise JaxbodyError(Problem("NOT_FREE", where, message, body, limit, "Make bushings of them by jb.compliant."))
     return body
+
+
+def _rows(lin: Linearization, body: str) -> slice:
+    """The body's rows of K and M."""
+    own = lin.model.layout.v_slices[body]
+    return slice(lin.independent.index(own.start), lin.independent.index(own.start) + 6)
 
 
 @jit_unoptimized
 def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
-    rows, K = lin.model.layout.v_slices[body], lin.quasistatic[1]
+    rows, K = _rows(lin, body), lin.quasistatic[1]
     K = (K[rows, rows] + K[rows, rows].T) / 2
     A, P, D = K[:3, :3], K[3:, :3], K[3:, 3:]  # a translation n needs the moment P n
     p = jnp.linalg.solve(jnp.trace(A) * jnp.eye(3, dtype=A.dtype) - A, 2 * axial(P))
@@ -184,7 +194,7 @@ def _elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
 
 @jit_unoptimized
 def _torque_roll_axis(lin: Linearization, torque: Float[Array, "3"], body: str) -> TorqueRollAxis:
-    rows, row = lin.model.layout.v_slices[body], lin.model.bodies.rows
+    rows, row = _rows(lin, body), lin.model.bodies.rows
     i = lin.model.layout.bodies.index(body)
     M, K = (H[rows, rows] for H in lin.quasistatic)
     K = (K + K.T) / 2

@@ -251,11 +251,34 @@ def test_what_a_linearization_with_closures_refuses_by_name():
         jb.frequency_response(
             lin, [1.0], inputs={"F": jb.PointForce("rocker", direction="x")}, outputs={"r": jb.Reaction("rocker", component=0)}
         )
-    with pytest.raises(jb.JaxbodyError, match=r"backbones.*closures.*CLOSED_LOOPS"):
-        jb.backbones(lin)
+    with pytest.raises(jb.JaxbodyError, match=r"linearize_spin.*closures.*CLOSED_LOOPS"):
+        jb.linearize_spin(model, {"rocker": 1.0})
     open_ = jb.State(model.reference.q + jnp.array([0.1, 0.0, 0.0]), jnp.zeros(3))
     with pytest.warns(jb.JaxbodyWarning, match="NOT_CLOSED"):
         jb.modes(jb.linearize(model, open_))
     stale = jb.replace(model, {"spring.spring.coefficient": 2 * TORQUE})
     with pytest.warns(jb.JaxbodyWarning, match="STALE"):
         jb.linearize(stale, eq)
+
+
+def test_axes_of_a_mounted_body_are_those_without_the_loop_beside_it():
+    corners = {"a": [1, 1, -0.2], "b": [1, -1, -0.3], "c": [-1, 0.5, -0.1]}
+    legs = {name: jb.Bushing(("box", at), ("world", at), stiffness=[1e4, 2e4, 3e4]) for name, at in corners.items()}
+    box = {"box": jb.Body(mass=50.0, inertia=[4, 5, 6], com=[0.1, 0, 0.2])}
+    beside = {"first": jb.Body(mass=1.0, inertia=[1, 1, 1]), "second": jb.Body(mass=2.0, inertia=[1, 1, 1])}
+    rod = jb.closures.Rod(("world", [3, 0, 0.5]), ("second", [3, 0, 0]))
+    loop = jb.Model(
+        bodies={"first": beside["first"], **box, "second": beside["second"]},
+        joints={"first": jb.Guide("world", axis="x"), "second": jb.Guide("first", axis="z")},
+        closures={"rod": rod},
+        elements=legs | {"spring": jb.Spring(("second", [3, 0, 0]), ("world", [4, 0, 0]), stiffness=50.0, free_length=1.0)},
+    )
+    alone, beside_it = (jb.linearize(model, model.reference) for model in (jb.Model(bodies=box, elements=legs), loop))
+    for function, more in ((jb.elastic_axes, ()), (jb.torque_roll_axis, ([1, 0, 0],))):
+        expected, found = (function(lin, "box", *more) for lin in (alone, beside_it))
+        for name in ("center", "stiffness", "points", "torsional_stiffness", "direction", "frequency", "coupling"):
+            if hasattr(expected, name):
+                np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-12, atol=1e-12, err_msg=name)
+    held = jb.Model(bodies=box, elements=legs, closures={"rod": jb.closures.Rod(("world", [0, 0, 1]), ("box", [0, 0, 0]))})
+    with pytest.raises(jb.JaxbodyError, match=r"'box' follows other bodies by closures.*NOT_FREE"):
+        jb.elastic_axes(jb.linearize(held, held.reference), "box")

@@ -242,6 +242,64 @@ def test_a_pendulum_on_a_cart_has_the_slope_of_its_periodic_motions(mode):
     check_against_periodic_motions(Cart(), backbones(Cart().model()), mode)
 
 
+# Closures: the independent coordinates on the curved paths that they leave
+
+
+def trammel(length=0.45, masses=(0.8, 1.3)):
+    """A bob that a rod holds at its length from a fixed point, on a carriage along x that guides it along z."""
+    return jb.Model(
+        bodies={name: jb.Body(mass=m, inertia=[1, 1, 1]) for name, m in zip(("carriage", "bob"), masses, strict=True)},
+        joints={"carriage": jb.Guide("world", axis="x"), "bob": jb.Guide("carriage", axis="z")},
+        closures={"rod": jb.closures.Rod(("world", [0, 0, length]), ("bob", [0, 0, 0]))},
+        gravity=[0, 0, -9.81],
+    )
+
+
+def test_a_bob_on_a_rod_that_guides_hold_has_the_slope_of_its_exact_period():
+    """T = (m + M cos^2) L^2 h'^2/2, V = -m g L cos h of the bob m and the carriage M; the amplitude is that of x = L sin h."""
+    L, (M, m), g = 0.45, (0.8, 1.3), 9.81
+    result = backbones(trammel(L, (M, m)))
+    assert result.coordinates == ("carriage move along its guide",)
+
+    def frequency(a):
+        h = np.arcsin(a / L)
+
+        def slowness(s):  # dt/ds with sin(angle/2) = sin(h/2) sin(s), where cos(angle) - cos(h) = 2 sin^2(h/2) cos^2(s)
+            half = np.sin(h / 2) * np.sin(s)
+            angle = 2 * np.arcsin(half)
+            return np.sqrt((m + M * np.cos(angle) ** 2) * L / (m * g * (1 - half**2)))
+
+        return np.pi / 2 / quad(slowness, 0, np.pi / 2, epsabs=0, epsrel=1e-13)[0]
+
+    assert abs(float(result.frequency[0]) * 2 * np.pi / frequency(1e-4) - 1) < 1e-7
+    exact = curvature(frequency, 0.1, levels=5)
+    assert abs(float(result.curvature[0]) / exact - 1) < 1e-8  # what the extrapolation leaves
+
+
+@pytest.mark.long
+def test_the_slope_of_a_bob_on_a_rod_has_derivatives_in_both_modes():
+    model = trammel()
+    rigs.check_derivatives(lambda x: backbones(jb.replace(model, {"carriage.mass": x[0]})).curvature[0], jnp.array([0.8]))
+
+
+@pytest.mark.long
+def test_a_pendulum_that_a_pin_closes_bends_as_on_its_hinge():
+    """Both modes, by the amplitude of the cart."""
+    cart = Cart().model()
+    pin = jb.closures.Hinge(("cart", [0, 0, 0]), ("bob", [0, 0, 0]), axis="y")
+    joints = {"cart": jb.Guide("world", axis="x"), "bob": jb.Planar("world", first="z", second="x")}
+    bodies = {name: jb.Body(mass=m, inertia=J, com=com) for name, m, J, com in (
+        ("cart", Cart.m, [1, 1, 1], [0, 0, 0]), ("bob", Cart.bob, [0.01, Cart.J, 0.01], [0, 0, -Cart.r]),
+    )}  # fmt: skip
+    ends = ("cart", [0, 0, 0]), ("world", [Cart.end[0], 0, Cart.end[1]])
+    spring = jb.Spring(*ends, stiffness=Cart.k, free_length=np.hypot(*Cart.end))
+    closed = jb.Model(bodies=bodies, joints=joints, closures={"pin": pin}, elements={"spring": spring}, gravity=[0, 0, -Cart.g])
+    tree, loop = backbones(cart), backbones(closed)
+    np.testing.assert_allclose(loop.frequency, tree.frequency, rtol=1e-11)
+    per_cart = [x.curvature / x.shapes[i] ** 2 for x, i in ((tree, 0), (loop, list(loop.coordinates).index("cart move along its guide")))]
+    np.testing.assert_allclose(per_cart[1], per_cart[0], rtol=1e-9)
+
+
 class Plate:
     """The free plate of the other tests, by Newton and Euler about its center of mass: y = (C, R, C', w), all in world axes."""
 
