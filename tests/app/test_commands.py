@@ -203,6 +203,7 @@ def test_a_new_engine_has_no_gravity_and_its_file_says_so(texts):
     assert "\ngravity = [0.0, 0.0, 0.0] # m/s2; zero, as in the source of this model\n" in texts["engine.toml"]
 
 
+@pytest.mark.long
 def test_a_fit_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     before = (folder / "measured.toml").read_text()
     assert commands.main(["fit", "measured.toml", "--free", "suspension.stiffness", "--write", "--out", "fit.csv"]) == 0
@@ -244,6 +245,7 @@ def test_numbers_are_saved_as_parquet_and_netcdf(words, column, label, capsys, f
         np.testing.assert_array_equal(np.array(rows, float)[:, head.index(column)], read)
 
 
+@pytest.mark.long
 def test_numbers_in_parquet_have_units_and_are_read_again(capsys, folder):
     parquet = pytest.importorskip("pyarrow.parquet")
     assert commands.main(["simulate", "measured.toml", "--duration", "0.5", "--out", "motion.parquet"]) == 0
@@ -312,6 +314,7 @@ motion.road = {type = "Sampled", record = "run2", translation = "base", axis = "
     )
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
 def test_a_fit_is_validated_by_the_experiments_that_are_held_out(capsys, folder):
     """The fit is that without them; the comparison is that of `validate`, printed, saved and drawn in the report."""
@@ -340,6 +343,7 @@ def test_a_fit_needs_an_experiment_that_is_not_held_out(capsys, folder):
     assert "measured.toml: has validate = true in all experiments" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_design_is_that_of_python_and_is_written_into_the_file(capsys, folder):
     car = jb.read_model("measured.toml")
 

@@ -34,6 +34,7 @@ def engine(tmp_path_factory):
     return path, results
 
 
+@pytest.mark.long
 def test_a_report_holds_the_numbers_that_are_printed(engine):
     path, results = engine
     page = Page(path)

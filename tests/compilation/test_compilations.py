@@ -37,6 +37,7 @@ def by_themselves(model, amplitude, times):
     jb.frequency_response(lin, 1 + times, inputs, outputs)
 
 
+@pytest.mark.long
 def test_each_is_one_program_whatever_the_values():
     model, times = rigs.plate(damping=2.0), np.linspace(0, 0.1, 13)
     with jb.compile_times() as first:
@@ -48,6 +49,7 @@ def test_each_is_one_program_whatever_the_values():
     assert then.count == 0, then
 
 
+@pytest.mark.long
 def test_another_shape_or_option_is_another_program():
     model, options = rigs.plate(), dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.01)
     begin = time.perf_counter()

@@ -86,6 +86,7 @@ def test_a_failed_result_issues_the_same_warnings_under_derivatives(code):
     assert seen == [] and (np.isfinite(slopes) == (code == "TABLE_RANGE")).all()
 
 
+@pytest.mark.long
 def test_derivatives_of_samples_before_a_failure_are_right():
     """x = 0.1 cos(w t): the sample at 0.5 s is reached in ten steps, the last is not."""
 

@@ -39,6 +39,7 @@ def test_a_batch_has_the_sample_in_its_index():
     np.testing.assert_array_equal(frame["frequency"].loc[1], lins.frequency[1])
 
 
+@pytest.mark.long
 def test_responses_have_the_units_of_output_and_input(lin):
     inputs, outputs = {"road": jb.BaseMotion("road", "z")}, {"seat": jb.Acceleration("body", axis="z"), "load": jb.LoadCell("tyre")}
     response = jb.frequency_response(lin, np.geomspace(0.1, 10, 5), inputs, outputs)
@@ -53,6 +54,7 @@ def test_responses_have_the_units_of_output_and_input(lin):
     assert by_output.loc["load", "rms"] == float(ride["load"]) and "psd[0.1]" in by_output
 
 
+@pytest.mark.long
 def test_modes_energies_matrices_and_cases_are_tables(lin):
     modes, energies = jb.modes(lin), jb.mode_energies(lin)
     frame = modes.to_pandas()

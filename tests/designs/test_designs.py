@@ -227,6 +227,7 @@ def test_the_edge_of_stability_does_not_stop_the_search():
 # Ways to search
 
 
+@pytest.mark.long
 def test_equal_left_and_right_and_from_a_list():
     """Two springs that stay equal, and one of a catalogue: the best of all combinations there are."""
     body = jb.Body(mass=1.0, inertia=[1, 1, 1])
@@ -476,6 +477,7 @@ def test_a_search_says_to_go_on_only_where_it_was_cut_off(weight):
     np.testing.assert_allclose(result.values["spring.stiffness"], 100 * np.exp(0.3), rtol=1e-3)
 
 
+@pytest.mark.long
 def test_a_stop_that_just_touches_at_rest_is_named():
     """f = sqrt(k/m)/2 pi falls with k until the sag m g/k is the gap; with less the stop is met, and f rises: the least is where it
     touches, k = m g/gap."""

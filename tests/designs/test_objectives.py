@@ -90,6 +90,7 @@ def ride():
     return jb.random_response(lin, jb.Band(1e-4, 1e5, points=2001), {"road": jb.BaseMotion("road", "z")}, asked, road)
 
 
+@pytest.mark.long
 def test_what_a_random_road_does_is_the_closed_form(ride):
     """Stroke and grip by REFERENCES, section 2; comfort by NumPy's integral over the densities of several seats."""
     M = MS + MU

@@ -51,6 +51,7 @@ def test_chunks_change_nothing_and_values_do_not_recompile(car, grid, capsys):
     assert not any(word in str(times) for word in ("one", "apart", "quantities")) and (softer["frequency"] < grid["frequency"]).all()
 
 
+@pytest.mark.long
 def test_chunks_shrink_to_the_memory_there_is(car, monkeypatch):
     """A quantity of a megabyte on the way: no more than the memory given."""
     monkeypatch.setattr(sweeps, "MEMORY", 2**24)

@@ -106,6 +106,7 @@ def test_quarter_cars_of_smith_and_wang(k, c, b, acceleration, deflection, force
     np.testing.assert_allclose(found, kt * s * (b * s**2 + c * s + k) / np.polyval(below, s), rtol=1e-10)
 
 
+@pytest.mark.long
 def test_two_masses_move_against_each_other():
     """The relative motion has the mass m1 m2/(m1 + m2) + b; the shares of the inerter and of the masses in its energy."""
     m1, m2, b, k = 3.0, 5.0, 2.0, 800.0
@@ -212,6 +213,7 @@ def test_small_motions_are_the_slopes_of_the_equations_of_motion():
     np.testing.assert_allclose([eq.forces["slant"], eq.forces["inner"]], 0.0, atol=1e-12)
 
 
+@pytest.mark.long
 def test_a_backbone_bends_by_the_inertia_of_an_inerter_across_the_motion():
     """L = m (1 + eps x^2) x'^2/2 - k x^2/2 has the frequency w (1 - eps a^2/4): eps = b/(m h^2), h the length of the inerter at rest."""
     h = 0.5

@@ -36,6 +36,7 @@ def test_constant_laws_make_a_bushing():
         assert np.abs(a - b).max() < 1e-12 * np.abs(b).max(), name
 
 
+@pytest.mark.long
 def test_small_motions_of_a_mount_with_laws_of_every_kind():
     """Against the slopes of the equations of motion, for a body on joints whose q are increments."""
     rubber = jb.laws.Linear(2e4) + jb.laws.Maxwell(stiffness=1e4, relaxation_time=0.02)

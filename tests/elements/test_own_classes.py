@@ -76,6 +76,7 @@ class Charges(jb.Element):
         return jnp.zeros_like(e)
 
 
+@pytest.mark.long
 def test_a_field_of_ones_own_is_fitted_tuned_and_printed_with_its_unit():
     """Released at rest at height h over the other charge, x'' = strength/(m x^2) - g; at 0.5 m it stays where strength = 0.5^2 m g."""
     pair = Charges(("ball", "world"), jnp.zeros(3), jnp.zeros(3), jnp.array(0.3), jnp.array(-1.0))

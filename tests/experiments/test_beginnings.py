@@ -73,6 +73,7 @@ def test_a_simulation_at_rest_begins_in_the_sag_on_the_displaced_base_with_its_s
     np.testing.assert_allclose(result.poses["box"].p[:, 2], independent(TRUTH), atol=1e-8)
 
 
+@pytest.mark.long
 def test_rest_on_a_base_that_is_turned_and_moves_is_carried_along_rigidly():
     """About the vertical and along: elongations are those of the equilibrium on the base in its reference pose, and none changes."""
     model = plate(damping=1.0)
@@ -87,6 +88,7 @@ def test_rest_on_a_base_that_is_turned_and_moves_is_carried_along_rigidly():
     np.testing.assert_allclose(result.state.v[0, :3], rate[:3] + np.cross(rate[3:], arm), atol=1e-9)
 
 
+@pytest.mark.long
 def test_derivatives_at_rest_are_those_of_the_closed_form_in_both_modes():
     """x(0) = z - m g/k: its derivative with respect to k is m g/k^2; the speed is that of the base for any k."""
     t, motions = jnp.array(0.0), tuple(MOTION.values())
@@ -177,6 +179,7 @@ def test_a_fit_to_a_recorded_base_motion_says_that_rest_would_do_better():
         assert abs(float(result.estimates[path]) - value) < 4 * float(result.standard_errors[path])
 
 
+@pytest.mark.long
 def test_a_fit_that_begins_far_off_at_rest_says_what_to_leave_out():
     """The box was knocked: neither rest nor the reference pose is where it begins, and the knock dies away with the damper."""
     z, speed = base(0.0)
@@ -189,6 +192,7 @@ def test_a_fit_that_begins_far_off_at_rest_says_what_to_leave_out():
     assert 0.5 < seconds <= 1.6 and "rest" not in far
 
 
+@pytest.mark.long
 def test_rest_where_there_is_none_is_said_before_and_in_a_fit():
     loose = jb.Model(bodies={"box": jb.Body(mass=1.0, inertia=[1, 1, 1])}, joints={"box": jb.Guide("world", axis=[0, 0, 1])},
                      gravity=[0, 0, -G])  # fmt: skip

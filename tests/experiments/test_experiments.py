@@ -60,6 +60,7 @@ def test_what_does_not_fit_a_record_is_said_at_once(record):
     assert jb.Experiment(sensors=volts, measured=record).measured["temperature"].shape == (8,)
 
 
+@pytest.mark.long
 def test_a_torsion_spring_reads_an_angle_and_a_moment():
     """Records in rad and N m fit its sensors; its outputs have these units; the moment is the stiffness times the angle."""
     arm = jb.Body(mass=1.0, inertia=[1, 1, 1])

@@ -80,6 +80,7 @@ def test_a_moved_corner_moves_the_wheel_of_its_curves():
     assert on.drive["steering"] == "rack.q" and on.place(2) == ("travel = 0.02, steering = 0", 0.02)
 
 
+@pytest.mark.long
 def test_bad_input():
     corner = jb.double_wishbone()
 

@@ -142,6 +142,7 @@ def test_a_file_by_hand_is_the_model_in_python(tmp_path):
     assert model.closure_names == ("mesh", "ball", "tie rod", "strut")
 
 
+@pytest.mark.long
 def test_units_of_couplings_are_those_of_their_coordinates(tmp_path):
     nut = '[joints.nut]\ntype = "Cylindrical"\nparent = "world"\naxis = "x"\n[joints]'
     of = STEERING.replace('by = "pinion.q"', 'by = "nut.q.1"').replace("[joints]", nut)
@@ -258,6 +259,7 @@ def test_every_closure_is_in_the_schema():
     assert {f"closure {kind.__name__}" for kind in CLOSURES} <= set(schema()["$defs"])
 
 
+@pytest.mark.long
 def test_editors_accept_what_is_read(tmp_path):
     jsonschema = pytest.importorskip("jsonschema")
     check = jsonschema.Draft202012Validator(schema())
@@ -292,6 +294,7 @@ def test_a_corner_of_a_file_has_the_same_curves(tmp_path):
     assert float(curves[0]["camber"][0]) == float(curves[1]["camber"][0])
 
 
+@pytest.mark.long
 def test_the_steering_of_the_manual_is_read(tmp_path):
     text = (manual_pages.DOCS / "guide" / "files.md").read_text()
     (block,) = re.findall(r"^```toml\n(.*?)^```", text, re.M | re.S)

@@ -130,6 +130,7 @@ def check_random_models(count, folder):
     return built
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::jaxbody.JaxbodyWarning")
 def test_random_models_are_the_same_again(tmp_path):
     assert check_random_models(40, tmp_path) > 20

@@ -63,6 +63,7 @@ def same(found, expected):
             assert leaf == other and type(leaf) is type(other)
 
 
+@pytest.mark.long
 def test_every_kind_of_result_is_the_same_again(results, tmp_path):
     jb.write_results(results, tmp_path / "all.zip")
     again = jb.read_results(tmp_path / "all.zip")

@@ -39,6 +39,7 @@ def exact():
     return {name: jb.dynamic_stiffness(element, FREQUENCIES, amplitude=X) for name, X in AMPLITUDES.items()}
 
 
+@pytest.mark.long
 def test_a_fit_recovers_six_parameters(exact):
     """From 30 % off; the truth within four standard errors of each."""
     guess = model_of(TRUTH * np.array([1.3, 0.7, 0.7, 1.3, 0.7, 1.3]))

@@ -114,6 +114,7 @@ def optimum(record):
     return minimum(lambda p: (independent(p)[0] - record) / NOISE, TRUTH)
 
 
+@pytest.mark.long
 def test_other_data_and_another_start_compile_nothing(record):
     fit(cart(), tracked(record))
     guess = jb.replace(cart(), {"*.stiffness": 77.0})
@@ -137,6 +138,7 @@ def result(record):
     return fit(cart(), tracked(record), rtol=FINE)
 
 
+@pytest.mark.long
 def test_the_fit_says_what_it_found(result, record, optimum):
     r = (independent(optimum)[0] - record) / NOISE
     print(values_of(result) / optimum - 1, result.cost / (0.5 * r @ r) - 1)

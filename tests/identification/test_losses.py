@@ -153,6 +153,7 @@ def test_losses_are_their_formulas_and_efficient_for_normal_residuals():
         assert np.isfinite(slopes).all() and (np.asarray(slopes) > 0).all()
 
 
+@pytest.mark.long
 def test_missing_samples_make_no_difference_to_the_uncertainty_of_a_robust_fit(rng):
     r, J, there = rng.normal(size=50), rng.normal(size=(50, 2)), np.arange(80) < 50
     alone, _ = linearized(r, J, there[:50], "cauchy")
@@ -323,6 +324,7 @@ def test_optima_that_explain_as_much_are_warned_of():
     np.testing.assert_allclose(ends, [-0.5, 0.5], atol=2e-3)
 
 
+@pytest.mark.long
 def test_a_record_much_shorter_than_the_first_period_is_said_to_be_short():
     """0.03 s of a period of 2 pi sqrt(m/k) = 1.14 s: neither stiffness against mass, nor a search cut off, is a matter of the start."""
     short = TIMES[:16] / 10

@@ -41,6 +41,7 @@ def test_a_fit_of_a_stiffness_curve():
     close_to_truth(fit, 5e-3)
 
 
+@pytest.mark.long
 def test_a_fit_of_a_record_with_its_initial_state():
     times = np.linspace(0, 0.5, 101)
     start = jb.State(np.array([0.01]), np.zeros(1), np.array([0.004]))
@@ -53,6 +54,7 @@ def test_a_fit_of_a_record_with_its_initial_state():
     np.testing.assert_allclose(fit.estimates["run.initial.z"], [0.004], rtol=0.02)
 
 
+@pytest.mark.long
 def test_beta_is_not_told_from_gamma_and_delta():
     """Only beta gamma and beta delta are in the equation: a fit of all three names them."""
     law = jb.laws.Linear(5e4) + jb.laws.BoucWen(alpha=5e4, beta=1e3, gamma=0.8, delta=-0.5)

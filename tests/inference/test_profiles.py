@@ -237,6 +237,7 @@ def test_pictures_of_a_fit_show_its_numbers(result, record, profile):
         plots.plot_autocorrelation(result, sensor="y")
 
 
+@pytest.mark.long
 def test_few_degrees_of_freedom_are_printed_where_they_widen_intervals(result, record):
     """Of white noise they are samples less parameters, 8 - 2: t is 25 % more than the normal distribution's 1.96; of 61 samples nothing
     is said."""

@@ -327,6 +327,7 @@ def test_a_softening_spring_has_a_largest_load():
     assert abs(eq.state.q[0] + brentq(lambda x: 1000 * x / np.sqrt(1 + (x / 0.05) ** 2) - (G + 30), 0, 10, xtol=1e-15)) <= 1e-12
 
 
+@pytest.mark.long
 def test_no_equilibrium_states_the_carried_load():
     with pytest.warns(jb.JaxbodyWarning, match=r"load factor 0\.6.* \[NO_EQUILIBRIUM\]"):
         eq = jb.equilibrium(hanging(SOFT), loads={"pull": jb.Force("mass", force=[0, 0, -60.0])})
@@ -349,6 +350,7 @@ def truss():
     )
 
 
+@pytest.mark.long
 def test_a_limit_point_is_found_where_the_force_is_largest():
     h = np.linspace(0, 0.3, 100_001)
     largest = (2000 * (np.hypot(1, 0.3) - np.hypot(1, h)) * h / np.hypot(1, h)).max()
@@ -419,6 +421,7 @@ def raised(tyre):
     return result.moved["wheel move along its guide"], result
 
 
+@pytest.mark.long
 def test_preload_moves_the_height_of_a_wheel_too():
     """The tyre carries both weights, the spring the body's, wherever the wheel then is."""
     height, result = raised(0.36)

@@ -47,6 +47,7 @@ def test_samples_keep_the_impulse_of_a_pulse_that_jumps():
     np.testing.assert_allclose(np.trapezoid(values, times), A * T / 2, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_a_simulation_follows_a_pulse_that_jumps():
     """An undamped mass on a sawtooth, against the closed form during and after it."""
     m, k = 2.0, 800.0

@@ -71,6 +71,7 @@ def test_a_signal_of_another_size_is_refused_as_a_motion():
         jb.Force("mass", force=jb.Harmonic(frequency=1.0))
 
 
+@pytest.mark.long
 def test_a_signal_moves_the_base_of_an_experiment_and_its_numbers_are_free_in_a_fit():
     sine = Sine(amplitude=[0, 0, 0.01, 0, 0, 0], frequency=0.6, phase=0.3)
     sensors = {"z": jb.Position("mass", axis=UP)}

@@ -128,6 +128,7 @@ def by_mujoco(model, path, start, times, step):
     return np.array(places)
 
 
+@pytest.mark.long
 def test_mujoco_simulates_the_same_motion(written, rng):
     """To the error of MuJoCo's integration, which is at most the change by halving its step; 1e-10: the tolerance of ours."""
     model, path = written

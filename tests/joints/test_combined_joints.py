@@ -113,6 +113,7 @@ def test_they_move_as_chains_of_slides_and_hinges():
         np.testing.assert_allclose(getattr(lins[0], name), getattr(lins[1], name), rtol=1e-9, atol=1e-8)
 
 
+@pytest.mark.long
 def test_derivatives_are_exact_where_angles_are_zero_or_half_turns():
     """Of accelerations by coordinates and by the directions and points of the joints, in both modes."""
     model, fields = carried(JOINTS), ("puck.second", "yoke.first", "yoke.at", "shaft.axis")
@@ -133,6 +134,7 @@ def test_derivatives_are_exact_where_angles_are_zero_or_half_turns():
         np.testing.assert_allclose(forward(start), differences, rtol=1e-6, atol=1e-7 * scale)
 
 
+@pytest.mark.long
 def test_a_shaft_behind_a_universal_joint_turns_by_the_law_of_hooke():
     """tan(out) = tan(in) cos(bend), with the output turning about its own line at an angle to that of the input."""
     bend = np.deg2rad(35.0)

@@ -85,6 +85,7 @@ MOVING = (
 )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:nothing connects")
 @pytest.mark.parametrize("name", judged_models.marked(MOVING, QUICK))
 def test_motions_over_a_second(name, rng):

@@ -363,6 +363,7 @@ def with_inerters(model, *links):
     )  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("free", [True, False])
 def test_elements_with_inertia_act_as_by_euler_lagrange(free):
     rng = np.random.default_rng(7)
@@ -455,6 +456,7 @@ def textbook(q, v):
     )
 
 
+@pytest.mark.long
 def test_double_pendulum_of_hinges_has_the_matrices_of_the_textbook():
     model, rng = elbow(), np.random.default_rng(6)
     q, v = rng.uniform(-3, 3, (2, SAMPLES, 2))

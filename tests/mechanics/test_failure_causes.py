@@ -140,6 +140,7 @@ def test_a_spring_that_swings_round_between_two_samples_is_not_named(turns):
     assert np.abs(trajectory.elongations["s"] - 0.1).max() <= 1e-9 and "shrunk" not in trajectory.summary()
 
 
+@pytest.mark.long
 def test_a_torsion_spring_past_half_a_turn_is_named_with_the_time():
     """theta = 8/w sin wt = pi, w^2 = 2; up to there its angle is that of the hinge, then it jumps by 2 pi. The slack is twice 0.009 x 4 pi
     rad/s^2 x (25 ms)^2 at 6.7 rad/s."""

@@ -71,6 +71,7 @@ def test_hamiltons_equations(name):
     assert rigs.max_difference(result, jnp.concatenate([of_p, -of_q])) < 1e-12 * np.abs(of_q).max()
 
 
+@pytest.mark.long
 def test_momenta_move_as_velocities_do():
     """With dampers, a load and a support in motion: the rate of the state by its momenta is that of the equations of motion."""
     model, t = rigs.rig(), jnp.array(0.3)

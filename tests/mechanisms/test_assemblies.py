@@ -69,6 +69,7 @@ def test_a_four_bar_linkage_moves_as_by_freudenstein(motion, crank, coupler, roc
     np.testing.assert_allclose([a[0] + a[1], a[2]], [a3, a4], atol=1e-6)  # the digits of the table
 
 
+@pytest.mark.long
 def test_conditions_out_of_the_plane_are_redundant_and_do_no_harm():
     done = jb.assemble(four_bar(), start=state(40.0, -20.0, 57.0))
     assert done.freedoms == 1 and len(done.redundant) == 3 and done.ok
@@ -177,6 +178,7 @@ def test_a_start_off_the_closures_has_derivatives_by_the_point_that_sets_the_siz
     np.testing.assert_allclose(jax.jacrev(moved)(0.2), slope, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_a_turn_of_the_crank_one_position_after_the_other():
     model = four_bar()
     q = jb.assemble(model, start=state(0.0, 36.0, 62.0), hold=["crank"]).state.q

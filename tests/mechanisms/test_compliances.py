@@ -64,6 +64,7 @@ def test_names_are_kept(limit):
     assert elastic.closure_names == () and elastic.layout.nv == 18
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", [0, 1], ids=["places", "frequency"])
 def test_ideal_joints_are_the_limit_of_stiff_bushings(limit, what):
     """The error is inversely proportional to the stiffness."""
@@ -117,6 +118,7 @@ def test_bushings_turn_with_the_axis_of_their_joint_and_take_derivatives():
     np.testing.assert_allclose(lin.C, np.diag([4.0, 4, 4, 0, 0, 0]), atol=1e-13)
 
 
+@pytest.mark.long
 def test_bad_input():
     corner = jb.macpherson()
     with pytest.raises(jb.JaxbodyError, match=r"compliant\['strut'\]: is a Inline.*WRONG_KIND"):

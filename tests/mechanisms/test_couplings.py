@@ -57,6 +57,7 @@ def test_equilibrium_and_frequency_have_derivatives_by_the_ratio():
         np.testing.assert_allclose(jax.jit(derivative(turn_and_frequency))(RADIUS), exact, rtol=1e-10)
 
 
+@pytest.mark.long
 def test_gears_turn_by_their_teeth_any_number_of_turns():
     joints = dict.fromkeys(["first", "second", "third"], jb.Hinge("world", axis="z"))
     couplings = {
@@ -76,6 +77,7 @@ def test_gears_turn_by_their_teeth_any_number_of_turns():
     assert not done.ok
 
 
+@pytest.mark.long
 def test_a_nut_on_a_screw_has_the_frequency_of_both_motions():
     pitch, mass, about, k = 0.02, 0.4, 3e-5, 900.0
     r = pitch / (2 * np.pi)
@@ -94,6 +96,7 @@ ANGLES = np.linspace(0.0, np.pi, 400)
 CAMS = {"function": lambda y: LIFT * (1 - jnp.cos(y)), "table": jb.laws.Table(ANGLES, LIFT * (1 - np.cos(ANGLES)))}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", CAMS)
 def test_a_cam_turns_until_its_spring_balances_the_follower(kind):
     """x = h (1 - cos y), k (y - y0) = m g h sin y; of a table to the error of its interpolation."""

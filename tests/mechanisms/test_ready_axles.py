@@ -42,6 +42,7 @@ def test_in_bounce_the_panhard_rod_moves_the_axle_sideways(curves):
     assert float(np.sin(-curves["camber"][3])) == pytest.approx(0.04 / TRACK, rel=1e-9)
 
 
+@pytest.mark.long
 def test_it_rolls_about_the_middle_of_the_panhard_rod(curves):
     """At the design position the point of the axle at height h over y = 0 stays: dy/dleft - dy/dright of a wheel at height z is
     -(z - h) dphi with dphi = 2/track."""
@@ -49,6 +50,7 @@ def test_it_rolls_about_the_middle_of_the_panhard_rod(curves):
     assert slopes[0] - slopes[1] == pytest.approx(-(0.31 - HEIGHT) * 2 / TRACK, abs=1e-9)
 
 
+@pytest.mark.long
 def test_bounce_and_roll_frequencies_are_those_of_two_springs():
     """2 k/m, and 2 k (d/2)^2/(J + m (z - h)^2) with the center of mass at z."""
     model = level_axle(force=0.0).model

@@ -262,6 +262,7 @@ def test_curves_have_derivatives_by_hard_points():
     np.testing.assert_allclose(forward, difference, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_beyond_reach_the_last_good_value_is_kept_by_name():
     with pytest.warns(jb.JaxbodyWarning, match=r"NOT_CLOSED.*within reach: travel = 0.* m"):
         curves = jb.double_wishbone().curves(np.linspace(0.0, 1.0, 11))
@@ -269,6 +270,7 @@ def test_beyond_reach_the_last_good_value_is_kept_by_name():
     assert ok[:3].all() and not ok[-1] and np.isnan(curves["camber"][-1]) and np.isfinite(curves["camber"][ok]).all()
 
 
+@pytest.mark.long
 def test_bad_input():
     corner = jb.double_wishbone()
     call = lambda drive, over: jb.suspension_curves(corner.model, drive=drive, over=over, wheel=corner.wheel)  # noqa: E731

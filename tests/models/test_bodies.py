@@ -122,6 +122,7 @@ def test_what_may_turn_without_inertia_is_reported_when_a_model_is_built():
         mounted(jb.Body(mass=1.0))
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*ZERO_MOMENT")
 def test_a_singular_mass_matrix_is_reported_as_such():
     """K is regular; the rod has no inertia about its own axis z. Once six zero frequencies and SINGULAR_K were reported."""
@@ -137,6 +138,7 @@ def test_a_singular_mass_matrix_is_reported_as_such():
         assert np.isnan(np.array(list(jb.mode_energies(lin).kinetic.values()))).all()
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:.*ZERO_MOMENT")
 def test_a_simulation_without_inertia_states_the_reason():
     model = mounted(jb.Body(mass=1.0, inertia=[1, 1, 0]))

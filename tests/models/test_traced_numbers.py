@@ -121,6 +121,7 @@ def test_what_is_allowed_to_be_negative_stays():
     assert np.isnan(made(jnp.asarray(SIX + np.eye(6, k=1)))).all()  # it has no potential energy
 
 
+@pytest.mark.long
 def test_a_derivative_by_a_bad_number_is_nan():
     def stiff(k):
         model = with_numbers(GOOD | {"stiffness": k})

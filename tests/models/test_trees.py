@@ -134,6 +134,7 @@ def test_a_law_that_holds_a_network_moves_as_its_numbers_say_and_can_be_differen
     assert np.asarray(fit.model["s"].spring.network.layers[1].bias) == pytest.approx(b2, rel=1e-4)
 
 
+@pytest.mark.long
 def test_laws_with_networks_of_one_structure_are_one_table_and_others_their_own():
     model = slider(a=Learned(network(1), 50.0), b=Learned(network(2), 60.0), c=Learned(network(3, jax.nn.softplus), 70.0))
     assert [table.names for table in model.elements] == [("a", "b"), ("c",)]

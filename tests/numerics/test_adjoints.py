@@ -53,6 +53,7 @@ def flat(tree):
     return np.concatenate([np.ravel(x) for x in jax.tree.leaves(tree)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("system", SYSTEMS)
 def test_three_systems_as_exactly_as_diffrax_with_gradients_of_every_mode(system):
     """As near to the solution as diffrax at the same tolerance; with constant steps equal to rounding, and both modes equal to
@@ -83,6 +84,7 @@ def test_three_systems_as_exactly_as_diffrax_with_gradients_of_every_mode(system
     np.testing.assert_allclose(flat(forward[1]), flat(changes), rtol=0, atol=1e-9 * np.abs(flat(changes)).max())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("adaptive", [False, True])
 def test_reverse_mode_is_forward_mode_of_the_same_blocks(adaptive):
     """Also by what the field closes over, in a batch, and for the end of the time."""

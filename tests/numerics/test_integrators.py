@@ -37,6 +37,7 @@ def path(model, factor=1.0, times=TIMES, **options):
     return jb.simulate(stiffer, times, motion=MOTION, **options).state.q
 
 
+@pytest.mark.long
 def test_one_step_is_that_of_diffrax(model):
     """Tolerances so wide that the first step is the only one: its end and the polynomial between are the same, to rounding."""
     times = jnp.linspace(0.0, 0.05, 7)
@@ -265,6 +266,7 @@ def end(k):
     return oscillation(jb.laws.Linear(k), jnp.array([0.0, 0.4, 1.0]))[-1]
 
 
+@pytest.mark.long
 def test_both_modes_by_default():
     """dx/dk = -0.15 t sin(wt)/w."""
     w = np.sqrt(40.0)
@@ -309,6 +311,7 @@ def decaying(y0, most=1000):
     return diffrax.diffeqsolve(term, diffrax.Dopri8(), 0.0, 1.0, None, y0, adjoint=blocks, max_steps=most, **options).ys[:-1]
 
 
+@pytest.mark.long
 def test_reverse_mode_keeps_a_state_for_128_steps():
     """What each 128 more steps cost: their lengths, and about one state with its rate, not 128 states."""
     ny, blocks = 50, 40
@@ -321,6 +324,7 @@ def test_reverse_mode_keeps_a_state_for_128_steps():
     assert 8 * 128 <= more < 8 * 128 + 4 * 8 * ny
 
 
+@pytest.mark.long
 def test_the_memory_of_a_batch_is_that_of_its_results_and_of_one_chunk():
     """Per member no more than three times its samples: a chunk's members need a hundred times that."""
     ny, few, many = 3, 2 * step_blocks.LANES, 20 * step_blocks.LANES

@@ -175,6 +175,7 @@ def test_an_operation_without_a_rule_is_shown():
     assert "no rule for fft" in reason
 
 
+@pytest.mark.long
 def test_batches_of_drivers_stay_in_lanes():
     """Nothing of them is left to jax.vmap by a rule that fails: a new version of JAX shows here."""
 

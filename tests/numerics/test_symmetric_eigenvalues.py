@@ -35,6 +35,7 @@ def test_they_are_lapacks(n):
         assert (np.abs(ours - theirs) <= tolerance).all()
 
 
+@pytest.mark.long
 def test_a_matrix_without_eigenvalues_has_none_and_disturbs_no_other():
     for n in (2, 5):
         A = symmetric_matrices(n, 12)

@@ -35,6 +35,7 @@ def assert_named_and_distinct(ax, count):
     assert len(named) == len(set(named)) == len(looks) == count
 
 
+@pytest.mark.long
 def test_the_responses_of_a_car_are_all_named_and_a_panel_has_one_unit(response):
     ax = plots.plot_frequency_response(response, ax=Figure(figsize=(9, 7), layout="constrained").subplots())
     forces, phases = (axes for axes in ax.figure.axes if axes is not ax)
@@ -54,6 +55,7 @@ def test_names_beside_the_axes_stay_within_their_height(response):
     assert ax.get_legend().get_window_extent().y0 > ax.get_window_extent().y0 - 5
 
 
+@pytest.mark.long
 def test_the_motion_and_the_forces_of_a_car_are_all_named(car):
     motion = {f"road {wheel}": jb.Harmonic(frequency=1.0 + i, translation=[0, 0, 0.01]) for i, wheel in enumerate(WHEELS)}
     run = jb.simulate(car, jnp.linspace(0, 0.2, 11), motion=motion)
@@ -64,6 +66,7 @@ def test_the_motion_and_the_forces_of_a_car_are_all_named(car):
     assert_named_and_distinct(ax, 10)
 
 
+@pytest.mark.long
 def test_moments_have_a_panel_of_their_own():
     """A torsion spring of 30 N m/rad turned by 0.2 rad, a bushing that resists turning by 5 N m/rad, a spring that has a force."""
     elements = {

@@ -88,6 +88,7 @@ def lin(model):
     return jb.linearize(model, model.reference)
 
 
+@pytest.mark.long
 def test_the_energy_balance_is_flat(run):
     """To the accuracy of a cubic spline through 100 samples a period: (2 pi/100)^4/384 = 4e-8 of the energies, and of the integration."""
     ax = plots.plot_energies(run, ax=Figure().subplots())
@@ -225,6 +226,7 @@ def test_backbones_are_drawn_to_five_percent():
     assert change[-1] == pytest.approx(-5.0) and (ax.get_xlabel(), ax.get_ylabel()) == ("amplitude [rad]", "change of frequency [%]")
 
 
+@pytest.mark.long
 def test_load_cases_are_drawn_by_unit():
     engine = jb.presets.engine_on_mounts(gravity=9.81)
     cases = jb.load_cases(engine, {"up": jb.LoadCase(acceleration=[0, 0, 3]), "left": jb.LoadCase(acceleration=[0, 1, 0])})

@@ -116,6 +116,7 @@ def test_the_stewart_table_stands_on_legs_of_equal_tension():
     np.testing.assert_allclose(lengths, L, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_the_double_pendulum_and_the_gliders():
     model = presets.double_pendulum()
     _, lin = frequencies(model)
@@ -147,6 +148,7 @@ def pushed(car, acceleration):
     return cases, {name: -float(cases.forces[name][0]) - rest[name] for name in names}, np.asarray(cases.state.q[0])
 
 
+@pytest.mark.long
 def test_braking_and_cornering_load_the_wheels_by_the_height_of_the_center_of_mass():
     """m (a cos + g sin) h about the point on the road: m a h/(2 L) a wheel, and what the center of mass that goes forward adds."""
     car, m, h, a = presets.full_car(height=0.55), 1100.0, 0.55, 9.80665
@@ -164,6 +166,7 @@ def test_braking_and_cornering_load_the_wheels_by_the_height_of_the_center_of_ma
     assert more["tyre fr"] > more["tyre rr"] > 0  # the stiffer bar takes more
 
 
+@pytest.mark.long
 def test_a_half_car_dives_when_it_brakes():
     car = presets.half_car(height=0.5)
     _, more, q = pushed(car, [-0.5, 0, 0])
@@ -172,6 +175,7 @@ def test_a_half_car_dives_when_it_brakes():
     assert q[1] > 0
 
 
+@pytest.mark.long
 def test_a_load_case_that_joints_carry_alone_says_so():
     """Its table was zeros without a word."""
     cases, more, _ = pushed(presets.full_car(), [-1, 0, 0])

@@ -21,6 +21,7 @@ def isolated():
     return model, jb.linearize(model, jb.equilibrium(model))
 
 
+@pytest.mark.long
 def test_the_stiffness_of_an_isolator_is_the_series(isolated):
     for direction, k in (("x", 1e4), ("z", 4e4)):
         K = jb.dynamic_stiffness(isolated[0]["isolator 2"], FREQUENCIES, direction=direction)
@@ -60,6 +61,7 @@ def test_equal_isolators_have_no_mode_of_relaxations_alone(isolated):
     np.testing.assert_allclose([found[np.argmin(np.abs(found - s))] for s in exact], exact, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_one_branch_is_the_standard_linear_solid():
     """Poles of 50 kg on 2e4 N/m beside 6e4 N/m in series with a dashpot of 0.01 s (roots of its cubic), and the weight carried."""
     model = jb.presets.rubber_isolators(stiffness=(1e3, 2e3, 5e3), prony=[(3.0, 0.01)], gravity=9.81)

@@ -20,6 +20,7 @@ def lin():
     return jb.linearize(model, jb.equilibrium(model))
 
 
+@pytest.mark.long
 def test_each_component_of_a_vector_is_an_output(lin):
     """ "seat.x" is what the sensor along x reads; of a pose positions and rotations, of a reaction forces and moments."""
     vectors = {"acc": jb.Acceleration("box", POINT), "pose": jb.BodyPose("box"), "base": jb.Reaction("base")}

@@ -298,6 +298,7 @@ def test_results_print_and_export(lin, ride):
     assert "stroke" in str(lin.state_space({"road": jb.BaseMotion("road", "z", kind="acceleration")}, OUTPUTS))
 
 
+@pytest.mark.long
 def test_pictures_show_their_data(lin, ride, monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "Agg")
     import matplotlib.pyplot as plt

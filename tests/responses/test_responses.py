@@ -158,6 +158,7 @@ def test_modal_sum_and_state_space_agree(rig):
         assert (np.abs(direct - result.values) / size).max() < 1e-10
 
 
+@pytest.mark.long
 def test_an_output_of_derivatives_of_the_input_has_no_state_space(rig):
     _, _, lin = rig
     felt = {"felt": jb.Acceleration("box", POINT, axis="z")}

@@ -70,6 +70,7 @@ def test_wb_is_that_of_the_british_standard():
     np.testing.assert_allclose(jb.weighting("Wb", f), band * change * step * gain, rtol=6e-3)  # of 0.71 for the root of one half
 
 
+@pytest.mark.long
 def test_only_accelerations_of_the_right_kind_are_weighted():
     """We is for rotations, the others for translations."""
     box = jb.Model(

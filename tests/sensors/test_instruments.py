@@ -172,6 +172,7 @@ def points(flight, name, a):
     return np.asarray(pose.p + np.asarray(pose.R) @ a)
 
 
+@pytest.mark.long
 def test_accelerations_and_angular_velocities_are_the_derivatives_of_poses(flight, recorded):
     """Differences of positions good to 1e-13 m over 2 ms leave 1e-7 m/s2."""
     g = np.asarray(flight.model.gravity)
@@ -333,6 +334,7 @@ def test_a_lag_is_that_of_the_closed_form_for_a_sine(T):
         np.testing.assert_allclose(result[12:-12], expected[12:-12], rtol=0, atol=1e-8 if T < 1 else 2e-9)
 
 
+@pytest.mark.long
 def test_a_lag_is_that_of_scipy_for_a_noise_of_few_frequencies_and_its_derivative_that_of_differences():
     """lsim takes straight lines between samples; given sixty-four times as many, 1e-6 of what it has to say remains."""
     T, frequencies = 0.013, np.array([1.0, 2.7, 4.1])

@@ -289,6 +289,7 @@ def test_responses_of_reactions_are_those_of_supports_and_of_accelerations(chain
         np.testing.assert_allclose(of_world, expected, **close)
 
 
+@pytest.mark.long
 def test_all_that_the_world_carries_is_an_output_of_responses(chain):
     """Of a chain that hangs on the world it is the reaction of its one hinge, from the other side: the push goes through to the world at
     0+ Hz, the weight does not change."""
@@ -305,6 +306,7 @@ def test_all_that_the_world_carries_is_an_output_of_responses(chain):
     np.testing.assert_allclose(H.values[:3, 0, 0], [1, 0, 0], rtol=0, atol=1e-6)
 
 
+@pytest.mark.long
 def test_an_accelerometer_is_an_output_of_responses(chain):
     """To first order it reads the acceleration of its point along its axis, and g where it turns: -g phi across, in the plane of the
     motion."""
@@ -334,6 +336,7 @@ def test_a_loss_factor_with_a_sensor_of_forces_is_refused(chain):
         assert type(sensor).__name__ in str(refused.value) and "LoadCell" in str(refused.value)
 
 
+@pytest.mark.long
 def test_a_fit_takes_a_mass_from_a_hinge():
     """A hinge force is proportional to the mass of a pendulum, of which its motion knows nothing."""
     rod = jb.Body(mass=2.0, inertia=[0, 0, 0] + 1e-3 * np.ones(3), com=[0, 0, -0.6])
@@ -350,6 +353,7 @@ def test_a_fit_takes_a_mass_from_a_hinge():
     np.testing.assert_allclose(result.model["rod"].mass, 2.0, rtol=1e-7)
 
 
+@pytest.mark.long
 def test_a_reaction_on_a_support_is_what_a_force_plate_reads_in_world_axes(chain):
     """The base is turned by 0.3 rad about y; the moment about another point of it is M - r x F."""
     turned = jb.replace(chain, {"base.orientation": [np.cos(0.15), 0, np.sin(0.15), 0]})

@@ -101,6 +101,7 @@ def clean(trajectory):
     return jb.measure(trajectory, SENSORS)
 
 
+@pytest.mark.long
 def test_measuring_without_noise_gives_what_the_trajectory_has(trajectory, clean):
     arm, base = trajectory.poses["arm"], trajectory.poses["base"]
     np.testing.assert_allclose(clean["point"], arm.p + np.asarray(arm.R) @ POINT, rtol=0, atol=1e-14)

@@ -25,6 +25,7 @@ def lin():
 FLOOR = jb.Acceleration("floor", axis="x")
 
 
+@pytest.mark.long
 def test_a_floor_spectrum_of_a_record_is_that_of_the_chain(lin, rng):
     """An oscillator of no weight on the floor: SciPy's linear simulation of both."""
     times, a = noise_record(rng, duration=6.0, rate=100.0)

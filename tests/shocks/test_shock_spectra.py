@@ -26,6 +26,7 @@ def test_el_centro_at_its_samples(record):
     np.testing.assert_allclose(absolute.values[0] / G, [0.626258, 0.798267, 0.920509, 0.457986, 0.138086], rtol=4e-6)
 
 
+@pytest.mark.long
 def test_el_centro_between_its_samples(record):
     """The references come from sixteen steps a sample; published: 5.37, 7.47, 5.97 and 2.67 in."""
     made = {
@@ -42,6 +43,7 @@ def test_el_centro_between_its_samples(record):
     np.testing.assert_allclose([inches[1, 4], inches[0, 4], inches[0, 3], inches[0, 2]], [5.37, 7.47, 5.97, 2.687], rtol=2e-3)
 
 
+@pytest.mark.long
 def test_a_continuous_peak_is_that_of_a_record_sampled_far_more_often(rng):
     """Straight lines stay straight lines: 200 samples in the place of one change nothing but where the response is looked at."""
     times, a = noise_record(rng, duration=4.0, rate=50.0)
@@ -93,6 +95,7 @@ def test_undamped_spectra_of_pulses_in_closed_form(ft):
         np.testing.assert_allclose(spectrum.values[0, 0] / 3.0, exact, rtol=2e-6)
 
 
+@pytest.mark.long
 def test_a_half_sine_of_15_g_and_11_ms():
     """Q = 10; the larger of the maxima in the pulse and after it, and the minimum."""
     frequencies = [10, 20, 50, 75, 100, 200, 500]
@@ -119,6 +122,7 @@ def test_derivatives_agree_with_differences(rng, peaks):
     np.testing.assert_allclose(by_zeta, (size(a, 0.05 + h) - size(a, 0.05 - h)) / (2 * h), rtol=1e-6)
 
 
+@pytest.mark.long
 def test_a_spectrum_is_known_between_its_points(record):
     f, zeta = np.geomspace(0.2, 10.0, 40), [0.02, 0.05, 0.1]
     spectrum = jb.shock_spectrum(record, f, damping=zeta, kind="pseudo")

@@ -104,6 +104,7 @@ def peak_of(times, y):
     return b - (a - c) ** 2 / (8 * (a - 2 * b + c))
 
 
+@pytest.mark.long
 def test_one_mode_equals_its_history(rng):
     """Of every output: SciPy's linear simulation, exact for straight lines, at 400 points in each of them."""
     model = one_mode()
@@ -117,6 +118,7 @@ def test_one_mode_equals_its_history(rng):
         np.testing.assert_allclose(response[name], peak_of(fine, row), rtol=1e-8)
 
 
+@pytest.mark.long
 def test_a_spectrum_gives_what_its_record_gives_for_strokes(rng):
     model = one_mode()
     lin = jb.linearize(model, model.reference)
@@ -181,6 +183,7 @@ def test_supports_that_move_together_and_apart():
     np.testing.assert_allclose(bound["a"], DAMPED * 3.0, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_coinciding_modes_are_one_whatever_their_basis():
     """A mass on equal springs along x and y, shaken along a diagonal; SRSS of one of its bases would differ."""
     model = jb.Model(
@@ -231,6 +234,7 @@ def test_derivatives_by_the_model_agree_with_differences(five):
     np.testing.assert_allclose(jax.grad(shear)(k), (shear(k + h) - shear(k - h)) / (2 * h), rtol=1e-6)
 
 
+@pytest.mark.long
 def test_bad_input_is_refused_all_at_once(five):
     level = jb.DesignSpectrum([1.0, 2.0], [3.0, 3.0], damping=0.02)
     with pytest.raises(jb.JaxbodyError, match=r"'0 x': does not cover modes 1 .0\.499993 Hz.*damping ratios 0\.02 to 0\.02.*NOT_COVERED"):

@@ -49,6 +49,7 @@ def closed_to(trajectory, gap):
     return np.abs(jax.vmap(gap)(q)).max(), np.abs(rates).max()
 
 
+@pytest.mark.long
 def test_a_rack_swings_on_the_spring_of_its_pinion():
     """(J + m r^2) y'' = m g r - k y; the teeth carry lambda = m (g - r y''), the hinge of the pinion the moment r lambda about y."""
     model = rack_and_pinion()
@@ -120,6 +121,7 @@ def test_gears_turn_with_a_pendulum_and_repeated_pairs_do_no_harm():
             assert np.isnan(reactions["first pair"]["turn"]).all()
 
 
+@pytest.mark.long
 def test_a_nut_runs_down_its_screw():
     """(m + J/r^2) x'' = -m g."""
     r, mass, about = 0.02 / (2 * np.pi), 0.4, 3e-5

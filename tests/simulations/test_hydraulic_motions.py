@@ -25,6 +25,7 @@ def oscillator(spring, mass=200.0, joint=None, gravity=0.0):
     )
 
 
+@pytest.mark.long
 def test_dynamic_stiffness_in_the_steady_state():
     """kr + cr s + k1 (m s^2 + c s + k2)/(m s^2 + c s + k1 + k2) from the force under an imposed motion."""
     held = oscillator(LINEAR, joint=jb.Fixed("world"))
@@ -45,6 +46,7 @@ def test_dynamic_stiffness_in_the_steady_state():
         assert abs(F / e / (2e5 + 100.0 * s + 3e5 * column / (column + 3e5)) - 1) < 1e-5
 
 
+@pytest.mark.long
 def test_the_balance_of_energies_over_a_random_run():
     """Work of the base = stored + kinetic energy of mass and fluid + lost, with decoupler, quadratic loss and a branch."""
     model, rng = oscillator(WHOLE + jb.laws.Maxwell(stiffness=1e4, relaxation_time=0.1)), np.random.default_rng(4)

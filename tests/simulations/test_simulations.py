@@ -88,6 +88,7 @@ def test_energy_stays_within_a_hundred_tolerances_for_ten_seconds(name, rtol, st
     assert np.abs(energy - energy[0]).max() <= 100 * rtol * energy[0]
 
 
+@pytest.mark.long
 def test_the_errors_by_rtol_are_those_of_the_docstring(monkeypatch):
     """Of the plate of the benchmarks against SciPy's DOP853 at 1e-13; the table has one digit, right within a factor of two."""
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
@@ -294,6 +295,7 @@ def test_a_batch_has_the_same_names_and_the_numbers_of_a_loop():
     assert "3 OK" in repr(batch)
 
 
+@pytest.mark.long
 def test_a_sample_of_a_batch_that_fails_does_not_disturb_its_neighbors():
     model, stiffnesses = hung(), np.array([50.0, 1e9, 200.0])
     limit = {"max_steps": 60, "rtol": 1e-7}
@@ -422,6 +424,7 @@ def test_a_nonfinite_motion_is_named():
     assert np.isnan(result.state.q[SHORT > 0.52]).all()
 
 
+@pytest.mark.long
 def test_constant_steps_too_long_for_the_model_end_in_a_status_at_the_right_time():
     """20 000 rad/s in steps of 50 ms: a thousand times the limit of stability."""
     options = dict(stepsize_controller=diffrax.ConstantStepSize(), dt0=0.05, solver=diffrax.Tsit5(), initial=PUSHED)
@@ -584,6 +587,7 @@ def test_the_program_of_a_simulation_calls_no_host(rig, options):
     assert options or "callback" in lowered(solver=diffrax.Tsit5())
 
 
+@pytest.mark.long
 def test_a_solver_in_blocks_is_that_solver(rig):
     """Another method with the same tolerances: near the default's path, and differentiable in forward mode."""
     times = jnp.linspace(0.0, 0.1, 5)

@@ -117,6 +117,7 @@ def test_a_mass_on_every_law_moves_as_by_scipy(model, moved, start, name):
     assert abs(v - moved.state.v[::300, i]).max() <= 1e-8 * abs(v).max()
 
 
+@pytest.mark.long
 def test_the_rig_reaches_every_regime_of_its_laws(model, moved):
     """Stops are reached, the rope goes slack, tyre and contact leave the ground."""
     e = moved.elongations
@@ -178,6 +179,7 @@ def on_a_table(start):
     return model, jb.State(jnp.array([start]), jnp.array([0.0]))
 
 
+@pytest.mark.long
 def test_a_motion_that_leaves_a_table_reports_which_and_when():
     model, initial = on_a_table(0.6)
     times = np.linspace(0, 0.3, 31)
@@ -189,6 +191,7 @@ def test_a_motion_that_leaves_a_table_reports_which_and_when():
     assert jb.simulate(model, times, initial=on_a_table(0.2)[1]).ok
 
 
+@pytest.mark.long
 def test_an_equilibrium_beyond_a_table_reports_which():
     model, _ = on_a_table(0.0)
     with pytest.warns(jb.JaxbodyWarning, match=r"beyond the points of its table; 'strut' \[TABLE_RANGE\]"):

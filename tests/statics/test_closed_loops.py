@@ -154,6 +154,7 @@ def slider_crank(angle):
     )
 
 
+@pytest.mark.long
 def test_a_slider_crank_holds_a_load():
     """F x'(angle) = m g r cos(angle) + k (x - x_0) x'(angle), and the rod carries what the slider does not balance."""
     model, angle, drawn = slider_crank(-1.2), -0.9, -1.2

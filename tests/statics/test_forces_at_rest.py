@@ -56,6 +56,7 @@ def test_supports_carry_all_weights_and_loads(crane):
     np.testing.assert_allclose(total, [0, 0, -10.0 * G], atol=1e-8)
 
 
+@pytest.mark.long
 def test_a_fraction_of_the_loads_is_what_an_equilibrium_at_a_limit_point_carries():
     """A spring of the force 100 x (1 - x), at most 25 N, under 40 N."""
     law = jb.laws.Polynomial([100.0, -100.0])
@@ -100,6 +101,7 @@ def test_forces_have_exact_derivatives_and_batches(crane):
     assert float(batch.forces["stay"][1]) == pytest.approx(float(stay(1.2)), rel=1e-9)
 
 
+@pytest.mark.long
 def test_they_are_printed_with_units_what_is_about_an_axis_apart(crane):
     text = repr(jb.equilibrium(crane))
     lines = {line.split()[0]: line for line in text.splitlines() if line.strip()}

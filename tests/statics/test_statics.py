@@ -389,6 +389,7 @@ def test_a_search_with_too_few_steps_reports_its_residual(plate):
         assert int(jb.modes(jb.linearize(plate, result)).status) == Status.NOT_CONVERGED
 
 
+@pytest.mark.long
 def test_derivative_through_a_failed_or_singular_equilibrium_is_nan():
     """A bead on a guide under its weight; with an unstressed string across the guide it is free to move."""
 

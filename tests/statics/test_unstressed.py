@@ -168,6 +168,7 @@ def test_a_string_under_axial_compression_buckles():
     np.testing.assert_allclose([eq.state.q[0], np.hypot(*eq.state.q[1:])], [exact[0], np.hypot(*exact[1:])], atol=1e-6)
 
 
+@pytest.mark.long
 def test_a_load_without_a_potential_is_reported():
     """A force that turns with its body has no potential to descend."""
     with pytest.warns(

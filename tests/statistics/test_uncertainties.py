@@ -64,6 +64,7 @@ def test_intervals_hold_the_truth_and_the_naive_ones_are_flagged(rho, common):
     assert rho == 0 or (np.mean(naive, 0) < 0.93).all()
 
 
+@pytest.mark.long
 def test_normalized_errors_are_chi_squared():
     squares = [
         u @ np.linalg.solve(uncertainty.covariance, u) for u, uncertainty in uncertainties(jacobian(), noise(0.0, seed=2, count=1000))

@@ -48,6 +48,7 @@ def file(tmp_path):
     return path
 
 
+@pytest.mark.long
 def test_a_design_is_what_tune_takes(file):
     study = jb.read_study(file)
     design = dict(study.designs["ride"])

@@ -193,6 +193,7 @@ EXPECTED = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 def test_modes_and_responses_are_those_of_python(study):
     found = jb.read_study(study).experiments
     assert list(found) == ["run1", *EXPECTED]

@@ -149,6 +149,7 @@ def test_the_rows_are_the_second_derivatives_of_T_V_and_R():
         assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["direct", "modal"])
 def test_responses_of_a_mass_on_a_hydraulic_mount(published, method):
     response = jb.frequency_response(published, FREQUENCIES, INPUTS, OUTPUTS, method=method)
@@ -214,6 +215,7 @@ def test_a_gap_without_a_lower_chamber_leaves_the_fluid_free():
     np.testing.assert_allclose(modes.frequency[0], np.sqrt(1e3 / M_F) / 2 / np.pi, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_two_alike_mounts_have_a_mode_of_the_fluid_alone():
     """The fluids of two mounts side by side move against each other and leave the mass at rest."""
     ends = ("m", [0, 0, 0]), ("base", [0, 0, 0])

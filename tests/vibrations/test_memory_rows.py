@@ -122,6 +122,7 @@ def test_the_rows_are_the_second_derivatives_of_V_and_R():
     assert not np.asarray(M)[nv : nv + ny].any()
 
 
+@pytest.mark.long
 def test_modes_relaxed_and_instantaneous(solid):
     for stiffness, k in (("relaxed", K0), ("instantaneous", K0 + K1)):
         modes = jb.modes(solid, stiffness=stiffness)

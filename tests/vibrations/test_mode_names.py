@@ -41,6 +41,7 @@ def test_a_bouncing_body_is_not_named_by_the_arm_that_turns_with_it():
     assert "turn about its hinge" not in str(modes) and modes.names[0] in str(modes)
 
 
+@pytest.mark.long
 def test_hop_and_tramp_have_names_of_their_own_everywhere(car):
     """The modes of an axle's two wheels, which move together in one and against each other in the other, by the signs of their shapes."""
     modes, damped = jb.modes(car), jb.complex_modes(car)
@@ -84,6 +85,7 @@ def on_springs(*stiffness, coupling=None):
     return jb.linearize(model, model.reference)
 
 
+@pytest.mark.long
 def test_nearly_equal_frequencies_carry_a_mark():
     """1.6e-6 apart: 1e-5 of one stiffness moves shares by 40 points, which the mark says. Those that coincide have none: their energies are
     summed."""
@@ -150,6 +152,7 @@ def test_what_is_no_linearization_is_refused_with_what_to_give(car):
         jb.modes(SpinLinearization(car.M, car.C, car.K, car.status, car.state, car.model, car.C, car.K, car.K[0]))
 
 
+@pytest.mark.long
 def test_batches_of_modes_print_a_summary(car):
     computed = eqx.filter_vmap(lambda k: jb.modes(jb.linearize(jb.replace(car.model, {"car.mass": k}), car.state)))(
         jnp.array([800.0, 900.0])

@@ -42,6 +42,7 @@ def inertia_of(engine):
 # Energies
 
 
+@pytest.mark.long
 def test_kinetic_energies_of_the_published_powertrain(engine):
     result = jb.mode_energies(jb.linearize(engine, engine.reference), forward="x", up="z")
     published = POWERTRAIN_ENERGIES
@@ -207,6 +208,7 @@ def test_equal_frequencies_have_two_one_sided_derivatives(of_square):
     assert abs(both / slope - 1) < 1e-9
 
 
+@pytest.mark.long
 def test_energies_of_equal_frequencies_are_those_of_their_space(of_square):
     """Derivatives of the shares against central differences of sums of energies over each pair, which differences take apart."""
 

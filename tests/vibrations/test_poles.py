@@ -208,6 +208,7 @@ def test_a_rotor_whirls_forward_and_backward_as_in_closed_form():
         assert max_difference(a, b) < 1e-9
 
 
+@pytest.mark.long
 def test_a_free_spinning_disk():
     """A damper between two supports: what is left of a free disk is P W across its axis."""
     damper = jb.Spring(("base", [0, 0, 0]), ("stand", [0, 0, 0]), stiffness=STIFF, damping=9.0)
@@ -385,6 +386,7 @@ def crossing():
     return linearized
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("values", [np.linspace(100, 400, 7), np.linspace(200, 400, 5), np.linspace(110, 390, 7)])
 def test_modes_are_followed_through_crossings(crossing, values):
     """Also where a value lies on a crossing, also where the first one does."""
@@ -425,6 +427,7 @@ def test_lost_branches_are_reported():
     assert refused(jb.track, turned, [[0.0]]) == "BAD_SHAPE" and refused(jb.track, turned, [0.0, np.nan]) == "NON_FINITE"
 
 
+@pytest.mark.long
 def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
     pytest.importorskip("xarray")
     damped, energies, axes = jb.complex_modes(engine), jb.mode_energies(engine), jb.elastic_axes(engine, "engine")
@@ -442,6 +445,7 @@ def test_results_as_labelled_arrays_and_wrong_kinds(engine, crossing):
     assert refused(jb.complex_modes, model) == "WRONG_KIND"
 
 
+@pytest.mark.long
 def test_derivatives_of_poles_by_a_place_are_finite():
     """An arm on a spring at r from its hinge: w^2 = k r^2/J, dw/dr = w/r; the size of the model, by which poles are made alike, has no part
     in it."""

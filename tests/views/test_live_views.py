@@ -46,6 +46,7 @@ def places(live):
     )
 
 
+@pytest.mark.long
 def test_the_sliders_change_mode_amplitude_and_phase(live, modes):
     """What the browser is sent is what a view made with these numbers draws."""
     controls = live.controls

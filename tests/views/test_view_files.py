@@ -133,6 +133,7 @@ def half(tmp_path_factory):
     return jb.view(run, speed=6.0)
 
 
+@pytest.mark.long
 def test_a_gif_moves(half, tmp_path):
     image = Image.open(half.save(tmp_path / "plate.gif", width=240))
     seconds = float(half.animation.seconds[-1] + half.animation.pauses[-1])

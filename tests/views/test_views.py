@@ -59,6 +59,7 @@ def _place(motion, frame, point):
     return np.asarray(pose.p) + np.asarray(pose.R) @ np.asarray(point)
 
 
+@pytest.mark.long
 def test_every_spring_is_drawn_with_the_length_of_the_model_in_every_frame(motion, seen):
     assert len(seen.animation.seconds) == 75  # 3 s, 25 frames per second
     times = seen.animation.seconds
@@ -267,6 +268,7 @@ def driven():
     return jb.simulate(car, jnp.linspace(0.0, 2.0, 101), motion={"road": road}, initial=jb.equilibrium(car).state), road
 
 
+@pytest.mark.long
 def test_a_road_passes_under_its_wheel(driven):
     run, road = driven
     animation = jb.view(run).animation
