@@ -62,6 +62,7 @@ CODES = {
     "DEFECTIVE": ("modes coincide, and the sum over them is inaccurate", 'use method="direct"'),
     "DEGREES": ("an angle exceeds one turn", "convert degrees with np.deg2rad(...)"),
     "DELAY": ("a record is later than the prediction", "fit the delay of its sensor, or shift its times"),
+    "DENSITY": ("the mass is unusual for the size of the model", "check the units of mass and length"),
     "DIFFERENT_FREQUENCIES": ("responses in files have different frequencies", "read them one by one"),
     "DIFFERENT_TIMES": ("channels of a file are sampled at different times", "read channels with different times separately"),
     "DT_MIN": ("the step size fell below its smallest value", "look for a jump in force or motion at that time, or use a stiff solver"),

@@ -26,6 +26,9 @@ from jaxbody.vibrations.linearizations import Linearization, linearize
 GYRATION = (0.02, 5.0)  # relative to the distance of the farthest attachment point
 FREQUENCIES = (0.01, 1e5)  # Hz
 SAG = (1e-9, 1.0)  # relative to the size of the model
+SOFT = (1e-9, 5.0)  # the same of the first mode of a model without gravity, which may move across it
+DENSITY = (0.01, 1e5)  # kg/m3
+STANDARD = 9.80665  # m/s2
 EARTH = (9.7, 9.9)  # m/s2
 STEPS = (1e-6, 0.5)  # relative to the period of the first mode
 ZERO = 1e-9  # eigenvalue relative to the largest that counts as zero
@@ -48,10 +51,11 @@ def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Pla
     or, with closures, at the nearest configuration that fulfils them.
 
     These are the radius of gyration of each body that can rotate, relative to its farthest attachment point (detects kg mm2, or an inertia
-    about another point); the first natural frequency and the sag under gravity (N/mm, mm); gravity itself; and the sampling step of
-    `experiments` relative to the first natural period (ms).
+    about another point); the mass of all bodies over the cube of the size of the model (mm, g, t); the first natural frequency f and the
+    sag under gravity (N/mm, mm), of a model without gravity that which it would have along its first mode, g/(2 pi f)^2 with 9.81 m/s2;
+    gravity itself; and the sampling step of `experiments` relative to the first natural period (ms).
 
-    Warns GYRATION, FREQUENCY, SAG, GRAVITY (neither zero nor 9.7 to 9.9 m/s2), TIME_UNIT, FLOAT32. Errors: X64_CHANGED.
+    Warns GYRATION, DENSITY, FREQUENCY, SAG, GRAVITY (neither zero nor 9.7 to 9.9 m/s2), TIME_UNIT, FLOAT32. Errors: X64_CHANGED.
 
     >>> spring = Spring(("mass", [0, 0, 0]), ("world", [0, 1, 0]), stiffness=800.0, free_length=1.0)
     >>> model = Model(bodies={"mass": Body(mass=2.0, inertia=[1, 1, 1])}, joints={"mass": Guide("world", axis=[0, 1, 0])},
@@ -71,6 +75,9 @@ def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Pla
     for name, ratio in _gyration_ratios(model).items():
         remark = "is the inertia in kg m2, about the center of mass, and are the points in meters?"
         note("GYRATION", f"radius of gyration of '{name}' over its extent", ratio, "", GYRATION, remark)
+    size = float(size_of(model))
+    density = float(np.sum(model.bodies.rows.mass)) / size**3
+    note("DENSITY", "mass over the cube of the size of the model", density, "kg/m3", DENSITY, "are masses in kg and points in meters?")
     first, sag = (float(x) for x in _scales(_at_reference(model)))
     if np.isfinite(first):
         remark = "are stiffnesses in N/m and masses in kg?"
@@ -78,8 +85,12 @@ def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Pla
     g = float(np.linalg.norm(model.gravity))
     if g:
         note("GRAVITY", "gravity", g, "m/s2", EARTH, "is it in m/s2?")
+    remark = "are stiffnesses in N/m and points in meters?"
     if np.isfinite(sag) and sag:
-        note("SAG", "sag under gravity over the size of the model", sag, "", SAG, "are stiffnesses in N/m and points in meters?")
+        note("SAG", "sag under gravity over the size of the model", sag, "", SAG, remark)
+    if not g and first > 0:
+        soft = STANDARD / (2 * np.pi * first) ** 2 / size
+        note("SAG", "sag along the first mode, were there gravity, over the size of the model", soft, "", SOFT, remark)
     for name, run in (experiments or {}).items():
         if np.isfinite(first) and len(np.atleast_1d(getattr(run, "times", ()))) > 1:
             ratio = first * float(np.median(np.diff(run.times)))

@@ -1,4 +1,4 @@
-"""How far jaxbody is from the figures of trust: `python trust.py [rests drift gradients speed kills] [--share 0.01] [--write]`.
+"""How far jaxbody is from the figures of trust: `python trust.py [rests drift gradients speed kills units] [--share 0.01] [--write]`.
 
 Without a name it measures all of them. `--share` takes this part of their numbers of models, kills and so on. `--write` puts what was
 measured into trust.md, row by row; the other rows name the table or the test that holds them. Limits are those asked for, met or not.
@@ -30,7 +30,9 @@ import jaxbody as jb  # noqa: E402
 from jaxbody.compilation.compile_options import UNOPTIMIZED  # noqa: E402
 from jaxbody.mechanics.energies import potential  # noqa: E402
 from jaxbody.mechanics.kinematics import Chart  # noqa: E402
+from jaxbody.models.leaf_paths import leaves_of  # noqa: E402
 from jaxbody.models.sizes import scale_of, size_of  # noqa: E402
+from jaxbody.parameters.spaces import units_of  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 BATCH, STRUCTURES = 500, 52
@@ -181,7 +183,83 @@ def kills(share):
     )
 
 
-MEASURES = {f.__name__: f for f in (rests, drift, gradients, speed, kills)}
+BLUNDERS = {  # what was typed: the unit that is meant, and the factor that is left out
+    "N/mm": ("N/m", 1e-3),
+    "kN/m": ("N/m", 1e-3),
+    "mm": ("m", 1e3),
+    "g": ("kg", 1e3),
+    "t": ("kg", 1e-3),
+    "kg mm2": ("kg m2", 1e6),
+    "kg cm2": ("kg m2", 1e4),
+    "mm/s2": ("m/s2", 1e3),
+    "9.81 m/s2": ("m/s2", 1 / 9.80665),
+}
+
+
+def scaled(model, unit, factor):
+    """The model with all its numbers in this unit times a factor; None where it has none that matter."""
+    arrays, values = jax.tree.leaves(model), {}
+    turning = [name for name in model.layout.bodies if model.layout.turns[model.layout.v_slices[name]].any()]
+    for leaf in leaves_of(model):
+        if unit == "kg m2" and leaf.path.rsplit(".", 1)[0] not in turning:
+            continue
+        value = np.asarray(leaf.read(arrays))
+        own = np.reshape([u == unit for u in units_of(leaf, model, value)], value.shape)
+        if np.any(value[own]):
+            values[leaf.path] = np.where(own, value * factor, value)
+    return jb.replace(model, values) if values else None
+
+
+def varied(model, rng):
+    """Each stiffness, damping and mass times a factor of its own from 1/2 to 2, inertias as their masses, all lengths times one."""
+    arrays, values = jax.tree.leaves(model), {}
+    size, masses = 2.0 ** rng.uniform(-1, 1), {name: 2.0 ** rng.uniform(-1, 1) for name in model.layout.bodies}
+    for leaf in leaves_of(model):
+        value, owner = np.asarray(leaf.read(arrays)), leaf.path.split(".")[0]
+        factor = {"stiffness": 2.0 ** rng.uniform(-1, 1), "damping": 2.0 ** rng.uniform(-1, 1)}.get(leaf.field, 1.0)
+        if leaf.field in ("mass", "inertia") and owner in masses:
+            factor = masses[owner] * (size**2 if leaf.field == "inertia" else 1.0)
+        elif value.size and set(units_of(leaf, model, value)) == {"m"}:
+            factor = size
+        values[leaf.path] = value * factor
+    return jb.replace(model, values)
+
+
+def units(share):
+    """Ready models and variants of them, as they are and with all numbers of one unit typed in another."""
+    rng, counts, flagged = np.random.default_rng(0), collections.Counter(), collections.Counter()
+
+    def judged(model):
+        return bool(jb.plausibility(model).words)
+
+    for name in dir(jb.presets):
+        ready = getattr(jb.presets, name)()
+        for i in range(max(2, int(40 * share))):
+            model = varied(ready, rng) if i else ready
+            counts["sound"] += 1
+            flagged["sound"] += judged(model)
+            for typed, (unit, factor) in BLUNDERS.items():
+                try:
+                    wrong = scaled(model, unit, factor)
+                    seen = wrong is not None and judged(wrong)
+                except jb.JaxbodyError:  # the constructor refuses it
+                    wrong, seen = True, True
+                counts[typed] += wrong is not None
+                flagged[typed] += seen
+    rates = {key: 100 * flagged[key] / counts[key] for key in counts}
+    wrong = [key for key in counts if key != "sound"]
+    found = 100 * sum(flagged[key] for key in wrong) / sum(counts[key] for key in wrong)
+    text = ", ".join(f"{key} {rates[key]:.0f} %" for key in wrong)
+    yield (
+        "R10",
+        f"wrong units of ready models flagged, {sum(counts[key] for key in wrong)} blunders",
+        "95 %, 1 % falsely",
+        f"{found:.0f} % ({text}); falsely {rates['sound']:.1f} % of {counts['sound']}",
+        found >= 95 and rates["sound"] <= 1,
+    )
+
+
+MEASURES = {f.__name__: f for f in (rests, drift, gradients, speed, kills, units)}
 
 HELD = """\
 | R1 | random models without a silent NaN or a false "ok" | 10,000 models | 800: table of properties | no |
@@ -192,7 +270,6 @@ HELD = """\
 | R7 | directions that are not identifiable, found | 99.5 %, 0.5 % falsely | 49 of 50, 1 of 150, recovery.py | no |
 | R8 | changed files: a model or a clear error | 1e6 of models, 1e6 of data | 60,000 and 60,000: table of changed files | no |
 | R9 | bad inputs whose message is tested | 96 | 94, tests/core/test_catalogue.py | no |
-| R10 | wrong units flagged | 95 %, 1 % falsely | not measured | no |
 | R11 | planted bugs killed | 120 | 247 of 247: table of planted bugs | yes |
 | R13 | Ctrl-C answered; fits resumed | 2 s; 500 of 500 | tests/identification/test_losses.py, tests/workers/test_executors.py | |
 """

@@ -150,6 +150,9 @@ UNITS = {
     "points in mm": (lambda m: scaled(scaled(m, "*.a", 1e3), "*.b", 1e3), "GYRATION"),
     "kg mm2 for kg m2": (lambda m: scaled(m, "*.inertia", 1e6), "GYRATION"),
     "mass in g": (lambda m: scaled(m, "plate.mass", 1e3), "SAG"),
+    "mass in t": (lambda m: scaled(jb.presets.elastic_pendulum(), "bob.mass", 1e-3), "DENSITY"),
+    "places in mm, nothing turns": (lambda _: scaled(jb.presets.quarter_car(), "*.position", 1e3), "DENSITY"),
+    "N/mm without gravity": (lambda _: scaled(jb.presets.isolated_table(), "*.stiffness", 1e-3), "SAG"),
     "gravity in mm/s2": (lambda m: scaled(m, "gravity", 1e3), "GRAVITY"),
     "stiffness in nothing known": (lambda m: scaled(scaled(m, "*.stiffness", 1e-12), "gravity", 0.0), "FREQUENCY"),
 }
@@ -190,6 +193,10 @@ def test_the_sizes_are_those_of_closed_forms(table):
     numbers = jb.plausibility(model).numbers
     assert numbers["first natural frequency"][0] == pytest.approx(np.sqrt(800 / 2) / (2 * np.pi), rel=1e-12)
     assert numbers["sag under gravity over the size of the model"][0] == pytest.approx(2 * 9.81 / 800 / 0.5, rel=1e-12)
+    assert numbers["mass over the cube of the size of the model"][0] == pytest.approx(2 / 0.5**3, rel=1e-12)
+    weightless = jb.plausibility(jb.replace(model, {"gravity": [0.0, 0.0, 0.0]})).numbers
+    name = "sag along the first mode, were there gravity, over the size of the model"
+    assert weightless[name][0] == pytest.approx(2 * 9.80665 / 800 / 0.5, rel=1e-12)
     for sound in (table, jb.presets.quarter_car()):
         assert jb.plausibility(sound).words == ()
 
