@@ -113,8 +113,16 @@ def pytest_addoption(parser):
     parser.addoption(
         "--typed", action="store_true", help="check all annotations of jaxbody, and raise where JAX would promote types or ranks"
     )
-    parser.addoption("--third", type=int, choices=(1, 2, 3), help="of the files, those whose number among all leaves this rest")
-    parser.addoption("--third-of-examples", type=int, choices=(1, 2, 3), help="of the modules whose docstrings' examples are run, likewise")
+    parser.addoption("--part", type=part, default=(1, 1), metavar="2/3", help="every third of the files, from the second one")
+    parser.addoption("--part-of-examples", type=part, metavar="2/3", help="the same of the modules whose docstrings' examples are run")
+
+
+def part(text):
+    """(2, 3) of "2/3"."""
+    first, count = map(int, text.split("/"))
+    if not 1 <= first <= count:
+        raise ValueError(text)
+    return first, count
 
 
 def pytest_collection_modifyitems(config, items):
@@ -123,14 +131,13 @@ def pytest_collection_modifyitems(config, items):
         for item in items:
             if item.get_closest_marker("untyped"):
                 item.add_marker(pytest.mark.skip(reason="not with --typed"))
-    examples = [item for item in items if getattr(item, "originalname", "") == "test_examples_in_docstrings_run"]
     files = sorted({item.path for item in items})
-    left_out = []
-    if third := config.option.third:
-        left_out = [item for item in items if files.index(item.path) % 3 != third - 1]
-    if third := config.option.third_of_examples:
-        left_out = [*(item for item in left_out if item not in examples), *(e for n, e in enumerate(examples) if n % 3 != third - 1)]
-    if left_out:
-        apart = set(left_out)
-        items[:] = [item for item in items if item not in apart]
-        config.hook.pytest_deselected(items=left_out)
+    first, count = config.option.part
+    asked = {item: files.index(item.path) % count == first - 1 for item in items}
+    if of_examples := config.option.part_of_examples:
+        first, count = of_examples
+        examples = [item for item in items if getattr(item, "originalname", "") == "test_examples_in_docstrings_run"]
+        asked |= {item: n % count == first - 1 for n, item in enumerate(examples)}
+    left_out = [item for item in items if not asked[item]]
+    items[:] = [item for item in items if asked[item]]
+    config.hook.pytest_deselected(items=left_out)
