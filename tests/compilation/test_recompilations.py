@@ -61,7 +61,11 @@ def test_programs_of_their_own_are_no_storm():
 
 @pytest.mark.long
 def test_an_equilibrium_with_another_number_of_steps_each_time_is_a_storm():
-    model = jb.presets.quarter_car(damping=1500.0)
+    model = jb.Model(  # of no other test, which could have begun the row
+        bodies={"stormy": jb.Body(mass=2.0, inertia=[1, 1, 1])},
+        joints={"stormy": jb.Guide("world", axis="z")},
+        elements={"spring": jb.Spring(("stormy", [0, 0, 0]), ("world", [0, 0, 1]), stiffness=50.0, free_length=1.0)},
+    )
     with pytest.warns(jb.JaxbodyWarning, match=r"equilibrium_of was compiled 6 times in a row for the value of max_steps: 51, 52"):
         for steps in range(51, 58):
             jb.equilibrium(model, max_steps=steps)
