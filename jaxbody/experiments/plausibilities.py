@@ -14,6 +14,7 @@ from jaxbody.core import tables
 from jaxbody.core.arrays import Array, Int
 from jaxbody.core.errors import Status, warn
 from jaxbody.core.results import Result
+from jaxbody.core.units import GRAVITY
 from jaxbody.mechanics.constraints import closed
 from jaxbody.mechanics.energies import potential_energy
 from jaxbody.mechanics.kinematics import Coordinates, retract
@@ -28,7 +29,6 @@ FREQUENCIES = (0.01, 1e5)  # Hz
 SAG = (1e-9, 1.0)  # relative to the size of the model
 SOFT = (1e-9, 5.0)  # the same of the first mode of a model without gravity, which may move across it
 DENSITY = (0.01, 1e5)  # kg/m3
-STANDARD = 9.80665  # m/s2
 EARTH = (9.7, 9.9)  # m/s2
 STEPS = (1e-6, 0.5)  # relative to the period of the first mode
 ZERO = 1e-9  # eigenvalue relative to the largest that counts as zero
@@ -89,7 +89,7 @@ def plausibility(model: Model, experiments: dict[str, Any] | None = None) -> Pla
     if np.isfinite(sag) and sag:
         note("SAG", "sag under gravity over the size of the model", sag, "", SAG, remark)
     if not g and first > 0:
-        soft = STANDARD / (2 * np.pi * first) ** 2 / size
+        soft = GRAVITY / (2 * np.pi * first) ** 2 / size
         note("SAG", "sag along the first mode, were there gravity, over the size of the model", soft, "", SOFT, remark)
     for name, run in (experiments or {}).items():
         if np.isfinite(first) and len(np.atleast_1d(getattr(run, "times", ()))) > 1:

@@ -23,8 +23,6 @@ from jaxbody.geometry.places import direction, ends
 from jaxbody.geometry.vectors import cross, dot, rotate
 from jaxbody.inputs.signals import Signal, as_signal
 
-STANDARD_GRAVITY = 9.80665  # m/s2
-
 
 class Load(Described, eqx.Module):
     """The base class of loads: a load of your own derives from it and states `at_point`.

@@ -15,10 +15,11 @@ from jaxbody.core.arrays import Array, Bool, Float, Int, device_array, stack, ve
 from jaxbody.core.datasets import AXES, Labeled, dataset, rows_of
 from jaxbody.core.errors import Problems, Status
 from jaxbody.core.results import Result, warn_if_failed
+from jaxbody.core.units import GRAVITY
 from jaxbody.geometry import rotations
 from jaxbody.geometry.frames import Pose
 from jaxbody.geometry.vectors import product
-from jaxbody.inputs.loads import STANDARD_GRAVITY, Load, loads_by_name, loads_of
+from jaxbody.inputs.loads import Load, loads_by_name, loads_of
 from jaxbody.mechanics.energies import each_element, frames_of
 from jaxbody.mechanics.hessians import configuration_at
 from jaxbody.mechanics.kinematics import Coordinates
@@ -191,7 +192,7 @@ def load_cases(model: Model, cases: dict[str, LoadCase], *, at: Equilibrium | St
     loads = tuple(load for group in each for load in group)
     owner = np.repeat(np.arange(len(each)), [len(group) for group in each])
     weights = (np.arange(len(each))[:, None] == owner).astype(float)
-    changes = stack([-STANDARD_GRAVITY * case.acceleration for case in cases.values()])
+    changes = stack([-GRAVITY * case.acceleration for case in cases.values()])
     q, z = (None, None) if start is None else (start.q, start.z)
     unloaded = equilibrium_of(model, q, MAX_STEPS, z)
     warn_if_failed(unloaded)

@@ -28,6 +28,7 @@ from random_mechanics import Structure  # noqa: E402
 
 import jaxbody as jb  # noqa: E402
 from jaxbody.compilation.compile_options import UNOPTIMIZED  # noqa: E402
+from jaxbody.core.units import GRAVITY  # noqa: E402
 from jaxbody.mechanics.energies import potential  # noqa: E402
 from jaxbody.mechanics.kinematics import Chart  # noqa: E402
 from jaxbody.models.leaf_paths import leaves_of  # noqa: E402
@@ -192,7 +193,7 @@ BLUNDERS = {  # what was typed: the unit that is meant, and the factor that is l
     "kg mm2": ("kg m2", 1e6),
     "kg cm2": ("kg m2", 1e4),
     "mm/s2": ("m/s2", 1e3),
-    "9.81 m/s2": ("m/s2", 1 / 9.80665),
+    "9.81 m/s2": ("m/s2", 1 / GRAVITY),
 }
 
 
