@@ -58,9 +58,14 @@ def scale_at(model: Model) -> Float[Array, "nv"]:
     return jax.lax.stop_gradient(scale_of(model, size_of(model)))
 
 
+def scaled_slopes(coordinates: Coordinates, q: Float[Array, "nq"], scale: Float[Array, "nv"]) -> Float[Array, "n nv"]:
+    """J."""
+    return values_and_slopes(coordinates, lambda q: gaps_at(coordinates, q), q)[1] * scale[None]
+
+
 def free_motions(coordinates: Coordinates, q: Float[Array, "nq"], scale: Float[Array, "nv"]) -> FreeMotions:
     """The free motions at q."""
-    J = values_and_slopes(coordinates, lambda q: gaps_at(coordinates, q), q)[1] * scale[None]
+    J = scaled_slopes(coordinates, q, scale)
     return FreeMotions(J, jnp.linalg.pinv(J, rtol=RANK))
 
 
@@ -136,7 +141,7 @@ def speeds_on_closures(coordinates: Coordinates, q: Float[Array, "nq"], own: Flo
     model = coordinates.model
     scale, independent = scale_at(model), np.array(model.independent, int)
     others = np.setdiff1d(np.arange(len(scale)), independent)
-    J = values_and_slopes(coordinates, lambda q: gaps_at(coordinates, q), q)[1] * scale[None]
+    J = scaled_slopes(coordinates, q, scale)
     J_d, J_i = J[:, others], J[:, independent]
     v_d = -jnp.linalg.solve(J_d.T @ J_d, J_d.T @ (J_i @ (own / scale[independent])))
     return jnp.zeros(len(scale), q.dtype).at[independent].set(own).at[others].set(scale[others] * v_d)

@@ -151,7 +151,7 @@ def frequency_response(
     >>> round(float(response["mass", "base"][0].real * (1 - (2.0 * 2 * jnp.pi) ** 2 / 25)), 12)
     1.0
     """
-    check_system(lin, "frequency_response", closures=True)
+    check_system(lin, "frequency_response")
     f = check_frequencies(frequencies, "frequency_response.frequencies", static=True)
     (u, ins, u_units), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "frequency_response")
     for what, option in (("loss_factor", loss_factor), ("modal_damping", modal_damping)):

@@ -107,7 +107,7 @@ def random_response(
     >>> round(float(response["stroke"] ** 2 / (3.0 / (4 * 2.0 * 50.0))), 6)
     1.0
     """
-    check_system(lin, "random_response", closures=True)
+    check_system(lin, "random_response")
     (names, ins, _), (y, sensors, y_units) = check_ports(lin, inputs, outputs, "random_response")
     _check_match(inputs, spectra)
     if isinstance(frequencies, Band):

@@ -67,7 +67,7 @@ def floor_spectrum(
     >>> round(soft / float(level(0.3)), 2), round(rigid / float(level(3.1831)), 2)
     (1.02, 1.0)
     """
-    check_system(lin, "floor_spectrum", closures=True)
+    check_system(lin, "floor_spectrum")
     where = "floor_spectrum.spectra"
     with Problems() as problems:
         bases = excited(lin, spectra, where, problems)

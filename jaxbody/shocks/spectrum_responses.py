@@ -152,7 +152,7 @@ def spectrum_response(
     >>> round(float(peaks["force"]), 9), round(float(peaks.total_mass[0]), 9)  # mass times pseudo-acceleration
     (6.0, 2.0)
     """
-    check_system(lin, "spectrum_response", closures=True)
+    check_system(lin, "spectrum_response")
     with Problems() as problems:
         bases = excited(lin, spectra, "spectrum_response.spectra", problems)
         ports = outputs_of(lin.model, outputs, "spectrum_response", problems)

@@ -163,7 +163,7 @@ def backbones(lin: Linearization, *, allow_float32: bool = False) -> Backbones:
     >>> round(float(curves.curvature[0]), 12), round(float(curves.frequency_within(1.0)[0]), 12)
     (-0.0625, 0.4)
     """
-    check_system(lin, "backbones", allow_float32=allow_float32, closures=True)
+    check_system(lin, "backbones", allow_float32=allow_float32)
     check_without_memory("backbones", lin.model)
     return warn_if_failed(_backbones(lin))
 

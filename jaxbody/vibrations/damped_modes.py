@@ -89,7 +89,7 @@ def complex_modes(lin: Linearization | SpinLinearization, *, allow_float32: bool
     >>> round(float(damped.decay_rate[0]), 9), round(float(damped.damping_ratio[0]), 9), round(float(damped.frequency[0] * 2 * jnp.pi), 9)
     (3.0, 0.6, 4.0)
     """
-    check_system(lin, "complex_modes", LinearSystem, allow_float32=allow_float32, closures=True)
+    check_system(lin, "complex_modes", LinearSystem, allow_float32=allow_float32)
     return warn_if_failed(_complex_modes(lin))
 
 

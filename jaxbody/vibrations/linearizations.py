@@ -268,16 +268,13 @@ class Linearization(LinearSystem):
         return state_space(self, inputs, outputs)
 
 
-def check_system(
-    lin: Any, where: str, kind: type[LinearSystem] = Linearization, *, allow_float32: bool | None = True, closures: bool = False
-) -> None:
-    """Refuse what is no linear system of this kind, such as one about a spin, and float32 where it would lose half the digits; unless
-    `closures`, also a system with closures."""
+def check_system(lin: Any, where: str, kind: type[LinearSystem] = Linearization, *, allow_float32: bool | None = True) -> None:
+    """Refuse what is no linear system of this kind, such as one about a spin, and float32 where it would lose half the digits."""
     if not isinstance(lin, kind):
         spins = isinstance(lin, LinearSystem)
         hint = "Use complex_modes." if spins else "Give linearize(model, equilibrium(model)): all else is computed from it."
         raise JaxbodyError(Problem("WRONG_KIND", f"{where}.lin", f"is {kind_of(lin)}", lin, "a Linearization", hint))
-    check_precision(where, lin.model, allow_float32=allow_float32, closures=closures)
+    check_precision(where, lin.model, allow_float32=allow_float32, closures=True)
 
 
 def linearize(model: Model, at: Equilibrium | State) -> Linearization:

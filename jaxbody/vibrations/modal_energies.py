@@ -175,7 +175,7 @@ def mode_energies(
     >>> mode_energies(linearize(model, equilibrium(model)), up="y").names
     ('mass bounce 100 %',)
     """
-    check_system(lin, "mode_energies", allow_float32=allow_float32, closures=True)
+    check_system(lin, "mode_energies", allow_float32=allow_float32)
     directions = _directions(lin.model, forward, up)
     energies = _energies(without_inner_rows(lin, stiffness, "mode_energies"))
     return warn_if_failed(ModeEnergies(*energies, model=lin.model, directions=directions))

@@ -117,7 +117,7 @@ def elastic_axes(lin: Linearization, body: str) -> ElasticAxes:
     >>> axes.stiffness.tolist(), [round(float(x), 9) for x in axes.center]
     ([40000.0, 80000.0, 120000.0], [0.0, 0.0, -0.2])
     """
-    check_system(lin, "elastic_axes", closures=True)
+    check_system(lin, "elastic_axes")
     return warn_if_failed(_elastic_axes(lin, _free(lin, body, "elastic_axes")))
 
 
@@ -137,7 +137,7 @@ def torque_roll_axis(lin: Linearization, body: str, torque: Any) -> TorqueRollAx
     >>> [round(float(x), 4) for x in axis.direction]
     [0.9445, 0.3279, -0.0191]
     """
-    check_system(lin, "torque_roll_axis", closures=True)
+    check_system(lin, "torque_roll_axis")
     with Problems() as problems:
         along = shaped(torque, (3,), "torque_roll_axis.torque", problems)
     if is_concrete(along) and not np.any(along):

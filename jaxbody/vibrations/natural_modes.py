@@ -135,7 +135,7 @@ def modes(lin: Linearization, *, stiffness: str = "relaxed", allow_float32: bool
     >>> round(float(natural.frequency[0]), 6), round(float(natural.damping_ratio[0]), 6)
     (0.795775, 0.1)
     """
-    check_system(lin, "modes", allow_float32=allow_float32, closures=True)
+    check_system(lin, "modes", allow_float32=allow_float32)
     return warn_if_failed(_modes(without_inner_rows(lin, stiffness, "modes")))
 
 
