@@ -131,9 +131,9 @@ def pytest_collection_modifyitems(config, items):
         for item in items:
             if item.get_closest_marker("untyped"):
                 item.add_marker(pytest.mark.skip(reason="not with --typed"))
-    files = sorted({item.path for item in items})
+    numbers = {path: n for n, path in enumerate(sorted({item.path for item in items}))}
     first, count = config.option.part
-    asked = {item: files.index(item.path) % count == first - 1 for item in items}
+    asked = {item: numbers[item.path] % count == first - 1 for item in items}
     if of_examples := config.option.part_of_examples:
         first, count = of_examples
         examples = [item for item in items if getattr(item, "originalname", "") == "test_examples_in_docstrings_run"]

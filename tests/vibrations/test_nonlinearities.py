@@ -203,7 +203,8 @@ class Cart:
     m, bob, r, J, k, g = 1.5, 0.7, 0.45, 0.02, 60.0, 9.81
     end = np.array([0.5, 0.3])
 
-    def model(self):
+    def model(self, joint=None, closures=None):
+        """The bob hangs on a hinge, or on another joint and closures."""
         bodies = {
             "cart": jb.Body(mass=self.m, inertia=[1, 1, 1]),
             "bob": jb.Body(mass=self.bob, inertia=[0.01, self.J, 0.01], com=[0, 0, -self.r]),
@@ -211,7 +212,8 @@ class Cart:
         ends = ("cart", [0, 0, 0]), ("world", [self.end[0], 0, self.end[1]])
         return jb.Model(
             bodies=bodies,
-            joints={"cart": jb.Guide("world", axis=[1, 0, 0]), "bob": jb.Hinge("cart", axis=[0, 1, 0])},
+            joints={"cart": jb.Guide("world", axis=[1, 0, 0]), "bob": joint or jb.Hinge("cart", axis=[0, 1, 0])},
+            closures=closures or {},
             elements={"spring": jb.Spring(*ends, stiffness=self.k, free_length=np.hypot(*self.end))},
             gravity=[0, 0, -self.g],
         )
@@ -285,16 +287,9 @@ def test_the_slope_of_a_bob_on_a_rod_has_derivatives_in_both_modes():
 @pytest.mark.long
 def test_a_pendulum_that_a_pin_closes_bends_as_on_its_hinge():
     """Both modes, by the amplitude of the cart."""
-    cart = Cart().model()
     pin = jb.closures.Hinge(("cart", [0, 0, 0]), ("bob", [0, 0, 0]), axis="y")
-    joints = {"cart": jb.Guide("world", axis="x"), "bob": jb.Planar("world", first="z", second="x")}
-    bodies = {name: jb.Body(mass=m, inertia=J, com=com) for name, m, J, com in (
-        ("cart", Cart.m, [1, 1, 1], [0, 0, 0]), ("bob", Cart.bob, [0.01, Cart.J, 0.01], [0, 0, -Cart.r]),
-    )}  # fmt: skip
-    ends = ("cart", [0, 0, 0]), ("world", [Cart.end[0], 0, Cart.end[1]])
-    spring = jb.Spring(*ends, stiffness=Cart.k, free_length=np.hypot(*Cart.end))
-    closed = jb.Model(bodies=bodies, joints=joints, closures={"pin": pin}, elements={"spring": spring}, gravity=[0, 0, -Cart.g])
-    tree, loop = backbones(cart), backbones(closed)
+    closed = Cart().model(jb.Planar("world", first="z", second="x"), {"pin": pin})
+    tree, loop = backbones(Cart().model()), backbones(closed)
     np.testing.assert_allclose(loop.frequency, tree.frequency, rtol=1e-11)
     per_cart = [x.curvature / x.shapes[i] ** 2 for x, i in ((tree, 0), (loop, list(loop.coordinates).index("cart move along its guide")))]
     np.testing.assert_allclose(per_cart[1], per_cart[0], rtol=1e-9)
